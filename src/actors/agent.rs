@@ -1,0 +1,221 @@
+//! Agent: the policy at work, for one robot or for several at once.
+//!
+//! An Agent steps when the Caches of all its robots have perceived: for one robot that is its own tick, for
+//! several a joint, synchronous one. Robots of one Agent exchange latents within the step; all others are
+//! heard through their Caches.
+
+use std::sync::Arc;
+
+use super::Core;
+use crate::messages::geometry::{Task, Vec2, is_finite};
+use crate::messages::ids::RobotId;
+use crate::messages::local::{Action, Heard, Percept, Progress};
+use crate::messages::wire::{Features, Latent, Mode, Phase, Round};
+use crate::net::range::CommRange;
+use crate::policy::{Neighbour, Policy};
+use crate::random::Stream;
+use crate::scenario::Scenario;
+use crate::time::{Span, Time};
+
+/// How near to its start a robot must be before an episode may begin \[m\].
+pub const START_M: f32 = 0.05;
+
+/// What an Agent accepts.
+#[derive(Clone, Debug)]
+pub enum In {
+    /// Of one of its robots.
+    Percept(Percept),
+    /// The state server's instruction.
+    Mode(Mode),
+}
+
+/// What an Agent says.
+#[derive(Clone, Debug)]
+pub enum Out {
+    /// To the neighbours of one of its robots.
+    Latent(Latent),
+    /// To the Controller of one of its robots.
+    Action(Action),
+}
+
+/// The policies of one robot and what they draw from.
+pub struct Pilot {
+    /// The robot.
+    pub robot: RobotId,
+    /// The policy under test.
+    pub run: Box<dyn Policy>,
+    /// The policy that drives to the start.
+    pub reset: Box<dyn Policy>,
+    /// Of its actions.
+    pub actions: Stream,
+    /// Of its random ranges toward robots of the same Agent.
+    pub ranges: Stream,
+}
+
+/// One robot within an Agent.
+struct Seat {
+    pilot: Pilot,
+    task: Option<Task>,
+    percept: Option<Percept>,
+    /// What it broadcasts in this step.
+    features: Vec<f32>,
+}
+
+/// An agent for some robots.
+pub struct Agent {
+    scenario: Arc<dyn Scenario>,
+    range: CommRange,
+    /// How long a joint step waits for the last percept.
+    patience: Span,
+    seats: Vec<Seat>,
+    round: Round,
+    phase: Phase,
+    waiting_since: Option<Time>,
+}
+
+impl Agent {
+    /// An agent for these robots, in the order of their ids.
+    pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, patience: Span, pilots: Vec<Pilot>) -> Agent {
+        assert!(pilots.is_sorted_by_key(|pilot| pilot.robot), "sums run in the order of ids");
+        let seats = pilots.into_iter().map(|pilot| Seat { pilot, task: None, percept: None, features: Vec::new() });
+        Agent {
+            scenario,
+            range,
+            patience,
+            seats: seats.collect(),
+            round: Round::default(),
+            phase: Phase::NeedReset,
+            waiting_since: None,
+        }
+    }
+
+    fn follow(&mut self, mode: &Mode) {
+        if mode.round < self.round {
+            return;
+        }
+        if mode.round > self.round {
+            self.seats.iter_mut().for_each(|seat| seat.task = None);
+        }
+        (self.round, self.phase) = (mode.round, mode.phase);
+        for seat in &mut self.seats {
+            if let Some(task) = mode.task_of(seat.pilot.robot) {
+                seat.task = Some(task);
+            }
+        }
+    }
+
+    /// One step of all robots that have perceived.
+    fn step(&mut self, out: &mut Vec<Out>) {
+        self.waiting_since = None;
+        if matches!(self.phase, Phase::Resetting | Phase::Running) {
+            for at in 0..self.seats.len() {
+                self.encode(at, out);
+            }
+            for at in 0..self.seats.len() {
+                out.extend(self.act(at).map(Out::Action));
+            }
+        }
+        self.seats.iter_mut().for_each(|seat| seat.percept = None);
+    }
+
+    fn encode(&mut self, at: usize, out: &mut Vec<Out>) {
+        let (phase, round) = (self.phase, self.round);
+        let seat = &mut self.seats[at];
+        let (Some(percept), Some(task)) = (&seat.percept, &seat.task) else { return };
+        let task = bound_for(phase, task);
+        let policy = if phase == Phase::Running { &mut seat.pilot.run } else { &mut seat.pilot.reset };
+        seat.features.resize(policy.interface().features, 0.0);
+        policy.encode(&self.scenario.observe(&task, &percept.estimate), &mut seat.features);
+        out.push(Out::Latent(Latent {
+            robot: seat.pilot.robot,
+            round,
+            phase,
+            motion: percept.estimate,
+            features: Features(seat.features.as_slice().into()),
+        }));
+    }
+
+    fn act(&mut self, at: usize) -> Option<Action> {
+        let (phase, round) = (self.phase, self.round);
+        // The robot's own seat is split off, so that its policy can look at all others.
+        let (before, rest) = self.seats.split_at_mut(at);
+        let (seat, after) = rest.split_first_mut().expect("the seat exists");
+        let (percept, task) = (seat.percept.as_ref()?, seat.task.as_ref()?);
+        let task = bound_for(phase, task);
+        let own = percept.estimate;
+        let frame = self.scenario.frame(&task);
+        let policy = if phase == Phase::Running { &mut seat.pilot.run } else { &mut seat.pilot.reset };
+        let width = policy.interface().features;
+
+        let usable = |heard: &&Heard| heard.round == round && heard.phase == phase && heard.features.0.len() == width;
+        let cached = percept.heard.iter().filter(usable).map(|heard| {
+            (heard.robot, Neighbour { motion: frame.turn_motion(&heard.motion), features: &heard.features.0, age: heard.age })
+        });
+        let (range, ranges) = (self.range, &mut seat.pilot.ranges);
+        let joint = before.iter().chain(after.iter()).filter_map(|other| {
+            let theirs = other.percept.as_ref()?.estimate;
+            other.task?;
+            range.admits(own.position, theirs.position, ranges).then(|| {
+                let motion = frame.turn_motion(&theirs);
+                (other.pilot.robot, Neighbour { motion, features: &other.features, age: Span::ZERO })
+            })
+        });
+        let mut neighbours: Vec<(RobotId, Neighbour)> = cached.chain(joint).collect();
+        neighbours.sort_by_key(|(robot, _)| *robot);
+        let neighbours: Vec<Neighbour> = neighbours.into_iter().map(|(_, neighbour)| neighbour).collect();
+
+        let seen = self.scenario.observe(&task, &own);
+        let velocity = policy.act(&seen, &seat.features, &neighbours, &mut seat.pilot.actions);
+        let limit = policy.interface().limit_m_s;
+        let there = match phase {
+            Phase::Running => self.scenario.reached(&task, own.position),
+            _ => (task.goal - own.position).norm() <= START_M,
+        };
+        Some(Action {
+            robot: seat.pilot.robot,
+            round,
+            phase,
+            velocity: self.scenario.steer(&task, limited(velocity, limit)),
+            progress: if there { Progress::Reached } else { Progress::Underway },
+        })
+    }
+}
+
+/// The task of the moment: during a reset, to get to the start.
+fn bound_for(phase: Phase, task: &Task) -> Task {
+    if phase == Phase::Running { *task } else { Task { start: task.start, goal: task.start } }
+}
+
+/// Within the policy's own limit along each axis; what is no velocity at all is left for the Controller to stop.
+fn limited(velocity: Vec2, limit: f32) -> Vec2 {
+    if is_finite(velocity) { velocity.map(|axis| axis.clamp(-limit, limit)) } else { velocity }
+}
+
+impl Core for Agent {
+    type In = In;
+    type Out = Out;
+
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
+        match input {
+            In::Mode(mode) => self.follow(&mode),
+            In::Percept(percept) => {
+                let Some(seat) = self.seats.iter_mut().find(|seat| seat.pilot.robot == percept.robot) else { return };
+                seat.percept = Some(percept);
+                if self.seats.iter().all(|seat| seat.percept.is_some()) {
+                    self.step(out);
+                } else {
+                    self.waiting_since.get_or_insert(now);
+                }
+            }
+        }
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        self.waiting_since.map(|since| since + self.patience)
+    }
+
+    /// A robot has not perceived in time: the others go on without it.
+    fn wake(&mut self, _: Time, out: &mut Vec<Out>) {
+        self.step(out);
+    }
+}

@@ -1,0 +1,185 @@
+//! Cache: what one robot knows. Its own estimate, and the newest latent of each neighbour within range.
+//!
+//! A datagram that arrives changes this memory and nothing else; at each tick of its agent the Cache hands
+//! on a `Percept`. Ages count from arrival, on this host's clock.
+
+use std::collections::BTreeMap;
+
+use super::Core;
+use crate::messages::geometry::Motion;
+use crate::messages::ids::RobotId;
+use crate::messages::local::{Heard, Percept};
+use crate::messages::wire::{Latent, Reading};
+use crate::net::range::CommRange;
+use crate::random::Stream;
+use crate::time::{Span, Time};
+
+/// The oldest own estimate that a robot acts on: two World steps. Without a younger one it stays silent, and
+/// its Body stops.
+pub const MAX_OWN_AGE: Span = Span::from_millis(100);
+/// The most neighbours that are kept; far more than fit within any communication range.
+pub const MAX_NEIGHBOURS: usize = 256;
+
+/// What a Cache accepts.
+#[derive(Clone, Debug)]
+pub enum In {
+    /// Of its own robot.
+    Reading(Reading),
+    /// Of some other robot.
+    Latent(Latent),
+}
+
+/// How a Cache is set up.
+#[derive(Clone, Copy, Debug)]
+pub struct Config {
+    /// The robot.
+    pub robot: RobotId,
+    /// How often its agent steps.
+    pub period: Span,
+    /// When in each period.
+    pub phase: Span,
+    /// Who is near enough to be heard.
+    pub range: CommRange,
+    /// How long a latent is of use.
+    pub hold: Span,
+}
+
+/// One robot's cache and filter.
+#[derive(Debug)]
+pub struct Cache {
+    config: Config,
+    stream: Stream,
+    next: Time,
+    own: Option<(Time, Reading)>,
+    heard: BTreeMap<RobotId, (Time, Latent)>,
+}
+
+impl Cache {
+    /// An empty cache; draws random ranges from `stream`.
+    pub fn new(config: Config, stream: Stream) -> Cache {
+        Cache { config, stream, next: Time::ZERO + config.phase, own: None, heard: BTreeMap::new() }
+    }
+
+    fn estimate(&self) -> Option<Motion> {
+        self.own.as_ref().map(|(_, reading)| reading.motion)
+    }
+
+    fn perceive(&self, now: Time) -> Option<Percept> {
+        let (arrived, reading) = self.own.as_ref()?;
+        let age = now.since(*arrived);
+        if age > MAX_OWN_AGE {
+            return None;
+        }
+        let heard = self.heard.values().map(|(arrived, latent)| Heard {
+            robot: latent.robot,
+            round: latent.round,
+            phase: latent.phase,
+            motion: latent.motion,
+            features: latent.features.clone(),
+            age: now.since(*arrived),
+        });
+        Some(Percept { robot: self.config.robot, estimate: reading.motion, age, heard: heard.collect() })
+    }
+}
+
+impl Core for Cache {
+    type In = In;
+    type Out = Percept;
+
+    fn handle(&mut self, now: Time, input: In, _: &mut Vec<Percept>) {
+        match input {
+            // The same stamp again is the same measurement: it makes the estimate no younger.
+            In::Reading(reading) if self.own.as_ref().is_none_or(|(_, own)| own.stamp_ns != reading.stamp_ns) => {
+                self.own = Some((now, reading));
+            }
+            In::Reading(_) => {}
+            In::Latent(latent) => {
+                let Some(own) = self.estimate() else { return };
+                let near = self.config.range.admits(own.position, latent.motion.position, &mut self.stream);
+                let room = self.heard.len() < MAX_NEIGHBOURS || self.heard.contains_key(&latent.robot);
+                if near && room && latent.robot != self.config.robot {
+                    self.heard.insert(latent.robot, (now, latent));
+                }
+            }
+        }
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        Some(self.next)
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Percept>) {
+        let hold = self.config.hold;
+        self.heard.retain(|_, (arrived, _)| now.since(*arrived) <= hold);
+        out.extend(self.perceive(now));
+        self.next = now.next_on_grid(self.config.phase, self.config.period);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::messages::geometry::Vec2;
+    use crate::messages::wire::{Features, Phase, Round};
+    use crate::random::Seed;
+
+    fn at_ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    fn cache() -> Cache {
+        let config = Config {
+            robot: RobotId(0),
+            period: Span::from_millis(50),
+            phase: Span::ZERO,
+            range: CommRange::fixed(2.0),
+            hold: Span::from_millis(80),
+        };
+        Cache::new(config, Seed::of_run(0).stream("cache"))
+    }
+
+    fn reading(stamp_ns: u64) -> In {
+        In::Reading(Reading { robot: RobotId(0), stamp_ns, motion: Motion::default() })
+    }
+
+    fn latent(robot: u16, x: f32) -> In {
+        In::Latent(Latent {
+            robot: RobotId(robot),
+            round: Round::default(),
+            phase: Phase::Running,
+            motion: Motion::at_rest(Vec2::new(x, 0.0)),
+            features: Features(Arc::new([1.0])),
+        })
+    }
+
+    fn tick(cache: &mut Cache, ms: u64) -> Option<Percept> {
+        let mut out = Vec::new();
+        cache.wake(at_ms(ms), &mut out);
+        out.pop()
+    }
+
+    #[test]
+    fn a_neighbour_is_held_for_the_window_if_it_is_in_range() {
+        let mut cache = cache();
+        cache.handle(at_ms(0), reading(1), &mut Vec::new());
+        cache.handle(at_ms(0), latent(2, 1.9), &mut Vec::new());
+        cache.handle(at_ms(0), latent(1, 1.0), &mut Vec::new());
+        cache.handle(at_ms(0), latent(3, 2.1), &mut Vec::new());
+        let heard: Vec<u16> = tick(&mut cache, 50).unwrap().heard.iter().map(|heard| heard.robot.0).collect();
+        assert_eq!(heard, [1, 2], "in the order of ids, without the one out of range");
+        cache.handle(at_ms(60), reading(2), &mut Vec::new());
+        assert!(tick(&mut cache, 100).unwrap().heard.is_empty(), "80 ms have passed");
+    }
+
+    #[test]
+    fn a_stale_or_repeated_own_reading_silences_the_robot() {
+        let mut cache = cache();
+        assert_eq!(tick(&mut cache, 0), None, "nothing is known yet");
+        cache.handle(at_ms(0), reading(1), &mut Vec::new());
+        cache.handle(at_ms(90), reading(1), &mut Vec::new());
+        assert!(tick(&mut cache, 100).is_some());
+        assert_eq!(tick(&mut cache, 150), None);
+    }
+}

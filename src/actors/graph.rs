@@ -1,0 +1,354 @@
+//! The whole actor graph as wiring: one place that says who talks to whom. No logic lives here.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::Arc;
+
+use tracing::info_span;
+
+use super::agent::{self, Agent, Pilot};
+use super::body::{self, Body};
+use super::cache::{self, Cache};
+use super::clock::Clock;
+use super::controller::{self, Controller};
+use super::network::{self, Network};
+use super::recorder::{self, Recorder};
+use super::shell::{Mailbox, start};
+use super::state_server::{self, StateServer};
+use super::world::{self, World};
+use crate::deploy::{Deployment, Stepping};
+use crate::messages::geometry::Vec2;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::wire::{Heartbeat, Wire};
+use crate::net::fault::{ActorFault, FaultPlan, Role};
+use crate::net::medium::Medium;
+use crate::net::range::CommRange;
+use crate::net::transport::ether::{Arrive, Ether, Transmit};
+use crate::policy::Model;
+use crate::random::Seed;
+use crate::scenario::Scenario;
+use crate::scenario::layout::Layouts;
+use crate::time::Span;
+use crate::world as plants;
+
+/// How long a motor command holds: four of the published control periods (design, section 2).
+pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
+/// The team number of one-process runs, where there is no other team.
+const TEAM: u16 = 0;
+
+/// All that a graph is made of.
+#[derive(Clone)]
+pub struct Plan {
+    /// Which host runs what.
+    pub deployment: Deployment,
+    /// What the team is to do.
+    pub scenario: Arc<dyn Scenario>,
+    /// What drives it while an episode runs.
+    pub run: Model,
+    /// What drives it to the starts.
+    pub reset: Model,
+    /// Who is near enough to be heard.
+    pub range: CommRange,
+    /// How long a neighbour's message is of use.
+    pub hold: Span,
+    /// The episodes.
+    pub layouts: Layouts,
+    /// Which repeat of the experiment this is.
+    pub repeat: u32,
+    /// The root of all randomness.
+    pub seed: Seed,
+    /// What goes wrong.
+    pub faults: FaultPlan,
+    /// Whether every step is told.
+    pub steps: recorder::Steps,
+}
+
+/// The ways to all actors of a graph.
+pub struct Graph {
+    caches: Vec<Mailbox<cache::In>>,
+    /// By robot: the robots of one agent share a mailbox.
+    agents: Vec<Mailbox<agent::In>>,
+    controllers: Vec<Mailbox<controller::In>>,
+    bodies: Vec<Mailbox<body::In>>,
+    /// By robot, likewise.
+    worlds: Vec<Mailbox<world::In>>,
+    server: Mailbox<Heartbeat>,
+    networks: Vec<Mailbox<network::In>>,
+    ethers: Vec<Mailbox<Transmit>>,
+    recorder: Mailbox<recorder::In>,
+}
+
+impl Graph {
+    fn new(plan: &Plan) -> Graph {
+        let deployment = &plan.deployment;
+        let team = || RobotId::team(deployment.robots);
+        let named = |what: &'static str| move |robot: RobotId| format!("{what} of {robot}");
+        let mut agents: Vec<Mailbox<agent::In>> = Vec::new();
+        let mut worlds: Vec<Mailbox<world::In>> = Vec::new();
+        for robot in team() {
+            let agent = deployment.companions(robot).iter().min().and_then(|first| agents.get(usize::from(*first)));
+            agents.push(agent.cloned().unwrap_or_else(|| Mailbox::new(named("agent")(robot))));
+            let host = deployment.world_host(robot);
+            let world = team().take(robot.index()).find(|&other| deployment.world_host(other) == host);
+            let world = world.and_then(|other| worlds.get(other.index()));
+            worlds.push(world.cloned().unwrap_or_else(|| Mailbox::new(named("world")(robot))));
+        }
+        Graph {
+            caches: team().map(named("cache")).map(Mailbox::new).collect(),
+            agents,
+            controllers: team().map(named("controller")).map(Mailbox::new).collect(),
+            bodies: team().map(named("body")).map(Mailbox::new).collect(),
+            worlds,
+            server: Mailbox::new("state server"),
+            networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
+            ethers: deployment.links.iter().map(|link| Mailbox::new(format!("ether of {}", link.name))).collect(),
+            recorder: Mailbox::new("recorder"),
+        }
+    }
+
+    fn network_of(&self, host: HostId) -> Mailbox<network::In> {
+        self.networks[usize::from(host.0)].clone()
+    }
+
+    /// Messages that full mailboxes refused, so far.
+    pub fn refused(&self) -> u64 {
+        fn sum<I: Send + 'static>(mailboxes: &[Mailbox<I>]) -> u64 {
+            mailboxes.iter().map(Mailbox::refused).sum()
+        }
+        sum(&self.caches)
+            + sum(&self.agents)
+            + sum(&self.controllers)
+            + sum(&self.bodies)
+            + sum(&self.worlds)
+            + sum(&self.networks)
+            + sum(&self.ethers)
+            + self.server.refused()
+            + self.recorder.refused()
+    }
+
+    fn inject(&self, deployment: &Deployment, fault: ActorFault) {
+        let robot = fault.robot.index();
+        match fault.role {
+            Role::Cache => self.caches[robot].inject(fault),
+            Role::Agent => self.agents[robot].inject(fault),
+            Role::Controller => self.controllers[robot].inject(fault),
+            Role::Body => self.bodies[robot].inject(fault),
+            Role::World => self.worlds[robot].inject(fault),
+            Role::StateServer => self.server.inject(fault),
+            Role::Network => self.network_of(deployment.agent_host(fault.robot)).inject(fault),
+        }
+    }
+}
+
+/// Starts all actors of a plan; `said` takes what the Recorder says.
+pub fn wire(clock: &Clock, plan: &Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
+    let graph = Rc::new(Graph::new(plan));
+    for robot in RobotId::team(plan.deployment.robots) {
+        wire_robot(clock, plan, &graph, robot);
+    }
+    for host in 0..plan.deployment.hosts.len() {
+        wire_host(clock, plan, &graph, HostId(u16::try_from(host).expect("hosts are counted in u16")));
+    }
+    wire_links(clock, plan, &graph);
+    wire_server(clock, plan, &graph);
+
+    // The Recorder has no second life: its sink is handed through its one core.
+    let said = Rc::new(RefCell::new(said));
+    let config = recorder::Config {
+        layouts: plan.layouts.clone(),
+        repeat: plan.repeat,
+        rules: plan.scenario.rules(),
+        steps: plan.steps,
+    };
+    let robots = plan.deployment.robots;
+    let make = move |_| Recorder::new(config.clone(), robots);
+    start(clock, &graph.recorder, info_span!("recorder"), make, move |out| said.borrow_mut()(out));
+
+    for fault in &plan.faults.actors {
+        let (fault, graph, deployment) = (fault.clone(), Rc::clone(&graph), plan.deployment.clone());
+        clock.call(fault.at, Box::new(move || graph.inject(&deployment, fault)));
+    }
+    graph
+}
+
+/// When in each period a robot's tick or beat falls.
+fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
+    match plan.deployment.stepping {
+        Stepping::Lockstep => Span::from_nanos(period.as_nanos() / 2),
+        Stepping::Seeded => {
+            use rand::RngExt;
+            let mut stream = plan.seed.stream(&format!("{name}/{}/phase", robot.0));
+            Span::from_nanos(stream.random_range(0..period.as_nanos()))
+        }
+    }
+}
+
+/// Cache, Controller and Body of one robot, and its Agent if it is the first of that Agent's robots.
+fn wire_robot(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
+    let at = robot.index();
+    let (id, seed) = (robot.0, plan.seed);
+    let companions = plan.deployment.companions(robot);
+    let first = companions.iter().min().copied().unwrap_or(id);
+    let interface = plan.run.interface();
+    let home = graph.network_of(plan.deployment.agent_host(robot));
+    let away = graph.network_of(plan.deployment.world_host(robot));
+
+    let config = cache::Config {
+        robot,
+        period: interface.period,
+        // One tick for all robots of an agent: a joint step is a synchronous one.
+        phase: phase(plan, "agent", RobotId(first), interface.period),
+        range: plan.range,
+        hold: plan.hold,
+    };
+    let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
+    let agent = graph.agents[at].clone();
+    start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |percept| {
+        agent.send(agent::In::Percept(percept));
+    });
+
+    if first == id {
+        wire_agent(clock, plan, graph, robot);
+    }
+
+    let config = controller::Config {
+        robot,
+        limit_m_s: interface.limit_m_s,
+        valid_for: COMMAND_VALIDITY,
+        phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
+    };
+    let network = home;
+    let make = move |_| Controller::new(config);
+    start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| {
+        network.send(network::In::Publish(match out {
+            controller::Out::MotorCommand(command) => Wire::MotorCommand(command),
+            controller::Out::Heartbeat(beat) => Wire::Heartbeat(beat),
+        }));
+    });
+
+    let (network, world) = (away, graph.worlds[at].clone());
+    let make = move |_| Body::new(robot);
+    start(clock, &graph.bodies[at], info_span!("body", robot = id), make, move |out| match out {
+        body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
+        body::Out::Reading(reading) => network.send(network::In::Publish(Wire::Reading(reading))),
+    });
+}
+
+/// The Agent whose first robot this is.
+fn wire_agent(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
+    let id = robot.0;
+    let network = graph.network_of(plan.deployment.agent_host(robot));
+    let controllers = graph.controllers.clone();
+    let mut robots: Vec<RobotId> = plan.deployment.companions(robot).iter().copied().map(RobotId).collect();
+    robots.sort();
+    let period = plan.run.interface().period;
+    let patience = Span::from_nanos(period.as_nanos() / 4);
+    let plan = plan.clone();
+    let make = move |life: u32| {
+        let pilot = |&robot: &RobotId| Pilot {
+            robot,
+            run: plan.run.instance(plan.scenario.arena()),
+            reset: plan.reset.instance(plan.scenario.arena()),
+            actions: plan.seed.stream(&format!("agent/{}/action/{life}", robot.0)),
+            ranges: plan.seed.stream(&format!("agent/{}/range/{life}", robot.0)),
+        };
+        Agent::new(Arc::clone(&plan.scenario), plan.range, patience, robots.iter().map(pilot).collect())
+    };
+    start(clock, &graph.agents[robot.index()], info_span!("agent", robot = id), make, move |out| match out {
+        agent::Out::Latent(latent) => network.send(network::In::Publish(Wire::Latent(latent))),
+        agent::Out::Action(action) => controllers[action.robot.index()].send(controller::In::Action(action)),
+    });
+}
+
+/// Network and World of one host.
+fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
+    let entry = &plan.deployment.hosts[usize::from(host.0)];
+    let here = |robots: &[u16]| -> Vec<RobotId> { robots.iter().copied().map(RobotId).collect() };
+    let (agents, simulated) = (here(&entry.agents.concat()), here(&entry.world));
+    let firsts: Vec<RobotId> = entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
+
+    let (router, links) = (plan.deployment.router(host), plan.deployment.links.len());
+    let make = move |life| Network::new(host, TEAM, life, links, router.clone());
+    let caches: Vec<(Mailbox<cache::In>, Vec<u16>)> = agents
+        .iter()
+        .map(|robot| (graph.caches[robot.index()].clone(), plan.deployment.companions(*robot).to_vec()))
+        .collect();
+    let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone());
+    let told_modes = (
+        firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect::<Vec<_>>(),
+        agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect::<Vec<_>>(),
+        simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
+    );
+    let (ethers, recorder) = (graph.ethers.clone(), graph.recorder.clone());
+    let name = entry.name.clone();
+    let deliver = move |message: Wire| match message {
+        Wire::Reading(m) => by_robot.0[m.robot.index()].send(cache::In::Reading(m)),
+        Wire::MotorCommand(m) => by_robot.1[m.robot.index()].send(body::In::MotorCommand(m)),
+        Wire::Heartbeat(m) => by_robot.2.send(m),
+        Wire::Latent(m) => {
+            for (cache, _) in caches.iter().filter(|(_, companions)| !companions.contains(&m.robot.0)) {
+                cache.send(cache::In::Latent(m.clone()));
+            }
+        }
+        Wire::Mode(m) => {
+            told_modes.2.iter().for_each(|world| world.send(world::In::Mode(m.clone())));
+            told_modes.0.iter().for_each(|agent| agent.send(agent::In::Mode(m.clone())));
+            told_modes.1.iter().for_each(|controller| controller.send(controller::In::Mode(m.clone())));
+        }
+    };
+    start(clock, &graph.networks[usize::from(host.0)], info_span!("network", host = name), make, move |out| match out {
+        network::Out::Deliver(message) => deliver(message),
+        network::Out::Tap(frame) => recorder.send(recorder::In::Tap(frame)),
+        network::Out::Transmit(link, audience, frame) => {
+            ethers[usize::from(link.0)].send(Transmit { from: host, audience, frame });
+        }
+    });
+
+    if let Some(first) = simulated.first().copied() {
+        let (bodies, recorder) = (graph.bodies.clone(), graph.recorder.clone());
+        let plan = plan.clone();
+        let make = move |_| {
+            // On the floor before anything starts, as people would put them there.
+            let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
+            let plant = plants::REGISTRY.iter().find(|entry| entry.name == plan.deployment.plant);
+            let plant = plant.expect("a checked deployment names a plant");
+            World::new((plant.build)(plan.scenario.arena(), &starts), plan.deployment.placement, &simulated)
+        };
+        start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {
+            world::Out::Sample(sample) => bodies[sample.robot.index()].send(body::In::Sample(sample)),
+            world::Out::Truth(truth) => recorder.send(recorder::In::Truth(truth)),
+        });
+    }
+}
+
+fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
+    for (index, link) in plan.deployment.links.iter().enumerate() {
+        let hosts = 0..u16::try_from(plan.deployment.hosts.len()).expect("hosts are counted in u16");
+        let id = crate::messages::ids::LinkId(u16::try_from(index).expect("links are counted in u16"));
+        let listeners: Vec<HostId> = hosts.map(HostId).filter(|&host| plan.deployment.listens(host, link)).collect();
+        let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
+        let (seed, name) = (plan.seed, link.name.clone());
+        let make = move |life| {
+            let stream = seed.stream(&format!("link/{name}/{life}"));
+            Ether::new(Medium::new(impairment.clone(), faults.clone(), stream), listeners.clone())
+        };
+        let networks = graph.networks.clone();
+        start(clock, &graph.ethers[index], info_span!("ether", link = link.name), make, move |Arrive { to, frame }| {
+            networks[usize::from(to.0)].send(network::In::Frame(id, frame));
+        });
+    }
+}
+
+fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
+    let config = state_server::Config {
+        layouts: plan.layouts.clone(),
+        repeat: plan.repeat,
+        placement: plan.deployment.placement,
+        limit: plan.scenario.rules().limit,
+    };
+    let (network, robots) = (graph.network_of(plan.deployment.server_host()), plan.deployment.robots);
+    let make = move |_| StateServer::new(config.clone(), robots);
+    start(clock, &graph.server, info_span!("state server"), make, move |mode| {
+        network.send(network::In::Publish(Wire::Mode(mode)));
+    });
+}

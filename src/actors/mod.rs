@@ -1,0 +1,37 @@
+//! The actors: pure state machines, one shell that runs them, and the graph that wires them.
+//!
+//! `cache`, `agent`, `controller`, `body`, `world`, `state_server`, `network` and `recorder` are cores: no
+//! clock, no I/O, no randomness but the streams they are given. `shell` is the only file that names the
+//! actor library, `clock` drives virtual time, `graph` says who talks to whom.
+
+pub mod agent;
+pub mod body;
+pub mod cache;
+pub mod clock;
+pub mod controller;
+pub mod graph;
+pub mod network;
+pub mod recorder;
+pub mod shell;
+pub mod state_server;
+pub mod world;
+
+use crate::time::Time;
+
+/// A state machine with a typed mailbox. No clock, no I/O, no randomness of its own.
+pub trait Core {
+    /// Everything that this mailbox accepts.
+    type In: Send + 'static;
+    /// Everything that this actor may say.
+    type Out;
+
+    /// Takes one message.
+    fn handle(&mut self, now: Time, input: Self::In, out: &mut Vec<Self::Out>);
+
+    /// When `wake` is next due; `None` if only messages matter. A core that wants to be woken before its
+    /// first message answers with a past instant.
+    fn wake_at(&self) -> Option<Time>;
+
+    /// Does what was due at `now`. Afterwards `wake_at` is later than `now`.
+    fn wake(&mut self, now: Time, out: &mut Vec<Self::Out>);
+}

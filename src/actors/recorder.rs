@@ -1,0 +1,222 @@
+//! Recorder: hears everything that is published and everything that is true, and says what came of it.
+//!
+//! It digests both into the run's trace, follows the state server's instructions, and lets the judge see
+//! each step of a running episode. Nothing that it finds goes back into the graph.
+
+use xxhash_rust::xxh3::Xxh3;
+
+use super::Core;
+use crate::messages::local::{Sample, Truth};
+use crate::messages::wire::{Kind, Phase, Round, Wire};
+use crate::net::codec::{self, Frame};
+use crate::report::episode::Episode;
+use crate::report::trial::{Step, Totals};
+use crate::scenario::Rules;
+use crate::scenario::judge::{Finding, Judge, Seen, Verdict};
+use crate::scenario::layout::Layouts;
+use crate::time::{Span, Time};
+
+/// What a Recorder accepts.
+#[derive(Clone, Debug)]
+pub enum In {
+    /// A Network has published this.
+    Tap(Frame),
+    /// A World has stepped.
+    Truth(Truth),
+}
+
+/// What a Recorder says.
+#[derive(Clone, Debug)]
+pub enum Out {
+    /// An episode is over.
+    Episode(Episode),
+    /// The whole team has been seen.
+    Step(Step),
+    /// All episodes are over.
+    Finished(Totals),
+}
+
+/// How a Recorder is set up.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The episodes, in order.
+    pub layouts: Layouts,
+    /// Which repeat of the experiment this is.
+    pub repeat: u32,
+    /// How episodes are judged.
+    pub rules: Rules,
+    /// Whether to tell of every step.
+    pub steps: Steps,
+}
+
+/// Whether a Recorder tells of every step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Steps {
+    /// It does.
+    Told,
+    /// It keeps them to itself.
+    Kept,
+}
+
+/// The recorder of one trial.
+pub struct Recorder {
+    config: Config,
+    digest: Xxh3,
+    messages: u64,
+    team: Vec<Option<Sample>>,
+    /// Samples of the present instant that are in, and when that is.
+    seen: (Time, usize),
+    commanded: Vec<Time>,
+    oldest_command: Span,
+    round: Round,
+    phase: Phase,
+    since: Time,
+    reset: Span,
+    judge: Option<Judge>,
+    /// The first episode without a result.
+    open: u32,
+    finished: bool,
+}
+
+impl Recorder {
+    /// A recorder of a trial with `robots` robots.
+    pub fn new(config: Config, robots: usize) -> Recorder {
+        Recorder {
+            config,
+            digest: Xxh3::new(),
+            messages: 0,
+            team: vec![None; robots],
+            seen: (Time::ZERO, 0),
+            commanded: vec![Time::ZERO; robots],
+            oldest_command: Span::ZERO,
+            round: Round::default(),
+            phase: Phase::NeedReset,
+            since: Time::ZERO,
+            reset: Span::ZERO,
+            judge: None,
+            open: 0,
+            finished: false,
+        }
+    }
+
+    fn tap(&mut self, now: Time, frame: &Frame, out: &mut Vec<Out>) {
+        self.messages += 1;
+        self.digest.update(&now.as_nanos().to_le_bytes());
+        self.digest.update(frame);
+        let kind = codec::peek(frame).expect("a Network publishes whole frames").kind;
+        if !matches!(kind, Kind::Mode | Kind::MotorCommand) {
+            return;
+        }
+        match codec::decode(frame).expect("a Network publishes whole frames").1 {
+            Wire::Mode(mode) => self.follow(now, mode.round, mode.phase, out),
+            Wire::MotorCommand(command) => self.commanded[command.robot.index()] = now,
+            _ => {}
+        }
+    }
+
+    fn follow(&mut self, now: Time, round: Round, phase: Phase, out: &mut Vec<Out>) {
+        if (round, phase) == (self.round, self.phase) || self.finished {
+            return;
+        }
+        // Whatever episode is left behind without a result was given up.
+        let behind = if phase == Phase::AbortRunning { round.episode + 1 } else { round.episode };
+        while self.open < behind {
+            let after = now.since(self.since);
+            let finding = match &self.judge {
+                Some(judge) => judge.end(after, Verdict::Aborted),
+                None => Finding { verdict: Verdict::Aborted, after, min_separation_m: f32::INFINITY },
+            };
+            self.close(finding, out);
+        }
+        match phase {
+            Phase::Running => {
+                let goals = self.config.layouts.episode(round.episode).iter().map(|task| task.goal).collect();
+                self.judge = Some(Judge::new(self.config.rules, goals));
+                self.reset = if self.phase == Phase::Resetting { now.since(self.since) } else { Span::ZERO };
+            }
+            Phase::EpisodesFinished => {
+                self.finished = true;
+                out.push(Out::Finished(Totals {
+                    messages: self.messages,
+                    end: now,
+                    trace: self.digest.digest128(),
+                    oldest_command: self.oldest_command,
+                }));
+            }
+            _ => {}
+        }
+        (self.round, self.phase, self.since) = (round, phase, now);
+    }
+
+    fn close(&mut self, finding: Finding, out: &mut Vec<Out>) {
+        let success = finding.verdict == Verdict::Success;
+        out.push(Out::Episode(Episode {
+            repeat: self.config.repeat,
+            episode: self.open,
+            verdict: finding.verdict,
+            makespan_s: success.then(|| finding.after.as_secs()),
+            reset_s: self.reset.as_secs(),
+            min_separation_m: finding.min_separation_m,
+        }));
+        self.judge = None;
+        self.reset = Span::ZERO;
+        self.open += 1;
+    }
+
+    fn see(&mut self, now: Time, truth: &Truth, out: &mut Vec<Out>) {
+        if self.seen.0 < truth.time {
+            self.seen = (truth.time, 0);
+        }
+        for sample in truth.samples.iter() {
+            let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
+            self.digest.update(&truth.time.as_nanos().to_le_bytes());
+            for float in [p.x, p.y, v.x, v.y, c.x, c.y] {
+                self.digest.update(&float.to_bits().to_le_bytes());
+            }
+            if c.x != 0.0 || c.y != 0.0 {
+                let age = now.since(self.commanded[sample.robot.index()]);
+                self.oldest_command = self.oldest_command.max(age);
+            }
+            self.team[sample.robot.index()] = Some(*sample);
+        }
+        self.seen.1 += truth.samples.len();
+        if self.seen.1 == self.team.len() {
+            self.judge_step(now, out);
+        }
+    }
+
+    /// The whole team has been seen at this instant.
+    fn judge_step(&mut self, now: Time, out: &mut Vec<Out>) {
+        let samples: Vec<Sample> = self.team.iter().flatten().copied().collect();
+        if self.phase == Phase::Running
+            && let Some(judge) = &mut self.judge
+        {
+            let seen: Vec<Seen> =
+                samples.iter().map(|s| Seen { position: s.motion.position, contacts: s.contacts }).collect();
+            if let Some(finding) = judge.see(now.since(self.since), &seen) {
+                self.close(finding, out);
+            }
+        }
+        if self.config.steps == Steps::Told {
+            out.push(Out::Step(Step { episode: self.round.episode, phase: self.phase, samples }));
+        }
+    }
+}
+
+impl Core for Recorder {
+    type In = In;
+    type Out = Out;
+
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
+        match input {
+            In::Tap(frame) => self.tap(now, &frame, out),
+            In::Truth(truth) => self.see(now, &truth, out),
+        }
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        None
+    }
+
+    fn wake(&mut self, _: Time, _: &mut Vec<Out>) {}
+}

@@ -1,0 +1,306 @@
+//! The shell around every core: mailbox, timer, supervision and fault injection. The only file that names
+//! the actor library.
+//!
+//! A mailbox is bounded: what it refuses is counted, never queued elsewhere. Messages of one sender stay
+//! in order; between senders there is none to rely on. A crashed actor starts again with a fresh core. A
+//! real panic ends the process: state that a broken invariant has touched must not drive a robot.
+
+use std::cell::{Cell, OnceCell};
+use std::collections::VecDeque;
+use std::rc::Rc;
+
+use actix::{Actor, ActorContext, Context, Handler, Message, Recipient, Supervised, Supervisor, System};
+use tracing::Span as TraceSpan;
+
+use super::Core;
+use super::clock::{Clock, Sleeper};
+use crate::net::fault::{ActorFault, ActorFaultKind};
+use crate::time::{Span, Time};
+
+/// How many messages a mailbox holds: one control period of the largest team, with room to spare.
+pub const MAILBOX_CAPACITY: usize = 4096;
+/// How often a core may be woken at one instant before that is taken for a bug.
+const MAX_WAKES_AT_ONCE: usize = 64;
+/// The exit status of a process that a panic has ended, as of any Rust program.
+const PANIC_STATUS: i32 = 101;
+
+enum Envelope<I> {
+    Deliver(I),
+    Wake,
+    Inject(ActorFault),
+}
+
+impl<I: Send + 'static> Message for Envelope<I> {
+    type Result = ();
+}
+
+/// The way to one actor. Cheap to clone; made before the actor, so that actors can know each other.
+pub struct Mailbox<I: Send + 'static>(Rc<Slot<I>>);
+
+struct Slot<I: Send + 'static> {
+    name: String,
+    address: OnceCell<Recipient<Envelope<I>>>,
+    refused: Cell<u64>,
+    lost: Cell<u64>,
+}
+
+impl<I: Send + 'static> Clone for Mailbox<I> {
+    fn clone(&self) -> Self {
+        Mailbox(Rc::clone(&self.0))
+    }
+}
+
+impl<I: Send + 'static> Mailbox<I> {
+    /// The mailbox of an actor that is yet to be started under this name.
+    pub fn new(name: impl Into<String>) -> Mailbox<I> {
+        Mailbox(Rc::new(Slot {
+            name: name.into(),
+            address: OnceCell::new(),
+            refused: Cell::new(0),
+            lost: Cell::new(0),
+        }))
+    }
+
+    /// The actor's name.
+    pub fn name(&self) -> &str {
+        &self.0.name
+    }
+
+    /// Puts a message into the mailbox; a full one refuses and counts it.
+    pub fn send(&self, input: I) {
+        self.post(Envelope::Deliver(input));
+    }
+
+    /// Strikes the actor with a fault.
+    pub fn inject(&self, fault: ActorFault) {
+        self.post(Envelope::Inject(fault));
+    }
+
+    /// Messages that the full mailbox refused, so far.
+    pub fn refused(&self) -> u64 {
+        self.0.refused.get()
+    }
+
+    /// Messages that were lost in crashes, so far.
+    pub fn lost(&self) -> u64 {
+        self.0.lost.get()
+    }
+
+    fn post(&self, envelope: Envelope<I>) {
+        let address = self.0.address.get().expect("the graph starts every actor before the first message");
+        if address.try_send(envelope).is_err() {
+            self.0.refused.set(self.0.refused.get() + 1);
+        }
+    }
+}
+
+/// A core with all that it needs to live.
+struct Shell<C: Core> {
+    make: Box<dyn FnMut(u32) -> C>,
+    core: Option<C>,
+    incarnation: u32,
+    sink: Box<dyn FnMut(C::Out)>,
+    out: Vec<C::Out>,
+    clock: Clock,
+    sleeper: Sleeper,
+    armed: Option<Time>,
+    faults: Faults,
+    held: VecDeque<(Time, C::In)>,
+    mailbox: Mailbox<C::In>,
+    span: TraceSpan,
+}
+
+/// The injected faults that are in force, each until its time.
+#[derive(Default)]
+struct Faults {
+    down: Time,
+    stalled: Time,
+    mute: Time,
+    slow: Time,
+    slow_by: Span,
+}
+
+impl Faults {
+    /// When an input or a timer that is due at `at` is taken up.
+    fn taken_up(&self, at: Time) -> Time {
+        let at = if at < self.slow { at + self.slow_by } else { at };
+        at.max(self.stalled)
+    }
+}
+
+/// Starts an actor behind `mailbox`: `make` builds its core for each incarnation, counted from 1, and
+/// `sink` takes what it says.
+pub fn start<C: Core + 'static>(
+    clock: &Clock,
+    mailbox: &Mailbox<C::In>,
+    span: TraceSpan,
+    mut make: impl FnMut(u32) -> C + 'static,
+    sink: impl FnMut(C::Out) + 'static,
+) {
+    let sleeper = {
+        let mailbox = mailbox.clone();
+        clock.register(Rc::new(move || mailbox.post(Envelope::Wake)))
+    };
+    let shell = Shell {
+        core: Some(make(1)),
+        make: Box::new(make),
+        incarnation: 1,
+        sink: Box::new(sink),
+        out: Vec::new(),
+        clock: clock.clone(),
+        sleeper,
+        armed: None,
+        faults: Faults::default(),
+        held: VecDeque::new(),
+        mailbox: mailbox.clone(),
+        span,
+    };
+    let address = Supervisor::start(move |context: &mut Context<Shell<C>>| {
+        context.set_mailbox_capacity(MAILBOX_CAPACITY);
+        shell
+    });
+    assert!(mailbox.0.address.set(address.recipient()).is_ok(), "{} is started once", mailbox.name());
+    // The first wake lets the core say when it wants to be woken.
+    clock.arm(clock.now(), sleeper);
+}
+
+impl<C: Core + 'static> Shell<C> {
+    fn take_in(&mut self, now: Time, input: C::In) {
+        let due = self.faults.taken_up(now);
+        if self.core.is_none() || (due > now && self.held.len() >= MAILBOX_CAPACITY) {
+            let slot = &self.mailbox.0;
+            let count = if self.core.is_none() { &slot.lost } else { &slot.refused };
+            count.set(count.get() + 1);
+        } else if due > now || !self.held.is_empty() {
+            self.held.push_back((due, input));
+        } else if let Some(core) = &mut self.core {
+            core.handle(now, input, &mut self.out);
+        }
+    }
+
+    /// Does all that is due, lets it out, and sets the timer for the next.
+    fn turn(&mut self, now: Time) {
+        if self.core.is_none() && now >= self.faults.down {
+            self.incarnation += 1;
+            self.core = Some((self.make)(self.incarnation));
+            tracing::info!(incarnation = self.incarnation, "started afresh");
+        }
+        if let Some(core) = &mut self.core {
+            while self.held.front().is_some_and(|(due, _)| *due <= now) {
+                let (_, input) = self.held.pop_front().expect("there is a front");
+                core.handle(now, input, &mut self.out);
+            }
+            let mut wakes = 0;
+            while core.wake_at().is_some_and(|at| self.faults.taken_up(at) <= now) {
+                core.wake(now, &mut self.out);
+                wakes += 1;
+                assert!(wakes < MAX_WAKES_AT_ONCE, "a woken core wants to be woken later, not again at {now}");
+            }
+        }
+        let muted = now < self.faults.mute;
+        for said in self.out.drain(..) {
+            if !muted {
+                (self.sink)(said);
+            }
+        }
+        self.arm(now);
+    }
+
+    fn arm(&mut self, now: Time) {
+        let next = match &self.core {
+            None => Some(self.faults.down),
+            Some(core) => {
+                let wake = core.wake_at().map(|at| self.faults.taken_up(at));
+                let held = self.held.front().map(|(due, _)| *due);
+                [wake, held].into_iter().flatten().min()
+            }
+        };
+        // An earlier alarm that still stands will come through here again: one event serves many re-armings.
+        let stands = self.armed.filter(|at| *at > now);
+        if let Some(next) = next
+            && stands.is_none_or(|at| next < at)
+        {
+            self.clock.arm(next, self.sleeper);
+            self.armed = Some(next);
+        }
+    }
+
+    fn strike(&mut self, now: Time, fault: &ActorFault, context: &mut Context<Self>) {
+        tracing::warn!(kind = ?fault.kind, lasts = %fault.lasts, "fault injected");
+        let until = now + fault.lasts;
+        match fault.kind {
+            ActorFaultKind::Stall => self.faults.stalled = until,
+            ActorFaultKind::Mute => self.faults.mute = until,
+            ActorFaultKind::Slow => (self.faults.slow, self.faults.slow_by) = (until, fault.by),
+            ActorFaultKind::Crash => {
+                self.faults = Faults { down: until, ..Faults::default() };
+                context.stop();
+            }
+        }
+    }
+}
+
+// Nothing in a shell is ever pinned in place, whatever its core is.
+impl<C: Core> Unpin for Shell<C> {}
+
+impl<C: Core + 'static> Actor for Shell<C> {
+    type Context = Context<Self>;
+}
+
+impl<C: Core + 'static> Supervised for Shell<C> {
+    fn restarting(&mut self, _: &mut Self::Context) {
+        // The supervisor would hand the old state on; a crash loses it.
+        self.core = None;
+        self.out.clear();
+        let slot = &self.mailbox.0;
+        slot.lost.set(slot.lost.get() + self.held.len() as u64);
+        self.held.clear();
+        self.turn(self.clock.now());
+    }
+}
+
+impl<C: Core + 'static> Handler<Envelope<C::In>> for Shell<C> {
+    type Result = ();
+
+    fn handle(&mut self, envelope: Envelope<C::In>, context: &mut Self::Context) {
+        let span = self.span.clone();
+        let _inside = span.enter();
+        let now = self.clock.now();
+        let _guard = EndsTheProcess { name: self.mailbox.clone(), now };
+        match envelope {
+            Envelope::Deliver(input) => self.take_in(now, input),
+            Envelope::Wake => {}
+            Envelope::Inject(fault) => self.strike(now, &fault, context),
+        }
+        self.turn(now);
+    }
+}
+
+/// Ends the process when it is dropped by a panic, which the actor library would survive in silence.
+struct EndsTheProcess<I: Send + 'static> {
+    name: Mailbox<I>,
+    now: Time,
+}
+
+impl<I: Send + 'static> Drop for EndsTheProcess<I> {
+    #[allow(clippy::print_stderr)] // The process is about to end: no log may be set up to say so.
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!(
+                "murmurate: {} broke an invariant at {} (see the panic above); the process ends so that motors stop. \
+                 Please report it with the command that you ran.",
+                self.name.name(),
+                self.now
+            );
+            std::process::exit(PANIC_STATUS);
+        }
+    }
+}
+
+/// Runs `inside` where actors can be started: in an actor system of its own on this thread.
+pub(super) fn in_system<R>(inside: impl FnOnce() -> R) -> R {
+    let system = System::with_tokio_rt(|| {
+        tokio::runtime::Builder::new_current_thread().build().expect("a runtime without I/O or timers needs nothing")
+    });
+    system.block_on(async { inside() })
+}

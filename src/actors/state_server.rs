@@ -1,0 +1,257 @@
+//! StateServer: leads the team through its episodes, unattended (paper, section IV).
+//!
+//! It hears heartbeats and says, several times a second, what everyone is to do: reset, run, or stop. It
+//! asks nothing and is answered by nothing. A restarted one learns from the heartbeats where the team is,
+//! gives up an episode that was running, and goes on with the next.
+
+use super::Core;
+use super::world::Placement;
+use crate::messages::geometry::Task;
+use crate::messages::ids::RobotId;
+use crate::messages::wire::{Heartbeat, MAX_BLOCK, Mode, Phase, Round};
+use crate::scenario::layout::Layouts;
+use crate::time::{Span, Time};
+
+/// How often it decides: once a World step.
+pub const TICK: Span = Span::from_millis(50);
+/// How often it repeats an unchanged instruction.
+pub const MODE_PERIOD: Span = Span::from_millis(100);
+/// A robot that has been silent for longer is missing: five heartbeats.
+pub const MISSING_AFTER: Span = Span::from_millis(1000);
+/// How long it waits for missing robots before it goes on without them.
+pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
+/// How long a reset may take.
+pub const RESET_LIMIT: Span = Span::from_millis(60_000);
+/// How much longer than the rules allow a running episode is let go on: heartbeats are that late.
+pub const GRACE: Span = Span::from_millis(500);
+
+/// How a StateServer is set up.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The episodes, in order.
+    pub layouts: Layouts,
+    /// Which repeat of the experiment this is.
+    pub repeat: u32,
+    /// Whether robots are placed or drive to their starts.
+    pub placement: Placement,
+    /// How long an episode may run.
+    pub limit: Span,
+}
+
+/// The state server.
+#[derive(Debug)]
+pub struct StateServer {
+    config: Config,
+    robots: Vec<Option<(Time, Heartbeat)>>,
+    round: Round,
+    phase: Phase,
+    /// When the phase began; before the first tick there is none.
+    since: Option<Time>,
+    said: Option<Time>,
+    next: Time,
+}
+
+impl StateServer {
+    /// A state server that does not yet know where the team is.
+    pub fn new(config: Config, robots: usize) -> StateServer {
+        StateServer {
+            config,
+            robots: vec![None; robots],
+            round: Round::default(),
+            phase: Phase::NeedReset,
+            since: None,
+            said: None,
+            next: Time::ZERO,
+        }
+    }
+
+    /// What a robot last said, if that was not long ago.
+    fn present(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> {
+        self.robots.iter().map(move |heard| {
+            let (at, beat) = heard.as_ref()?;
+            (now.since(*at) < MISSING_AFTER).then_some(beat)
+        })
+    }
+
+    fn all_are(&self, now: Time, phase: Phase) -> bool {
+        self.present(now).all(|beat| beat.is_some_and(|beat| beat.round == self.round && beat.phase == phase))
+    }
+
+    fn enter(&mut self, now: Time, phase: Phase) {
+        tracing::debug!(episode = self.round.episode, ?phase, "the team goes on");
+        (self.phase, self.since, self.said) = (phase, Some(now), None);
+    }
+
+    fn begin(&mut self, now: Time, episode: u32) {
+        self.round.episode = episode;
+        let phase = match self.config.placement {
+            _ if episode >= self.config.layouts.len() => Phase::EpisodesFinished,
+            Placement::Exact => Phase::Running,
+            Placement::Drive => Phase::Resetting,
+        };
+        self.enter(now, phase);
+    }
+
+    /// Takes up where the team is: at the beginning, or wherever a former incarnation has left it.
+    fn take_up(&mut self, now: Time) {
+        let heard: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
+        let last = heard.iter().map(|beat| beat.round).max().unwrap_or_default();
+        self.round = Round { epoch: last.epoch + 1, episode: last.episode };
+        let in_the_midst = |beat: &Heartbeat| {
+            let phases = [Phase::Running, Phase::FinishedRunning, Phase::AbortRunning, Phase::NeedReset];
+            beat.round == last && phases.contains(&beat.phase)
+        };
+        if heard.iter().any(|beat| beat.round == last && beat.phase == Phase::EpisodesFinished) {
+            self.enter(now, Phase::EpisodesFinished);
+        } else if last.epoch > 0 && heard.iter().any(in_the_midst) {
+            tracing::warn!(episode = last.episode, "a running episode is given up: the state server was restarted");
+            self.enter(now, Phase::AbortRunning);
+        } else {
+            self.begin(now, last.episode);
+        }
+    }
+
+    /// Decides what comes next.
+    fn decide(&mut self, now: Time) {
+        let since = *self.since.get_or_insert(now);
+        let lasted = now.since(since);
+        let everyone = self.present(now).all(|beat| beat.is_some());
+        let gives_up = |beat: &Heartbeat| beat.round == self.round && beat.phase == Phase::AbortRunning;
+        match self.phase {
+            Phase::NeedReset if everyone || lasted >= MUSTER_LIMIT => self.take_up(now),
+            Phase::Resetting if self.all_are(now, Phase::FinishedResetting) => self.enter(now, Phase::Running),
+            Phase::Resetting if lasted >= RESET_LIMIT => {
+                tracing::warn!(episode = self.round.episode, "the reset takes too long; the episode is given up");
+                self.enter(now, Phase::AbortRunning);
+            }
+            Phase::Running if self.all_are(now, Phase::FinishedRunning) => self.begin(now, self.round.episode + 1),
+            Phase::Running
+                if !everyone || lasted > self.config.limit + GRACE || self.present(now).flatten().any(gives_up) =>
+            {
+                self.enter(now, Phase::AbortRunning);
+            }
+            Phase::AbortRunning if self.all_are(now, Phase::NeedReset) || lasted >= MUSTER_LIMIT => {
+                self.begin(now, self.round.episode + 1);
+            }
+            _ => {}
+        }
+    }
+
+    fn say(&self, out: &mut Vec<Mode>) {
+        let last = self.config.layouts.len() - 1;
+        let tasks = self.config.layouts.episode(self.round.episode.min(last));
+        for (index, block) in tasks.chunks(MAX_BLOCK).enumerate() {
+            let first = u16::try_from(index * MAX_BLOCK).expect("a team has at most 65 535 robots");
+            out.push(Mode {
+                round: self.round,
+                repeat: self.config.repeat,
+                phase: self.phase,
+                first: RobotId(first),
+                tasks: block.iter().copied().collect::<std::sync::Arc<[Task]>>(),
+            });
+        }
+    }
+}
+
+impl Core for StateServer {
+    type In = Heartbeat;
+    type Out = Mode;
+
+    fn handle(&mut self, now: Time, beat: Heartbeat, _: &mut Vec<Mode>) {
+        if let Some(heard) = self.robots.get_mut(beat.robot.index()) {
+            *heard = Some((now, beat));
+        }
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        Some(self.next)
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Mode>) {
+        self.decide(now);
+        // Until it knows where the team is, it has nothing to say.
+        if self.round.epoch > 0 && self.said.is_none_or(|said| now.since(said) >= MODE_PERIOD) {
+            self.said = Some(now);
+            self.say(out);
+        }
+        self.next = now.next_on_grid(Span::ZERO, TICK);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::{Settings, build};
+
+    fn server() -> StateServer {
+        let passage = build("passage", &Settings { robots: Some(2) }).unwrap();
+        let layouts = Layouts::of_scenario(&*passage, 1, 2);
+        let limit = Span::from_millis(25_000);
+        StateServer::new(Config { layouts, repeat: 0, placement: Placement::Drive, limit }, 2)
+    }
+
+    fn beat(server: &mut StateServer, now: Time, round: Round, phases: [Phase; 2]) {
+        for (robot, phase) in phases.into_iter().enumerate() {
+            let robot = RobotId(robot as u16);
+            server.handle(now, Heartbeat { robot, round, phase }, &mut Vec::new());
+        }
+    }
+
+    fn tick(server: &mut StateServer, now: Time) -> (Round, Phase) {
+        server.wake(now, &mut Vec::new());
+        (server.round, server.phase)
+    }
+
+    fn at_ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    fn round(epoch: u32, episode: u32) -> Round {
+        Round { epoch, episode }
+    }
+
+    #[test]
+    fn a_team_goes_through_its_episodes() {
+        let mut server = server();
+        assert_eq!(tick(&mut server, at_ms(0)), (round(0, 0), Phase::NeedReset));
+        beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
+        assert_eq!(tick(&mut server, at_ms(50)), (round(1, 0), Phase::Resetting));
+        beat(&mut server, at_ms(60), round(1, 0), [Phase::FinishedResetting, Phase::Resetting]);
+        assert_eq!(tick(&mut server, at_ms(100)).1, Phase::Resetting);
+        beat(&mut server, at_ms(110), round(1, 0), [Phase::FinishedResetting; 2]);
+        assert_eq!(tick(&mut server, at_ms(150)).1, Phase::Running);
+        beat(&mut server, at_ms(160), round(1, 0), [Phase::FinishedRunning; 2]);
+        assert_eq!(tick(&mut server, at_ms(200)), (round(1, 1), Phase::Resetting));
+        beat(&mut server, at_ms(210), round(1, 1), [Phase::FinishedResetting; 2]);
+        tick(&mut server, at_ms(250));
+        beat(&mut server, at_ms(260), round(1, 1), [Phase::FinishedRunning; 2]);
+        assert_eq!(tick(&mut server, at_ms(300)).1, Phase::EpisodesFinished);
+    }
+
+    #[test]
+    fn a_restarted_server_gives_up_the_running_episode_and_goes_on() {
+        let mut server = server();
+        tick(&mut server, at_ms(0));
+        beat(&mut server, at_ms(10), round(4, 0), [Phase::Running, Phase::FinishedRunning]);
+        assert_eq!(tick(&mut server, at_ms(50)), (round(5, 0), Phase::AbortRunning));
+        beat(&mut server, at_ms(60), round(5, 0), [Phase::NeedReset; 2]);
+        assert_eq!(tick(&mut server, at_ms(100)), (round(5, 1), Phase::Resetting));
+    }
+
+    #[test]
+    fn a_missing_robot_or_one_that_gives_up_ends_the_episode() {
+        let running = || {
+            let mut server = server();
+            tick(&mut server, at_ms(0));
+            beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
+            tick(&mut server, at_ms(50));
+            beat(&mut server, at_ms(60), round(1, 0), [Phase::FinishedResetting; 2]);
+            assert_eq!(tick(&mut server, at_ms(100)).1, Phase::Running);
+            server
+        };
+        assert_eq!(tick(&mut running(), at_ms(1100)).1, Phase::AbortRunning);
+        let mut server = running();
+        beat(&mut server, at_ms(110), round(1, 0), [Phase::Running, Phase::AbortRunning]);
+        assert_eq!(tick(&mut server, at_ms(150)).1, Phase::AbortRunning);
+    }
+}

@@ -1,0 +1,89 @@
+//! The command-line program. Flags, files, progress and exit codes live here; what a run does never does.
+//!
+//! Exit codes: 0 done; 1 the run or its output failed; 2 a flag or a file is wrong, and nothing was run;
+//! 101 a bug (a panic); 130 interrupted, with the results until then printed.
+
+mod deployment;
+mod output;
+mod sim;
+
+use std::io::IsTerminal;
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+
+/// Runs message-passing policies on teams of robots.
+#[derive(Parser)]
+#[command(
+    name = "murmurate",
+    version,
+    after_help = "Exit codes: 0 done; 1 the run or its output failed; 2 a flag or a file is wrong, nothing was run; \
+                  101 a bug; 130 interrupted, results until then printed.\n\
+                  Logs go to stderr; MURMURATE_LOG sets their level (error, warn, info, debug)."
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Runs episodes in one process, faster than real time, and prints success rate and makespan.
+    Sim(Box<sim::Args>),
+    /// Prints a preset mode as a deployment file, to be changed and run with `sim --deployment`.
+    Deployment(deployment::Args),
+}
+
+/// How a command ended.
+pub enum Ended {
+    /// As asked.
+    Done,
+    /// By Ctrl-C, with the results until then printed.
+    Interrupted,
+}
+
+/// A flag or a file is wrong, and nothing was run.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct BadInput(pub String);
+
+fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return refuse(&error),
+    };
+    let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    let filter = EnvFilter::try_from_env("MURMURATE_LOG").unwrap_or_else(|_| EnvFilter::new("error"));
+    tracing_subscriber::fmt().with_writer(std::io::stderr).with_ansi(colour).with_env_filter(filter).init();
+    let ended = match cli.command {
+        Command::Sim(args) => sim::run(&args),
+        Command::Deployment(args) => deployment::run(&args),
+    };
+    match ended {
+        Ok(Ended::Done) => ExitCode::SUCCESS,
+        Ok(Ended::Interrupted) => ExitCode::from(130),
+        Err(error) => {
+            output::talk(&format!("error: {error:#}"));
+            ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
+        }
+    }
+}
+
+/// Help and version as they are; anything wrong as one line.
+fn refuse(error: &clap::Error) -> ExitCode {
+    if !error.use_stderr() {
+        // Asked for, so it is data; a closed pipe is the reader's choice.
+        let _ = error.print();
+        return ExitCode::SUCCESS;
+    }
+    let text = error.render().to_string();
+    let said: Vec<&str> = text
+        .lines()
+        .map(str::trim)
+        .take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more information"))
+        .filter(|line| !line.is_empty())
+        .collect();
+    output::talk(&format!("{} (see 'murmurate --help')", said.join(" ")));
+    ExitCode::from(2)
+}

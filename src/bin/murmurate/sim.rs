@@ -1,0 +1,303 @@
+//! `murmurate sim`: episodes in one process under virtual time.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use clap::builder::PossibleValuesParser;
+use indicatif::{ProgressBar, ProgressStyle};
+use murmurate::actors::recorder::Steps;
+use murmurate::deploy::{Deployment, Impair, MODES};
+use murmurate::net::fault::FaultPlan;
+use murmurate::net::range::CommRange;
+use murmurate::policy::gnn::Network;
+use murmurate::policy::{Draw, Model, weights};
+use murmurate::report::episode::Episode;
+use murmurate::report::summary::{Run, Summary};
+use murmurate::scenario::layout::Layouts;
+use murmurate::scenario::{self, Scenario, Settings};
+use murmurate::time::Span;
+use murmurate::trial::{Proceed, Trial, TrialReport};
+
+use crate::output::{WholeFile, print, read_text, talk};
+use crate::{BadInput, Ended};
+
+/// About how long an episode with its reset takes \[s\]: faults are drawn over the whole trial.
+const EPISODE_S: f64 = 12.0;
+
+/// Flags of `murmurate sim`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Which host runs what, as one of the paper's modes
+    #[arg(long, default_value = "sim", value_parser = PossibleValuesParser::new(MODES))]
+    mode: String,
+    /// Which host runs what, as a file (see 'murmurate deployment'); takes the place of --mode
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "mode")]
+    deployment: Option<PathBuf>,
+    /// What the team is to do
+    #[arg(long, default_value = "passage", value_parser = PossibleValuesParser::new(scenario::REGISTRY.iter().map(|entry| entry.name)))]
+    scenario: String,
+    /// What drives the robots: a policy file (safetensors), or 'orca' for scripted navigation
+    #[arg(long, default_value = "orca", value_name = "FILE|orca")]
+    policy: PathBuf,
+    /// How actions are drawn from a trained policy [default: as its file says]
+    #[arg(long, value_parser = PossibleValuesParser::new(["mean", "sample"]))]
+    action: Option<String>,
+    /// Size of the team [default: the scenario's own]
+    #[arg(long)]
+    robots: Option<usize>,
+    /// Episodes of a trial, one after the other with resets between
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    episodes: u32,
+    /// Trials: the same episodes with other random numbers
+    #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    repeats: u32,
+    /// Starts and goals from a file: {"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}
+    #[arg(long, value_name = "FILE.json")]
+    episodes_file: Option<PathBuf>,
+    /// The root of all randomness
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// How long a message takes to cross a link [ms]
+    #[arg(long, default_value_t = 0.0)]
+    delay_ms: f64,
+    /// Share of messages that a receiver misses, 0 to 1
+    #[arg(long, default_value_t = 0.0)]
+    loss: f64,
+    /// What suffers delay and loss: what robots tell each other, or everything on every link
+    #[arg(long, default_value = "latent", value_parser = PossibleValuesParser::new(["latent", "all"]))]
+    impair: String,
+    /// How far a robot hears [m] ('inf' for everywhere) [default: as the policy's file says]
+    #[arg(long)]
+    comm_range_m: Option<f32>,
+    /// Standard deviation of that range, drawn anew for every message [m]
+    #[arg(long, default_value_t = 0.0)]
+    comm_range_std_m: f32,
+    /// What goes wrong: a seed to draw faults from, or a plan
+    #[arg(long, value_name = "SEED|FILE.toml")]
+    faults: Option<String>,
+    /// Trials that run at the same time [default: one per core]; the numbers do not depend on it
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Writes every robot's path to a CSV file
+    #[arg(long, value_name = "FILE.csv")]
+    trajectories: Option<PathBuf>,
+    /// Prints one JSON object in place of the table
+    #[arg(long)]
+    json: bool,
+    /// Says nothing on stderr but errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// Runs the trials and prints what came of them.
+pub fn run(args: &Args) -> Result<Ended> {
+    let trial = trial(args)?;
+    let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let signal = Arc::clone(&stop);
+    ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+
+    let began = Instant::now();
+    let reports = run_all(args, &trial, &stop)?;
+    let interrupted = stop.load(Ordering::Relaxed);
+    let run = Run {
+        mode: trial.deployment.mode.clone(),
+        scenario: trial.scenario.name().to_owned(),
+        policy: trial.model.name().to_owned(),
+        robots: trial.scenario.robots(),
+        seed: args.seed,
+        wall_s: began.elapsed().as_secs_f64(),
+        interrupted,
+    };
+    let summary = Summary::of(run, &reports);
+    print(&if args.json { serde_json::to_string(&summary).context("a summary is JSON")? } else { summary.to_string() })?;
+    if let Some(mut file) = paths.take() {
+        write_paths(&mut file, &reports).context("cannot write the trajectories")?;
+        file.keep()?;
+    }
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+fn run_all(args: &Args, trial: &Trial, stop: &AtomicBool) -> Result<Vec<TrialReport>> {
+    let bar = progress(args);
+    let done = AtomicU32::new(0);
+    let next = AtomicU32::new(0);
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let jobs = args.jobs.map_or(cores, usize::from).min(args.repeats as usize);
+    let work = || {
+        let mut reports = Vec::new();
+        loop {
+            let repeat = next.fetch_add(1, Ordering::Relaxed);
+            if repeat >= args.repeats || stop.load(Ordering::Relaxed) {
+                return reports;
+            }
+            let mut shown = 0;
+            let proceed = |episodes: &[Episode]| {
+                if episodes.len() > shown {
+                    let new = (episodes.len() - shown) as u64;
+                    shown = episodes.len();
+                    bar.inc(new);
+                }
+                if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::On }
+            };
+            reports.push((repeat, Trial { repeat, ..trial.clone() }.run_while(proceed)));
+            done.fetch_add(1, Ordering::Relaxed);
+        }
+    };
+    let mut reports: Vec<(u32, TrialReport)> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
+        threads.into_iter().flat_map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    });
+    bar.finish_and_clear();
+    reports.sort_by_key(|(repeat, _)| *repeat);
+    Ok(reports.into_iter().map(|(_, report)| report).collect())
+}
+
+fn progress(args: &Args) -> ProgressBar {
+    if args.quiet {
+        return ProgressBar::hidden();
+    }
+    // On anything but a terminal it draws nothing.
+    let bar = ProgressBar::new(u64::from(args.episodes) * u64::from(args.repeats));
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} episodes, {eta} left").expect("the template is sound");
+    bar.set_style(style);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
+/// The first trial, of which all others are repeats.
+fn trial(args: &Args) -> Result<Trial> {
+    let bad = |text: String| anyhow::Error::from(BadInput(text));
+    let file = args.deployment.as_deref().map(read_deployment).transpose()?;
+    let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
+    let scenario = scenario::build(&args.scenario, &Settings { robots }).map_err(|e| bad(format!("--robots: {e}")))?;
+    let mut deployment = match file {
+        Some(file) if file.robots != scenario.robots() => {
+            return Err(bad(format!("--robots: {} robots, but the deployment file has {}", scenario.robots(), file.robots)));
+        }
+        Some(file) => file,
+        None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
+    };
+    for (flag, value, most) in [("--delay-ms", args.delay_ms, 60_000.0), ("--loss", args.loss, 1.0)] {
+        if !(0.0..=most).contains(&value) {
+            return Err(bad(format!("{flag}: {value} is not 0 to {most}")));
+        }
+    }
+    if args.delay_ms > 0.0 || args.loss > 0.0 {
+        let impair = if args.impair == "all" { Impair::All } else { Impair::Latent };
+        let flag = if args.delay_ms > 0.0 { "--delay-ms" } else { "--loss" };
+        deployment =
+            deployment.impaired(args.delay_ms / 1000.0, args.loss, impair).map_err(|e| bad(format!("{flag}: {e}")))?;
+    }
+    let model = model(args, &*scenario)?;
+    let mut trial = Trial::new(deployment, Arc::clone(&scenario), model).seed(args.seed).episodes(args.episodes);
+    if let Some(path) = &args.episodes_file {
+        let text = read_text(path, "episodes file")?;
+        trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes)
+            .map_err(|e| bad(format!("the episodes file '{}': {e}", path.display())))?;
+    }
+    trial.range = range(args, &trial)?;
+    trial.faults = faults(args, &trial)?;
+    if args.trajectories.is_some() {
+        trial.steps = Steps::Told;
+    }
+    Ok(trial)
+}
+
+fn read_deployment(path: &Path) -> Result<Deployment> {
+    let text = read_text(path, "deployment file")?;
+    Deployment::from_toml(&text)
+        .map_err(|e| BadInput(format!("the deployment file '{}': {}", path.display(), one_line(&e.to_string()))).into())
+}
+
+fn model(args: &Args, scenario: &dyn Scenario) -> Result<Model> {
+    if args.policy == Path::new("orca") {
+        if args.action.is_some() {
+            return Err(BadInput("--action: the policy 'orca' draws nothing; leave the flag out".to_owned()).into());
+        }
+        return Ok(Model::Orca);
+    }
+    let shown = args.policy.display();
+    let bytes = std::fs::read(&args.policy)
+        .map_err(|e| BadInput(format!("cannot read the policy file '{shown}': {e} (or name the policy 'orca')")))?;
+    let file = weights::read(&bytes).map_err(|e| BadInput(format!("the policy file '{shown}': {e}")))?;
+    if file.manifest.scenario != scenario.name() {
+        let (theirs, ours) = (&file.manifest.scenario, scenario.name());
+        return Err(BadInput(format!("the policy file '{shown}' is for the scenario '{theirs}', not '{ours}'")).into());
+    }
+    if let Some(assumed) = file.assumed.as_ref().filter(|_| !args.quiet) {
+        talk(&format!("warning: the policy file '{shown}': {assumed}"));
+    }
+    let draw = match args.action.as_deref() {
+        Some("mean") => Draw::Mean,
+        Some(_) => Draw::Sample,
+        None => file.manifest.draw,
+    };
+    Ok(Model::Gnn(Arc::new(Network::new(file)), draw))
+}
+
+fn range(args: &Args, trial: &Trial) -> Result<Option<CommRange>> {
+    let std_m = args.comm_range_std_m;
+    if !(0.0..=1e3).contains(&std_m) {
+        return Err(BadInput(format!("--comm-range-std-m: {std_m} is not 0 to 1000")).into());
+    }
+    if let Some(mean_m) = args.comm_range_m.filter(|mean| mean.is_nan() || *mean < 0.0) {
+        return Err(BadInput(format!("--comm-range-m: {mean_m} is not a distance")).into());
+    }
+    if std_m > 0.0 && args.comm_range_m == Some(f32::INFINITY) {
+        return Err(BadInput("--comm-range-std-m: an infinite range has no deviation".to_owned()).into());
+    }
+    if args.comm_range_m.is_none() && std_m == 0.0 {
+        return Ok(None);
+    }
+    let mean_m = args.comm_range_m.unwrap_or(trial.model.interface().radius_m);
+    Ok(Some(CommRange { mean_m, std_m }))
+}
+
+fn faults(args: &Args, trial: &Trial) -> Result<FaultPlan> {
+    let Some(given) = &args.faults else { return Ok(FaultPlan::default()) };
+    let robots = trial.scenario.robots();
+    if let Ok(seed) = given.parse::<u64>() {
+        let horizon = Span::from_secs(EPISODE_S * f64::from(args.episodes));
+        return Ok(FaultPlan::random(seed, robots, horizon));
+    }
+    let text = read_text(Path::new(given), "fault plan (a seed would be a whole number)")?;
+    let plan = FaultPlan::from_toml(&text, robots)
+        .map_err(|e| BadInput(format!("the fault plan '{given}': {}", one_line(&e.to_string()))))?;
+    let links: Vec<&str> = trial.deployment.links.iter().map(|link| link.name.as_str()).collect();
+    if let Some(fault) = plan.links.iter().find(|fault| !links.contains(&fault.link.as_str())) {
+        let known = if links.is_empty() { "none".to_owned() } else { links.join(", ") };
+        let text = format!("the fault plan '{given}': link: no link '{}' in this mode; there are: {known}", fault.link);
+        return Err(BadInput(text).into());
+    }
+    Ok(plan)
+}
+
+/// The parser's message on one line: what and where, without the drawing.
+fn one_line(text: &str) -> String {
+    let drawn = |line: &str| line.contains('|');
+    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty() && !drawn(line)).collect();
+    lines.join(": ")
+}
+
+fn write_paths(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
+    let mut csv = csv::Writer::from_writer(std::io::BufWriter::new(file.writer()));
+    csv.write_record(["repeat", "episode", "phase", "time_s", "robot", "x_m", "y_m", "vx_m_s", "vy_m_s", "command_x_m_s", "command_y_m_s"])?;
+    for (repeat, report) in reports.iter().enumerate() {
+        for step in &report.steps {
+            for sample in &step.samples {
+                let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
+                let phase = format!("{:?}", step.phase);
+                let time = format!("{:.3}", sample.time.as_secs());
+                let numbers = [p.x, p.y, v.x, v.y, c.x, c.y].map(|float| float.to_string());
+                let head = [repeat.to_string(), step.episode.to_string(), phase, time, sample.robot.0.to_string()];
+                csv.write_record(head.iter().chain(&numbers))?;
+            }
+        }
+    }
+    csv.flush()?;
+    Ok(())
+}

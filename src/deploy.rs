@@ -1,0 +1,440 @@
+//! Deployments: which host runs what, and which link carries which kind of message. The modes of the paper
+//! are presets of this data; nothing else in the program asks for a mode.
+//!
+//! A deployment is read from and written to TOML. It names robots, hosts and links; it holds no code.
+
+use std::collections::BTreeSet;
+
+use serde::{Deserialize, Serialize};
+
+use crate::actors::world::Placement;
+use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::wire::{KINDS, Kind};
+use crate::net::medium::Impairment;
+use crate::net::router::{Audience, Route, Router};
+use crate::time::Span;
+use crate::world;
+
+/// When agents step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stepping {
+    /// All at once, halfway between two World steps: the conditions of training.
+    Lockstep,
+    /// Each with a phase of its own, drawn from the seed.
+    Seeded,
+}
+
+/// One process.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Host {
+    /// Its name.
+    pub name: String,
+    /// The agents that it runs: for each, its robots. Their Caches and Controllers come with them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub agents: Vec<Vec<u16>>,
+    /// The robots that its World simulates; empty for no World. Their Bodies come with them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub world: Vec<u16>,
+    /// Whether it runs the team's StateServer.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub state_server: bool,
+}
+
+/// One link between all hosts.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Link {
+    /// Its name.
+    pub name: String,
+    /// The kinds of messages that travel on it.
+    pub carries: Vec<Kind>,
+    /// How long each impaired frame takes \[s\].
+    #[serde(default)]
+    pub delay_s: f64,
+    /// The share of impaired frames that a listener misses, 0 to 1.
+    #[serde(default)]
+    pub loss: f64,
+    /// The kinds that are impaired.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub impairs: Vec<Kind>,
+}
+
+/// Which host runs what, and which link carries what.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Deployment {
+    /// Its name in reports.
+    pub mode: String,
+    /// The size of the team.
+    pub robots: usize,
+    /// How robots come to their starts.
+    pub placement: Placement,
+    /// When agents step.
+    pub stepping: Stepping,
+    /// The plant that simulated robots live in.
+    #[serde(default = "kinematic")]
+    pub plant: String,
+    /// The processes.
+    #[serde(rename = "host")]
+    pub hosts: Vec<Host>,
+    /// The links.
+    #[serde(default, rename = "link", skip_serializing_if = "Vec::is_empty")]
+    pub links: Vec<Link>,
+}
+
+fn kinematic() -> String {
+    "kinematic".to_owned()
+}
+
+/// The link that stands for cables to a simulated world: it is never impaired.
+pub const WIRES: &str = "wires";
+
+/// The names of the presets.
+pub const MODES: [&str; 5] = ["sim", "centralized", "offboard", "onboard-infra", "onboard-adhoc"];
+
+/// Why a deployment cannot be used.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DeployError {
+    /// Not TOML, or a field is missing, unknown or of the wrong type.
+    #[error("{0}")]
+    Syntax(String),
+    /// A field's value makes no sense.
+    #[error("{field}: {reason}")]
+    Field {
+        /// Where in the deployment.
+        field: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A delay or a loss was asked for where no message would suffer it.
+    #[error("{what} cannot act in mode '{mode}': no {kinds} message crosses a link there")]
+    NothingCrosses {
+        /// The impairment.
+        what: String,
+        /// The deployment's name.
+        mode: String,
+        /// What would have to cross.
+        kinds: &'static str,
+    },
+}
+
+/// Which messages an impairment strikes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Impair {
+    /// What robots tell each other.
+    Latent,
+    /// Everything on every link but the wires.
+    All,
+}
+
+impl Deployment {
+    /// The preset of that name for a team of `robots`; `None` if there is no such preset.
+    pub fn preset(mode: &str, robots: usize) -> Option<Deployment> {
+        use Kind::*;
+        let everyone: Vec<u16> = RobotId::team(robots).map(|robot| robot.0).collect();
+        let host = |name: &str| Host { name: name.to_owned(), agents: Vec::new(), world: Vec::new(), state_server: false };
+        let link = |name: &str, carries: &[Kind]| Link {
+            name: name.to_owned(),
+            carries: carries.to_vec(),
+            delay_s: 0.0,
+            loss: 0.0,
+            impairs: Vec::new(),
+        };
+        let one_each = |prefix: &str| -> Vec<Host> {
+            let agent = |&robot: &u16| Host { agents: vec![vec![robot]], ..host(&format!("{prefix}-{robot}")) };
+            everyone.iter().map(agent).collect()
+        };
+        let world = Host { world: everyone.clone(), ..host("world") };
+        let world_and_server = Host { state_server: true, ..world.clone() };
+        let and = |mut hosts: Vec<Host>, last: Host| {
+            hosts.push(last);
+            hosts
+        };
+        let (hosts, links) = match mode {
+            "sim" => (vec![Host { agents: vec![everyone.clone()], ..world_and_server }], Vec::new()),
+            "centralized" => (
+                vec![Host { agents: vec![everyone.clone()], state_server: true, ..host("pc") }, world],
+                vec![link("infra", &[MotorCommand]), link(WIRES, &[Reading, Mode])],
+            ),
+            "offboard" => (
+                and(one_each("agent"), world_and_server),
+                vec![link("loopback", &[Latent, Reading, Heartbeat, Mode]), link("infra", &[MotorCommand])],
+            ),
+            "onboard-infra" => (
+                and(one_each("robot"), world_and_server),
+                vec![link("infra", &[Reading, Latent, Heartbeat, Mode]), link(WIRES, &[MotorCommand])],
+            ),
+            "onboard-adhoc" => (
+                and(one_each("robot"), world_and_server),
+                vec![
+                    link("ad-hoc", &[Latent]),
+                    link("infra", &[Reading, Heartbeat, Mode]),
+                    link(WIRES, &[MotorCommand]),
+                ],
+            ),
+            _ => return None,
+        };
+        let training = mode == "sim";
+        Some(Deployment {
+            mode: mode.to_owned(),
+            robots,
+            placement: if training { Placement::Exact } else { Placement::Drive },
+            stepping: if training { Stepping::Lockstep } else { Stepping::Seeded },
+            plant: kinematic(),
+            hosts,
+            links,
+        })
+    }
+
+    /// Reads a deployment from TOML and checks it.
+    pub fn from_toml(text: &str) -> Result<Deployment, DeployError> {
+        let deployment: Deployment =
+            toml::from_str(text).map_err(|e| DeployError::Syntax(e.to_string().trim().to_owned()))?;
+        deployment.check()?;
+        Ok(deployment)
+    }
+
+    /// Writes it as TOML.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a deployment is TOML")
+    }
+
+    /// Checks that every robot has one agent and one body, and every message a way.
+    pub fn check(&self) -> Result<(), DeployError> {
+        let wrong = |field: &str, reason: String| Err(DeployError::Field { field: field.to_owned(), reason });
+        if self.robots == 0 || self.robots > usize::from(u16::MAX) {
+            return wrong("robots", format!("{} is not 1 to {}", self.robots, u16::MAX));
+        }
+        if !world::REGISTRY.iter().any(|entry| entry.name == self.plant) {
+            return wrong("plant", format!("there is no plant '{}'", self.plant));
+        }
+        let agents = |host: &Host| host.agents.concat();
+        self.once("host.agents", agents, "agent")?;
+        self.once("host.world", |host: &Host| host.world.clone(), "world")?;
+        if let Some(host) = self.hosts.iter().find(|host| host.agents.iter().any(|robots| robots.is_empty())) {
+            return wrong("host.agents", format!("host '{}' has an agent without robots", host.name));
+        }
+        let servers = self.hosts.iter().filter(|host| host.state_server).count();
+        if servers != 1 {
+            return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));
+        }
+        for link in &self.links {
+            if !(0.0..=1.0).contains(&link.loss) {
+                return wrong("link.loss", format!("{} on '{}' is not a share of 0 to 1", link.loss, link.name));
+            }
+            if !(0.0..=60.0).contains(&link.delay_s) {
+                return wrong("link.delay_s", format!("{} on '{}' is not 0 to 60 s", link.delay_s, link.name));
+            }
+        }
+        for kind in KINDS {
+            let carriers = self.links.iter().filter(|link| link.carries.contains(&kind)).count();
+            if carriers > 1 {
+                return wrong("link.carries", format!("{carriers} links carry {kind:?}; at most one can"));
+            }
+            if carriers == 0 && self.crosses(kind) {
+                return wrong("link.carries", format!("{kind:?} must cross hosts, and no link carries it"));
+            }
+        }
+        Ok(())
+    }
+
+    fn once(&self, field: &str, robots: impl Fn(&Host) -> Vec<u16>, what: &str) -> Result<(), DeployError> {
+        let mut seen = BTreeSet::new();
+        for host in &self.hosts {
+            for robot in robots(host) {
+                let reason = if usize::from(robot) >= self.robots {
+                    format!("host '{}' names robot {robot}; the team has {}", host.name, self.robots)
+                } else if !seen.insert(robot) {
+                    format!("robot {robot} has a second {what} on host '{}'", host.name)
+                } else {
+                    continue;
+                };
+                return Err(DeployError::Field { field: field.to_owned(), reason });
+            }
+        }
+        match RobotId::team(self.robots).find(|robot| !seen.contains(&robot.0)) {
+            None => Ok(()),
+            Some(robot) => {
+                Err(DeployError::Field { field: field.to_owned(), reason: format!("{robot} has no {what} on any host") })
+            }
+        }
+    }
+
+    /// Makes links slow and lossy.
+    pub fn impaired(mut self, delay_s: f64, loss: f64, impair: Impair) -> Result<Deployment, DeployError> {
+        let (kinds, what) = match impair {
+            Impair::Latent => (&[Kind::Latent][..], "latent"),
+            Impair::All => (&KINDS[..], "impaired"),
+        };
+        let mut suffers = false;
+        let crosses: Vec<Kind> = kinds.iter().copied().filter(|&kind| self.crosses(kind)).collect();
+        for link in self.links.iter_mut().filter(|link| link.name != WIRES) {
+            let struck: Vec<Kind> = link.carries.iter().copied().filter(|kind| crosses.contains(kind)).collect();
+            if !struck.is_empty() {
+                (link.delay_s, link.loss, link.impairs) = (delay_s, loss, struck);
+                suffers = true;
+            }
+        }
+        if !suffers {
+            let what_acts = if delay_s > 0.0 { "a delay" } else { "a loss" };
+            return Err(DeployError::NothingCrosses { what: what_acts.to_owned(), mode: self.mode, kinds: what });
+        }
+        self.check()?;
+        Ok(self)
+    }
+
+    /// The host that runs the robot's agent.
+    pub fn agent_host(&self, robot: RobotId) -> HostId {
+        self.host_where(|host| host.agents.iter().any(|robots| robots.contains(&robot.0)))
+    }
+
+    /// The host whose World holds the robot.
+    pub fn world_host(&self, robot: RobotId) -> HostId {
+        self.host_where(|host| host.world.contains(&robot.0))
+    }
+
+    /// The host that runs the StateServer.
+    pub fn server_host(&self) -> HostId {
+        self.host_where(|host| host.state_server)
+    }
+
+    fn host_where(&self, is: impl Fn(&Host) -> bool) -> HostId {
+        let index = self.hosts.iter().position(is).expect("a checked deployment has a host for everything");
+        HostId(u16::try_from(index).expect("hosts are counted in u16"))
+    }
+
+    /// The robots of the agent that hosts `robot`.
+    pub fn companions(&self, robot: RobotId) -> &[u16] {
+        let mut agents = self.hosts.iter().flat_map(|host| &host.agents);
+        agents.find(|robots| robots.contains(&robot.0)).expect("a checked deployment has an agent for every robot")
+    }
+
+    /// The hosts that take a message of this kind about this robot.
+    fn takers(&self, kind: Kind, robot: RobotId) -> BTreeSet<HostId> {
+        let team = || RobotId::team(self.robots);
+        match kind {
+            Kind::Reading => BTreeSet::from([self.agent_host(robot)]),
+            // Robots of one agent hear each other within its step.
+            Kind::Latent => {
+                let others = team().filter(|other| !self.companions(robot).contains(&other.0));
+                others.map(|other| self.agent_host(other)).collect()
+            }
+            Kind::MotorCommand => BTreeSet::from([self.world_host(robot)]),
+            Kind::Heartbeat => BTreeSet::from([self.server_host()]),
+            Kind::Mode => {
+                let agents = team().map(|robot| self.agent_host(robot));
+                let placing = team().filter(|_| self.placement == Placement::Exact);
+                agents.chain(placing.map(|robot| self.world_host(robot))).collect()
+            }
+        }
+    }
+
+    /// The host that publishes messages of this kind about this robot.
+    fn publisher(&self, kind: Kind, robot: RobotId) -> HostId {
+        match kind {
+            Kind::Reading => self.world_host(robot),
+            Kind::Latent | Kind::MotorCommand | Kind::Heartbeat => self.agent_host(robot),
+            Kind::Mode => self.server_host(),
+        }
+    }
+
+    fn crosses(&self, kind: Kind) -> bool {
+        RobotId::team(self.robots).any(|robot| {
+            let from = self.publisher(kind, robot);
+            self.takers(kind, robot).iter().any(|&to| to != from)
+        })
+    }
+
+    /// Whether a host takes anything that travels on a link.
+    pub fn listens(&self, host: HostId, link: &Link) -> bool {
+        let taken = |kind: Kind| RobotId::team(self.robots).any(|robot| self.takers(kind, robot).contains(&host));
+        link.carries.iter().any(|&kind| taken(kind))
+    }
+
+    /// The routing table of a host.
+    pub fn router(&self, host: HostId) -> Router {
+        Router::new(self.robots, |kind, robot| {
+            let takers = self.takers(kind, robot);
+            let mut others = takers.iter().filter(|&&taker| taker != host);
+            let audience = match (others.next(), others.next()) {
+                (None, _) => None,
+                (Some(&only), None) => Some(Audience::Host(only)),
+                _ => Some(Audience::All),
+            };
+            let publishes = self.publisher(kind, robot) == host;
+            let leaves = audience.filter(|_| publishes).map(|audience| (self.link_of(kind), audience));
+            Route { local: takers.contains(&host), leaves }
+        })
+    }
+
+    fn link_of(&self, kind: Kind) -> LinkId {
+        let index = self.links.iter().position(|link| link.carries.contains(&kind));
+        let index = index.expect("a checked deployment has a link for every kind that crosses");
+        LinkId(u16::try_from(index).expect("links are counted in u16"))
+    }
+}
+
+impl Link {
+    /// What its medium does to frames.
+    pub fn impairment(&self) -> Impairment {
+        Impairment { delay: Span::from_secs(self.delay_s), loss: self.loss, kinds: self.impairs.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_is_sound_and_survives_toml() {
+        for mode in MODES {
+            let preset = Deployment::preset(mode, 5).unwrap();
+            assert_eq!(preset.check(), Ok(()), "{mode}");
+            assert_eq!(Deployment::from_toml(&preset.to_toml()), Ok(preset), "{mode}");
+        }
+    }
+
+    #[test]
+    fn what_crosses_a_link_is_what_the_design_says() {
+        let crossing = |mode: &str| -> Vec<Kind> {
+            let preset = Deployment::preset(mode, 3).unwrap();
+            KINDS.into_iter().filter(|&kind| preset.crosses(kind)).collect()
+        };
+        assert_eq!(crossing("sim"), []);
+        assert_eq!(crossing("centralized"), [Kind::Reading, Kind::MotorCommand]);
+        for mode in ["offboard", "onboard-infra", "onboard-adhoc"] {
+            assert_eq!(crossing(mode), KINDS, "{mode}");
+        }
+    }
+
+    #[test]
+    fn a_broken_deployment_is_refused_by_its_field() {
+        let error = |change: fn(&mut Deployment)| {
+            let mut deployment = Deployment::preset("onboard-adhoc", 3).unwrap();
+            change(&mut deployment);
+            deployment.check().unwrap_err().to_string()
+        };
+        assert!(error(|d| d.robots = 0).starts_with("robots"));
+        assert!(error(|d| d.robots = 4).starts_with("host.agents: robot 3 has no agent"));
+        assert!(error(|d| d.hosts[0].agents[0][0] = 1).starts_with("host.agents: robot 1 has a second agent"));
+        assert!(error(|d| d.hosts[0].state_server = true).starts_with("host.state_server"));
+        assert!(error(|d| d.links[0].carries.clear()).starts_with("link.carries: Latent must cross"));
+        assert!(error(|d| d.links[1].carries.push(Kind::Latent)).starts_with("link.carries: 2 links"));
+        assert!(error(|d| d.links[0].loss = 2.0).starts_with("link.loss"));
+        assert!(error(|d| d.plant = "water".to_owned()).starts_with("plant"));
+    }
+
+    #[test]
+    fn an_impairment_needs_something_to_act_on() {
+        let impaired = |mode: &str, impair| Deployment::preset(mode, 3).unwrap().impaired(0.02, 0.1, impair);
+        assert!(impaired("sim", Impair::All).is_err());
+        assert!(impaired("centralized", Impair::Latent).is_err());
+        assert!(impaired("centralized", Impair::All).is_ok());
+        let adhoc = impaired("onboard-adhoc", Impair::All).unwrap();
+        let wires = adhoc.links.iter().find(|link| link.name == WIRES).unwrap();
+        assert!(wires.impairs.is_empty(), "the wires are never impaired");
+    }
+}

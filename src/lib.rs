@@ -1,0 +1,30 @@
+//! Murmurate runs message-passing policies (graph neural networks first) on teams of robots: the same actor
+//! graph in one process under virtual time, in many processes, or on one host per robot.
+//!
+//! # The idea
+//! An actor is a pure [`actors::Core`]: a state machine that is handed the time and a message and answers with
+//! messages. One generic shell runs every core. A handful of [wire messages](messages::wire) may cross hosts,
+//! always through a Network, which decides by a table where each goes. So a deployment mode is data
+//! ([`deploy`]), and the same graph runs everywhere.
+//!
+//! # Layers
+//! Each may use those before it, never those after:
+//! `time`, `random`, `messages`; then `scenario`, `world`, `policy`, `net` (but for its transports), `report`;
+//! then the cores in `actors`; then `deploy`; then `actors::{shell, clock, graph}` and `net::transport`; then
+//! `trial`; then the program. `tests/tidy.rs` checks it.
+//!
+//! # Where to start reading
+//! [`messages::wire`], then [`actors`], then `actors/graph.rs`, which says who talks to whom; [`trial`] is the
+//! way to run it all from a test or a program of your own.
+
+pub mod actors;
+pub mod deploy;
+pub mod messages;
+pub mod net;
+pub mod policy;
+pub mod random;
+pub mod report;
+pub mod scenario;
+pub mod time;
+pub mod trial;
+pub mod world;

@@ -1,0 +1,123 @@
+//! Float vectors on the wire: one MessagePack `bin` of little-endian f32, not one marker a number.
+//!
+//! Serde impls only; whether the numbers make sense is checked by `Wire::check`.
+
+use std::fmt;
+use std::sync::Arc;
+
+use serde::de::{Error, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::geometry::{Motion, Task, Vec2};
+use super::wire::Features;
+
+/// Takes a byte string and hands it to a parser, which says what it expected.
+struct Bytes<T>(fn(&[u8]) -> Option<T>, &'static str);
+
+impl<T> Visitor<'_> for Bytes<T> {
+    type Value = T;
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(self.1)
+    }
+    fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<T, E> {
+        self.0(bytes).ok_or_else(|| E::invalid_length(bytes.len(), &self))
+    }
+}
+
+fn pack<const BYTES: usize>(floats: &[f32]) -> [u8; BYTES] {
+    let mut bytes = [0; BYTES];
+    for (four, float) in bytes.chunks_exact_mut(4).zip(floats) {
+        four.copy_from_slice(&float.to_le_bytes());
+    }
+    bytes
+}
+
+fn unpack(bytes: &[u8]) -> impl Iterator<Item = f32> + '_ {
+    bytes.chunks_exact(4).map(|four| f32::from_le_bytes([four[0], four[1], four[2], four[3]]))
+}
+
+fn unpack_exactly<const N: usize>(bytes: &[u8]) -> Option<[f32; N]> {
+    if bytes.len() != 4 * N {
+        return None;
+    }
+    let mut floats = [0.0; N];
+    floats.iter_mut().zip(unpack(bytes)).for_each(|(to, from)| *to = from);
+    Some(floats)
+}
+
+impl Serialize for Motion {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let (p, v) = (self.position, self.velocity);
+        s.serialize_bytes(&pack::<16>(&[p.x, p.y, v.x, v.y]))
+    }
+}
+
+impl<'de> Deserialize<'de> for Motion {
+    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Motion, D::Error> {
+        let parse = |bytes: &[u8]| {
+            let [px, py, vx, vy] = unpack_exactly(bytes)?;
+            Some(Motion { position: Vec2::new(px, py), velocity: Vec2::new(vx, vy) })
+        };
+        d.deserialize_bytes(Bytes(parse, "16 bytes: position and velocity"))
+    }
+}
+
+impl Serialize for Features {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        // A policy's message is small; the stack serves all that the codec would let through.
+        const STACK: usize = 4 * 256;
+        let len = 4 * self.0.len();
+        if len <= STACK {
+            s.serialize_bytes(&pack::<STACK>(&self.0)[..len])
+        } else {
+            s.serialize_bytes(&self.0.iter().flat_map(|float| float.to_le_bytes()).collect::<Vec<u8>>())
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Features {
+    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Features, D::Error> {
+        let parse = |bytes: &[u8]| bytes.len().is_multiple_of(4).then(|| Features(unpack(bytes).collect::<Arc<[f32]>>()));
+        d.deserialize_bytes(Bytes(parse, "a whole number of 4-byte floats"))
+    }
+}
+
+/// One velocity \[m/s\] as 8 bytes.
+pub(super) mod vec2 {
+    use super::*;
+
+    pub fn serialize<S: Serializer>(v: &Vec2, s: S) -> Result<S::Ok, S::Error> {
+        s.serialize_bytes(&pack::<8>(&[v.x, v.y]))
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Vec2, D::Error> {
+        let parse = |bytes: &[u8]| unpack_exactly(bytes).map(|[x, y]| Vec2::new(x, y));
+        d.deserialize_bytes(Bytes(parse, "8 bytes: x and y"))
+    }
+}
+
+/// A block of tasks as 16 bytes each.
+pub(super) mod tasks {
+    use super::*;
+
+    pub fn serialize<S: Serializer>(tasks: &Arc<[Task]>, s: S) -> Result<S::Ok, S::Error> {
+        let bytes: Vec<u8> = tasks
+            .iter()
+            .flat_map(|task| pack::<16>(&[task.start.x, task.start.y, task.goal.x, task.goal.y]))
+            .collect();
+        s.serialize_bytes(&bytes)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Arc<[Task]>, D::Error> {
+        let parse = |bytes: &[u8]| {
+            bytes.len().is_multiple_of(16).then(|| {
+                bytes
+                    .chunks_exact(16)
+                    .filter_map(unpack_exactly)
+                    .map(|[sx, sy, gx, gy]| Task { start: Vec2::new(sx, sy), goal: Vec2::new(gx, gy) })
+                    .collect()
+            })
+        };
+        d.deserialize_bytes(Bytes(parse, "16 bytes a task: start and goal"))
+    }
+}

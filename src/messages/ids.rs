@@ -1,0 +1,38 @@
+//! Names of robots, hosts and links: small integers, fixed width on the wire.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// A robot of the team, counted from zero without gaps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct RobotId(pub u16);
+
+/// A host: one process with one Network. Its number is its place in the deployment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct HostId(pub u16);
+
+/// A link: its number is its place in the deployment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct LinkId(pub u16);
+
+impl RobotId {
+    /// The robot's place in per-robot tables.
+    pub const fn index(self) -> usize {
+        self.0 as usize
+    }
+
+    /// All robots of a team of `count`.
+    pub fn team(count: usize) -> impl Iterator<Item = RobotId> {
+        (0..count).map(|index| RobotId(u16::try_from(index).expect("a team has at most 65 535 robots")))
+    }
+}
+
+impl fmt::Display for RobotId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "robot {}", self.0)
+    }
+}

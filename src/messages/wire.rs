@@ -1,0 +1,245 @@
+//! What may cross hosts. Every message here passes through a Network, also inside one process.
+//!
+//! Positions and velocities are in the world frame, \[m\] and \[m/s\]. Integers have a fixed width. Soft
+//! state (`Heartbeat`, `Mode`) is repeated and idempotent; nothing here asks for an answer.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::floats;
+use super::geometry::{Motion, Task, Vec2, is_finite};
+use super::ids::RobotId;
+use crate::time::Span;
+
+/// The most floats that a latent may carry: with them a frame stays inside one datagram.
+pub const MAX_FEATURES: usize = 256;
+/// The most robots in one `Mode` block: 64 x 16 bytes stay inside one datagram.
+pub const MAX_BLOCK: usize = 64;
+/// The longest validity that a command may claim: a lost team must not roll on for longer.
+pub const MAX_VALIDITY: Span = Span::from_millis(1000);
+
+/// What a robot's policy tells its neighbours: for a GNN the encoder's output, for ORCA the radius \[m\]
+/// and the preferred velocity \[m/s\].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Features(pub Arc<[f32]>);
+
+/// The states of an episode (paper, section IV: the state machine of agents and of the state server).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(into = "u8", try_from = "u8")]
+pub enum Phase {
+    /// Nothing is to be done before a reset; the whole team stands.
+    NeedReset,
+    /// Robots drive to their starts.
+    Resetting,
+    /// A robot is at its start and holds it.
+    FinishedResetting,
+    /// The policy under test drives.
+    Running,
+    /// A robot has reached its goal; the policy still drives.
+    FinishedRunning,
+    /// The episode has failed; the whole team stops.
+    AbortRunning,
+    /// All episodes are done; the whole team stops for good.
+    EpisodesFinished,
+}
+
+const PHASES: [Phase; 7] = [
+    Phase::NeedReset,
+    Phase::Resetting,
+    Phase::FinishedResetting,
+    Phase::Running,
+    Phase::FinishedRunning,
+    Phase::AbortRunning,
+    Phase::EpisodesFinished,
+];
+
+impl From<Phase> for u8 {
+    fn from(phase: Phase) -> u8 {
+        phase as u8
+    }
+}
+
+impl TryFrom<u8> for Phase {
+    type Error = String;
+    fn try_from(byte: u8) -> Result<Phase, String> {
+        PHASES.get(usize::from(byte)).copied().ok_or_else(|| format!("no phase has the number {byte}"))
+    }
+}
+
+/// Which instruction of the state server is meant: later epochs outrank, then later episodes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
+pub struct Round {
+    /// Incarnation of the state server, counted from one; zero before any was heard.
+    pub epoch: u32,
+    /// Episode, counted from zero over the whole trial.
+    pub episode: u32,
+}
+
+/// What a robot's sensors say of it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Reading {
+    /// The robot that is measured.
+    pub robot: RobotId,
+    /// When it was measured \[ns\], on the sensor's clock: only to tell a new reading from a repeated one.
+    pub stamp_ns: u64,
+    /// Measured position and velocity.
+    pub motion: Motion,
+}
+
+/// What a robot broadcasts to its neighbours.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Latent {
+    /// The sender.
+    pub robot: RobotId,
+    /// The round it acts in; a receiver in another round has no use for it.
+    pub round: Round,
+    /// The phase it acts in: latents of the reset policy and of the policy under test do not mix.
+    pub phase: Phase,
+    /// The sender's own estimate.
+    pub motion: Motion,
+    /// The message of its policy.
+    pub features: Features,
+}
+
+/// What a robot's body is to do.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MotorCommand {
+    /// The robot.
+    pub robot: RobotId,
+    /// Commanded velocity \[m/s\], world frame.
+    #[serde(with = "floats::vec2")]
+    pub velocity: Vec2,
+    /// How long after arrival it holds; then the body stops.
+    pub valid_for: Span,
+}
+
+/// Where a robot stands in the episode; soft state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Heartbeat {
+    /// The robot.
+    pub robot: RobotId,
+    /// The last round that it heard of.
+    pub round: Round,
+    /// Its own phase in that round.
+    pub phase: Phase,
+}
+
+/// The whole instruction for one block of robots; soft state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Mode {
+    /// The round.
+    pub round: Round,
+    /// Which repeat of the experiment this trial is.
+    pub repeat: u32,
+    /// What the team is to do.
+    pub phase: Phase,
+    /// First robot of the block.
+    pub first: RobotId,
+    /// Start and goal of each robot of the block.
+    #[serde(with = "floats::tasks")]
+    pub tasks: Arc<[Task]>,
+}
+
+impl Mode {
+    /// The task of `robot`, if it is in this block.
+    pub fn task_of(&self, robot: RobotId) -> Option<Task> {
+        robot.0.checked_sub(self.first.0).and_then(|offset| self.tasks.get(usize::from(offset))).copied()
+    }
+}
+
+/// Any message that may cross hosts.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Wire {
+    /// Body to Cache.
+    Reading(Reading),
+    /// Agent to the Caches of its neighbours.
+    Latent(Latent),
+    /// Controller to Body.
+    MotorCommand(MotorCommand),
+    /// Controller to StateServer.
+    Heartbeat(Heartbeat),
+    /// StateServer to everyone.
+    Mode(Mode),
+}
+
+/// The kinds of wire messages, as the deployment's table names them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// A [`Reading`].
+    Reading,
+    /// A [`Latent`].
+    Latent,
+    /// A [`MotorCommand`].
+    MotorCommand,
+    /// A [`Heartbeat`].
+    Heartbeat,
+    /// A [`Mode`].
+    Mode,
+}
+
+/// All kinds, in the order of their numbers on the wire.
+pub const KINDS: [Kind; 5] = [Kind::Reading, Kind::Latent, Kind::MotorCommand, Kind::Heartbeat, Kind::Mode];
+
+/// Why a message has no place on the wire.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Unfit {
+    /// A position, velocity or feature is NaN or infinite.
+    #[error("a number is not finite")]
+    NotFinite,
+    /// A list is empty or longer than its limit.
+    #[error("a list is empty or too long")]
+    Length,
+    /// A command claims to hold longer than `MAX_VALIDITY`.
+    #[error("a command claims too long a validity")]
+    Validity,
+    /// A `Mode` block runs past the last possible robot.
+    #[error("a block of robots runs past the last possible one")]
+    Block,
+}
+
+impl Wire {
+    /// The message's kind.
+    pub fn kind(&self) -> Kind {
+        match self {
+            Wire::Reading(_) => Kind::Reading,
+            Wire::Latent(_) => Kind::Latent,
+            Wire::MotorCommand(_) => Kind::MotorCommand,
+            Wire::Heartbeat(_) => Kind::Heartbeat,
+            Wire::Mode(_) => Kind::Mode,
+        }
+    }
+
+    /// The robot that the message is about: sender or target, and for `Mode` the first of its block.
+    pub fn robot(&self) -> RobotId {
+        match self {
+            Wire::Reading(m) => m.robot,
+            Wire::Latent(m) => m.robot,
+            Wire::MotorCommand(m) => m.robot,
+            Wire::Heartbeat(m) => m.robot,
+            Wire::Mode(m) => m.first,
+        }
+    }
+
+    /// Checks the message's own ranges, at both ends of a link.
+    pub fn check(&self) -> Result<(), Unfit> {
+        let finite = match self {
+            Wire::Reading(m) => m.motion.is_finite(),
+            Wire::Latent(m) => m.motion.is_finite() && m.features.0.iter().all(|float| float.is_finite()),
+            Wire::MotorCommand(m) => is_finite(m.velocity),
+            Wire::Heartbeat(_) => true,
+            Wire::Mode(m) => m.tasks.iter().all(|task| is_finite(task.start) && is_finite(task.goal)),
+        };
+        if !finite {
+            return Err(Unfit::NotFinite);
+        }
+        match self {
+            Wire::Latent(m) if m.features.0.len() > MAX_FEATURES => Err(Unfit::Length),
+            Wire::MotorCommand(m) if m.valid_for > MAX_VALIDITY => Err(Unfit::Validity),
+            Wire::Mode(m) if m.tasks.is_empty() || m.tasks.len() > MAX_BLOCK => Err(Unfit::Length),
+            Wire::Mode(m) if usize::from(m.first.0) + m.tasks.len() > 1 + usize::from(u16::MAX) => Err(Unfit::Block),
+            _ => Ok(()),
+        }
+    }
+}

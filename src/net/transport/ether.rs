@@ -1,0 +1,91 @@
+//! The emulated ether: one actor a link, carrying frames between the Networks of one process.
+
+use std::collections::BTreeMap;
+
+use crate::actors::Core;
+use crate::messages::ids::HostId;
+use crate::net::codec::{Frame, peek};
+use crate::net::medium::Medium;
+use crate::net::router::Audience;
+use crate::time::Time;
+
+/// A frame handed to the ether.
+#[derive(Clone, Debug)]
+pub struct Transmit {
+    /// The host that sends it.
+    pub from: HostId,
+    /// Whom it is for.
+    pub audience: Audience,
+    /// The bytes.
+    pub frame: Frame,
+}
+
+/// A frame that has arrived.
+#[derive(Clone, Debug)]
+pub struct Arrive {
+    /// The host that it has reached.
+    pub to: HostId,
+    /// The bytes.
+    pub frame: Frame,
+}
+
+/// The ether of one link.
+#[derive(Debug)]
+pub struct Ether {
+    medium: Medium,
+    listeners: Vec<HostId>,
+    /// Frames on their way, in order of arrival and, at one instant, of departure.
+    flying: BTreeMap<(Time, u64), Arrive>,
+    departures: u64,
+    copies: Vec<(Time, Frame)>,
+}
+
+impl Ether {
+    /// An ether between `listeners`.
+    pub fn new(medium: Medium, listeners: Vec<HostId>) -> Ether {
+        Ether { medium, listeners, flying: BTreeMap::new(), departures: 0, copies: Vec::new() }
+    }
+
+    fn carry(&mut self, now: Time, transmit: &Transmit, to: HostId, out: &mut Vec<Arrive>) {
+        let kind = peek(&transmit.frame).expect("a Network sends whole frames").kind;
+        self.medium.carry(now, kind, (transmit.from, to), &transmit.frame, &mut self.copies);
+        for (at, frame) in self.copies.drain(..) {
+            let arrive = Arrive { to, frame };
+            if at <= now {
+                out.push(arrive);
+            } else {
+                self.flying.insert((at, self.departures), arrive);
+                self.departures += 1;
+            }
+        }
+    }
+}
+
+impl Core for Ether {
+    type In = Transmit;
+    type Out = Arrive;
+
+    fn handle(&mut self, now: Time, transmit: Transmit, out: &mut Vec<Arrive>) {
+        match transmit.audience {
+            Audience::Host(to) => self.carry(now, &transmit, to, out),
+            Audience::All => {
+                for at in 0..self.listeners.len() {
+                    let to = self.listeners[at];
+                    if to != transmit.from {
+                        self.carry(now, &transmit, to, out);
+                    }
+                }
+            }
+        }
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        self.flying.keys().next().map(|&(at, _)| at)
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Arrive>) {
+        while let Some(entry) = self.flying.first_entry().filter(|entry| entry.key().0 <= now) {
+            out.push(entry.remove());
+        }
+    }
+}

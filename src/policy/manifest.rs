@@ -1,0 +1,158 @@
+//! What a policy file says of itself: the manifest, one JSON object in the safetensors metadata.
+//!
+//! It holds all that is needed to run the tensors beside it, so that no file is ever run on assumptions,
+//! except the published one, which has no manifest and is known by its shapes.
+
+use serde::{Deserialize, Serialize};
+
+use super::Draw;
+
+/// The metadata key of the manifest.
+pub const KEY: &str = "murmurate";
+/// The version of the manifest's format.
+pub const FORMAT: u32 = 1;
+
+/// How the message passing is laid out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Architecture {
+    /// The published layers: update(sum over neighbours and self of message(h_j - h_i)).
+    Published,
+}
+
+/// One entry of the observation, two floats each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Field {
+    /// goal - position \[m\].
+    GoalMinusPosition,
+    /// position \[m\].
+    Position,
+    /// position + velocity x 1 s \[m\].
+    PositionPlusVelocity,
+}
+
+/// What the last layer's outputs mean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Distribution {
+    /// mean_x, mean_y, log_std_x, log_std_y of a velocity \[m/s\].
+    DiagonalNormal,
+}
+
+/// The manifest of a policy file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// `FORMAT`.
+    pub format: u32,
+    /// The scenario that it was trained for.
+    pub scenario: String,
+    /// How the message passing is laid out.
+    pub architecture: Architecture,
+    /// The observation's entries, in order.
+    pub observation: Vec<Field>,
+    /// Widths of the encoder, input first.
+    pub encoder: Vec<usize>,
+    /// Widths of the message network, input first.
+    pub message: Vec<usize>,
+    /// Widths of the update network, input first.
+    pub update: Vec<usize>,
+    /// What the outputs mean.
+    pub distribution: Distribution,
+    /// How actions are drawn unless the user says otherwise.
+    pub draw: Draw,
+    /// Communication radius \[m\].
+    pub radius_m: f32,
+    /// Steps per second \[Hz\].
+    pub rate_hz: f64,
+    /// Largest velocity along each axis \[m/s\].
+    pub limit_m_s: f32,
+    /// How long a neighbour's message is of use \[s\].
+    pub hold_s: f64,
+    /// SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.
+    pub sha256: String,
+}
+
+impl Manifest {
+    /// What the published passage policy would say of itself; every figure from the release's data.
+    pub fn published() -> Manifest {
+        Manifest {
+            format: FORMAT,
+            scenario: "passage".to_owned(),
+            architecture: Architecture::Published,
+            observation: vec![Field::GoalMinusPosition, Field::Position, Field::PositionPlusVelocity],
+            encoder: vec![6, 16, 32, 32, 32],
+            message: vec![32, 64, 64, 64],
+            update: vec![64, 64, 64, 64, 4],
+            distribution: Distribution::DiagonalNormal,
+            draw: Draw::Sample,
+            radius_m: 2.0,
+            rate_hz: 20.0,
+            limit_m_s: 1.5,
+            hold_s: 0.2,
+            sha256: String::new(),
+        }
+    }
+
+    /// Checks that the numbers make sense together; the error names the field.
+    pub fn check(&self) -> Result<(), String> {
+        let positive = |field: &str, value: f64| {
+            if value.is_finite() && value > 0.0 { Ok(()) } else { Err(format!("{field}: {value} is not above 0")) }
+        };
+        if self.format != FORMAT {
+            return Err(format!("format: {}; this program reads {FORMAT}", self.format));
+        }
+        for (field, widths) in [("encoder", &self.encoder), ("message", &self.message), ("update", &self.update)] {
+            if widths.len() < 2 || widths.iter().any(|&width| width == 0 || width > 4096) {
+                return Err(format!("{field}: {widths:?} are no layer widths (two or more of 1 to 4096)"));
+            }
+        }
+        let ends = |widths: &[usize]| (widths[0], widths[widths.len() - 1]);
+        let (observed, hidden) = ends(&self.encoder);
+        let chain = [
+            ("encoder", observed, "2 for each of the observation's fields", 2 * self.observation.len()),
+            ("message", ends(&self.message).0, "the encoder's output", hidden),
+            ("update", ends(&self.update).0, "the message network's output", ends(&self.message).1),
+        ];
+        for (field, input, what, expected) in chain {
+            if input != expected {
+                return Err(format!("{field}: input of {input}; expected {expected}, {what}"));
+            }
+        }
+        if ends(&self.update).1 != 4 {
+            return Err(format!("update: output of {}; a diagonal normal in the plane takes 4", ends(&self.update).1));
+        }
+        if hidden > crate::messages::wire::MAX_FEATURES {
+            return Err(format!("encoder: output of {hidden}; a message carries {} floats", crate::messages::wire::MAX_FEATURES));
+        }
+        positive("radius_m", f64::from(self.radius_m))?;
+        positive("limit_m_s", f64::from(self.limit_m_s))?;
+        positive("rate_hz", self.rate_hz)?;
+        positive("hold_s", self.hold_s)?;
+        if !(1.0..=1000.0).contains(&self.rate_hz) {
+            return Err(format!("rate_hz: {} is not 1 to 1000", self.rate_hz));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_manifest_that_contradicts_itself_is_refused_by_its_field() {
+        assert_eq!(Manifest::published().check(), Ok(()));
+        let broken = |change: fn(&mut Manifest)| {
+            let mut manifest = Manifest::published();
+            change(&mut manifest);
+            manifest.check().unwrap_err()
+        };
+        assert!(broken(|m| m.format = 9).starts_with("format"));
+        assert!(broken(|m| m.message[0] = 31).starts_with("message"));
+        assert!(broken(|m| m.update[4] = 3).starts_with("update"));
+        assert!(broken(|m| m.radius_m = f32::NAN).starts_with("radius_m"));
+        assert!(broken(|m| m.rate_hz = 0.0).starts_with("rate_hz"));
+    }
+}

@@ -1,0 +1,228 @@
+//! Multi-layer perceptrons on the control path: small, allocation-free, and the same bits on every machine.
+//!
+//! Every output is a sum over the inputs in their order, by multiplication and addition alone (no fused
+//! operations), so blocking and vector width change the speed and nothing else. `Instructions` picks the
+//! vector width at run time.
+
+use pulp::Arch;
+
+/// Outputs computed at once: four 128-bit or two 256-bit registers a row.
+const BLOCK: usize = 16;
+/// Rows computed at once: each weight that is loaded serves so many robots.
+const ROWS: usize = 4;
+
+/// Which instructions the loops are compiled for.
+#[derive(Clone, Copy, Debug)]
+pub enum Instructions {
+    /// Those that every machine of this target has.
+    Baseline,
+    /// The widest that this machine was found to have.
+    Detected,
+}
+
+impl Instructions {
+    /// Runs `work`, compiled for these instructions.
+    #[inline(always)]
+    pub fn run<R>(self, work: impl FnOnce() -> R) -> R {
+        match self {
+            Instructions::Baseline => work(),
+            Instructions::Detected => {
+                // The closure's result travels in an option, because a dispatched operation takes no type of its own.
+                let mut result = None;
+                Arch::new().dispatch(
+                    #[inline(always)]
+                    || result = Some(work()),
+                );
+                result.expect("a dispatched operation runs once")
+            }
+        }
+    }
+}
+
+/// One layer, y = W x + b, and ReLU unless it is the last.
+#[derive(Clone, Debug)]
+pub struct Layer {
+    inputs: usize,
+    outputs: usize,
+    /// By block of outputs, then by input, then by output in the block; padded with zeros.
+    weight: Vec<[f32; BLOCK]>,
+    bias: Vec<[f32; BLOCK]>,
+}
+
+impl Layer {
+    /// A layer from a row-major \[outputs, inputs\] matrix.
+    pub fn new(weight: &[f32], bias: &[f32]) -> Layer {
+        let outputs = bias.len();
+        let inputs = weight.len() / outputs;
+        assert_eq!(weight.len(), inputs * outputs, "a layer's matrix has outputs x inputs entries");
+        let blocks = outputs.div_ceil(BLOCK);
+        let at = |block: usize, lane: usize| block * BLOCK + lane;
+        let mut packed = Layer { inputs, outputs, weight: Vec::new(), bias: Vec::new() };
+        for block in 0..blocks {
+            let lanes = |pick: &dyn Fn(usize) -> f32| {
+                std::array::from_fn(|lane| if at(block, lane) < outputs { pick(at(block, lane)) } else { 0.0 })
+            };
+            packed.bias.push(lanes(&|output| bias[output]));
+            for input in 0..inputs {
+                packed.weight.push(lanes(&|output| weight[output * inputs + input]));
+            }
+        }
+        packed
+    }
+
+    /// Width of the input.
+    pub fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    /// Width of the output.
+    pub fn outputs(&self) -> usize {
+        self.outputs
+    }
+
+    /// Applies the layer to `rows` rows: `x` is \[rows, inputs\], `y` is \[rows, outputs\], both row-major.
+    #[inline(always)]
+    pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
+        let mut row = 0;
+        while row + ROWS <= rows {
+            self.apply_rows::<ROWS>(&x[row * self.inputs..], &mut y[row * self.outputs..], relu);
+            row += ROWS;
+        }
+        while row < rows {
+            self.apply_rows::<1>(&x[row * self.inputs..], &mut y[row * self.outputs..], relu);
+            row += 1;
+        }
+    }
+
+    /// Adds the bias to one row of outputs `times` over.
+    #[inline(always)]
+    pub fn add_bias(&self, times: f32, y: &mut [f32]) {
+        for (lanes, bias) in y.chunks_mut(BLOCK).zip(&self.bias) {
+            lanes.iter_mut().zip(bias).for_each(|(y, bias)| *y += times * bias);
+        }
+    }
+
+    #[inline(always)]
+    fn apply_rows<const N: usize>(&self, x: &[f32], y: &mut [f32], relu: Relu) {
+        let x: [&[f32]; N] = std::array::from_fn(|row| &x[row * self.inputs..(row + 1) * self.inputs]);
+        for (block, bias) in self.bias.iter().enumerate() {
+            let weight = &self.weight[block * self.inputs..(block + 1) * self.inputs];
+            let mut sum = [*bias; N];
+            for (input, lanes) in weight.iter().enumerate() {
+                for row in 0..N {
+                    let scale = x[row][input];
+                    for lane in 0..BLOCK {
+                        sum[row][lane] += lanes[lane] * scale;
+                    }
+                }
+            }
+            let width = BLOCK.min(self.outputs - block * BLOCK);
+            for (row, lanes) in sum.iter_mut().enumerate() {
+                if relu == Relu::After {
+                    lanes.iter_mut().for_each(|lane| *lane = lane.max(0.0));
+                }
+                let at = row * self.outputs + block * BLOCK;
+                y[at..at + width].copy_from_slice(&lanes[..width]);
+            }
+        }
+    }
+}
+
+/// Whether a layer's output is rectified.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Relu {
+    /// max(0, y).
+    After,
+    /// y as it is.
+    None,
+}
+
+/// Layers in a row.
+#[derive(Clone, Debug)]
+pub struct Mlp {
+    layers: Vec<Layer>,
+}
+
+/// Space for the values between layers, two rows of alternating use.
+#[derive(Clone, Debug, Default)]
+pub struct Scratch(Vec<f32>, Vec<f32>);
+
+impl Mlp {
+    /// A perceptron of these layers; each takes what the one before gives.
+    pub fn new(layers: Vec<Layer>) -> Mlp {
+        assert!(!layers.is_empty(), "a perceptron has a layer");
+        assert!(layers.windows(2).all(|pair| pair[0].outputs == pair[1].inputs), "layers fit each other");
+        Mlp { layers }
+    }
+
+    /// The layers, first one first.
+    pub fn layers(&self) -> &[Layer] {
+        &self.layers
+    }
+
+    /// Width of the input.
+    pub fn inputs(&self) -> usize {
+        self.layers[0].inputs
+    }
+
+    /// Width of the output.
+    pub fn outputs(&self) -> usize {
+        self.layers[self.layers.len() - 1].outputs
+    }
+
+    /// Scratch space for `rows` rows through the widest layer.
+    pub fn scratch(&self, rows: usize) -> Scratch {
+        let widest = self.layers.iter().map(|layer| layer.outputs).max().unwrap_or(0) * rows;
+        Scratch(vec![0.0; widest], vec![0.0; widest])
+    }
+
+    /// Applies all layers to `rows` rows, rectified between; the last one as `last` says.
+    #[inline(always)]
+    pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], scratch: &mut Scratch, last: Relu) {
+        let (mut from, mut to) = (&mut scratch.0, &mut scratch.1);
+        for (depth, layer) in self.layers.iter().enumerate() {
+            let x = if depth == 0 { x } else { &from[..] };
+            if depth + 1 == self.layers.len() {
+                layer.apply(rows, x, y, last);
+            } else {
+                layer.apply(rows, x, to, Relu::After);
+            }
+            std::mem::swap(&mut from, &mut to);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_layer_is_a_matrix_a_bias_and_relu() {
+        let layer = Layer::new(&[1.0, 2.0, -3.0, 4.0, 0.0, 1.0], &[0.5, 0.0, -1.0]);
+        let (x, mut y) = ([1.0, 1.0, 2.0, -1.0], [0.0; 6]);
+        layer.apply(2, &x, &mut y, Relu::None);
+        assert_eq!(y, [3.5, 1.0, 0.0, 0.5, -10.0, -2.0]);
+        layer.apply(2, &x, &mut y, Relu::After);
+        assert_eq!(y, [3.5, 1.0, 0.0, 0.5, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn the_bits_depend_neither_on_instructions_nor_on_rows_at_once() {
+        let pseudo = |k: usize| ((k * 7919 + 13) % 1009) as f32 / 500.0 - 1.0;
+        let layer = |inputs: usize, outputs: usize| {
+            let weight: Vec<f32> = (0..inputs * outputs).map(pseudo).collect();
+            Layer::new(&weight, &weight[..outputs])
+        };
+        let mlp = Mlp::new(vec![layer(6, 37), layer(37, 64), layer(64, 5)]);
+        let x: Vec<f32> = (0..6 * 7).map(pseudo).collect();
+        let apply = |instructions: Instructions| {
+            let (mut y, mut scratch) = (vec![0.0; 35], mlp.scratch(7));
+            instructions.run(|| mlp.apply(7, &x, &mut y, &mut scratch, Relu::None));
+            y
+        };
+        assert_eq!(apply(Instructions::Baseline), apply(Instructions::Detected));
+        let mut alone = [0.0; 5];
+        mlp.apply(1, &x[6..12], &mut alone, &mut mlp.scratch(1), Relu::None);
+        assert_eq!(alone, apply(Instructions::Detected)[5..10]);
+    }
+}

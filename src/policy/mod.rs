@@ -1,0 +1,103 @@
+//! Policies: what a robot says to its neighbours, and how it moves on what it hears. A policy is one file
+//! and one variant of `Model`.
+//!
+//! A policy sees the policy frame only. Nothing in this folder knows that there is a network, an actor or a
+//! clock.
+
+pub mod gnn;
+pub mod manifest;
+pub mod mlp;
+pub mod orca;
+pub mod route;
+pub mod weights;
+
+use std::sync::Arc;
+
+use crate::messages::geometry::{Motion, Vec2};
+use crate::random::Stream;
+use crate::scenario::{Arena, Observation};
+use crate::time::Span;
+
+/// One neighbour as a policy sees it, in the policy frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Neighbour<'a> {
+    /// The neighbour's own estimate when it spoke.
+    pub motion: Motion,
+    /// What it said.
+    pub features: &'a [f32],
+    /// How old that is.
+    pub age: Span,
+}
+
+/// What the rest of the system has to know of a policy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Interface {
+    /// How many floats a robot broadcasts.
+    pub features: usize,
+    /// How far a robot hears \[m\].
+    pub radius_m: f32,
+    /// How often a robot acts.
+    pub period: Span,
+    /// Largest wanted speed along each axis \[m/s\].
+    pub limit_m_s: f32,
+    /// How long a neighbour's message is of use.
+    pub hold: Span,
+}
+
+/// A message-passing policy: one robot's part of it. It may keep scratch space, but no memory of the past.
+pub trait Policy {
+    /// What the rest of the system has to know.
+    fn interface(&self) -> Interface;
+
+    /// Writes what the robot broadcasts; `features` is as long as the interface says.
+    fn encode(&mut self, own: &Observation, features: &mut [f32]);
+
+    /// The wanted velocity \[m/s\]. `features` are those just encoded; neighbours come in the order of their
+    /// ids, and their features are as long as the interface says.
+    fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2;
+}
+
+/// How actions are drawn from a policy's distribution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Draw {
+    /// The mean.
+    Mean,
+    /// A sample.
+    Sample,
+}
+
+/// A policy that every robot of a team can have an instance of.
+#[derive(Clone, Debug)]
+pub enum Model {
+    /// Scripted collision-avoiding navigation.
+    Orca,
+    /// A trained network.
+    Gnn(Arc<gnn::Network>, Draw),
+}
+
+impl Model {
+    /// Its name in reports.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Model::Orca => "orca",
+            Model::Gnn(..) => "gnn",
+        }
+    }
+
+    /// One robot's instance, for an arena in the policy frame.
+    pub fn instance(&self, arena: &Arena) -> Box<dyn Policy> {
+        match self {
+            Model::Orca => Box::new(orca::Orca::new(arena)),
+            Model::Gnn(network, draw) => Box::new(gnn::Gnn::new(Arc::clone(network), *draw)),
+        }
+    }
+
+    /// What the rest of the system has to know of it.
+    pub fn interface(&self) -> Interface {
+        match self {
+            Model::Orca => orca::INTERFACE,
+            Model::Gnn(network, _) => network.interface(),
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! Policy files: safetensors in, a checked network out, and back.
+//!
+//! Tensors are `encoder.N.weight` \[out, in\] and `encoder.N.bias` \[out\], likewise `message` and `update`, with N
+//! counting 0, 2, 4, ... as in a PyTorch `Sequential` with its ReLUs. The published file calls the latter two
+//! `gnn` and `post` and has no manifest. Pure: bytes are handed in.
+
+use std::collections::HashMap;
+
+use safetensors::tensor::TensorView;
+use safetensors::{Dtype, SafeTensors};
+use sha2::{Digest, Sha256};
+
+use super::manifest::{self, Manifest};
+use super::mlp::{Layer, Mlp};
+
+/// The three networks of a file, in the order of use.
+const OWN_NAMES: [&str; 3] = ["encoder", "message", "update"];
+const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
+
+/// A policy file that has been checked.
+#[derive(Debug)]
+pub struct PolicyFile {
+    /// What it says of itself, or what was assumed.
+    pub manifest: Manifest,
+    /// What was assumed because the file does not say; for the user to read.
+    pub assumed: Option<String>,
+    /// Encoder, message network and update network.
+    pub networks: [Mlp; 3],
+}
+
+/// Why a file is no policy.
+#[derive(Debug, thiserror::Error)]
+pub enum WeightsError {
+    /// Not a safetensors file, or cut short.
+    #[error("not a whole safetensors file: {0}")]
+    Format(String),
+    /// The manifest cannot be read or contradicts itself.
+    #[error("the manifest (metadata key '{key}') is wrong: {0}", key = manifest::KEY)]
+    Manifest(String),
+    /// A tensor is missing.
+    #[error("the tensor '{name}' is missing; expected one of shape {expected:?}{hint}")]
+    Missing {
+        /// Its name.
+        name: String,
+        /// The shape that it should have.
+        expected: Vec<usize>,
+        /// What else may be amiss.
+        hint: &'static str,
+    },
+    /// A tensor has another shape.
+    #[error("the tensor '{name}' has shape {found:?}; expected {expected:?}")]
+    Shape {
+        /// Its name.
+        name: String,
+        /// The shape that it has.
+        found: Vec<usize>,
+        /// The shape that it should have.
+        expected: Vec<usize>,
+    },
+    /// A tensor is not of 32-bit floats.
+    #[error("the tensor '{name}' holds {found}; expected F32 of shape {expected:?}")]
+    Type {
+        /// Its name.
+        name: String,
+        /// The type that it has.
+        found: String,
+        /// The shape that it should have.
+        expected: Vec<usize>,
+    },
+    /// A tensor holds NaN or infinity.
+    #[error("the tensor '{name}' of shape {expected:?} holds {value} at index {index}; expected finite numbers")]
+    NotFinite {
+        /// Its name.
+        name: String,
+        /// Its shape.
+        expected: Vec<usize>,
+        /// Where.
+        index: usize,
+        /// What.
+        value: f32,
+    },
+    /// A tensor has no place in the network.
+    #[error("the tensor '{0}' has no place in the network; take it out of the file")]
+    Unknown(String),
+    /// The tensors are not those that the manifest was written for.
+    #[error("the tensors' SHA-256 is {found}; the manifest says {expected}: the file was changed after it was written")]
+    Hash {
+        /// Of the tensors.
+        found: String,
+        /// In the manifest.
+        expected: String,
+    },
+}
+
+/// Reads and checks a policy file.
+pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
+    let format = |e: safetensors::SafeTensorError| WeightsError::Format(e.to_string());
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(format)?;
+    let tensors = SafeTensors::deserialize(bytes).map_err(format)?;
+    let text = header.metadata().as_ref().and_then(|metadata| metadata.get(manifest::KEY));
+    let (manifest, names, assumed) = match text {
+        Some(text) => {
+            let manifest: Manifest = serde_json::from_str(text).map_err(|e| WeightsError::Manifest(e.to_string()))?;
+            manifest.check().map_err(WeightsError::Manifest)?;
+            (manifest, OWN_NAMES, None)
+        }
+        None => {
+            let manifest = Manifest::published();
+            let assumed = format!(
+                "it has no manifest; its tensors are those of the published passage network, so the published \
+                 conditions are assumed: observation (goal - position, position, position + velocity), radius {} m, \
+                 {} Hz, limit {} m/s, actions sampled, messages held {} s",
+                manifest.radius_m, manifest.rate_hz, manifest.limit_m_s, manifest.hold_s
+            );
+            (manifest, PUBLISHED_NAMES, Some(assumed))
+        }
+    };
+    let hint = if assumed.is_some() {
+        " (the file has no manifest, so it is taken for the published passage network)"
+    } else {
+        ""
+    };
+    let network = |name: &str, widths: &[usize]| network(&tensors, name, widths, hint);
+    let networks = [
+        network(names[0], &manifest.encoder)?,
+        network(names[1], &manifest.message)?,
+        network(names[2], &manifest.update)?,
+    ];
+    let wanted = networks.iter().map(|network| 2 * network.layers().len()).sum::<usize>();
+    if tensors.len() > wanted {
+        let widths = [&manifest.encoder, &manifest.message, &manifest.update];
+        let known = |name: &str| (0..3).any(|k| layer_names(names[k], widths[k]).any(|(w, b, _)| w == name || b == name));
+        let unknown = tensors.names().into_iter().filter(|name| !known(name)).min();
+        return Err(WeightsError::Unknown(unknown.unwrap_or_default().to_owned()));
+    }
+    if assumed.is_none() {
+        let found = hash(tensors.tensors().iter().map(|(name, view)| (name.as_str(), view.data())).collect());
+        if found != manifest.sha256 {
+            return Err(WeightsError::Hash { found, expected: manifest.sha256 });
+        }
+    }
+    Ok(PolicyFile { manifest, assumed, networks })
+}
+
+/// The tensors of a network: name of the weight, name of the bias, \[out, in\].
+fn layer_names<'a>(name: &'a str, widths: &'a [usize]) -> impl Iterator<Item = (String, String, [usize; 2])> + 'a {
+    widths.windows(2).enumerate().map(move |(depth, pair)| {
+        let at = 2 * depth;
+        (format!("{name}.{at}.weight"), format!("{name}.{at}.bias"), [pair[1], pair[0]])
+    })
+}
+
+fn network(tensors: &SafeTensors, name: &str, widths: &[usize], hint: &'static str) -> Result<Mlp, WeightsError> {
+    let layers = layer_names(name, widths).map(|(weight, bias, shape)| {
+        Ok(Layer::new(&floats(tensors, &weight, &shape, hint)?, &floats(tensors, &bias, &shape[..1], hint)?))
+    });
+    Ok(Mlp::new(layers.collect::<Result<_, WeightsError>>()?))
+}
+
+fn floats(tensors: &SafeTensors, name: &str, shape: &[usize], hint: &'static str) -> Result<Vec<f32>, WeightsError> {
+    let (name, expected) = (name.to_owned(), shape.to_vec());
+    let Ok(view) = tensors.tensor(&name) else { return Err(WeightsError::Missing { name, expected, hint }) };
+    if view.dtype() != Dtype::F32 {
+        return Err(WeightsError::Type { name, found: format!("{:?}", view.dtype()), expected });
+    }
+    if view.shape() != shape {
+        return Err(WeightsError::Shape { name, found: view.shape().to_vec(), expected });
+    }
+    let four = |bytes: &[u8]| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+    let floats: Vec<f32> = view.data().chunks_exact(4).map(four).collect();
+    if let Some(index) = floats.iter().position(|float| !float.is_finite()) {
+        return Err(WeightsError::NotFinite { name, expected, index, value: floats[index] });
+    }
+    Ok(floats)
+}
+
+fn hash(mut tensors: Vec<(&str, &[u8])>) -> String {
+    tensors.sort();
+    let mut hasher = Sha256::new();
+    for (_, data) in tensors {
+        hasher.update(data);
+    }
+    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Writes a policy file. `tensors` are weights \[out, in\] and biases \[out\] by layer, for the encoder, the
+/// message and the update network; the manifest's hash is filled in.
+///
+/// # Panics
+/// If the tensors are not of the manifest's shapes.
+pub fn write(manifest: &Manifest, tensors: &[Vec<(Vec<f32>, Vec<f32>)>; 3]) -> Vec<u8> {
+    let widths = [&manifest.encoder, &manifest.message, &manifest.update];
+    let mut entries: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
+    for (network, layers) in tensors.iter().enumerate() {
+        for ((weight_name, bias_name, shape), (weight, bias)) in layer_names(OWN_NAMES[network], widths[network]).zip(layers) {
+            let bytes = |floats: &[f32]| floats.iter().flat_map(|float| float.to_le_bytes()).collect::<Vec<u8>>();
+            assert_eq!((weight.len(), bias.len()), (shape[0] * shape[1], shape[0]), "{weight_name} has its shape");
+            entries.push((weight_name, shape.to_vec(), bytes(weight)));
+            entries.push((bias_name, vec![shape[0]], bytes(bias)));
+        }
+    }
+    let sha256 = hash(entries.iter().map(|(name, _, data)| (name.as_str(), data.as_slice())).collect());
+    let manifest = Manifest { sha256, ..manifest.clone() };
+    let json = serde_json::to_string(&manifest).expect("a manifest is JSON");
+    let views = entries.iter().map(|(name, shape, data)| {
+        (name.as_str(), TensorView::new(Dtype::F32, shape.clone(), data).expect("shapes were checked"))
+    });
+    let metadata = HashMap::from([(manifest::KEY.to_owned(), json)]);
+    safetensors::serialize(views, Some(metadata)).expect("tensors of checked shapes serialise")
+}

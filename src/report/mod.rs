@@ -1,0 +1,6 @@
+//! What came of a run: episodes, their summary, and the tables that a person reads.
+
+pub mod episode;
+pub mod statistics;
+pub mod summary;
+pub mod trial;

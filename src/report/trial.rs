@@ -1,0 +1,53 @@
+//! What came of one trial: its episodes, its totals, and its steps if they were kept.
+
+use super::episode::Episode;
+use crate::messages::local::Sample;
+use crate::messages::wire::Phase;
+use crate::scenario::judge::Verdict;
+use crate::time::{Span, Time};
+
+/// What came of a trial.
+#[derive(Clone, Debug)]
+pub struct TrialReport {
+    /// The episodes that have a result, in order.
+    pub episodes: Vec<Episode>,
+    /// How much time was simulated.
+    pub simulated: Span,
+    /// Messages, trace and checks; `None` if the trial was ended before its last episode.
+    pub totals: Option<Totals>,
+    /// Messages that full mailboxes refused.
+    pub refused: u64,
+    /// Every step, if the trial was to keep them.
+    pub steps: Vec<Step>,
+}
+
+impl TrialReport {
+    /// How many episodes succeeded.
+    pub fn successes(&self) -> usize {
+        self.episodes.iter().filter(|episode| episode.verdict == Verdict::Success).count()
+    }
+}
+
+/// The whole team at one instant of an episode.
+#[derive(Clone, Debug)]
+pub struct Step {
+    /// The episode.
+    pub episode: u32,
+    /// What the team is doing.
+    pub phase: Phase,
+    /// By robot id.
+    pub samples: Vec<Sample>,
+}
+
+/// What a whole trial comes to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Totals {
+    /// Messages published.
+    pub messages: u64,
+    /// When the last episode ended.
+    pub end: Time,
+    /// A digest of every message and every true state, with its time.
+    pub trace: u128,
+    /// The oldest command that any robot was still driven by, since it was published.
+    pub oldest_command: Span,
+}

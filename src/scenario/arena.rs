@@ -1,0 +1,95 @@
+//! Where a scenario happens: the ground, what must not be touched, and the bottlenecks between. World frame.
+
+use crate::messages::geometry::Vec2;
+
+/// A solid, axis-parallel block.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KeepOut {
+    /// Lower left corner \[m\].
+    pub min: Vec2,
+    /// Upper right corner \[m\].
+    pub max: Vec2,
+}
+
+/// A bottleneck that one robot at a time can pass, along the straight line between its two mouths.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Portal {
+    /// One mouth \[m\].
+    pub near: Vec2,
+    /// The other mouth \[m\].
+    pub far: Vec2,
+}
+
+/// The ground and what stands on it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Arena {
+    /// Robots' centres stay within this distance of the origin along x and y \[m\].
+    pub half_extent: Vec2,
+    /// Blocks that must not be touched.
+    pub keep_outs: Vec<KeepOut>,
+    /// Bottlenecks between the blocks.
+    pub portals: Vec<Portal>,
+    /// Radius of a robot \[m\].
+    pub robot_radius_m: f32,
+}
+
+impl KeepOut {
+    /// Distance from a point to the block \[m\], zero inside.
+    pub fn distance(&self, point: Vec2) -> f32 {
+        (point - self.nearest(point)).norm()
+    }
+
+    /// The point of the block nearest to `point` \[m\].
+    pub fn nearest(&self, point: Vec2) -> Vec2 {
+        point.sup(&self.min).inf(&self.max)
+    }
+
+    /// Whether the straight way between two points comes nearer to the block than `margin_m` along an axis.
+    pub fn blocks(&self, from: Vec2, to: Vec2, margin_m: f32) -> bool {
+        // Slab test: the part of the way that is inside the grown block along both axes.
+        let (mut enter, mut leave) = (0.0f32, 1.0f32);
+        for axis in 0..2 {
+            let (low, high) = (self.min[axis] - margin_m, self.max[axis] + margin_m);
+            let (at, step) = (from[axis], to[axis] - from[axis]);
+            if step.abs() < 1e-9 {
+                if at <= low || at >= high {
+                    return false;
+                }
+            } else {
+                let (a, b) = ((low - at) / step, (high - at) / step);
+                enter = enter.max(a.min(b));
+                leave = leave.min(a.max(b));
+            }
+        }
+        enter < leave
+    }
+}
+
+impl Arena {
+    /// Distance from a point to the nearest block \[m\]; infinite if there is none.
+    pub fn clearance(&self, point: Vec2) -> f32 {
+        self.keep_outs.iter().map(|block| block.distance(point)).fold(f32::INFINITY, f32::min)
+    }
+
+    /// Whether a robot's centre may be there: on the ground and touching no block.
+    pub fn admits(&self, point: Vec2) -> bool {
+        point.x.abs() <= self.half_extent.x
+            && point.y.abs() <= self.half_extent.y
+            && self.clearance(point) > self.robot_radius_m
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_stands_in_the_way_or_does_not() {
+        let block = KeepOut { min: Vec2::new(0.5, -0.15), max: Vec2::new(2.0, 0.15) };
+        assert!(block.blocks(Vec2::new(1.0, -1.0), Vec2::new(1.0, 1.0), 0.0));
+        assert!(!block.blocks(Vec2::new(0.0, -1.0), Vec2::new(0.0, 1.0), 0.25));
+        assert!(block.blocks(Vec2::new(0.3, -1.0), Vec2::new(0.3, 1.0), 0.25));
+        assert!(!block.blocks(Vec2::new(1.0, -1.0), Vec2::new(-1.0, -1.0), 0.25));
+        assert!((block.distance(Vec2::new(0.2, 0.55)) - 0.5).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,146 @@
+//! The judge of an episode: from the true states, step by step, to one verdict.
+//!
+//! An episode succeeds when every robot has arrived in time, no pair was ever nearer than the rules allow,
+//! and no move was ever blocked by a wall. Judging ends with the last arrival or at the limit; what happens
+//! afterwards is not the episode's. Pure, and the same for the Recorder and for training.
+
+use serde::Serialize;
+
+use super::Rules;
+use crate::messages::geometry::Vec2;
+use crate::messages::local::Contacts;
+use crate::time::Span;
+
+/// How an episode ended. A failed one counts under what happened first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// Every robot arrived in time and nothing was touched.
+    Success,
+    /// Two robots came too near to each other.
+    RobotCollision,
+    /// A move was blocked by a wall.
+    WallCollision,
+    /// Not every robot arrived in time.
+    Timeout,
+    /// The state server gave the episode up.
+    Aborted,
+}
+
+/// One robot as the judge sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen {
+    /// True position \[m\], world frame.
+    pub position: Vec2,
+    /// What the world blocked in this step.
+    pub contacts: Contacts,
+}
+
+/// What the judge found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Finding {
+    /// How the episode ended.
+    pub verdict: Verdict,
+    /// When judging ended, since the start of the episode: for a success, when the last robot arrived.
+    pub after: Span,
+    /// The smallest distance between two robots \[m\].
+    pub min_separation_m: f32,
+}
+
+/// Judges one episode.
+#[derive(Clone, Debug)]
+pub struct Judge {
+    rules: Rules,
+    goals: Vec<Vec2>,
+    arrived: Vec<bool>,
+    failure: Option<Verdict>,
+    min_separation_m: f32,
+}
+
+impl Judge {
+    /// A judge of an episode with these goals \[m\], one a robot.
+    pub fn new(rules: Rules, goals: Vec<Vec2>) -> Judge {
+        Judge { rules, arrived: vec![false; goals.len()], goals, failure: None, min_separation_m: f32::INFINITY }
+    }
+
+    /// Sees all robots, by id, `after` the start of the episode; the finding once there is one.
+    pub fn see(&mut self, after: Span, robots: &[Seen]) -> Option<Finding> {
+        assert_eq!(robots.len(), self.goals.len(), "the judge sees the whole team");
+        self.min_separation_m = self.min_separation_m.min(separation(robots));
+        if self.failure.is_none() {
+            if robots.iter().any(|robot| robot.contacts.wall) {
+                self.failure = Some(Verdict::WallCollision);
+            } else if self.min_separation_m < self.rules.separation_m {
+                self.failure = Some(Verdict::RobotCollision);
+            }
+        }
+        for ((arrived, goal), robot) in self.arrived.iter_mut().zip(&self.goals).zip(robots) {
+            *arrived |= (goal - robot.position).norm() <= self.rules.arrival_m;
+        }
+        let all_arrived = self.arrived.iter().all(|&arrived| arrived);
+        if !all_arrived && after < self.rules.limit {
+            return None;
+        }
+        let otherwise = if all_arrived { Verdict::Success } else { Verdict::Timeout };
+        Some(self.end(after, otherwise))
+    }
+
+    /// The finding when the episode ends now, for a reason that the judge cannot see.
+    pub fn end(&self, after: Span, otherwise: Verdict) -> Finding {
+        Finding { verdict: self.failure.unwrap_or(otherwise), after, min_separation_m: self.min_separation_m }
+    }
+}
+
+/// The smallest distance between two robots \[m\].
+fn separation(robots: &[Seen]) -> f32 {
+    let mut least = f32::INFINITY;
+    for (index, robot) in robots.iter().enumerate() {
+        for other in &robots[index + 1..] {
+            least = least.min((robot.position - other.position).norm_squared());
+        }
+    }
+    least.sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RULES: Rules = Rules { arrival_m: 0.25, separation_m: 0.32, limit: Span::from_millis(1000) };
+
+    fn seen(x: f32) -> Seen {
+        Seen { position: Vec2::new(x, 0.0), contacts: Contacts::default() }
+    }
+
+    fn judge() -> Judge {
+        Judge::new(RULES, vec![Vec2::new(0.0, 0.0), Vec2::new(5.0, 0.0)])
+    }
+
+    #[test]
+    fn the_last_arrival_ends_a_success_and_an_arrival_stays() {
+        let mut judge = judge();
+        assert_eq!(judge.see(Span::from_millis(50), &[seen(0.2), seen(4.0)]), None);
+        let finding = judge.see(Span::from_millis(100), &[seen(1.0), seen(4.8)]).unwrap();
+        assert_eq!((finding.verdict, finding.after), (Verdict::Success, Span::from_millis(100)));
+    }
+
+    #[test]
+    fn the_first_failure_counts_and_judging_goes_on_to_the_last_arrival() {
+        let mut judge = judge();
+        let blocked = Seen { contacts: Contacts { wall: true, robot: false }, ..seen(1.0) };
+        assert_eq!(judge.see(Span::from_millis(50), &[blocked, seen(4.0)]), None);
+        assert_eq!(judge.see(Span::from_millis(100), &[seen(1.0), seen(1.1)]), None);
+        let finding = judge.see(Span::from_millis(150), &[seen(0.0), seen(5.0)]).unwrap();
+        assert_eq!(finding.verdict, Verdict::WallCollision);
+        assert!((finding.min_separation_m - 0.1).abs() < 1e-6);
+    }
+
+    #[test]
+    fn too_near_is_a_collision_and_too_late_a_timeout() {
+        let mut near = judge();
+        let finding = near.see(Span::from_millis(1000), &[seen(1.0), seen(1.3)]).unwrap();
+        assert_eq!(finding.verdict, Verdict::RobotCollision);
+        let finding = judge().see(Span::from_millis(1000), &[seen(1.0), seen(4.0)]).unwrap();
+        assert_eq!(finding.verdict, Verdict::Timeout);
+    }
+}

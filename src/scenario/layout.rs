@@ -1,0 +1,144 @@
+//! The episodes of a trial: every robot's start and goal in each, from a scenario or from a file.
+//!
+//! A file is JSON: `{"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}`, world frame, metres.
+
+use std::sync::Arc;
+
+use serde::Deserialize;
+
+use super::Scenario;
+use crate::messages::geometry::{Task, Vec2, is_finite};
+
+/// Starts of an episode and goals of the one before are the same within this distance \[m\].
+const CHAIN_M: f32 = 1e-3;
+
+/// The episodes of a trial.
+#[derive(Clone, Debug)]
+pub struct Layouts {
+    episodes: Arc<[Vec<Task>]>,
+}
+
+/// Why a file of layouts cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum LayoutError {
+    /// Not JSON, or a field is missing, unknown or of the wrong type.
+    #[error("{0}")]
+    Syntax(String),
+    /// Too few episodes.
+    #[error("it holds {held} episodes; {wanted} are wanted (use --episodes {held} or fewer)")]
+    TooFew {
+        /// In the file.
+        held: usize,
+        /// Asked for.
+        wanted: usize,
+    },
+    /// A robot cannot be where the file puts it.
+    #[error("episodes[{episode}]: {reason}")]
+    Episode {
+        /// Counted from zero.
+        episode: usize,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    episodes: Vec<Vec<Entry>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    start: [f32; 2],
+    goal: [f32; 2],
+}
+
+impl Layouts {
+    /// The scenario's own layouts.
+    pub fn of_scenario(scenario: &dyn Scenario, seed: u64, episodes: u32) -> Layouts {
+        Layouts { episodes: (0..episodes).map(|episode| scenario.tasks(seed, episode)).collect() }
+    }
+
+    /// The first `episodes` layouts of a JSON text, checked against the scenario.
+    pub fn from_json(text: &str, scenario: &dyn Scenario, episodes: u32) -> Result<Layouts, LayoutError> {
+        let file: File = serde_json::from_str(text).map_err(|e| LayoutError::Syntax(e.to_string()))?;
+        let wanted = episodes as usize;
+        if file.episodes.len() < wanted {
+            return Err(LayoutError::TooFew { held: file.episodes.len(), wanted });
+        }
+        let parse = |(episode, entries): (usize, Vec<Entry>)| {
+            let tasks: Vec<Task> = entries
+                .iter()
+                .map(|entry| Task { start: entry.start.into(), goal: entry.goal.into() })
+                .collect();
+            check(scenario, &tasks).map_err(|reason| LayoutError::Episode { episode, reason })?;
+            Ok(tasks)
+        };
+        let episodes: Result<_, LayoutError> = file.episodes.into_iter().take(wanted).enumerate().map(parse).collect();
+        Ok(Layouts { episodes: episodes? })
+    }
+
+    /// How many episodes there are.
+    pub fn len(&self) -> u32 {
+        u32::try_from(self.episodes.len()).expect("episodes were counted in u32")
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.episodes.is_empty()
+    }
+
+    /// The tasks of an episode, by robot.
+    pub fn episode(&self, episode: u32) -> &[Task] {
+        &self.episodes[episode as usize]
+    }
+
+    /// Whether every episode starts where the one before has ended, so that robots can drive there.
+    pub fn chained(&self) -> bool {
+        self.episodes.windows(2).all(|pair| {
+            pair[0].iter().zip(&pair[1]).all(|(before, after)| (before.goal - after.start).norm() <= CHAIN_M)
+        })
+    }
+}
+
+fn check(scenario: &dyn Scenario, tasks: &[Task]) -> Result<(), String> {
+    if tasks.len() != scenario.robots() {
+        return Err(format!("{} robots; the team has {}", tasks.len(), scenario.robots()));
+    }
+    for (what, pick) in [("start", (|task| task.start) as fn(&Task) -> Vec2), ("goal", |task| task.goal)] {
+        for (robot, task) in tasks.iter().enumerate() {
+            let at = pick(task);
+            if !is_finite(at) || !scenario.arena().admits(at) {
+                return Err(format!("robot {robot} cannot have its {what} at ({}, {})", at.x, at.y));
+            }
+            let near = |other: &&Task| (pick(other) - at).norm() < 2.0 * scenario.arena().robot_radius_m;
+            if let Some(other) = tasks[..robot].iter().position(|task| near(&task)) {
+                return Err(format!("robots {other} and {robot} overlap at their {what}s"));
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::{Settings, build};
+
+    #[test]
+    fn layouts_of_a_scenario_chain_and_a_bad_file_is_refused() {
+        let passage = build("passage", &Settings { robots: Some(2) }).unwrap();
+        let layouts = Layouts::of_scenario(&*passage, 1, 4);
+        assert!(layouts.chained());
+        let robot = |sx: f32, gx: f32| format!("{{\"start\":[{sx},-1.5],\"goal\":[{gx},1.5]}}");
+        let file = |a: String, b: String| format!("{{\"episodes\":[[{a},{b}]]}}");
+        let read = |text: &str, n| Layouts::from_json(text, &*passage, n).map_err(|e| e.to_string());
+        assert!(read(&file(robot(0.0, 0.0), robot(1.0, 1.0)), 1).is_ok());
+        assert!(read(&file(robot(0.0, 0.0), robot(1.0, 1.0)), 2).unwrap_err().contains("1 episodes"));
+        assert!(read(&file(robot(0.0, 0.0), robot(0.1, 1.0)), 1).unwrap_err().contains("robots 0 and 1 overlap at their starts"));
+        assert!(read(&file(robot(0.0, 0.0), robot(1.0, 9.0)), 1).unwrap_err().contains("robot 1 cannot have its goal"));
+        assert!(read("{}", 1).unwrap_err().contains("episodes"));
+    }
+}

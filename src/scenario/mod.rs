@@ -1,0 +1,167 @@
+//! What the robots are to do: arenas, tasks, policy frames, rewards and the rules of judging. A scenario is
+//! one file and one line in `REGISTRY`; `tests/contracts.rs` then tests it.
+//!
+//! Nothing here knows a policy, a network or an actor.
+
+pub mod arena;
+pub mod judge;
+pub mod layout;
+pub mod passage;
+pub mod swap;
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+pub use arena::{Arena, KeepOut, Portal};
+
+use crate::messages::geometry::{Motion, Task, Vec2};
+use crate::messages::local::Contacts;
+use crate::time::Span;
+
+/// The frame in which a policy sees the world. Each is its own inverse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Frame {
+    /// The world frame itself.
+    World,
+    /// The world turned by half a turn about the origin.
+    HalfTurn,
+}
+
+impl Frame {
+    /// Takes a point or velocity from the world frame to this one, or back.
+    pub fn turn(self, v: Vec2) -> Vec2 {
+        match self {
+            Frame::World => v,
+            Frame::HalfTurn => -v,
+        }
+    }
+
+    /// The same for position and velocity.
+    pub fn turn_motion(self, motion: &Motion) -> Motion {
+        Motion { position: self.turn(motion.position), velocity: self.turn(motion.velocity) }
+    }
+}
+
+/// What a policy sees of its own robot, in the policy frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observation {
+    /// Own estimate.
+    pub motion: Motion,
+    /// Where to go \[m\].
+    pub goal: Vec2,
+}
+
+/// How far a robot has come in an episode, for the reward: zero at the start, counted up by the scenario.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Stage(pub u8);
+
+/// When an episode succeeds and when it fails.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rules {
+    /// A robot has arrived when it first comes within this distance of its goal \[m\].
+    pub arrival_m: f32,
+    /// Two robots nearer than this have collided \[m\].
+    pub separation_m: f32,
+    /// All must have arrived by then.
+    pub limit: Span,
+}
+
+/// A task for a team, and the place where it is done.
+pub trait Scenario: Debug + Send + Sync {
+    /// Its name on the command line.
+    fn name(&self) -> &'static str;
+
+    /// How many robots take part.
+    fn robots(&self) -> usize;
+
+    /// Where it happens.
+    fn arena(&self) -> &Arena;
+
+    /// Start and goal of every robot in an episode. Starts are the goals of the episode before.
+    fn tasks(&self, seed: u64, episode: u32) -> Vec<Task>;
+
+    /// The frame in which a policy sees a robot with this task.
+    fn frame(&self, task: &Task) -> Frame;
+
+    /// What a robot's policy sees: the inverse of `steer`.
+    fn observe(&self, task: &Task, estimate: &Motion) -> Observation {
+        let frame = self.frame(task);
+        Observation { motion: frame.turn_motion(estimate), goal: frame.turn(task.goal) }
+    }
+
+    /// The policy's velocity \[m/s\] in the world frame.
+    fn steer(&self, task: &Task, velocity: Vec2) -> Vec2 {
+        self.frame(task).turn(velocity)
+    }
+
+    /// Whether a robot at `position` \[m\] has arrived.
+    fn reached(&self, task: &Task, position: Vec2) -> bool {
+        (task.goal - position).norm() <= self.rules().arrival_m
+    }
+
+    /// The reward of one robot for one step that has brought it to `after`; moves its stage on.
+    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32;
+
+    /// Whether a robot at `stage` has nothing left to earn.
+    fn finished(&self, stage: Stage) -> bool;
+
+    /// How an episode is judged.
+    fn rules(&self) -> Rules;
+}
+
+/// What a user may choose about a scenario.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Team size; `None` for the scenario's own.
+    pub robots: Option<usize>,
+}
+
+/// A scenario by name.
+pub struct Entry {
+    /// Its name on the command line.
+    pub name: &'static str,
+    /// One line for the help.
+    pub about: &'static str,
+    /// Makes it.
+    pub build: fn(&Settings) -> Result<Arc<dyn Scenario>, ScenarioError>,
+}
+
+/// All scenarios.
+pub const REGISTRY: &[Entry] = &[
+    Entry { name: "passage", about: "a team crosses a narrow gap in a wall (the paper's case study)", build: passage::build },
+    Entry { name: "swap", about: "robots trade places on an open square of constant density", build: swap::build },
+];
+
+/// Why a scenario cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ScenarioError {
+    /// No scenario has that name.
+    #[error("there is no scenario '{name}'; there are: {known}")]
+    Unknown {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: String,
+    },
+    /// The scenario is not for that many robots.
+    #[error("the scenario '{scenario}' takes {least} to {most} robots, not {robots}")]
+    Robots {
+        /// The scenario.
+        scenario: &'static str,
+        /// The fewest.
+        least: usize,
+        /// The most.
+        most: usize,
+        /// What was asked for.
+        robots: usize,
+    },
+}
+
+/// Makes the scenario of that name.
+pub fn build(name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+    let unknown = || ScenarioError::Unknown {
+        name: name.to_owned(),
+        known: REGISTRY.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", "),
+    };
+    (REGISTRY.iter().find(|entry| entry.name == name).ok_or_else(unknown)?.build)(settings)
+}

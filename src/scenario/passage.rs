@@ -1,0 +1,203 @@
+//! The narrow passage, the case study of the paper (section V): a team crosses a 1 m gap in a wall.
+//!
+//! x runs across the arena, y through the passage. The wall lies on y = 0, the gap is centred on x = 0.
+//! Sides alternate from episode to episode; policies always see a start at y < 0 and a goal at y > 0.
+
+use std::f32::consts::PI;
+use std::sync::Arc;
+
+use rand::RngExt;
+
+use super::{Arena, Frame, KeepOut, Portal, Rules, Scenario, ScenarioError, Settings, Stage};
+use crate::messages::geometry::{Motion, Task, Vec2};
+use crate::messages::local::Contacts;
+use crate::random::{Seed, Stream};
+use crate::time::Span;
+
+/// Half the arena \[m\]: 4 m across, 6 m along (paper, section V).
+const HALF_EXTENT: Vec2 = Vec2::new(2.0, 3.0);
+/// Half the width of the gap and half the thickness of the wall \[m\].
+const GAP_HALF: Vec2 = Vec2::new(0.5, 0.15);
+/// Radius of a robot \[m\].
+const ROBOT_RADIUS_M: f32 = 0.25;
+/// Grid of a formation \[m\]: robots stand on the points of a square lattice whose coordinates add up to an even number.
+const SPACING_M: f32 = 0.6;
+/// Where the centre of a formation may lie \[m\]: x within +-1, |y| from 1.5 to 2.
+const CENTRE_X_M: f32 = 1.0;
+const CENTRE_Y_M: (f32, f32) = (1.5, 2.0);
+/// Clearance between a start or goal and the wall's face \[m\]: a robot's radius and room to be turned loose.
+const WALL_CLEARANCE_M: f32 = 0.3;
+/// Team sizes: as many as the lattice offers and half of the arena holds.
+const ROBOTS: (usize, usize) = (2, 12);
+/// The published team.
+const PUBLISHED_ROBOTS: usize = 5;
+/// The reward's waypoints lie this far before and behind the wall's middle \[m\] (published environment).
+const WAYPOINT_M: f32 = 0.4;
+/// A robot within this distance of its target has done a stage \[m\] (published environment; reward only).
+const STAGE_M: f32 = 0.1;
+/// The last stage, in which nothing is left to earn.
+const LAST_STAGE: Stage = Stage(4);
+
+/// The narrow passage.
+#[derive(Debug)]
+pub struct Passage {
+    robots: usize,
+    arena: Arena,
+}
+
+/// Makes the scenario.
+pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+    let robots = settings.robots.unwrap_or(PUBLISHED_ROBOTS);
+    if !(ROBOTS.0..=ROBOTS.1).contains(&robots) {
+        return Err(ScenarioError::Robots { scenario: "passage", least: ROBOTS.0, most: ROBOTS.1, robots });
+    }
+    Ok(Arc::new(Passage::new(robots)))
+}
+
+impl Passage {
+    fn new(robots: usize) -> Passage {
+        let right = KeepOut { min: Vec2::new(GAP_HALF.x, -GAP_HALF.y), max: Vec2::new(HALF_EXTENT.x, GAP_HALF.y) };
+        let left = KeepOut { min: -right.max, max: -right.min };
+        let mouth = Vec2::new(0.0, GAP_HALF.y + 2.0 * ROBOT_RADIUS_M);
+        let arena = Arena {
+            half_extent: HALF_EXTENT,
+            keep_outs: vec![right, left],
+            portals: vec![Portal { near: -mouth, far: mouth }],
+            robot_radius_m: ROBOT_RADIUS_M,
+        };
+        Passage { robots, arena }
+    }
+
+    /// The positions between episode `index - 1` and episode `index` \[m\]; even ones lie at y < 0.
+    fn placement(&self, seed: u64, index: u32) -> Vec<Vec2> {
+        let mut stream = Seed::of_run(seed).stream(&format!("passage/placement/{index}"));
+        let formation = formation(self.robots);
+        let side = if index.is_multiple_of(2) { -1.0 } else { 1.0 };
+        loop {
+            let angle = stream.random_range(-PI..=PI);
+            if let Some(positions) = place(&formation, angle, side, &mut stream) {
+                return positions;
+            }
+        }
+    }
+}
+
+/// The nearest `robots` points of the lattice to its origin \[m\], in the order of the published cross for five.
+fn formation(robots: usize) -> Vec<Vec2> {
+    let reach = -3..=3i32;
+    let mut points: Vec<(i32, i32)> = reach
+        .clone()
+        .flat_map(|x| reach.clone().map(move |y| (x, y)))
+        .filter(|(x, y)| (x + y) % 2 == 0)
+        .collect();
+    points.sort_by_key(|&(x, y)| (x * x + y * y, x, y));
+    points.truncate(robots);
+    points.sort();
+    points.into_iter().map(|(x, y)| Vec2::new(x as f32, y as f32) * SPACING_M).collect()
+}
+
+/// The formation turned by `angle`, somewhere on `side`; `None` if there is no room for it at that angle.
+fn place(formation: &[Vec2], angle: f32, side: f32, stream: &mut Stream) -> Option<Vec<Vec2>> {
+    let (sin, cos) = angle.sin_cos();
+    let turned: Vec<Vec2> = formation.iter().map(|p| Vec2::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y)).collect();
+    let low = turned.iter().fold(Vec2::zeros(), |low, p| low.inf(p));
+    let high = turned.iter().fold(Vec2::zeros(), |high, p| high.sup(p));
+    let nearest_y = GAP_HALF.y + WALL_CLEARANCE_M;
+    let x = ((-HALF_EXTENT.x - low.x).max(-CENTRE_X_M), (HALF_EXTENT.x - high.x).min(CENTRE_X_M));
+    // Reckoned on the side of y > 0 and turned over for the other.
+    let (toward_wall, away) = if side > 0.0 { (-low.y, high.y) } else { (high.y, -low.y) };
+    let y = ((nearest_y + toward_wall).max(CENTRE_Y_M.0), (HALF_EXTENT.y - away).min(CENTRE_Y_M.1));
+    if x.0 > x.1 || y.0 > y.1 {
+        return None;
+    }
+    let centre = Vec2::new(stream.random_range(x.0..=x.1), side * stream.random_range(y.0..=y.1));
+    Some(turned.into_iter().map(|p| p + centre).collect())
+}
+
+impl Scenario for Passage {
+    fn name(&self) -> &'static str {
+        "passage"
+    }
+
+    fn robots(&self) -> usize {
+        self.robots
+    }
+
+    fn arena(&self) -> &Arena {
+        &self.arena
+    }
+
+    fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
+        let (starts, goals) = (self.placement(seed, episode), self.placement(seed, episode + 1));
+        starts.into_iter().zip(goals).map(|(start, goal)| Task { start, goal }).collect()
+    }
+
+    fn frame(&self, task: &Task) -> Frame {
+        if task.start.y > 0.0 { Frame::HalfTurn } else { Frame::World }
+    }
+
+    /// The published reward: speed toward the next waypoint, penalties for being blocked, ten for arriving.
+    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32 {
+        let seen = self.observe(task, after);
+        let target = match stage.0 {
+            0 => Vec2::new(0.0, -WAYPOINT_M),
+            1 => Vec2::new(0.0, WAYPOINT_M),
+            _ => seen.goal,
+        };
+        let offset = target - seen.motion.position;
+        let distance = offset.norm();
+        *stage = match stage.0 {
+            3 => LAST_STAGE,
+            0..=2 if distance < STAGE_M => Stage(stage.0 + 1),
+            _ => *stage,
+        };
+        let mut reward = 0.0;
+        if contacts.robot {
+            reward -= 1.5;
+        }
+        if contacts.wall {
+            reward -= 0.25;
+        }
+        if seen.motion.velocity != Vec2::zeros() && distance > 0.0 {
+            reward += (offset / distance).dot(&seen.motion.velocity);
+        }
+        if stage.0 == 3 {
+            reward += 10.0;
+        }
+        reward
+    }
+
+    fn finished(&self, stage: Stage) -> bool {
+        stage >= LAST_STAGE
+    }
+
+    fn rules(&self) -> Rules {
+        // 500 steps of 0.05 s; two radii of the published robots' hull (0.16 m) are a collision.
+        Rules { arrival_m: 0.25, separation_m: 0.32, limit: Span::from_millis(25_000) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn five_robots_form_the_published_cross() {
+        let cross = [(-1.0, -1.0), (-1.0, 1.0), (0.0, 0.0), (1.0, -1.0), (1.0, 1.0)];
+        let expected: Vec<Vec2> = cross.iter().map(|&(x, y)| Vec2::new(x, y) * SPACING_M).collect();
+        assert_eq!(formation(5), expected);
+    }
+
+    #[test]
+    fn the_stages_lead_through_the_gap() {
+        let passage = Passage::new(5);
+        let task = Task { start: Vec2::new(0.3, 1.7), goal: Vec2::new(-0.3, -1.7) };
+        let mut stage = Stage(0);
+        // Seen from y > 0 everything is mirrored: the first waypoint is at y = +0.4.
+        let at = |y| Motion { position: Vec2::new(0.0, y), velocity: Vec2::new(0.0, -1.0) };
+        let reward = passage.reward(&task, &at(0.9), Contacts::default(), &mut stage);
+        assert!((reward - 1.0).abs() < 1e-6, "moving straight at the waypoint earns its speed, not {reward}");
+        passage.reward(&task, &at(0.45), Contacts::default(), &mut stage);
+        assert_eq!(stage, Stage(1));
+    }
+}

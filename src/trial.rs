@@ -1,0 +1,192 @@
+//! A trial: one deployment in one process under virtual time, from its first episode to its last.
+//!
+//! ```no_run
+//! use murmurate::trial::Trial;
+//!
+//! let report = Trial::preset("offboard", "passage")?.episodes(4).seed(7).run();
+//! println!("{} of {} episodes succeeded", report.successes(), report.episodes.len());
+//! # Ok::<(), murmurate::trial::TrialError>(())
+//! ```
+//!
+//! Same trial, same report, bit for bit. Faults come from a [`FaultPlan`]; `tests/faults.rs` opens with an
+//! example to copy. Trials are independent of each other: run them on as many threads as there are cores.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::Arc;
+
+use crate::actors::clock::{End, run_virtual};
+use crate::actors::graph::{self, Plan};
+use crate::actors::recorder::{Out, Steps};
+use crate::deploy::{DeployError, Deployment};
+use crate::net::fault::FaultPlan;
+use crate::net::range::CommRange;
+use crate::policy::Model;
+use crate::random::Seed;
+use crate::report::episode::Episode;
+pub use crate::report::trial::TrialReport;
+use crate::scenario::layout::Layouts;
+use crate::scenario::{self, Scenario, ScenarioError, Settings};
+use crate::time::{Span, Time};
+
+/// Everything that a trial depends on.
+#[derive(Clone)]
+pub struct Trial {
+    /// Which host runs what.
+    pub deployment: Deployment,
+    /// What the team is to do.
+    pub scenario: Arc<dyn Scenario>,
+    /// What drives it.
+    pub model: Model,
+    /// The episodes.
+    pub layouts: Layouts,
+    /// The seed of the run: layouts are drawn from it.
+    pub seed: u64,
+    /// Which repeat of the run this is: all other randomness is drawn from seed and repeat.
+    pub repeat: u32,
+    /// Who is near enough to be heard; `None` for the policy's own radius.
+    pub range: Option<CommRange>,
+    /// What goes wrong.
+    pub faults: FaultPlan,
+    /// Whether the report keeps every step.
+    pub steps: Steps,
+}
+
+/// Why a trial cannot be set up.
+#[derive(Debug, thiserror::Error)]
+pub enum TrialError {
+    /// The scenario cannot be made.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// The deployment cannot be used.
+    #[error(transparent)]
+    Deployment(#[from] DeployError),
+    /// No preset has that name.
+    #[error("there is no mode '{name}'; there are: {}", crate::deploy::MODES.join(", "))]
+    Mode {
+        /// What was asked for.
+        name: String,
+    },
+}
+
+/// Whether a trial is to go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Proceed {
+    /// To the next event.
+    On,
+    /// No further: the report holds what there is.
+    Stop,
+}
+
+impl Trial {
+    /// A trial of one episode in a preset mode, with the scripted policy, the scenario's own team and seed 0.
+    pub fn preset(mode: &str, scenario: &str) -> Result<Trial, TrialError> {
+        let scenario = scenario::build(scenario, &Settings { robots: None })?;
+        let deployment = Deployment::preset(mode, scenario.robots());
+        let deployment = deployment.ok_or_else(|| TrialError::Mode { name: mode.to_owned() })?;
+        Ok(Trial::new(deployment, scenario, Model::Orca))
+    }
+
+    /// A trial of one episode with seed 0, in a checked deployment of the scenario's team.
+    pub fn new(deployment: Deployment, scenario: Arc<dyn Scenario>, model: Model) -> Trial {
+        assert_eq!(deployment.robots, scenario.robots(), "a deployment is made for the scenario's team");
+        Trial {
+            layouts: Layouts::of_scenario(&*scenario, 0, 1),
+            deployment,
+            scenario,
+            model,
+            seed: 0,
+            repeat: 0,
+            range: None,
+            faults: FaultPlan::default(),
+            steps: Steps::Kept,
+        }
+    }
+
+    /// With so many of the scenario's own episodes.
+    pub fn episodes(mut self, episodes: u32) -> Trial {
+        self.layouts = Layouts::of_scenario(&*self.scenario, self.seed, episodes);
+        self
+    }
+
+    /// With this seed, for the layouts too.
+    pub fn seed(mut self, seed: u64) -> Trial {
+        self.seed = seed;
+        let episodes = self.layouts.len();
+        self.episodes(episodes)
+    }
+
+    /// With these faults.
+    pub fn faults(mut self, faults: FaultPlan) -> Trial {
+        self.faults = faults;
+        self
+    }
+
+    /// With every step kept in the report.
+    pub fn keeping_steps(mut self) -> Trial {
+        self.steps = Steps::Told;
+        self
+    }
+
+    /// Runs the trial to its end on this thread.
+    pub fn run(&self) -> TrialReport {
+        self.run_while(|_| Proceed::On)
+    }
+
+    /// Runs the trial on this thread until its end, or until `proceed`, which is asked at every event and
+    /// shown the episodes so far, says stop.
+    pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
+        let plan = self.plan();
+        let said = Rc::new(RefCell::new(TrialReport {
+            episodes: Vec::new(),
+            simulated: Span::ZERO,
+            totals: None,
+            refused: 0,
+            steps: Vec::new(),
+        }));
+        let sink = {
+            let said = Rc::clone(&said);
+            move |out| {
+                let mut report = said.borrow_mut();
+                match out {
+                    Out::Episode(episode) => report.episodes.push(episode),
+                    Out::Step(step) => report.steps.push(step),
+                    Out::Finished(totals) => report.totals = Some(totals),
+                }
+            }
+        };
+        let (graph, end) = run_virtual(
+            |clock| graph::wire(clock, &plan, sink),
+            |_, now| {
+                let mut report = said.borrow_mut();
+                report.simulated = now.since(Time::ZERO);
+                report.totals.is_some() || proceed(&report.episodes) == Proceed::Stop
+            },
+        );
+        assert_eq!(end, End::Done, "a team that beats never falls idle");
+        let mut report = said.borrow().clone();
+        report.refused = graph.refused();
+        report
+    }
+
+    fn plan(&self) -> Plan {
+        let mut deployment = self.deployment.clone();
+        if !self.layouts.chained() {
+            deployment.placement = crate::actors::world::Placement::Exact;
+        }
+        let interface = self.model.interface();
+        Plan {
+            deployment,
+            scenario: Arc::clone(&self.scenario),
+            run: self.model.clone(),
+            reset: Model::Orca,
+            range: self.range.unwrap_or(CommRange::fixed(interface.radius_m)),
+            hold: interface.hold,
+            layouts: self.layouts.clone(),
+            repeat: self.repeat,
+            seed: Seed::of_repeat(self.seed, self.repeat),
+            faults: self.faults.clone(),
+            steps: self.steps,
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! The training world of the paper: holonomic discs with limited acceleration and speed, blocked by walls
+//! and by each other. Arithmetic and order are those of the published environment, in f32.
+//!
+//! `step` is the one definition of these dynamics; the World actor and the trainer both call it.
+
+use super::{Plant, PlantState};
+use crate::messages::geometry::Vec2;
+use crate::messages::local::Contacts;
+use crate::scenario::Arena;
+use crate::time::Span;
+
+/// One step \[s\].
+pub const PERIOD: Span = Span::from_millis(50);
+/// The same as a number \[s\].
+const DT_S: f32 = 0.05;
+/// Largest speed along each axis \[m/s\] (published environment).
+pub const MAX_SPEED_M_S: f32 = 1.5;
+/// Largest acceleration along each axis \[m/s^2\] (published environment).
+const MAX_ACCELERATION_M_S2: f32 = 1.0;
+
+/// The robots of one world, as a step reads and writes them.
+#[derive(Debug)]
+pub struct Team<'a> {
+    /// Positions \[m\].
+    pub position: &'a mut [Vec2],
+    /// Velocities \[m/s\].
+    pub velocity: &'a mut [Vec2],
+    /// What blocked each robot.
+    pub contacts: &'a mut [Contacts],
+    /// Positions before the step, for its own use.
+    pub before: &'a mut [Vec2],
+}
+
+/// Moves every robot on by one step toward its commanded velocity \[m/s\].
+pub fn step(arena: &Arena, commands: &[Vec2], team: &mut Team) {
+    let radius = arena.robot_radius_m;
+    team.before.copy_from_slice(team.position);
+    for (velocity, command) in team.velocity.iter_mut().zip(commands) {
+        let wanted = command.map(|axis| axis.clamp(-MAX_SPEED_M_S, MAX_SPEED_M_S));
+        let acceleration = (wanted - *velocity) / DT_S;
+        *velocity += acceleration.map(|axis| axis.clamp(-MAX_ACCELERATION_M_S2, MAX_ACCELERATION_M_S2)) * DT_S;
+    }
+    // In the order of their ids, each against all others: those before it have moved already.
+    for robot in 0..team.position.len() {
+        let candidate = team.position[robot] + team.velocity[robot] * DT_S;
+        let blocked = (0..team.position.len())
+            .any(|other| other != robot && (candidate - team.position[other]).norm() <= 2.0 * radius);
+        team.contacts[robot] = Contacts { robot: blocked, wall: false };
+        if !blocked {
+            team.position[robot] = candidate;
+        }
+    }
+    for robot in 0..team.position.len() {
+        if arena.keep_outs.iter().any(|block| block.distance(team.position[robot]) <= radius) {
+            team.position[robot] = team.before[robot];
+            team.contacts[robot].wall = true;
+        }
+        team.position[robot] = team.position[robot].sup(&-arena.half_extent).inf(&arena.half_extent);
+        team.velocity[robot] = (team.position[robot] - team.before[robot]) / DT_S;
+    }
+}
+
+/// The training world as a plant.
+#[derive(Debug)]
+pub struct Kinematic {
+    arena: Arena,
+    position: Vec<Vec2>,
+    velocity: Vec<Vec2>,
+    contacts: Vec<Contacts>,
+    before: Vec<Vec2>,
+    commands: Vec<Vec2>,
+    states: Vec<PlantState>,
+}
+
+/// Makes the plant.
+pub fn build(arena: &Arena, positions: &[Vec2]) -> Box<dyn Plant> {
+    let zeros = vec![Vec2::zeros(); positions.len()];
+    let mut plant = Kinematic {
+        arena: arena.clone(),
+        position: positions.to_vec(),
+        velocity: zeros.clone(),
+        contacts: vec![Contacts::default(); positions.len()],
+        before: zeros.clone(),
+        commands: zeros,
+        states: vec![PlantState::default(); positions.len()],
+    };
+    plant.show();
+    Box::new(plant)
+}
+
+impl Kinematic {
+    fn show(&mut self) {
+        for (robot, state) in self.states.iter_mut().enumerate() {
+            state.motion.position = self.position[robot];
+            state.motion.velocity = self.velocity[robot];
+            state.contacts = self.contacts[robot];
+        }
+    }
+}
+
+impl Plant for Kinematic {
+    fn period(&self) -> Span {
+        PERIOD
+    }
+
+    fn place(&mut self, robot: usize, position: Vec2) {
+        self.position[robot] = position;
+        self.velocity[robot] = Vec2::zeros();
+        self.contacts[robot] = Contacts::default();
+        self.commands[robot] = Vec2::zeros();
+        self.show();
+    }
+
+    fn drive(&mut self, robot: usize, velocity: Vec2) {
+        self.commands[robot] = velocity;
+    }
+
+    fn advance(&mut self) {
+        let mut team = Team {
+            position: &mut self.position,
+            velocity: &mut self.velocity,
+            contacts: &mut self.contacts,
+            before: &mut self.before,
+        };
+        step(&self.arena, &self.commands, &mut team);
+        self.show();
+    }
+
+    fn states(&self) -> &[PlantState] {
+        &self.states
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::KeepOut;
+
+    fn arena() -> Arena {
+        let wall = KeepOut { min: Vec2::new(-2.0, 0.5), max: Vec2::new(2.0, 0.8) };
+        Arena { half_extent: Vec2::new(2.0, 3.0), keep_outs: vec![wall], portals: Vec::new(), robot_radius_m: 0.25 }
+    }
+
+    #[test]
+    fn acceleration_and_speed_are_limited_and_a_wall_blocks() {
+        let mut plant = build(&arena(), &[Vec2::zeros()]);
+        plant.drive(0, Vec2::new(9.0, 0.0));
+        plant.advance();
+        assert!((plant.states()[0].motion.velocity.x - 0.05).abs() < 1e-5);
+        plant.place(0, Vec2::new(0.0, 0.249));
+        plant.drive(0, Vec2::new(0.0, 1.0));
+        plant.advance();
+        assert!(plant.states()[0].contacts.wall);
+        assert_eq!(plant.states()[0].motion.position, Vec2::new(0.0, 0.249));
+    }
+
+    #[test]
+    fn a_robot_blocks_another() {
+        let mut plant = build(&arena(), &[Vec2::zeros(), Vec2::new(0.501, 0.0)]);
+        plant.drive(0, Vec2::new(1.0, 0.0));
+        plant.advance();
+        assert!(plant.states()[0].contacts.robot && !plant.states()[1].contacts.robot);
+        assert_eq!(plant.states()[0].motion.velocity, Vec2::zeros());
+    }
+}
