@@ -2,7 +2,7 @@
 //!
 //! h_i = encoder(x_i) is broadcast; the action is update(sum over j of message(h_j - h_i)), with the robot's
 //! own term among the sum: message(0), a constant that is not zero. The last message layer is linear, so it
-//! is applied once, after the sum.
+//! is applied once, after the sum; and as the first update layer is linear too, the two are one.
 
 use std::sync::Arc;
 
@@ -24,10 +24,14 @@ pub struct Network {
     encoder: Mlp,
     /// All message layers but the last, which is linear.
     message: Option<Mlp>,
-    message_last: Layer,
-    /// What the robot's own zero difference adds to the sum before the last layer.
+    /// What the robot's own zero difference adds to the sum.
     own_term: Vec<f32>,
-    update: Mlp,
+    /// The last message layer and the first update layer in one.
+    heard: Layer,
+    /// What each term of the sum adds behind it: the last message layer's bias.
+    term_bias: Vec<f32>,
+    /// All update layers but the first.
+    update: Option<Mlp>,
     interface: Interface,
 }
 
@@ -35,8 +39,11 @@ impl Network {
     /// The network of a checked file.
     pub fn new(file: PolicyFile) -> Network {
         let PolicyFile { manifest, networks: [encoder, message, update], .. } = file;
+        let part = |layers: &[Layer]| (!layers.is_empty()).then(|| Mlp::new(layers.to_vec()));
         let (last, rest) = message.layers().split_last().expect("a perceptron has a layer");
-        let message_rest = (!rest.is_empty()).then(|| Mlp::new(rest.to_vec()));
+        let message_rest = part(rest);
+        let (first, update_rest) = update.layers().split_first().expect("a perceptron has a layer");
+        let (heard, term_bias) = first.after(last);
         let zeros = vec![0.0; message.inputs()];
         let own_term = match &message_rest {
             None => zeros,
@@ -50,10 +57,11 @@ impl Network {
             interface: interface(&manifest, encoder.outputs()),
             observation: manifest.observation,
             encoder,
-            message_last: last.clone(),
             message: message_rest,
             own_term,
-            update,
+            heard,
+            term_bias,
+            update: part(update_rest),
         }
     }
 
@@ -111,9 +119,9 @@ impl Gnn {
             difference: Vec::new(),
             message: Scratch::default(),
             edges: Vec::new(),
-            sum: vec![0.0; network.message_last.inputs()],
-            heard: vec![0.0; network.message_last.outputs()],
-            update: network.update.scratch(1),
+            sum: vec![0.0; network.heard.inputs()],
+            heard: vec![0.0; network.heard.outputs()],
+            update: network.update.as_ref().map(|update| update.scratch(1)).unwrap_or_default(),
             rows: 0,
         };
         Gnn { network, draw, instructions, space }
@@ -134,7 +142,7 @@ impl Gnn {
             let space = &mut self.space;
             space.rows = rows;
             space.difference.resize(rows * self.network.encoder.outputs(), 0.0);
-            space.edges.resize(rows * self.network.message_last.inputs(), 0.0);
+            space.edges.resize(rows * self.network.heard.inputs(), 0.0);
             if let Some(message) = &self.network.message {
                 space.message = message.scratch(rows);
             }
@@ -150,20 +158,26 @@ fn outputs(network: &Network, space: &mut Space, own: &[f32], neighbours: &[Neig
             *to = theirs - mine;
         }
     }
-    let before_last = network.message_last.inputs();
     match &network.message {
         Some(message) => message.apply(rows, &space.difference, &mut space.edges, &mut space.message, Relu::After),
         None => space.edges[..rows * width].copy_from_slice(&space.difference[..rows * width]),
     }
     space.sum.copy_from_slice(&network.own_term);
-    for edge in space.edges.chunks_exact(before_last).take(rows) {
+    for edge in space.edges.chunks_exact(space.sum.len()).take(rows) {
         space.sum.iter_mut().zip(edge).for_each(|(sum, term)| *sum += term);
     }
-    network.message_last.apply(1, &space.sum, &mut space.heard, Relu::None);
-    // The layer has added its bias once, for one term; every neighbour brings one more.
-    network.message_last.add_bias(rows as f32, &mut space.heard);
+    network.heard.apply(1, &space.sum, &mut space.heard, Relu::None);
+    // The own term and every neighbour's.
+    let terms = (rows + 1) as f32;
+    space.heard.iter_mut().zip(&network.term_bias).for_each(|(heard, bias)| *heard += terms * bias);
     let mut out = [0.0; 4];
-    network.update.apply(1, &space.heard, &mut out, &mut space.update, Relu::None);
+    match &network.update {
+        None => out.copy_from_slice(&space.heard),
+        Some(update) => {
+            space.heard.iter_mut().for_each(|heard| *heard = heard.max(0.0));
+            update.apply(1, &space.heard, &mut out, &mut space.update, Relu::None);
+        }
+    }
     out
 }
 

@@ -6,10 +6,10 @@
 
 use pulp::Arch;
 
-/// Outputs computed at once: four 128-bit or two 256-bit registers a row.
-const BLOCK: usize = 16;
-/// Rows computed at once: each weight that is loaded serves so many robots.
-const ROWS: usize = 4;
+/// Outputs computed at once: eight 128-bit or four 256-bit registers a row.
+const BLOCK: usize = 32;
+
+type Lanes = [f32; BLOCK];
 
 /// Which instructions the loops are compiled for.
 #[derive(Clone, Copy, Debug)]
@@ -45,8 +45,8 @@ pub struct Layer {
     inputs: usize,
     outputs: usize,
     /// By block of outputs, then by input, then by output in the block; padded with zeros.
-    weight: Vec<[f32; BLOCK]>,
-    bias: Vec<[f32; BLOCK]>,
+    weight: Vec<Lanes>,
+    bias: Vec<Lanes>,
 }
 
 impl Layer {
@@ -83,49 +83,72 @@ impl Layer {
     /// Applies the layer to `rows` rows: `x` is \[rows, inputs\], `y` is \[rows, outputs\], both row-major.
     #[inline(always)]
     pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
-        let mut row = 0;
-        while row + ROWS <= rows {
-            self.apply_rows::<ROWS>(&x[row * self.inputs..], &mut y[row * self.outputs..], relu);
-            row += ROWS;
-        }
-        while row < rows {
-            self.apply_rows::<1>(&x[row * self.inputs..], &mut y[row * self.outputs..], relu);
-            row += 1;
-        }
-    }
-
-    /// Adds the bias to one row of outputs `times` over.
-    #[inline(always)]
-    pub fn add_bias(&self, times: f32, y: &mut [f32]) {
-        for (lanes, bias) in y.chunks_mut(BLOCK).zip(&self.bias) {
-            lanes.iter_mut().zip(bias).for_each(|(y, bias)| *y += times * bias);
-        }
-    }
-
-    #[inline(always)]
-    fn apply_rows<const N: usize>(&self, x: &[f32], y: &mut [f32], relu: Relu) {
-        let x: [&[f32]; N] = std::array::from_fn(|row| &x[row * self.inputs..(row + 1) * self.inputs]);
+        let (x, y) = (&x[..rows * self.inputs], &mut y[..rows * self.outputs]);
         for (block, bias) in self.bias.iter().enumerate() {
             let weight = &self.weight[block * self.inputs..(block + 1) * self.inputs];
-            let mut sum = [*bias; N];
-            for (input, lanes) in weight.iter().enumerate() {
-                for row in 0..N {
-                    let scale = x[row][input];
-                    for lane in 0..BLOCK {
-                        sum[row][lane] += lanes[lane] * scale;
-                    }
-                }
+            let from = block * BLOCK;
+            let to = self.outputs.min(from + BLOCK);
+            // Two rows at once, so that each weight that is loaded serves both; then the odd one.
+            let (mut x_pairs, mut y_pairs) = (x.chunks_exact(2 * self.inputs), y.chunks_exact_mut(2 * self.outputs));
+            for (x, y) in (&mut x_pairs).zip(&mut y_pairs) {
+                let (x, y) = (x.split_at(self.inputs), y.split_at_mut(self.outputs));
+                let (first, second) = two_rows(weight, bias, x);
+                relu.put(first, &mut y.0[from..to]);
+                relu.put(second, &mut y.1[from..to]);
             }
-            let width = BLOCK.min(self.outputs - block * BLOCK);
-            for (row, lanes) in sum.iter_mut().enumerate() {
-                if relu == Relu::After {
-                    lanes.iter_mut().for_each(|lane| *lane = lane.max(0.0));
-                }
-                let at = row * self.outputs + block * BLOCK;
-                y[at..at + width].copy_from_slice(&lanes[..width]);
+            let (x, y) = (x_pairs.remainder(), y_pairs.into_remainder());
+            if !x.is_empty() {
+                relu.put(one_row(weight, bias, x), &mut y[from..to]);
             }
         }
     }
+
+    /// The matrix entry from an input to an output.
+    fn entry(&self, output: usize, input: usize) -> f32 {
+        self.weight[output / BLOCK * self.inputs + input][output % BLOCK]
+    }
+
+    /// The one linear layer that does what `inner` and then this layer do, if nothing comes between; its bias
+    /// is this layer's part alone, and `inner`'s bias as seen behind this layer is given beside it.
+    ///
+    /// Reckoned in f64, so that a network keeps its accuracy.
+    pub fn after(&self, inner: &Layer) -> (Layer, Vec<f32>) {
+        assert_eq!(inner.outputs, self.inputs, "layers fit each other");
+        let sum = |output: usize, term: &dyn Fn(usize) -> f32| -> f32 {
+            (0..self.inputs).map(|k| f64::from(self.entry(output, k)) * f64::from(term(k))).sum::<f64>() as f32
+        };
+        let weight: Vec<f32> = (0..self.outputs)
+            .flat_map(|output| (0..inner.inputs).map(move |input| (output, input)))
+            .map(|(output, input)| sum(output, &|k| inner.entry(k, input)))
+            .collect();
+        let bias = |layer: &Layer, k: usize| layer.bias[k / BLOCK][k % BLOCK];
+        let own: Vec<f32> = (0..self.outputs).map(|output| bias(self, output)).collect();
+        let inner_bias = (0..self.outputs).map(|output| sum(output, &|k| bias(inner, k))).collect();
+        (Layer::new(&weight, &own), inner_bias)
+    }
+}
+
+#[inline(always)]
+fn one_row(weight: &[Lanes], bias: &Lanes, x: &[f32]) -> Lanes {
+    let mut sum = *bias;
+    for (lanes, &x) in weight.iter().zip(x) {
+        for lane in 0..BLOCK {
+            sum[lane] += lanes[lane] * x;
+        }
+    }
+    sum
+}
+
+#[inline(always)]
+fn two_rows(weight: &[Lanes], bias: &Lanes, x: (&[f32], &[f32])) -> (Lanes, Lanes) {
+    let (mut first, mut second) = (*bias, *bias);
+    for ((lanes, &x0), &x1) in weight.iter().zip(x.0).zip(x.1) {
+        for lane in 0..BLOCK {
+            first[lane] += lanes[lane] * x0;
+            second[lane] += lanes[lane] * x1;
+        }
+    }
+    (first, second)
 }
 
 /// Whether a layer's output is rectified.
@@ -135,6 +158,20 @@ pub enum Relu {
     After,
     /// y as it is.
     None,
+}
+
+impl Relu {
+    #[inline(always)]
+    fn put(self, mut sum: Lanes, y: &mut [f32]) {
+        if self == Relu::After {
+            sum.iter_mut().for_each(|lane| *lane = lane.max(0.0));
+        }
+        match <&mut Lanes>::try_from(&mut *y) {
+            // A length known at compile time spares a call.
+            Ok(whole) => *whole = sum,
+            Err(_) => y.copy_from_slice(&sum[..y.len()]),
+        }
+    }
 }
 
 /// Layers in a row.

@@ -14,7 +14,9 @@ pub mod weights;
 use std::sync::Arc;
 
 use crate::messages::geometry::{Motion, Vec2};
-use crate::random::Stream;
+use rand::RngExt;
+
+use crate::random::{Seed, Stream};
 use crate::scenario::{Arena, Observation};
 use crate::time::Span;
 
@@ -100,4 +102,34 @@ impl Model {
             Model::Gnn(network, _) => network.interface(),
         }
     }
+}
+
+/// A policy by name, for tests that run over all of them.
+pub struct Entry {
+    /// Its name in reports.
+    pub name: &'static str,
+    /// A model of it that needs no file.
+    pub example: fn() -> Model,
+}
+
+/// All policies.
+pub const REGISTRY: &[Entry] =
+    &[Entry { name: "orca", example: || Model::Orca }, Entry { name: "gnn", example: || untrained(1) }];
+
+/// A network of the published layout with random weights (uniform, scaled by the width of the input): as
+/// good as noise, but the same for the same seed. For tests and benchmarks.
+pub fn untrained(seed: u64) -> Model {
+    let manifest = manifest::Manifest::published();
+    let mut stream = Seed::of_run(seed).stream("policy/untrained");
+    let mut layers = |widths: &[usize]| -> Vec<(Vec<f32>, Vec<f32>)> {
+        let pairs = widths.windows(2).map(|pair| {
+            let reach = 1.0 / (pair[0] as f32).sqrt();
+            let mut floats = |count: usize| (0..count).map(|_| stream.random_range(-reach..reach)).collect::<Vec<f32>>();
+            (floats(pair[0] * pair[1]), floats(pair[1]))
+        });
+        pairs.collect()
+    };
+    let tensors = [layers(&manifest.encoder), layers(&manifest.message), layers(&manifest.update)];
+    let file = weights::read(&weights::write(&manifest, &tensors)).expect("a file that was just written can be read");
+    Model::Gnn(Arc::new(gnn::Network::new(file)), Draw::Sample)
 }
