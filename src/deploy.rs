@@ -348,10 +348,10 @@ impl Deployment {
         })
     }
 
-    /// Whether a host takes anything that travels on a link.
-    pub fn listens(&self, host: HostId, link: &Link) -> bool {
-        let taken = |kind: Kind| RobotId::team(self.robots).any(|robot| self.takers(kind, robot).contains(&host));
-        link.carries.iter().any(|&kind| taken(kind))
+    /// The hosts that take messages of this kind.
+    pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
+        let hosts: BTreeSet<HostId> = RobotId::team(self.robots).flat_map(|robot| self.takers(kind, robot)).collect();
+        hosts.into_iter().collect()
     }
 
     /// The routing table of a host.

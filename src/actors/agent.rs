@@ -108,31 +108,29 @@ impl Agent {
     fn step(&mut self, out: &mut Vec<Out>) {
         self.waiting_since = None;
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
-            for at in 0..self.seats.len() {
-                self.encode(at, out);
-            }
-            for at in 0..self.seats.len() {
-                out.extend(self.act(at).map(Out::Action));
-            }
+            let latents: Vec<Latent> = (0..self.seats.len()).filter_map(|at| self.encode(at)).collect();
+            // Actions go first: wheels before words, and what follows from both is sent in one go.
+            out.extend((0..self.seats.len()).filter_map(|at| self.act(at)).map(Out::Action));
+            out.extend(latents.into_iter().map(Out::Latent));
         }
         self.seats.iter_mut().for_each(|seat| seat.percept = None);
     }
 
-    fn encode(&mut self, at: usize, out: &mut Vec<Out>) {
+    fn encode(&mut self, at: usize) -> Option<Latent> {
         let (phase, round) = (self.phase, self.round);
         let seat = &mut self.seats[at];
-        let (Some(percept), Some(task)) = (&seat.percept, &seat.task) else { return };
+        let (percept, task) = (seat.percept.as_ref()?, seat.task.as_ref()?);
         let task = bound_for(phase, task);
         let policy = if phase == Phase::Running { &mut seat.pilot.run } else { &mut seat.pilot.reset };
         seat.features.resize(policy.interface().features, 0.0);
         policy.encode(&self.scenario.observe(&task, &percept.estimate), &mut seat.features);
-        out.push(Out::Latent(Latent {
+        Some(Latent {
             robot: seat.pilot.robot,
             round,
             phase,
             motion: percept.estimate,
             features: Features(seat.features.as_slice().into()),
-        }));
+        })
     }
 
     fn act(&mut self, at: usize) -> Option<Action> {

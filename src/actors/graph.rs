@@ -112,7 +112,7 @@ impl Graph {
 
     /// Messages that full mailboxes refused, so far.
     pub fn refused(&self) -> u64 {
-        fn sum<I: Send + 'static>(mailboxes: &[Mailbox<I>]) -> u64 {
+        fn sum<I>(mailboxes: &[Mailbox<I>]) -> u64 {
             mailboxes.iter().map(Mailbox::refused).sum()
         }
         sum(&self.caches)
@@ -323,14 +323,13 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
 
 fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
     for (index, link) in plan.deployment.links.iter().enumerate() {
-        let hosts = 0..u16::try_from(plan.deployment.hosts.len()).expect("hosts are counted in u16");
         let id = crate::messages::ids::LinkId(u16::try_from(index).expect("links are counted in u16"));
-        let listeners: Vec<HostId> = hosts.map(HostId).filter(|&host| plan.deployment.listens(host, link)).collect();
+        let deployment = plan.deployment.clone();
         let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
         let (seed, name) = (plan.seed, link.name.clone());
         let make = move |life| {
             let stream = seed.stream(&format!("link/{name}/{life}"));
-            Ether::new(Medium::new(impairment.clone(), faults.clone(), stream), listeners.clone())
+            Ether::new(Medium::new(impairment.clone(), faults.clone(), stream), |kind| deployment.listeners(kind))
         };
         let networks = graph.networks.clone();
         start(clock, &graph.ethers[index], info_span!("ether", link = link.name), make, move |Arrive { to, frame }| {

@@ -2,14 +2,20 @@
 //! the actor library.
 //!
 //! A mailbox is bounded: what it refuses is counted, never queued elsewhere. Messages of one sender stay
-//! in order; between senders there is none to rely on. A crashed actor starts again with a fresh core. A
-//! real panic ends the process: state that a broken invariant has touched must not drive a robot.
+//! in order; between senders there is none to rely on. It is a queue of our own beside the actor library's,
+//! because that one allocates twice and rings once for every message, which took half of a run's time: ours
+//! rings once for all messages that wait, and its bound is exact. A crashed actor starts again with a fresh
+//! core. A real panic ends the process: state that a broken invariant has touched must not drive a robot.
 
-use std::cell::{Cell, OnceCell};
+use std::any::Any;
+use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::VecDeque;
+use std::pin::Pin;
 use std::rc::Rc;
+use std::task::{self, Poll, Waker};
 
-use actix::{Actor, ActorContext, Context, Handler, Message, Recipient, Supervised, Supervisor, System};
+use actix::fut::ActorFuture;
+use actix::{Actor, ActorContext, AsyncContext, Context, Supervised, Supervisor, System};
 use tracing::Span as TraceSpan;
 
 use super::Core;
@@ -30,34 +36,39 @@ enum Envelope<I> {
     Inject(ActorFault),
 }
 
-impl<I: Send + 'static> Message for Envelope<I> {
-    type Result = ();
-}
+/// The way to one actor of this thread. Cheap to clone; made before the actor, so that actors can know each
+/// other.
+pub struct Mailbox<I>(Rc<Slot<I>>);
 
-/// The way to one actor. Cheap to clone; made before the actor, so that actors can know each other.
-pub struct Mailbox<I: Send + 'static>(Rc<Slot<I>>);
-
-struct Slot<I: Send + 'static> {
+struct Slot<I> {
     name: String,
-    address: OnceCell<Recipient<Envelope<I>>>,
+    queue: RefCell<VecDeque<Envelope<I>>>,
+    /// Rings for the actor; it is not rung twice before the actor has come.
+    bell: RefCell<Option<Waker>>,
+    rung: Cell<bool>,
     refused: Cell<u64>,
     lost: Cell<u64>,
+    /// The supervisor gives an actor up that nobody holds an address of.
+    address: OnceCell<Box<dyn Any>>,
 }
 
-impl<I: Send + 'static> Clone for Mailbox<I> {
+impl<I> Clone for Mailbox<I> {
     fn clone(&self) -> Self {
         Mailbox(Rc::clone(&self.0))
     }
 }
 
-impl<I: Send + 'static> Mailbox<I> {
+impl<I> Mailbox<I> {
     /// The mailbox of an actor that is yet to be started under this name.
     pub fn new(name: impl Into<String>) -> Mailbox<I> {
         Mailbox(Rc::new(Slot {
             name: name.into(),
-            address: OnceCell::new(),
+            queue: RefCell::default(),
+            bell: RefCell::default(),
+            rung: Cell::new(false),
             refused: Cell::new(0),
             lost: Cell::new(0),
+            address: OnceCell::new(),
         }))
     }
 
@@ -87,10 +98,22 @@ impl<I: Send + 'static> Mailbox<I> {
     }
 
     fn post(&self, envelope: Envelope<I>) {
-        let address = self.0.address.get().expect("the graph starts every actor before the first message");
-        if address.try_send(envelope).is_err() {
-            self.0.refused.set(self.0.refused.get() + 1);
+        let slot = &*self.0;
+        let mut queue = slot.queue.borrow_mut();
+        if queue.len() >= MAILBOX_CAPACITY {
+            slot.refused.set(slot.refused.get() + 1);
+            return;
         }
+        queue.push_back(envelope);
+        if !slot.rung.replace(true)
+            && let Some(bell) = &*slot.bell.borrow()
+        {
+            bell.wake_by_ref();
+        }
+    }
+
+    fn lose(&self, messages: usize) {
+        self.0.lost.set(self.0.lost.get() + messages as u64);
     }
 }
 
@@ -155,11 +178,8 @@ pub fn start<C: Core + 'static>(
         mailbox: mailbox.clone(),
         span,
     };
-    let address = Supervisor::start(move |context: &mut Context<Shell<C>>| {
-        context.set_mailbox_capacity(MAILBOX_CAPACITY);
-        shell
-    });
-    assert!(mailbox.0.address.set(address.recipient()).is_ok(), "{} is started once", mailbox.name());
+    let address = Supervisor::start(move |_: &mut Context<Shell<C>>| shell);
+    assert!(mailbox.0.address.set(Box::new(address)).is_ok(), "{} is started once", mailbox.name());
     // The first wake lets the core say when it wants to be woken.
     clock.arm(clock.now(), sleeper);
 }
@@ -168,14 +188,34 @@ impl<C: Core + 'static> Shell<C> {
     fn take_in(&mut self, now: Time, input: C::In) {
         let due = self.faults.taken_up(now);
         if self.core.is_none() || (due > now && self.held.len() >= MAILBOX_CAPACITY) {
-            let slot = &self.mailbox.0;
-            let count = if self.core.is_none() { &slot.lost } else { &slot.refused };
-            count.set(count.get() + 1);
+            self.mailbox.lose(1);
         } else if due > now || !self.held.is_empty() {
             self.held.push_back((due, input));
         } else if let Some(core) = &mut self.core {
             core.handle(now, input, &mut self.out);
         }
+    }
+
+    /// Takes all that waits in the mailbox, up to a crash.
+    fn attend(&mut self, context: &mut Context<Self>) {
+        let span = self.span.clone();
+        let _inside = span.enter();
+        let now = self.clock.now();
+        let guard = EndsTheProcess { name: self.mailbox.clone(), now };
+        loop {
+            let next = guard.name.0.queue.borrow_mut().pop_front();
+            match next {
+                None => break,
+                Some(Envelope::Deliver(input)) => self.take_in(now, input),
+                Some(Envelope::Wake) => {}
+                Some(Envelope::Inject(fault)) => self.strike(now, &fault, context),
+            }
+            if !context.state().alive() {
+                // What is left waits for the next incarnation, and is lost if that is not up yet.
+                break;
+            }
+        }
+        self.turn(now);
     }
 
     /// Does all that is due, lets it out, and sets the timer for the next.
@@ -245,44 +285,55 @@ impl<C: Core> Unpin for Shell<C> {}
 
 impl<C: Core + 'static> Actor for Shell<C> {
     type Context = Context<Self>;
-}
 
-impl<C: Core + 'static> Supervised for Shell<C> {
-    fn restarting(&mut self, _: &mut Self::Context) {
-        // The supervisor would hand the old state on; a crash loses it.
-        self.core = None;
-        self.out.clear();
-        let slot = &self.mailbox.0;
-        slot.lost.set(slot.lost.get() + self.held.len() as u64);
-        self.held.clear();
-        self.turn(self.clock.now());
+    fn started(&mut self, context: &mut Self::Context) {
+        context.spawn(Attendance);
     }
 }
 
-impl<C: Core + 'static> Handler<Envelope<C::In>> for Shell<C> {
-    type Result = ();
+impl<C: Core + 'static> Supervised for Shell<C> {
+    fn restarting(&mut self, context: &mut Self::Context) {
+        // The supervisor would hand the old state on; a crash loses it.
+        self.core = None;
+        self.out.clear();
+        self.mailbox.lose(self.held.len());
+        self.held.clear();
+        context.spawn(Attendance);
+    }
+}
 
-    fn handle(&mut self, envelope: Envelope<C::In>, context: &mut Self::Context) {
-        let span = self.span.clone();
-        let _inside = span.enter();
-        let now = self.clock.now();
-        let _guard = EndsTheProcess { name: self.mailbox.clone(), now };
-        match envelope {
-            Envelope::Deliver(input) => self.take_in(now, input),
-            Envelope::Wake => {}
-            Envelope::Inject(fault) => self.strike(now, &fault, context),
+/// An actor's attendance to its mailbox, for as long as it lives.
+struct Attendance;
+
+impl<C: Core + 'static> ActorFuture<Shell<C>> for Attendance {
+    type Output = ();
+
+    fn poll(
+        self: Pin<&mut Self>,
+        shell: &mut Shell<C>,
+        context: &mut Context<Shell<C>>,
+        task: &mut task::Context<'_>,
+    ) -> Poll<()> {
+        let mailbox = shell.mailbox.clone();
+        {
+            let mut bell = mailbox.0.bell.borrow_mut();
+            if bell.as_ref().is_none_or(|bell| !bell.will_wake(task.waker())) {
+                *bell = Some(task.waker().clone());
+            }
         }
-        self.turn(now);
+        mailbox.0.rung.set(false);
+        shell.attend(context);
+        Poll::Pending
     }
 }
 
 /// Ends the process when it is dropped by a panic, which the actor library would survive in silence.
-struct EndsTheProcess<I: Send + 'static> {
+struct EndsTheProcess<I> {
     name: Mailbox<I>,
     now: Time,
 }
 
-impl<I: Send + 'static> Drop for EndsTheProcess<I> {
+impl<I> Drop for EndsTheProcess<I> {
     #[allow(clippy::print_stderr)] // The process is about to end: no log may be set up to say so.
     fn drop(&mut self) {
         if std::thread::panicking() {

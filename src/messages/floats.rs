@@ -9,7 +9,7 @@ use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::geometry::{Motion, Task, Vec2};
-use super::wire::Features;
+use super::wire::{Features, MAX_FEATURES};
 
 /// Takes a byte string and hands it to a parser, which says what it expected.
 struct Bytes<T>(fn(&[u8]) -> Option<T>, &'static str);
@@ -64,21 +64,27 @@ impl<'de> Deserialize<'de> for Motion {
 
 impl Serialize for Features {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        // A policy's message is small; the stack serves all that the codec would let through.
-        const STACK: usize = 4 * 256;
-        let len = 4 * self.0.len();
-        if len <= STACK {
-            s.serialize_bytes(&pack::<STACK>(&self.0)[..len])
-        } else {
-            s.serialize_bytes(&self.0.iter().flat_map(|float| float.to_le_bytes()).collect::<Vec<u8>>())
-        }
+        // The stack serves all that `Wire::check` lets through.
+        let Some(len) = Some(4 * self.0.len()).filter(|&len| len <= 4 * MAX_FEATURES) else {
+            return Err(serde::ser::Error::custom("more than MAX_FEATURES floats"));
+        };
+        s.serialize_bytes(&pack::<{ 4 * MAX_FEATURES }>(&self.0)[..len])
     }
 }
 
 impl<'de> Deserialize<'de> for Features {
     fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Features, D::Error> {
-        let parse = |bytes: &[u8]| bytes.len().is_multiple_of(4).then(|| Features(unpack(bytes).collect::<Arc<[f32]>>()));
-        d.deserialize_bytes(Bytes(parse, "a whole number of 4-byte floats"))
+        let parse = |bytes: &[u8]| {
+            // Through the stack, so that the shared slice is allocated once and filled in one sweep.
+            let mut floats = [0.0; MAX_FEATURES];
+            let count = bytes.len() / 4;
+            if !bytes.len().is_multiple_of(4) || count > MAX_FEATURES {
+                return None;
+            }
+            floats.iter_mut().zip(unpack(bytes)).for_each(|(to, from)| *to = from);
+            Some(Features(Arc::from(&floats[..count])))
+        };
+        d.deserialize_bytes(Bytes(parse, "4 bytes for each of at most MAX_FEATURES floats"))
     }
 }
 

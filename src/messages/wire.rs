@@ -199,6 +199,11 @@ pub enum Unfit {
     Block,
 }
 
+/// Without a way out at the first: so it is a handful of vector instructions.
+fn all_finite(floats: &[f32]) -> bool {
+    floats.iter().fold(true, |all, float| all & float.is_finite())
+}
+
 impl Wire {
     /// The message's kind.
     pub fn kind(&self) -> Kind {
@@ -226,7 +231,7 @@ impl Wire {
     pub fn check(&self) -> Result<(), Unfit> {
         let finite = match self {
             Wire::Reading(m) => m.motion.is_finite(),
-            Wire::Latent(m) => m.motion.is_finite() && m.features.0.iter().all(|float| float.is_finite()),
+            Wire::Latent(m) => m.motion.is_finite() && all_finite(&m.features.0),
             Wire::MotorCommand(m) => is_finite(m.velocity),
             Wire::Heartbeat(_) => true,
             Wire::Mode(m) => m.tasks.iter().all(|task| is_finite(task.start) && is_finite(task.goal)),

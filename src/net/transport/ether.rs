@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::actors::Core;
 use crate::messages::ids::HostId;
+use crate::messages::wire::{KINDS, Kind};
 use crate::net::codec::{Frame, peek};
 use crate::net::medium::Medium;
 use crate::net::router::Audience;
@@ -33,7 +34,8 @@ pub struct Arrive {
 #[derive(Debug)]
 pub struct Ether {
     medium: Medium,
-    listeners: Vec<HostId>,
+    /// By kind.
+    listeners: Vec<Vec<HostId>>,
     /// Frames on their way, in order of arrival and, at one instant, of departure.
     flying: BTreeMap<(Time, u64), Arrive>,
     departures: u64,
@@ -41,13 +43,13 @@ pub struct Ether {
 }
 
 impl Ether {
-    /// An ether between `listeners`.
-    pub fn new(medium: Medium, listeners: Vec<HostId>) -> Ether {
+    /// An ether on which `listens` says which hosts listen to a kind of message.
+    pub fn new(medium: Medium, listens: impl Fn(Kind) -> Vec<HostId>) -> Ether {
+        let listeners = KINDS.iter().map(|&kind| listens(kind)).collect();
         Ether { medium, listeners, flying: BTreeMap::new(), departures: 0, copies: Vec::new() }
     }
 
-    fn carry(&mut self, now: Time, transmit: &Transmit, to: HostId, out: &mut Vec<Arrive>) {
-        let kind = peek(&transmit.frame).expect("a Network sends whole frames").kind;
+    fn carry(&mut self, now: Time, kind: Kind, transmit: &Transmit, to: HostId, out: &mut Vec<Arrive>) {
         self.medium.carry(now, kind, (transmit.from, to), &transmit.frame, &mut self.copies);
         for (at, frame) in self.copies.drain(..) {
             let arrive = Arrive { to, frame };
@@ -66,13 +68,14 @@ impl Core for Ether {
     type Out = Arrive;
 
     fn handle(&mut self, now: Time, transmit: Transmit, out: &mut Vec<Arrive>) {
+        let kind = peek(&transmit.frame).expect("a Network sends whole frames").kind;
         match transmit.audience {
-            Audience::Host(to) => self.carry(now, &transmit, to, out),
+            Audience::Host(to) => self.carry(now, kind, &transmit, to, out),
             Audience::All => {
-                for at in 0..self.listeners.len() {
-                    let to = self.listeners[at];
+                for at in 0..self.listeners[kind as usize].len() {
+                    let to = self.listeners[kind as usize][at];
                     if to != transmit.from {
-                        self.carry(now, &transmit, to, out);
+                        self.carry(now, kind, &transmit, to, out);
                     }
                 }
             }
