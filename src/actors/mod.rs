@@ -21,7 +21,7 @@ use crate::time::Time;
 /// A state machine with a typed mailbox. No clock, no I/O, no randomness of its own.
 pub trait Core {
     /// Everything that this mailbox accepts.
-    type In: Send + 'static;
+    type In: 'static;
     /// Everything that this actor may say.
     type Out;
 

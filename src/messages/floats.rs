@@ -26,14 +26,14 @@ impl<T> Visitor<'_> for Bytes<T> {
 
 fn pack<const BYTES: usize>(floats: &[f32]) -> [u8; BYTES] {
     let mut bytes = [0; BYTES];
-    for (four, float) in bytes.chunks_exact_mut(4).zip(floats) {
-        four.copy_from_slice(&float.to_le_bytes());
+    for (four, float) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(floats) {
+        *four = float.to_le_bytes();
     }
     bytes
 }
 
 fn unpack(bytes: &[u8]) -> impl Iterator<Item = f32> + '_ {
-    bytes.chunks_exact(4).map(|four| f32::from_le_bytes([four[0], four[1], four[2], four[3]]))
+    bytes.as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four))
 }
 
 fn unpack_exactly<const N: usize>(bytes: &[u8]) -> Option<[f32; N]> {

@@ -166,8 +166,7 @@ fn floats(tensors: &SafeTensors, name: &str, shape: &[usize], hint: &'static str
     if view.shape() != shape {
         return Err(WeightsError::Shape { name, found: view.shape().to_vec(), expected });
     }
-    let four = |bytes: &[u8]| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
-    let floats: Vec<f32> = view.data().chunks_exact(4).map(four).collect();
+    let floats: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
     if let Some(index) = floats.iter().position(|float| !float.is_finite()) {
         return Err(WeightsError::NotFinite { name, expected, index, value: floats[index] });
     }
