@@ -24,11 +24,10 @@ fn step(bencher: Bencher, instructions: Instructions) {
     let mut gnn = Gnn::with_instructions(network, Draw::Sample, instructions);
     let observation = Observation { motion: Motion::at_rest(Vec2::new(0.3, -1.5)), goal: Vec2::new(-0.2, 1.5) };
     let mut features = vec![0.0; gnn.interface().features];
-    let heard: Vec<Vec<f32>> = (0..4).map(|k| (0..features.len()).map(|i| ((i * 7 + k) as f32).sin()).collect()).collect();
-    let neighbours: Vec<Neighbour> = heard
-        .iter()
-        .map(|features| Neighbour { motion: observation.motion, features, age: Span::ZERO })
-        .collect();
+    let heard: Vec<Vec<f32>> =
+        (0..4).map(|k| (0..features.len()).map(|i| ((i * 7 + k) as f32).sin()).collect()).collect();
+    let neighbours: Vec<Neighbour> =
+        heard.iter().map(|features| Neighbour { motion: observation.motion, features, age: Span::ZERO }).collect();
     let mut stream = Seed::of_run(1).stream("bench");
     bencher.bench_local(|| {
         gnn.encode(divan::black_box(&observation), &mut features);

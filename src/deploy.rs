@@ -8,6 +8,7 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 
 use crate::actors::world::Placement;
+use crate::config;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::medium::Impairment;
@@ -135,7 +136,8 @@ impl Deployment {
     pub fn preset(mode: &str, robots: usize) -> Option<Deployment> {
         use Kind::*;
         let everyone: Vec<u16> = RobotId::team(robots).map(|robot| robot.0).collect();
-        let host = |name: &str| Host { name: name.to_owned(), agents: Vec::new(), world: Vec::new(), state_server: false };
+        let host =
+            |name: &str| Host { name: name.to_owned(), agents: Vec::new(), world: Vec::new(), state_server: false };
         let link = |name: &str, carries: &[Kind]| Link {
             name: name.to_owned(),
             carries: carries.to_vec(),
@@ -191,8 +193,7 @@ impl Deployment {
 
     /// Reads a deployment from TOML and checks it.
     pub fn from_toml(text: &str) -> Result<Deployment, DeployError> {
-        let deployment: Deployment =
-            toml::from_str(text).map_err(|e| DeployError::Syntax(e.to_string().trim().to_owned()))?;
+        let deployment: Deployment = config::from_toml(text).map_err(DeployError::Syntax)?;
         deployment.check()?;
         Ok(deployment)
     }
@@ -257,9 +258,10 @@ impl Deployment {
         }
         match RobotId::team(self.robots).find(|robot| !seen.contains(&robot.0)) {
             None => Ok(()),
-            Some(robot) => {
-                Err(DeployError::Field { field: field.to_owned(), reason: format!("{robot} has no {what} on any host") })
-            }
+            Some(robot) => Err(DeployError::Field {
+                field: field.to_owned(),
+                reason: format!("{robot} has no {what} on any host"),
+            }),
         }
     }
 

@@ -9,15 +9,18 @@
 //!
 //! # Layers
 //! Each may use those before it, never those after:
-//! `time`, `random`, `messages`; then `scenario`, `world`, `policy`, `net` (but for its transports), `report`;
-//! then the cores in `actors`; then `deploy`; then `actors::{shell, clock, graph}` and `net::transport`; then
-//! `trial`; then the program. `tests/tidy.rs` checks it.
+//! `time`, `random`, `config`, `messages`; then `scenario`, `world`, `policy`, `net` (but for its transports),
+//! `report`; then the cores in `actors`; then `deploy`; then `actors::{shell, clock}` and `net::transport`; then
+//! `actors::graph`; then `trial`; then the program. `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
 //! [`messages::wire`], then [`actors`], then `actors/graph.rs`, which says who talks to whom; [`trial`] is the
 //! way to run it all from a test or a program of your own.
 
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
 pub mod actors;
+pub mod config;
 pub mod deploy;
 pub mod messages;
 pub mod net;

@@ -29,6 +29,9 @@ use crate::scenario::layout::Layouts;
 use crate::scenario::{self, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
 
+/// About how long an episode with its reset takes \[s\].
+const EPISODE_S: f64 = 10.0;
+
 /// Everything that a trial depends on.
 #[derive(Clone)]
 pub struct Trial {
@@ -120,6 +123,13 @@ impl Trial {
     pub fn faults(mut self, faults: FaultPlan) -> Trial {
         self.faults = faults;
         self
+    }
+
+    /// With faults drawn from a seed, over about the first half of the trial: the rest shows how it recovers.
+    pub fn random_faults(self, seed: u64) -> Trial {
+        let half = Span::from_secs(EPISODE_S / 2.0 * f64::from(self.layouts.len()));
+        let plan = FaultPlan::random(seed, self.scenario.robots(), half);
+        self.faults(plan)
     }
 
     /// With every step kept in the report.

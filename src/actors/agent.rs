@@ -147,7 +147,10 @@ impl Agent {
 
         let usable = |heard: &&Heard| heard.round == round && heard.phase == phase && heard.features.0.len() == width;
         let cached = percept.heard.iter().filter(usable).map(|heard| {
-            (heard.robot, Neighbour { motion: frame.turn_motion(&heard.motion), features: &heard.features.0, age: heard.age })
+            (
+                heard.robot,
+                Neighbour { motion: frame.turn_motion(&heard.motion), features: &heard.features.0, age: heard.age },
+            )
         });
         let (range, ranges) = (self.range, &mut seat.pilot.ranges);
         let joint = before.iter().chain(after.iter()).filter_map(|other| {

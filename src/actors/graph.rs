@@ -265,7 +265,8 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
     let entry = &plan.deployment.hosts[usize::from(host.0)];
     let here = |robots: &[u16]| -> Vec<RobotId> { robots.iter().copied().map(RobotId).collect() };
     let (agents, simulated) = (here(&entry.agents.concat()), here(&entry.world));
-    let firsts: Vec<RobotId> = entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
+    let firsts: Vec<RobotId> =
+        entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
 
     let (router, links) = (plan.deployment.router(host), plan.deployment.links.len());
     let make = move |life| Network::new(host, TEAM, life, links, router.clone());
@@ -296,20 +297,27 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
             told_modes.1.iter().for_each(|controller| controller.send(controller::In::Mode(m.clone())));
         }
     };
-    start(clock, &graph.networks[usize::from(host.0)], info_span!("network", host = name), make, move |out| match out {
-        network::Out::Deliver(message) => deliver(message),
-        network::Out::Tap(frame) => recorder.send(recorder::In::Tap(frame)),
-        network::Out::Transmit(link, audience, frame) => {
-            ethers[usize::from(link.0)].send(Transmit { from: host, audience, frame });
-        }
-    });
+    start(
+        clock,
+        &graph.networks[usize::from(host.0)],
+        info_span!("network", host = name),
+        make,
+        move |out| match out {
+            network::Out::Deliver(message) => deliver(message),
+            network::Out::Tap(frame) => recorder.send(recorder::In::Tap(frame)),
+            network::Out::Transmit(link, audience, frame) => {
+                ethers[usize::from(link.0)].send(Transmit { from: host, audience, frame });
+            }
+        },
+    );
 
     if let Some(first) = simulated.first().copied() {
         let (bodies, recorder) = (graph.bodies.clone(), graph.recorder.clone());
         let plan = plan.clone();
         let make = move |_| {
             // On the floor before anything starts, as people would put them there.
-            let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
+            let starts: Vec<Vec2> =
+                simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
             let plant = plants::REGISTRY.iter().find(|entry| entry.name == plan.deployment.plant);
             let plant = plant.expect("a checked deployment names a plant");
             World::new((plant.build)(plan.scenario.arena(), &starts), plan.deployment.placement, &simulated)

@@ -62,7 +62,8 @@ struct Attached {
 impl World {
     /// A world of these robots, which the plant holds in the same order.
     pub fn new(plant: Box<dyn Plant>, placement: Placement, robots: &[RobotId]) -> World {
-        let attach = |&robot: &RobotId| Attached { robot, command: Vec2::zeros(), until: Time::ZERO, placed: Round::default() };
+        let attach =
+            |&robot: &RobotId| Attached { robot, command: Vec2::zeros(), until: Time::ZERO, placed: Round::default() };
         World { plant, placement, bodies: robots.iter().map(attach).collect(), next: Time::ZERO, placed_at: None }
     }
 

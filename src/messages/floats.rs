@@ -107,10 +107,8 @@ pub(super) mod tasks {
     use super::*;
 
     pub fn serialize<S: Serializer>(tasks: &Arc<[Task]>, s: S) -> Result<S::Ok, S::Error> {
-        let bytes: Vec<u8> = tasks
-            .iter()
-            .flat_map(|task| pack::<16>(&[task.start.x, task.start.y, task.goal.x, task.goal.y]))
-            .collect();
+        let bytes: Vec<u8> =
+            tasks.iter().flat_map(|task| pack::<16>(&[task.start.x, task.start.y, task.goal.x, task.goal.y])).collect();
         s.serialize_bytes(&bytes)
     }
 

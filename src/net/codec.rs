@@ -17,7 +17,6 @@
 use std::sync::Arc;
 
 use serde::Deserialize;
-use serde::de::IgnoredAny;
 
 use crate::messages::ids::HostId;
 use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
@@ -148,8 +147,9 @@ fn body<'a, T: Deserialize<'a>>(kind: Kind, bytes: &'a [u8]) -> Result<T, Decode
     }
     let mut reader = rmp_serde::Deserializer::from_read_ref(bytes);
     let body = T::deserialize(&mut reader).map_err(|_| DecodeError::Body(kind))?;
-    // rmp-serde stops after one value without a word about the rest: ask for a second one.
-    match IgnoredAny::deserialize(&mut reader) {
+    // rmp-serde stops after one value without a word about the rest: ask for a second one, of a type that
+    // takes nothing but its marker, so that only the true end is a missing marker.
+    match <()>::deserialize(&mut reader) {
         Err(rmp_serde::decode::Error::InvalidMarkerRead(_)) => Ok(body),
         _ => Err(DecodeError::Trailing(kind)),
     }

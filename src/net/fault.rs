@@ -22,6 +22,7 @@
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
+use crate::config;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 use crate::random::Seed;
@@ -212,7 +213,7 @@ fn whole() -> f64 {
 impl FaultPlan {
     /// Reads a plan for a team of `robots` from TOML.
     pub fn from_toml(text: &str, robots: usize) -> Result<FaultPlan, FaultPlanError> {
-        let file: PlanFile = toml::from_str(text).map_err(|e| FaultPlanError::Syntax(e.to_string().trim().to_owned()))?;
+        let file: PlanFile = config::from_toml(text).map_err(FaultPlanError::Syntax)?;
         let actors = file.actor.into_iter().enumerate().map(|(i, entry)| entry.checked(i, robots));
         let links = file.link.into_iter().enumerate().map(|(i, entry)| entry.checked(i));
         Ok(FaultPlan { actors: actors.collect::<Result<_, _>>()?, links: links.collect::<Result<_, _>>()? })

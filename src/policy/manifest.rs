@@ -124,7 +124,10 @@ impl Manifest {
             return Err(format!("update: output of {}; a diagonal normal in the plane takes 4", ends(&self.update).1));
         }
         if hidden > crate::messages::wire::MAX_FEATURES {
-            return Err(format!("encoder: output of {hidden}; a message carries {} floats", crate::messages::wire::MAX_FEATURES));
+            return Err(format!(
+                "encoder: output of {hidden}; a message carries {} floats",
+                crate::messages::wire::MAX_FEATURES
+            ));
         }
         positive("radius_m", f64::from(self.radius_m))?;
         positive("limit_m_s", f64::from(self.limit_m_s))?;

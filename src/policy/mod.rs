@@ -124,7 +124,8 @@ pub fn untrained(seed: u64) -> Model {
     let mut layers = |widths: &[usize]| -> Vec<(Vec<f32>, Vec<f32>)> {
         let pairs = widths.windows(2).map(|pair| {
             let reach = 1.0 / (pair[0] as f32).sqrt();
-            let mut floats = |count: usize| (0..count).map(|_| stream.random_range(-reach..reach)).collect::<Vec<f32>>();
+            let mut floats =
+                |count: usize| (0..count).map(|_| stream.random_range(-reach..reach)).collect::<Vec<f32>>();
             (floats(pair[0] * pair[1]), floats(pair[1]))
         });
         pairs.collect()

@@ -95,7 +95,11 @@ impl Orca {
                 let aim = crossing.aim(&self.arena, at) - at;
                 let before = (exit - at).dot(&(exit - entry)) > 0.0;
                 let aims = aim.dot(&preferred) > 0.995 * aim.norm() * speed;
-                (before && aims).then(|| Bound { crossing, ahead_m: crossing.ahead(&self.arena, at), tie: (at.x, at.y) })
+                (before && aims).then(|| Bound {
+                    crossing,
+                    ahead_m: crossing.ahead(&self.arena, at),
+                    tie: (at.x, at.y),
+                })
             })
         })
     }
@@ -188,7 +192,13 @@ impl Policy for Orca {
         };
         let others: Vec<Cow<Agent>> = neighbours
             .iter()
-            .map(|n| Cow::Owned(agent(n.motion.position + n.motion.velocity * n.age.as_secs() as f32, n.motion.velocity, n.features[0])))
+            .map(|n| {
+                Cow::Owned(agent(
+                    n.motion.position + n.motion.velocity * n.age.as_secs() as f32,
+                    n.motion.velocity,
+                    n.features[0],
+                ))
+            })
             .collect();
         let obstacles: Vec<Cow<Obstacle>> = self.obstacles.iter().map(Cow::Borrowed).collect();
         let velocity = agent(at, own.motion.velocity, self.arena.robot_radius_m).compute_avoiding_velocity(

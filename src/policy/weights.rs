@@ -129,7 +129,8 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
     let wanted = networks.iter().map(|network| 2 * network.layers().len()).sum::<usize>();
     if tensors.len() > wanted {
         let widths = [&manifest.encoder, &manifest.message, &manifest.update];
-        let known = |name: &str| (0..3).any(|k| layer_names(names[k], widths[k]).any(|(w, b, _)| w == name || b == name));
+        let known =
+            |name: &str| (0..3).any(|k| layer_names(names[k], widths[k]).any(|(w, b, _)| w == name || b == name));
         let unknown = tensors.names().into_iter().filter(|name| !known(name)).min();
         return Err(WeightsError::Unknown(unknown.unwrap_or_default().to_owned()));
     }
@@ -191,7 +192,9 @@ pub fn write(manifest: &Manifest, tensors: &[Vec<(Vec<f32>, Vec<f32>)>; 3]) -> V
     let widths = [&manifest.encoder, &manifest.message, &manifest.update];
     let mut entries: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
     for (network, layers) in tensors.iter().enumerate() {
-        for ((weight_name, bias_name, shape), (weight, bias)) in layer_names(OWN_NAMES[network], widths[network]).zip(layers) {
+        for ((weight_name, bias_name, shape), (weight, bias)) in
+            layer_names(OWN_NAMES[network], widths[network]).zip(layers)
+        {
             let bytes = |floats: &[f32]| floats.iter().flat_map(|float| float.to_le_bytes()).collect::<Vec<u8>>();
             assert_eq!((weight.len(), bias.len()), (shape[0] * shape[1], shape[0]), "{weight_name} has its shape");
             entries.push((weight_name, shape.to_vec(), bytes(weight)));

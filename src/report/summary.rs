@@ -156,12 +156,23 @@ impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let percent = |share: f64| format!("{:.1} %", 100.0 * share);
         let [low, high] = self.success_ci95;
-        writeln!(f, "{} robots, scenario {}, mode {}, policy {}, seed {}", self.robots, self.scenario, self.mode, self.policy, self.seed)?;
+        writeln!(
+            f,
+            "{} robots, scenario {}, mode {}, policy {}, seed {}",
+            self.robots, self.scenario, self.mode, self.policy, self.seed
+        )?;
         if self.interrupted {
             writeln!(f, "  interrupted: what follows counts the episodes until then")?;
         }
         let share = percent(self.success_rate);
-        writeln!(f, "  success      {share:>8}   {} of {} (95 %: {} to {})", self.successes, self.episodes, percent(low), percent(high))?;
+        writeln!(
+            f,
+            "  success      {share:>8}   {} of {} (95 %: {} to {})",
+            self.successes,
+            self.episodes,
+            percent(low),
+            percent(high)
+        )?;
         match (self.makespan_median_s, self.makespan_quartiles_s) {
             (Some(median), Some([first, third])) => {
                 writeln!(f, "  makespan   {median:>8.2} s   median (quartiles {first:.2} and {third:.2} s)")?;
@@ -174,7 +185,8 @@ impl fmt::Display for Summary {
             (self.timeouts, "too late"),
             (self.aborts, "given up"),
         ];
-        let failed: Vec<String> = failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
+        let failed: Vec<String> =
+            failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
         let what = if failed.is_empty() { "none".to_owned() } else { failed.join(", ") };
         writeln!(f, "  failures     {:>8}   {what}", self.episodes - self.successes)?;
         let speed = self.virtual_s / self.wall_s.max(1e-9);

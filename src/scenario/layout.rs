@@ -69,10 +69,8 @@ impl Layouts {
             return Err(LayoutError::TooFew { held: file.episodes.len(), wanted });
         }
         let parse = |(episode, entries): (usize, Vec<Entry>)| {
-            let tasks: Vec<Task> = entries
-                .iter()
-                .map(|entry| Task { start: entry.start.into(), goal: entry.goal.into() })
-                .collect();
+            let tasks: Vec<Task> =
+                entries.iter().map(|entry| Task { start: entry.start.into(), goal: entry.goal.into() }).collect();
             check(scenario, &tasks).map_err(|reason| LayoutError::Episode { episode, reason })?;
             Ok(tasks)
         };
@@ -137,7 +135,11 @@ mod tests {
         let read = |text: &str, n| Layouts::from_json(text, &*passage, n).map_err(|e| e.to_string());
         assert!(read(&file(robot(0.0, 0.0), robot(1.0, 1.0)), 1).is_ok());
         assert!(read(&file(robot(0.0, 0.0), robot(1.0, 1.0)), 2).unwrap_err().contains("1 episodes"));
-        assert!(read(&file(robot(0.0, 0.0), robot(0.1, 1.0)), 1).unwrap_err().contains("robots 0 and 1 overlap at their starts"));
+        assert!(
+            read(&file(robot(0.0, 0.0), robot(0.1, 1.0)), 1)
+                .unwrap_err()
+                .contains("robots 0 and 1 overlap at their starts")
+        );
         assert!(read(&file(robot(0.0, 0.0), robot(1.0, 9.0)), 1).unwrap_err().contains("robot 1 cannot have its goal"));
         assert!(read("{}", 1).unwrap_err().contains("episodes"));
     }

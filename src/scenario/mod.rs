@@ -128,7 +128,11 @@ pub struct Entry {
 
 /// All scenarios.
 pub const REGISTRY: &[Entry] = &[
-    Entry { name: "passage", about: "a team crosses a narrow gap in a wall (the paper's case study)", build: passage::build },
+    Entry {
+        name: "passage",
+        about: "a team crosses a narrow gap in a wall (the paper's case study)",
+        build: passage::build,
+    },
     Entry { name: "swap", about: "robots trade places on an open square of constant density", build: swap::build },
 ];
 

@@ -20,7 +20,8 @@ const HALF_EXTENT: Vec2 = Vec2::new(2.0, 3.0);
 const GAP_HALF: Vec2 = Vec2::new(0.5, 0.15);
 /// Radius of a robot \[m\].
 const ROBOT_RADIUS_M: f32 = 0.25;
-/// Grid of a formation \[m\]: robots stand on the points of a square lattice whose coordinates add up to an even number.
+/// Grid of a formation \[m\]: robots stand on the points of a square lattice whose coordinates add up to an even
+/// number.
 const SPACING_M: f32 = 0.6;
 /// Where the centre of a formation may lie \[m\]: x within +-1, |y| from 1.5 to 2.
 const CENTRE_X_M: f32 = 1.0;
@@ -85,11 +86,8 @@ impl Passage {
 /// The nearest `robots` points of the lattice to its origin \[m\], in the order of the published cross for five.
 fn formation(robots: usize) -> Vec<Vec2> {
     let reach = -3..=3i32;
-    let mut points: Vec<(i32, i32)> = reach
-        .clone()
-        .flat_map(|x| reach.clone().map(move |y| (x, y)))
-        .filter(|(x, y)| (x + y) % 2 == 0)
-        .collect();
+    let mut points: Vec<(i32, i32)> =
+        reach.clone().flat_map(|x| reach.clone().map(move |y| (x, y))).filter(|(x, y)| (x + y) % 2 == 0).collect();
     points.sort_by_key(|&(x, y)| (x * x + y * y, x, y));
     points.truncate(robots);
     points.sort();

@@ -1,6 +1,7 @@
 //! Robots trade places on an open square whose side grows with the team, so that density stays constant.
 //!
-//! Places form a square grid; every episode deals them out anew. There are no walls and one policy frame.
+//! Places form a square grid; every episode deals them out anew, and no robot keeps its own. There are no walls
+//! and one policy frame.
 
 use std::sync::Arc;
 
@@ -58,17 +59,21 @@ impl Swap {
         let corner = Vec2::repeat(PITCH_M / 2.0) - self.arena.half_extent;
         let grid = (0..self.robots).map(|k| Vec2::new((k % self.per_row) as f32, (k / self.per_row) as f32));
         grid.map(|point| {
-            let jitter = Vec2::new(stream.random_range(-JITTER_M..=JITTER_M), stream.random_range(-JITTER_M..=JITTER_M));
+            let jitter =
+                Vec2::new(stream.random_range(-JITTER_M..=JITTER_M), stream.random_range(-JITTER_M..=JITTER_M));
             corner + point * PITCH_M + jitter
         })
         .collect()
     }
 
-    /// Which robot has which place between two episodes.
+    /// Which robot has which place between two episodes. Between two deals every robot moves: the places lie
+    /// in a circle of random order, and everyone goes on by the same random number of them.
     fn deal(&self, seed: u64, index: u32) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.robots).collect();
-        order.shuffle(&mut Seed::of_run(seed).stream(&format!("swap/deal/{index}")));
-        order
+        order.shuffle(&mut Seed::of_run(seed).stream("swap/order"));
+        let mut shifts = Seed::of_run(seed).stream("swap/shifts");
+        let gone: usize = (0..index).map(|_| shifts.random_range(1..self.robots)).sum();
+        (0..self.robots).map(|robot| order[(robot + gone) % self.robots]).collect()
     }
 }
 

@@ -3,6 +3,8 @@
 //! Exit codes: 0 done; 1 the run or its output failed; 2 a flag or a file is wrong, and nothing was run;
 //! 101 a bug (a panic); 130 interrupted, with the results until then printed.
 
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
 mod deployment;
 mod output;
 mod sim;

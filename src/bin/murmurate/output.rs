@@ -36,10 +36,13 @@ impl WholeFile {
             _ => Path::new("."),
         };
         if path.is_dir() {
-            return Err(BadInput(format!("cannot write '{}': it is a folder; name a file in it", path.display())).into());
+            return Err(
+                BadInput(format!("cannot write '{}': it is a folder; name a file in it", path.display())).into()
+            );
         }
-        let file = NamedTempFile::new_in(folder)
-            .map_err(|e| BadInput(format!("cannot write '{}': {e}; choose a folder that can be written", path.display())))?;
+        let file = NamedTempFile::new_in(folder).map_err(|e| {
+            BadInput(format!("cannot write '{}': {e}; choose a folder that can be written", path.display()))
+        })?;
         Ok(WholeFile { path: path.to_owned(), file })
     }
 
@@ -59,5 +62,6 @@ impl WholeFile {
 
 /// Reads a text file that the user has named.
 pub fn read_text(path: &Path, what: &str) -> Result<String> {
-    std::fs::read_to_string(path).map_err(|e| BadInput(format!("cannot read the {what} '{}': {e}", path.display())).into())
+    std::fs::read_to_string(path)
+        .map_err(|e| BadInput(format!("cannot read the {what} '{}': {e}", path.display())).into())
 }

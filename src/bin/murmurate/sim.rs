@@ -18,14 +18,10 @@ use murmurate::report::episode::Episode;
 use murmurate::report::summary::{Run, Summary};
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Scenario, Settings};
-use murmurate::time::Span;
 use murmurate::trial::{Proceed, Trial, TrialReport};
 
 use crate::output::{WholeFile, print, read_text, talk};
 use crate::{BadInput, Ended};
-
-/// About how long an episode with its reset takes \[s\]: faults are drawn over the whole trial.
-const EPISODE_S: f64 = 12.0;
 
 /// Flags of `murmurate sim`.
 #[derive(clap::Args)]
@@ -37,7 +33,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE.toml", conflicts_with = "mode")]
     deployment: Option<PathBuf>,
     /// What the team is to do
-    #[arg(long, default_value = "passage", value_parser = PossibleValuesParser::new(scenario::REGISTRY.iter().map(|entry| entry.name)))]
+    #[arg(long, default_value = "passage", value_parser = scenarios())]
     scenario: String,
     /// What drives the robots: a policy file (safetensors), or 'orca' for scripted navigation
     #[arg(long, default_value = "orca", value_name = "FILE|orca")]
@@ -92,6 +88,10 @@ pub struct Args {
     quiet: bool,
 }
 
+fn scenarios() -> PossibleValuesParser {
+    PossibleValuesParser::new(scenario::REGISTRY.iter().map(|entry| entry.name))
+}
+
 /// Runs the trials and prints what came of them.
 pub fn run(args: &Args) -> Result<Ended> {
     let trial = trial(args)?;
@@ -99,6 +99,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+    tracing::info!("{} repeats of {} episodes; Ctrl-C prints what there is", args.repeats, args.episodes);
 
     let began = Instant::now();
     let reports = run_all(args, &trial, &stop)?;
@@ -113,7 +114,11 @@ pub fn run(args: &Args) -> Result<Ended> {
         interrupted,
     };
     let summary = Summary::of(run, &reports);
-    print(&if args.json { serde_json::to_string(&summary).context("a summary is JSON")? } else { summary.to_string() })?;
+    print(&if args.json {
+        serde_json::to_string(&summary).context("a summary is JSON")?
+    } else {
+        summary.to_string()
+    })?;
     if let Some(mut file) = paths.take() {
         write_paths(&mut file, &reports).context("cannot write the trajectories")?;
         file.keep()?;
@@ -123,7 +128,6 @@ pub fn run(args: &Args) -> Result<Ended> {
 
 fn run_all(args: &Args, trial: &Trial, stop: &AtomicBool) -> Result<Vec<TrialReport>> {
     let bar = progress(args);
-    let done = AtomicU32::new(0);
     let next = AtomicU32::new(0);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let jobs = args.jobs.map_or(cores, usize::from).min(args.repeats as usize);
@@ -144,12 +148,14 @@ fn run_all(args: &Args, trial: &Trial, stop: &AtomicBool) -> Result<Vec<TrialRep
                 if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::On }
             };
             reports.push((repeat, Trial { repeat, ..trial.clone() }.run_while(proceed)));
-            done.fetch_add(1, Ordering::Relaxed);
         }
     };
     let mut reports: Vec<(u32, TrialReport)> = std::thread::scope(|scope| {
         let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
-        threads.into_iter().flat_map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+        threads
+            .into_iter()
+            .flat_map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+            .collect()
     });
     bar.finish_and_clear();
     reports.sort_by_key(|(repeat, _)| *repeat);
@@ -162,7 +168,8 @@ fn progress(args: &Args) -> ProgressBar {
     }
     // On anything but a terminal it draws nothing.
     let bar = ProgressBar::new(u64::from(args.episodes) * u64::from(args.repeats));
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} episodes, {eta} left").expect("the template is sound");
+    let style =
+        ProgressStyle::with_template("{bar:30} {pos}/{len} episodes, {eta} left").expect("the template is sound");
     bar.set_style(style);
     bar.enable_steady_tick(Duration::from_millis(200));
     bar
@@ -176,7 +183,11 @@ fn trial(args: &Args) -> Result<Trial> {
     let scenario = scenario::build(&args.scenario, &Settings { robots }).map_err(|e| bad(format!("--robots: {e}")))?;
     let mut deployment = match file {
         Some(file) if file.robots != scenario.robots() => {
-            return Err(bad(format!("--robots: {} robots, but the deployment file has {}", scenario.robots(), file.robots)));
+            return Err(bad(format!(
+                "--robots: {} robots, but the deployment file has {}",
+                scenario.robots(),
+                file.robots
+            )));
         }
         Some(file) => file,
         None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
@@ -210,7 +221,7 @@ fn trial(args: &Args) -> Result<Trial> {
 fn read_deployment(path: &Path) -> Result<Deployment> {
     let text = read_text(path, "deployment file")?;
     Deployment::from_toml(&text)
-        .map_err(|e| BadInput(format!("the deployment file '{}': {}", path.display(), one_line(&e.to_string()))).into())
+        .map_err(|e| BadInput(format!("the deployment file '{}': {}", path.display(), e)).into())
 }
 
 fn model(args: &Args, scenario: &dyn Scenario) -> Result<Model> {
@@ -261,12 +272,10 @@ fn faults(args: &Args, trial: &Trial) -> Result<FaultPlan> {
     let Some(given) = &args.faults else { return Ok(FaultPlan::default()) };
     let robots = trial.scenario.robots();
     if let Ok(seed) = given.parse::<u64>() {
-        let horizon = Span::from_secs(EPISODE_S * f64::from(args.episodes));
-        return Ok(FaultPlan::random(seed, robots, horizon));
+        return Ok(trial.clone().random_faults(seed).faults);
     }
     let text = read_text(Path::new(given), "fault plan (a seed would be a whole number)")?;
-    let plan = FaultPlan::from_toml(&text, robots)
-        .map_err(|e| BadInput(format!("the fault plan '{given}': {}", one_line(&e.to_string()))))?;
+    let plan = FaultPlan::from_toml(&text, robots).map_err(|e| BadInput(format!("the fault plan '{given}': {}", e)))?;
     let links: Vec<&str> = trial.deployment.links.iter().map(|link| link.name.as_str()).collect();
     if let Some(fault) = plan.links.iter().find(|fault| !links.contains(&fault.link.as_str())) {
         let known = if links.is_empty() { "none".to_owned() } else { links.join(", ") };
@@ -276,16 +285,21 @@ fn faults(args: &Args, trial: &Trial) -> Result<FaultPlan> {
     Ok(plan)
 }
 
-/// The parser's message on one line: what and where, without the drawing.
-fn one_line(text: &str) -> String {
-    let drawn = |line: &str| line.contains('|');
-    let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty() && !drawn(line)).collect();
-    lines.join(": ")
-}
-
 fn write_paths(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
     let mut csv = csv::Writer::from_writer(std::io::BufWriter::new(file.writer()));
-    csv.write_record(["repeat", "episode", "phase", "time_s", "robot", "x_m", "y_m", "vx_m_s", "vy_m_s", "command_x_m_s", "command_y_m_s"])?;
+    csv.write_record([
+        "repeat",
+        "episode",
+        "phase",
+        "time_s",
+        "robot",
+        "x_m",
+        "y_m",
+        "vx_m_s",
+        "vy_m_s",
+        "command_x_m_s",
+        "command_y_m_s",
+    ])?;
     for (repeat, report) in reports.iter().enumerate() {
         for step in &report.steps {
             for sample in &step.samples {

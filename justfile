@@ -1,0 +1,26 @@
+# Recipes for people who work on Murmurate. `just` lists them.
+
+default:
+    @just --list
+
+# Format, lint and fast tests (a minute once dependencies are built)
+check:
+    cargo fmt --check
+    cargo clippy --all-targets -- -D warnings
+    cargo test --lib --test contracts --test wire --test determinism --test faults --test tidy
+
+# Episodes of the passage in a preset mode (seconds)
+sim mode="offboard" *flags:
+    cargo run --release -- sim --mode {{mode}} {{flags}}
+
+# Episodes with faults drawn from a seed (seconds)
+faults seed *flags:
+    cargo run --release -- sim --mode onboard-adhoc --episodes 5 --repeats 1 --faults {{seed}} {{flags}}
+
+# One policy step, and whole trials (a minute)
+bench:
+    cargo bench
+
+# Exactly what the gate runs (about 12 minutes on 2 cores)
+ci:
+    bash .ci/run

@@ -1,0 +1,183 @@
+//! What every registered scenario, policy and plant, and every preset mode, must do. A new entry in a registry
+//! is tested here without a line of new test code.
+
+use murmurate::deploy::{Deployment, MODES};
+use murmurate::messages::geometry::{Motion, Vec2, is_finite};
+use murmurate::messages::local::Contacts;
+use murmurate::policy::{self, Model, Neighbour};
+use murmurate::random::Seed;
+use murmurate::scenario::judge::Verdict;
+use murmurate::scenario::{self, Observation, Scenario, Settings, Stage};
+use murmurate::time::Span;
+use murmurate::trial::Trial;
+use murmurate::world;
+
+/// Every scenario with its own team, and with each other team size that it takes.
+fn scenarios() -> Vec<std::sync::Arc<dyn Scenario>> {
+    let sizes = [None, Some(2), Some(3), Some(8), Some(12)];
+    let of = |entry: &'static scenario::Entry| {
+        sizes.into_iter().filter_map(|robots| (entry.build)(&Settings { robots }).ok()).collect::<Vec<_>>()
+    };
+    let all: Vec<_> = scenario::REGISTRY.iter().flat_map(of).collect();
+    assert!(all.len() > scenario::REGISTRY.len(), "scenarios come in several sizes");
+    all
+}
+
+#[test]
+fn a_scenario_deals_out_tasks_that_chain_and_have_room() {
+    for scenario in scenarios() {
+        for seed in 0..20 {
+            for episode in 0..3 {
+                let tasks = scenario.tasks(seed, episode);
+                let name = format!("{} of {}, seed {seed}, episode {episode}", scenario.name(), scenario.robots());
+                assert_eq!(tasks.len(), scenario.robots(), "{name}");
+                assert_eq!(tasks, scenario.tasks(seed, episode), "{name}: the same twice");
+                let starts: Vec<Vec2> = scenario.tasks(seed, episode + 1).iter().map(|task| task.start).collect();
+                let goals: Vec<Vec2> = tasks.iter().map(|task| task.goal).collect();
+                assert_eq!(goals, starts, "{name}: an episode starts where the one before has ended");
+                for (robot, goal) in goals.iter().enumerate() {
+                    assert!(scenario.arena().admits(*goal), "{name}: robot {robot} at {goal}");
+                    let near = |other: &Vec2| (other - goal).norm() <= 2.0 * scenario.arena().robot_radius_m;
+                    assert!(!goals[..robot].iter().any(near), "{name}: robot {robot} overlaps another");
+                    assert!(!scenario.reached(&tasks[robot], tasks[robot].start), "{name}: there is a way to go");
+                }
+            }
+        }
+        assert_ne!(scenario.tasks(1, 0), scenario.tasks(2, 0), "{}: a seed makes a difference", scenario.name());
+    }
+}
+
+#[test]
+fn observing_and_steering_are_inverse_frames() {
+    for scenario in scenarios() {
+        for task in (0..4).flat_map(|episode| scenario.tasks(5, episode)) {
+            let estimate = Motion { position: task.start, velocity: Vec2::new(0.3, -0.7) };
+            let seen = scenario.observe(&task, &estimate);
+            assert_eq!(scenario.steer(&task, seen.motion.velocity), estimate.velocity, "{}", scenario.name());
+            let frame = scenario.frame(&task);
+            assert_eq!(frame.turn(seen.motion.position), estimate.position);
+            assert_eq!(frame.turn(seen.goal), task.goal);
+        }
+    }
+}
+
+#[test]
+fn a_reward_is_finite_and_comes_to_an_end_at_the_goal() {
+    for scenario in scenarios() {
+        for task in scenario.tasks(3, 0) {
+            let mut stage = Stage::default();
+            // From start to goal along a line: through walls, which is no business of a reward's.
+            for k in 0..=400 {
+                let share = (k as f32 / 200.0).min(1.0);
+                let position = task.start + (task.goal - task.start) * share;
+                let motion = Motion { position, velocity: task.goal - task.start };
+                let contacts = Contacts { robot: k == 10, wall: k == 20 };
+                let before = stage;
+                let earned = scenario.reward(&task, &motion, contacts, &mut stage);
+                assert!(earned.is_finite() && stage >= before, "{}: {earned} at {stage:?}", scenario.name());
+            }
+            let motion = Motion::at_rest(task.goal);
+            assert!(scenario.reached(&task, task.goal));
+            let free = scenario.reward(&task, &motion, Contacts::default(), &mut stage.clone());
+            let blocked = Contacts { robot: true, wall: true };
+            assert!(scenario.reward(&task, &motion, blocked, &mut stage) < free, "being blocked costs");
+        }
+    }
+}
+
+#[test]
+fn the_scripted_baseline_solves_every_scenario() {
+    for entry in scenario::REGISTRY {
+        let report = Trial::preset("sim", entry.name).expect("a preset").seed(1).episodes(12).run();
+        assert_eq!(report.episodes.len(), 12);
+        assert!(report.successes() >= 11, "{}: {:?}", entry.name, report.episodes);
+    }
+}
+
+#[test]
+fn every_mode_runs_episodes_with_resets() {
+    for mode in MODES {
+        let report = Trial::preset(mode, "passage").expect("a preset").seed(2).episodes(3).run();
+        let verdicts: Vec<Verdict> = report.episodes.iter().map(|episode| episode.verdict).collect();
+        assert_eq!(verdicts, [Verdict::Success; 3], "{mode}");
+        assert_eq!(report.refused, 0, "{mode}: no mailbox overflows");
+        let drives = Deployment::preset(mode, 5).expect("a preset").hosts.len() > 1;
+        assert_eq!(report.episodes[1].reset_s > 0.0, drives, "{mode}: robots drive to their starts");
+    }
+}
+
+/// A few observations and what two neighbours might say.
+fn situations(model: &Model) -> Vec<(Observation, Vec<(Motion, Vec<f32>)>)> {
+    let width = model.interface().features;
+    let at = |x: f32, y: f32| Motion { position: Vec2::new(x, y), velocity: Vec2::new(0.2, 0.5) };
+    let said = |k: usize| (0..width).map(|i| 0.3 + ((i + k) as f32 * 0.37).sin() * 0.2).collect::<Vec<f32>>();
+    let neighbours = vec![(at(0.8, -1.2), said(0)), (at(-0.9, -1.1), said(3))];
+    let goal = Vec2::new(0.4, 1.6);
+    vec![
+        (Observation { motion: at(0.0, -1.5), goal }, neighbours.clone()),
+        (Observation { motion: at(0.0, -1.5), goal }, Vec::new()),
+        (Observation { motion: at(0.1, 0.0), goal }, neighbours[..1].to_vec()),
+        (Observation { motion: Motion::at_rest(goal), goal }, neighbours),
+    ]
+}
+
+#[test]
+fn a_policy_is_a_function_of_what_it_sees_and_draws() {
+    let passage = scenario::build("passage", &Settings { robots: None }).expect("the default is sound");
+    for entry in policy::REGISTRY {
+        let model = (entry.example)();
+        assert_eq!(model.name(), entry.name);
+        let interface = model.interface();
+        assert!(interface.features > 0 && interface.period > Span::ZERO && interface.hold >= interface.period);
+        let act = |situation: &(Observation, Vec<(Motion, Vec<f32>)>), seed| {
+            let mut policy = model.instance(passage.arena());
+            let mut features = vec![f32::NAN; interface.features];
+            policy.encode(&situation.0, &mut features);
+            let heard = situation.1.iter().map(|(motion, features)| Neighbour {
+                motion: *motion,
+                features,
+                age: Span::from_millis(20),
+            });
+            let heard: Vec<Neighbour> = heard.collect();
+            let velocity = policy.act(&situation.0, &features, &heard, &mut Seed::of_run(seed).stream("draw"));
+            assert!(features.iter().all(|float| float.is_finite()), "{}: it writes all features", entry.name);
+            assert!(is_finite(velocity), "{}: {velocity}", entry.name);
+            (features, velocity)
+        };
+        for situation in situations(&model) {
+            assert_eq!(act(&situation, 1), act(&situation, 1), "{}: two instances agree", entry.name);
+        }
+    }
+}
+
+#[test]
+fn a_plant_obeys_and_repeats_itself() {
+    let scenario = scenario::build("passage", &Settings { robots: None }).expect("the default is sound");
+    let starts: Vec<Vec2> = scenario.tasks(1, 0).iter().map(|task| task.start).collect();
+    for entry in world::REGISTRY {
+        let run = || {
+            let mut plant = (entry.build)(scenario.arena(), &starts);
+            assert!(plant.period() > Span::ZERO);
+            for (robot, start) in starts.iter().enumerate() {
+                assert_eq!(plant.states()[robot].motion, Motion::at_rest(*start), "{}: at rest at first", entry.name);
+                plant.drive(robot, Vec2::new(0.0, -1.0));
+            }
+            (0..40).for_each(|_| plant.advance());
+            let moved = plant.states().to_vec();
+            (0..starts.len()).for_each(|robot| plant.drive(robot, Vec2::zeros()));
+            (0..100).for_each(|_| plant.advance());
+            (moved, plant.states().to_vec())
+        };
+        let (moved, stopped) = run();
+        assert_eq!((moved.clone(), stopped.clone()), run(), "{}: the same twice, bit for bit", entry.name);
+        for robot in 0..starts.len() {
+            assert!(moved[robot].motion.position.y < starts[robot].y, "{}: robot {robot} moves", entry.name);
+            assert!(
+                moved[robot].motion.position.y >= -scenario.arena().half_extent.y,
+                "{}: within the arena",
+                entry.name
+            );
+            assert!(stopped[robot].motion.velocity.norm() < 1e-3, "{}: robot {robot} stops", entry.name);
+        }
+    }
+}

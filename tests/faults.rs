@@ -1,0 +1,203 @@
+//! Things die, and the team survives: motors stop in time, the next episode runs.
+//!
+//! The first test is an example to copy for a system of your own.
+
+use murmurate::actors::controller::MAX_SILENCE;
+use murmurate::actors::graph::COMMAND_VALIDITY;
+use murmurate::actors::state_server::MISSING_AFTER;
+use murmurate::messages::geometry::Vec2;
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::wire::Phase;
+use murmurate::net::fault::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFaultKind, Role};
+use murmurate::report::trial::TrialReport;
+use murmurate::scenario::judge::Verdict;
+use murmurate::time::{Span, Time};
+use murmurate::trial::Trial;
+use murmurate::world::kinematic;
+
+/// An example: robot 2 loses its controller in the midst of the first episode, for three seconds.
+#[test]
+fn example_a_crashed_controller_stops_its_robot_and_the_next_episode_runs() {
+    let plan = r#"
+        [[actor]]
+        actor = "controller"
+        robot = 2
+        fault = "crash"
+        at_s = 4.0
+        for_s = 3.0
+    "#;
+    let trial = Trial::preset("offboard", "passage").expect("a preset mode and scenario");
+    let trial = trial.seed(1).episodes(2).faults(FaultPlan::from_toml(plan, 5).expect("the plan is sound"));
+    let report = trial.keeping_steps().run();
+
+    // Its motors stand still from the moment that its last command has lapsed.
+    let stopped_at = 4.0 + COMMAND_VALIDITY.as_secs() + kinematic::PERIOD.as_secs();
+    for step in &report.steps {
+        let robot = &step.samples[2];
+        if (stopped_at..7.0).contains(&robot.time.as_secs()) {
+            assert_eq!(robot.command, Vec2::zeros(), "at {}", robot.time);
+        }
+    }
+    // The state server misses it, gives the episode up, and leads the team into the next.
+    assert_eq!(report.episodes[0].verdict, Verdict::Aborted);
+    assert_eq!(report.episodes[1].verdict, Verdict::Success);
+}
+
+const MODES: [&str; 3] = ["offboard", "onboard-infra", "onboard-adhoc"];
+
+fn trial(mode: &str, seed: u64) -> Trial {
+    Trial::preset(mode, "passage").expect("a preset").seed(seed).episodes(3).keeping_steps()
+}
+
+/// The command that runs the same again.
+fn replay(mode: &str, seed: u64, faults: u64) -> String {
+    format!(
+        "replay with: cargo run --release -- sim --mode {mode} --seed {seed} --episodes 5 --repeats 1 \
+         --faults {faults} --trajectories replay.csv"
+    )
+}
+
+/// A moment in the midst of the first episode.
+fn midst(mode: &str, seed: u64) -> Time {
+    let report = trial(mode, seed).run();
+    let running: Vec<Time> = report
+        .steps
+        .iter()
+        .filter(|step| step.episode == 0 && step.phase == Phase::Running)
+        .map(|step| step.samples[0].time)
+        .collect();
+    running[running.len() / 3]
+}
+
+/// When the robot was still driven between two moments; `None` if it never was.
+fn driven(report: &TrialReport, robot: RobotId, from: Time, until: Time) -> Option<Time> {
+    let samples = report.steps.iter().map(|step| &step.samples[robot.index()]);
+    samples.filter(|s| s.time >= from && s.time < until).find(|s| s.command != Vec2::zeros()).map(|s| s.time)
+}
+
+#[test]
+fn a_crash_of_any_actor_stops_the_motors_in_time_and_the_next_episode_runs() {
+    let in_time = COMMAND_VALIDITY + kinematic::PERIOD;
+    let robot = RobotId(3);
+    for mode in MODES {
+        for role in [Role::Cache, Role::Agent, Role::Controller, Role::Body, Role::StateServer] {
+            let at = midst(mode, 5);
+            let lasts = Span::from_millis(4000);
+            let fault = ActorFault { role, robot, kind: ActorFaultKind::Crash, at, lasts, by: Span::ZERO };
+            let plan = FaultPlan { actors: vec![fault], links: Vec::new() };
+            let report = trial(mode, 5).faults(plan).run();
+
+            // Robots hear of a dead state server by its silence; of anything else by what it no longer sends.
+            let silence = if role == Role::StateServer { MAX_SILENCE } else { Span::ZERO };
+            let robots = if role == Role::StateServer { RobotId::team(5).collect() } else { vec![robot] };
+            for robot in robots {
+                let late = driven(&report, robot, at + silence + in_time, at + lasts);
+                assert_eq!(late, None, "{mode}: {role:?} crashed at {at}; {robot} was still driven");
+            }
+            assert_eq!(report.episodes.len(), 3, "{mode}: {role:?}: every episode has a result");
+            let last = report.episodes[2].verdict;
+            assert_eq!(last, Verdict::Success, "{mode}: {role:?}: the team is back: {:?}", report.episodes);
+        }
+    }
+}
+
+#[test]
+fn a_robot_whose_agent_was_away_for_a_moment_rejoins_the_running_episode() {
+    let at = midst("onboard-adhoc", 6);
+    let lasts = Span::from_millis(700);
+    let (role, robot, kind) = (Role::Agent, RobotId(0), ActorFaultKind::Crash);
+    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO };
+    let plan = FaultPlan { actors: vec![fault], links: Vec::new() };
+    let report = trial("onboard-adhoc", 6).faults(plan).run();
+    assert_eq!(report.episodes[0].verdict, Verdict::Success, "{:?}", report.episodes[0]);
+    let back = at + lasts + Span::from_millis(300);
+    assert!(driven(&report, robot, at + lasts, back).is_some(), "it drives again");
+}
+
+#[test]
+fn whoever_is_stalled_or_mute_is_missed_and_comes_back() {
+    for kind in [ActorFaultKind::Stall, ActorFaultKind::Mute] {
+        let at = midst("onboard-infra", 7);
+        let (role, robot, lasts) = (Role::Controller, RobotId(1), MISSING_AFTER + Span::from_millis(1500));
+        let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO };
+        let plan = FaultPlan { actors: vec![fault], links: Vec::new() };
+        let report = trial("onboard-infra", 7).faults(plan).run();
+        let late = driven(&report, robot, at + COMMAND_VALIDITY + kinematic::PERIOD, at + lasts);
+        assert_eq!(late, None, "{kind:?}: still driven");
+        assert_eq!(report.episodes[0].verdict, Verdict::Aborted, "{kind:?}");
+        assert_eq!(report.episodes[2].verdict, Verdict::Success, "{kind:?}");
+    }
+}
+
+#[test]
+fn a_slow_actor_is_slow_and_nothing_else() {
+    let slow = |by| {
+        let (role, robot, kind) = (Role::Agent, RobotId(1), ActorFaultKind::Slow);
+        let fault = ActorFault { role, robot, kind, at: Time::ZERO, lasts: Span::from_secs(1000.0), by };
+        trial("offboard", 8).faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run()
+    };
+    let (report, quick) = (slow(Span::from_millis(30)), trial("offboard", 8).run());
+    assert_eq!(report.episodes.len(), 3);
+    assert_ne!(report.totals, quick.totals, "the fault has an effect");
+    assert_eq!(report.episodes[2].verdict, Verdict::Success);
+}
+
+#[test]
+fn a_partitioned_network_stops_the_team_and_heals() {
+    let from = midst("onboard-infra", 9);
+    let until = from + Span::from_millis(3000);
+    // Host 0 is robot 0's; on infra travel its readings, heartbeats and instructions.
+    let hosts = vec![murmurate::messages::ids::HostId(0)];
+    let fault =
+        LinkFault { kind: LinkFaultKind::Partition, hosts, from, until, ..LinkFault::always("infra", Span::ZERO) };
+    let report = trial("onboard-infra", 9).faults(FaultPlan { actors: Vec::new(), links: vec![fault] }).run();
+    // Own readings are gone: 100 ms until they count as stale, one tick, and the validity of the last command.
+    let in_time = Span::from_millis(100) + kinematic::PERIOD + COMMAND_VALIDITY + kinematic::PERIOD;
+    assert_eq!(driven(&report, RobotId(0), from + in_time, until), None);
+    assert_eq!(report.episodes[0].verdict, Verdict::Aborted);
+    assert_eq!(report.episodes[2].verdict, Verdict::Success);
+}
+
+#[test]
+fn seeded_plans_are_safe_always_and_make_progress_once_they_are_over() {
+    for seed in 0..12 {
+        let mode = MODES[seed as usize % MODES.len()];
+        let trial = trial(mode, seed).episodes(5).random_faults(seed);
+        let plan = trial.faults.clone();
+        // What was stalled or slow may be carried out as late as that.
+        let late = plan.actors.iter().map(|fault| match fault.kind {
+            ActorFaultKind::Stall => fault.lasts,
+            ActorFaultKind::Slow => fault.by,
+            ActorFaultKind::Crash | ActorFaultKind::Mute => Span::ZERO,
+        });
+        let bound = COMMAND_VALIDITY + kinematic::PERIOD + late.max().unwrap_or(Span::ZERO);
+        let over = plan.over();
+        let report = trial.run();
+        let replay = replay(mode, seed, seed);
+
+        let totals = report.totals.unwrap_or_else(|| panic!("the trial ends; {replay}"));
+        assert!(totals.oldest_command <= bound, "driven by a command {} old; {replay}", totals.oldest_command);
+        assert_eq!(report.episodes.len(), 5, "every episode has a result; {replay}");
+        assert!(totals.end > over, "the faults were over before the end; {replay}");
+        assert_eq!(report.episodes[4].verdict, Verdict::Success, "{:?}; {replay}", report.episodes);
+    }
+}
+
+#[test]
+fn two_worlds_share_a_team() {
+    let mut trial = trial("onboard-adhoc", 10);
+    let hosts = &mut trial.deployment.hosts;
+    let world = hosts.last_mut().expect("the last host is the world's");
+    world.world = vec![0, 1];
+    let other = murmurate::deploy::Host {
+        name: "other-world".to_owned(),
+        world: vec![2, 3, 4],
+        state_server: false,
+        ..world.clone()
+    };
+    hosts.push(other);
+    trial.deployment.check().expect("two worlds are sound");
+    let report = trial.run();
+    assert_eq!(report.successes(), 3, "{:?}", report.episodes);
+    assert!(report.steps.iter().all(|step| step.samples.len() == 5), "the recorder sees both worlds as one");
+}

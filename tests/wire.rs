@@ -1,0 +1,167 @@
+//! The wire: whatever can be built can be sent, whatever was sent can be read, and nothing else ever is.
+
+use std::sync::Arc;
+
+use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::wire::{
+    Features, Heartbeat, Latent, MAX_BLOCK, MAX_FEATURES, MAX_VALIDITY, Mode, MotorCommand, Phase, Reading, Round, Wire,
+};
+use murmurate::net::codec::{
+    DecodeError, EncodeError, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, VERSION, decode, encode, peek,
+};
+use murmurate::time::Span;
+use proptest::prelude::*;
+
+fn header(message: &Wire) -> Header {
+    Header { kind: message.kind(), team: 7, sender: HostId(3), epoch: 2, sequence: u32::MAX }
+}
+
+fn send(message: &Wire) -> Frame {
+    encode(&header(message), message).expect("a sound message can be sent")
+}
+
+fn motion() -> impl Strategy<Value = Motion> {
+    let float = || -1e6f32..1e6;
+    (float(), float(), float(), float())
+        .prop_map(|(x, y, vx, vy)| Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) })
+}
+
+fn phase() -> impl Strategy<Value = Phase> {
+    (0u8..7).prop_map(|number| Phase::try_from(number).expect("there are seven phases"))
+}
+
+fn round() -> impl Strategy<Value = Round> {
+    (any::<u32>(), any::<u32>()).prop_map(|(epoch, episode)| Round { epoch, episode })
+}
+
+fn robot() -> impl Strategy<Value = RobotId> {
+    any::<u16>().prop_map(RobotId)
+}
+
+fn message() -> impl Strategy<Value = Wire> {
+    let reading = (robot(), any::<u64>(), motion())
+        .prop_map(|(robot, stamp_ns, motion)| Wire::Reading(Reading { robot, stamp_ns, motion }));
+    let features = prop::collection::vec(-1e3f32..1e3, 0..=MAX_FEATURES).prop_map(|floats| Features(Arc::from(floats)));
+    let latent = (robot(), round(), phase(), motion(), features).prop_map(|(robot, round, phase, motion, features)| {
+        Wire::Latent(Latent { robot, round, phase, motion, features })
+    });
+    let command = (robot(), motion(), 0..=MAX_VALIDITY.as_nanos()).prop_map(|(robot, motion, ns)| {
+        Wire::MotorCommand(MotorCommand { robot, velocity: motion.velocity, valid_for: Span::from_nanos(ns) })
+    });
+    let beat = (robot(), round(), phase())
+        .prop_map(|(robot, round, phase)| Wire::Heartbeat(Heartbeat { robot, round, phase }));
+    let tasks = prop::collection::vec(motion(), 1..=MAX_BLOCK);
+    let mode = (round(), any::<u32>(), phase(), 0u16..1000, tasks).prop_map(|(round, repeat, phase, first, tasks)| {
+        let task = |motion: Motion| Task { start: motion.position, goal: motion.velocity };
+        let tasks = tasks.into_iter().map(task).collect();
+        Wire::Mode(Mode { round, repeat, phase, first: RobotId(first), tasks })
+    });
+    prop_oneof![reading, latent, command, beat, mode]
+}
+
+fn latent(features: Vec<f32>) -> Wire {
+    Wire::Latent(Latent {
+        robot: RobotId(u16::MAX),
+        round: Round { epoch: u32::MAX, episode: u32::MAX },
+        phase: Phase::Running,
+        motion: Motion { position: Vec2::new(1.25, -2.5), velocity: Vec2::new(0.5, 1.5) },
+        features: Features(Arc::from(features)),
+    })
+}
+
+proptest! {
+    #[test]
+    fn what_can_be_built_survives_the_wire(message in message()) {
+        let frame = send(&message);
+        prop_assert!(frame.len() <= MAX_FRAME_BYTES);
+        prop_assert_eq!(decode(&frame), Ok((header(&message), message.clone())));
+    }
+
+    #[test]
+    fn a_frame_that_was_cut_or_lengthened_is_refused(message in message(), extra in any::<u8>()) {
+        let frame = send(&message);
+        for length in 0..frame.len() {
+            prop_assert!(decode(&frame[..length]).is_err(), "the first {length} bytes are no frame");
+        }
+        let mut longer = frame.to_vec();
+        longer.push(extra);
+        prop_assert!(decode(&longer).is_err(), "a byte too many");
+    }
+
+    #[test]
+    fn a_turned_bit_is_refused_or_makes_another_sound_message(message in message()) {
+        let frame = send(&message);
+        for bit in 0..frame.len() * 8 {
+            let mut turned = frame.to_vec();
+            turned[bit / 8] ^= 1 << (bit % 8);
+            if let Ok((header, other)) = decode(&turned) {
+                prop_assert!(other.check().is_ok());
+                prop_assert!((header, other) != (self::header(&message), message.clone()), "bit {bit} counts");
+            }
+        }
+    }
+
+    #[test]
+    fn noise_is_refused_and_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..1400), kind in 0u8..6) {
+        let _ = decode(&bytes);
+        // Noise behind a sound header gets further in.
+        let mut frame = vec![VERSION, kind];
+        frame.extend(bytes);
+        if let Ok((_, message)) = decode(&frame) {
+            prop_assert!(message.check().is_ok());
+        }
+    }
+}
+
+#[test]
+fn numbers_that_are_none_are_refused_at_both_ends() {
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        let message = latent(vec![0.0, bad]);
+        assert!(matches!(encode(&header(&message), &message), Err(EncodeError::Unfit(..))));
+        // Smuggled in behind the sender's back: the last four bytes are the last feature.
+        let mut frame = send(&latent(vec![0.0, 0.0])).to_vec();
+        let at = frame.len() - 4;
+        frame[at..].copy_from_slice(&bad.to_le_bytes());
+        assert!(matches!(decode(&frame), Err(DecodeError::Unfit(..))));
+    }
+}
+
+#[test]
+fn another_version_and_another_kind_are_refused() {
+    let frame = send(&latent(vec![0.0; 32]));
+    let with = |at: usize, byte: u8| {
+        let mut frame = frame.to_vec();
+        frame[at] = byte;
+        decode(&frame)
+    };
+    assert_eq!(with(0, VERSION + 1), Err(DecodeError::Version(VERSION + 1)));
+    assert_eq!(with(1, 200), Err(DecodeError::Kind(200)));
+    assert_eq!(decode(&[VERSION; 5]), Err(DecodeError::Length(5)));
+    assert_eq!(peek(&vec![VERSION; MAX_FRAME_BYTES + 1]), Err(DecodeError::Length(MAX_FRAME_BYTES + 1)));
+}
+
+#[test]
+fn limits_hold_when_sending() {
+    let unfit = |message: Wire| matches!(encode(&header(&message), &message), Err(EncodeError::Unfit(..)));
+    assert!(unfit(latent(vec![0.0; MAX_FEATURES + 1])));
+    let velocity = Vec2::zeros();
+    let valid_for = MAX_VALIDITY + Span::from_nanos(1);
+    assert!(unfit(Wire::MotorCommand(MotorCommand { robot: RobotId(0), velocity, valid_for })));
+    let mode = |first: u16, count: usize| {
+        let task = Task { start: Vec2::zeros(), goal: Vec2::zeros() };
+        let tasks = vec![task; count].into();
+        Wire::Mode(Mode { round: Round::default(), repeat: 0, phase: Phase::Running, first: RobotId(first), tasks })
+    };
+    assert!(unfit(mode(0, 0)) && unfit(mode(0, MAX_BLOCK + 1)) && unfit(mode(u16::MAX, 2)));
+    assert!(send(&mode(1000, MAX_BLOCK)).len() <= MAX_FRAME_BYTES);
+}
+
+#[test]
+fn a_published_latent_is_small() {
+    // 32 floats, with every integer at its largest: header and body.
+    let frame = send(&latent(vec![0.5; 32]));
+    assert!(frame.len() <= 200, "{} bytes", frame.len());
+    const TAG_BYTES: usize = 16;
+    const { assert!(HEADER_BYTES + TAG_BYTES <= 40, "header and tag take at most 40 bytes") };
+}
