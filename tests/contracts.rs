@@ -106,8 +106,11 @@ fn every_mode_runs_episodes_with_resets() {
     }
 }
 
+/// What a robot sees, and what its neighbours say.
+type Situation = (Observation, Vec<(Motion, Vec<f32>)>);
+
 /// A few observations and what two neighbours might say.
-fn situations(model: &Model) -> Vec<(Observation, Vec<(Motion, Vec<f32>)>)> {
+fn situations(model: &Model) -> Vec<Situation> {
     let width = model.interface().features;
     let at = |x: f32, y: f32| Motion { position: Vec2::new(x, y), velocity: Vec2::new(0.2, 0.5) };
     let said = |k: usize| (0..width).map(|i| 0.3 + ((i + k) as f32 * 0.37).sin() * 0.2).collect::<Vec<f32>>();
@@ -129,7 +132,7 @@ fn a_policy_is_a_function_of_what_it_sees_and_draws() {
         assert_eq!(model.name(), entry.name);
         let interface = model.interface();
         assert!(interface.features > 0 && interface.period > Span::ZERO && interface.hold >= interface.period);
-        let act = |situation: &(Observation, Vec<(Motion, Vec<f32>)>), seed| {
+        let act = |situation: &Situation, seed| {
             let mut policy = model.instance(passage.arena());
             let mut features = vec![f32::NAN; interface.features];
             policy.encode(&situation.0, &mut features);
