@@ -15,10 +15,11 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
 
-use crate::actors::clock::{End, run_virtual};
+use crate::actors::drive::{End, run_virtual};
 use crate::actors::graph::{self, Plan};
 use crate::actors::recorder::{Out, Steps};
-use crate::deploy::{DeployError, Deployment};
+use crate::config::ConfigError;
+use crate::deploy::Deployment;
 use crate::net::fault::FaultPlan;
 use crate::net::range::CommRange;
 use crate::policy::Model;
@@ -28,6 +29,7 @@ pub use crate::report::trial::TrialReport;
 use crate::scenario::layout::Layouts;
 use crate::scenario::{self, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
+use crate::world::Placement;
 
 /// About how long an episode with its reset takes \[s\].
 const EPISODE_S: f64 = 10.0;
@@ -63,7 +65,7 @@ pub enum TrialError {
     Scenario(#[from] ScenarioError),
     /// The deployment cannot be used.
     #[error(transparent)]
-    Deployment(#[from] DeployError),
+    Deployment(#[from] ConfigError),
     /// No preset has that name.
     #[error("there is no mode '{name}'; there are: {}", crate::deploy::MODES.join(", "))]
     Mode {
@@ -152,6 +154,7 @@ impl Trial {
             simulated: Span::ZERO,
             totals: None,
             refused: 0,
+            lost: 0,
             steps: Vec::new(),
         }));
         let sink = {
@@ -175,14 +178,14 @@ impl Trial {
         );
         assert_eq!(end, End::Done, "a team that beats never falls idle");
         let mut report = said.borrow().clone();
-        report.refused = graph.refused();
+        (report.refused, report.lost) = graph.undelivered();
         report
     }
 
     fn plan(&self) -> Plan {
         let mut deployment = self.deployment.clone();
         if !self.layouts.chained() {
-            deployment.placement = crate::actors::world::Placement::Exact;
+            deployment.placement = Placement::Exact;
         }
         let interface = self.model.interface();
         Plan {

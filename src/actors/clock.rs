@@ -1,21 +1,11 @@
-//! The clock of a run, and the driver of virtual time.
-//!
-//! Virtual time is an event queue ordered by (time, sequence). The driver lets the actors run until every
-//! mailbox is empty, then sets the clock to the earliest event and delivers it. There is no other source
-//! of order, so a seed gives the same run on every machine.
+//! The clock of a run: the present, and an event queue ordered by (time, sequence). There is no other source of
+//! order, so a seed gives the same run on every machine. `drive` moves it on.
 
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
-use std::pin::Pin;
 use std::rc::Rc;
-use std::sync::Arc;
-use std::sync::atomic::{self, AtomicBool};
-use std::task::{Context, Wake, Waker};
 
-use tokio::task::LocalSet;
-
-use super::shell::in_system;
 use crate::time::Time;
 
 /// What the actors of one virtual world share: the time, and the queue of what is due.
@@ -99,7 +89,7 @@ impl Clock {
     }
 
     /// Goes to the earliest event and lets it happen; `false` if there is none.
-    fn step(&self) -> bool {
+    pub(super) fn step(&self) -> bool {
         let Some(event) = self.queue.borrow_mut().events.pop() else { return false };
         assert!(event.at >= self.now(), "time runs forward");
         self.now.set(event.at);
@@ -114,68 +104,7 @@ impl Clock {
     }
 
     /// Lets go of all sleepers and events, which hold the actors that hold this clock.
-    fn clear(&self) {
+    pub(super) fn clear(&self) {
         *self.queue.borrow_mut() = Queue::default();
     }
-}
-
-/// Why a virtual run ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum End {
-    /// `done` said so.
-    Done,
-    /// Nothing was left to happen.
-    Idle,
-}
-
-/// Runs a virtual world on this thread: `build` starts its actors, and time advances until `done`.
-pub fn run_virtual<W>(build: impl FnOnce(&Clock) -> W, mut done: impl FnMut(&W, Time) -> bool) -> (W, End) {
-    in_system(|| {
-        let clock = Clock::default();
-        let mut actors = LocalSet::new();
-        let world = {
-            let _inside = actors.enter();
-            build(&clock)
-        };
-        let end = loop {
-            drain(&mut actors);
-            if done(&world, clock.now()) {
-                break End::Done;
-            }
-            if !clock.step() {
-                break End::Idle;
-            }
-        };
-        clock.clear();
-        (world, end)
-    })
-}
-
-struct Signal(AtomicBool);
-
-impl Wake for Signal {
-    fn wake(self: Arc<Self>) {
-        self.wake_by_ref();
-    }
-    fn wake_by_ref(self: &Arc<Self>) {
-        self.0.store(true, atomic::Ordering::Relaxed);
-    }
-}
-
-/// Polls the actors until none has anything left to do.
-fn drain(actors: &mut LocalSet) {
-    thread_local! {
-        static SIGNAL: Arc<Signal> = Arc::new(Signal(AtomicBool::new(false)));
-    }
-    SIGNAL.with(|signal| {
-        let waker = Waker::from(Arc::clone(signal));
-        let mut context = Context::from_waker(&waker);
-        loop {
-            signal.0.store(false, atomic::Ordering::Relaxed);
-            let _ = Pin::new(&mut *actors).poll(&mut context);
-            if !signal.0.load(atomic::Ordering::Relaxed) {
-                return;
-            }
-        }
-    });
 }

@@ -1,6 +1,7 @@
 //! The whole actor graph as wiring: one place that says who talks to whom. No logic lives here.
 
 use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -110,20 +111,23 @@ impl Graph {
         self.networks[usize::from(host.0)].clone()
     }
 
-    /// Messages that full mailboxes refused, so far.
-    pub fn refused(&self) -> u64 {
-        fn sum<I>(mailboxes: &[Mailbox<I>]) -> u64 {
-            mailboxes.iter().map(Mailbox::refused).sum()
+    /// Messages that full mailboxes refused, and messages that were lost in crashes, so far.
+    pub fn undelivered(&self) -> (u64, u64) {
+        fn of<I>(mailboxes: &[Mailbox<I>]) -> impl Iterator<Item = (&str, (u64, u64))> {
+            mailboxes.iter().map(|mailbox| (mailbox.name(), (mailbox.refused(), mailbox.lost())))
         }
-        sum(&self.caches)
-            + sum(&self.agents)
-            + sum(&self.controllers)
-            + sum(&self.bodies)
-            + sum(&self.worlds)
-            + sum(&self.networks)
-            + sum(&self.ethers)
-            + self.server.refused()
-            + self.recorder.refused()
+        // By name, because some robots share an agent or a world.
+        let counts: BTreeMap<&str, (u64, u64)> = of(&self.caches)
+            .chain(of(&self.agents))
+            .chain(of(&self.controllers))
+            .chain(of(&self.bodies))
+            .chain(of(&self.worlds))
+            .chain(of(&self.networks))
+            .chain(of(&self.ethers))
+            .chain(of(std::slice::from_ref(&self.server)))
+            .chain(of(std::slice::from_ref(&self.recorder)))
+            .collect();
+        counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
     }
 
     fn inject(&self, deployment: &Deployment, fault: ActorFault) {
@@ -305,6 +309,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
         move |out| match out {
             network::Out::Deliver(message) => deliver(message),
             network::Out::Tap(frame) => recorder.send(recorder::In::Tap(frame)),
+            network::Out::Counts(counts) => recorder.send(recorder::In::Counts(host, counts)),
             network::Out::Transmit(link, audience, frame) => {
                 ethers[usize::from(link.0)].send(Transmit { from: host, audience, frame });
             }

@@ -2,13 +2,14 @@
 //!
 //! `cache`, `agent`, `controller`, `body`, `world`, `state_server`, `network` and `recorder` are cores: no
 //! clock, no I/O, no randomness but the streams they are given. `shell` is the only file that names the
-//! actor library, `clock` drives virtual time, `graph` says who talks to whom.
+//! actor library, `clock` and `drive` are virtual time, `graph` says who talks to whom.
 
 pub mod agent;
 pub mod body;
 pub mod cache;
 pub mod clock;
 pub mod controller;
+pub mod drive;
 pub mod graph;
 pub mod network;
 pub mod recorder;

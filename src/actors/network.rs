@@ -10,7 +10,7 @@ use crate::messages::wire::Wire;
 use crate::net::codec::{self, Frame};
 use crate::net::link::{LinkCounts, LinkState};
 use crate::net::router::{Audience, Router};
-use crate::time::Time;
+use crate::time::{Span, Time};
 
 /// What a Network accepts.
 #[derive(Clone, Debug)]
@@ -30,7 +30,12 @@ pub enum Out {
     Transmit(LinkId, Audience, Frame),
     /// To the Recorder: everything that was published.
     Tap(Frame),
+    /// To the Recorder: what has happened on all links together.
+    Counts(LinkCounts),
 }
+
+/// How often a Network tells its counts.
+pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
 /// One host's network.
 #[derive(Debug)]
@@ -39,18 +44,14 @@ pub struct Network {
     links: Vec<LinkState>,
     /// Counts the frames that are published but leave on no link.
     indoors: LinkState,
+    next_counts: Time,
 }
 
 impl Network {
     /// A network of `links` links in its `epoch`th incarnation.
     pub fn new(host: HostId, team: u16, epoch: u32, links: usize, router: Router) -> Network {
         let link = LinkState::new(host, team, epoch);
-        Network { router, links: vec![link.clone(); links], indoors: link }
-    }
-
-    /// What has happened on each link so far.
-    pub fn counts(&self) -> Vec<LinkCounts> {
-        self.links.iter().map(LinkState::counts).collect()
+        Network { router, links: vec![link.clone(); links], indoors: link, next_counts: Time::ZERO }
     }
 
     fn publish(&mut self, message: Wire, out: &mut Vec<Out>) {
@@ -107,8 +108,11 @@ impl Core for Network {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        None
+        Some(self.next_counts)
     }
 
-    fn wake(&mut self, _: Time, _: &mut Vec<Out>) {}
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
+        out.push(Out::Counts(self.links.iter().map(LinkState::counts).sum()));
+        self.next_counts = now.next_on_grid(Span::ZERO, COUNTS_PERIOD);
+    }
 }

@@ -3,12 +3,16 @@
 //! It digests both into the run's trace, follows the state server's instructions, and lets the judge see
 //! each step of a running episode. Nothing that it finds goes back into the graph.
 
+use std::collections::BTreeMap;
+
 use xxhash_rust::xxh3::Xxh3;
 
 use super::Core;
+use crate::messages::ids::HostId;
 use crate::messages::local::{Sample, Truth};
 use crate::messages::wire::{Kind, Phase, Round, Wire};
 use crate::net::codec::{self, Frame};
+use crate::net::link::LinkCounts;
 use crate::report::episode::Episode;
 use crate::report::trial::{Step, Totals};
 use crate::scenario::Rules;
@@ -23,6 +27,8 @@ pub enum In {
     Tap(Frame),
     /// A World has stepped.
     Truth(Truth),
+    /// What a Network has counted on its links since it was started.
+    Counts(HostId, LinkCounts),
 }
 
 /// What a Recorder says.
@@ -67,6 +73,8 @@ pub struct Recorder {
     /// Samples of the present instant that are in, and when that is.
     seen: (Time, usize),
     commanded: Vec<Time>,
+    /// The last counts of each host; those of a crashed Network begin anew.
+    counts: BTreeMap<HostId, LinkCounts>,
     oldest_command: Span,
     round: Round,
     phase: Phase,
@@ -88,6 +96,7 @@ impl Recorder {
             team: vec![None; robots],
             seen: (Time::ZERO, 0),
             commanded: vec![Time::ZERO; robots],
+            counts: BTreeMap::new(),
             oldest_command: Span::ZERO,
             round: Round::default(),
             phase: Phase::NeedReset,
@@ -141,6 +150,7 @@ impl Recorder {
                     end: now,
                     trace: self.digest.digest128(),
                     oldest_command: self.oldest_command,
+                    links: self.counts.values().copied().sum(),
                 }));
             }
             _ => {}
@@ -211,6 +221,9 @@ impl Core for Recorder {
         match input {
             In::Tap(frame) => self.tap(now, &frame, out),
             In::Truth(truth) => self.see(now, &truth, out),
+            In::Counts(host, counts) => {
+                self.counts.insert(host, counts);
+            }
         }
     }
 

@@ -5,12 +5,12 @@
 //! gives up an episode that was running, and goes on with the next.
 
 use super::Core;
-use super::world::Placement;
 use crate::messages::geometry::Task;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Heartbeat, MAX_BLOCK, Mode, Phase, Round};
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
+use crate::world::Placement;
 
 /// How often it decides: once a World step.
 pub const TICK: Span = Span::from_millis(50);

@@ -10,7 +10,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::local::{Drive, Sample, Truth};
 use crate::messages::wire::{Mode, Phase, Round};
 use crate::time::{Span, Time};
-use crate::world::Plant;
+use crate::world::{Placement, Plant};
 
 /// What a World accepts.
 #[derive(Clone, Debug)]
@@ -28,16 +28,6 @@ pub enum Out {
     Sample(Sample),
     /// To the Recorder.
     Truth(Truth),
-}
-
-/// How robots come to their starts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Placement {
-    /// The World puts them there, at rest, when an episode begins; there is no reset.
-    Exact,
-    /// They drive there during a reset.
-    Drive,
 }
 
 /// A world of some robots.

@@ -1,6 +1,7 @@
 //! Float vectors on the wire: one MessagePack `bin` of little-endian f32, not one marker a number.
 //!
-//! Serde impls only; whether the numbers make sense is checked by `Wire::check`.
+//! Holds `Features`, the one message field of no fixed length, and serde impls; whether numbers make sense is checked
+//! by `Wire::check`.
 
 use std::fmt;
 use std::sync::Arc;
@@ -9,7 +10,14 @@ use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::geometry::{Motion, Task, Vec2};
-use super::wire::{Features, MAX_FEATURES};
+
+/// The most floats that a latent may carry: with them a frame stays inside one datagram.
+pub const MAX_FEATURES: usize = 256;
+
+/// What a robot's policy tells its neighbours: for a GNN the encoder's output, for ORCA the radius \[m\]
+/// and the preferred velocity \[m/s\].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Features(pub Arc<[f32]>);
 
 /// Takes a byte string and hands it to a parser, which says what it expected.
 struct Bytes<T>(fn(&[u8]) -> Option<T>, &'static str);

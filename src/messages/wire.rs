@@ -8,21 +8,15 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::floats;
+pub use super::floats::{Features, MAX_FEATURES};
 use super::geometry::{Motion, Task, Vec2, is_finite};
 use super::ids::RobotId;
 use crate::time::Span;
 
-/// The most floats that a latent may carry: with them a frame stays inside one datagram.
-pub const MAX_FEATURES: usize = 256;
 /// The most robots in one `Mode` block: 64 x 16 bytes stay inside one datagram.
 pub const MAX_BLOCK: usize = 64;
 /// The longest validity that a command may claim: a lost team must not roll on for longer.
 pub const MAX_VALIDITY: Span = Span::from_millis(1000);
-
-/// What a robot's policy tells its neighbours: for a GNN the encoder's output, for ORCA the radius \[m\]
-/// and the preferred velocity \[m/s\].
-#[derive(Clone, Debug, PartialEq)]
-pub struct Features(pub Arc<[f32]>);
 
 /// The states of an episode (paper, section IV: the state machine of agents and of the state server).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

@@ -22,7 +22,7 @@
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use crate::config;
+use crate::config::{self, ConfigError};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 use crate::random::Seed;
@@ -151,22 +151,6 @@ pub struct FaultPlan {
     pub links: Vec<LinkFault>,
 }
 
-/// Why a plan cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum FaultPlanError {
-    /// Not TOML, or a field is missing, unknown or of the wrong type.
-    #[error("{0}")]
-    Syntax(String),
-    /// A field's value makes no sense.
-    #[error("{field}: {reason}")]
-    Field {
-        /// Where in the plan.
-        field: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-}
-
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PlanFile {
@@ -212,8 +196,8 @@ fn whole() -> f64 {
 
 impl FaultPlan {
     /// Reads a plan for a team of `robots` from TOML.
-    pub fn from_toml(text: &str, robots: usize) -> Result<FaultPlan, FaultPlanError> {
-        let file: PlanFile = config::from_toml(text).map_err(FaultPlanError::Syntax)?;
+    pub fn from_toml(text: &str, robots: usize) -> Result<FaultPlan, ConfigError> {
+        let file: PlanFile = config::from_toml(text)?;
         let actors = file.actor.into_iter().enumerate().map(|(i, entry)| entry.checked(i, robots));
         let links = file.link.into_iter().enumerate().map(|(i, entry)| entry.checked(i));
         Ok(FaultPlan { actors: actors.collect::<Result<_, _>>()?, links: links.collect::<Result<_, _>>()? })
@@ -255,23 +239,23 @@ impl FaultPlan {
     }
 }
 
-fn seconds(field: String, value: f64) -> Result<Span, FaultPlanError> {
+fn seconds(field: String, value: f64) -> Result<Span, ConfigError> {
     if value.is_finite() && (0.0..=1e6).contains(&value) {
         return Ok(Span::from_secs(value));
     }
-    Err(FaultPlanError::Field { field, reason: format!("{value} is not a time of 0 to 1e6 s") })
+    Err(ConfigError::field(field, format!("{value} is not a time of 0 to 1e6 s")))
 }
 
 impl ActorEntry {
-    fn checked(self, index: usize, robots: usize) -> Result<ActorFault, FaultPlanError> {
+    fn checked(self, index: usize, robots: usize) -> Result<ActorFault, ConfigError> {
         let field = |name: &str| format!("actor[{index}].{name}");
         if usize::from(self.robot) >= robots {
             let reason = format!("there is no robot {}; the team has {robots}, counted from 0", self.robot);
-            return Err(FaultPlanError::Field { field: field("robot"), reason });
+            return Err(ConfigError::field(field("robot"), reason));
         }
         if self.fault == ActorFaultKind::Slow && self.by_s <= 0.0 {
             let reason = "a slow actor needs to know by how much; give seconds above 0".to_owned();
-            return Err(FaultPlanError::Field { field: field("by_s"), reason });
+            return Err(ConfigError::field(field("by_s"), reason));
         }
         Ok(ActorFault {
             role: self.actor,
@@ -285,20 +269,20 @@ impl ActorEntry {
 }
 
 impl LinkEntry {
-    fn checked(self, index: usize) -> Result<LinkFault, FaultPlanError> {
+    fn checked(self, index: usize) -> Result<LinkFault, ConfigError> {
         let field = |name: &str| format!("link[{index}].{name}");
         if !(0.0..=1.0).contains(&self.share) {
             let reason = format!("{} is not a share of 0 to 1", self.share);
-            return Err(FaultPlanError::Field { field: field("share"), reason });
+            return Err(ConfigError::field(field("share"), reason));
         }
         if self.fault == LinkFaultKind::Partition && self.hosts.is_empty() {
             let reason = "a partition needs the hosts on one side of it".to_owned();
-            return Err(FaultPlanError::Field { field: field("hosts"), reason });
+            return Err(ConfigError::field(field("hosts"), reason));
         }
         let (from, until) = (seconds(field("from_s"), self.from_s)?, seconds(field("until_s"), self.until_s)?);
         if until <= from {
             let reason = "the fault ends before it begins".to_owned();
-            return Err(FaultPlanError::Field { field: field("until_s"), reason });
+            return Err(ConfigError::field(field("until_s"), reason));
         }
         Ok(LinkFault {
             link: self.link,

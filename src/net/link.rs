@@ -2,6 +2,7 @@
 //! count of everything that was let in or refused, by cause. Pure; no sockets, no clock.
 
 use std::collections::BTreeMap;
+use std::iter::Sum;
 
 use serde::Serialize;
 
@@ -30,6 +31,29 @@ pub struct LinkCounts {
     pub malformed: u64,
     /// Refused: about a robot that is not on this host.
     pub misrouted: u64,
+}
+
+impl LinkCounts {
+    /// Everything that was refused, whatever the cause.
+    pub fn refused(&self) -> u64 {
+        self.own + self.team + self.version + self.duplicate + self.stale + self.malformed + self.misrouted
+    }
+}
+
+impl Sum for LinkCounts {
+    fn sum<I: Iterator<Item = LinkCounts>>(all: I) -> LinkCounts {
+        all.fold(LinkCounts::default(), |sum, one| LinkCounts {
+            sent: sum.sent + one.sent,
+            accepted: sum.accepted + one.accepted,
+            own: sum.own + one.own,
+            team: sum.team + one.team,
+            version: sum.version + one.version,
+            duplicate: sum.duplicate + one.duplicate,
+            stale: sum.stale + one.stale,
+            malformed: sum.malformed + one.malformed,
+            misrouted: sum.misrouted + one.misrouted,
+        })
+    }
 }
 
 /// One link as one host sees it.

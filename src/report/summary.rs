@@ -8,6 +8,7 @@ use xxhash_rust::xxh3::Xxh3;
 use super::episode::Episode;
 use super::statistics::{quantile, wilson_95};
 use super::trial::TrialReport;
+use crate::net::link::LinkCounts;
 use crate::scenario::judge::Verdict;
 
 /// The summary of a run. Fields are only ever added.
@@ -49,6 +50,10 @@ pub struct Summary {
     pub messages: u64,
     /// Messages that a full mailbox refused.
     pub refused: u64,
+    /// Messages that were lost in crashes.
+    pub lost: u64,
+    /// Frames sent, let in, and refused by cause, on all links together.
+    pub links: LinkCounts,
     /// The oldest command that any robot was still driven by \[s\].
     pub oldest_command_s: f64,
     /// A digest of every message and state of the run, in hexadecimal.
@@ -106,6 +111,8 @@ impl Summary {
             wall_s,
             messages: totals().map(|totals| totals.messages).sum(),
             refused: trials.iter().map(|trial| trial.refused).sum(),
+            lost: trials.iter().map(|trial| trial.lost).sum(),
+            links: totals().map(|totals| totals.links).sum(),
             oldest_command_s: totals().map(|totals| totals.oldest_command.as_secs()).fold(0.0, f64::max),
             trace_hash: format!("{:032x}", trace.digest128()),
             seed,

@@ -3,6 +3,7 @@
 use super::episode::Episode;
 use crate::messages::local::Sample;
 use crate::messages::wire::Phase;
+use crate::net::link::LinkCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
 
@@ -17,6 +18,8 @@ pub struct TrialReport {
     pub totals: Option<Totals>,
     /// Messages that full mailboxes refused.
     pub refused: u64,
+    /// Messages that were lost in crashes.
+    pub lost: u64,
     /// Every step, if the trial was to keep them.
     pub steps: Vec<Step>,
 }
@@ -50,4 +53,6 @@ pub struct Totals {
     pub trace: u128,
     /// The oldest command that any robot was still driven by, since it was published.
     pub oldest_command: Span,
+    /// What the Networks counted on all links, up to the last full second.
+    pub links: LinkCounts,
 }

@@ -18,6 +18,16 @@ pub struct PlantState {
     pub contacts: Contacts,
 }
 
+/// How robots come to their starts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Placement {
+    /// The World puts them there, at rest, when an episode begins; there is no reset.
+    Exact,
+    /// They drive there during a reset.
+    Drive,
+}
+
 /// A physical, or simulated, world that holds some robots, counted from zero without gaps.
 pub trait Plant {
     /// How long a step is.

@@ -1,20 +1,22 @@
 //! Deployments: which host runs what, and which link carries which kind of message. The modes of the paper
 //! are presets of this data; nothing else in the program asks for a mode.
 //!
-//! A deployment is read from and written to TOML. It names robots, hosts and links; it holds no code.
+//! A deployment is read from and written to TOML. `presets` holds the paper's modes, `routes` the way of every
+//! message in a deployment.
+
+mod presets;
+mod routes;
 
 use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-use crate::actors::world::Placement;
-use crate::config;
-use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::config::{self, ConfigError};
+use crate::messages::ids::RobotId;
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::medium::Impairment;
-use crate::net::router::{Audience, Route, Router};
 use crate::time::Span;
-use crate::world;
+use crate::world::{self, Placement};
 
 /// When agents step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -95,30 +97,20 @@ pub const WIRES: &str = "wires";
 /// The names of the presets.
 pub const MODES: [&str; 5] = ["sim", "centralized", "offboard", "onboard-infra", "onboard-adhoc"];
 
-/// Why a deployment cannot be used.
+/// Why links cannot be impaired.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-pub enum DeployError {
-    /// Not TOML, or a field is missing, unknown or of the wrong type.
-    #[error("{0}")]
-    Syntax(String),
-    /// A field's value makes no sense.
-    #[error("{field}: {reason}")]
-    Field {
-        /// Where in the deployment.
-        field: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A delay or a loss was asked for where no message would suffer it.
-    #[error("{what} cannot act in mode '{mode}': no {kinds} message crosses a link there")]
+pub enum ImpairError {
+    /// No message would suffer it.
+    #[error("nothing to act on in mode '{mode}': no {kinds} message crosses a link there")]
     NothingCrosses {
-        /// The impairment.
-        what: String,
         /// The deployment's name.
         mode: String,
         /// What would have to cross.
         kinds: &'static str,
     },
+    /// A delay or a share is out of range.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
 }
 
 /// Which messages an impairment strikes.
@@ -132,68 +124,9 @@ pub enum Impair {
 }
 
 impl Deployment {
-    /// The preset of that name for a team of `robots`; `None` if there is no such preset.
-    pub fn preset(mode: &str, robots: usize) -> Option<Deployment> {
-        use Kind::*;
-        let everyone: Vec<u16> = RobotId::team(robots).map(|robot| robot.0).collect();
-        let host =
-            |name: &str| Host { name: name.to_owned(), agents: Vec::new(), world: Vec::new(), state_server: false };
-        let link = |name: &str, carries: &[Kind]| Link {
-            name: name.to_owned(),
-            carries: carries.to_vec(),
-            delay_s: 0.0,
-            loss: 0.0,
-            impairs: Vec::new(),
-        };
-        let one_each = |prefix: &str| -> Vec<Host> {
-            let agent = |&robot: &u16| Host { agents: vec![vec![robot]], ..host(&format!("{prefix}-{robot}")) };
-            everyone.iter().map(agent).collect()
-        };
-        let world = Host { world: everyone.clone(), ..host("world") };
-        let world_and_server = Host { state_server: true, ..world.clone() };
-        let and = |mut hosts: Vec<Host>, last: Host| {
-            hosts.push(last);
-            hosts
-        };
-        let (hosts, links) = match mode {
-            "sim" => (vec![Host { agents: vec![everyone.clone()], ..world_and_server }], Vec::new()),
-            "centralized" => (
-                vec![Host { agents: vec![everyone.clone()], state_server: true, ..host("pc") }, world],
-                vec![link("infra", &[MotorCommand]), link(WIRES, &[Reading, Mode])],
-            ),
-            "offboard" => (
-                and(one_each("agent"), world_and_server),
-                vec![link("loopback", &[Latent, Reading, Heartbeat, Mode]), link("infra", &[MotorCommand])],
-            ),
-            "onboard-infra" => (
-                and(one_each("robot"), world_and_server),
-                vec![link("infra", &[Reading, Latent, Heartbeat, Mode]), link(WIRES, &[MotorCommand])],
-            ),
-            "onboard-adhoc" => (
-                and(one_each("robot"), world_and_server),
-                vec![
-                    link("ad-hoc", &[Latent]),
-                    link("infra", &[Reading, Heartbeat, Mode]),
-                    link(WIRES, &[MotorCommand]),
-                ],
-            ),
-            _ => return None,
-        };
-        let training = mode == "sim";
-        Some(Deployment {
-            mode: mode.to_owned(),
-            robots,
-            placement: if training { Placement::Exact } else { Placement::Drive },
-            stepping: if training { Stepping::Lockstep } else { Stepping::Seeded },
-            plant: kinematic(),
-            hosts,
-            links,
-        })
-    }
-
     /// Reads a deployment from TOML and checks it.
-    pub fn from_toml(text: &str) -> Result<Deployment, DeployError> {
-        let deployment: Deployment = config::from_toml(text).map_err(DeployError::Syntax)?;
+    pub fn from_toml(text: &str) -> Result<Deployment, ConfigError> {
+        let deployment: Deployment = config::from_toml(text)?;
         deployment.check()?;
         Ok(deployment)
     }
@@ -204,8 +137,8 @@ impl Deployment {
     }
 
     /// Checks that every robot has one agent and one body, and every message a way.
-    pub fn check(&self) -> Result<(), DeployError> {
-        let wrong = |field: &str, reason: String| Err(DeployError::Field { field: field.to_owned(), reason });
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if self.robots == 0 || self.robots > usize::from(u16::MAX) {
             return wrong("robots", format!("{} is not 1 to {}", self.robots, u16::MAX));
         }
@@ -242,7 +175,7 @@ impl Deployment {
         Ok(())
     }
 
-    fn once(&self, field: &str, robots: impl Fn(&Host) -> Vec<u16>, what: &str) -> Result<(), DeployError> {
+    fn once(&self, field: &str, robots: impl Fn(&Host) -> Vec<u16>, what: &str) -> Result<(), ConfigError> {
         let mut seen = BTreeSet::new();
         for host in &self.hosts {
             for robot in robots(host) {
@@ -253,20 +186,17 @@ impl Deployment {
                 } else {
                     continue;
                 };
-                return Err(DeployError::Field { field: field.to_owned(), reason });
+                return Err(ConfigError::field(field, reason));
             }
         }
         match RobotId::team(self.robots).find(|robot| !seen.contains(&robot.0)) {
             None => Ok(()),
-            Some(robot) => Err(DeployError::Field {
-                field: field.to_owned(),
-                reason: format!("{robot} has no {what} on any host"),
-            }),
+            Some(robot) => Err(ConfigError::field(field, format!("{robot} has no {what} on any host"))),
         }
     }
 
     /// Makes links slow and lossy.
-    pub fn impaired(mut self, delay_s: f64, loss: f64, impair: Impair) -> Result<Deployment, DeployError> {
+    pub fn impaired(mut self, delay_s: f64, loss: f64, impair: Impair) -> Result<Deployment, ImpairError> {
         let (kinds, what) = match impair {
             Impair::Latent => (&[Kind::Latent][..], "latent"),
             Impair::All => (&KINDS[..], "impaired"),
@@ -281,101 +211,10 @@ impl Deployment {
             }
         }
         if !suffers {
-            let what_acts = if delay_s > 0.0 { "a delay" } else { "a loss" };
-            return Err(DeployError::NothingCrosses { what: what_acts.to_owned(), mode: self.mode, kinds: what });
+            return Err(ImpairError::NothingCrosses { mode: self.mode, kinds: what });
         }
         self.check()?;
         Ok(self)
-    }
-
-    /// The host that runs the robot's agent.
-    pub fn agent_host(&self, robot: RobotId) -> HostId {
-        self.host_where(|host| host.agents.iter().any(|robots| robots.contains(&robot.0)))
-    }
-
-    /// The host whose World holds the robot.
-    pub fn world_host(&self, robot: RobotId) -> HostId {
-        self.host_where(|host| host.world.contains(&robot.0))
-    }
-
-    /// The host that runs the StateServer.
-    pub fn server_host(&self) -> HostId {
-        self.host_where(|host| host.state_server)
-    }
-
-    fn host_where(&self, is: impl Fn(&Host) -> bool) -> HostId {
-        let index = self.hosts.iter().position(is).expect("a checked deployment has a host for everything");
-        HostId(u16::try_from(index).expect("hosts are counted in u16"))
-    }
-
-    /// The robots of the agent that hosts `robot`.
-    pub fn companions(&self, robot: RobotId) -> &[u16] {
-        let mut agents = self.hosts.iter().flat_map(|host| &host.agents);
-        agents.find(|robots| robots.contains(&robot.0)).expect("a checked deployment has an agent for every robot")
-    }
-
-    /// The hosts that take a message of this kind about this robot.
-    fn takers(&self, kind: Kind, robot: RobotId) -> BTreeSet<HostId> {
-        let team = || RobotId::team(self.robots);
-        match kind {
-            Kind::Reading => BTreeSet::from([self.agent_host(robot)]),
-            // Robots of one agent hear each other within its step.
-            Kind::Latent => {
-                let others = team().filter(|other| !self.companions(robot).contains(&other.0));
-                others.map(|other| self.agent_host(other)).collect()
-            }
-            Kind::MotorCommand => BTreeSet::from([self.world_host(robot)]),
-            Kind::Heartbeat => BTreeSet::from([self.server_host()]),
-            Kind::Mode => {
-                let agents = team().map(|robot| self.agent_host(robot));
-                let placing = team().filter(|_| self.placement == Placement::Exact);
-                agents.chain(placing.map(|robot| self.world_host(robot))).collect()
-            }
-        }
-    }
-
-    /// The host that publishes messages of this kind about this robot.
-    fn publisher(&self, kind: Kind, robot: RobotId) -> HostId {
-        match kind {
-            Kind::Reading => self.world_host(robot),
-            Kind::Latent | Kind::MotorCommand | Kind::Heartbeat => self.agent_host(robot),
-            Kind::Mode => self.server_host(),
-        }
-    }
-
-    fn crosses(&self, kind: Kind) -> bool {
-        RobotId::team(self.robots).any(|robot| {
-            let from = self.publisher(kind, robot);
-            self.takers(kind, robot).iter().any(|&to| to != from)
-        })
-    }
-
-    /// The hosts that take messages of this kind.
-    pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
-        let hosts: BTreeSet<HostId> = RobotId::team(self.robots).flat_map(|robot| self.takers(kind, robot)).collect();
-        hosts.into_iter().collect()
-    }
-
-    /// The routing table of a host.
-    pub fn router(&self, host: HostId) -> Router {
-        Router::new(self.robots, |kind, robot| {
-            let takers = self.takers(kind, robot);
-            let mut others = takers.iter().filter(|&&taker| taker != host);
-            let audience = match (others.next(), others.next()) {
-                (None, _) => None,
-                (Some(&only), None) => Some(Audience::Host(only)),
-                _ => Some(Audience::All),
-            };
-            let publishes = self.publisher(kind, robot) == host;
-            let leaves = audience.filter(|_| publishes).map(|audience| (self.link_of(kind), audience));
-            Route { local: takers.contains(&host), leaves }
-        })
-    }
-
-    fn link_of(&self, kind: Kind) -> LinkId {
-        let index = self.links.iter().position(|link| link.carries.contains(&kind));
-        let index = index.expect("a checked deployment has a link for every kind that crosses");
-        LinkId(u16::try_from(index).expect("links are counted in u16"))
     }
 }
 

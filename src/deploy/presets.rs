@@ -1,0 +1,67 @@
+//! The modes of the paper as deployments (section IV): the only place that knows them by name.
+
+use super::{Deployment, Host, Link, Stepping, WIRES, kinematic};
+use crate::messages::ids::RobotId;
+use crate::messages::wire::Kind;
+use crate::world::Placement;
+
+impl Deployment {
+    /// The preset of that name for a team of `robots`; `None` if there is no such preset.
+    pub fn preset(mode: &str, robots: usize) -> Option<Deployment> {
+        use Kind::*;
+        let everyone: Vec<u16> = RobotId::team(robots).map(|robot| robot.0).collect();
+        let host =
+            |name: &str| Host { name: name.to_owned(), agents: Vec::new(), world: Vec::new(), state_server: false };
+        let link = |name: &str, carries: &[Kind]| Link {
+            name: name.to_owned(),
+            carries: carries.to_vec(),
+            delay_s: 0.0,
+            loss: 0.0,
+            impairs: Vec::new(),
+        };
+        let one_each = |prefix: &str| -> Vec<Host> {
+            let agent = |&robot: &u16| Host { agents: vec![vec![robot]], ..host(&format!("{prefix}-{robot}")) };
+            everyone.iter().map(agent).collect()
+        };
+        let world = Host { world: everyone.clone(), ..host("world") };
+        let world_and_server = Host { state_server: true, ..world.clone() };
+        let and = |mut hosts: Vec<Host>, last: Host| {
+            hosts.push(last);
+            hosts
+        };
+        let (hosts, links) = match mode {
+            "sim" => (vec![Host { agents: vec![everyone.clone()], ..world_and_server }], Vec::new()),
+            "centralized" => (
+                vec![Host { agents: vec![everyone.clone()], state_server: true, ..host("pc") }, world],
+                vec![link("infra", &[MotorCommand]), link(WIRES, &[Reading, Mode])],
+            ),
+            "offboard" => (
+                and(one_each("agent"), world_and_server),
+                vec![link("loopback", &[Latent, Reading, Heartbeat, Mode]), link("infra", &[MotorCommand])],
+            ),
+            "onboard-infra" => (
+                and(one_each("robot"), world_and_server),
+                vec![link("infra", &[Reading, Latent, Heartbeat, Mode]), link(WIRES, &[MotorCommand])],
+            ),
+            "onboard-adhoc" => (
+                and(one_each("robot"), world_and_server),
+                vec![
+                    link("ad-hoc", &[Latent]),
+                    link("infra", &[Reading, Heartbeat, Mode]),
+                    link(WIRES, &[MotorCommand]),
+                ],
+            ),
+            _ => return None,
+        };
+        let training = mode == "sim";
+        Some(Deployment {
+            mode: mode.to_owned(),
+            robots,
+            placement: if training { Placement::Exact } else { Placement::Drive },
+            stepping: if training { Stepping::Lockstep } else { Stepping::Seeded },
+            plant: kinematic(),
+            hosts,
+            links,
+        })
+    }
+}
