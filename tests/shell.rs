@@ -1,0 +1,159 @@
+//! The shell: what it promises of mailboxes, timers, restarts and injected faults, shown on a core that notes
+//! everything it is handed.
+
+use std::cell::RefCell;
+use std::process::Command;
+use std::rc::Rc;
+
+use murmurate::actors::Core;
+use murmurate::actors::clock::Clock;
+use murmurate::actors::drive::{End, run_virtual};
+use murmurate::actors::shell::{MAILBOX_CAPACITY, Mailbox, start};
+use murmurate::messages::ids::RobotId;
+use murmurate::net::fault::{ActorFault, ActorFaultKind, Role};
+use murmurate::time::{Span, Time};
+
+/// Says what it is handed: its incarnation, when, and which number. Number 0 stands for a timer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Note(u32, u64, u64);
+
+struct Noting {
+    incarnation: u32,
+    /// When it wants to be woken \[ms\].
+    alarms: Vec<u64>,
+}
+
+impl Core for Noting {
+    type In = u64;
+    type Out = Note;
+
+    fn handle(&mut self, now: Time, number: u64, out: &mut Vec<Note>) {
+        assert!(number < 1_000_000, "a number that breaks an invariant");
+        out.push(Note(self.incarnation, now.as_nanos() / 1_000_000, number));
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        self.alarms.iter().min().map(|&ms| at(ms))
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Note>) {
+        self.alarms.retain(|&ms| at(ms) > now);
+        out.push(Note(self.incarnation, now.as_nanos() / 1_000_000, 0));
+    }
+}
+
+fn at(ms: u64) -> Time {
+    Time::ZERO + Span::from_millis(ms)
+}
+
+fn fault(kind: ActorFaultKind, from: u64, lasts: u64) -> ActorFault {
+    let (lasts, by) = (Span::from_millis(lasts), Span::from_millis(30));
+    ActorFault { role: Role::Cache, robot: RobotId(0), kind, at: at(from), lasts, by }
+}
+
+/// Hands the numbers to a noting core at their times \[ms\], strikes it with the faults, and gives its notes and
+/// the mailbox's counts of refused and lost messages.
+fn notes(alarms: &[u64], sent: &[(u64, u64)], faults: &[ActorFault]) -> (Vec<Note>, u64, u64) {
+    let said = Rc::new(RefCell::new(Vec::new()));
+    let build = |clock: &Clock| {
+        let mailbox = Mailbox::new("noting");
+        let (alarms, said) = (alarms.to_vec(), Rc::clone(&said));
+        let make = move |incarnation| Noting { incarnation, alarms: alarms.clone() };
+        start(clock, &mailbox, tracing::Span::none(), make, move |note| said.borrow_mut().push(note));
+        for &(ms, number) in sent {
+            let mailbox: Mailbox<u64> = mailbox.clone();
+            clock.call(at(ms), Box::new(move || mailbox.send(number)));
+        }
+        for fault in faults.iter().cloned() {
+            let mailbox = mailbox.clone();
+            clock.call(fault.at, Box::new(move || mailbox.inject(fault)));
+        }
+        mailbox
+    };
+    let (mailbox, end) = run_virtual(build, |_, _| false);
+    assert_eq!(end, End::Idle);
+    let notes = said.borrow().clone();
+    (notes, mailbox.refused(), mailbox.lost())
+}
+
+#[test]
+fn messages_come_in_order_and_timers_on_time() {
+    let (notes, refused, lost) = notes(&[5, 20, 7], &[(1, 11), (1, 12), (6, 13), (20, 14)], &[]);
+    let expected =
+        [Note(1, 1, 11), Note(1, 1, 12), Note(1, 5, 0), Note(1, 6, 13), Note(1, 7, 0), Note(1, 20, 14), Note(1, 20, 0)];
+    assert_eq!((&notes[..], refused, lost), (&expected[..], 0, 0));
+}
+
+#[test]
+fn a_full_mailbox_refuses_and_counts() {
+    let said = Rc::new(RefCell::new(0));
+    let build = |clock: &Clock| {
+        let mailbox = Mailbox::new("noting");
+        let said = Rc::clone(&said);
+        let make = |incarnation| Noting { incarnation, alarms: Vec::new() };
+        start(clock, &mailbox, tracing::Span::none(), make, move |_| *said.borrow_mut() += 1);
+        let sender = mailbox.clone();
+        let flood = move || (0..MAILBOX_CAPACITY as u64 + 10).for_each(|number| sender.send(number + 1));
+        clock.call(at(1), Box::new(flood));
+        mailbox
+    };
+    let (mailbox, _) = run_virtual(build, |_, _| false);
+    assert_eq!((*said.borrow(), mailbox.refused()), (MAILBOX_CAPACITY, 10));
+}
+
+#[test]
+fn a_crashed_actor_loses_what_it_is_sent_and_starts_afresh() {
+    let sent = [(1, 11), (3, 12), (9, 13), (11, 14)];
+    let (notes, refused, lost) = notes(&[2], &sent, &[fault(ActorFaultKind::Crash, 2, 8)]);
+    // The alarm at 2 ms was over; the fresh core wants it again, and gets it as soon as it lives.
+    assert_eq!(notes, [Note(1, 1, 11), Note(1, 2, 0), Note(2, 10, 0), Note(2, 11, 14)]);
+    assert_eq!((refused, lost), (0, 2));
+}
+
+#[test]
+fn a_stalled_actor_takes_everything_up_afterwards_in_order() {
+    let sent = [(1, 11), (3, 12), (9, 13), (11, 14)];
+    let (notes, _, lost) = notes(&[5], &sent, &[fault(ActorFaultKind::Stall, 2, 8)]);
+    assert_eq!(notes, [Note(1, 1, 11), Note(1, 10, 12), Note(1, 10, 13), Note(1, 10, 0), Note(1, 11, 14)]);
+    assert_eq!(lost, 0);
+}
+
+#[test]
+fn a_mute_actor_works_and_is_not_heard() {
+    let (notes, ..) = notes(&[], &[(1, 11), (3, 12), (11, 14)], &[fault(ActorFaultKind::Mute, 2, 8)]);
+    assert_eq!(notes, [Note(1, 1, 11), Note(1, 11, 14)]);
+}
+
+#[test]
+fn a_slow_actor_takes_everything_up_late_in_order() {
+    // Slow from 2 to 10 ms, by 30 ms; what comes afterwards must not overtake.
+    let sent = [(1, 11), (3, 12), (9, 13), (11, 14), (60, 15)];
+    let (notes, ..) = notes(&[5], &sent, &[fault(ActorFaultKind::Slow, 2, 8)]);
+    let numbers: Vec<u64> = notes.iter().map(|note| note.2).filter(|number| *number > 0).collect();
+    assert_eq!(numbers, [11, 12, 13, 14, 15]);
+    assert!(notes.contains(&Note(1, 33, 12)) && notes.contains(&Note(1, 35, 0)) && notes.contains(&Note(1, 39, 13)));
+    assert!(notes.contains(&Note(1, 60, 15)));
+}
+
+/// Runs only as the child process of the next test.
+#[test]
+fn child_that_breaks_an_invariant() {
+    if std::env::var_os("MURMURATE_TEST_CHILD").is_some() {
+        notes(&[], &[(1, 1_000_000)], &[]);
+        unreachable!("the process has ended");
+    }
+}
+
+#[test]
+fn a_real_panic_ends_the_process_with_a_clear_message() {
+    let this = std::env::current_exe().expect("a test knows where it is");
+    let output = Command::new(this)
+        .args(["--exact", "child_that_breaks_an_invariant", "--nocapture"])
+        .env("MURMURATE_TEST_CHILD", "1")
+        .output()
+        .expect("the test starts itself");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(101));
+    assert!(said.contains("noting broke an invariant at 0.001 s"), "{said}");
+    assert!(!said.contains("the process has ended"), "{said}");
+}
