@@ -220,3 +220,109 @@ impl Core for Agent {
         self.step(out);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::policy::Interface;
+    use crate::random::Seed;
+    use crate::scenario::{Observation, Settings, build};
+
+    /// Wants to move at as many m/s as it has neighbours.
+    struct Counting;
+
+    impl Policy for Counting {
+        fn interface(&self) -> Interface {
+            let (period, hold) = (Span::from_millis(50), Span::from_millis(200));
+            Interface { features: 1, radius_m: 2.0, period, limit_m_s: 1.5, hold }
+        }
+        fn encode(&mut self, _: &Observation, features: &mut [f32]) {
+            features[0] = 7.0;
+        }
+        fn act(&mut self, _: &Observation, _: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
+            assert!(neighbours.iter().all(|neighbour| neighbour.features == [7.0]), "it hears what was said");
+            Vec2::new(neighbours.len() as f32, 0.0)
+        }
+    }
+
+    const ROUND: Round = Round { epoch: 1, episode: 0 };
+
+    fn agent(robots: &[u16]) -> Agent {
+        let passage = build("passage", &Settings { robots: Some(3) }).unwrap();
+        let stream = || Seed::of_run(0).stream("agent");
+        let pilot = |&robot: &u16| Pilot {
+            robot: RobotId(robot),
+            run: Box::new(Counting),
+            reset: Box::new(Counting),
+            actions: stream(),
+            ranges: stream(),
+        };
+        let pilots = robots.iter().map(pilot).collect();
+        let mut agent = Agent::new(passage, CommRange::fixed(2.0), Span::from_millis(12), pilots);
+        let task = Task { start: Vec2::new(0.0, -1.5), goal: Vec2::new(0.0, 1.5) };
+        let tasks = [task; 3].into();
+        let mode = Mode { round: ROUND, repeat: 0, phase: Phase::Running, first: RobotId(0), tasks };
+        agent.handle(Time::ZERO, In::Mode(mode), &mut Vec::new());
+        agent
+    }
+
+    fn percept(robot: u16, x: f32, heard: Vec<Heard>) -> In {
+        let estimate = Motion::at_rest(Vec2::new(x, -1.5));
+        In::Percept(Percept { robot: RobotId(robot), estimate, age: Span::ZERO, heard })
+    }
+
+    fn speeds(out: &[Out]) -> Vec<(u16, f32)> {
+        let action = |said: &Out| match said {
+            Out::Action(action) => Some((action.robot.0, action.velocity.x)),
+            Out::Latent(_) => None,
+        };
+        out.iter().filter_map(action).collect()
+    }
+
+    #[test]
+    fn a_joint_step_waits_for_all_and_hears_who_is_in_range() {
+        let (mut agent, mut out) = (agent(&[0, 1, 2]), Vec::new());
+        agent.handle(Time::ZERO, percept(0, 0.0, Vec::new()), &mut out);
+        agent.handle(Time::ZERO, percept(2, 1.5, Vec::new()), &mut out);
+        assert!(out.is_empty());
+        agent.handle(Time::ZERO, percept(1, -1.5, Vec::new()), &mut out);
+        // Robots 1 and 2 are 3 m apart.
+        assert_eq!(speeds(&out), [(0, 1.5), (1, 1.0), (2, 1.0)], "two neighbours, limited to 1.5 m/s");
+        assert_eq!(out.len(), 6, "and three latents");
+        assert_eq!(agent.wake_at(), None);
+    }
+
+    #[test]
+    fn a_joint_step_goes_on_without_a_robot_that_does_not_perceive() {
+        let (mut agent, mut out) = (agent(&[0, 1, 2]), Vec::new());
+        agent.handle(Time::ZERO, percept(0, 0.0, Vec::new()), &mut out);
+        agent.handle(Time::ZERO, percept(1, 1.0, Vec::new()), &mut out);
+        let due = agent.wake_at().unwrap();
+        assert_eq!(due, Time::ZERO + Span::from_millis(12));
+        agent.wake(due, &mut out);
+        assert_eq!(speeds(&out), [(0, 1.0), (1, 1.0)]);
+    }
+
+    #[test]
+    fn latents_of_another_round_phase_or_width_are_not_heard() {
+        let heard = |robot: u16, round: Round, phase: Phase, floats: &[f32]| Heard {
+            robot: RobotId(robot),
+            round,
+            phase,
+            motion: Motion::default(),
+            features: Features(floats.into()),
+            age: Span::ZERO,
+        };
+        let other = Round { epoch: 1, episode: 1 };
+        let all = vec![
+            heard(1, ROUND, Phase::Running, &[7.0]),
+            heard(2, ROUND, Phase::Resetting, &[7.0]),
+            heard(3, other, Phase::Running, &[7.0]),
+            heard(4, ROUND, Phase::Running, &[7.0, 7.0]),
+        ];
+        let (mut agent, mut out) = (agent(&[0]), Vec::new());
+        agent.handle(Time::ZERO, percept(0, 0.0, all), &mut out);
+        assert_eq!(speeds(&out), [(0, 1.0)]);
+    }
+}

@@ -116,3 +116,71 @@ impl Core for Network {
         self.next_counts = now.next_on_grid(Span::ZERO, COUNTS_PERIOD);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::messages::ids::RobotId;
+    use crate::messages::wire::{Kind, Reading};
+    use crate::net::router::Route;
+
+    const LINK: LinkId = LinkId(0);
+
+    /// Robot 0 lives here, robot 1 elsewhere.
+    fn network(host: u16, team: u16) -> Network {
+        let router = Router::new(2, |kind, robot| Route {
+            local: kind == Kind::Reading && robot == RobotId(0),
+            leaves: (robot == RobotId(1)).then_some((LINK, Audience::Host(HostId(9)))),
+        });
+        Network::new(HostId(host), team, 1, 1, router)
+    }
+
+    fn reading(robot: u16) -> Wire {
+        Wire::Reading(Reading { robot: RobotId(robot), stamp_ns: 1, motion: Motion::default() })
+    }
+
+    fn handle(network: &mut Network, input: In) -> Vec<Out> {
+        let mut out = Vec::new();
+        network.handle(Time::ZERO, input, &mut out);
+        out
+    }
+
+    fn frame(network: &mut Network, robot: u16) -> Frame {
+        let out = handle(network, In::Publish(reading(robot)));
+        let tapped = out.into_iter().find_map(|said| if let Out::Tap(frame) = said { Some(frame) } else { None });
+        tapped.expect("everything that is published is tapped")
+    }
+
+    #[test]
+    fn a_message_goes_where_the_table_says() {
+        let mut network = network(1, 0);
+        let out = handle(&mut network, In::Publish(reading(0)));
+        assert!(matches!(&out[..], [Out::Tap(_), Out::Deliver(_)]), "{out:?}");
+        let out = handle(&mut network, In::Publish(reading(1)));
+        assert!(matches!(&out[..], [Out::Transmit(LINK, Audience::Host(HostId(9)), _), Out::Tap(_)]), "{out:?}");
+        assert!(handle(&mut network, In::Publish(reading(2))).len() == 1, "nobody takes it; it is tapped all the same");
+    }
+
+    #[test]
+    fn a_frame_is_let_in_once_or_counted() {
+        let (mut here, mut there) = (network(1, 0), network(2, 0));
+        let sound = frame(&mut there, 0);
+        assert!(matches!(&handle(&mut here, In::Frame(LINK, sound.clone()))[..], [Out::Deliver(_)]));
+        let other_team = frame(&mut network(3, 5), 0);
+        let own = frame(&mut network(1, 0), 0);
+        let elsewhere = frame(&mut there, 1);
+        let mut version = sound.to_vec();
+        version[0] += 1;
+        let cut: Frame = sound[..sound.len() - 1].into();
+        for refused in [sound, other_team, own, elsewhere, version.into(), cut] {
+            assert!(handle(&mut here, In::Frame(LINK, refused)).is_empty());
+        }
+        let mut out = Vec::new();
+        here.wake(Time::ZERO, &mut out);
+        let [Out::Counts(counts)] = &out[..] else { panic!("it tells its counts: {out:?}") };
+        let LinkCounts { accepted, duplicate, team, own, misrouted, version, malformed, .. } = *counts;
+        assert_eq!([accepted, duplicate, team, own, misrouted, version, malformed], [1; 7]);
+        assert_eq!(counts.refused(), 6);
+    }
+}

@@ -233,3 +233,81 @@ impl Core for Recorder {
 
     fn wake(&mut self, _: Time, _: &mut Vec<Out>) {}
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::{Motion, Vec2};
+    use crate::messages::ids::RobotId;
+    use crate::messages::local::Contacts;
+    use crate::messages::wire::Mode;
+    use crate::net::codec::Header;
+    use crate::scenario::{Settings, build};
+
+    fn recorder() -> Recorder {
+        let passage = build("passage", &Settings { robots: Some(2) }).unwrap();
+        let layouts = Layouts::of_scenario(&*passage, 1, 3);
+        Recorder::new(Config { layouts, repeat: 4, rules: passage.rules(), steps: Steps::Kept }, 2)
+    }
+
+    fn at_ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    fn say(recorder: &mut Recorder, ms: u64, episode: u32, phase: Phase) -> Vec<Out> {
+        let round = Round { epoch: 1, episode };
+        let tasks = recorder.config.layouts.episode(0).into();
+        let mode = Wire::Mode(Mode { round, repeat: 4, phase, first: RobotId(0), tasks });
+        let header = Header { kind: Kind::Mode, team: 0, sender: HostId(0), epoch: 1, sequence: 0 };
+        let frame = codec::encode(&header, &mode).unwrap();
+        let mut out = Vec::new();
+        recorder.handle(at_ms(ms), In::Tap(frame), &mut out);
+        out
+    }
+
+    /// One robot of its own world is at a place.
+    fn see(recorder: &mut Recorder, ms: u64, robot: u16, position: Vec2) -> Vec<Out> {
+        let (time, motion) = (at_ms(ms), Motion::at_rest(position));
+        let (command, contacts) = (Vec2::zeros(), Contacts::default());
+        let sample = Sample { robot: RobotId(robot), time, motion, command, contacts };
+        let mut out = Vec::new();
+        recorder.handle(time, In::Truth(Truth { time, samples: [sample].into() }), &mut out);
+        out
+    }
+
+    fn verdicts(out: &[Out]) -> Vec<(u32, Verdict, Option<f64>)> {
+        let result = |said: &Out| match said {
+            Out::Episode(episode) => Some((episode.episode, episode.verdict, episode.makespan_s)),
+            _ => None,
+        };
+        out.iter().filter_map(result).collect()
+    }
+
+    #[test]
+    fn two_worlds_are_judged_as_one_and_makespan_counts_from_the_instruction_to_run() {
+        let mut recorder = recorder();
+        let goals: Vec<Vec2> = recorder.config.layouts.episode(0).iter().map(|task| task.goal).collect();
+        say(&mut recorder, 100, 0, Phase::Resetting);
+        say(&mut recorder, 1000, 0, Phase::Running);
+        assert!(verdicts(&see(&mut recorder, 1050, 0, goals[0])).is_empty(), "half of the team says nothing");
+        assert!(verdicts(&see(&mut recorder, 1050, 1, goals[1] - Vec2::new(1.0, 0.0))).is_empty());
+        see(&mut recorder, 1100, 0, goals[0]);
+        let out = see(&mut recorder, 1100, 1, goals[1]);
+        assert_eq!(verdicts(&out), [(0, Verdict::Success, Some(0.1))]);
+        assert!(matches!(&out[0], Out::Episode(episode) if episode.reset_s == 0.9 && episode.repeat == 4));
+        assert!(verdicts(&say(&mut recorder, 1200, 1, Phase::Resetting)).is_empty(), "it has its result");
+    }
+
+    #[test]
+    fn an_episode_that_is_left_behind_was_aborted_and_the_end_comes_once() {
+        let mut recorder = recorder();
+        say(&mut recorder, 0, 0, Phase::Resetting);
+        let aborted = |episode| (episode, Verdict::Aborted, None);
+        assert_eq!(verdicts(&say(&mut recorder, 100, 0, Phase::AbortRunning)), [aborted(0)]);
+        assert!(verdicts(&say(&mut recorder, 200, 1, Phase::Running)).is_empty());
+        let out = say(&mut recorder, 300, 3, Phase::EpisodesFinished);
+        assert_eq!(verdicts(&out), [aborted(1), aborted(2)]);
+        assert!(matches!(out.last(), Some(Out::Finished(totals)) if totals.messages == 4 && totals.end == at_ms(300)));
+        assert!(say(&mut recorder, 400, 3, Phase::EpisodesFinished).is_empty());
+    }
+}

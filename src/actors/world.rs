@@ -129,3 +129,56 @@ impl Core for World {
         self.next = now.next_on_grid(Span::ZERO, self.period());
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Task;
+    use crate::scenario::{Settings, build};
+    use crate::world::kinematic;
+
+    fn world(placement: Placement) -> World {
+        let passage = build("passage", &Settings { robots: Some(2) }).unwrap();
+        let starts = [Vec2::new(0.0, -1.0), Vec2::new(1.0, -1.0)];
+        World::new(kinematic::build(passage.arena(), &starts), placement, &[RobotId(0), RobotId(1)])
+    }
+
+    fn at_ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    fn truth(world: &mut World, ms: u64) -> Option<Truth> {
+        let mut out = Vec::new();
+        world.wake(at_ms(ms), &mut out);
+        out.into_iter().find_map(|said| match said {
+            Out::Truth(truth) => Some(truth),
+            Out::Sample(_) => None,
+        })
+    }
+
+    #[test]
+    fn a_command_that_has_lapsed_drives_no_longer() {
+        let mut world = world(Placement::Drive);
+        let drive = Drive { robot: RobotId(1), velocity: Vec2::new(0.0, 1.0), until: at_ms(100) };
+        world.handle(at_ms(0), In::Drive(drive), &mut Vec::new());
+        assert_eq!(truth(&mut world, 50).unwrap().samples[1].command, drive.velocity);
+        assert_eq!(truth(&mut world, 100).unwrap().samples[1].command, Vec2::zeros());
+    }
+
+    #[test]
+    fn who_was_placed_waits_for_a_whole_step() {
+        let mut world = world(Placement::Exact);
+        let task = Task { start: Vec2::new(0.5, -2.0), goal: Vec2::zeros() };
+        let tasks = [task; 2].into();
+        let round = Round { epoch: 1, episode: 0 };
+        let mode = Mode { round, repeat: 0, phase: Phase::Running, first: RobotId(0), tasks };
+        let mut out = Vec::new();
+        world.handle(at_ms(50), In::Mode(mode.clone()), &mut out);
+        assert_eq!(out.len(), 2, "both bodies learn where they are");
+        assert_eq!(truth(&mut world, 50), None, "no step at the instant of placement");
+        assert_eq!(truth(&mut world, 100).unwrap().samples[0].motion.position, task.start);
+        out.clear();
+        world.handle(at_ms(120), In::Mode(mode), &mut out);
+        assert!(out.is_empty(), "a repeated instruction places nobody again");
+    }
+}

@@ -80,6 +80,10 @@ fn refuse(error: &clap::Error) -> ExitCode {
         return ExitCode::SUCCESS;
     }
     let text = error.render().to_string();
+    if error.kind() == clap::error::ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        output::talk(text.trim_end());
+        return ExitCode::from(2);
+    }
     let said: Vec<&str> = text
         .lines()
         .map(str::trim)
