@@ -2,16 +2,21 @@
 //! neighbours and walls, with a queue at bottlenecks. It drives every reset, and it is the baseline that
 //! must solve each scenario.
 //!
-//! A robot broadcasts its radius and the velocity that it would prefer if it were alone; from positions and
-//! these it follows who else is bound for the bottleneck, and keeps its place in the line.
+//! A robot broadcasts its radius and the velocity that it would prefer if it were alone and could go as fast
+//! as it liked: it heads along the robot's way, and its size tells how long that way is (`approach`). From
+//! positions and these it follows who else is bound for the bottleneck, so that a robot keeps its place in the
+//! line; and who is underway and who at home, so that the one gives way to the other.
+//!
+//! Avoidance reckons with robots that change their velocity at once. So the last word is with `route::braked`, which
+//! knows their acceleration and lets no command pass after which a wall could not be missed.
 
 use std::borrow::Cow;
 
 use dodgy_2d::{Agent, AvoidanceOptions, Obstacle};
 
-use super::route::{Crossing, Leg, leg};
+use super::route::{self, Crossing, Leg, leg};
 use super::{Interface, Neighbour, Policy};
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Motion, Vec2};
 use crate::random::Stream;
 use crate::scenario::{Arena, Observation};
 use crate::time::Span;
@@ -20,8 +25,17 @@ use crate::time::Span;
 const FEATURES: usize = 3;
 /// Cruising speed \[m/s\]: from it a robot stops within half a metre.
 const SPEED_M_S: f32 = 1.0;
-/// Deceleration that braking is planned with \[m/s^2\]; the training world allows 1.
-const BRAKING_M_S2: f32 = 0.7;
+/// Deceleration that braking is planned with \[m/s^2\]: a little less than there is.
+const BRAKING_M_S2: f32 = 0.85;
+/// A robot that has less of its way before it is at home \[m\], and gives way to one that has this much more.
+/// Twice as large, and dense teams (12 in the passage) come to a halt far more often.
+const HOME_M: f32 = 0.3;
+const HOME_LEAD_M: f32 = 0.1;
+/// Of avoiding each other, the share of who is underway against one of who is at home: a fifth in all.
+const UNDERWAY_SHARE: f32 = 0.25;
+/// With which share of its cruising velocity one that is underway is taken to come, however it is held up: it
+/// would wait for ever for one that only minds how it moves.
+const INSISTENCE: f32 = 0.5;
 /// What is added to the radius toward neighbours, and toward walls \[m\].
 const NEIGHBOUR_MARGIN_M: f32 = 0.02;
 const WALL_MARGIN_M: f32 = 0.02;
@@ -30,8 +44,9 @@ const HORIZON_S: f32 = 1.2;
 const WALL_HORIZON_S: f32 = 0.4;
 /// Time constant of the approach to a point \[s\].
 const APPROACH_S: f32 = 0.35;
-/// Distance kept behind the robot ahead in the line \[m\], and to the middle while others come the other way.
-const FOLLOWING_M: f32 = 0.66;
+/// Distance kept behind the robot ahead in the line \[m\], little more than avoidance keeps anyway; and to the
+/// middle while others come the other way.
+const FOLLOWING_M: f32 = 0.58;
 const ONCOMING_M: f32 = 1.5;
 /// A robot that stands nearer than this to a mouth that others come out of makes room \[m\].
 const MOUTH_ROOM_M: f32 = 0.9;
@@ -70,37 +85,43 @@ impl Orca {
             // Counter-clockwise: solid inside.
             vertices: vec![corner(min.x, min.y), corner(max.x, min.y), corner(max.x, max.y), corner(min.x, max.y)],
         };
-        let obstacles = arena.keep_outs.iter().map(|keep_out| block(keep_out.min, keep_out.max)).collect();
+        let reach = arena.half_extent + Vec2::repeat(arena.robot_radius_m + WALL_MARGIN_M);
+        // Clockwise: solid outside. Who leaves the ground is put back on it, at times into another robot, and
+        // two that overlap never part: no move that leaves them overlapping is let through.
+        let ground = Obstacle::Closed {
+            vertices: vec![
+                corner(-reach.x, -reach.y),
+                corner(-reach.x, reach.y),
+                corner(reach.x, reach.y),
+                corner(reach.x, -reach.y),
+            ],
+        };
+        let blocks = arena.keep_outs.iter().map(|keep_out| block(keep_out.min, keep_out.max));
+        let obstacles = blocks.chain([ground]).collect();
         Orca { arena: arena.clone(), obstacles }
     }
 
-    /// The velocity toward the goal if the robot were alone.
+    /// The velocity along the way to the goal if the robot were alone and had no top speed.
     fn preferred(&self, own: &Observation) -> Vec2 {
         let at = own.motion.position;
         match leg(&self.arena, at, own.goal) {
             Leg::Direct => approach(own.goal - at),
-            Leg::Through(crossing) => (crossing.aim(&self.arena, at) - at).normalize() * SPEED_M_S,
+            Leg::Through(crossing) => {
+                let heading = (crossing.aim(&self.arena, at) - at).try_normalize(1e-6).unwrap_or_else(Vec2::zeros);
+                approach(heading * crossing.way(&self.arena, at, own.goal))
+            }
         }
     }
 
     /// The bottleneck that a robot at `at` with this preferred velocity is bound for.
     fn bound(&self, at: Vec2, preferred: Vec2) -> Option<Bound> {
-        let speed = preferred.norm();
-        if speed < 0.9 * SPEED_M_S {
-            return None;
-        }
+        let heading = preferred.try_normalize(1e-6)?;
+        let way_m = remaining(preferred);
         self.arena.portals.iter().find_map(|portal| {
-            [(portal.near, portal.far), (portal.far, portal.near)].into_iter().find_map(|(entry, exit)| {
-                let crossing = Crossing { entry, exit };
-                let aim = crossing.aim(&self.arena, at) - at;
-                let before = (exit - at).dot(&(exit - entry)) > 0.0;
-                let aims = aim.dot(&preferred) > 0.995 * aim.norm() * speed;
-                (before && aims).then(|| Bound {
-                    crossing,
-                    ahead_m: crossing.ahead(&self.arena, at),
-                    tie: (at.x, at.y),
-                })
-            })
+            let both = [(portal.near, portal.far), (portal.far, portal.near)];
+            let mut crossings = both.into_iter().map(|(entry, exit)| Crossing { entry, exit });
+            let crossing = crossings.find(|crossing| crossing.is_passed(&self.arena, at, heading, way_m))?;
+            Some(Bound { crossing, ahead_m: crossing.ahead(&self.arena, at), tie: (at.x, at.y) })
         })
     }
 
@@ -113,7 +134,7 @@ impl Orca {
         });
         let Some(mine) = self.bound(at, preferred) else {
             // Not in the line: make room for those who will come out, and go home afterwards.
-            return others.find_map(|other| self.make_room(own, other.crossing.exit)).unwrap_or(preferred);
+            return others.find_map(|other| self.make_room(own, other.crossing)).unwrap_or(preferred);
         };
         let mut speed = SPEED_M_S;
         for other in others {
@@ -124,45 +145,58 @@ impl Orca {
             let room = if oncoming { mine.ahead_m - ONCOMING_M } else { mine.ahead_m - other.ahead_m - FOLLOWING_M };
             speed = speed.min(room / APPROACH_S);
         }
-        preferred * (speed.max(-0.3) / SPEED_M_S)
+        preferred.normalize() * speed.max(-0.3)
     }
 
     /// The way out of the room before a mouth, for a robot that stands or is to stand there.
-    fn make_room(&self, own: &Observation, mouth: Vec2) -> Option<Vec2> {
-        let same_side = |point: Vec2| super::route::is_free(&self.arena, point, mouth);
+    fn make_room(&self, own: &Observation, crossing: Crossing) -> Option<Vec2> {
+        let mouth = crossing.exit;
+        let along = (crossing.exit - crossing.entry).normalize();
+        let same_side = |point: Vec2| route::is_free(&self.arena, point, mouth);
         let in_the_way = |point: Vec2| (point - mouth).norm() < MOUTH_ROOM_M && same_side(point);
         if !in_the_way(own.goal) && !in_the_way(own.motion.position) {
             return None;
         }
-        let mut outward = own.goal - mouth;
-        if outward.norm() < 1e-3 {
-            outward = own.motion.position - mouth;
-        }
-        let outward = outward.try_normalize(1e-6)?;
+        // Never back into the bottleneck: sideways at the least, and straight away if there is no side.
+        let away = |point: Vec2| {
+            let offset = point - mouth;
+            (offset - along * offset.dot(&along).min(0.0)).try_normalize(1e-3)
+        };
+        let outward = away(own.goal).or_else(|| away(own.motion.position)).unwrap_or(along);
         Some(approach(mouth + outward * (MOUTH_ROOM_M + 0.05) - own.motion.position))
-    }
-
-    /// Takes away what a robot could not brake before it touched a block.
-    fn braked(&self, at: Vec2, mut velocity: Vec2) -> Vec2 {
-        for block in &self.arena.keep_outs {
-            let offset = block.nearest(at) - at;
-            let distance = offset.norm();
-            let Some(toward) = offset.try_normalize(1e-6) else { continue };
-            let room = (distance - self.arena.robot_radius_m - WALL_MARGIN_M / 2.0).max(0.0);
-            let excess = velocity.dot(&toward) - (2.0 * BRAKING_M_S2 * room).sqrt();
-            if excess > 0.0 {
-                velocity -= toward * excess;
-            }
-        }
-        velocity
     }
 }
 
-/// The velocity toward a point `offset` away: cruising, and then braking.
+/// The velocity toward a point `offset` away from which a robot still stops there; it grows with the distance.
 fn approach(offset: Vec2) -> Vec2 {
     let distance = offset.norm();
-    let speed = SPEED_M_S.min((2.0 * BRAKING_M_S2 * distance).sqrt()).min(distance / APPROACH_S);
+    let speed = (2.0 * BRAKING_M_S2 * distance).sqrt().min(distance / APPROACH_S);
     if distance < 1e-6 { Vec2::zeros() } else { offset * (speed / distance) }
+}
+
+/// The length of the way that a robot with this preferred velocity has before it \[m\]: what `approach` began with.
+fn remaining(preferred: Vec2) -> f32 {
+    let speed = preferred.norm();
+    (speed * speed / (2.0 * BRAKING_M_S2)).max(speed * APPROACH_S)
+}
+
+/// A velocity of the same direction that is no faster than a robot cruises.
+fn cruising(velocity: Vec2) -> Vec2 {
+    velocity * (SPEED_M_S / velocity.norm().max(SPEED_M_S))
+}
+
+/// The velocity that a neighbour is taken to have, and its share in the avoidance when one's own is 1, for a
+/// robot that has said `own`.
+fn meant(own: Vec2, neighbour: &Neighbour) -> (Vec2, f32) {
+    let said = Vec2::new(neighbour.features[1], neighbour.features[2]);
+    let (mine, theirs) = (remaining(own), remaining(said));
+    if mine < HOME_M && theirs > mine + HOME_LEAD_M {
+        (cruising(said) * INSISTENCE, UNDERWAY_SHARE)
+    } else if theirs < HOME_M && mine > theirs + HOME_LEAD_M {
+        (neighbour.motion.velocity, 1.0 / UNDERWAY_SHARE)
+    } else {
+        (neighbour.motion.velocity, 1.0)
+    }
 }
 
 fn glam(v: Vec2) -> dodgy_2d::Vec2 {
@@ -181,38 +215,82 @@ impl Policy for Orca {
 
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
         let at = own.motion.position;
-        let preferred = self.yielding(own, Vec2::new(features[1], features[2]), neighbours);
+        let said = Vec2::new(features[1], features[2]);
+        let preferred = cruising(self.yielding(own, said, neighbours));
         let (sin, cos) = (-BEAR_RIGHT_RAD).sin_cos();
         let preferred = Vec2::new(cos * preferred.x - sin * preferred.y, sin * preferred.x + cos * preferred.y);
-        let agent = |position: Vec2, velocity: Vec2, radius: f32| Agent {
+        let agent = |position: Vec2, velocity: Vec2, radius_m: f32, share: f32| Agent {
             position: glam(position),
             velocity: glam(velocity),
-            radius: radius + NEIGHBOUR_MARGIN_M,
-            avoidance_responsibility: 1.0,
+            radius: radius_m + NEIGHBOUR_MARGIN_M,
+            avoidance_responsibility: share,
         };
-        let others: Vec<Cow<Agent>> = neighbours
-            .iter()
-            .map(|n| {
-                Cow::Owned(agent(
-                    n.motion.position + n.motion.velocity * n.age.as_secs() as f32,
-                    n.motion.velocity,
-                    n.features[0],
-                ))
-            })
-            .collect();
+        let others = neighbours.iter().map(|neighbour| {
+            let Motion { position, velocity } = neighbour.motion;
+            let (velocity_meant, share) = meant(said, neighbour);
+            let mut now = position + velocity * neighbour.age.as_secs() as f32;
+            if now == at {
+                // Of two robots in one place the library draws lots, from a generator that has no seed.
+                now.x += NEIGHBOUR_MARGIN_M;
+            }
+            Cow::Owned(agent(now, velocity_meant, neighbour.features[0], share))
+        });
+        let others: Vec<Cow<Agent>> = others.collect();
         let obstacles: Vec<Cow<Obstacle>> = self.obstacles.iter().map(Cow::Borrowed).collect();
-        let velocity = agent(at, own.motion.velocity, self.arena.robot_radius_m).compute_avoiding_velocity(
+        let period_s = INTERFACE.period.as_secs() as f32;
+        let velocity = agent(at, own.motion.velocity, self.arena.robot_radius_m, 1.0).compute_avoiding_velocity(
             &others,
             &obstacles,
             glam(preferred),
             SPEED_M_S,
-            INTERFACE.period.as_secs() as f32,
+            period_s,
             &AvoidanceOptions {
                 obstacle_margin: self.arena.robot_radius_m + WALL_MARGIN_M,
                 time_horizon: HORIZON_S,
                 obstacle_time_horizon: WALL_HORIZON_S,
             },
         );
-        self.braked(at, Vec2::new(velocity.x, velocity.y))
+        route::braked(&self.arena, &own.motion, Vec2::new(velocity.x, velocity.y), period_s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::{Settings, build};
+
+    fn passage() -> Arena {
+        build("passage", &Settings { robots: None }).unwrap().arena().clone()
+    }
+
+    #[test]
+    fn a_preferred_velocity_tells_the_way_that_is_left() {
+        for distance in [0.0, 0.05, 0.1, 0.5, 3.0, 6.0] {
+            let told = remaining(approach(Vec2::new(distance, 0.0)));
+            assert!((told - distance).abs() < 1e-4, "{told} for {distance}");
+        }
+        assert!((cruising(Vec2::new(3.0, 4.0)).norm() - SPEED_M_S).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_robot_at_home_gives_way_and_one_underway_does_not() {
+        let (home, underway) = (Vec2::zeros(), approach(Vec2::new(2.0, 0.0)));
+        let seen = |said: &Vec2, other: Vec2| {
+            let features = [0.25, other.x, other.y];
+            meant(*said, &Neighbour { motion: Motion::at_rest(Vec2::zeros()), features: &features, age: Span::ZERO })
+        };
+        assert!(seen(&home, underway).1 < 1.0 && seen(&home, underway).0.x > 0.0);
+        assert!(seen(&underway, home).1 > 1.0 && seen(&underway, home).0 == Vec2::zeros());
+        assert_eq!(seen(&underway, underway).1, 1.0);
+    }
+
+    #[test]
+    fn room_is_made_beside_the_mouth_never_in_the_bottleneck() {
+        let orca = Orca::new(&passage());
+        let portal = orca.arena.portals[0];
+        let crossing = Crossing { entry: portal.far, exit: portal.near };
+        let own = Observation { motion: Motion::at_rest(Vec2::new(-0.2, -0.4)), goal: Vec2::new(-0.05, -0.46) };
+        let away = orca.make_room(&own, crossing).expect("it stands in the mouth");
+        assert!(away.x < 0.0 && away.y <= 0.0);
     }
 }
