@@ -18,6 +18,7 @@ use std::sync::Arc;
 use crate::actors::drive::{End, run_virtual};
 use crate::actors::graph::{self, Plan};
 use crate::actors::recorder::{Out, Steps};
+use crate::actors::state_server;
 use crate::config::ConfigError;
 use crate::deploy::Deployment;
 use crate::net::fault::FaultPlan;
@@ -25,7 +26,9 @@ use crate::net::range::CommRange;
 use crate::policy::Model;
 use crate::random::Seed;
 use crate::report::episode::Episode;
+use crate::report::trial::Totals;
 pub use crate::report::trial::TrialReport;
+use crate::scenario::judge::Verdict;
 use crate::scenario::layout::Layouts;
 use crate::scenario::{self, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
@@ -104,7 +107,7 @@ impl Trial {
             repeat: 0,
             range: None,
             faults: FaultPlan::default(),
-            steps: Steps::Kept,
+            steps: Steps::Discarded,
         }
     }
 
@@ -114,7 +117,7 @@ impl Trial {
         self
     }
 
-    /// With this seed, for the layouts too.
+    /// With this seed, and with the scenario's own layouts for it.
     pub fn seed(mut self, seed: u64) -> Trial {
         self.seed = seed;
         let episodes = self.layouts.len();
@@ -130,13 +133,14 @@ impl Trial {
     /// With faults drawn from a seed, over about the first half of the trial: the rest shows how it recovers.
     pub fn random_faults(self, seed: u64) -> Trial {
         let half = Span::from_secs(EPISODE_S / 2.0 * f64::from(self.layouts.len()));
-        let plan = FaultPlan::random(seed, self.scenario.robots(), half);
+        let links: Vec<&str> = self.deployment.links.iter().map(|link| link.name.as_str()).collect();
+        let plan = FaultPlan::random(seed, self.scenario.robots(), &links, half);
         self.faults(plan)
     }
 
     /// With every step kept in the report.
     pub fn keeping_steps(mut self) -> Trial {
-        self.steps = Steps::Told;
+        self.steps = Steps::Reported;
         self
     }
 
@@ -152,7 +156,8 @@ impl Trial {
         let said = Rc::new(RefCell::new(TrialReport {
             episodes: Vec::new(),
             simulated: Span::ZERO,
-            totals: None,
+            totals: Totals::default(),
+            finished: false,
             refused: 0,
             lost: 0,
             steps: Vec::new(),
@@ -162,31 +167,71 @@ impl Trial {
             move |out| {
                 let mut report = said.borrow_mut();
                 match out {
-                    Out::Episode(episode) => report.episodes.push(episode),
+                    Out::Episode(episode, totals) => {
+                        report.episodes.push(episode);
+                        report.totals = totals;
+                    }
                     Out::Step(step) => report.steps.push(step),
-                    Out::Finished(totals) => report.totals = Some(totals),
+                    Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
                 }
             }
         };
+        let deadline = self.deadline();
         let (graph, end) = run_virtual(
-            |clock| graph::wire(clock, &plan, sink),
+            |clock| graph::wire(clock, plan, sink),
             |_, now| {
                 let mut report = said.borrow_mut();
                 report.simulated = now.since(Time::ZERO);
-                report.totals.is_some() || proceed(&report.episodes) == Proceed::Stop
+                report.finished || now >= deadline || proceed(&report.episodes) == Proceed::Stop
             },
         );
         assert_eq!(end, End::Done, "a team that beats never falls idle");
         let mut report = said.borrow().clone();
         (report.refused, report.lost) = graph.undelivered();
+        if !report.finished && Time::ZERO + report.simulated >= deadline {
+            self.give_up(&mut report);
+        }
         report
     }
 
-    fn plan(&self) -> Plan {
+    /// When a trial is given up, whatever has died: every episode may take as long as the state server lets it.
+    fn deadline(&self) -> Time {
+        let each = state_server::MUSTER_LIMIT * 2 + state_server::RESET_LIMIT + self.scenario.rules().limit;
+        Time::ZERO + (each + state_server::GRACE) * (u64::from(self.layouts.len()) + 1)
+    }
+
+    /// Every episode that has no result was aborted.
+    fn give_up(&self, report: &mut TrialReport) {
+        let open = u32::try_from(report.episodes.len()).expect("episodes were counted in u32");
+        report.episodes.extend((open..self.layouts.len()).map(|episode| Episode {
+            repeat: self.repeat,
+            episode,
+            verdict: Verdict::Aborted,
+            makespan_s: None,
+            reset_s: 0.0,
+            min_separation_m: f32::INFINITY,
+        }));
+        report.finished = true;
+    }
+
+    /// Checks the deployment as the trial will use it, and that the faults are of this team and its links.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let deployment = self.placed();
+        deployment.check()?;
+        self.faults.check(self.scenario.robots(), deployment.hosts.len(), &deployment.carriers())
+    }
+
+    /// The deployment as the trial uses it: layouts that do not chain leave nothing to drive to.
+    fn placed(&self) -> Deployment {
         let mut deployment = self.deployment.clone();
         if !self.layouts.chained() {
             deployment.placement = Placement::Exact;
         }
+        deployment
+    }
+
+    fn plan(&self) -> Plan {
+        let deployment = self.placed();
         let interface = self.model.interface();
         Plan {
             deployment,

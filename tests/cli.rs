@@ -78,6 +78,8 @@ fn wrong_flags_are_refused_in_one_line() {
     refuses(&["sim", "--comm-range-std-m=-1"], &["--comm-range-std-m", "-1"]);
     refuses(&["sim", "--comm-range-m", "inf", "--comm-range-std-m", "1"], &["--comm-range-std-m"]);
     refuses(&["sim", "--impair", "some"], &["--impair", "some"]);
+    refuses(&["sim", "--mode", "offboard", "--impair", "all"], &["--impair", "--loss"]);
+    refuses(&["deployment", "offboard", "--robots", "70000"], &["--robots", "70000"]);
     refuses(&["fly"], &["fly"]);
     refuses(&["deployment", "telepathy"], &["telepathy"]);
     refuses(&["deployment", "offboard", "--robots", "0"], &["robots", "0"]);
@@ -128,6 +130,7 @@ fn wrong_files_are_refused_in_one_line_that_names_the_place() {
     deployment(("placement = \"drive\"", "placement = \"fly\""), &["placement", "fly"]);
     deployment(("state_server = true", "state_sever = true"), &["state_sever"]);
     deployment(("\"latent\", ", ""), &["link.carries", "Latent"]);
+    deployment(("name = \"agent-1\"", "name = \"agent-0\""), &["host.name"]);
     deployment(("agents = [[1]]", "agents = [[0]]"), &["robot 0", "second agent"]);
 }
 
@@ -197,6 +200,7 @@ fn wrong_policy_files_are_refused_by_tensor_and_shape() {
     );
     refused(changed(|_| (), |text| Some(text.replace("\"format\":1", "\"format\":2"))), &["manifest", "format"]);
     refused(changed(|_| (), |text| Some(text.replace("rate_hz", "rate"))), &["manifest", "rate"]);
+    refused(changed(|_| (), |text| Some(text.replace("\"rate_hz\":20.0", "\"rate_hz\":2.0"))), &["rate_hz"]);
     refused(changed(|_| (), |_| Some("{".to_owned())), &["manifest"]);
     refused(changed(|_| (), |text| Some(text.replace("passage", "swap"))), &["scenario 'swap'"]);
 
@@ -204,6 +208,27 @@ fn wrong_policy_files_are_refused_by_tensor_and_shape() {
     let sound = run(&["sim", "--policy", &file, "--episodes", "1", "--repeats", "1"]);
     assert_eq!(sound.status.code(), Some(0), "the unchanged file runs: {}", text(&sound.stderr));
     refuses(&["sim", "--policy", &file, "--scenario", "swap"], &["scenario 'passage'", "'swap'"]);
+}
+
+#[test]
+fn a_wrong_log_level_is_refused() {
+    let output = murmurate(&["sim", "--episodes", "1"]).env("MURMURATE_LOG", "[[[").output().expect("it starts");
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("MURMURATE_LOG"));
+}
+
+#[cfg(unix)]
+#[test]
+fn trajectories_go_through_links_and_into_devices() {
+    let folder = Folder::new();
+    let target = folder.file("target.csv", "before");
+    let link = folder.path("link.csv");
+    std::os::unix::fs::symlink(&target, &link).expect("a link");
+    let args = ["sim", "--episodes", "1", "--repeats", "1", "--trajectories"];
+    assert!(run(&[&args[..], &[&link.to_string_lossy()]].concat()).status.success());
+    assert!(link.is_symlink() && std::fs::read_to_string(&target).expect("it is there").starts_with("repeat,"));
+    let output = run(&[&args[..], &["/dev/stdout", "--quiet"]].concat());
+    assert!(output.status.success() && text(&output.stdout).contains("repeat,episode,phase"));
 }
 
 #[test]
@@ -274,6 +299,7 @@ fn ctrl_c_prints_what_there_is() {
     assert_eq!(output.status.code(), Some(130));
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
     assert_eq!(json["interrupted"], true);
+    assert!(json["trace_hash"].is_null(), "half a run has no trace to compare");
 }
 
 #[test]

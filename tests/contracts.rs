@@ -7,6 +7,7 @@ use murmurate::messages::local::Contacts;
 use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
 use murmurate::scenario::judge::Verdict;
+use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Observation, Scenario, Settings, Stage};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
@@ -103,6 +104,25 @@ fn every_mode_runs_episodes_with_resets() {
         assert_eq!(report.refused, 0, "{mode}: no mailbox overflows");
         let drives = Deployment::preset(mode, 5).expect("a preset").hosts.len() > 1;
         assert_eq!(report.episodes[1].reset_s > 0.0, drives, "{mode}: robots drive to their starts");
+    }
+}
+
+#[test]
+fn layouts_that_do_not_chain_are_placed_exactly_in_every_mode() {
+    // The same episode three times over: the goals of one are where the next one ends, too.
+    let episode = r#"[{"start": [0.3, -1.5], "goal": [-0.4, 1.5]}, {"start": [-0.5, -1.5], "goal": [0.6, 1.5]}]"#;
+    let text = format!("{{\"episodes\": [{episode}, {episode}, {episode}]}}");
+    let scenario = scenario::build("passage", &Settings { robots: Some(2) }).expect("two robots can pass");
+    let layouts = Layouts::from_json(&text, &*scenario, 3).expect("the layouts are sound");
+    for mode in MODES {
+        for repeat in 0..6 {
+            let deployment = Deployment::preset(mode, 2).expect("a preset");
+            let trial = Trial::new(deployment, scenario.clone(), Model::Orca);
+            let report = Trial { layouts: layouts.clone(), repeat, ..trial }.run();
+            let verdicts: Vec<Verdict> = report.episodes.iter().map(|episode| episode.verdict).collect();
+            assert_eq!(verdicts, [Verdict::Success; 3], "{mode}, repeat {repeat}");
+            assert!(report.episodes.iter().all(|episode| episode.reset_s == 0.0), "{mode}: there is no reset");
+        }
     }
 }
 

@@ -1,26 +1,26 @@
 //! One seed, one run: bit for bit, however often, on whatever thread, beside whatever else.
 
 use murmurate::deploy::Impair;
-use murmurate::net::fault::FaultPlan;
 use murmurate::net::range::CommRange;
 use murmurate::policy;
 use murmurate::report::trial::TrialReport;
-use murmurate::time::Span;
 use murmurate::trial::Trial;
 
 /// A trial in which everything that draws random numbers does so.
 fn busy(mode: &str) -> Trial {
     let mut trial = Trial::preset(mode, "passage").expect("a preset").seed(11).episodes(2);
     if mode.starts_with("onboard") || mode == "offboard" {
-        trial.deployment = trial.deployment.impaired(0.02, 0.16, Impair::All).expect("latents cross links there");
+        trial.deployment =
+            trial.deployment.impaired(Some(0.02), Some(0.16), Impair::All).expect("latents cross links there");
         trial.range = Some(CommRange { mean_m: 2.0, std_m: 0.5 });
-        trial.faults = FaultPlan::random(3, 5, Span::from_secs(30.0));
+        trial = trial.random_faults(3);
     }
     trial
 }
 
 fn trace(report: &TrialReport) -> u128 {
-    report.totals.expect("the trial ran to its end").trace
+    assert!(report.finished, "the trial ran to its end");
+    report.totals.trace
 }
 
 #[test]

@@ -22,7 +22,7 @@ fn send(message: &Wire) -> Frame {
 }
 
 fn motion() -> impl Strategy<Value = Motion> {
-    let float = || -1e6f32..1e6;
+    let float = || -1e5f32..1e5;
     (float(), float(), float(), float())
         .prop_map(|(x, y, vx, vy)| Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) })
 }
@@ -116,7 +116,7 @@ proptest! {
 
 #[test]
 fn numbers_that_are_none_are_refused_at_both_ends() {
-    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 2e6] {
         let message = latent(vec![0.0, bad]);
         assert!(matches!(encode(&header(&message), &message), Err(EncodeError::Unfit(..))));
         // Smuggled in behind the sender's back: the last four bytes are the last feature.

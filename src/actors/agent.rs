@@ -20,6 +20,9 @@ use crate::time::{Span, Time};
 /// How near to its start a robot must be before an episode may begin \[m\].
 pub const START_M: f32 = 0.05;
 
+/// A robot cannot have arrived sooner than this after a round began: what says so is a reading from before.
+pub const SETTLING: Span = Span::from_millis(300);
+
 /// What an Agent accepts.
 #[derive(Clone, Debug)]
 pub enum In {
@@ -70,6 +73,8 @@ pub struct Agent {
     seats: Vec<Seat>,
     round: Round,
     phase: Phase,
+    /// When the round began here.
+    began: Time,
     waiting_since: Option<Time>,
 }
 
@@ -85,16 +90,18 @@ impl Agent {
             seats: seats.collect(),
             round: Round::default(),
             phase: Phase::NeedReset,
+            began: Time::ZERO,
             waiting_since: None,
         }
     }
 
-    fn follow(&mut self, mode: &Mode) {
+    fn follow(&mut self, now: Time, mode: &Mode) {
         if mode.round < self.round {
             return;
         }
         if mode.round > self.round {
             self.seats.iter_mut().for_each(|seat| seat.task = None);
+            self.began = now;
         }
         (self.round, self.phase) = (mode.round, mode.phase);
         for seat in &mut self.seats {
@@ -105,12 +112,12 @@ impl Agent {
     }
 
     /// One step of all robots that have perceived.
-    fn step(&mut self, out: &mut Vec<Out>) {
+    fn step(&mut self, now: Time, out: &mut Vec<Out>) {
         self.waiting_since = None;
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
             let latents: Vec<Latent> = (0..self.seats.len()).filter_map(|at| self.encode(at)).collect();
             // Actions go first: wheels before words, and what follows from both is sent in one go.
-            out.extend((0..self.seats.len()).filter_map(|at| self.act(at)).map(Out::Action));
+            out.extend((0..self.seats.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
             out.extend(latents.into_iter().map(Out::Latent));
         }
         self.seats.iter_mut().for_each(|seat| seat.percept = None);
@@ -133,7 +140,8 @@ impl Agent {
         })
     }
 
-    fn act(&mut self, at: usize) -> Option<Action> {
+    fn act(&mut self, now: Time, at: usize) -> Option<Action> {
+        let settled = now.since(self.began) >= SETTLING;
         let (phase, round) = (self.phase, self.round);
         // The robot's own seat is split off, so that its policy can look at all others.
         let (before, rest) = self.seats.split_at_mut(at);
@@ -177,7 +185,7 @@ impl Agent {
             round,
             phase,
             velocity: self.scenario.steer(&task, limited(velocity, limit)),
-            progress: if there { Progress::Reached } else { Progress::Underway },
+            progress: if there && settled { Progress::Reached } else { Progress::Underway },
         })
     }
 }
@@ -198,12 +206,12 @@ impl Core for Agent {
 
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
-            In::Mode(mode) => self.follow(&mode),
+            In::Mode(mode) => self.follow(now, &mode),
             In::Percept(percept) => {
                 let Some(seat) = self.seats.iter_mut().find(|seat| seat.pilot.robot == percept.robot) else { return };
                 seat.percept = Some(percept);
                 if self.seats.iter().all(|seat| seat.percept.is_some()) {
-                    self.step(out);
+                    self.step(now, out);
                 } else {
                     self.waiting_since.get_or_insert(now);
                 }
@@ -216,8 +224,8 @@ impl Core for Agent {
     }
 
     /// A robot has not perceived in time: the others go on without it.
-    fn wake(&mut self, _: Time, out: &mut Vec<Out>) {
-        self.step(out);
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
+        self.step(now, out);
     }
 }
 
@@ -269,7 +277,7 @@ mod tests {
 
     fn percept(robot: u16, x: f32, heard: Vec<Heard>) -> In {
         let estimate = Motion::at_rest(Vec2::new(x, -1.5));
-        In::Percept(Percept { robot: RobotId(robot), estimate, age: Span::ZERO, heard })
+        In::Percept(Percept { robot: RobotId(robot), estimate, heard })
     }
 
     fn speeds(out: &[Out]) -> Vec<(u16, f32)> {

@@ -78,7 +78,7 @@ impl Cache {
             features: latent.features.clone(),
             age: now.since(*arrived),
         });
-        Some(Percept { robot: self.config.robot, estimate: reading.motion, age, heard: heard.collect() })
+        Some(Percept { robot: self.config.robot, estimate: reading.motion, heard: heard.collect() })
     }
 }
 
@@ -88,8 +88,9 @@ impl Core for Cache {
 
     fn handle(&mut self, now: Time, input: In, _: &mut Vec<Percept>) {
         match input {
-            // The same stamp again is the same measurement: it makes the estimate no younger.
-            In::Reading(reading) if self.own.as_ref().is_none_or(|(_, own)| own.stamp_ns != reading.stamp_ns) => {
+            // The same reading again is the same measurement: it makes the estimate no younger. (A robot that is
+            // placed is measured twice at one instant, at two places.)
+            In::Reading(reading) if self.own.as_ref().is_none_or(|(_, own)| *own != reading) => {
                 self.own = Some((now, reading));
             }
             In::Reading(_) => {}

@@ -1,7 +1,7 @@
 //! The whole actor graph as wiring: one place that says who talks to whom. No logic lives here.
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -16,8 +16,8 @@ use super::network::{self, Network};
 use super::recorder::{self, Recorder};
 use super::shell::{Mailbox, start};
 use super::state_server::{self, StateServer};
-use super::world::{self, World};
-use crate::deploy::{Deployment, Stepping};
+use super::world::{self, Ground, World};
+use crate::deploy::{Deployment, Routes, Stepping};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Heartbeat, Wire};
@@ -66,6 +66,7 @@ pub struct Plan {
 
 /// The ways to all actors of a graph.
 pub struct Graph {
+    routes: Routes,
     caches: Vec<Mailbox<cache::In>>,
     /// By robot: the robots of one agent share a mailbox.
     agents: Vec<Mailbox<agent::In>>,
@@ -82,15 +83,16 @@ pub struct Graph {
 impl Graph {
     fn new(plan: &Plan) -> Graph {
         let deployment = &plan.deployment;
+        let routes = Routes::of(deployment);
         let team = || RobotId::team(deployment.robots);
         let named = |what: &'static str| move |robot: RobotId| format!("{what} of {robot}");
         let mut agents: Vec<Mailbox<agent::In>> = Vec::new();
         let mut worlds: Vec<Mailbox<world::In>> = Vec::new();
         for robot in team() {
-            let agent = deployment.companions(robot).iter().min().and_then(|first| agents.get(usize::from(*first)));
+            let agent = agents.get(routes.companions(robot)[0].index());
             agents.push(agent.cloned().unwrap_or_else(|| Mailbox::new(named("agent")(robot))));
-            let host = deployment.world_host(robot);
-            let world = team().take(robot.index()).find(|&other| deployment.world_host(other) == host);
+            let host = routes.world_host(robot);
+            let world = team().take(robot.index()).find(|&other| routes.world_host(other) == host);
             let world = world.and_then(|other| worlds.get(other.index()));
             worlds.push(world.cloned().unwrap_or_else(|| Mailbox::new(named("world")(robot))));
         }
@@ -104,6 +106,7 @@ impl Graph {
             networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
             ethers: deployment.links.iter().map(|link| Mailbox::new(format!("ether of {}", link.name))).collect(),
             recorder: Mailbox::new("recorder"),
+            routes,
         }
     }
 
@@ -130,7 +133,7 @@ impl Graph {
         counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
     }
 
-    fn inject(&self, deployment: &Deployment, fault: ActorFault) {
+    fn inject(&self, fault: ActorFault) {
         let robot = fault.robot.index();
         match fault.role {
             Role::Cache => self.caches[robot].inject(fault),
@@ -139,13 +142,14 @@ impl Graph {
             Role::Body => self.bodies[robot].inject(fault),
             Role::World => self.worlds[robot].inject(fault),
             Role::StateServer => self.server.inject(fault),
-            Role::Network => self.network_of(deployment.agent_host(fault.robot)).inject(fault),
+            Role::Network => self.network_of(self.routes.agent_host(fault.robot)).inject(fault),
         }
     }
 }
 
 /// Starts all actors of a plan; `said` takes what the Recorder says.
-pub fn wire(clock: &Clock, plan: &Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
+pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
+    let plan = &Rc::new(plan);
     let graph = Rc::new(Graph::new(plan));
     for robot in RobotId::team(plan.deployment.robots) {
         wire_robot(clock, plan, &graph, robot);
@@ -169,8 +173,8 @@ pub fn wire(clock: &Clock, plan: &Plan, said: impl FnMut(recorder::Out) + 'stati
     start(clock, &graph.recorder, info_span!("recorder"), make, move |out| said.borrow_mut()(out));
 
     for fault in &plan.faults.actors {
-        let (fault, graph, deployment) = (fault.clone(), Rc::clone(&graph), plan.deployment.clone());
-        clock.call(fault.at, Box::new(move || graph.inject(&deployment, fault)));
+        let (fault, graph) = (fault.clone(), Rc::clone(&graph));
+        clock.call(fault.at, Box::new(move || graph.inject(fault)));
     }
     graph
 }
@@ -188,20 +192,19 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
 }
 
 /// Cache, Controller and Body of one robot, and its Agent if it is the first of that Agent's robots.
-fn wire_robot(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
+fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
-    let companions = plan.deployment.companions(robot);
-    let first = companions.iter().min().copied().unwrap_or(id);
+    let first = graph.routes.companions(robot)[0];
     let interface = plan.run.interface();
-    let home = graph.network_of(plan.deployment.agent_host(robot));
-    let away = graph.network_of(plan.deployment.world_host(robot));
+    let home = graph.network_of(graph.routes.agent_host(robot));
+    let away = graph.network_of(graph.routes.world_host(robot));
 
     let config = cache::Config {
         robot,
         period: interface.period,
         // One tick for all robots of an agent: a joint step is a synchronous one.
-        phase: phase(plan, "agent", RobotId(first), interface.period),
+        phase: phase(plan, "agent", first, interface.period),
         range: plan.range,
         hold: plan.hold,
     };
@@ -211,7 +214,7 @@ fn wire_robot(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
         agent.send(agent::In::Percept(percept));
     });
 
-    if first == id {
+    if first == robot {
         wire_agent(clock, plan, graph, robot);
     }
 
@@ -239,15 +242,14 @@ fn wire_robot(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
 }
 
 /// The Agent whose first robot this is.
-fn wire_agent(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
+fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let id = robot.0;
-    let network = graph.network_of(plan.deployment.agent_host(robot));
+    let network = graph.network_of(graph.routes.agent_host(robot));
     let controllers = graph.controllers.clone();
-    let mut robots: Vec<RobotId> = plan.deployment.companions(robot).iter().copied().map(RobotId).collect();
-    robots.sort();
+    let robots = graph.routes.companions(robot).to_vec();
     let period = plan.run.interface().period;
     let patience = Span::from_nanos(period.as_nanos() / 4);
-    let plan = plan.clone();
+    let plan = Rc::clone(plan);
     let make = move |life: u32| {
         let pilot = |&robot: &RobotId| Pilot {
             robot,
@@ -267,17 +269,19 @@ fn wire_agent(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
 /// Network and World of one host.
 fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
     let entry = &plan.deployment.hosts[usize::from(host.0)];
-    let here = |robots: &[u16]| -> Vec<RobotId> { robots.iter().copied().map(RobotId).collect() };
-    let (agents, simulated) = (here(&entry.agents.concat()), here(&entry.world));
+    // In the order of ids, however the deployment lists them: a plant moves its robots in this order.
+    let here = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect();
+    let (agents, simulated): (Vec<RobotId>, Vec<RobotId>) = (here(&entry.agents.concat()), here(&entry.world));
     let firsts: Vec<RobotId> =
         entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
 
-    let (router, links) = (plan.deployment.router(host), plan.deployment.links.len());
+    let (router, links) = (graph.routes.router(host), plan.deployment.links.len());
     let make = move |life| Network::new(host, TEAM, life, links, router.clone());
-    let caches: Vec<(Mailbox<cache::In>, Vec<u16>)> = agents
-        .iter()
-        .map(|robot| (graph.caches[robot.index()].clone(), plan.deployment.companions(*robot).to_vec()))
-        .collect();
+    // One entry an agent: its robots, and their caches.
+    let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
+    let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
+    let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
+        firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();
     let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone());
     let told_modes = (
         firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect::<Vec<_>>(),
@@ -291,8 +295,8 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
         Wire::MotorCommand(m) => by_robot.1[m.robot.index()].send(body::In::MotorCommand(m)),
         Wire::Heartbeat(m) => by_robot.2.send(m),
         Wire::Latent(m) => {
-            for (cache, _) in caches.iter().filter(|(_, companions)| !companions.contains(&m.robot.0)) {
-                cache.send(cache::In::Latent(m.clone()));
+            for (_, caches) in caches.iter().filter(|(robots, _)| robots.binary_search(&m.robot).is_err()) {
+                caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
             }
         }
         Wire::Mode(m) => {
@@ -318,15 +322,12 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
 
     if let Some(first) = simulated.first().copied() {
         let (bodies, recorder) = (graph.bodies.clone(), graph.recorder.clone());
-        let plan = plan.clone();
-        let make = move |_| {
-            // On the floor before anything starts, as people would put them there.
-            let starts: Vec<Vec2> =
-                simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
-            let plant = plants::REGISTRY.iter().find(|entry| entry.name == plan.deployment.plant);
-            let plant = plant.expect("a checked deployment names a plant");
-            World::new((plant.build)(plan.scenario.arena(), &starts), plan.deployment.placement, &simulated)
-        };
+        // On the floor before anything starts, as people would put them there.
+        let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
+        let plant = plants::REGISTRY.iter().find(|entry| entry.name == plan.deployment.plant);
+        let plant = (plant.expect("a checked deployment names a plant").build)(plan.scenario.arena(), &starts);
+        let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
+        let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
         start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {
             world::Out::Sample(sample) => bodies[sample.robot.index()].send(body::In::Sample(sample)),
             world::Out::Truth(truth) => recorder.send(recorder::In::Truth(truth)),
@@ -337,12 +338,12 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
 fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
     for (index, link) in plan.deployment.links.iter().enumerate() {
         let id = crate::messages::ids::LinkId(u16::try_from(index).expect("links are counted in u16"));
-        let deployment = plan.deployment.clone();
+        let routes = graph.routes.clone();
         let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
         let (seed, name) = (plan.seed, link.name.clone());
         let make = move |life| {
             let stream = seed.stream(&format!("link/{name}/{life}"));
-            Ether::new(Medium::new(impairment.clone(), faults.clone(), stream), |kind| deployment.listeners(kind))
+            Ether::new(Medium::new(impairment.clone(), faults.clone(), stream), |kind| routes.listeners(kind))
         };
         let networks = graph.networks.clone();
         start(clock, &graph.ethers[index], info_span!("ether", link = link.name), make, move |Arrive { to, frame }| {
@@ -358,8 +359,8 @@ fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
         placement: plan.deployment.placement,
         limit: plan.scenario.rules().limit,
     };
-    let (network, robots) = (graph.network_of(plan.deployment.server_host()), plan.deployment.robots);
-    let make = move |_| StateServer::new(config.clone(), robots);
+    let (network, robots) = (graph.network_of(graph.routes.server_host()), plan.deployment.robots);
+    let make = move |life| StateServer::new(config.clone(), robots, life);
     start(clock, &graph.server, info_span!("state server"), make, move |mode| {
         network.send(network::In::Publish(Wire::Mode(mode)));
     });

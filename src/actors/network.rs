@@ -68,7 +68,9 @@ impl Network {
                 out.push(Out::Tap(frame));
             }
             Err(error) => {
-                tracing::error!(robot = message.robot().0, "not sent: {error}");
+                if link.unfit() {
+                    tracing::error!(robot = message.robot().0, "not sent: {error}; what follows is only counted");
+                }
                 return;
             }
         }
@@ -112,7 +114,7 @@ impl Core for Network {
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        out.push(Out::Counts(self.links.iter().map(LinkState::counts).sum()));
+        out.push(Out::Counts(self.links.iter().chain([&self.indoors]).map(LinkState::counts).sum()));
         self.next_counts = now.next_on_grid(Span::ZERO, COUNTS_PERIOD);
     }
 }

@@ -34,8 +34,8 @@ pub enum In {
 /// What a Recorder says.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// An episode is over.
-    Episode(Episode),
+    /// An episode is over; and what the trial comes to so far.
+    Episode(Episode, Totals),
     /// The whole team has been seen.
     Step(Step),
     /// All episodes are over.
@@ -55,13 +55,13 @@ pub struct Config {
     pub steps: Steps,
 }
 
-/// Whether a Recorder tells of every step.
+/// What becomes of every step of a trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Steps {
-    /// It does.
-    Told,
-    /// It keeps them to itself.
-    Kept,
+    /// It is told, and stands in the report.
+    Reported,
+    /// It is judged and forgotten.
+    Discarded,
 }
 
 /// The recorder of one trial.
@@ -70,8 +70,8 @@ pub struct Recorder {
     digest: Xxh3,
     messages: u64,
     team: Vec<Option<Sample>>,
-    /// Samples of the present instant that are in, and when that is.
-    seen: (Time, usize),
+    /// Which robots were seen since the last time that all had been.
+    seen: Vec<bool>,
     commanded: Vec<Time>,
     /// The last counts of each host; those of a crashed Network begin anew.
     counts: BTreeMap<HostId, LinkCounts>,
@@ -94,7 +94,7 @@ impl Recorder {
             digest: Xxh3::new(),
             messages: 0,
             team: vec![None; robots],
-            seen: (Time::ZERO, 0),
+            seen: vec![false; robots],
             commanded: vec![Time::ZERO; robots],
             counts: BTreeMap::new(),
             oldest_command: Span::ZERO,
@@ -127,56 +127,59 @@ impl Recorder {
         if (round, phase) == (self.round, self.phase) || self.finished {
             return;
         }
-        // Whatever episode is left behind without a result was given up.
+        // Whatever episode is left behind without a result was given up; what has a result keeps it.
         let behind = if phase == Phase::AbortRunning { round.episode + 1 } else { round.episode };
-        while self.open < behind {
+        while self.open < behind.min(self.config.layouts.len()) {
             let after = now.since(self.since);
             let finding = match &self.judge {
                 Some(judge) => judge.end(after, Verdict::Aborted),
                 None => Finding { verdict: Verdict::Aborted, after, min_separation_m: f32::INFINITY },
             };
-            self.close(finding, out);
+            self.close(now, finding, out);
         }
-        match phase {
-            Phase::Running => {
-                let goals = self.config.layouts.episode(round.episode).iter().map(|task| task.goal).collect();
-                self.judge = Some(Judge::new(self.config.rules, goals));
-                self.reset = if self.phase == Phase::Resetting { now.since(self.since) } else { Span::ZERO };
-            }
-            Phase::EpisodesFinished => {
-                self.finished = true;
-                out.push(Out::Finished(Totals {
-                    messages: self.messages,
-                    end: now,
-                    trace: self.digest.digest128(),
-                    oldest_command: self.oldest_command,
-                    links: self.counts.values().copied().sum(),
-                }));
-            }
-            _ => {}
+        let goes_on = (phase, round.episode) == (self.phase, self.round.episode);
+        if phase == Phase::Running && self.judge.is_none() && round.episode == self.open {
+            let goals = self.config.layouts.episode(round.episode).iter().map(|task| task.goal).collect();
+            self.judge = Some(Judge::new(self.config.rules, goals));
+            self.reset = if self.phase == Phase::Resetting { now.since(self.since) } else { Span::ZERO };
         }
-        (self.round, self.phase, self.since) = (round, phase, now);
+        if phase == Phase::EpisodesFinished {
+            self.finished = true;
+            out.push(Out::Finished(self.totals(now)));
+        }
+        // A new epoch of the same instruction changes nothing.
+        self.since = if goes_on { self.since } else { now };
+        (self.round, self.phase) = (round, phase);
     }
 
-    fn close(&mut self, finding: Finding, out: &mut Vec<Out>) {
+    /// What the trial comes to so far.
+    fn totals(&self, now: Time) -> Totals {
+        Totals {
+            messages: self.messages,
+            end: now,
+            trace: self.digest.digest128(),
+            oldest_command: self.oldest_command,
+            links: self.counts.values().copied().sum(),
+        }
+    }
+
+    fn close(&mut self, now: Time, finding: Finding, out: &mut Vec<Out>) {
         let success = finding.verdict == Verdict::Success;
-        out.push(Out::Episode(Episode {
+        let episode = Episode {
             repeat: self.config.repeat,
             episode: self.open,
             verdict: finding.verdict,
             makespan_s: success.then(|| finding.after.as_secs()),
             reset_s: self.reset.as_secs(),
             min_separation_m: finding.min_separation_m,
-        }));
+        };
+        out.push(Out::Episode(episode, self.totals(now)));
         self.judge = None;
         self.reset = Span::ZERO;
         self.open += 1;
     }
 
     fn see(&mut self, now: Time, truth: &Truth, out: &mut Vec<Out>) {
-        if self.seen.0 < truth.time {
-            self.seen = (truth.time, 0);
-        }
         for sample in truth.samples.iter() {
             let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
             self.digest.update(&truth.time.as_nanos().to_le_bytes());
@@ -187,10 +190,19 @@ impl Recorder {
                 let age = now.since(self.commanded[sample.robot.index()]);
                 self.oldest_command = self.oldest_command.max(age);
             }
-            self.team[sample.robot.index()] = Some(*sample);
+            let robot = sample.robot.index();
+            let mut sample = *sample;
+            // What the judge has not seen yet it must still hear of.
+            if let Some(before) = self.team[robot].filter(|_| self.seen[robot]) {
+                sample.contacts.wall |= before.contacts.wall;
+                sample.contacts.robot |= before.contacts.robot;
+            }
+            self.team[robot] = Some(sample);
+            self.seen[robot] = true;
         }
-        self.seen.1 += truth.samples.len();
-        if self.seen.1 == self.team.len() {
+        // Several worlds need not step at one instant: the team is seen when each has shown its robots.
+        if self.seen.iter().all(|&seen| seen) {
+            self.seen.fill(false);
             self.judge_step(now, out);
         }
     }
@@ -204,10 +216,10 @@ impl Recorder {
             let seen: Vec<Seen> =
                 samples.iter().map(|s| Seen { position: s.motion.position, contacts: s.contacts }).collect();
             if let Some(finding) = judge.see(now.since(self.since), &seen) {
-                self.close(finding, out);
+                self.close(now, finding, out);
             }
         }
-        if self.config.steps == Steps::Told {
+        if self.config.steps == Steps::Reported {
             out.push(Out::Step(Step { episode: self.round.episode, phase: self.phase, samples }));
         }
     }
@@ -247,7 +259,7 @@ mod tests {
     fn recorder() -> Recorder {
         let passage = build("passage", &Settings { robots: Some(2) }).unwrap();
         let layouts = Layouts::of_scenario(&*passage, 1, 3);
-        Recorder::new(Config { layouts, repeat: 4, rules: passage.rules(), steps: Steps::Kept }, 2)
+        Recorder::new(Config { layouts, repeat: 4, rules: passage.rules(), steps: Steps::Discarded }, 2)
     }
 
     fn at_ms(ms: u64) -> Time {
@@ -277,7 +289,7 @@ mod tests {
 
     fn verdicts(out: &[Out]) -> Vec<(u32, Verdict, Option<f64>)> {
         let result = |said: &Out| match said {
-            Out::Episode(episode) => Some((episode.episode, episode.verdict, episode.makespan_s)),
+            Out::Episode(episode, _) => Some((episode.episode, episode.verdict, episode.makespan_s)),
             _ => None,
         };
         out.iter().filter_map(result).collect()
@@ -294,7 +306,7 @@ mod tests {
         see(&mut recorder, 1100, 0, goals[0]);
         let out = see(&mut recorder, 1100, 1, goals[1]);
         assert_eq!(verdicts(&out), [(0, Verdict::Success, Some(0.1))]);
-        assert!(matches!(&out[0], Out::Episode(episode) if episode.reset_s == 0.9 && episode.repeat == 4));
+        assert!(matches!(&out[0], Out::Episode(episode, _) if episode.reset_s == 0.9 && episode.repeat == 4));
         assert!(verdicts(&say(&mut recorder, 1200, 1, Phase::Resetting)).is_empty(), "it has its result");
     }
 

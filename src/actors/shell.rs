@@ -23,8 +23,8 @@ use super::clock::{Clock, Sleeper};
 use crate::net::fault::{ActorFault, ActorFaultKind};
 use crate::time::{Span, Time};
 
-/// How many messages a mailbox holds: one control period of the largest team, with room to spare.
-pub const MAILBOX_CAPACITY: usize = 4096;
+/// How many messages a mailbox holds: all that a team of 2000 says in one control period, eight a robot.
+pub const MAILBOX_CAPACITY: usize = 16_384;
 /// How often a core may be woken at one instant before that is taken for a bug.
 const MAX_WAKES_AT_ONCE: usize = 64;
 /// The exit status of a process that a panic has ended, as of any Rust program.
@@ -226,7 +226,7 @@ impl<C: Core + 'static> Shell<C> {
             tracing::info!(incarnation = self.incarnation, "started afresh");
         }
         if let Some(core) = &mut self.core {
-            while self.held.front().is_some_and(|(due, _)| *due <= now) {
+            while self.held.front().is_some_and(|(due, _)| (*due).max(self.faults.stalled) <= now) {
                 let (_, input) = self.held.pop_front().expect("there is a front");
                 core.handle(now, input, &mut self.out);
             }
@@ -251,7 +251,7 @@ impl<C: Core + 'static> Shell<C> {
             None => Some(self.faults.down),
             Some(core) => {
                 let wake = core.wake_at().map(|at| self.faults.taken_up(at));
-                let held = self.held.front().map(|(due, _)| *due);
+                let held = self.held.front().map(|(due, _)| (*due).max(self.faults.stalled));
                 [wake, held].into_iter().flatten().min()
             }
         };
@@ -269,11 +269,15 @@ impl<C: Core + 'static> Shell<C> {
         tracing::warn!(kind = ?fault.kind, lasts = %fault.lasts, "fault injected");
         let until = now + fault.lasts;
         match fault.kind {
-            ActorFaultKind::Stall => self.faults.stalled = until,
-            ActorFaultKind::Mute => self.faults.mute = until,
-            ActorFaultKind::Slow => (self.faults.slow, self.faults.slow_by) = (until, fault.by),
+            // Of two faults at once the longer one counts.
+            ActorFaultKind::Stall => self.faults.stalled = self.faults.stalled.max(until),
+            ActorFaultKind::Mute => self.faults.mute = self.faults.mute.max(until),
+            ActorFaultKind::Slow => {
+                self.faults.slow = self.faults.slow.max(until);
+                self.faults.slow_by = fault.by;
+            }
             ActorFaultKind::Crash => {
-                self.faults = Faults { down: until, ..Faults::default() };
+                self.faults = Faults { down: self.faults.down.max(until), ..Faults::default() };
                 context.stop();
             }
         }

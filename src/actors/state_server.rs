@@ -43,6 +43,10 @@ pub struct Config {
 pub struct StateServer {
     config: Config,
     robots: Vec<Option<(Time, Heartbeat)>>,
+    /// Its incarnation: no later one starts from an earlier epoch.
+    life: u32,
+    /// Whether it has taken up its work without hearing anyone.
+    blind: bool,
     round: Round,
     phase: Phase,
     /// When the phase began; before the first tick there is none.
@@ -53,10 +57,12 @@ pub struct StateServer {
 
 impl StateServer {
     /// A state server that does not yet know where the team is.
-    pub fn new(config: Config, robots: usize) -> StateServer {
+    pub fn new(config: Config, robots: usize, life: u32) -> StateServer {
         StateServer {
             config,
             robots: vec![None; robots],
+            life,
+            blind: false,
             round: Round::default(),
             phase: Phase::NeedReset,
             since: None,
@@ -96,7 +102,9 @@ impl StateServer {
     fn take_up(&mut self, now: Time) {
         let heard: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
         let last = heard.iter().map(|beat| beat.round).max().unwrap_or_default();
-        self.round = Round { epoch: last.epoch + 1, episode: last.episode };
+        let epoch = last.epoch.saturating_add(1).max(self.life);
+        self.round = Round { epoch, episode: last.episode.min(self.config.layouts.len()) };
+        self.blind = heard.is_empty();
         let in_the_midst = |beat: &Heartbeat| {
             let phases = [Phase::Running, Phase::FinishedRunning, Phase::AbortRunning, Phase::NeedReset];
             beat.round == last && phases.contains(&beat.phase)
@@ -111,8 +119,24 @@ impl StateServer {
         }
     }
 
+    /// A robot follows a later round than this: one of a former incarnation, or one that was garbled on its way.
+    /// It would refuse everything that is said here, so the epoch has to overtake it.
+    fn overtake(&mut self, now: Time) {
+        let latest = self.present(now).flatten().map(|beat| beat.round).max().unwrap_or_default();
+        if self.round.epoch == 0 || latest <= self.round {
+            return;
+        }
+        if self.blind {
+            self.take_up(now);
+        } else {
+            self.round.epoch = latest.epoch.saturating_add(1);
+            self.said = None;
+        }
+    }
+
     /// Decides what comes next.
     fn decide(&mut self, now: Time) {
+        self.overtake(now);
         let since = *self.since.get_or_insert(now);
         let lasted = now.since(since);
         let everyone = self.present(now).all(|beat| beat.is_some());
@@ -187,7 +211,7 @@ mod tests {
         let passage = build("passage", &Settings { robots: Some(2) }).unwrap();
         let layouts = Layouts::of_scenario(&*passage, 1, 2);
         let limit = Span::from_millis(25_000);
-        StateServer::new(Config { layouts, repeat: 0, placement: Placement::Drive, limit }, 2)
+        StateServer::new(Config { layouts, repeat: 0, placement: Placement::Drive, limit }, 2, 1)
     }
 
     fn beat(server: &mut StateServer, now: Time, round: Round, phases: [Phase; 2]) {
@@ -236,6 +260,22 @@ mod tests {
         assert_eq!(tick(&mut server, at_ms(50)), (round(5, 0), Phase::AbortRunning));
         beat(&mut server, at_ms(60), round(5, 0), [Phase::NeedReset; 2]);
         assert_eq!(tick(&mut server, at_ms(100)), (round(5, 1), Phase::Resetting));
+    }
+
+    #[test]
+    fn a_server_that_started_blind_or_is_behind_overtakes_the_team() {
+        let mut blind = server();
+        tick(&mut blind, at_ms(0));
+        assert_eq!(tick(&mut blind, at_ms(10_000)), (round(1, 0), Phase::Resetting));
+        beat(&mut blind, at_ms(10_010), round(4, 1), [Phase::Resetting; 2]);
+        assert_eq!(tick(&mut blind, at_ms(10_050)), (round(5, 1), Phase::Resetting), "it learns where the team is");
+
+        let mut server = server();
+        tick(&mut server, at_ms(0));
+        beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
+        tick(&mut server, at_ms(50));
+        beat(&mut server, at_ms(60), round(1, 900), [Phase::NeedReset; 2]);
+        assert_eq!(tick(&mut server, at_ms(100)), (round(2, 0), Phase::Resetting), "a garbled episode is no episode");
     }
 
     #[test]

@@ -2,7 +2,8 @@
 //!
 //! It enforces the validity of every command by itself, for a Body that has stopped in mid-command.
 
-use std::sync::Arc;
+use std::cell::RefCell;
+use std::rc::Rc;
 
 use super::Core;
 use crate::messages::geometry::Vec2;
@@ -10,7 +11,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::local::{Drive, Sample, Truth};
 use crate::messages::wire::{Mode, Phase, Round};
 use crate::time::{Span, Time};
-use crate::world::{Placement, Plant};
+use crate::world::{Placement, Plant, PlantState};
 
 /// What a World accepts.
 #[derive(Clone, Debug)]
@@ -30,9 +31,25 @@ pub enum Out {
     Truth(Truth),
 }
 
+/// What outlives the actor, as the real world outlives the process that looks at it: the plant, and for which
+/// round each robot was last placed. While no World steps it, it stands still.
+pub struct Ground {
+    plant: Box<dyn Plant>,
+    placed: Vec<Round>,
+}
+
+impl Ground {
+    /// A plant that nobody was placed in yet.
+    pub fn new(plant: Box<dyn Plant>) -> Ground {
+        let placed = vec![Round::default(); plant.states().len()];
+        Ground { plant, placed }
+    }
+}
+
 /// A world of some robots.
 pub struct World {
-    plant: Box<dyn Plant>,
+    ground: Rc<RefCell<Ground>>,
+    period: Span,
     placement: Placement,
     bodies: Vec<Attached>,
     next: Time,
@@ -45,50 +62,41 @@ struct Attached {
     robot: RobotId,
     command: Vec2,
     until: Time,
-    /// The last round that it was placed for.
-    placed: Round,
 }
 
 impl World {
     /// A world of these robots, which the plant holds in the same order.
-    pub fn new(plant: Box<dyn Plant>, placement: Placement, robots: &[RobotId]) -> World {
-        let attach =
-            |&robot: &RobotId| Attached { robot, command: Vec2::zeros(), until: Time::ZERO, placed: Round::default() };
-        World { plant, placement, bodies: robots.iter().map(attach).collect(), next: Time::ZERO, placed_at: None }
-    }
-
-    fn period(&self) -> Span {
-        self.plant.period()
+    pub fn new(ground: Rc<RefCell<Ground>>, placement: Placement, robots: &[RobotId]) -> World {
+        let attach = |&robot: &RobotId| Attached { robot, command: Vec2::zeros(), until: Time::ZERO };
+        let period = ground.borrow().plant.period();
+        let bodies = robots.iter().map(attach).collect();
+        World { ground, period, placement, bodies, next: Time::ZERO, placed_at: None }
     }
 
     fn place(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
-        let mut placed = false;
+        let mut ground = self.ground.borrow_mut();
         for (index, body) in self.bodies.iter_mut().enumerate() {
-            if let Some(task) = mode.task_of(body.robot).filter(|_| body.placed < mode.round) {
-                self.plant.place(index, task.start);
-                (body.command, body.until, body.placed) = (Vec2::zeros(), now, mode.round);
-                placed = true;
+            // A new epoch of a running episode is no reason to carry anyone back.
+            let due = ground.placed[index].epoch == 0 || ground.placed[index].episode < mode.round.episode;
+            if let Some(task) = mode.task_of(body.robot).filter(|_| due) {
+                ground.plant.place(index, task.start);
+                ground.placed[index] = mode.round;
+                (body.command, body.until) = (Vec2::zeros(), now);
+                self.placed_at = Some(now);
+                out.push(Out::Sample(sample(now, body, &ground.plant.states()[index])));
             }
         }
-        if placed {
-            self.placed_at = Some(now);
-            self.tell(now, out);
-        }
     }
 
-    fn samples(&self, now: Time) -> impl Iterator<Item = Sample> + '_ {
-        self.bodies.iter().zip(self.plant.states()).map(move |(body, state)| Sample {
-            robot: body.robot,
-            time: now,
-            motion: state.motion,
-            command: body.command,
-            contacts: state.contacts,
-        })
+    fn samples(&self, now: Time) -> Vec<Sample> {
+        let ground = self.ground.borrow();
+        self.bodies.iter().zip(ground.plant.states()).map(|(body, state)| sample(now, body, state)).collect()
     }
+}
 
-    fn tell(&self, now: Time, out: &mut Vec<Out>) {
-        out.extend(self.samples(now).map(Out::Sample));
-    }
+fn sample(now: Time, body: &Attached, state: &PlantState) -> Sample {
+    let PlantState { motion, contacts } = *state;
+    Sample { robot: body.robot, time: now, motion, command: body.command, contacts }
 }
 
 impl Core for World {
@@ -115,18 +123,23 @@ impl Core for World {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         // A step moves robots through a whole period: whoever was placed since the last one waits for the next.
-        if self.placed_at.is_none_or(|placed| now.since(placed) >= self.period()) {
+        let steps = self.placed_at.is_none_or(|placed| now.since(placed) >= self.period);
+        if steps {
+            let mut ground = self.ground.borrow_mut();
             for (index, body) in self.bodies.iter_mut().enumerate() {
                 if body.until <= now {
                     body.command = Vec2::zeros();
                 }
-                self.plant.drive(index, body.command);
+                ground.plant.drive(index, body.command);
             }
-            self.plant.advance();
-            out.push(Out::Truth(Truth { time: now, samples: self.samples(now).collect::<Arc<[Sample]>>() }));
+            ground.plant.advance();
         }
-        self.tell(now, out);
-        self.next = now.next_on_grid(Span::ZERO, self.period());
+        let samples = self.samples(now);
+        out.extend(samples.iter().copied().map(Out::Sample));
+        if steps {
+            out.push(Out::Truth(Truth { time: now, samples: samples.into() }));
+        }
+        self.next = now.next_on_grid(Span::ZERO, self.period);
     }
 }
 
@@ -140,7 +153,8 @@ mod tests {
     fn world(placement: Placement) -> World {
         let passage = build("passage", &Settings { robots: Some(2) }).unwrap();
         let starts = [Vec2::new(0.0, -1.0), Vec2::new(1.0, -1.0)];
-        World::new(kinematic::build(passage.arena(), &starts), placement, &[RobotId(0), RobotId(1)])
+        let ground = Ground::new(kinematic::build(passage.arena(), &starts));
+        World::new(Rc::new(RefCell::new(ground)), placement, &[RobotId(0), RobotId(1)])
     }
 
     fn at_ms(ms: u64) -> Time {

@@ -7,6 +7,8 @@
 mod presets;
 mod routes;
 
+pub use routes::Routes;
+
 use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
@@ -91,6 +93,9 @@ fn kinematic() -> String {
     "kinematic".to_owned()
 }
 
+/// The most hosts, and the most links: their numbers are 16 bits wide.
+const MAX_NAMES: usize = 10_000;
+
 /// The link that stands for cables to a simulated world: it is never impaired.
 pub const WIRES: &str = "wires";
 
@@ -145,6 +150,18 @@ impl Deployment {
         if !world::REGISTRY.iter().any(|entry| entry.name == self.plant) {
             return wrong("plant", format!("there is no plant '{}'", self.plant));
         }
+        for (field, names) in [
+            ("host", self.hosts.iter().map(|host| &host.name).collect::<Vec<_>>()),
+            ("link", self.links.iter().map(|link| &link.name).collect()),
+        ] {
+            if names.len() > MAX_NAMES {
+                return wrong(field, format!("{} of them; there is room for {MAX_NAMES}", names.len()));
+            }
+            let unique: BTreeSet<&String> = names.iter().copied().collect();
+            if unique.len() < names.len() || names.iter().any(|name| name.is_empty()) {
+                return wrong(&format!("{field}.name"), "every one needs a name of its own".to_owned());
+            }
+        }
         let agents = |host: &Host| host.agents.concat();
         self.once("host.agents", agents, "agent")?;
         self.once("host.world", |host: &Host| host.world.clone(), "world")?;
@@ -159,16 +176,20 @@ impl Deployment {
             if !(0.0..=1.0).contains(&link.loss) {
                 return wrong("link.loss", format!("{} on '{}' is not a share of 0 to 1", link.loss, link.name));
             }
+            if let Some(kind) = link.impairs.iter().find(|kind| !link.carries.contains(kind)) {
+                return wrong("link.impairs", format!("'{}' does not carry {kind:?}", link.name));
+            }
             if !(0.0..=60.0).contains(&link.delay_s) {
                 return wrong("link.delay_s", format!("{} on '{}' is not 0 to 60 s", link.delay_s, link.name));
             }
         }
+        let routes = Routes::of(self);
         for kind in KINDS {
-            let carriers = self.links.iter().filter(|link| link.carries.contains(&kind)).count();
+            let carriers = self.links.iter().flat_map(|link| &link.carries).filter(|carried| **carried == kind).count();
             if carriers > 1 {
-                return wrong("link.carries", format!("{carriers} links carry {kind:?}; at most one can"));
+                return wrong("link.carries", format!("{kind:?} is carried {carriers} times; once is the most"));
             }
-            if carriers == 0 && self.crosses(kind) {
+            if carriers == 0 && routes.crosses(kind) {
                 return wrong("link.carries", format!("{kind:?} must cross hosts, and no link carries it"));
             }
         }
@@ -195,18 +216,31 @@ impl Deployment {
         }
     }
 
-    /// Makes links slow and lossy.
-    pub fn impaired(mut self, delay_s: f64, loss: f64, impair: Impair) -> Result<Deployment, ImpairError> {
+    /// The links and what they carry.
+    pub fn carriers(&self) -> Vec<(&str, &[Kind])> {
+        self.links.iter().map(|link| (link.name.as_str(), link.carries.as_slice())).collect()
+    }
+
+    /// Makes links slow and lossy; what is not given stays as it is.
+    pub fn impaired(
+        mut self,
+        delay_s: Option<f64>,
+        loss: Option<f64>,
+        impair: Impair,
+    ) -> Result<Deployment, ImpairError> {
         let (kinds, what) = match impair {
             Impair::Latent => (&[Kind::Latent][..], "latent"),
             Impair::All => (&KINDS[..], "impaired"),
         };
         let mut suffers = false;
-        let crosses: Vec<Kind> = kinds.iter().copied().filter(|&kind| self.crosses(kind)).collect();
+        let routes = Routes::of(&self);
+        let crosses: Vec<Kind> = kinds.iter().copied().filter(|&kind| routes.crosses(kind)).collect();
         for link in self.links.iter_mut().filter(|link| link.name != WIRES) {
             let struck: Vec<Kind> = link.carries.iter().copied().filter(|kind| crosses.contains(kind)).collect();
             if !struck.is_empty() {
-                (link.delay_s, link.loss, link.impairs) = (delay_s, loss, struck);
+                link.delay_s = delay_s.unwrap_or(link.delay_s);
+                link.loss = loss.unwrap_or(link.loss);
+                link.impairs = struck;
                 suffers = true;
             }
         }
@@ -242,7 +276,7 @@ mod tests {
     fn what_crosses_a_link_is_what_the_design_says() {
         let crossing = |mode: &str| -> Vec<Kind> {
             let preset = Deployment::preset(mode, 3).unwrap();
-            KINDS.into_iter().filter(|&kind| preset.crosses(kind)).collect()
+            KINDS.into_iter().filter(|&kind| Routes::of(&preset).crosses(kind)).collect()
         };
         assert_eq!(crossing("sim"), []);
         assert_eq!(crossing("centralized"), [Kind::Reading, Kind::MotorCommand]);
@@ -263,14 +297,19 @@ mod tests {
         assert!(error(|d| d.hosts[0].agents[0][0] = 1).starts_with("host.agents: robot 1 has a second agent"));
         assert!(error(|d| d.hosts[0].state_server = true).starts_with("host.state_server"));
         assert!(error(|d| d.links[0].carries.clear()).starts_with("link.carries: Latent must cross"));
-        assert!(error(|d| d.links[1].carries.push(Kind::Latent)).starts_with("link.carries: 2 links"));
+        assert!(
+            error(|d| d.links[1].carries.push(Kind::Latent)).starts_with("link.carries: Latent is carried 2 times")
+        );
         assert!(error(|d| d.links[0].loss = 2.0).starts_with("link.loss"));
+        assert!(error(|d| d.hosts[1].name.clear()).starts_with("host.name"));
+        assert!(error(|d| d.links[0].impairs.push(Kind::Mode)).starts_with("link.impairs"));
         assert!(error(|d| d.plant = "water".to_owned()).starts_with("plant"));
     }
 
     #[test]
     fn an_impairment_needs_something_to_act_on() {
-        let impaired = |mode: &str, impair| Deployment::preset(mode, 3).unwrap().impaired(0.02, 0.1, impair);
+        let impaired =
+            |mode: &str, impair| Deployment::preset(mode, 3).unwrap().impaired(Some(0.02), Some(0.1), impair);
         assert!(impaired("sim", Impair::All).is_err());
         assert!(impaired("centralized", Impair::Latent).is_err());
         assert!(impaired("centralized", Impair::All).is_ok());

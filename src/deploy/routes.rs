@@ -1,58 +1,111 @@
-//! The way of every message in a deployment: who publishes it, who takes it, which link lies between.
+//! The way of every message in a deployment: who publishes it, who takes it, which link lies between. Reckoned
+//! once for a whole deployment, since a large team has many ways.
 
 use std::collections::BTreeSet;
 
-use super::{Deployment, Host};
+use super::Deployment;
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::Kind;
+use crate::messages::wire::{KINDS, Kind};
 use crate::net::router::{Audience, Route, Router};
 use crate::world::Placement;
 
-impl Deployment {
+/// Who runs what in a checked deployment, and the ways of all messages.
+#[derive(Clone, Debug)]
+pub struct Routes {
+    robots: usize,
+    /// By robot: the host of its agent, the robots of that agent in the order of their ids, the host of its world.
+    agent_host: Vec<HostId>,
+    companions: Vec<Vec<RobotId>>,
+    world_host: Vec<HostId>,
+    server_host: HostId,
+    /// By kind, then by robot: the hosts that take a message, in order.
+    takers: Vec<Vec<HostId>>,
+    /// By kind: the link that carries it.
+    links: Vec<Option<LinkId>>,
+}
+
+impl Routes {
+    /// The ways of a deployment. Panics if a robot has no agent or no world, which `Deployment::check` excludes.
+    pub fn of(deployment: &Deployment) -> Routes {
+        let robots = deployment.robots;
+        let number = |index: usize| u16::try_from(index).expect("a checked deployment has few hosts and links");
+        let (mut agent_host, mut world_host) = (vec![None; robots], vec![None; robots]);
+        let mut companions = vec![Vec::new(); robots];
+        for (index, host) in deployment.hosts.iter().enumerate() {
+            for agent in &host.agents {
+                let mut ids: Vec<RobotId> = agent.iter().copied().map(RobotId).collect();
+                ids.sort();
+                for robot in &ids {
+                    agent_host[robot.index()] = Some(HostId(number(index)));
+                    companions[robot.index()] = ids.clone();
+                }
+            }
+            for robot in &host.world {
+                world_host[usize::from(*robot)] = Some(HostId(number(index)));
+            }
+        }
+        let found = |hosts: Vec<Option<HostId>>| -> Vec<HostId> {
+            hosts.into_iter().map(|host| host.expect("a checked deployment has a host for everything")).collect()
+        };
+        let server = deployment.hosts.iter().position(|host| host.state_server);
+        let link_of = |kind: Kind| deployment.links.iter().position(|link| link.carries.contains(&kind));
+        let mut routes = Routes {
+            robots,
+            agent_host: found(agent_host),
+            companions,
+            world_host: found(world_host),
+            server_host: HostId(number(server.expect("a checked deployment has a state server"))),
+            takers: Vec::new(),
+            links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
+        };
+        let placing = deployment.placement == Placement::Exact;
+        let told: BTreeSet<HostId> =
+            routes.agent_host.iter().chain(routes.world_host.iter().filter(|_| placing)).copied().collect();
+        routes.takers = KINDS
+            .iter()
+            .flat_map(|&kind| RobotId::team(robots).map(move |robot| (kind, robot)))
+            .map(|(kind, robot)| routes.takers_of(kind, robot, &told))
+            .collect();
+        routes
+    }
+
+    fn takers_of(&self, kind: Kind, robot: RobotId, told: &BTreeSet<HostId>) -> Vec<HostId> {
+        match kind {
+            Kind::Reading => vec![self.agent_host(robot)],
+            Kind::Latent => {
+                // Robots of one agent hear each other within its step.
+                let own = self.companions(robot);
+                let others = RobotId::team(self.robots).filter(|other| own.binary_search(other).is_err());
+                others.map(|other| self.agent_host(other)).collect::<BTreeSet<_>>().into_iter().collect()
+            }
+            Kind::MotorCommand => vec![self.world_host(robot)],
+            Kind::Heartbeat => vec![self.server_host],
+            Kind::Mode => told.iter().copied().collect(),
+        }
+    }
+
     /// The host that runs the robot's agent.
     pub fn agent_host(&self, robot: RobotId) -> HostId {
-        self.host_where(|host| host.agents.iter().any(|robots| robots.contains(&robot.0)))
+        self.agent_host[robot.index()]
     }
 
     /// The host whose World holds the robot.
     pub fn world_host(&self, robot: RobotId) -> HostId {
-        self.host_where(|host| host.world.contains(&robot.0))
+        self.world_host[robot.index()]
     }
 
     /// The host that runs the StateServer.
     pub fn server_host(&self) -> HostId {
-        self.host_where(|host| host.state_server)
+        self.server_host
     }
 
-    fn host_where(&self, is: impl Fn(&Host) -> bool) -> HostId {
-        let index = self.hosts.iter().position(is).expect("a checked deployment has a host for everything");
-        HostId(u16::try_from(index).expect("hosts are counted in u16"))
+    /// The robots of the agent that hosts `robot`, itself among them, in the order of their ids.
+    pub fn companions(&self, robot: RobotId) -> &[RobotId] {
+        &self.companions[robot.index()]
     }
 
-    /// The robots of the agent that hosts `robot`.
-    pub fn companions(&self, robot: RobotId) -> &[u16] {
-        let mut agents = self.hosts.iter().flat_map(|host| &host.agents);
-        agents.find(|robots| robots.contains(&robot.0)).expect("a checked deployment has an agent for every robot")
-    }
-
-    /// The hosts that take a message of this kind about this robot.
-    fn takers(&self, kind: Kind, robot: RobotId) -> BTreeSet<HostId> {
-        let team = || RobotId::team(self.robots);
-        match kind {
-            Kind::Reading => BTreeSet::from([self.agent_host(robot)]),
-            // Robots of one agent hear each other within its step.
-            Kind::Latent => {
-                let others = team().filter(|other| !self.companions(robot).contains(&other.0));
-                others.map(|other| self.agent_host(other)).collect()
-            }
-            Kind::MotorCommand => BTreeSet::from([self.world_host(robot)]),
-            Kind::Heartbeat => BTreeSet::from([self.server_host()]),
-            Kind::Mode => {
-                let agents = team().map(|robot| self.agent_host(robot));
-                let placing = team().filter(|_| self.placement == Placement::Exact);
-                agents.chain(placing.map(|robot| self.world_host(robot))).collect()
-            }
-        }
+    fn takers(&self, kind: Kind, robot: RobotId) -> &[HostId] {
+        &self.takers[kind as usize * self.robots + robot.index()]
     }
 
     /// The host that publishes messages of this kind about this robot.
@@ -60,12 +113,12 @@ impl Deployment {
         match kind {
             Kind::Reading => self.world_host(robot),
             Kind::Latent | Kind::MotorCommand | Kind::Heartbeat => self.agent_host(robot),
-            Kind::Mode => self.server_host(),
+            Kind::Mode => self.server_host,
         }
     }
 
     /// Whether any message of this kind crosses hosts.
-    pub(super) fn crosses(&self, kind: Kind) -> bool {
+    pub fn crosses(&self, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let from = self.publisher(kind, robot);
             self.takers(kind, robot).iter().any(|&to| to != from)
@@ -74,14 +127,15 @@ impl Deployment {
 
     /// The hosts that take messages of this kind.
     pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
-        let hosts: BTreeSet<HostId> = RobotId::team(self.robots).flat_map(|robot| self.takers(kind, robot)).collect();
-        hosts.into_iter().collect()
+        let all = RobotId::team(self.robots).flat_map(|robot| self.takers(kind, robot));
+        all.copied().collect::<BTreeSet<HostId>>().into_iter().collect()
     }
 
     /// The routing table of a host.
     pub fn router(&self, host: HostId) -> Router {
         Router::new(self.robots, |kind, robot| {
             let takers = self.takers(kind, robot);
+            let local = takers.binary_search(&host).is_ok();
             let mut others = takers.iter().filter(|&&taker| taker != host);
             let audience = match (others.next(), others.next()) {
                 (None, _) => None,
@@ -89,14 +143,8 @@ impl Deployment {
                 _ => Some(Audience::All),
             };
             let publishes = self.publisher(kind, robot) == host;
-            let leaves = audience.filter(|_| publishes).map(|audience| (self.link_of(kind), audience));
-            Route { local: takers.contains(&host), leaves }
+            let link = || self.links[kind as usize].expect("a checked deployment has a link for all that crosses");
+            Route { local, leaves: audience.filter(|_| publishes).map(|audience| (link(), audience)) }
         })
-    }
-
-    fn link_of(&self, kind: Kind) -> LinkId {
-        let index = self.links.iter().position(|link| link.carries.contains(&kind));
-        let index = index.expect("a checked deployment has a link for every kind that crosses");
-        LinkId(u16::try_from(index).expect("links are counted in u16"))
     }
 }

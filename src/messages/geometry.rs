@@ -27,10 +27,18 @@ impl Motion {
         Motion { position, velocity: Vec2::zeros() }
     }
 
-    /// Whether all four numbers are finite.
-    pub fn is_finite(&self) -> bool {
-        is_finite(self.position) && is_finite(self.velocity)
+    /// Whether all four numbers are finite and of a size that a robot's can be.
+    pub fn is_sound(&self) -> bool {
+        is_sound(self.position) && is_sound(self.velocity)
     }
+}
+
+/// The largest coordinate \[m\] and velocity \[m/s\] that is taken for one: arithmetic in f32 stays finite with it.
+pub const MAX_SIZE: f32 = 1e5;
+
+/// Whether both coordinates are finite and at most `MAX_SIZE`.
+pub fn is_sound(v: Vec2) -> bool {
+    v.x.abs() <= MAX_SIZE && v.y.abs() <= MAX_SIZE
 }
 
 /// Whether both coordinates are finite.

@@ -14,8 +14,6 @@ pub struct Percept {
     pub robot: RobotId,
     /// Its own filtered estimate.
     pub estimate: Motion,
-    /// Age of that estimate, since its arrival here.
-    pub age: Span,
     /// Its usable neighbours, by robot id.
     pub heard: Vec<Heard>,
 }

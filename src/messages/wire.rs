@@ -9,10 +9,12 @@ use serde::{Deserialize, Serialize};
 
 use super::floats;
 pub use super::floats::{Features, MAX_FEATURES};
-use super::geometry::{Motion, Task, Vec2, is_finite};
+use super::geometry::{Motion, Task, Vec2, is_sound};
 use super::ids::RobotId;
 use crate::time::Span;
 
+/// The largest feature: a policy that says more has come apart.
+pub const MAX_FEATURE: f32 = 1e6;
 /// The most robots in one `Mode` block: 64 x 16 bytes stay inside one datagram.
 pub const MAX_BLOCK: usize = 64;
 /// The longest validity that a command may claim: a lost team must not roll on for longer.
@@ -179,9 +181,9 @@ pub const KINDS: [Kind; 5] = [Kind::Reading, Kind::Latent, Kind::MotorCommand, K
 /// Why a message has no place on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unfit {
-    /// A position, velocity or feature is NaN or infinite.
-    #[error("a number is not finite")]
-    NotFinite,
+    /// A position, velocity or feature is NaN, infinite or too large.
+    #[error("a number is not finite, or too large to be one")]
+    Number,
     /// A list is empty or longer than its limit.
     #[error("a list is empty or too long")]
     Length,
@@ -193,9 +195,9 @@ pub enum Unfit {
     Block,
 }
 
-/// Without a way out at the first: so it is a handful of vector instructions.
-fn all_finite(floats: &[f32]) -> bool {
-    floats.iter().fold(true, |all, float| all & float.is_finite())
+/// Without a way out at the first: so it is a handful of vector instructions. NaN is never at most anything.
+fn all_sound(floats: &[f32]) -> bool {
+    floats.iter().fold(true, |all, float| all & (float.abs() <= MAX_FEATURE))
 }
 
 impl Wire {
@@ -223,15 +225,15 @@ impl Wire {
 
     /// Checks the message's own ranges, at both ends of a link.
     pub fn check(&self) -> Result<(), Unfit> {
-        let finite = match self {
-            Wire::Reading(m) => m.motion.is_finite(),
-            Wire::Latent(m) => m.motion.is_finite() && all_finite(&m.features.0),
-            Wire::MotorCommand(m) => is_finite(m.velocity),
+        let sound = match self {
+            Wire::Reading(m) => m.motion.is_sound(),
+            Wire::Latent(m) => m.motion.is_sound() && all_sound(&m.features.0),
+            Wire::MotorCommand(m) => is_sound(m.velocity),
             Wire::Heartbeat(_) => true,
-            Wire::Mode(m) => m.tasks.iter().all(|task| is_finite(task.start) && is_finite(task.goal)),
+            Wire::Mode(m) => m.tasks.iter().all(|task| is_sound(task.start) && is_sound(task.goal)),
         };
-        if !finite {
-            return Err(Unfit::NotFinite);
+        if !sound {
+            return Err(Unfit::Number);
         }
         match self {
             Wire::Latent(m) if m.features.0.len() > MAX_FEATURES => Err(Unfit::Length),

@@ -151,7 +151,7 @@ pub struct FaultPlan {
     pub links: Vec<LinkFault>,
 }
 
-#[derive(Deserialize)]
+#[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PlanFile {
     #[serde(default)]
@@ -160,7 +160,7 @@ struct PlanFile {
     link: Vec<LinkEntry>,
 }
 
-#[derive(Deserialize)]
+#[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ActorEntry {
     actor: Role,
@@ -173,7 +173,7 @@ struct ActorEntry {
     by_s: f64,
 }
 
-#[derive(Deserialize)]
+#[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct LinkEntry {
     link: String,
@@ -190,41 +190,111 @@ struct LinkEntry {
     until_s: f64,
 }
 
+/// Whom a drawn plan strikes, and how.
+const STRUCK: [Role; 5] = [Role::Cache, Role::Agent, Role::Controller, Role::Body, Role::StateServer];
+const ACTOR_FAULTS: [ActorFaultKind; 4] =
+    [ActorFaultKind::Crash, ActorFaultKind::Stall, ActorFaultKind::Mute, ActorFaultKind::Slow];
+const LINK_FAULTS: [LinkFaultKind; 6] = [
+    LinkFaultKind::Drop,
+    LinkFaultKind::Delay,
+    LinkFaultKind::Duplicate,
+    LinkFaultKind::Reorder,
+    LinkFaultKind::Corrupt,
+    LinkFaultKind::Partition,
+];
+/// The latest instant and the longest delay that a plan may name \[s\].
+const LATEST_S: f64 = 1e6;
+const LONGEST_DELAY_S: f64 = 10.0;
+
 fn whole() -> f64 {
     1.0
 }
 
 impl FaultPlan {
-    /// Reads a plan for a team of `robots` from TOML.
-    pub fn from_toml(text: &str, robots: usize) -> Result<FaultPlan, ConfigError> {
+    /// Reads a plan from TOML; `check` holds it against a team.
+    pub fn from_toml(text: &str) -> Result<FaultPlan, ConfigError> {
         let file: PlanFile = config::from_toml(text)?;
-        let actors = file.actor.into_iter().enumerate().map(|(i, entry)| entry.checked(i, robots));
+        let actors = file.actor.into_iter().enumerate().map(|(i, entry)| entry.checked(i));
         let links = file.link.into_iter().enumerate().map(|(i, entry)| entry.checked(i));
         Ok(FaultPlan { actors: actors.collect::<Result<_, _>>()?, links: links.collect::<Result<_, _>>()? })
     }
 
-    /// Draws a plan from a seed: a fault of some actor about every ten seconds until `horizon`, each over
-    /// within three seconds.
-    pub fn random(seed: u64, robots: usize, horizon: Span) -> FaultPlan {
+    /// Draws a plan from a seed: about one fault in ten seconds until `horizon`, one at least, each over within
+    /// three seconds. Two of three strike an actor, the others one of `links`.
+    pub fn random(seed: u64, robots: usize, links: &[&str], horizon: Span) -> FaultPlan {
         let mut stream = Seed::of_run(seed).stream("fault-plan");
-        let roles = [Role::Cache, Role::Agent, Role::Controller, Role::Body, Role::StateServer];
-        let kinds = [ActorFaultKind::Crash, ActorFaultKind::Stall, ActorFaultKind::Mute, ActorFaultKind::Slow];
-        let mut at = Time::ZERO;
-        let mut actors = Vec::new();
-        loop {
-            at += Span::from_secs(stream.random_range(3.0..17.0));
-            if at >= Time::ZERO + horizon {
-                return FaultPlan { actors, links: Vec::new() };
+        let count = (horizon.as_secs() / 10.0).round().max(1.0) as usize;
+        let mut plan = FaultPlan::default();
+        for _ in 0..count {
+            let at = Time::ZERO + Span::from_secs(stream.random_range(1.0..horizon.as_secs().max(2.0)));
+            let lasts = Span::from_secs(stream.random_range(0.1..3.0));
+            let by = Span::from_secs(stream.random_range(0.01..0.3));
+            let robot = u16::try_from(stream.random_range(0..robots.max(1))).expect("a team fits u16");
+            if stream.random_bool(1.0 / 3.0) && !links.is_empty() {
+                plan.links.push(LinkFault {
+                    kind: LINK_FAULTS[stream.random_range(0..LINK_FAULTS.len())],
+                    hosts: vec![HostId(robot)],
+                    share: stream.random_range(0.1..1.0),
+                    from: at,
+                    until: at + lasts,
+                    ..LinkFault::always(links[stream.random_range(0..links.len())], by)
+                });
+            } else {
+                let kind = ACTOR_FAULTS[stream.random_range(0..ACTOR_FAULTS.len())];
+                let role = STRUCK[stream.random_range(0..STRUCK.len())];
+                plan.actors.push(ActorFault { role, robot: RobotId(robot), kind, at, lasts, by });
             }
-            actors.push(ActorFault {
-                role: roles[stream.random_range(0..roles.len())],
-                robot: RobotId(u16::try_from(stream.random_range(0..robots.max(1))).expect("a team fits u16")),
-                kind: kinds[stream.random_range(0..kinds.len())],
-                at,
-                lasts: Span::from_secs(stream.random_range(0.1..3.0)),
-                by: Span::from_secs(stream.random_range(0.01..0.3)),
-            });
         }
+        plan
+    }
+
+    /// Checks that the faults are of this team, its hosts and its links with what they carry.
+    pub fn check(&self, robots: usize, hosts: usize, links: &[(&str, &[Kind])]) -> Result<(), ConfigError> {
+        if let Some(index) = self.actors.iter().position(|fault| fault.robot.index() >= robots) {
+            let fault = &self.actors[index];
+            let reason = format!("there is no {}; the team has {robots}, counted from 0", fault.robot);
+            return Err(ConfigError::field(format!("actor[{index}].robot"), reason));
+        }
+        for (index, fault) in self.links.iter().enumerate() {
+            let wrong = |field: &str, reason: String| Err(ConfigError::field(format!("link[{index}].{field}"), reason));
+            let Some((_, carried)) = links.iter().find(|(name, _)| *name == fault.link) else {
+                let known: Vec<&str> = links.iter().map(|(name, _)| *name).collect();
+                let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+                return wrong("link", format!("no link '{}' in this mode; there are: {known}", fault.link));
+            };
+            if let Some(kind) = fault.kinds.iter().find(|kind| !carried.contains(kind)) {
+                return wrong("kinds", format!("'{}' does not carry {kind:?}", fault.link));
+            }
+            if let Some(host) = fault.hosts.iter().find(|host| usize::from(host.0) >= hosts) {
+                return wrong("hosts", format!("there is no host {}; there are {hosts}, counted from 0", host.0));
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the plan as TOML, which `from_toml` reads.
+    pub fn to_toml(&self) -> String {
+        let actor = |fault: &ActorFault| ActorEntry {
+            actor: fault.role,
+            robot: fault.robot.0,
+            fault: fault.kind,
+            at_s: fault.at.as_secs(),
+            for_s: fault.lasts.as_secs(),
+            by_s: fault.by.as_secs(),
+        };
+        let link = |fault: &LinkFault| LinkEntry {
+            link: fault.link.clone(),
+            fault: fault.kind,
+            kinds: fault.kinds.clone(),
+            hosts: fault.hosts.iter().map(|host| host.0).collect(),
+            share: fault.share,
+            by_s: fault.by.as_secs(),
+            from_s: fault.from.as_secs(),
+            until_s: fault.until.as_secs().min(LATEST_S),
+        };
+        let actors = self.actors.iter().map(actor).collect();
+        let file = PlanFile { actor: actors, link: self.links.iter().map(link).collect() };
+        toml::to_string(&file).expect("a plan is TOML")
     }
 
     /// The faults planned for one link.
@@ -240,19 +310,19 @@ impl FaultPlan {
 }
 
 fn seconds(field: String, value: f64) -> Result<Span, ConfigError> {
-    if value.is_finite() && (0.0..=1e6).contains(&value) {
+    within(field, value, LATEST_S)
+}
+
+fn within(field: String, value: f64, most_s: f64) -> Result<Span, ConfigError> {
+    if (0.0..=most_s).contains(&value) {
         return Ok(Span::from_secs(value));
     }
-    Err(ConfigError::field(field, format!("{value} is not a time of 0 to 1e6 s")))
+    Err(ConfigError::field(field, format!("{value} is not a time of 0 to {most_s} s")))
 }
 
 impl ActorEntry {
-    fn checked(self, index: usize, robots: usize) -> Result<ActorFault, ConfigError> {
+    fn checked(self, index: usize) -> Result<ActorFault, ConfigError> {
         let field = |name: &str| format!("actor[{index}].{name}");
-        if usize::from(self.robot) >= robots {
-            let reason = format!("there is no robot {}; the team has {robots}, counted from 0", self.robot);
-            return Err(ConfigError::field(field("robot"), reason));
-        }
         if self.fault == ActorFaultKind::Slow && self.by_s <= 0.0 {
             let reason = "a slow actor needs to know by how much; give seconds above 0".to_owned();
             return Err(ConfigError::field(field("by_s"), reason));
@@ -263,7 +333,7 @@ impl ActorEntry {
             kind: self.fault,
             at: Time::ZERO + seconds(field("at_s"), self.at_s)?,
             lasts: seconds(field("for_s"), self.for_s)?,
-            by: seconds(field("by_s"), self.by_s)?,
+            by: within(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
         })
     }
 }
@@ -279,6 +349,10 @@ impl LinkEntry {
             let reason = "a partition needs the hosts on one side of it".to_owned();
             return Err(ConfigError::field(field("hosts"), reason));
         }
+        if matches!(self.fault, LinkFaultKind::Delay | LinkFaultKind::Reorder) && self.by_s <= 0.0 {
+            let reason = "frames that come late need to know by how much; give seconds above 0".to_owned();
+            return Err(ConfigError::field(field("by_s"), reason));
+        }
         let (from, until) = (seconds(field("from_s"), self.from_s)?, seconds(field("until_s"), self.until_s)?);
         if until <= from {
             let reason = "the fault ends before it begins".to_owned();
@@ -290,7 +364,7 @@ impl LinkEntry {
             kinds: self.kinds,
             hosts: self.hosts.into_iter().map(HostId).collect(),
             share: self.share,
-            by: seconds(field("by_s"), self.by_s)?,
+            by: within(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
             from: Time::ZERO + from,
             until: Time::ZERO + until,
         })
@@ -303,25 +377,34 @@ mod tests {
 
     #[test]
     fn a_bad_plan_is_refused_by_its_field() {
-        let error = |text: &str| FaultPlan::from_toml(text, 5).unwrap_err().to_string();
+        let links: [(&str, &[Kind]); 1] = [("infra", &[Kind::Mode])];
+        let read = |text: &str| FaultPlan::from_toml(text).and_then(|plan| plan.check(5, 2, &links).map(|()| plan));
+        let error = |text: &str| read(text).unwrap_err().to_string();
         let actor = "[[actor]]\nactor = \"cache\"\nfault = \"crash\"\nat_s = 1.0\nfor_s = 1.0\n";
-        assert!(FaultPlan::from_toml(actor, 5).is_ok());
+        assert!(read(actor).is_ok());
         assert!(error(&format!("{actor}robot = 9\n")).contains("actor[0].robot"));
         assert!(error(&format!("{actor}color = 9\n")).contains("color"));
         assert!(error(&actor.replace("1.0", "-1.0")).contains("actor[0].at_s"));
         assert!(error(&actor.replace("crash", "slow")).contains("actor[0].by_s"));
         let link = "[[link]]\nlink = \"infra\"\nfault = \"drop\"\nfrom_s = 1.0\nuntil_s = 2.0\n";
-        assert!(FaultPlan::from_toml(link, 5).is_ok());
+        assert!(read(link).is_ok());
+        assert!(error(&link.replace("infra", "ether")).contains("link[0].link"));
+        assert!(error(&format!("{link}kinds = [\"latent\"]\n")).contains("link[0].kinds"));
+        assert!(error(&format!("{link}hosts = [2]\n")).contains("link[0].hosts"));
+        assert!(error(&link.replace("drop", "delay")).contains("link[0].by_s"));
         assert!(error(&format!("{link}share = 2.0\n")).contains("link[0].share"));
         assert!(error(&link.replace("drop", "partition")).contains("link[0].hosts"));
         assert!(error(&link.replace("2.0", "0.5")).contains("link[0].until_s"));
     }
 
     #[test]
-    fn a_seed_draws_the_same_plan_twice() {
-        let draw = |seed| FaultPlan::random(seed, 5, Span::from_secs(200.0));
+    fn a_seed_draws_the_same_plan_twice_and_it_survives_toml() {
+        let draw = |seed| FaultPlan::random(seed, 5, &["infra"], Span::from_secs(200.0));
         assert_eq!(draw(3), draw(3));
         assert_ne!(draw(3), draw(4));
-        assert!(draw(3).actors.len() > 5);
+        assert!(draw(3).actors.len() > 5 && draw(3).links.len() > 1);
+        assert_eq!(FaultPlan::random(1, 5, &[], Span::from_secs(1.0)).actors.len(), 1, "one at least");
+        let again = FaultPlan::from_toml(&draw(3).to_toml()).unwrap();
+        assert_eq!(again.actors, draw(3).actors);
     }
 }

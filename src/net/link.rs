@@ -15,6 +15,8 @@ use crate::messages::wire::Kind;
 pub struct LinkCounts {
     /// Sent.
     pub sent: u64,
+    /// Not sent: out of the ranges of their kind.
+    pub unfit: u64,
     /// Received and let in.
     pub accepted: u64,
     /// Refused: own frames, heard back.
@@ -44,6 +46,7 @@ impl Sum for LinkCounts {
     fn sum<I: Iterator<Item = LinkCounts>>(all: I) -> LinkCounts {
         all.fold(LinkCounts::default(), |sum, one| LinkCounts {
             sent: sum.sent + one.sent,
+            unfit: sum.unfit + one.unfit,
             accepted: sum.accepted + one.accepted,
             own: sum.own + one.own,
             team: sum.team + one.team,
@@ -130,6 +133,12 @@ impl LinkState {
         }
         self.counts.accepted += 1;
         true
+    }
+
+    /// Counts a message that could not be sent; whether it is the first.
+    pub fn unfit(&mut self) -> bool {
+        self.counts.unfit += 1;
+        self.counts.unfit == 1
     }
 
     /// Counts bytes that are no frame.

@@ -133,8 +133,12 @@ impl Manifest {
         positive("limit_m_s", f64::from(self.limit_m_s))?;
         positive("rate_hz", self.rate_hz)?;
         positive("hold_s", self.hold_s)?;
-        if !(1.0..=1000.0).contains(&self.rate_hz) {
-            return Err(format!("rate_hz: {} is not 1 to 1000", self.rate_hz));
+        // A motor command holds 200 ms: a robot must act twice in that time.
+        if !(10.0..=1000.0).contains(&self.rate_hz) {
+            return Err(format!("rate_hz: {} is not 10 to 1000", self.rate_hz));
+        }
+        if !(1.0 / self.rate_hz..=60.0).contains(&self.hold_s) {
+            return Err(format!("hold_s: {} is not one step ({} s) to 60 s", self.hold_s, 1.0 / self.rate_hz));
         }
         Ok(())
     }
@@ -157,5 +161,7 @@ mod tests {
         assert!(broken(|m| m.update[4] = 3).starts_with("update"));
         assert!(broken(|m| m.radius_m = f32::NAN).starts_with("radius_m"));
         assert!(broken(|m| m.rate_hz = 0.0).starts_with("rate_hz"));
+        assert!(broken(|m| m.rate_hz = 2.0).starts_with("rate_hz"));
+        assert!(broken(|m| m.hold_s = 1e-4).starts_with("hold_s"));
     }
 }

@@ -53,6 +53,10 @@ const MOUTH_ROOM_M: f32 = 0.9;
 /// Two robots that meet head-on pass each other because each prefers to bear right by this angle \[rad\].
 const BEAR_RIGHT_RAD: f32 = 0.08;
 
+/// The largest distance and speed that are taken for true.
+const FARTHEST_M: f32 = 1e3;
+const FASTEST_M_S: f32 = 1e2;
+
 /// What the rest of the system has to know of it.
 pub const INTERFACE: Interface = Interface {
     features: FEATURES,
@@ -199,6 +203,16 @@ fn meant(own: Vec2, neighbour: &Neighbour) -> (Vec2, f32) {
     }
 }
 
+/// Whether a neighbour can be where it says, and want what it says.
+fn is_plausible(own: &Observation, neighbour: &Neighbour) -> bool {
+    let said = neighbour.features;
+    let offset = neighbour.motion.position - own.motion.position;
+    offset.norm() <= FARTHEST_M
+        && neighbour.motion.velocity.norm() <= FASTEST_M_S
+        && (0.0..=FARTHEST_M).contains(&said[0])
+        && Vec2::new(said[1], said[2]).norm() <= FASTEST_M_S
+}
+
 fn glam(v: Vec2) -> dodgy_2d::Vec2 {
     dodgy_2d::Vec2::new(v.x, v.y)
 }
@@ -214,7 +228,14 @@ impl Policy for Orca {
     }
 
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
+        // What was garbled on its way, or measured by a broken sensor, can be of any size: nobody drives on that.
+        let near: Vec<Neighbour> =
+            neighbours.iter().filter(|neighbour| is_plausible(own, neighbour)).copied().collect();
+        let neighbours = &near[..];
         let at = own.motion.position;
+        if at.norm() > FARTHEST_M || own.motion.velocity.norm() > FASTEST_M_S {
+            return Vec2::zeros();
+        }
         let said = Vec2::new(features[1], features[2]);
         let preferred = cruising(self.yielding(own, said, neighbours));
         let (sin, cos) = (-BEAR_RIGHT_RAD).sin_cos();

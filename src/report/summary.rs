@@ -56,8 +56,8 @@ pub struct Summary {
     pub links: LinkCounts,
     /// The oldest command that any robot was still driven by \[s\].
     pub oldest_command_s: f64,
-    /// A digest of every message and state of the run, in hexadecimal.
-    pub trace_hash: String,
+    /// A digest of every message and state of the run, in hexadecimal; null for a run that was interrupted.
+    pub trace_hash: Option<String>,
     /// The seed of the run.
     pub seed: u64,
     /// Whether the run was ended before its time.
@@ -88,7 +88,7 @@ impl Summary {
     pub fn of(run: Run, trials: &[TrialReport]) -> Summary {
         let episodes: Vec<Episode> = trials.iter().flat_map(|trial| &trial.episodes).copied().collect();
         let tally = Tally::of(&episodes);
-        let totals = || trials.iter().filter_map(|trial| trial.totals);
+        let totals = || trials.iter().map(|trial| trial.totals);
         let mut trace = Xxh3::new();
         totals().for_each(|totals| trace.update(&totals.trace.to_le_bytes()));
         let Run { mode, scenario, policy, robots, seed, wall_s, interrupted } = run;
@@ -114,7 +114,7 @@ impl Summary {
             lost: trials.iter().map(|trial| trial.lost).sum(),
             links: totals().map(|totals| totals.links).sum(),
             oldest_command_s: totals().map(|totals| totals.oldest_command.as_secs()).fold(0.0, f64::max),
-            trace_hash: format!("{:032x}", trace.digest128()),
+            trace_hash: (!interrupted).then(|| format!("{:032x}", trace.digest128())),
             seed,
             interrupted,
         }
@@ -198,6 +198,15 @@ impl fmt::Display for Summary {
         writeln!(f, "  failures     {:>8}   {what}", self.episodes - self.successes)?;
         let speed = self.virtual_s / self.wall_s.max(1e-9);
         writeln!(f, "  simulated  {:>8.0} s   in {:.2} s: {speed:.0} x real time", self.virtual_s, self.wall_s)?;
-        write!(f, "  messages     {:>8}   trace {}", self.messages, self.trace_hash)
+        if self.refused + self.lost > 0 {
+            let (refused, lost) = (self.refused, self.lost);
+            writeln!(
+                f,
+                "  undelivered  {:>8}   {refused} refused by full mailboxes, {lost} lost in crashes",
+                refused + lost
+            )?;
+        }
+        let trace = self.trace_hash.as_deref().unwrap_or("incomplete");
+        write!(f, "  messages     {:>8}   trace {trace}", self.messages)
     }
 }

@@ -14,8 +14,10 @@ pub struct TrialReport {
     pub episodes: Vec<Episode>,
     /// How much time was simulated.
     pub simulated: Span,
-    /// Messages, trace and checks; `None` if the trial was ended before its last episode.
-    pub totals: Option<Totals>,
+    /// Messages, trace and checks, up to the last result.
+    pub totals: Totals,
+    /// Whether every episode has a result.
+    pub finished: bool,
     /// Messages that full mailboxes refused.
     pub refused: u64,
     /// Messages that were lost in crashes.
@@ -43,7 +45,7 @@ pub struct Step {
 }
 
 /// What a whole trial comes to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
     /// Messages published.
     pub messages: u64,

@@ -67,12 +67,14 @@ impl Swap {
     }
 
     /// Which robot has which place between two episodes. Between two deals every robot moves: the places lie
-    /// in a circle of random order, and everyone goes on by the same random number of them.
+    /// in a circle of random order, and everyone is the same random number of them from where the circle began.
     fn deal(&self, seed: u64, index: u32) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.robots).collect();
         order.shuffle(&mut Seed::of_run(seed).stream("swap/order"));
-        let mut shifts = Seed::of_run(seed).stream("swap/shifts");
-        let gone: usize = (0..index).map(|_| shifts.random_range(1..self.robots)).sum();
+        // Even deals draw from one half of the circle and odd ones from the other, so no two in a row are equal.
+        let half = self.robots / 2;
+        let mut stream = Seed::of_run(seed).stream(&format!("swap/deal/{index}"));
+        let gone = stream.random_range(if index.is_multiple_of(2) { 0..half } else { half..self.robots });
         (0..self.robots).map(|robot| order[(robot + gone) % self.robots]).collect()
     }
 }

@@ -13,13 +13,14 @@ pub struct Args {
     #[arg(value_parser = PossibleValuesParser::new(MODES))]
     mode: String,
     /// Size of the team
-    #[arg(long, default_value_t = 5)]
-    robots: usize,
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=5000))]
+    robots: u16,
 }
 
 /// Prints the deployment.
 pub fn run(args: &Args) -> Result<Ended> {
-    let deployment = Deployment::preset(&args.mode, args.robots).expect("the parser lets only modes through");
+    let deployment =
+        Deployment::preset(&args.mode, usize::from(args.robots)).expect("the parser lets only modes through");
     deployment.check().map_err(|e| BadInput(format!("--{e}")))?;
     output::print(deployment.to_toml().trim_end())?;
     Ok(Ended::Done)

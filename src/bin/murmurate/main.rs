@@ -56,7 +56,16 @@ fn main() -> ExitCode {
         Err(error) => return refuse(&error),
     };
     let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    let filter = EnvFilter::try_from_env("MURMURATE_LOG").unwrap_or_else(|_| EnvFilter::new("error"));
+    let filter = match std::env::var("MURMURATE_LOG") {
+        Err(_) => EnvFilter::new("error"),
+        Ok(level) => match EnvFilter::try_new(&level) {
+            Ok(filter) => filter,
+            Err(error) => {
+                output::talk(&format!("error: MURMURATE_LOG: '{level}' is no level or filter: {error}"));
+                return ExitCode::from(2);
+            }
+        },
+    };
     tracing_subscriber::fmt().with_writer(std::io::stderr).with_ansi(colour).with_env_filter(filter).init();
     let ended = match cli.command {
         Command::Sim(args) => sim::run(&args),
