@@ -14,8 +14,8 @@ sim mode="offboard" *flags:
     cargo run --release -- sim --mode {{mode}} {{flags}}
 
 # Episodes with faults drawn from a seed (seconds)
-faults seed *flags:
-    cargo run --release -- sim --mode onboard-adhoc --episodes 5 --repeats 1 --faults {{seed}} {{flags}}
+faults seed mode="onboard-adhoc" *flags:
+    cargo run --release -- sim --mode {{mode}} --seed {{seed}} --episodes 5 --repeats 1 --faults {{seed}} {{flags}}
 
 # One policy step, and whole trials (a minute)
 bench:

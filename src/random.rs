@@ -7,7 +7,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 
-/// A deterministic random stream (ChaCha with 8 rounds: portable and the same on every machine).
+/// A deterministic random stream (ChaCha with 8 rounds: the same numbers on every machine).
 pub type Stream = ChaCha8Rng;
 
 /// The root of all randomness of one run.

@@ -133,8 +133,7 @@ impl Trial {
     /// With faults drawn from a seed, over about the first half of the trial: the rest shows how it recovers.
     pub fn random_faults(self, seed: u64) -> Trial {
         let half = Span::from_secs(EPISODE_S / 2.0 * f64::from(self.layouts.len()));
-        let links: Vec<&str> = self.deployment.links.iter().map(|link| link.name.as_str()).collect();
-        let plan = FaultPlan::random(seed, self.scenario.robots(), &links, half);
+        let plan = FaultPlan::random(seed, &self.deployment.targets(), half);
         self.faults(plan)
     }
 
@@ -218,7 +217,7 @@ impl Trial {
     pub fn check(&self) -> Result<(), ConfigError> {
         let deployment = self.placed();
         deployment.check()?;
-        self.faults.check(self.scenario.robots(), deployment.hosts.len(), &deployment.carriers())
+        self.faults.check(&deployment.targets())
     }
 
     /// The deployment as the trial uses it: layouts that do not chain leave nothing to drive to.

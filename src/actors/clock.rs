@@ -1,5 +1,5 @@
 //! The clock of a run: the present, and an event queue ordered by (time, sequence). There is no other source of
-//! order, so a seed gives the same run on every machine. `drive` moves it on.
+//! order, so a seed gives the same run, however often. `drive` moves it on.
 
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;

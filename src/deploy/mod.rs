@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::config::{self, ConfigError};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{KINDS, Kind};
+use crate::net::fault::Targets;
 use crate::net::medium::Impairment;
 use crate::time::Span;
 use crate::world::{self, Placement};
@@ -216,9 +217,10 @@ impl Deployment {
         }
     }
 
-    /// The links and what they carry.
-    pub fn carriers(&self) -> Vec<(&str, &[Kind])> {
-        self.links.iter().map(|link| (link.name.as_str(), link.carries.as_slice())).collect()
+    /// What there is for faults to strike.
+    pub fn targets(&self) -> Targets<'_> {
+        let links = self.links.iter().map(|link| (link.name.as_str(), link.carries.as_slice())).collect();
+        Targets { robots: self.robots, hosts: self.hosts.len(), links }
     }
 
     /// Makes links slow and lossy; what is not given stays as it is.

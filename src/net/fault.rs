@@ -142,6 +142,17 @@ impl LinkFault {
     }
 }
 
+/// What there is to strike.
+#[derive(Clone, Debug)]
+pub struct Targets<'a> {
+    /// The size of the team.
+    pub robots: usize,
+    /// How many hosts there are.
+    pub hosts: usize,
+    /// The links by name, and what each carries.
+    pub links: Vec<(&'a str, &'a [Kind])>,
+}
+
 /// Everything that is to go wrong in a trial.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FaultPlan {
@@ -220,8 +231,8 @@ impl FaultPlan {
     }
 
     /// Draws a plan from a seed: about one fault in ten seconds until `horizon`, one at least, each over within
-    /// three seconds. Two of three strike an actor, the others one of `links`.
-    pub fn random(seed: u64, robots: usize, links: &[&str], horizon: Span) -> FaultPlan {
+    /// three seconds. Two of three strike an actor, the others a link.
+    pub fn random(seed: u64, targets: &Targets, horizon: Span) -> FaultPlan {
         let mut stream = Seed::of_run(seed).stream("fault-plan");
         let count = (horizon.as_secs() / 10.0).round().max(1.0) as usize;
         let mut plan = FaultPlan::default();
@@ -229,27 +240,30 @@ impl FaultPlan {
             let at = Time::ZERO + Span::from_secs(stream.random_range(1.0..horizon.as_secs().max(2.0)));
             let lasts = Span::from_secs(stream.random_range(0.1..3.0));
             let by = Span::from_secs(stream.random_range(0.01..0.3));
-            let robot = u16::try_from(stream.random_range(0..robots.max(1))).expect("a team fits u16");
-            if stream.random_bool(1.0 / 3.0) && !links.is_empty() {
+            let mut one_of = |count: usize| u16::try_from(stream.random_range(0..count.max(1))).expect("16 bits");
+            let (robot, host) = (RobotId(one_of(targets.robots)), HostId(one_of(targets.hosts)));
+            if stream.random_bool(1.0 / 3.0) && !targets.links.is_empty() {
+                let (link, _) = targets.links[stream.random_range(0..targets.links.len())];
                 plan.links.push(LinkFault {
                     kind: LINK_FAULTS[stream.random_range(0..LINK_FAULTS.len())],
-                    hosts: vec![HostId(robot)],
+                    hosts: vec![host],
                     share: stream.random_range(0.1..1.0),
                     from: at,
                     until: at + lasts,
-                    ..LinkFault::always(links[stream.random_range(0..links.len())], by)
+                    ..LinkFault::always(link, by)
                 });
             } else {
                 let kind = ACTOR_FAULTS[stream.random_range(0..ACTOR_FAULTS.len())];
                 let role = STRUCK[stream.random_range(0..STRUCK.len())];
-                plan.actors.push(ActorFault { role, robot: RobotId(robot), kind, at, lasts, by });
+                plan.actors.push(ActorFault { role, robot, kind, at, lasts, by });
             }
         }
         plan
     }
 
     /// Checks that the faults are of this team, its hosts and its links with what they carry.
-    pub fn check(&self, robots: usize, hosts: usize, links: &[(&str, &[Kind])]) -> Result<(), ConfigError> {
+    pub fn check(&self, targets: &Targets) -> Result<(), ConfigError> {
+        let Targets { robots, hosts, ref links } = *targets;
         if let Some(index) = self.actors.iter().position(|fault| fault.robot.index() >= robots) {
             let fault = &self.actors[index];
             let reason = format!("there is no {}; the team has {robots}, counted from 0", fault.robot);
@@ -375,10 +389,13 @@ impl LinkEntry {
 mod tests {
     use super::*;
 
+    fn targets() -> Targets<'static> {
+        Targets { robots: 5, hosts: 2, links: vec![("infra", &[Kind::Mode])] }
+    }
+
     #[test]
     fn a_bad_plan_is_refused_by_its_field() {
-        let links: [(&str, &[Kind]); 1] = [("infra", &[Kind::Mode])];
-        let read = |text: &str| FaultPlan::from_toml(text).and_then(|plan| plan.check(5, 2, &links).map(|()| plan));
+        let read = |text: &str| FaultPlan::from_toml(text).and_then(|plan| plan.check(&targets()).map(|()| plan));
         let error = |text: &str| read(text).unwrap_err().to_string();
         let actor = "[[actor]]\nactor = \"cache\"\nfault = \"crash\"\nat_s = 1.0\nfor_s = 1.0\n";
         assert!(read(actor).is_ok());
@@ -399,11 +416,13 @@ mod tests {
 
     #[test]
     fn a_seed_draws_the_same_plan_twice_and_it_survives_toml() {
-        let draw = |seed| FaultPlan::random(seed, 5, &["infra"], Span::from_secs(200.0));
+        let draw = |seed| FaultPlan::random(seed, &targets(), Span::from_secs(200.0));
         assert_eq!(draw(3), draw(3));
         assert_ne!(draw(3), draw(4));
         assert!(draw(3).actors.len() > 5 && draw(3).links.len() > 1);
-        assert_eq!(FaultPlan::random(1, 5, &[], Span::from_secs(1.0)).actors.len(), 1, "one at least");
+        let no_links = Targets { links: Vec::new(), ..targets() };
+        assert_eq!(FaultPlan::random(1, &no_links, Span::from_secs(1.0)).actors.len(), 1, "one at least");
+        assert!((0..50).all(|seed| draw(seed).check(&targets()).is_ok()), "what is drawn is there");
         let again = FaultPlan::from_toml(&draw(3).to_toml()).unwrap();
         assert_eq!(again.actors, draw(3).actors);
     }
