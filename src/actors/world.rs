@@ -1,6 +1,8 @@
 //! World: one Plant and its clock. It steps the Plant, tells each Body its true state, and the Recorder all.
 //!
-//! It enforces the validity of every command by itself, for a Body that has stopped in mid-command.
+//! It enforces the validity of every command by itself, for a Body that has stopped in mid-command. And it lends
+//! a hand as a person would: after a reset that has failed it puts the robots of a simulated plant at their next
+//! starts, because some plants let two of them get stuck for good.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -36,13 +38,17 @@ pub enum Out {
 pub struct Ground {
     plant: Box<dyn Plant>,
     placed: Vec<Round>,
+    /// What the team was last told.
+    told: (Round, Phase),
+    /// The first episode for which robots are to be put in place because the reset before it has failed.
+    hand: Option<u32>,
 }
 
 impl Ground {
     /// A plant that nobody was placed in yet.
     pub fn new(plant: Box<dyn Plant>) -> Ground {
         let placed = vec![Round::default(); plant.states().len()];
-        Ground { plant, placed }
+        Ground { plant, placed, told: (Round::default(), Phase::NeedReset), hand: None }
     }
 }
 
@@ -71,6 +77,20 @@ impl World {
         let period = ground.borrow().plant.period();
         let bodies = robots.iter().map(attach).collect();
         World { ground, period, placement, bodies, next: Time::ZERO, placed_at: None }
+    }
+
+    /// Whether this instruction is one to put robots in place for.
+    fn lends_a_hand(&mut self, mode: &Mode) -> bool {
+        let mut ground = self.ground.borrow_mut();
+        let (round, phase) = ground.told;
+        if (phase, mode.phase) == (Phase::Resetting, Phase::AbortRunning) && round.episode == mode.round.episode {
+            ground.hand = Some(round.episode + 1);
+        }
+        ground.told = (mode.round, mode.phase);
+        match self.placement {
+            Placement::Exact => mode.phase == Phase::Running,
+            Placement::Drive => mode.phase == Phase::Resetting && ground.hand == Some(mode.round.episode),
+        }
     }
 
     fn place(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
@@ -110,10 +130,11 @@ impl Core for World {
                     (body.command, body.until) = (drive.velocity, drive.until);
                 }
             }
-            In::Mode(mode) if self.placement == Placement::Exact && mode.phase == Phase::Running => {
-                self.place(now, &mode, out);
+            In::Mode(mode) => {
+                if self.lends_a_hand(&mode) {
+                    self.place(now, &mode, out);
+                }
             }
-            In::Mode(_) => {}
         }
     }
 
@@ -177,6 +198,22 @@ mod tests {
         world.handle(at_ms(0), In::Drive(drive), &mut Vec::new());
         assert_eq!(truth(&mut world, 50).unwrap().samples[1].command, drive.velocity);
         assert_eq!(truth(&mut world, 100).unwrap().samples[1].command, Vec2::zeros());
+    }
+
+    #[test]
+    fn after_a_failed_reset_robots_are_put_at_their_next_starts() {
+        let mut world = world(Placement::Drive);
+        let task = Task { start: Vec2::new(0.5, -2.0), goal: Vec2::zeros() };
+        let mut say = |episode: u32, phase: Phase| {
+            let (round, mut out) = (Round { epoch: 1, episode }, Vec::new());
+            let mode = Mode { round, repeat: 0, phase, first: RobotId(0), tasks: [task; 2].into() };
+            world.handle(at_ms(50), In::Mode(mode), &mut out);
+            out.len()
+        };
+        assert_eq!(say(0, Phase::Running) + say(0, Phase::AbortRunning) + say(1, Phase::Resetting), 0);
+        assert_eq!(say(1, Phase::AbortRunning), 0, "that reset has failed");
+        assert_eq!(say(2, Phase::Resetting), 2, "both robots are put in place");
+        assert_eq!(say(2, Phase::Resetting) + say(2, Phase::Running) + say(3, Phase::Resetting), 0, "once");
     }
 
     #[test]

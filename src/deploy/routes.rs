@@ -7,7 +7,6 @@ use super::Deployment;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::router::{Audience, Route, Router};
-use crate::world::Placement;
 
 /// Who runs what in a checked deployment, and the ways of all messages.
 #[derive(Clone, Debug)]
@@ -58,9 +57,7 @@ impl Routes {
             takers: Vec::new(),
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
         };
-        let placing = deployment.placement == Placement::Exact;
-        let told: BTreeSet<HostId> =
-            routes.agent_host.iter().chain(routes.world_host.iter().filter(|_| placing)).copied().collect();
+        let told: BTreeSet<HostId> = routes.agent_host.iter().chain(&routes.world_host).copied().collect();
         routes.takers = KINDS
             .iter()
             .flat_map(|&kind| RobotId::team(robots).map(move |robot| (kind, robot)))
