@@ -5,6 +5,7 @@
 
 pub mod codec;
 pub mod fault;
+mod fault_file;
 pub mod link;
 pub mod medium;
 pub mod range;

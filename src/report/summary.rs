@@ -198,13 +198,11 @@ impl fmt::Display for Summary {
         writeln!(f, "  failures     {:>8}   {what}", self.episodes - self.successes)?;
         let speed = self.virtual_s / self.wall_s.max(1e-9);
         writeln!(f, "  simulated  {:>8.0} s   in {:.2} s: {speed:.0} x real time", self.virtual_s, self.wall_s)?;
-        if self.refused + self.lost > 0 {
-            let (refused, lost) = (self.refused, self.lost);
-            writeln!(
-                f,
-                "  undelivered  {:>8}   {refused} refused by full mailboxes, {lost} lost in crashes",
-                refused + lost
-            )?;
+        let (refused, lost, frames) = (self.refused, self.lost, self.links.refused());
+        let undelivered = refused + lost + frames;
+        if undelivered > 0 {
+            let by = format!("{refused} by full mailboxes, {lost} in crashes, {frames} refused by links");
+            writeln!(f, "  undelivered  {undelivered:>8}   {by}")?;
         }
         let trace = self.trace_hash.as_deref().unwrap_or("incomplete");
         write!(f, "  messages     {:>8}   trace {trace}", self.messages)
