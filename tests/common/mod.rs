@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use safetensors::SafeTensors;
 
 /// A file of the reference data; `None`, saying so, where it is absent.
-#[allow(dead_code)] // Not every test that shares this module reads reference data.
 pub fn reference(name: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("MURMURATE_REFERENCE").map(PathBuf::from);
     let folder = folder.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/reference"));
@@ -18,21 +17,18 @@ pub fn reference(name: &str) -> Option<PathBuf> {
 }
 
 /// A tensor of 32-bit floats, row-major.
-#[allow(dead_code)]
 pub fn floats(tensors: &SafeTensors, name: &str) -> Vec<f32> {
     let data = tensors.tensor(name).expect(name);
     data.data().as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect()
 }
 
 /// A tensor of 32-bit integers.
-#[allow(dead_code)]
 pub fn integers(tensors: &SafeTensors, name: &str) -> Vec<i32> {
     let data = tensors.tensor(name).expect(name);
     data.data().as_chunks::<4>().0.iter().map(|four| i32::from_le_bytes(*four)).collect()
 }
 
 /// A tensor of bytes.
-#[allow(dead_code)]
 pub fn bytes(tensors: &SafeTensors, name: &str) -> Vec<u8> {
     tensors.tensor(name).expect(name).data().to_vec()
 }
