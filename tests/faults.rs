@@ -159,8 +159,7 @@ fn a_partitioned_network_stops_the_team_and_heals() {
     let until = from + Span::from_millis(3000);
     // Host 0 is robot 0's; on infra travel its readings, heartbeats and instructions.
     let hosts = vec![murmurate::messages::ids::HostId(0)];
-    let fault =
-        LinkFault { kind: LinkFaultKind::Partition, hosts, from, until, ..LinkFault::always("infra", Span::ZERO) };
+    let fault = LinkFault { kind: LinkFaultKind::Partition, hosts, from, until, ..LinkFault::always("infra") };
     let report = trial("onboard-infra", 9).faults(FaultPlan { actors: Vec::new(), links: vec![fault] }).run();
     // Own readings are gone: 100 ms until they count as stale, one tick, and the validity of the last command.
     let in_time = Span::from_millis(100) + kinematic::PERIOD + COMMAND_VALIDITY + kinematic::PERIOD;

@@ -119,6 +119,15 @@ fn a_stalled_actor_takes_everything_up_afterwards_in_order() {
 }
 
 #[test]
+fn a_stalled_actor_holds_as_much_as_a_mailbox_and_refuses_the_rest() {
+    let flood = (0..MAILBOX_CAPACITY as u64).map(|number| (3, number + 1));
+    let more = (1..=10).map(|number| (4, number));
+    let sent: Vec<(u64, u64)> = flood.chain(more).collect();
+    let (notes, refused, lost) = notes(&[], &sent, &[fault(ActorFaultKind::Stall, 2, 8)]);
+    assert_eq!((notes.len(), refused, lost), (MAILBOX_CAPACITY, 10, 0));
+}
+
+#[test]
 fn a_mute_actor_works_and_is_not_heard() {
     let (notes, ..) = notes(&[], &[(1, 11), (3, 12), (11, 14)], &[fault(ActorFaultKind::Mute, 2, 8)]);
     assert_eq!(notes, [Note(1, 1, 11), Note(1, 11, 14)]);

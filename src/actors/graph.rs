@@ -160,8 +160,6 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
     wire_links(clock, plan, &graph);
     wire_server(clock, plan, &graph);
 
-    // The Recorder has no second life: its sink is handed through its one core.
-    let said = Rc::new(RefCell::new(said));
     let config = recorder::Config {
         layouts: plan.layouts.clone(),
         repeat: plan.repeat,
@@ -170,7 +168,7 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
     };
     let robots = plan.deployment.robots;
     let make = move |_| Recorder::new(config.clone(), robots);
-    start(clock, &graph.recorder, info_span!("recorder"), make, move |out| said.borrow_mut()(out));
+    start(clock, &graph.recorder, info_span!("recorder"), make, said);
 
     for fault in &plan.faults.actors {
         let (fault, graph) = (fault.clone(), Rc::clone(&graph));

@@ -101,8 +101,7 @@ impl<I> Mailbox<I> {
         let slot = &*self.0;
         let mut queue = slot.queue.borrow_mut();
         if queue.len() >= MAILBOX_CAPACITY {
-            slot.refused.set(slot.refused.get() + 1);
-            return;
+            return self.refuse();
         }
         queue.push_back(envelope);
         if !slot.rung.replace(true)
@@ -110,6 +109,10 @@ impl<I> Mailbox<I> {
         {
             bell.wake_by_ref();
         }
+    }
+
+    fn refuse(&self) {
+        self.0.refused.set(self.0.refused.get() + 1);
     }
 
     fn lose(&self, messages: usize) {
@@ -187,12 +190,13 @@ pub fn start<C: Core + 'static>(
 impl<C: Core + 'static> Shell<C> {
     fn take_in(&mut self, now: Time, input: C::In) {
         let due = self.faults.taken_up(now);
-        if self.core.is_none() || (due > now && self.held.len() >= MAILBOX_CAPACITY) {
-            self.mailbox.lose(1);
-        } else if due > now || !self.held.is_empty() {
-            self.held.push_back((due, input));
-        } else if let Some(core) = &mut self.core {
+        let Some(core) = &mut self.core else { return self.mailbox.lose(1) };
+        if due <= now && self.held.is_empty() {
             core.handle(now, input, &mut self.out);
+        } else if self.held.len() < MAILBOX_CAPACITY {
+            self.held.push_back((due, input));
+        } else {
+            self.mailbox.refuse();
         }
     }
 

@@ -104,14 +104,14 @@ pub struct LinkFault {
 
 impl LinkFault {
     /// A drop of every frame on `link`, for the whole run: the base to change fields of.
-    pub fn always(link: &str, by: Span) -> LinkFault {
+    pub fn always(link: &str) -> LinkFault {
         LinkFault {
             link: link.to_owned(),
             kind: LinkFaultKind::Drop,
             kinds: Vec::new(),
             hosts: Vec::new(),
             share: 1.0,
-            by,
+            by: Span::ZERO,
             from: Time::ZERO,
             until: Time::MAX,
         }
@@ -179,7 +179,8 @@ impl FaultPlan {
                     share: stream.random_range(0.1..1.0),
                     from: at,
                     until: at + lasts,
-                    ..LinkFault::always(link, by)
+                    by,
+                    ..LinkFault::always(link)
                 });
             } else {
                 let kind = ACTOR_FAULTS[stream.random_range(0..ACTOR_FAULTS.len())];

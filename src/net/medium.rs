@@ -111,7 +111,7 @@ mod tests {
 
     #[test]
     fn a_planned_fault_acts_in_its_window_only() {
-        let fault = |kind| LinkFault { kind, ..LinkFault::always("any", Span::from_millis(5)) };
+        let fault = |kind| LinkFault { kind, by: Span::from_millis(5), ..LinkFault::always("any") };
         let medium = |kind| Medium::new(Impairment::default(), vec![fault(kind)], Seed::of_run(1).stream("link"));
         assert!(carry(&mut medium(LinkFaultKind::Drop), Kind::Latent).is_empty());
         assert_eq!(carry(&mut medium(LinkFaultKind::Duplicate), Kind::Latent).len(), 2);

@@ -103,7 +103,8 @@ pub fn run(args: &Args) -> Result<Ended> {
 
     let began = Instant::now();
     let reports = run_all(args, &trial, &stop)?;
-    let interrupted = stop.load(Ordering::Relaxed);
+    // A Ctrl-C that comes after the last episode has interrupted nothing.
+    let interrupted = reports.len() < args.repeats as usize || reports.iter().any(|report| !report.finished);
     let run = Run {
         mode: trial.deployment.mode.clone(),
         scenario: trial.scenario.name().to_owned(),
@@ -215,14 +216,17 @@ fn trial(args: &Args) -> Result<Trial> {
         trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes)
             .map_err(|e| bad(format!("the episodes file '{}': {e}", path.display())))?;
     }
-    trial.range = range(args, &trial)?;
-    trial.faults = faults(args, &trial)?;
-    let place = match (&args.faults, &args.deployment) {
-        (Some(given), _) if trial.faults != FaultPlan::default() => format!("the fault plan '{given}'"),
-        (_, Some(path)) => format!("the deployment file '{}'", path.display()),
-        _ => format!("mode '{}'", args.mode),
+    // Once before the faults and once with them, so that the error names the file that is wrong.
+    let place = match &args.deployment {
+        Some(path) => format!("the deployment file '{}'", path.display()),
+        None => format!("mode '{}'", args.mode),
     };
     trial.check().map_err(|e| bad(format!("{place}: {e}")))?;
+    trial.range = range(args, &trial)?;
+    if let Some(given) = &args.faults {
+        trial.faults = faults(given, &trial)?;
+        trial.check().map_err(|e| bad(format!("the fault plan '{given}': {e}")))?;
+    }
     if args.trajectories.is_some() {
         trial.steps = Steps::Reported;
     }
@@ -279,8 +283,7 @@ fn range(args: &Args, trial: &Trial) -> Result<Option<CommRange>> {
     Ok(Some(CommRange { mean_m, std_m }))
 }
 
-fn faults(args: &Args, trial: &Trial) -> Result<FaultPlan> {
-    let Some(given) = &args.faults else { return Ok(FaultPlan::default()) };
+fn faults(given: &str, trial: &Trial) -> Result<FaultPlan> {
     if let Ok(seed) = given.parse::<u64>() {
         return Ok(trial.clone().random_faults(seed).faults);
     }
