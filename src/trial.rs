@@ -32,7 +32,7 @@ use crate::scenario::judge::Verdict;
 use crate::scenario::layout::Layouts;
 use crate::scenario::{self, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
-use crate::world::Placement;
+use crate::world::{Physics, Placement};
 
 /// About how long an episode with its reset takes \[s\].
 const EPISODE_S: f64 = 10.0;
@@ -44,6 +44,8 @@ pub struct Trial {
     pub deployment: Deployment,
     /// What the team is to do.
     pub scenario: Arc<dyn Scenario>,
+    /// What simulated robots are like.
+    pub physics: Physics,
     /// What drives it.
     pub model: Model,
     /// The episodes.
@@ -100,6 +102,7 @@ impl Trial {
         assert_eq!(deployment.robots, scenario.robots(), "a deployment is made for the scenario's team");
         Trial {
             layouts: Layouts::of_scenario(&*scenario, 0, 1),
+            physics: Physics::published(scenario.arena()),
             deployment,
             scenario,
             model,
@@ -235,6 +238,7 @@ impl Trial {
         Plan {
             deployment,
             scenario: Arc::clone(&self.scenario),
+            physics: self.physics,
             run: self.model.clone(),
             reset: Model::Orca,
             range: self.range.unwrap_or(CommRange::fixed(interface.radius_m)),

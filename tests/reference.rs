@@ -19,7 +19,7 @@ use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Observation, Scenario, Settings, Stage};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
-use murmurate::world::kinematic;
+use murmurate::world::{Physics, kinematic};
 use safetensors::SafeTensors;
 
 fn passage() -> Arc<dyn Scenario> {
@@ -120,7 +120,7 @@ fn every_step_of_the_environment_matches() {
                 contacts: &mut contacts,
                 before: &mut space,
             };
-            kinematic::step(scenario.arena(), &commands, &mut team);
+            kinematic::step(scenario.arena(), &Physics::published(scenario.arena()), &commands, &mut team);
 
             let mut finished = true;
             for i in 0..ROBOTS {

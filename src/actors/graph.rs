@@ -31,6 +31,7 @@ use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
 use crate::time::Span;
 use crate::world as plants;
+use crate::world::Physics;
 
 /// How long a motor command holds: four of the published control periods (design, section 2).
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
@@ -44,6 +45,8 @@ pub struct Plan {
     pub deployment: Deployment,
     /// What the team is to do.
     pub scenario: Arc<dyn Scenario>,
+    /// What simulated robots are like.
+    pub physics: Physics,
     /// What drives it while an episode runs.
     pub run: Model,
     /// What drives it to the starts.
@@ -323,7 +326,8 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
         // On the floor before anything starts, as people would put them there.
         let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
         let plant = plants::REGISTRY.iter().find(|entry| entry.name == plan.deployment.plant);
-        let plant = (plant.expect("a checked deployment names a plant").build)(plan.scenario.arena(), &starts);
+        let plant =
+            (plant.expect("a checked deployment names a plant").build)(plan.scenario.arena(), &plan.physics, &starts);
         let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
         let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
         start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {

@@ -169,12 +169,12 @@ mod tests {
     use super::*;
     use crate::messages::geometry::Task;
     use crate::scenario::{Settings, build};
-    use crate::world::kinematic;
+    use crate::world::{Physics, kinematic};
 
     fn world(placement: Placement) -> World {
         let passage = build("passage", &Settings { robots: Some(2) }).unwrap();
         let starts = [Vec2::new(0.0, -1.0), Vec2::new(1.0, -1.0)];
-        let ground = Ground::new(kinematic::build(passage.arena(), &starts));
+        let ground = Ground::new(kinematic::build(passage.arena(), &Physics::published(passage.arena()), &starts));
         World::new(Rc::new(RefCell::new(ground)), placement, &[RobotId(0), RobotId(1)])
     }
 

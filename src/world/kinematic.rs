@@ -3,7 +3,7 @@
 //!
 //! `step` is the one definition of these dynamics; the World actor and the trainer both call it.
 
-use super::{Plant, PlantState};
+use super::{ContactRule, Physics, Plant, PlantState};
 use crate::messages::geometry::Vec2;
 use crate::messages::local::Contacts;
 use crate::scenario::Arena;
@@ -16,7 +16,7 @@ const DT_S: f32 = 0.05;
 /// Largest speed along each axis \[m/s\] (published environment).
 pub const MAX_SPEED_M_S: f32 = 1.5;
 /// Largest acceleration along each axis \[m/s^2\] (published environment).
-const MAX_ACCELERATION_M_S2: f32 = 1.0;
+pub const MAX_ACCELERATION_M_S2: f32 = 1.0;
 
 /// The robots of one world, as a step reads and writes them.
 #[derive(Debug)]
@@ -32,28 +32,37 @@ pub struct Team<'a> {
 }
 
 /// Moves every robot on by one step toward its commanded velocity \[m/s\].
-pub fn step(arena: &Arena, commands: &[Vec2], team: &mut Team) {
-    let radius = arena.robot_radius_m;
+pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team) {
     team.before.copy_from_slice(team.position);
+    let (most, gain) = (physics.acceleration_m_s2, physics.gain(PERIOD));
     for (velocity, command) in team.velocity.iter_mut().zip(commands) {
-        let wanted = command.map(|axis| axis.clamp(-MAX_SPEED_M_S, MAX_SPEED_M_S));
+        let mut wanted = command.map(|axis| axis.clamp(-MAX_SPEED_M_S, MAX_SPEED_M_S));
+        if gain < 1.0 {
+            wanted = *velocity + (wanted - *velocity) * gain;
+        }
         let acceleration = (wanted - *velocity) / DT_S;
-        *velocity += acceleration.map(|axis| axis.clamp(-MAX_ACCELERATION_M_S2, MAX_ACCELERATION_M_S2)) * DT_S;
+        *velocity += acceleration.map(|axis| axis.clamp(-most, most)) * DT_S;
     }
+    let (blocks, apart) = match physics.contacts {
+        ContactRule::Block => (true, 2.0 * arena.robot_radius_m),
+        ContactRule::Judge => (false, 2.0 * physics.wall_radius_m),
+    };
     // In the order of their ids, each against all others: those before it have moved already.
     for robot in 0..team.position.len() {
         let candidate = team.position[robot] + team.velocity[robot] * DT_S;
-        let blocked = (0..team.position.len())
-            .any(|other| other != robot && (candidate - team.position[other]).norm() <= 2.0 * radius);
-        team.contacts[robot] = Contacts { robot: blocked, wall: false };
-        if !blocked {
+        let touches =
+            (0..team.position.len()).any(|other| other != robot && (candidate - team.position[other]).norm() <= apart);
+        team.contacts[robot] = Contacts { robot: touches, wall: false };
+        if !(touches && blocks) {
             team.position[robot] = candidate;
         }
     }
     for robot in 0..team.position.len() {
-        if arena.keep_outs.iter().any(|block| block.distance(team.position[robot]) <= radius) {
-            team.position[robot] = team.before[robot];
+        if arena.keep_outs.iter().any(|block| block.distance(team.position[robot]) <= physics.wall_radius_m) {
             team.contacts[robot].wall = true;
+            if blocks {
+                team.position[robot] = team.before[robot];
+            }
         }
         team.position[robot] = team.position[robot].sup(&-arena.half_extent).inf(&arena.half_extent);
         team.velocity[robot] = (team.position[robot] - team.before[robot]) / DT_S;
@@ -64,6 +73,7 @@ pub fn step(arena: &Arena, commands: &[Vec2], team: &mut Team) {
 #[derive(Debug)]
 pub struct Kinematic {
     arena: Arena,
+    physics: Physics,
     position: Vec<Vec2>,
     velocity: Vec<Vec2>,
     contacts: Vec<Contacts>,
@@ -73,10 +83,11 @@ pub struct Kinematic {
 }
 
 /// Makes the plant.
-pub fn build(arena: &Arena, positions: &[Vec2]) -> Box<dyn Plant> {
+pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2]) -> Box<dyn Plant> {
     let zeros = vec![Vec2::zeros(); positions.len()];
     let mut plant = Kinematic {
         arena: arena.clone(),
+        physics: *physics,
         position: positions.to_vec(),
         velocity: zeros.clone(),
         contacts: vec![Contacts::default(); positions.len()],
@@ -122,7 +133,7 @@ impl Plant for Kinematic {
             contacts: &mut self.contacts,
             before: &mut self.before,
         };
-        step(&self.arena, &self.commands, &mut team);
+        step(&self.arena, &self.physics, &self.commands, &mut team);
         self.show();
     }
 
@@ -143,7 +154,7 @@ mod tests {
 
     #[test]
     fn acceleration_and_speed_are_limited_and_a_wall_blocks() {
-        let mut plant = build(&arena(), &[Vec2::zeros()]);
+        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros()]);
         plant.drive(0, Vec2::new(9.0, 0.0));
         plant.advance();
         assert!((plant.states()[0].motion.velocity.x - 0.05).abs() < 1e-5);
@@ -155,8 +166,29 @@ mod tests {
     }
 
     #[test]
+    fn judged_contacts_are_flagged_and_block_nothing() {
+        let physics = Physics { contacts: ContactRule::Judge, wall_radius_m: 0.16, ..Physics::published(&arena()) };
+        let mut plant = build(&arena(), &physics, &[Vec2::new(0.0, 0.335), Vec2::new(0.3, 0.335), Vec2::zeros()]);
+        (0..3).for_each(|robot| plant.drive(robot, Vec2::new(0.0, 1.0)));
+        (0..4).for_each(|_| plant.advance());
+        let states = plant.states();
+        assert!(states[0].contacts.wall && states[0].contacts.robot && states[0].motion.position.y > 0.34);
+        assert_eq!(states[2].contacts, Contacts::default());
+    }
+
+    #[test]
+    fn a_lagging_drivetrain_follows_as_a_first_order_system() {
+        let free = Physics { acceleration_m_s2: f32::INFINITY, lag_s: 0.5, ..Physics::published(&arena()) };
+        let mut plant = build(&arena(), &free, &[Vec2::new(-1.0, -2.0)]);
+        plant.drive(0, Vec2::new(1.0, 0.0));
+        (0..10).for_each(|_| plant.advance());
+        // After one time constant, 1 - 1/e of the way.
+        assert!((plant.states()[0].motion.velocity.x - 0.632).abs() < 1e-3);
+    }
+
+    #[test]
     fn a_robot_blocks_another() {
-        let mut plant = build(&arena(), &[Vec2::zeros(), Vec2::new(0.501, 0.0)]);
+        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros(), Vec2::new(0.501, 0.0)]);
         plant.drive(0, Vec2::new(1.0, 0.0));
         plant.advance();
         assert!(plant.states()[0].contacts.robot && !plant.states()[1].contacts.robot);
