@@ -15,6 +15,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
 
+use crate::actors::controller::Clamp;
 use crate::actors::drive::{End, run_virtual};
 use crate::actors::graph::{self, Plan};
 use crate::actors::recorder::{Out, Steps};
@@ -32,7 +33,7 @@ use crate::scenario::judge::Verdict;
 use crate::scenario::layout::Layouts;
 use crate::scenario::{self, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
-use crate::world::{Physics, Placement};
+use crate::world::{Physics, Placement, kinematic};
 
 /// About how long an episode with its reset takes \[s\].
 const EPISODE_S: f64 = 10.0;
@@ -56,6 +57,8 @@ pub struct Trial {
     pub repeat: u32,
     /// Who is near enough to be heard; `None` for the policy's own radius.
     pub range: Option<CommRange>,
+    /// How Controllers limit what the policy wants; `Trial::clamp` sets it together with the physics it goes with.
+    pub clamp: Clamp,
     /// What goes wrong.
     pub faults: FaultPlan,
     /// Whether the report keeps every step.
@@ -109,6 +112,7 @@ impl Trial {
             seed: 0,
             repeat: 0,
             range: None,
+            clamp: Clamp::Training,
             faults: FaultPlan::default(),
             steps: Steps::Discarded,
         }
@@ -125,6 +129,16 @@ impl Trial {
         self.seed = seed;
         let episodes = self.layouts.len();
         self.episodes(episodes)
+    }
+
+    /// With what limits acceleration: in training the world does, on the published robots only their Controllers.
+    pub fn clamp(mut self, clamp: Clamp) -> Trial {
+        self.clamp = clamp;
+        self.physics.acceleration_m_s2 = match clamp {
+            Clamp::Training => kinematic::MAX_ACCELERATION_M_S2,
+            Clamp::Deployed => f32::INFINITY,
+        };
+        self
     }
 
     /// With these faults.
@@ -243,6 +257,7 @@ impl Trial {
             reset: Model::Orca,
             range: self.range.unwrap_or(CommRange::fixed(interface.radius_m)),
             hold: interface.hold,
+            clamp: self.clamp,
             layouts: self.layouts.clone(),
             repeat: self.repeat,
             seed: Seed::of_repeat(self.seed, self.repeat),

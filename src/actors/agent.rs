@@ -185,6 +185,7 @@ impl Agent {
             round,
             phase,
             velocity: self.scenario.steer(&task, limited(velocity, limit)),
+            measured: own.velocity,
             progress: if there && settled { Progress::Reached } else { Progress::Underway },
         })
     }
@@ -255,6 +256,7 @@ mod tests {
     }
 
     const ROUND: Round = Round { epoch: 1, episode: 0 };
+    const MEASURED: Vec2 = Vec2::new(0.1, -0.2);
 
     fn agent(robots: &[u16]) -> Agent {
         let passage = build("passage", &Settings { robots: Some(3) }).unwrap();
@@ -276,13 +278,16 @@ mod tests {
     }
 
     fn percept(robot: u16, x: f32, heard: Vec<Heard>) -> In {
-        let estimate = Motion::at_rest(Vec2::new(x, -1.5));
+        let estimate = Motion { position: Vec2::new(x, -1.5), velocity: MEASURED };
         In::Percept(Percept { robot: RobotId(robot), estimate, heard })
     }
 
     fn speeds(out: &[Out]) -> Vec<(u16, f32)> {
         let action = |said: &Out| match said {
-            Out::Action(action) => Some((action.robot.0, action.velocity.x)),
+            Out::Action(action) => {
+                assert_eq!(action.measured, MEASURED, "it says how the robot moved");
+                Some((action.robot.0, action.velocity.x))
+            }
             Out::Latent(_) => None,
         };
         out.iter().filter_map(action).collect()

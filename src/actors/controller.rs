@@ -33,6 +33,39 @@ pub enum Out {
     Heartbeat(Heartbeat),
 }
 
+/// How a Controller limits the velocity that the policy wants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Clamp {
+    /// Its speed, as in training: what limits acceleration there is the world.
+    Training,
+    /// Its speed, and how far it is from the measured velocity, as on the published robots: nothing else limits
+    /// their acceleration.
+    Deployed,
+}
+
+/// How the published robots limit a change of velocity along each axis: the change times a gain \[1/s\] is an
+/// acceleration \[m/s^2\], which is limited and divided by the gain again. So a command is within 0.25 m/s of the
+/// measured velocity.
+const DEPLOYED_GAIN_PER_S: f32 = 4.0;
+const DEPLOYED_ACCELERATION_M_S2: f32 = 1.0;
+
+impl Clamp {
+    /// The velocity to command \[m/s\], of a robot that moves at `measured` \[m/s\], when the policy wants `wanted`
+    /// \[m/s\] and no axis may be faster than `limit_m_s`.
+    pub fn limit(self, wanted: Vec2, measured: Vec2, limit_m_s: f32) -> Vec2 {
+        let within = |velocity: Vec2| velocity.map(|axis| axis.clamp(-limit_m_s, limit_m_s));
+        match self {
+            Clamp::Training => within(wanted),
+            Clamp::Deployed => {
+                let most = DEPLOYED_ACCELERATION_M_S2;
+                let change = ((within(wanted) - measured) * DEPLOYED_GAIN_PER_S).map(|axis| axis.clamp(-most, most));
+                // Once more, because a sensor may say anything.
+                within(measured + change / DEPLOYED_GAIN_PER_S)
+            }
+        }
+    }
+}
+
 /// How a Controller is set up.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
@@ -40,6 +73,8 @@ pub struct Config {
     pub robot: RobotId,
     /// Largest speed along each axis \[m/s\].
     pub limit_m_s: f32,
+    /// How the policy's velocity is limited, in episodes and in resets.
+    pub clamp: Clamp,
     /// How long a command holds.
     pub valid_for: Span,
     /// When in each period it beats.
@@ -109,8 +144,8 @@ impl Controller {
             (_, Progress::Reached) => Phase::FinishedRunning,
             (_, Progress::Underway) => self.own,
         };
-        let limit = self.config.limit_m_s;
-        self.command(action.velocity.map(|axis| axis.clamp(-limit, limit)), out);
+        let Config { clamp, limit_m_s, .. } = self.config;
+        self.command(clamp.limit(action.velocity, action.measured, limit_m_s), out);
     }
 
     fn command(&self, velocity: Vec2, out: &mut Vec<Out>) {
@@ -160,10 +195,18 @@ mod tests {
     use super::*;
     use crate::messages::geometry::Task;
 
+    /// How the robot moves in every action \[m/s\].
+    const MEASURED: Vec2 = Vec2::new(0.5, 0.0);
+
     fn controller() -> Controller {
+        clamping(Clamp::Training)
+    }
+
+    fn clamping(clamp: Clamp) -> Controller {
         Controller::new(Config {
             robot: RobotId(1),
             limit_m_s: 1.5,
+            clamp,
             valid_for: Span::from_millis(200),
             phase: Span::ZERO,
         })
@@ -177,7 +220,8 @@ mod tests {
 
     fn action(episode: u32, phase: Phase, x: f32, progress: Progress) -> In {
         let round = Round { epoch: 1, episode };
-        In::Action(Action { robot: RobotId(1), round, phase, velocity: Vec2::new(x, 0.0), progress })
+        let (velocity, measured) = (Vec2::new(x, 0.0), MEASURED);
+        In::Action(Action { robot: RobotId(1), round, phase, velocity, measured, progress })
     }
 
     fn commanded(controller: &mut Controller, input: In) -> Option<f32> {
@@ -197,6 +241,25 @@ mod tests {
         assert_eq!(commanded(&mut controller, action(0, Phase::Running, 9.0, Progress::Underway)), Some(1.5));
         assert_eq!(commanded(&mut controller, action(1, Phase::Running, 1.0, Progress::Underway)), None);
         assert_eq!(commanded(&mut controller, action(0, Phase::Resetting, 1.0, Progress::Underway)), None);
+    }
+
+    #[test]
+    fn the_deployed_clamp_stays_near_the_measured_velocity_in_episodes_and_resets() {
+        let limit = |wanted, measured| {
+            let commanded = Clamp::Deployed.limit(Vec2::new(wanted, -wanted), Vec2::new(measured, -measured), 1.5);
+            assert_eq!(commanded.x, -commanded.y, "each axis by itself");
+            commanded.x
+        };
+        assert_eq!(limit(9.0, 0.5), 0.75, "a quarter of a metre a second up");
+        assert_eq!(limit(-1.0, 0.5), 0.25, "and down");
+        assert_eq!(limit(0.625, 0.5), 0.625, "what is near is commanded");
+        assert_eq!(limit(9.0, 1.375), 1.5, "no faster than the limit");
+        assert_eq!(limit(0.0, 1e5), 1.5, "whatever a sensor says");
+        for phase in [Phase::Running, Phase::Resetting] {
+            let mut controller = clamping(Clamp::Deployed);
+            commanded(&mut controller, mode(0, phase));
+            assert_eq!(commanded(&mut controller, action(0, phase, -1.0, Progress::Underway)), Some(0.25));
+        }
     }
 
     #[test]

@@ -11,7 +11,7 @@ use super::agent::{self, Agent, Pilot};
 use super::body::{self, Body};
 use super::cache::{self, Cache};
 use super::clock::Clock;
-use super::controller::{self, Controller};
+use super::controller::{self, Clamp, Controller};
 use super::network::{self, Network};
 use super::recorder::{self, Recorder};
 use super::shell::{Mailbox, start};
@@ -55,6 +55,8 @@ pub struct Plan {
     pub range: CommRange,
     /// How long a neighbour's message is of use.
     pub hold: Span,
+    /// How Controllers limit what the policies want.
+    pub clamp: Clamp,
     /// The episodes.
     pub layouts: Layouts,
     /// Which repeat of the experiment this is.
@@ -222,6 +224,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let config = controller::Config {
         robot,
         limit_m_s: interface.limit_m_s,
+        clamp: plan.clamp,
         valid_for: COMMAND_VALIDITY,
         phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
     };

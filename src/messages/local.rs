@@ -55,6 +55,8 @@ pub struct Action {
     pub phase: Phase,
     /// Wanted velocity \[m/s\], world frame; not yet limited.
     pub velocity: Vec2,
+    /// The robot's own velocity as it was measured for this step \[m/s\], world frame.
+    pub measured: Vec2,
     /// Whether the robot is where it is to be.
     pub progress: Progress,
 }
