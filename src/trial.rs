@@ -15,6 +15,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
 
+use crate::actors::cache::Handling;
 use crate::actors::controller::Clamp;
 use crate::actors::drive::{End, run_virtual};
 use crate::actors::graph::{self, Plan};
@@ -57,6 +58,8 @@ pub struct Trial {
     pub repeat: u32,
     /// Who is near enough to be heard; `None` for the policy's own radius.
     pub range: Option<CommRange>,
+    /// What becomes of neighbours' messages once a robot's agent has seen them.
+    pub handling: Handling,
     /// How Controllers limit what the policy wants; `Trial::clamp` sets it together with the physics it goes with.
     pub clamp: Clamp,
     /// What goes wrong.
@@ -112,6 +115,7 @@ impl Trial {
             seed: 0,
             repeat: 0,
             range: None,
+            handling: Handling::Hold,
             clamp: Clamp::Training,
             faults: FaultPlan::default(),
             steps: Steps::Discarded,
@@ -257,6 +261,7 @@ impl Trial {
             reset: Model::Orca,
             range: self.range.unwrap_or(CommRange::fixed(interface.radius_m)),
             hold: interface.hold,
+            handling: self.handling,
             clamp: self.clamp,
             layouts: self.layouts.clone(),
             repeat: self.repeat,

@@ -29,6 +29,15 @@ pub enum In {
     Latent(Latent),
 }
 
+/// What becomes of neighbours' messages once the agent has seen them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Handling {
+    /// The newest of each neighbour is seen again at every step, until it is older than the window.
+    Hold,
+    /// They are dropped, as in the published system: each is seen in one step at most.
+    AsPublished,
+}
+
 /// How a Cache is set up.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
@@ -42,6 +51,8 @@ pub struct Config {
     pub range: CommRange,
     /// How long a latent is of use.
     pub hold: Span,
+    /// What becomes of it within that time.
+    pub handling: Handling,
 }
 
 /// One robot's cache and filter.
@@ -110,9 +121,15 @@ impl Core for Cache {
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Percept>) {
-        let hold = self.config.hold;
+        let Config { hold, handling, .. } = self.config;
         self.heard.retain(|_, (arrived, _)| now.since(*arrived) <= hold);
-        out.extend(self.perceive(now));
+        if let Some(percept) = self.perceive(now) {
+            out.push(percept);
+            // Without a percept the agent does not step, and has seen nothing.
+            if handling == Handling::AsPublished {
+                self.heard.clear();
+            }
+        }
         self.next = now.next_on_grid(self.config.phase, self.config.period);
     }
 }
@@ -131,12 +148,17 @@ mod tests {
     }
 
     fn cache() -> Cache {
+        handling(Handling::Hold)
+    }
+
+    fn handling(handling: Handling) -> Cache {
         let config = Config {
             robot: RobotId(0),
             period: Span::from_millis(50),
             phase: Span::ZERO,
             range: CommRange::fixed(2.0),
             hold: Span::from_millis(80),
+            handling,
         };
         Cache::new(config, Seed::of_run(0).stream("cache"))
     }
@@ -172,6 +194,25 @@ mod tests {
         assert_eq!(heard, [1, 2], "in the order of ids, without the one out of range");
         cache.handle(at_ms(60), reading(2), &mut Vec::new());
         assert!(tick(&mut cache, 100).unwrap().heard.is_empty(), "80 ms have passed");
+    }
+
+    #[test]
+    fn as_published_a_message_is_seen_in_one_step_and_never_after_its_window() {
+        let mut cache = handling(Handling::AsPublished);
+        let heard = |percept: Option<Percept>| percept.expect("it knows where it is").heard.len();
+        cache.handle(at_ms(0), reading(1), &mut Vec::new());
+        cache.handle(at_ms(0), latent(1, 1.0), &mut Vec::new());
+        cache.handle(at_ms(10), latent(1, 1.0), &mut Vec::new());
+        assert_eq!(heard(tick(&mut cache, 50)), 1, "the newest of each neighbour");
+        cache.handle(at_ms(60), reading(2), &mut Vec::new());
+        assert_eq!(heard(tick(&mut cache, 70)), 0, "it was seen");
+        cache.handle(at_ms(130), latent(1, 1.0), &mut Vec::new());
+        assert_eq!(tick(&mut cache, 180), None, "no step, because the robot does not know where it is");
+        cache.handle(at_ms(190), reading(3), &mut Vec::new());
+        assert_eq!(heard(tick(&mut cache, 200)), 1, "nothing has seen it");
+        cache.handle(at_ms(210), latent(1, 1.0), &mut Vec::new());
+        cache.handle(at_ms(290), reading(4), &mut Vec::new());
+        assert_eq!(heard(tick(&mut cache, 300)), 0, "80 ms have passed");
     }
 
     #[test]

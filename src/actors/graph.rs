@@ -9,7 +9,7 @@ use tracing::info_span;
 
 use super::agent::{self, Agent, Pilot};
 use super::body::{self, Body};
-use super::cache::{self, Cache};
+use super::cache::{self, Cache, Handling};
 use super::clock::Clock;
 use super::controller::{self, Clamp, Controller};
 use super::network::{self, Network};
@@ -55,6 +55,8 @@ pub struct Plan {
     pub range: CommRange,
     /// How long a neighbour's message is of use.
     pub hold: Span,
+    /// What becomes of it within that time.
+    pub handling: Handling,
     /// How Controllers limit what the policies want.
     pub clamp: Clamp,
     /// The episodes.
@@ -210,6 +212,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
         phase: phase(plan, "agent", first, interface.period),
         range: plan.range,
         hold: plan.hold,
+        handling: plan.handling,
     };
     let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
     let agent = graph.agents[at].clone();
