@@ -1,0 +1,90 @@
+//! What simulated robots are like and what becomes of their messages, as whole trials show it.
+
+use murmurate::actors::cache::Handling;
+use murmurate::actors::controller::Clamp;
+use murmurate::deploy::{Impair, MODES};
+use murmurate::report::trial::TrialReport;
+use murmurate::scenario::judge::Verdict;
+use murmurate::trial::Trial;
+use murmurate::world::{ContactRule, Placement};
+
+fn trial(mode: &str) -> Trial {
+    Trial::preset(mode, "passage").expect("a preset").seed(3)
+}
+
+#[test]
+fn a_lagging_drivetrain_takes_longer_over_the_same_way() {
+    let run = |lag_s: f32| {
+        let mut trial = trial("sim").episodes(8);
+        trial.physics.lag_s = lag_s;
+        trial.run().episodes
+    };
+    let [prompt, lagging] = [0.0, 0.4].map(|lag_s| run(lag_s).into_iter().map(|episode| episode.makespan_s));
+    let both: Vec<(f64, f64)> = prompt.zip(lagging).filter_map(|(prompt, lagging)| prompt.zip(lagging)).collect();
+    let later = both.iter().map(|(prompt, lagging)| lagging - prompt).sum::<f64>() / both.len() as f64;
+    assert!(both.len() >= 4 && later > 0.3, "{later} s later: {both:?}");
+}
+
+#[test]
+fn a_contact_with_a_wall_blocks_or_is_only_judged() {
+    let run = |contacts: ContactRule| {
+        let mut trial = trial("sim").keeping_steps();
+        // As wide as the gap, nearly.
+        (trial.physics.contacts, trial.physics.wall_radius_m) = (contacts, 0.49);
+        trial.run()
+    };
+    let crossed = |report: &TrialReport| {
+        let last = report.steps.last().expect("there are steps");
+        last.samples.iter().filter(|sample| sample.motion.position.y > 0.0).count()
+    };
+    let (blocked, judged) = (run(ContactRule::Block), run(ContactRule::Judge));
+    assert_eq!([&blocked, &judged].map(|report| report.episodes[0].verdict), [Verdict::WallCollision; 2]);
+    assert_eq!((crossed(&blocked), crossed(&judged)), (0, 5));
+}
+
+/// Nothing is late here, so a command is worked out from the velocity after the step before.
+#[test]
+fn under_the_deployed_clamp_commands_stay_near_the_measured_velocity_in_every_mode() {
+    let farthest = |mode: &str, clamp: Clamp| {
+        let report = trial(mode).episodes(2).clamp(clamp).keeping_steps().run();
+        assert_eq!(report.episodes.len(), 2);
+        let pairs = report.steps.windows(2).filter(|pair| pair[0].episode == pair[1].episode);
+        let robots = pairs.flat_map(|pair| pair[0].samples.iter().zip(&pair[1].samples));
+        let moving = robots.filter(|(_, after)| after.command.norm() > 0.0);
+        let far = moving.map(|(before, after)| (after.command - before.motion.velocity).amax());
+        far.fold(0.0, f32::max)
+    };
+    for mode in MODES {
+        let (training, deployed) = (farthest(mode, Clamp::Training), farthest(mode, Clamp::Deployed));
+        assert!(deployed > 0.2 && deployed < 0.2501, "{mode}: {deployed} m/s");
+        assert!(training > 0.3, "{mode}: {training} m/s");
+    }
+}
+
+#[test]
+fn messages_that_are_dropped_after_use_make_a_difference_where_some_are_lost() {
+    let trace = |trial: &Trial, handling: Handling| Trial { handling, ..trial.clone() }.run().totals.trace;
+    let mut lossy = trial("onboard-adhoc");
+    lossy.deployment = lossy.deployment.impaired(None, Some(0.5), Impair::Latent).expect("latents cross hosts");
+    assert_ne!(trace(&lossy, Handling::Hold), trace(&lossy, Handling::AsPublished));
+    // Robots of one agent hear each other within its step.
+    let joint = trial("sim");
+    assert_eq!(trace(&joint, Handling::Hold), trace(&joint, Handling::AsPublished));
+}
+
+#[test]
+fn robots_can_be_placed_in_a_mode_in_which_they_would_drive() {
+    let mut trial = trial("onboard-adhoc").episodes(3).clamp(Clamp::Deployed).keeping_steps();
+    trial.deployment.placement = Placement::Exact;
+    (trial.physics.contacts, trial.physics.lag_s) = (ContactRule::Judge, 0.5);
+    let report = trial.run();
+    for (episode, tasks) in (0..3).map(|episode| (episode, trial.layouts.episode(episode))) {
+        let found = &report.episodes[episode as usize];
+        assert!(found.verdict != Verdict::Aborted && found.reset_s == 0.0, "{found:?}");
+        let first = report.steps.iter().find(|step| step.episode == episode).expect("it has steps");
+        for (sample, task) in first.samples.iter().zip(tasks) {
+            let moved = (sample.motion.position - task.start).norm();
+            assert!(moved < 2e-3, "episode {episode}, {}: {moved} m from its start", sample.robot);
+        }
+    }
+}
