@@ -78,6 +78,17 @@ fn wrong_flags_are_refused_in_one_line() {
     refuses(&["sim", "--comm-range-std-m=-1"], &["--comm-range-std-m", "-1"]);
     refuses(&["sim", "--comm-range-m", "inf", "--comm-range-std-m", "1"], &["--comm-range-std-m"]);
     refuses(&["sim", "--impair", "some"], &["--impair", "some"]);
+    refuses(&["sim", "--lag-s=-0.1"], &["--lag-s", "-0.1", "0 to 10"]);
+    refuses(&["sim", "--lag-s", "11"], &["--lag-s", "11"]);
+    refuses(&["sim", "--lag-s", "NaN"], &["--lag-s", "NaN"]);
+    refuses(&["sim", "--lag-s", "slow"], &["--lag-s", "slow"]);
+    refuses(&["sim", "--contacts", "bounce"], &["--contacts", "bounce", "judge"]);
+    refuses(&["sim", "--wall-radius-m", "0"], &["--wall-radius-m", "0"]);
+    refuses(&["sim", "--wall-radius-m", "10.5"], &["--wall-radius-m", "10.5"]);
+    refuses(&["sim", "--wall-radius-m", "NaN"], &["--wall-radius-m", "NaN"]);
+    refuses(&["sim", "--clamp", "none"], &["--clamp", "none", "deployed"]);
+    refuses(&["sim", "--handling", "forget"], &["--handling", "forget", "as-published"]);
+    refuses(&["sim", "--placement", "fly"], &["--placement", "fly", "drive"]);
     refuses(&["sim", "--mode", "offboard", "--impair", "all"], &["--impair", "--loss"]);
     refuses(&["deployment", "offboard", "--robots", "70000"], &["--robots", "70000"]);
     refuses(&["fly"], &["fly"]);
@@ -108,6 +119,13 @@ fn wrong_files_are_refused_in_one_line_that_names_the_place() {
         r#"{"episodes": [[{"start": [0, 0.3], "goal": [0, 1]}, {"start": [1.5, 0], "goal": [1, 1]}]]}"#,
         &["episodes[0]", "robot 1", "start"],
     );
+
+    // Robots that are to drive to their starts must be there when the episode before is over.
+    let episode = r#"[{"start": [0, -1.5], "goal": [0, 1.5]}, {"start": [1, -1.5], "goal": [1, 1.5]}]"#;
+    let file = folder.file("apart.json", format!(r#"{{"episodes": [{episode}, {episode}]}}"#));
+    let args = ["sim", "--robots", "2", "--episodes", "2", "--episodes-file", &file, "--placement"];
+    refuses(&[&args[..], &["drive"]].concat(), &["--placement drive", "apart.json"]);
+    assert_eq!(run(&[&args[..], &["exact", "--repeats", "1"]].concat()).status.code(), Some(0));
 
     let faults = |content: &str, words: &[&str]| {
         let file = folder.file("faults.toml", content);
@@ -264,6 +282,32 @@ fn json_is_one_object_with_the_promised_fields_whatever_the_jobs() {
         }
     }
     assert_eq!(one["episodes"], 6);
+}
+
+#[test]
+fn flags_about_the_robots_reach_them_and_their_defaults_change_nothing() {
+    let trace = |args: &[&str]| {
+        let common = ["sim", "--mode", "onboard-adhoc", "--loss", "0.5", "--episodes", "1", "--repeats", "1", "--json"];
+        let output = run(&[&common[..], args].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).expect("one JSON object")["trace_hash"].clone()
+    };
+    let flags = [
+        ("--lag-s", "0", "0.3"),
+        ("--wall-radius-m", "0.25", "0.49"),
+        ("--clamp", "training", "deployed"),
+        ("--handling", "hold", "as-published"),
+        ("--placement", "drive", "exact"),
+    ];
+    let plain = trace(&[]);
+    for (flag, default, other) in flags {
+        assert_eq!(trace(&[flag, default]), plain, "{flag} {default}");
+        assert_ne!(trace(&[flag, other]), plain, "{flag} {other}");
+    }
+    // As wide as the gap, nearly: it blocks or it does not.
+    let wide = |contacts| trace(&["--wall-radius-m", "0.49", "--contacts", contacts]);
+    assert_eq!(wide("block"), trace(&["--wall-radius-m", "0.49"]));
+    assert_ne!(wide("block"), wide("judge"));
 }
 
 #[test]

@@ -6,8 +6,10 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
-use clap::builder::PossibleValuesParser;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
+use murmurate::actors::cache::Handling;
+use murmurate::actors::controller::Clamp;
 use murmurate::actors::recorder::Steps;
 use murmurate::deploy::{Deployment, Impair, MODES};
 use murmurate::net::fault::FaultPlan;
@@ -19,6 +21,7 @@ use murmurate::report::summary::{Run, Summary};
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Scenario, Settings};
 use murmurate::trial::{Proceed, Trial, TrialReport};
+use murmurate::world::{ContactRule, Placement};
 
 use crate::output::{WholeFile, print, read_text, talk};
 use crate::{BadInput, Ended};
@@ -53,6 +56,29 @@ pub struct Args {
     /// Starts and goals from a file: {"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}
     #[arg(long, value_name = "FILE.json")]
     episodes_file: Option<PathBuf>,
+    /// How robots come to their starts: put there exactly, or driven there [default: as the deployment says]
+    #[arg(long, value_parser = choice([("exact", Placement::Exact), ("drive", Placement::Drive)]))]
+    placement: Option<Placement>,
+    /// Time constant of simulated robots' drivetrains: their true velocity follows commands this slowly [s]
+    #[arg(long, default_value_t = 0.0)]
+    lag_s: f32,
+    /// What comes of a contact: the move is not made, as in training, or it is made and the judge is told
+    #[arg(long, default_value = "block",
+        value_parser = choice([("block", ContactRule::Block), ("judge", ContactRule::Judge)]))]
+    contacts: ContactRule,
+    /// How near to a wall a robot's centre touches it [m] [default: the scenario's robot radius, 0.25]
+    #[arg(long)]
+    wall_radius_m: Option<f32>,
+    /// What limits acceleration: the world to 1 m/s^2, as in training, or only the robots' own controllers, to commands
+    /// within 0.25 m/s of the measured velocity, as on the published robots
+    #[arg(long, default_value = "training",
+        value_parser = choice([("training", Clamp::Training), ("deployed", Clamp::Deployed)]))]
+    clamp: Clamp,
+    /// What becomes of a neighbour's message after the step that has used it: dropped, as published, or held until a
+    /// newer one comes or the policy's window is over
+    #[arg(long, default_value = "hold",
+        value_parser = choice([("as-published", Handling::AsPublished), ("hold", Handling::Hold)]))]
+    handling: Handling,
     /// The root of all randomness
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -90,6 +116,15 @@ pub struct Args {
 
 fn scenarios() -> PossibleValuesParser {
     PossibleValuesParser::new(scenario::REGISTRY.iter().map(|entry| entry.name))
+}
+
+/// A flag that takes one of these names.
+fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
+    all: [(&'static str, T); N],
+) -> impl TypedValueParser<Value = T> {
+    let named = move |name: String| all.iter().find(|(other, _)| *other == name).map(|(_, value)| *value);
+    PossibleValuesParser::new(all.map(|(name, _)| name))
+        .map(move |name| named(name).expect("the parser lets only these names through"))
 }
 
 /// Runs the trials and prints what came of them.
@@ -209,12 +244,19 @@ fn trial(args: &Args) -> Result<Trial> {
             .impaired(given(args.delay_ms / 1000.0), given(args.loss), impair)
             .map_err(|e| bad(format!("{flag}: {e}")))?;
     }
+    deployment.placement = args.placement.unwrap_or(deployment.placement);
     let model = model(args, &*scenario)?;
     let mut trial = Trial::new(deployment, Arc::clone(&scenario), model).seed(args.seed).episodes(args.episodes);
+    trial.handling = args.handling;
+    trial = physics(args, trial.clamp(args.clamp))?;
     if let Some(path) = &args.episodes_file {
         let text = read_text(path, "episodes file")?;
         trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes)
             .map_err(|e| bad(format!("the episodes file '{}': {e}", path.display())))?;
+        if args.placement == Some(Placement::Drive) && !trial.layouts.chained() {
+            let reason = "its episodes do not start where those before them have ended";
+            return Err(bad(format!("--placement drive: the episodes file '{}': {reason}", path.display())));
+        }
     }
     // Once before the faults and once with them, so that the error names the file that is wrong.
     let place = match &args.deployment {
@@ -230,6 +272,20 @@ fn trial(args: &Args) -> Result<Trial> {
     if args.trajectories.is_some() {
         trial.steps = Steps::Reported;
     }
+    Ok(trial)
+}
+
+/// The trial with robots as the flags say.
+fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
+    if !(0.0..=10.0).contains(&args.lag_s) {
+        return Err(BadInput(format!("--lag-s: {} is not 0 to 10", args.lag_s)).into());
+    }
+    let wall_radius_m = args.wall_radius_m.unwrap_or(trial.physics.wall_radius_m);
+    if !(wall_radius_m > 0.0 && wall_radius_m <= 10.0) {
+        return Err(BadInput(format!("--wall-radius-m: {wall_radius_m} is not above 0 and at most 10")).into());
+    }
+    (trial.physics.lag_s, trial.physics.contacts) = (args.lag_s, args.contacts);
+    trial.physics.wall_radius_m = wall_radius_m;
     Ok(trial)
 }
 
