@@ -19,8 +19,8 @@ fn main() {
 }
 
 /// Encode and act, with four neighbours.
-fn step(bencher: Bencher, instructions: Instructions) {
-    let Model::Gnn(network, _) = policy::untrained(1) else { unreachable!("an untrained model is a network") };
+fn step(bencher: Bencher, model: Model, instructions: Instructions) {
+    let Model::Gnn(network, _) = model else { unreachable!("an untrained model is a network") };
     let mut gnn = Gnn::with_instructions(network, Draw::Sample, instructions);
     let observation = Observation { motion: Motion::at_rest(Vec2::new(0.3, -1.5)), goal: Vec2::new(-0.2, 1.5) };
     let mut features = vec![0.0; gnn.interface().features];
@@ -37,10 +37,20 @@ fn step(bencher: Bencher, instructions: Instructions) {
 
 #[divan::bench(sample_size = 1000)]
 fn baseline_instructions(bencher: Bencher) {
-    step(bencher, Instructions::Baseline);
+    step(bencher, policy::untrained(1), Instructions::Baseline);
 }
 
 #[divan::bench(sample_size = 1000)]
 fn detected_instructions(bencher: Bencher) {
-    step(bencher, Instructions::Detected);
+    step(bencher, policy::untrained(1), Instructions::Detected);
+}
+
+#[divan::bench(sample_size = 1000)]
+fn full_baseline_instructions(bencher: Bencher) {
+    step(bencher, policy::untrained_full(1), Instructions::Baseline);
+}
+
+#[divan::bench(sample_size = 1000)]
+fn full_detected_instructions(bencher: Bencher) {
+    step(bencher, policy::untrained_full(1), Instructions::Detected);
 }

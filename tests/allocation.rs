@@ -7,22 +7,24 @@ use murmurate::scenario::{self, Observation, Settings};
 use murmurate::time::Span;
 
 #[test]
-fn a_step_of_the_network_allocates_nothing() {
+fn a_step_of_a_network_allocates_nothing() {
     let passage = scenario::build("passage", &Settings { robots: None }).expect("the default is sound");
-    let mut policy = policy::untrained(1).instance(passage.arena());
-    let observation = Observation { motion: Motion::at_rest(Vec2::new(0.3, -1.5)), goal: Vec2::new(-0.2, 1.5) };
-    let mut features = vec![0.0; policy.interface().features];
-    let heard = vec![vec![0.5; features.len()]; 4];
-    let neighbour = |features| Neighbour { motion: observation.motion, features, age: Span::ZERO };
-    let neighbours: Vec<Neighbour> = heard.iter().map(|features| neighbour(features)).collect();
-    let mut stream = Seed::of_run(1).stream("draw");
-    let mut step = || {
-        policy.encode(&observation, &mut features);
-        std::hint::black_box(policy.act(&observation, &features, &neighbours, &mut stream));
-    };
-    step();
-    let counted = allocation_counter::measure(|| (0..100).for_each(|_| step()));
-    assert_eq!(counted.count_total, 0, "{counted:?}");
+    for model in [policy::untrained(1), policy::untrained_full(1)] {
+        let mut policy = model.instance(passage.arena());
+        let observation = Observation { motion: Motion::at_rest(Vec2::new(0.3, -1.5)), goal: Vec2::new(-0.2, 1.5) };
+        let mut features = vec![0.0; policy.interface().features];
+        let heard = vec![vec![0.5; features.len()]; 4];
+        let neighbour = |features| Neighbour { motion: observation.motion, features, age: Span::ZERO };
+        let neighbours: Vec<Neighbour> = heard.iter().map(|features| neighbour(features)).collect();
+        let mut stream = Seed::of_run(1).stream("draw");
+        let mut step = |count: usize| {
+            policy.encode(&observation, &mut features);
+            std::hint::black_box(policy.act(&observation, &features, &neighbours[..count], &mut stream));
+        };
+        step(4);
+        let counted = allocation_counter::measure(|| (0..100).for_each(|k| step(k % 5)));
+        assert_eq!(counted.count_total, 0, "{}: {counted:?}", model.name());
+    }
     // The counter counts: otherwise zero would mean nothing.
     assert_eq!(allocation_counter::measure(|| drop(std::hint::black_box(vec![0u8; 64]))).count_total, 1);
 }

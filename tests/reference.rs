@@ -67,7 +67,8 @@ fn the_forward_pass_matches_every_vector() {
                 .filter(linked)
                 .map(|j| Neighbour { motion: motion(j), features: &features[j], age: Span::ZERO })
                 .collect();
-            for (k, value) in gnn.outputs(&features[i], &neighbours).iter().enumerate() {
+            let own = Observation { motion: motion(i), goal: vec2(&goal, case * PAD + i) };
+            for (k, value) in gnn.outputs(&own, &features[i], &neighbours).iter().enumerate() {
                 worst_out = worst_out.max((value - out[(case * PAD + i) * 4 + k]).abs());
             }
             rows += 1;

@@ -1,14 +1,18 @@
-//! The message-passing network of the paper (section III), evaluated for one robot.
+//! The message-passing network of the paper (section III), evaluated for one robot, in its two architectures.
 //!
-//! h_i = encoder(x_i) is broadcast; the action is update(sum over j of message(h_j - h_i)), with the robot's
-//! own term among the sum: message(0), a constant that is not zero. The last message layer is linear, so it
-//! is applied once, after the sum; and as the first update layer is linear too, the two are one.
+//! h_i = encoder(x_i) is broadcast. Published: the action is update(sum over j of message(h_j - h_i)), with the
+//! robot's own term among the sum: message(0), a constant that is not zero. Full, equation (1): it is
+//! update([h_i, sum over j of message([h_i, h_j, e_ij])]), and the sum has no own term.
+//!
+//! In both, the last message layer is linear, so it is applied once, after the sum; and as the first update layer
+//! is linear too, the two are one. In the full one, what h_i adds to the first layers of the message and the update
+//! network is reckoned once a step, and each neighbour's sums begin there.
 
 use std::sync::Arc;
 
 use rand_distr::{Distribution, StandardNormal};
 
-use super::manifest::{Field, Manifest};
+use super::manifest::{Architecture, EdgeField, Field, Manifest};
 use super::mlp::{Instructions, Layer, Mlp, Relu, Scratch};
 use super::weights::PolicyFile;
 use super::{Draw, Interface, Neighbour, Policy};
@@ -20,19 +24,42 @@ use crate::time::Span;
 /// The weights that a whole team shares.
 #[derive(Debug)]
 pub struct Network {
-    observation: Vec<Field>,
+    manifest: Manifest,
+    interface: Interface,
     encoder: Mlp,
-    /// All message layers but the last, which is linear.
+    own: Own,
+    /// All message layers but the last, which is linear. Full: without the first as well.
     message: Option<Mlp>,
-    /// What the robot's own zero difference adds to the sum.
-    own_term: Vec<f32>,
-    /// The last message layer and the first update layer in one.
+    /// The last message layer and the first update layer in one. Full: without the robot's own part.
     heard: Layer,
     /// What each term of the sum adds behind it: the last message layer's bias.
     term_bias: Vec<f32>,
     /// All update layers but the first.
     update: Option<Mlp>,
-    interface: Interface,
+}
+
+/// What the robot's own latent does.
+#[derive(Debug)]
+enum Own {
+    /// Published: it is subtracted from each neighbour's, and makes a term of its own: what message(0) adds to the
+    /// sum, which is the same at every step.
+    Term(Vec<f32>),
+    /// Full: it goes into both networks.
+    Parts {
+        /// The first message layer; none if that is also the last, which is folded as a whole.
+        message: Option<First>,
+        /// Its part of the first update layer.
+        update: Layer,
+    },
+}
+
+/// The first message layer of the full architecture.
+#[derive(Debug)]
+struct First {
+    /// The part of the robot's own latent, and the bias.
+    own: Layer,
+    /// The part of the neighbour's latent and of the edge.
+    theirs: Layer,
 }
 
 impl Network {
@@ -41,24 +68,26 @@ impl Network {
         let PolicyFile { manifest, networks: [encoder, message, update], .. } = file;
         let part = |layers: &[Layer]| (!layers.is_empty()).then(|| Mlp::new(layers.to_vec()));
         let (last, rest) = message.layers().split_last().expect("a perceptron has a layer");
-        let message_rest = part(rest);
         let (first, update_rest) = update.layers().split_first().expect("a perceptron has a layer");
-        let (heard, term_bias) = first.after(last);
-        let zeros = vec![0.0; message.inputs()];
-        let own_term = match &message_rest {
-            None => zeros,
-            Some(rest) => {
-                let mut term = vec![0.0; rest.outputs()];
-                rest.apply(1, &zeros, &mut term, &mut rest.scratch(1), Relu::After);
-                term
+        let (own, rest, first) = match manifest.architecture {
+            Architecture::Published => (Own::Term(own_term(rest, message.inputs())), rest, first.clone()),
+            Architecture::Full => {
+                let split = |layer: &Layer| {
+                    let (own, theirs) = layer.split(encoder.outputs());
+                    First { own, theirs }
+                };
+                let (update, heard) = first.split(encoder.outputs());
+                let own = Own::Parts { message: rest.first().map(split), update };
+                (own, rest.get(1..).unwrap_or_default(), heard)
             }
         };
+        let (heard, term_bias) = first.after(last);
         Network {
             interface: interface(&manifest, encoder.outputs()),
-            observation: manifest.observation,
+            manifest,
             encoder,
-            message: message_rest,
-            own_term,
+            own,
+            message: part(rest),
             heard,
             term_bias,
             update: part(update_rest),
@@ -69,6 +98,35 @@ impl Network {
     pub fn interface(&self) -> Interface {
         self.interface
     }
+
+    /// What its file said of itself, or what was assumed.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    fn first(&self) -> Option<&First> {
+        match &self.own {
+            Own::Term(_) => None,
+            Own::Parts { message, .. } => message.as_ref(),
+        }
+    }
+
+    /// Width of what goes into `message`, or into the sum if there is none.
+    fn row(&self) -> usize {
+        self.message.as_ref().map_or(self.heard.inputs(), Mlp::inputs)
+    }
+}
+
+/// What a zero difference of `width` floats gives behind all message layers but the last.
+fn own_term(rest: &[Layer], width: usize) -> Vec<f32> {
+    let zeros = vec![0.0; width];
+    if rest.is_empty() {
+        return zeros;
+    }
+    let rest = Mlp::new(rest.to_vec());
+    let mut term = vec![0.0; rest.outputs()];
+    rest.apply(1, &zeros, &mut term, &mut rest.scratch(1), Relu::After);
+    term
 }
 
 fn interface(manifest: &Manifest, features: usize) -> Interface {
@@ -95,14 +153,21 @@ pub struct Gnn {
 struct Space {
     seen: Vec<f32>,
     encoder: Scratch,
-    difference: Vec<f32>,
+    /// Full: latent and edge, a row for each neighbour.
+    said: Vec<f32>,
+    /// What goes into the network's `message`, a row for each neighbour.
+    rows: Vec<f32>,
     message: Scratch,
+    /// What comes out of all message layers but the last, a row for each neighbour.
     edges: Vec<f32>,
     sum: Vec<f32>,
     heard: Vec<f32>,
     update: Scratch,
+    /// Full: what the robot's own latent gives in the first message layer and in the first update layer.
+    own_message: Vec<f32>,
+    own_update: Vec<f32>,
     /// How many neighbours there is room for.
-    rows: usize,
+    most: usize,
 }
 
 impl Gnn {
@@ -113,62 +178,107 @@ impl Gnn {
 
     /// The same, compiled for chosen instructions; the results are equal bit for bit.
     pub fn with_instructions(network: Arc<Network>, draw: Draw, instructions: Instructions) -> Gnn {
+        let own_message = network.first().map_or(0, |first| first.own.outputs());
         let space = Space {
             seen: vec![0.0; network.encoder.inputs()],
             encoder: network.encoder.scratch(1),
-            difference: Vec::new(),
+            said: Vec::new(),
+            rows: Vec::new(),
             message: Scratch::default(),
             edges: Vec::new(),
             sum: vec![0.0; network.heard.inputs()],
             heard: vec![0.0; network.heard.outputs()],
             update: network.update.as_ref().map(|update| update.scratch(1)).unwrap_or_default(),
-            rows: 0,
+            own_message: vec![0.0; own_message],
+            own_update: vec![0.0; network.heard.outputs()],
+            most: 0,
         };
         Gnn { network, draw, instructions, space }
     }
 
-    /// The network's outputs, \[mean_x, mean_y, log_std_x, log_std_y\] \[m/s\].
-    pub fn outputs(&mut self, own: &[f32], neighbours: &[Neighbour]) -> [f32; 4] {
+    /// The network's outputs, \[mean_x, mean_y, log_std_x, log_std_y\] \[m/s\], as they are: the manifest's
+    /// largest log standard deviation is for sampling. Takes what [`Policy::act`] takes.
+    pub fn outputs(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) -> [f32; 4] {
         self.make_room(neighbours.len());
         let (network, space) = (&*self.network, &mut self.space);
         self.instructions.run(
             #[inline(always)]
-            || outputs(network, space, own, neighbours),
+            || outputs(network, space, own.motion.position, features, neighbours),
         )
     }
 
-    fn make_room(&mut self, rows: usize) {
-        if rows > self.space.rows {
+    fn make_room(&mut self, most: usize) {
+        if most > self.space.most {
             let space = &mut self.space;
-            space.rows = rows;
-            space.difference.resize(rows * self.network.encoder.outputs(), 0.0);
-            space.edges.resize(rows * self.network.heard.inputs(), 0.0);
+            space.most = most;
+            let said = self.network.first().map_or(0, |first| first.theirs.inputs());
+            space.said.resize(most * said, 0.0);
+            space.rows.resize(most * self.network.row(), 0.0);
+            space.edges.resize(most * self.network.heard.inputs(), 0.0);
             if let Some(message) = &self.network.message {
-                space.message = message.scratch(rows);
+                space.message = message.scratch(most);
             }
         }
     }
 }
 
 #[inline(always)]
-fn outputs(network: &Network, space: &mut Space, own: &[f32], neighbours: &[Neighbour]) -> [f32; 4] {
-    let (rows, width) = (neighbours.len(), own.len());
-    for (difference, neighbour) in space.difference.chunks_exact_mut(width).zip(neighbours) {
-        for ((to, theirs), mine) in difference.iter_mut().zip(neighbour.features).zip(own) {
-            *to = theirs - mine;
+fn outputs(
+    network: &Network,
+    space: &mut Space,
+    position: Vec2,
+    features: &[f32],
+    neighbours: &[Neighbour],
+) -> [f32; 4] {
+    let (count, width) = (neighbours.len(), network.row());
+    match &network.own {
+        Own::Term(term) => {
+            for (row, neighbour) in space.rows.chunks_exact_mut(width).zip(neighbours) {
+                for ((to, theirs), mine) in row.iter_mut().zip(neighbour.features).zip(features) {
+                    *to = theirs - mine;
+                }
+            }
+            space.sum.copy_from_slice(term);
+        }
+        Own::Parts { message, .. } => {
+            let edge = &network.manifest.edge;
+            match message {
+                Some(First { own, theirs }) => {
+                    own.apply(1, features, &mut space.own_message, Relu::None);
+                    for (row, neighbour) in space.said.chunks_exact_mut(theirs.inputs()).zip(neighbours) {
+                        describe(edge, position, neighbour, row);
+                    }
+                    theirs.apply_from(&space.own_message, count, &space.said, &mut space.rows, Relu::After);
+                }
+                None => {
+                    for (row, neighbour) in space.rows.chunks_exact_mut(width).zip(neighbours) {
+                        let (mine, said) = row.split_at_mut(features.len());
+                        mine.copy_from_slice(features);
+                        describe(edge, position, neighbour, said);
+                    }
+                }
+            }
+            space.sum.fill(0.0);
         }
     }
+    let rows = &space.rows[..count * width];
     match &network.message {
-        Some(message) => message.apply(rows, &space.difference, &mut space.edges, &mut space.message, Relu::After),
-        None => space.edges[..rows * width].copy_from_slice(&space.difference[..rows * width]),
+        Some(message) => message.apply(count, rows, &mut space.edges, &mut space.message, Relu::After),
+        None => space.edges[..rows.len()].copy_from_slice(rows),
     }
-    space.sum.copy_from_slice(&network.own_term);
-    for edge in space.edges.chunks_exact(space.sum.len()).take(rows) {
+    for edge in space.edges.chunks_exact(space.sum.len()).take(count) {
         space.sum.iter_mut().zip(edge).for_each(|(sum, term)| *sum += term);
     }
     network.heard.apply(1, &space.sum, &mut space.heard, Relu::None);
-    // The own term and every neighbour's.
-    let terms = (rows + 1) as f32;
+    let terms = match &network.own {
+        Own::Term(_) => count + 1,
+        Own::Parts { update, .. } => {
+            update.apply(1, features, &mut space.own_update, Relu::None);
+            space.heard.iter_mut().zip(&space.own_update).for_each(|(heard, own)| *heard += own);
+            count
+        }
+    };
+    let terms = terms as f32;
     space.heard.iter_mut().zip(&network.term_bias).for_each(|(heard, bias)| *heard += terms * bias);
     let mut out = [0.0; 4];
     match &network.update {
@@ -181,6 +291,21 @@ fn outputs(network: &Network, space: &mut Space, own: &[f32], neighbours: &[Neig
     out
 }
 
+/// Writes what a robot at `position` knows of a neighbour: its latent, and then the edge to it.
+#[inline(always)]
+fn describe(edge: &[EdgeField], position: Vec2, neighbour: &Neighbour, row: &mut [f32]) {
+    let (latent, mut row) = row.split_at_mut(neighbour.features.len());
+    latent.copy_from_slice(neighbour.features);
+    for field in edge {
+        let (to, rest) = row.split_at_mut(field.floats());
+        match field {
+            EdgeField::Age => to[0] = neighbour.age.as_secs() as f32,
+            EdgeField::RelativePosition => to.copy_from_slice((neighbour.motion.position - position).as_slice()),
+        }
+        row = rest;
+    }
+}
+
 impl Policy for Gnn {
     fn interface(&self) -> Interface {
         self.network.interface
@@ -189,7 +314,7 @@ impl Policy for Gnn {
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
         let (network, space) = (&*self.network, &mut self.space);
         let (position, velocity) = (own.motion.position, own.motion.velocity);
-        for (two, field) in space.seen.chunks_exact_mut(2).zip(&network.observation) {
+        for (two, field) in space.seen.chunks_exact_mut(2).zip(&network.manifest.observation) {
             let value = match field {
                 Field::GoalMinusPosition => own.goal - position,
                 Field::Position => position,
@@ -204,17 +329,182 @@ impl Policy for Gnn {
         );
     }
 
-    fn act(&mut self, _: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2 {
-        let [mean_x, mean_y, log_std_x, log_std_y] = self.outputs(features, neighbours);
+    fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2 {
+        let [mean_x, mean_y, log_std_x, log_std_y] = self.outputs(own, features, neighbours);
         match self.draw {
             Draw::Mean => Vec2::new(mean_x, mean_y),
             Draw::Sample => {
+                let max = self.network.manifest.log_std_max;
                 let mut normal = |mean: f32, log_std: f32| -> f32 {
                     let unit: f32 = StandardNormal.sample(stream);
-                    mean + unit * log_std.exp()
+                    mean + unit * max.map_or(log_std, |max| log_std.min(max)).exp()
                 };
                 Vec2::new(normal(mean_x, log_std_x), normal(mean_y, log_std_y))
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::policy::manifest::Training;
+    use crate::policy::weights::Tensors;
+    use crate::policy::{random_tensors, weights};
+    use crate::random::Seed;
+    use rand::RngExt;
+
+    fn network(manifest: &Manifest, tensors: &Tensors) -> Arc<Network> {
+        let file = weights::read(&weights::write(manifest, tensors)).expect("the file can be read");
+        Arc::new(Network::new(file))
+    }
+
+    /// All layers one after the other, ReLU between.
+    fn perceptron(layers: &[(Vec<f32>, Vec<f32>)], mut x: Vec<f64>) -> Vec<f64> {
+        for (depth, (weight, bias)) in layers.iter().enumerate() {
+            let row = |(row, bias): (&[f32], &f32)| -> f64 {
+                f64::from(*bias) + row.iter().zip(&x).map(|(weight, x)| f64::from(*weight) * x).sum::<f64>()
+            };
+            let y: Vec<f64> = weight.chunks_exact(x.len()).zip(bias).map(row).collect();
+            let last = depth + 1 == layers.len();
+            x = y.into_iter().map(|y| if last { y } else { y.max(0.0) }).collect();
+        }
+        x
+    }
+
+    fn wide(floats: &[f32]) -> Vec<f64> {
+        floats.iter().map(|float| f64::from(*float)).collect()
+    }
+
+    /// The architectures' formulas as they are written.
+    fn naive(manifest: &Manifest, tensors: &Tensors, at: Vec2, own: &[f32], neighbours: &[Neighbour]) -> Vec<f64> {
+        let [_, message, update] = tensors;
+        let mut inputs: Vec<Vec<f64>> = Vec::new();
+        for neighbour in neighbours {
+            let theirs = neighbour.features;
+            inputs.push(match manifest.architecture {
+                Architecture::Published => {
+                    own.iter().zip(theirs).map(|(h, hj)| f64::from(*hj) - f64::from(*h)).collect()
+                }
+                Architecture::Full => {
+                    let mut input = [wide(own), wide(theirs)].concat();
+                    for field in &manifest.edge {
+                        match field {
+                            EdgeField::Age => input.push(neighbour.age.as_secs()),
+                            EdgeField::RelativePosition => {
+                                input.push(f64::from(neighbour.motion.position.x) - f64::from(at.x));
+                                input.push(f64::from(neighbour.motion.position.y) - f64::from(at.y));
+                            }
+                        }
+                    }
+                    input
+                }
+            });
+        }
+        let mut start = wide(own);
+        if manifest.architecture == Architecture::Published {
+            inputs.push(vec![0.0; own.len()]);
+            start.clear();
+        }
+        let mut sum = vec![0.0; *manifest.message.last().expect("there are layers")];
+        for input in inputs {
+            sum.iter_mut().zip(perceptron(message, input)).for_each(|(sum, term)| *sum += term);
+        }
+        perceptron(update, [start, sum].concat())
+    }
+
+    /// Manifests of both architectures: with the published widths, of few layers, of a single one.
+    fn manifests() -> Vec<Manifest> {
+        let (published, full) = (Manifest::published(), Manifest::full());
+        let small = |manifest: &Manifest, message: &[usize], update: &[usize]| Manifest {
+            message: message.to_vec(),
+            update: update.to_vec(),
+            ..manifest.clone()
+        };
+        let aged = Manifest { edge: vec![EdgeField::Age], ..full.clone() };
+        let bare = Manifest { edge: Vec::new(), ..full.clone() };
+        vec![
+            small(&published, &[32, 40], &[40, 7, 4]),
+            small(&published, &[32, 40], &[40, 4]),
+            small(&full, &[67, 40], &[72, 7, 4]),
+            small(&full, &[67, 40], &[72, 4]),
+            small(&aged, &[65, 37, 40], &[72, 7, 4]),
+            small(&bare, &[64, 37, 40], &[72, 4]),
+            published,
+            full,
+        ]
+    }
+
+    #[test]
+    fn a_step_is_the_formula_and_the_same_bits_on_all_instructions() {
+        let mut stream = Seed::of_run(3).stream("test");
+        let mut reach = |most: f32| stream.random_range(-most..most);
+        for (seed, manifest) in manifests().into_iter().enumerate() {
+            assert_eq!(manifest.check(), Ok(()));
+            let tensors = random_tensors(&manifest, seed as u64);
+            let network = network(&manifest, &tensors);
+            let [mut baseline, mut detected] = [Instructions::Baseline, Instructions::Detected]
+                .map(|instructions| Gnn::with_instructions(Arc::clone(&network), Draw::Mean, instructions));
+            // More and then fewer, so that what is left in the scratch space would show.
+            for count in [0, 1, 2, 6, 3, 5, 4, 0] {
+                let motion = Motion::at_rest(Vec2::new(reach(3.0), reach(3.0)));
+                let own = Observation { motion, goal: Vec2::new(reach(3.0), reach(3.0)) };
+                let mut features = vec![0.0; network.interface().features];
+                detected.encode(&own, &mut features);
+                let said: Vec<(Vec2, Vec<f32>)> = (0..count)
+                    .map(|_| (Vec2::new(reach(3.0), reach(3.0)), features.iter().map(|_| reach(1.0)).collect()))
+                    .collect();
+                let heard = said.iter().enumerate().map(|(k, (position, features))| Neighbour {
+                    motion: Motion::at_rest(*position),
+                    features,
+                    age: Span::from_millis(37 * k as u64),
+                });
+                let neighbours: Vec<Neighbour> = heard.collect();
+                let found = detected.outputs(&own, &features, &neighbours);
+                assert_eq!(found, baseline.outputs(&own, &features, &neighbours));
+                for (found, expected) in
+                    found.iter().zip(naive(&manifest, &tensors, motion.position, &features, &neighbours))
+                {
+                    let off = (f64::from(*found) - expected).abs();
+                    assert!(off <= 1e-4, "{manifest:?}: {found} is not {expected}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_largest_log_standard_deviation_caps_those_that_actions_are_sampled_with() {
+        let action = |log_std_max: Option<f32>, log_std: f32| {
+            let manifest = Manifest { log_std_max, ..Manifest::full() };
+            let mut tensors = random_tensors(&manifest, 1);
+            let (weight, bias) = tensors[2].last_mut().expect("there are layers");
+            weight.fill(0.0);
+            bias.copy_from_slice(&[0.0, 0.0, log_std, log_std]);
+            let mut gnn = Gnn::new(network(&manifest, &tensors), Draw::Sample);
+            let own = Observation { motion: Motion::default(), goal: Vec2::zeros() };
+            assert_eq!(gnn.outputs(&own, &[0.5; 32], &[])[2], log_std, "the outputs are as they are");
+            gnn.act(&own, &[0.5; 32], &[], &mut Seed::of_run(1).stream("draw"))
+        };
+        assert_ne!(action(Some(-1.0), 2.0), action(None, 2.0));
+        assert_eq!(action(Some(-1.0), 2.0), action(None, -1.0));
+        assert_eq!(action(Some(-1.0), -3.0), action(None, -3.0));
+    }
+
+    #[test]
+    fn a_full_policy_comes_back_from_its_file_as_it_went() {
+        let training = Training {
+            program: "a-trainer 0.1".to_owned(),
+            preset: "passage".to_owned(),
+            seed: 3,
+            decisions: 4_000_000_000,
+            env_steps: 800_000_000,
+            configuration: serde_json::json!({"rate": 3e-4, "drop": [0.1, null]}),
+        };
+        let manifest = Manifest { log_std_max: Some(-0.3), training: Some(training), ..Manifest::full() };
+        let network = network(&manifest, &random_tensors(&manifest, 1));
+        let sha256 = network.manifest().sha256.clone();
+        assert_eq!(sha256.len(), 64);
+        assert_eq!(*network.manifest(), Manifest { sha256, ..manifest });
     }
 }

@@ -18,6 +18,9 @@ pub const FORMAT: u32 = 1;
 pub enum Architecture {
     /// The published layers: update(sum over neighbours and self of message(h_j - h_i)).
     Published,
+    /// Equation (1) of the paper: update(\[h_i, sum over neighbours of message(\[h_i, h_j, e_ij\])\]), where e_ij
+    /// is what is known of the edge. The robot itself is no term of the sum.
+    Full,
 }
 
 /// One entry of the observation, two floats each.
@@ -30,6 +33,44 @@ pub enum Field {
     Position,
     /// position + velocity x 1 s \[m\].
     PositionPlusVelocity,
+}
+
+/// One entry of what is known of an edge, from the robot to a neighbour that it hears.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EdgeField {
+    /// How long ago the neighbour's message arrived \[s\], one float.
+    Age,
+    /// The neighbour's position when it spoke - the robot's own position, in the policy frame \[m\], two floats.
+    RelativePosition,
+}
+
+impl EdgeField {
+    /// How many floats it takes.
+    pub const fn floats(self) -> usize {
+        match self {
+            EdgeField::Age => 1,
+            EdgeField::RelativePosition => 2,
+        }
+    }
+}
+
+/// How a policy file came to be. Nothing here changes what the policy does.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Training {
+    /// The program that trained it, with its version.
+    pub program: String,
+    /// The preset that its settings began from.
+    pub preset: String,
+    /// The seed of the run.
+    pub seed: u64,
+    /// How many decisions it learned from: one for each robot and step.
+    pub decisions: u64,
+    /// How many steps of a whole team's environment these took.
+    pub env_steps: u64,
+    /// All settings of the run, in the words of the program that trained it.
+    pub configuration: serde_json::Value,
 }
 
 /// What the last layer's outputs mean.
@@ -52,6 +93,9 @@ pub struct Manifest {
     pub architecture: Architecture,
     /// The observation's entries, in order.
     pub observation: Vec<Field>,
+    /// The edge's entries, in order; the published architecture has none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub edge: Vec<EdgeField>,
     /// Widths of the encoder, input first.
     pub encoder: Vec<usize>,
     /// Widths of the message network, input first.
@@ -62,6 +106,9 @@ pub struct Manifest {
     pub distribution: Distribution,
     /// How actions are drawn unless the user says otherwise.
     pub draw: Draw,
+    /// The largest log standard deviation that actions are sampled with; larger outputs count as this.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub log_std_max: Option<f32>,
     /// Communication radius \[m\].
     pub radius_m: f32,
     /// Steps per second \[Hz\].
@@ -72,6 +119,9 @@ pub struct Manifest {
     pub hold_s: f64,
     /// SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.
     pub sha256: String,
+    /// How the file came to be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub training: Option<Training>,
 }
 
 impl Manifest {
@@ -82,16 +132,30 @@ impl Manifest {
             scenario: "passage".to_owned(),
             architecture: Architecture::Published,
             observation: vec![Field::GoalMinusPosition, Field::Position, Field::PositionPlusVelocity],
+            edge: Vec::new(),
             encoder: vec![6, 16, 32, 32, 32],
             message: vec![32, 64, 64, 64],
             update: vec![64, 64, 64, 64, 4],
             distribution: Distribution::DiagonalNormal,
             draw: Draw::Sample,
+            log_std_max: None,
             radius_m: 2.0,
             rate_hz: 20.0,
             limit_m_s: 1.5,
             hold_s: 0.2,
             sha256: String::new(),
+            training: None,
+        }
+    }
+
+    /// The published conditions with equation (1) of the paper in full, edges of age and relative position.
+    pub fn full() -> Manifest {
+        Manifest {
+            architecture: Architecture::Full,
+            edge: vec![EdgeField::Age, EdgeField::RelativePosition],
+            message: vec![67, 64, 64, 64],
+            update: vec![96, 64, 64, 64, 4],
+            ..Manifest::published()
         }
     }
 
@@ -110,12 +174,24 @@ impl Manifest {
         }
         let ends = |widths: &[usize]| (widths[0], widths[widths.len() - 1]);
         let (observed, hidden) = ends(&self.encoder);
+        if self.architecture == Architecture::Published && !self.edge.is_empty() {
+            return Err("edge: the published architecture knows nothing of an edge; leave it out".to_owned());
+        }
+        let edge: usize = self.edge.iter().map(|field| field.floats()).sum();
+        let said = ends(&self.message).1;
+        let (to_message, to_update) = match self.architecture {
+            Architecture::Published => (("the encoder's output", hidden), ("the message network's output", said)),
+            Architecture::Full => (
+                ("the encoder's output twice and the edge", 2 * hidden + edge),
+                ("the encoder's output and the message network's", hidden + said),
+            ),
+        };
         let chain = [
-            ("encoder", observed, "2 for each of the observation's fields", 2 * self.observation.len()),
-            ("message", ends(&self.message).0, "the encoder's output", hidden),
-            ("update", ends(&self.update).0, "the message network's output", ends(&self.message).1),
+            ("encoder", observed, ("2 for each of the observation's fields", 2 * self.observation.len())),
+            ("message", ends(&self.message).0, to_message),
+            ("update", ends(&self.update).0, to_update),
         ];
-        for (field, input, what, expected) in chain {
+        for (field, input, (what, expected)) in chain {
             if input != expected {
                 return Err(format!("{field}: input of {input}; expected {expected}, {what}"));
             }
@@ -128,6 +204,9 @@ impl Manifest {
                 "encoder: output of {hidden}; a message carries {} floats",
                 crate::messages::wire::MAX_FEATURES
             ));
+        }
+        if let Some(max) = self.log_std_max.filter(|max| !max.is_finite()) {
+            return Err(format!("log_std_max: {max} is not finite; leave it out for none"));
         }
         positive("radius_m", f64::from(self.radius_m))?;
         positive("limit_m_s", f64::from(self.limit_m_s))?;
@@ -150,12 +229,12 @@ mod tests {
 
     #[test]
     fn a_manifest_that_contradicts_itself_is_refused_by_its_field() {
-        assert_eq!(Manifest::published().check(), Ok(()));
-        let broken = |change: fn(&mut Manifest)| {
-            let mut manifest = Manifest::published();
+        let changed = |mut manifest: Manifest, change: fn(&mut Manifest)| {
+            assert_eq!(manifest.check(), Ok(()));
             change(&mut manifest);
             manifest.check().unwrap_err()
         };
+        let broken = |change| changed(Manifest::published(), change);
         assert!(broken(|m| m.format = 9).starts_with("format"));
         assert!(broken(|m| m.message[0] = 31).starts_with("message"));
         assert!(broken(|m| m.update[4] = 3).starts_with("update"));
@@ -163,5 +242,23 @@ mod tests {
         assert!(broken(|m| m.rate_hz = 0.0).starts_with("rate_hz"));
         assert!(broken(|m| m.rate_hz = 2.0).starts_with("rate_hz"));
         assert!(broken(|m| m.hold_s = 1e-4).starts_with("hold_s"));
+        assert!(broken(|m| m.edge = vec![EdgeField::Age]).starts_with("edge"));
+        assert!(broken(|m| m.architecture = Architecture::Full).starts_with("message"));
+        assert!(broken(|m| m.log_std_max = Some(f32::NAN)).starts_with("log_std_max"));
+        let broken = |change| changed(Manifest::full(), change);
+        assert!(broken(|m| m.edge.truncate(1)).starts_with("message"));
+        assert!(broken(|m| m.message[0] = 64).starts_with("message"));
+        assert!(broken(|m| m.message[3] = 32).starts_with("update"));
+        assert!(broken(|m| m.update[0] = 64).starts_with("update"));
+        assert!(broken(|m| m.architecture = Architecture::Published).starts_with("edge"));
+    }
+
+    #[test]
+    fn what_a_manifest_need_not_say_is_not_written_and_not_missed() {
+        let text = serde_json::to_string(&Manifest::published()).expect("a manifest is JSON");
+        for field in ["edge", "log_std_max", "training"] {
+            assert!(!text.contains(field), "{field} is left out: {text}");
+        }
+        assert_eq!(serde_json::from_str::<Manifest>(&text).expect("it can be read"), Manifest::published());
     }
 }

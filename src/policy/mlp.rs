@@ -83,29 +83,55 @@ impl Layer {
     /// Applies the layer to `rows` rows: `x` is \[rows, inputs\], `y` is \[rows, outputs\], both row-major.
     #[inline(always)]
     pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
-        let (x, y) = (&x[..rows * self.inputs], &mut y[..rows * self.outputs]);
         for (block, bias) in self.bias.iter().enumerate() {
-            let weight = &self.weight[block * self.inputs..(block + 1) * self.inputs];
-            let from = block * BLOCK;
-            let to = self.outputs.min(from + BLOCK);
-            // Two rows at once, so that each weight that is loaded serves both; then the odd one.
-            let (mut x_pairs, mut y_pairs) = (x.chunks_exact(2 * self.inputs), y.chunks_exact_mut(2 * self.outputs));
-            for (x, y) in (&mut x_pairs).zip(&mut y_pairs) {
-                let (x, y) = (x.split_at(self.inputs), y.split_at_mut(self.outputs));
-                let (first, second) = two_rows(weight, bias, x);
-                relu.put(first, &mut y.0[from..to]);
-                relu.put(second, &mut y.1[from..to]);
-            }
-            let (x, y) = (x_pairs.remainder(), y_pairs.into_remainder());
-            if !x.is_empty() {
-                relu.put(one_row(weight, bias, x), &mut y[from..to]);
-            }
+            self.apply_block(block, bias, rows, x, y, relu);
+        }
+    }
+
+    /// The same with each row's sums begun at `start` \[outputs\] instead of at the bias.
+    #[inline(always)]
+    pub fn apply_from(&self, start: &[f32], rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
+        for (block, start) in start[..self.outputs].chunks(BLOCK).enumerate() {
+            let mut padded = [0.0; BLOCK];
+            padded[..start.len()].copy_from_slice(start);
+            self.apply_block(block, &padded, rows, x, y, relu);
+        }
+    }
+
+    #[inline(always)]
+    fn apply_block(&self, block: usize, start: &Lanes, rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
+        let (x, y) = (&x[..rows * self.inputs], &mut y[..rows * self.outputs]);
+        let weight = &self.weight[block * self.inputs..(block + 1) * self.inputs];
+        let from = block * BLOCK;
+        let to = self.outputs.min(from + BLOCK);
+        // Two rows at once, so that each weight that is loaded serves both; then the odd one.
+        let (mut x_pairs, mut y_pairs) = (x.chunks_exact(2 * self.inputs), y.chunks_exact_mut(2 * self.outputs));
+        for (x, y) in (&mut x_pairs).zip(&mut y_pairs) {
+            let (x, y) = (x.split_at(self.inputs), y.split_at_mut(self.outputs));
+            let (first, second) = two_rows(weight, start, x);
+            relu.put(first, &mut y.0[from..to]);
+            relu.put(second, &mut y.1[from..to]);
+        }
+        let (x, y) = (x_pairs.remainder(), y_pairs.into_remainder());
+        if !x.is_empty() {
+            relu.put(one_row(weight, start, x), &mut y[from..to]);
         }
     }
 
     /// The matrix entry from an input to an output.
     fn entry(&self, output: usize, input: usize) -> f32 {
         self.weight[output / BLOCK * self.inputs + input][output % BLOCK]
+    }
+
+    /// Two layers that are this one in turn: the first takes the inputs before `at` and holds the bias, the
+    /// second takes the rest and starts from what the first gives. Nothing is rounded otherwise than in one piece.
+    pub fn split(&self, at: usize) -> (Layer, Layer) {
+        let part = |inputs: std::ops::Range<usize>, bias: &[f32]| {
+            let row = |output: usize| inputs.clone().map(move |input| self.entry(output, input));
+            Layer::new(&(0..self.outputs).flat_map(row).collect::<Vec<f32>>(), bias)
+        };
+        let bias = &self.bias.as_flattened()[..self.outputs];
+        (part(0..at, bias), part(at..self.inputs, &vec![0.0; self.outputs]))
     }
 
     /// The one linear layer that does what `inner` and then this layer do, if nothing comes between; its bias
@@ -241,6 +267,21 @@ mod tests {
         assert_eq!(y, [3.5, 1.0, 0.0, 0.5, -10.0, -2.0]);
         layer.apply(2, &x, &mut y, Relu::After);
         assert_eq!(y, [3.5, 1.0, 0.0, 0.5, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_layer_in_two_parts_is_the_layer_bit_for_bit() {
+        let pseudo = |k: usize| ((k * 7919 + 13) % 1009) as f32 / 500.0 - 1.0;
+        let weight: Vec<f32> = (0..37 * 9).map(pseudo).collect();
+        let layer = Layer::new(&weight, &weight[5..42]);
+        let x: Vec<f32> = (40..49).map(pseudo).collect();
+        let (mut whole, mut start, mut parts) = ([0.0; 37], [0.0; 37], [0.0; 37]);
+        layer.apply(1, &x, &mut whole, Relu::After);
+        let (first, second) = layer.split(4);
+        assert_eq!((first.inputs(), second.inputs()), (4, 5));
+        first.apply(1, &x[..4], &mut start, Relu::None);
+        second.apply_from(&start, 1, &x[4..], &mut parts, Relu::After);
+        assert_eq!(parts, whole);
     }
 
     #[test]

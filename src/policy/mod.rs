@@ -16,6 +16,7 @@ use std::sync::Arc;
 use crate::messages::geometry::{Motion, Vec2};
 use rand::RngExt;
 
+use self::manifest::{Architecture, Manifest};
 use crate::random::{Seed, Stream};
 use crate::scenario::{Arena, Observation};
 use crate::time::Span;
@@ -83,7 +84,10 @@ impl Model {
     pub fn name(&self) -> &'static str {
         match self {
             Model::Orca => "orca",
-            Model::Gnn(..) => "gnn",
+            Model::Gnn(network, _) => match network.manifest().architecture {
+                Architecture::Published => "gnn",
+                Architecture::Full => "gnn-full",
+            },
         }
     }
 
@@ -113,15 +117,32 @@ pub struct Entry {
 }
 
 /// All policies.
-pub const REGISTRY: &[Entry] =
-    &[Entry { name: "orca", example: || Model::Orca }, Entry { name: "gnn", example: || untrained(1) }];
+pub const REGISTRY: &[Entry] = &[
+    Entry { name: "orca", example: || Model::Orca },
+    Entry { name: "gnn", example: || untrained(1) },
+    Entry { name: "gnn-full", example: || untrained_full(1) },
+];
 
 /// A network of the published layout with random weights (uniform, scaled by the width of the input): as
 /// good as noise, but the same for the same seed. For tests and benchmarks.
 pub fn untrained(seed: u64) -> Model {
-    let manifest = manifest::Manifest::published();
+    noise(&Manifest::published(), seed)
+}
+
+/// The same for the paper's equation (1) in full.
+pub fn untrained_full(seed: u64) -> Model {
+    noise(&Manifest::full(), seed)
+}
+
+fn noise(manifest: &Manifest, seed: u64) -> Model {
+    let bytes = weights::write(manifest, &random_tensors(manifest, seed));
+    let file = weights::read(&bytes).expect("a file that was just written can be read");
+    Model::Gnn(Arc::new(gnn::Network::new(file)), Draw::Sample)
+}
+
+fn random_tensors(manifest: &Manifest, seed: u64) -> weights::Tensors {
     let mut stream = Seed::of_run(seed).stream("policy/untrained");
-    let mut layers = |widths: &[usize]| -> Vec<(Vec<f32>, Vec<f32>)> {
+    [&manifest.encoder, &manifest.message, &manifest.update].map(|widths| {
         let pairs = widths.windows(2).map(|pair| {
             let reach = 1.0 / (pair[0] as f32).sqrt();
             let mut floats =
@@ -129,8 +150,5 @@ pub fn untrained(seed: u64) -> Model {
             (floats(pair[0] * pair[1]), floats(pair[1]))
         });
         pairs.collect()
-    };
-    let tensors = [layers(&manifest.encoder), layers(&manifest.message), layers(&manifest.update)];
-    let file = weights::read(&weights::write(&manifest, &tensors)).expect("a file that was just written can be read");
-    Model::Gnn(Arc::new(gnn::Network::new(file)), Draw::Sample)
+    })
 }

@@ -183,12 +183,14 @@ fn hash(mut tensors: Vec<(&str, &[u8])>) -> String {
     hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Writes a policy file. `tensors` are weights \[out, in\] and biases \[out\] by layer, for the encoder, the
-/// message and the update network; the manifest's hash is filled in.
+/// Row-major weights \[out, in\] and biases \[out\] by layer, for the encoder, the message and the update network.
+pub type Tensors = [Vec<(Vec<f32>, Vec<f32>)>; 3];
+
+/// Writes a policy file; the manifest's hash is filled in.
 ///
 /// # Panics
 /// If the tensors are not of the manifest's shapes.
-pub fn write(manifest: &Manifest, tensors: &[Vec<(Vec<f32>, Vec<f32>)>; 3]) -> Vec<u8> {
+pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
     let widths = [&manifest.encoder, &manifest.message, &manifest.update];
     let mut entries: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
     for (network, layers) in tensors.iter().enumerate() {

@@ -1,0 +1,109 @@
+//! Policy files written by Python, as `docs/export-from-pytorch.md` shows, load and answer as they did there.
+//!
+//! `tests/data/export.py` has made the files and the answers.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use murmurate::messages::geometry::{Motion, Vec2};
+use murmurate::policy::gnn::{Gnn, Network};
+use murmurate::policy::manifest::{Architecture, EdgeField};
+use murmurate::policy::weights::{self, WeightsError};
+use murmurate::policy::{Draw, Neighbour, Policy};
+use murmurate::scenario::Observation;
+use murmurate::time::Span;
+
+/// A team in which everyone hears everyone, and what each says and does; one entry for each robot.
+#[derive(serde::Deserialize)]
+struct Case {
+    position: Vec<[f32; 2]>,
+    velocity: Vec<[f32; 2]>,
+    goal: Vec<[f32; 2]>,
+    /// By robot, then by the neighbour that it heard \[ms\].
+    age_ms: Vec<Vec<u64>>,
+    latent: Vec<Vec<f32>>,
+    output: Vec<[f32; 4]>,
+}
+
+fn read(name: &str) -> Vec<u8> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(name);
+    std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+fn text(name: &str) -> String {
+    String::from_utf8(read(name)).expect("it is text")
+}
+
+/// Runs all cases of an architecture; how far the latents and the outputs are off at most.
+fn compare(architecture: &str) -> (Arc<Network>, f32, f32) {
+    let file = weights::read(&read(&format!("tests/data/python_{architecture}.safetensors")))
+        .unwrap_or_else(|e| panic!("{architecture}: {e}"));
+    let network = Arc::new(Network::new(file));
+    let mut gnn = Gnn::new(Arc::clone(&network), Draw::Mean);
+    let mut expected: serde_json::Value =
+        serde_json::from_str(&text("tests/data/python_expected.json")).expect("it is JSON");
+    let cases: Vec<Case> = serde_json::from_value(expected[architecture].take()).expect("they are cases");
+    assert_eq!(cases.len(), 3);
+
+    let (mut latent_off, mut output_off) = (0.0f32, 0.0f32);
+    let off = |found: &[f32], expected: &[f32]| {
+        assert_eq!(found.len(), expected.len());
+        found.iter().zip(expected).map(|(found, expected)| (found - expected).abs()).fold(0.0, f32::max)
+    };
+    for case in cases {
+        let team = 0..case.position.len();
+        let motion = |i: usize| Motion { position: case.position[i].into(), velocity: case.velocity[i].into() };
+        let own = |i: usize| Observation { motion: motion(i), goal: Vec2::from(case.goal[i]) };
+        let mut latent = vec![vec![0.0; gnn.interface().features]; team.len()];
+        for (i, latent) in latent.iter_mut().enumerate() {
+            gnn.encode(&own(i), latent);
+            latent_off = latent_off.max(off(latent, &case.latent[i]));
+        }
+        for i in team.clone() {
+            let heard = team.clone().filter(|j| *j != i).map(|j| Neighbour {
+                motion: motion(j),
+                features: &latent[j],
+                age: Span::from_millis(case.age_ms[i][j]),
+            });
+            let heard: Vec<Neighbour> = heard.collect();
+            output_off = output_off.max(off(&gnn.outputs(&own(i), &latent[i], &heard), &case.output[i]));
+        }
+    }
+    (network, latent_off, output_off)
+}
+
+#[test]
+fn files_from_python_answer_as_they_did_there() {
+    for architecture in ["published", "full"] {
+        let (_, latent_off, output_off) = compare(architecture);
+        println!("{architecture}: latents are off by {latent_off:.1e}, outputs by {output_off:.1e}");
+        assert!(latent_off <= 1e-4 && output_off <= 1e-4, "{architecture}: {latent_off:e}, {output_off:e}");
+    }
+}
+
+#[test]
+fn a_manifest_from_python_says_what_it_said_there() {
+    let (network, ..) = compare("full");
+    let manifest = network.manifest();
+    assert_eq!(manifest.architecture, Architecture::Full);
+    assert_eq!(manifest.edge, [EdgeField::Age, EdgeField::RelativePosition]);
+    assert_eq!((manifest.log_std_max, manifest.training.as_ref()), (Some(0.5), None));
+}
+
+#[test]
+fn a_file_from_python_whose_weights_were_changed_is_refused() {
+    let mut file = read("tests/data/python_full.safetensors");
+    // The sign of the last number.
+    *file.last_mut().expect("it is not empty") ^= 0x80;
+    assert!(matches!(weights::read(&file), Err(WeightsError::Hash { .. })));
+}
+
+#[test]
+fn the_page_on_export_shows_the_script_that_made_these_files() {
+    let (page, script) = (text("docs/export-from-pytorch.md"), text("tests/data/export.py"));
+    let blocks: Vec<&str> = page.split("```python\n").skip(1).filter_map(|rest| rest.split("```").next()).collect();
+    assert!(blocks.len() >= 2, "the page shows the export and a manifest");
+    for block in blocks {
+        assert!(script.contains(block), "not in tests/data/export.py:\n{block}");
+    }
+}
