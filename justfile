@@ -21,6 +21,6 @@ faults seed mode="onboard-adhoc" *flags:
 bench:
     cargo bench
 
-# Exactly what the gate runs (about 12 minutes on 2 cores)
+# Exactly what the gate runs (about 15 minutes on 2 cores)
 ci:
     bash .ci/run

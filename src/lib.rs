@@ -10,8 +10,9 @@
 //! # Layers
 //! Each may use those before it, never those after:
 //! `time`, `random`, `config`, `messages`; then `scenario`, `world`, `policy`, `net` (but for its transports),
-//! `report`; then the cores in `actors`; then `deploy`; then `actors::{shell, clock}` and `net::transport`; then
-//! `actors::graph`; then `trial`; then the program. `tests/tidy.rs` checks it.
+//! `report`; then the cores in `actors`, and beside them [`train`], which knows no actor; then `deploy`; then
+//! `actors::{shell, clock}` and `net::transport`; then `actors::graph`; then `trial`; then the program.
+//! `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
 //! [`messages::wire`], then [`actors`], then `actors/graph.rs`, which says who talks to whom; [`trial`] is the
@@ -29,5 +30,6 @@ pub mod random;
 pub mod report;
 pub mod scenario;
 pub mod time;
+pub mod train;
 pub mod trial;
 pub mod world;

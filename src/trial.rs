@@ -16,7 +16,6 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use crate::actors::cache::Handling;
-use crate::actors::controller::Clamp;
 use crate::actors::drive::{End, run_virtual};
 use crate::actors::graph::{self, Plan};
 use crate::actors::recorder::{Out, Steps};
@@ -34,7 +33,7 @@ use crate::scenario::judge::Verdict;
 use crate::scenario::layout::Layouts;
 use crate::scenario::{self, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
-use crate::world::{Physics, Placement, kinematic};
+use crate::world::{Clamp, Physics, Placement, kinematic};
 
 /// About how long an episode with its reset takes \[s\].
 const EPISODE_S: f64 = 10.0;
@@ -97,7 +96,7 @@ pub enum Proceed {
 impl Trial {
     /// A trial of one episode in a preset mode, with the scripted policy, the scenario's own team and seed 0.
     pub fn preset(mode: &str, scenario: &str) -> Result<Trial, TrialError> {
-        let scenario = scenario::build(scenario, &Settings { robots: None })?;
+        let scenario = scenario::build(scenario, &Settings { robots: None, gap_m: None })?;
         let deployment = Deployment::preset(mode, scenario.robots());
         let deployment = deployment.ok_or_else(|| TrialError::Mode { name: mode.to_owned() })?;
         Ok(Trial::new(deployment, scenario, Model::Orca))

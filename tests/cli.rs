@@ -67,7 +67,7 @@ fn wrong_flags_are_refused_in_one_line() {
     refuses(&["sim", "--jobs", "0"], &["--jobs"]);
     refuses(&["sim", "--robots", "13"], &["--robots", "2 to 12", "13"]);
     refuses(&["sim", "--seed", "-1"], &["-1"]);
-    refuses(&["sim", "--action", "mean"], &["--action", "orca"]);
+    refuses(&["sim", "--policy", "orca", "--action", "mean"], &["--action", "orca"]);
     refuses(&["sim", "--action", "median"], &["--action", "median", "sample"]);
     refuses(&["sim", "--mode", "offboard", "--loss", "1.5"], &["--loss", "1.5"]);
     refuses(&["sim", "--mode", "offboard", "--loss", "NaN"], &["--loss", "NaN"]);

@@ -17,7 +17,7 @@ use murmurate::world;
 fn scenarios() -> Vec<std::sync::Arc<dyn Scenario>> {
     let sizes = [None, Some(2), Some(3), Some(8), Some(12)];
     let of = |entry: &'static scenario::Entry| {
-        sizes.into_iter().filter_map(|robots| (entry.build)(&Settings { robots }).ok()).collect::<Vec<_>>()
+        sizes.into_iter().filter_map(|robots| (entry.build)(&Settings { robots, gap_m: None }).ok()).collect::<Vec<_>>()
     };
     let all: Vec<_> = scenario::REGISTRY.iter().flat_map(of).collect();
     assert!(all.len() > scenario::REGISTRY.len(), "scenarios come in several sizes");
@@ -58,6 +58,20 @@ fn observing_and_steering_are_inverse_frames() {
             let frame = scenario.frame(&task);
             assert_eq!(frame.turn(seen.motion.position), estimate.position);
             assert_eq!(frame.turn(seen.goal), task.goal);
+        }
+    }
+}
+
+#[test]
+fn the_distance_to_go_is_never_less_than_a_straight_line_and_ends_at_the_goal() {
+    for scenario in scenarios() {
+        for task in (0..4).flat_map(|episode| scenario.tasks(5, episode)) {
+            assert!(scenario.distance_to_go(&task, task.goal) < 1e-5, "{}", scenario.name());
+            for k in 0..=100 {
+                let position = task.start + (task.goal - task.start) * (k as f32 / 100.0);
+                let to_go = scenario.distance_to_go(&task, position);
+                assert!(to_go >= (task.goal - position).norm() - 1e-4, "{}: {to_go} m", scenario.name());
+            }
         }
     }
 }
@@ -112,7 +126,7 @@ fn layouts_that_do_not_chain_are_placed_exactly_in_every_mode() {
     // The same episode three times over: the goals of one are where the next one ends, too.
     let episode = r#"[{"start": [0.3, -1.5], "goal": [-0.4, 1.5]}, {"start": [-0.5, -1.5], "goal": [0.6, 1.5]}]"#;
     let text = format!("{{\"episodes\": [{episode}, {episode}, {episode}]}}");
-    let scenario = scenario::build("passage", &Settings { robots: Some(2) }).expect("two robots can pass");
+    let scenario = scenario::build("passage", &Settings { robots: Some(2), gap_m: None }).expect("two robots can pass");
     let layouts = Layouts::from_json(&text, &*scenario, 3).expect("the layouts are sound");
     for mode in MODES {
         for repeat in 0..6 {
@@ -146,7 +160,7 @@ fn situations(model: &Model) -> Vec<Situation> {
 
 #[test]
 fn a_policy_is_a_function_of_what_it_sees_and_draws() {
-    let passage = scenario::build("passage", &Settings { robots: None }).expect("the default is sound");
+    let passage = scenario::build("passage", &Settings { robots: None, gap_m: None }).expect("the default is sound");
     for entry in policy::REGISTRY {
         let model = (entry.example)();
         assert_eq!(model.name(), entry.name);
@@ -175,7 +189,7 @@ fn a_policy_is_a_function_of_what_it_sees_and_draws() {
 
 #[test]
 fn a_plant_obeys_and_repeats_itself() {
-    let scenario = scenario::build("passage", &Settings { robots: None }).expect("the default is sound");
+    let scenario = scenario::build("passage", &Settings { robots: None, gap_m: None }).expect("the default is sound");
     let starts: Vec<Vec2> = scenario.tasks(1, 0).iter().map(|task| task.start).collect();
     for entry in world::REGISTRY {
         let run = || {

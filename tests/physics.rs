@@ -1,12 +1,11 @@
 //! What simulated robots are like and what becomes of their messages, as whole trials show it.
 
 use murmurate::actors::cache::Handling;
-use murmurate::actors::controller::Clamp;
 use murmurate::deploy::{Impair, MODES};
 use murmurate::report::trial::TrialReport;
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
-use murmurate::world::{ContactRule, Placement};
+use murmurate::world::{Clamp, ContactRule, Placement};
 
 fn trial(mode: &str) -> Trial {
     Trial::preset(mode, "passage").expect("a preset").seed(3)

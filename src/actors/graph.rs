@@ -11,7 +11,7 @@ use super::agent::{self, Agent, Pilot};
 use super::body::{self, Body};
 use super::cache::{self, Cache, Handling};
 use super::clock::Clock;
-use super::controller::{self, Clamp, Controller};
+use super::controller::{self, Controller};
 use super::network::{self, Network};
 use super::recorder::{self, Recorder};
 use super::shell::{Mailbox, start};
@@ -31,7 +31,7 @@ use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
 use crate::time::Span;
 use crate::world as plants;
-use crate::world::Physics;
+use crate::world::{Clamp, Physics};
 
 /// How long a motor command holds: four of the published control periods (design, section 2).
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);

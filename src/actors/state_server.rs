@@ -208,7 +208,7 @@ mod tests {
     use crate::scenario::{Settings, build};
 
     fn server() -> StateServer {
-        let passage = build("passage", &Settings { robots: Some(2) }).unwrap();
+        let passage = build("passage", &Settings { robots: Some(2), gap_m: None }).unwrap();
         let layouts = Layouts::of_scenario(&*passage, 1, 2);
         let limit = Span::from_millis(25_000);
         StateServer::new(Config { layouts, repeat: 0, placement: Placement::Drive, limit }, 2, 1)

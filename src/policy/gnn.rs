@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use rand_distr::{Distribution, StandardNormal};
 
-use super::manifest::{Architecture, EdgeField, Field, Manifest};
+use super::manifest::{Architecture, EdgeField, Manifest};
 use super::mlp::{Instructions, Layer, Mlp, Relu, Scratch};
 use super::weights::PolicyFile;
 use super::{Draw, Interface, Neighbour, Policy};
@@ -313,15 +313,8 @@ impl Policy for Gnn {
 
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
         let (network, space) = (&*self.network, &mut self.space);
-        let (position, velocity) = (own.motion.position, own.motion.velocity);
         for (two, field) in space.seen.chunks_exact_mut(2).zip(&network.manifest.observation) {
-            let value = match field {
-                Field::GoalMinusPosition => own.goal - position,
-                Field::Position => position,
-                // The velocity counts as metres, that is, times one second.
-                Field::PositionPlusVelocity => position + velocity,
-            };
-            two.copy_from_slice(value.as_slice());
+            two.copy_from_slice(field.of(own).as_slice());
         }
         self.instructions.run(
             #[inline(always)]

@@ -6,6 +6,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::Draw;
+use crate::messages::geometry::Vec2;
+use crate::scenario::Observation;
 
 /// The metadata key of the manifest.
 pub const KEY: &str = "murmurate";
@@ -33,6 +35,18 @@ pub enum Field {
     Position,
     /// position + velocity x 1 s \[m\].
     PositionPlusVelocity,
+}
+
+impl Field {
+    /// Its value, in the policy frame.
+    pub fn of(self, seen: &Observation) -> Vec2 {
+        match self {
+            Field::GoalMinusPosition => seen.goal - seen.motion.position,
+            Field::Position => seen.motion.position,
+            // The velocity counts as metres, that is, times one second.
+            Field::PositionPlusVelocity => seen.motion.position + seen.motion.velocity,
+        }
+    }
 }
 
 /// One entry of what is known of an edge, from the robot to a neighbour that it hears.

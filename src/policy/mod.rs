@@ -9,6 +9,7 @@ pub mod manifest;
 pub mod mlp;
 pub mod orca;
 pub mod route;
+pub mod shipped;
 pub mod weights;
 
 use std::sync::Arc;

@@ -102,6 +102,11 @@ pub trait Scenario: Debug + Send + Sync {
     /// The reward of one robot for one step that has brought it to `after`; moves its stage on.
     fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32;
 
+    /// How far a robot at `position` \[m\] still has to go, along the way that it is to take \[m\].
+    fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
+        (task.goal - position).norm()
+    }
+
     /// Whether a robot at `stage` has nothing left to earn.
     fn finished(&self, stage: Stage) -> bool;
 
@@ -110,10 +115,12 @@ pub trait Scenario: Debug + Send + Sync {
 }
 
 /// What a user may choose about a scenario.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
     /// Team size; `None` for the scenario's own.
     pub robots: Option<usize>,
+    /// Width of its bottleneck \[m\]; `None` for the scenario's own.
+    pub gap_m: Option<f32>,
 }
 
 /// A scenario by name.
@@ -158,6 +165,16 @@ pub enum ScenarioError {
         most: usize,
         /// What was asked for.
         robots: usize,
+    },
+    /// The scenario has no bottleneck of that width.
+    #[error("the scenario '{scenario}' has no gap of {gap_m} m{hint}")]
+    Gap {
+        /// The scenario.
+        scenario: &'static str,
+        /// What was asked for \[m\].
+        gap_m: f32,
+        /// What there could be.
+        hint: &'static str,
     },
 }
 

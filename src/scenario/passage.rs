@@ -16,8 +16,11 @@ use crate::time::Span;
 
 /// Half the arena \[m\]: 4 m across, 6 m along (paper, section V).
 const HALF_EXTENT: Vec2 = Vec2::new(2.0, 3.0);
-/// Half the width of the gap and half the thickness of the wall \[m\].
-const GAP_HALF: Vec2 = Vec2::new(0.5, 0.15);
+/// Width of the gap \[m\], and the widths that it may have.
+const GAP_M: f32 = 1.0;
+const GAPS_M: (f32, f32) = (0.6, 3.0);
+/// Half the thickness of the wall \[m\].
+const WALL_HALF_M: f32 = 0.15;
 /// Radius of a robot \[m\].
 const ROBOT_RADIUS_M: f32 = 0.25;
 /// Grid of a formation \[m\]: robots stand on the points of a square lattice whose coordinates add up to an even
@@ -28,6 +31,10 @@ const CENTRE_X_M: f32 = 1.0;
 const CENTRE_Y_M: (f32, f32) = (1.5, 2.0);
 /// Clearance between a start or goal and the wall's face \[m\]: a robot's radius and room to be turned loose.
 const WALL_CLEARANCE_M: f32 = 0.3;
+/// The straight way through the gap begins and ends this far from the wall's middle \[m\]: just clear of its corners.
+const MOUTH_M: f32 = WALL_HALF_M + ROBOT_RADIUS_M + 0.05;
+/// Clearance that the way through the gap keeps from the wall's ends \[m\], beyond a robot's radius.
+const LANE_M: f32 = 0.1;
 /// Team sizes: as many as the lattice offers and half of the arena holds.
 const ROBOTS: (usize, usize) = (2, 12);
 /// The published team.
@@ -43,6 +50,8 @@ const LAST_STAGE: Stage = Stage(4);
 #[derive(Debug)]
 pub struct Passage {
     robots: usize,
+    /// Half the width of the way through the gap \[m\].
+    lane_half_m: f32,
     arena: Arena,
 }
 
@@ -52,21 +61,26 @@ pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     if !(ROBOTS.0..=ROBOTS.1).contains(&robots) {
         return Err(ScenarioError::Robots { scenario: "passage", least: ROBOTS.0, most: ROBOTS.1, robots });
     }
-    Ok(Arc::new(Passage::new(robots)))
+    let gap_m = settings.gap_m.unwrap_or(GAP_M);
+    if !(GAPS_M.0..=GAPS_M.1).contains(&gap_m) {
+        return Err(ScenarioError::Gap { scenario: "passage", gap_m, hint: "; it may be 0.6 to 3 m wide" });
+    }
+    Ok(Arc::new(Passage::new(robots, gap_m)))
 }
 
 impl Passage {
-    fn new(robots: usize) -> Passage {
-        let right = KeepOut { min: Vec2::new(GAP_HALF.x, -GAP_HALF.y), max: Vec2::new(HALF_EXTENT.x, GAP_HALF.y) };
+    fn new(robots: usize, gap_m: f32) -> Passage {
+        let half = gap_m / 2.0;
+        let right = KeepOut { min: Vec2::new(half, -WALL_HALF_M), max: Vec2::new(HALF_EXTENT.x, WALL_HALF_M) };
         let left = KeepOut { min: -right.max, max: -right.min };
-        let mouth = Vec2::new(0.0, GAP_HALF.y + 2.0 * ROBOT_RADIUS_M);
+        let mouth = Vec2::new(0.0, WALL_HALF_M + 2.0 * ROBOT_RADIUS_M);
         let arena = Arena {
             half_extent: HALF_EXTENT,
             keep_outs: vec![right, left],
             portals: vec![Portal { near: -mouth, far: mouth }],
             robot_radius_m: ROBOT_RADIUS_M,
         };
-        Passage { robots, arena }
+        Passage { robots, lane_half_m: (half - ROBOT_RADIUS_M - LANE_M).max(0.0), arena }
     }
 
     /// The positions between episode `index - 1` and episode `index` \[m\]; even ones lie at y < 0.
@@ -100,7 +114,7 @@ fn place(formation: &[Vec2], angle: f32, side: f32, stream: &mut Stream) -> Opti
     let turned: Vec<Vec2> = formation.iter().map(|p| Vec2::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y)).collect();
     let low = turned.iter().fold(Vec2::zeros(), |low, p| low.inf(p));
     let high = turned.iter().fold(Vec2::zeros(), |high, p| high.sup(p));
-    let nearest_y = GAP_HALF.y + WALL_CLEARANCE_M;
+    let nearest_y = WALL_HALF_M + WALL_CLEARANCE_M;
     let x = ((-HALF_EXTENT.x - low.x).max(-CENTRE_X_M), (HALF_EXTENT.x - high.x).min(CENTRE_X_M));
     // Reckoned on the side of y > 0 and turned over for the other.
     let (toward_wall, away) = if side > 0.0 { (-low.y, high.y) } else { (high.y, -low.y) };
@@ -165,6 +179,23 @@ impl Scenario for Passage {
         reward
     }
 
+    /// To the gap, straight through it, and on to the goal. It falls steadily on the way, whichever side of the lane
+    /// the robot keeps to.
+    fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
+        let frame = self.frame(task);
+        let (at, goal) = (frame.turn(position), frame.turn(task.goal));
+        let lane = at.x.clamp(-self.lane_half_m, self.lane_half_m);
+        let far = Vec2::new(lane, MOUTH_M);
+        let behind = (goal - far).norm();
+        if at.y < -MOUTH_M {
+            (Vec2::new(lane, -MOUTH_M) - at).norm() + 2.0 * MOUTH_M + behind
+        } else if at.y < MOUTH_M {
+            (far - at).norm() + behind
+        } else {
+            (goal - at).norm()
+        }
+    }
+
     fn finished(&self, stage: Stage) -> bool {
         stage >= LAST_STAGE
     }
@@ -187,8 +218,27 @@ mod tests {
     }
 
     #[test]
+    fn the_way_leads_through_the_gap_and_has_no_jumps() {
+        let passage = Passage::new(5, GAP_M);
+        let task = Task { start: Vec2::new(1.0, 1.7), goal: Vec2::new(-1.0, -1.7) };
+        let mut last = passage.distance_to_go(&task, task.start);
+        assert!(last > (task.goal - task.start).norm());
+        // Seen from y > 0: in to the lane, through it, and out to the goal, 5 cm a step.
+        let way = [task.start, Vec2::new(0.1, MOUTH_M), Vec2::new(0.1, -MOUTH_M), task.goal];
+        for leg in way.windows(2) {
+            let steps = ((leg[1] - leg[0]).norm() / 0.05).ceil();
+            for step in 1..=steps as usize {
+                let left = passage.distance_to_go(&task, leg[0] + (leg[1] - leg[0]) * (step as f32 / steps));
+                assert!(left < last && last - left < 0.06, "{last} m, then {left} m");
+                last = left;
+            }
+        }
+        assert!(last < 1e-6);
+    }
+
+    #[test]
     fn the_stages_lead_through_the_gap() {
-        let passage = Passage::new(5);
+        let passage = Passage::new(5, GAP_M);
         let task = Task { start: Vec2::new(0.3, 1.7), goal: Vec2::new(-0.3, -1.7) };
         let mut stage = Stage(0);
         // Seen from y > 0 everything is mirrored: the first waypoint is at y = +0.4.

@@ -41,6 +41,9 @@ pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     if !(ROBOTS.0..=ROBOTS.1).contains(&robots) {
         return Err(ScenarioError::Robots { scenario: "swap", least: ROBOTS.0, most: ROBOTS.1, robots });
     }
+    if let Some(gap_m) = settings.gap_m {
+        return Err(ScenarioError::Gap { scenario: "swap", gap_m, hint: "; it has no walls" });
+    }
     let per_row = robots.isqrt() + usize::from(robots.isqrt().pow(2) < robots);
     let half = per_row as f32 * PITCH_M / 2.0;
     let arena = Arena {

@@ -35,13 +35,15 @@ pub struct Team<'a> {
 pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team) {
     team.before.copy_from_slice(team.position);
     let (most, gain) = (physics.acceleration_m_s2, physics.gain(PERIOD));
-    for (velocity, command) in team.velocity.iter_mut().zip(commands) {
-        let mut wanted = command.map(|axis| axis.clamp(-MAX_SPEED_M_S, MAX_SPEED_M_S));
+    // Axis by axis, as one list of numbers: that way the compiler divides several at once.
+    let axes: &mut [f32] = bytemuck::cast_slice_mut(team.velocity);
+    let commands: &[f32] = bytemuck::cast_slice(commands);
+    for (velocity, command) in axes.iter_mut().zip(commands) {
+        let mut wanted = limited(*command, MAX_SPEED_M_S);
         if gain < 1.0 {
             wanted = *velocity + (wanted - *velocity) * gain;
         }
-        let acceleration = (wanted - *velocity) / DT_S;
-        *velocity += acceleration.map(|axis| axis.clamp(-most, most)) * DT_S;
+        *velocity += limited((wanted - *velocity) / DT_S, most) * DT_S;
     }
     let (blocks, apart) = match physics.contacts {
         ContactRule::Block => (true, 2.0 * arena.robot_radius_m),
@@ -50,23 +52,46 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
     // In the order of their ids, each against all others: those before it have moved already.
     for robot in 0..team.position.len() {
         let candidate = team.position[robot] + team.velocity[robot] * DT_S;
-        let touches =
-            (0..team.position.len()).any(|other| other != robot && (candidate - team.position[other]).norm() <= apart);
+        let (earlier, rest) = team.position.split_at(robot);
+        let touches = at_most(earlier.iter().chain(&rest[1..]).map(|other| candidate - other), apart);
         team.contacts[robot] = Contacts { robot: touches, wall: false };
         if !(touches && blocks) {
             team.position[robot] = candidate;
         }
     }
-    for robot in 0..team.position.len() {
-        if arena.keep_outs.iter().any(|block| block.distance(team.position[robot]) <= physics.wall_radius_m) {
-            team.contacts[robot].wall = true;
+    let half = arena.half_extent;
+    for ((position, before), contacts) in team.position.iter_mut().zip(&*team.before).zip(&mut *team.contacts) {
+        let at = *position;
+        if at_most(arena.keep_outs.iter().map(|block| at - block.nearest(at)), physics.wall_radius_m) {
+            contacts.wall = true;
             if blocks {
-                team.position[robot] = team.before[robot];
+                *position = *before;
             }
         }
-        team.position[robot] = team.position[robot].sup(&-arena.half_extent).inf(&arena.half_extent);
-        team.velocity[robot] = (team.position[robot] - team.before[robot]) / DT_S;
+        *position = Vec2::new(limited(position.x, half.x), limited(position.y, half.y));
     }
+    let (now, before): (&[f32], &[f32]) = (bytemuck::cast_slice(team.position), bytemuck::cast_slice(team.before));
+    for ((velocity, now), before) in bytemuck::cast_slice_mut(team.velocity).iter_mut().zip(now).zip(before) {
+        *velocity = (now - before) / DT_S;
+    }
+}
+
+/// Within `most` of zero; what is no number stays so.
+#[inline(always)]
+fn limited(axis: f32, most: f32) -> f32 {
+    let axis = if axis < -most { -most } else { axis };
+    if axis > most { most } else { axis }
+}
+
+/// Whether the shortest of some offsets is at most `distance` long. Only that one's root is drawn, and only if its
+/// square leaves a doubt: a root never changes an order, and its rounding is part of the published arithmetic.
+#[inline(always)]
+fn at_most(offsets: impl Iterator<Item = Vec2>, distance: f32) -> bool {
+    let shortest = offsets.fold(f32::INFINITY, |least, offset| {
+        let square = offset.x * offset.x + offset.y * offset.y;
+        if square < least { square } else { least }
+    });
+    shortest <= 1.001 * distance * distance && shortest.sqrt() <= distance
 }
 
 /// The training world as a plant.

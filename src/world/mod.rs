@@ -2,7 +2,10 @@
 //!
 //! Nothing here knows a task, a policy or a network.
 
+mod clamp;
 pub mod kinematic;
+
+pub use clamp::Clamp;
 
 use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::local::Contacts;

@@ -8,6 +8,7 @@
 mod deployment;
 mod output;
 mod sim;
+mod train;
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -35,6 +36,8 @@ enum Command {
     Sim(Box<sim::Args>),
     /// Prints a preset mode as a deployment file, to be changed and run with `sim --deployment`.
     Deployment(deployment::Args),
+    /// Trains a policy.
+    Train(Box<train::Args>),
 }
 
 /// How a command ended.
@@ -70,6 +73,7 @@ fn main() -> ExitCode {
     let ended = match cli.command {
         Command::Sim(args) => sim::run(&args),
         Command::Deployment(args) => deployment::run(&args),
+        Command::Train(args) => train::run(&args),
     };
     match ended {
         Ok(Ended::Done) => ExitCode::SUCCESS,

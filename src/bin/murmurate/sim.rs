@@ -9,19 +9,19 @@ use anyhow::{Context, Result};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
 use murmurate::actors::cache::Handling;
-use murmurate::actors::controller::Clamp;
 use murmurate::actors::recorder::Steps;
 use murmurate::deploy::{Deployment, Impair, MODES};
 use murmurate::net::fault::FaultPlan;
 use murmurate::net::range::CommRange;
 use murmurate::policy::gnn::Network;
+use murmurate::policy::shipped::shipped;
 use murmurate::policy::{Draw, Model, weights};
 use murmurate::report::episode::Episode;
 use murmurate::report::summary::{Run, Summary};
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Scenario, Settings};
 use murmurate::trial::{Proceed, Trial, TrialReport};
-use murmurate::world::{ContactRule, Placement};
+use murmurate::world::{Clamp, ContactRule, Placement};
 
 use crate::output::{WholeFile, print, read_text, talk};
 use crate::{BadInput, Ended};
@@ -38,9 +38,10 @@ pub struct Args {
     /// What the team is to do
     #[arg(long, default_value = "passage", value_parser = scenarios())]
     scenario: String,
-    /// What drives the robots: a policy file (safetensors), or 'orca' for scripted navigation
-    #[arg(long, default_value = "orca", value_name = "FILE|orca")]
-    policy: PathBuf,
+    /// What drives the robots: a policy file (safetensors), or 'orca' for scripted navigation [default: the shipped
+    /// policy of the scenario, or 'orca' if it has none]
+    #[arg(long, value_name = "FILE|orca")]
+    policy: Option<PathBuf>,
     /// How actions are drawn from a trained policy [default: as its file says]
     #[arg(long, value_parser = PossibleValuesParser::new(["mean", "sample"]))]
     action: Option<String>,
@@ -129,7 +130,7 @@ fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
 
 /// Runs the trials and prints what came of them.
 pub fn run(args: &Args) -> Result<Ended> {
-    let trial = trial(args)?;
+    let (trial, policy) = trial(args)?;
     let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
@@ -143,7 +144,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     let run = Run {
         mode: trial.deployment.mode.clone(),
         scenario: trial.scenario.name().to_owned(),
-        policy: trial.model.name().to_owned(),
+        policy,
         robots: trial.scenario.robots(),
         seed: args.seed,
         wall_s: began.elapsed().as_secs_f64(),
@@ -211,12 +212,13 @@ fn progress(args: &Args) -> ProgressBar {
     bar
 }
 
-/// The first trial, of which all others are repeats.
-fn trial(args: &Args) -> Result<Trial> {
+/// The first trial, of which all others are repeats, and its policy's name in the report.
+fn trial(args: &Args) -> Result<(Trial, String)> {
     let bad = |text: String| anyhow::Error::from(BadInput(text));
     let file = args.deployment.as_deref().map(read_deployment).transpose()?;
     let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
-    let scenario = scenario::build(&args.scenario, &Settings { robots }).map_err(|e| bad(format!("--robots: {e}")))?;
+    let scenario = scenario::build(&args.scenario, &Settings { robots, gap_m: None })
+        .map_err(|e| bad(format!("--robots: {e}")))?;
     let mut deployment = match file {
         Some(file) if file.robots != scenario.robots() => {
             return Err(bad(format!(
@@ -245,7 +247,7 @@ fn trial(args: &Args) -> Result<Trial> {
             .map_err(|e| bad(format!("{flag}: {e}")))?;
     }
     deployment.placement = args.placement.unwrap_or(deployment.placement);
-    let model = model(args, &*scenario)?;
+    let (model, policy) = model(args, &*scenario)?;
     let mut trial = Trial::new(deployment, Arc::clone(&scenario), model).seed(args.seed).episodes(args.episodes);
     trial.handling = args.handling;
     trial = physics(args, trial.clamp(args.clamp))?;
@@ -272,7 +274,7 @@ fn trial(args: &Args) -> Result<Trial> {
     if args.trajectories.is_some() {
         trial.steps = Steps::Reported;
     }
-    Ok(trial)
+    Ok((trial, policy))
 }
 
 /// The trial with robots as the flags say.
@@ -295,17 +297,28 @@ fn read_deployment(path: &Path) -> Result<Deployment> {
         .map_err(|e| BadInput(format!("the deployment file '{}': {}", path.display(), e)).into())
 }
 
-fn model(args: &Args, scenario: &dyn Scenario) -> Result<Model> {
-    if args.policy == Path::new("orca") {
-        if args.action.is_some() {
-            return Err(BadInput("--action: the policy 'orca' draws nothing; leave the flag out".to_owned()).into());
+/// The policy, and its name in the report.
+fn model(args: &Args, scenario: &dyn Scenario) -> Result<(Model, String)> {
+    let shipped = if args.policy.is_none() { shipped(scenario.name()) } else { None };
+    let named = args.policy.as_deref().unwrap_or(Path::new("orca"));
+    let (shown, file) = match shipped {
+        Some(bytes) => ("shipped".to_owned(), weights::read(bytes)),
+        None if named == Path::new("orca") => {
+            if args.action.is_some() {
+                let why = "--action: the policy 'orca' draws nothing; leave the flag out";
+                return Err(BadInput(why.to_owned()).into());
+            }
+            return Ok((Model::Orca, "orca".to_owned()));
         }
-        return Ok(Model::Orca);
-    }
-    let shown = args.policy.display();
-    let bytes = std::fs::read(&args.policy)
-        .map_err(|e| BadInput(format!("cannot read the policy file '{shown}': {e} (or name the policy 'orca')")))?;
-    let file = weights::read(&bytes).map_err(|e| BadInput(format!("the policy file '{shown}': {e}")))?;
+        None => {
+            let shown = named.display().to_string();
+            let bytes = std::fs::read(named).map_err(|e| {
+                BadInput(format!("cannot read the policy file '{shown}': {e} (or name the policy 'orca')"))
+            })?;
+            (shown, weights::read(&bytes))
+        }
+    };
+    let file = file.map_err(|e| BadInput(format!("the policy file '{shown}': {e}")))?;
     if file.manifest.scenario != scenario.name() {
         let (theirs, ours) = (&file.manifest.scenario, scenario.name());
         return Err(BadInput(format!("the policy file '{shown}' is for the scenario '{theirs}', not '{ours}'")).into());
@@ -318,7 +331,7 @@ fn model(args: &Args, scenario: &dyn Scenario) -> Result<Model> {
         Some(_) => Draw::Sample,
         None => file.manifest.draw,
     };
-    Ok(Model::Gnn(Arc::new(Network::new(file)), draw))
+    Ok((Model::Gnn(Arc::new(Network::new(file)), draw), shown))
 }
 
 fn range(args: &Args, trial: &Trial) -> Result<Option<CommRange>> {

@@ -1,0 +1,119 @@
+//! The speed of training: rollout, forward pass, update and whole iterations.
+//!
+//! `cargo bench --bench train`. Items are steps of an environment of five robots in the first two groups, and
+//! decisions (one policy evaluation for one environment) in the last two, which take two threads.
+
+use divan::Bencher;
+use divan::counter::ItemsCount;
+use murmurate::messages::geometry::Vec2;
+use murmurate::random::Seed;
+use murmurate::scenario::{self, Settings};
+use murmurate::train::batch::{Batch, Graphs};
+use murmurate::train::conditions::Episode;
+use murmurate::train::config::{Config, Reward, Stage};
+use murmurate::train::crowd::Crowd;
+use murmurate::train::network::{Network, Space};
+use murmurate::train::rollout::CHUNK;
+use murmurate::train::trainer::{Plan, Trainer};
+use murmurate::train::update::initial;
+use rand::RngExt;
+
+fn main() {
+    divan::main();
+}
+
+fn preset(name: &str) -> Config {
+    Config::preset(name).expect("it is a preset")
+}
+
+/// Dynamics and reward alone: 1024 environments of five robots, one thread, commands that keep them moving.
+#[divan::bench(args = ["scenario's reward", "published", "robust"], sample_count = 40)]
+fn rollout(bencher: Bencher, reward: &str) {
+    const ENVIRONMENTS: usize = 1024;
+    let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
+    let mut config = preset(if reward == "robust" { "robust" } else { "published" });
+    if reward == "scenario's reward" {
+        let none = config.reward.with_penalties(0.0);
+        config.reward = Reward { scenario: 1.0, progress: 0.0, shared: 0.0, ..none };
+    }
+    // As the trainer has it: crowds of a chunk each go through their decisions by themselves, actions held four steps.
+    let mut stream = Seed::of_run(1).stream("bench");
+    let mut crowds: Vec<Crowd> = (0..ENVIRONMENTS / CHUNK)
+        .map(|chunk| {
+            let mut crowd = Crowd::new(CHUNK, &[vec![5]], std::slice::from_ref(&passage));
+            for team in 0..CHUNK {
+                crowd.place(team, ((chunk * CHUNK + team) as u64, 0), Episode::perfect(5), &mut stream);
+            }
+            crowd
+        })
+        .collect();
+    let mut actions: Vec<Vec2> = crowds[0].position.iter().map(|at| Vec2::new(-at.x, 1.0)).collect();
+    let mut steps = 0u32;
+    bencher.counter(ItemsCount::new(ENVIRONMENTS * 20)).bench_local(|| {
+        steps += 20;
+        if steps.is_multiple_of(100) {
+            actions.iter_mut().for_each(|action| *action = -*action);
+        }
+        for crowd in &mut crowds {
+            for _decision in 0..5 {
+                for team in 0..CHUNK {
+                    (0..4).for_each(|_| crowd.step(team, &actions, &config.reward, 1.5, &mut stream));
+                }
+            }
+        }
+    });
+    assert!(crowds.iter().all(|crowd| crowd.teams[0].step >= 20), "every team has moved on");
+}
+
+/// The policy for 4096 environments of five robots that all hear each other, one thread.
+#[divan::bench(args = ["published", "robust"], sample_count = 20)]
+fn forward(bencher: Bencher, name: &str) {
+    const ENVIRONMENTS: usize = 4096;
+    let config = preset(name);
+    let network = Network::new(config.actor());
+    let parameters = initial(&network, Seed::of_run(1), &[0.0; 4]);
+    let mut stream = Seed::of_run(1).stream("bench");
+    let mut graphs = Graphs::new(5, network.inputs(), network.shape().edge);
+    for _ in 0..ENVIRONMENTS {
+        for _ in 0..5 {
+            graphs.source().1.iter_mut().for_each(|float| *float = stream.random_range(-2.0..2.0));
+        }
+        for receiver in 0..5 {
+            for sender in (0..5).filter(|&sender| sender != receiver) {
+                let edge = graphs.edge(receiver, sender as u16);
+                edge.iter_mut().for_each(|float| *float = stream.random_range(-1.0..1.0));
+            }
+        }
+        graphs.end();
+    }
+    let (mut batch, mut space) = (Batch::default(), Space::default());
+    bencher.counter(ItemsCount::new(ENVIRONMENTS)).bench_local(|| {
+        for first in (0..ENVIRONMENTS).step_by(CHUNK) {
+            batch.gather((first..first + CHUNK).map(|graph| (&graphs, graph)));
+            network.forward(&parameters, &batch, &mut space);
+            divan::black_box(space.outputs());
+        }
+    });
+}
+
+/// A training in its stage of five robots, with so many epochs and no early stop.
+fn trainer(name: &str, epochs: usize) -> Trainer {
+    let mut config = preset(name);
+    config.curriculum = vec![Stage { until: 1.0, groups: vec![vec![5]], repeat: 4, gap_m: None, penalties: 1.0 }];
+    (config.ppo.epochs, config.ppo.kl_stop) = (epochs, f32::INFINITY);
+    let plan = Plan { scenario: "passage".to_owned(), preset: name.to_owned(), config, seed: 1 };
+    Trainer::new(plan).expect("the preset is sound")
+}
+
+/// Whole iterations: collecting, and exactly so many passes over policy and critic. One pass takes what the second
+/// argument's iteration takes longer than the first's.
+#[divan::bench(args = [("published", 2), ("published", 3), ("robust", 2), ("robust", 3)], sample_count = 8)]
+fn iteration(bencher: Bencher, (name, epochs): (&str, usize)) {
+    let mut trainer = trainer(name, epochs);
+    let ppo = &trainer.plan().config.ppo;
+    let decisions = ppo.environments * ppo.decisions;
+    bencher.counter(ItemsCount::new(decisions)).bench_local(|| {
+        let point = trainer.iterate(0.0, 2).expect("it stays finite");
+        assert!((point.epochs - epochs as f32).abs() < 1e-3, "{} epochs", point.epochs);
+    });
+}

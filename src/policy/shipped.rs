@@ -1,0 +1,9 @@
+//! The policies that come with the program, one a scenario that has one. `policies/README.md` says how they were made.
+
+/// The file of the shipped policy for a scenario.
+pub fn shipped(scenario: &str) -> Option<&'static [u8]> {
+    match scenario {
+        "passage" => Some(include_bytes!("../../policies/passage.safetensors")),
+        _ => None,
+    }
+}

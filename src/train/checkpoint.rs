@@ -1,0 +1,108 @@
+//! A training's state as bytes, and back: what goes on from them goes on bit for bit.
+
+use serde::{Deserialize, Serialize};
+
+use super::adam::Adam;
+use super::crowd::Snapshot;
+use super::network::Shape;
+use super::trainer::{Plan, SetupError, Trainer};
+use super::update::Learner;
+
+/// The version of the format.
+const FORMAT: u32 = 1;
+
+#[derive(Serialize, Deserialize)]
+struct State {
+    format: u32,
+    plan: Plan,
+    actor: (Vec<f32>, Adam),
+    critic: (Vec<f32>, Adam),
+    chunks: Vec<Snapshot>,
+    stage: usize,
+    iteration: u64,
+    decisions: u64,
+    env_steps: u64,
+    progress: f64,
+    pace: f32,
+}
+
+impl Trainer {
+    /// Everything that is needed to go on exactly from here.
+    pub fn checkpoint(&self) -> Vec<u8> {
+        let of = |learner: &Learner| (learner.parameters.clone(), learner.adam.clone());
+        let state = State {
+            format: FORMAT,
+            plan: self.plan.clone(),
+            actor: of(&self.actor),
+            critic: of(&self.critic),
+            chunks: self.chunks.iter().map(|chunk| chunk.crowd.snapshot()).collect(),
+            stage: self.stage,
+            iteration: self.iteration,
+            decisions: self.decisions,
+            env_steps: self.env_steps,
+            progress: self.progress,
+            pace: self.pace,
+        };
+        rmp_serde::to_vec(&state).expect("a state is plain data")
+    }
+
+    /// Begins with the weights of another training's checkpoint, whose networks have the same layers: to go on under
+    /// other conditions. The optimiser begins anew.
+    pub fn begin_with(&mut self, bytes: &[u8]) -> Result<(), SetupError> {
+        let state = read_state(bytes)?;
+        let config = &self.plan.config;
+        let layers = |what: &'static str, theirs: &Shape, ours: &Shape| {
+            let other = || SetupError::Other { what, theirs: theirs.to_string(), ours: ours.to_string() };
+            if theirs == ours { Ok(()) } else { Err(other()) }
+        };
+        layers("the policy's network", &state.plan.config.actor(), &config.actor())?;
+        layers("the critic's network", &state.plan.config.critic(), &config.critic())?;
+        for (learner, (parameters, _)) in [(&mut self.actor, state.actor), (&mut self.critic, state.critic)] {
+            if parameters.len() != learner.parameters.len() {
+                return Err(SetupError::Format("its weights do not fit its configuration".to_owned()));
+            }
+            learner.parameters = parameters;
+        }
+        Ok(())
+    }
+
+    /// Goes on from a checkpoint.
+    pub fn resume(bytes: &[u8]) -> Result<Trainer, SetupError> {
+        let state = read_state(bytes)?;
+        let mut trainer = Trainer::new(state.plan)?;
+        let broken = |what: &str| SetupError::Format(format!("its {what} do not fit its configuration"));
+        if state.stage >= trainer.plan.config.curriculum.len() {
+            return Err(broken("stages"));
+        }
+        for (learner, (parameters, adam)) in [(&mut trainer.actor, state.actor), (&mut trainer.critic, state.critic)] {
+            let length = learner.network.parameters();
+            if parameters.len() != length || !adam.fits(length) {
+                return Err(broken("weights"));
+            }
+            (learner.parameters, learner.adam) = (parameters, adam);
+        }
+        trainer.stage = state.stage;
+        trainer.chunks = trainer.make_chunks()?;
+        if state.chunks.len() != trainer.chunks.len() {
+            return Err(broken("environments"));
+        }
+        for (chunk, snapshot) in trainer.chunks.iter_mut().zip(state.chunks) {
+            if !chunk.crowd.restore(snapshot) {
+                return Err(broken("environments"));
+            }
+        }
+        (trainer.iteration, trainer.decisions) = (state.iteration, state.decisions);
+        (trainer.env_steps, trainer.progress, trainer.pace) = (state.env_steps, state.progress, state.pace);
+        Ok(trainer)
+    }
+}
+
+fn read_state(bytes: &[u8]) -> Result<State, SetupError> {
+    let state: State = rmp_serde::from_slice(bytes).map_err(|error| SetupError::Format(error.to_string()))?;
+    if state.format != FORMAT {
+        let reason = format!("its format is {}; this program reads {FORMAT}", state.format);
+        return Err(SetupError::Format(reason));
+    }
+    state.plan.config.check().map_err(|error| SetupError::Format(error.to_string()))?;
+    Ok(state)
+}

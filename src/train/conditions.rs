@@ -1,0 +1,98 @@
+//! What one episode is like: drawn from the configured ranges, once an episode.
+
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use super::config::{Conditions, Range};
+use crate::random::Stream;
+use crate::scenario::Arena;
+use crate::world::kinematic::PERIOD;
+use crate::world::{ContactRule, Physics};
+
+/// The conditions of one episode of one team.
+///
+/// The seam for a radio medium: whatever else decides when messages arrive fills `edges`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Episode {
+    /// All robots act at one moment on perfect messages.
+    pub lockstep: bool,
+    /// Deployed robots' physics and clamp, with this drivetrain lag \[s\]; `None` for those of training.
+    pub lag_s: Option<f32>,
+    /// How near to a wall is a contact \[m\], for deployed robots.
+    pub wall_radius_m: f32,
+    /// How long a message is held \[s\].
+    pub hold_s: f32,
+    /// Standard deviation of the communication radius \[m\].
+    pub range_std_m: f32,
+    /// Standard deviation of a measured position \[m\].
+    pub position_noise_m: f32,
+    /// Standard deviation of a measured velocity \[m/s\].
+    pub velocity_noise_m_s: f32,
+    /// When in each step a robot acts \[s\].
+    pub phase_s: Vec<f32>,
+    /// Delay \[s\] and loss of messages, by receiver and then by sender.
+    pub edges: Vec<(f32, f32)>,
+}
+
+fn draw([low, high]: Range, stream: &mut Stream) -> f32 {
+    if high > low { stream.random_range(low..high) } else { low }
+}
+
+impl Episode {
+    /// Perfect conditions, as published.
+    pub fn perfect(robots: usize) -> Episode {
+        Episode {
+            lockstep: true,
+            hold_s: PERIOD.as_secs() as f32,
+            phase_s: vec![0.0; robots],
+            edges: vec![(0.0, 0.0); robots * robots],
+            ..Episode::default()
+        }
+    }
+
+    /// Draws the conditions of an episode.
+    pub fn draw(conditions: &Conditions, robots: usize, stream: &mut Stream) -> Episode {
+        let mut episode = Episode::perfect(robots);
+        episode.lockstep = stream.random::<f32>() < conditions.clean;
+        if stream.random::<f32>() < conditions.deployed {
+            episode.lag_s = Some(draw(conditions.lag_s, stream));
+            episode.wall_radius_m = conditions.wall_radius_m;
+        }
+        if episode.lockstep {
+            return episode;
+        }
+        episode.hold_s = draw(conditions.hold_s, stream);
+        episode.range_std_m = draw(conditions.range_std_m, stream);
+        episode.position_noise_m = draw(conditions.position_noise_m, stream);
+        episode.velocity_noise_m_s = draw(conditions.velocity_noise_m_s, stream);
+        let (delay_s, loss) = (draw(conditions.delay_s, stream), draw(conditions.loss, stream));
+        for edge in &mut episode.edges {
+            let mut spread = || 1.0 + conditions.edge_spread * stream.random_range(-1.0f32..1.0);
+            *edge = ((delay_s * spread()).min(0.5), (loss * spread()).min(1.0));
+        }
+        for phase in &mut episode.phase_s {
+            *phase = stream.random_range(0.0..PERIOD.as_secs() as f32);
+        }
+        episode
+    }
+
+    /// The physics of its robots.
+    pub fn physics(&self, arena: &Arena) -> Physics {
+        match self.lag_s {
+            None => Physics::published(arena),
+            Some(lag_s) => Physics {
+                contacts: ContactRule::Judge,
+                wall_radius_m: self.wall_radius_m,
+                acceleration_m_s2: f32::INFINITY,
+                lag_s,
+            },
+        }
+    }
+
+    /// Mean delay \[s\] and loss of its messages.
+    pub fn mean_edge(&self) -> (f32, f32) {
+        let count = self.edges.len().max(1) as f32;
+        let sum = self.edges.iter().fold((0.0, 0.0), |sum, edge| (sum.0 + edge.0, sum.1 + edge.1));
+        (sum.0 / count, sum.1 / count)
+    }
+}

@@ -1,0 +1,193 @@
+//! The network backward: every derivative by hand. `tests/gradients.rs` checks each against central differences.
+
+use super::batch::Batch;
+use super::matrix::{Put, Real, View, multiply};
+use super::network::{Layer, Network, Space, add, resize};
+use crate::policy::mlp::Instructions;
+
+impl Network {
+    /// Adds the derivatives of a loss to `gradient`, from its derivatives `d_outputs` by the outputs of the forward
+    /// pass that `space` holds.
+    pub fn backward<T: Real>(
+        &self,
+        parameters: &[T],
+        batch: &Batch<T>,
+        d_outputs: &[T],
+        space: &mut Space<T>,
+        gradient: &mut [T],
+    ) {
+        Instructions::Detected.run(
+            #[inline(always)]
+            || self.backward_here(parameters, batch, d_outputs, space, gradient),
+        );
+    }
+
+    #[inline(always)]
+    fn backward_here<T: Real>(&self, p: &[T], batch: &Batch<T>, d_outputs: &[T], space: &mut Space<T>, g: &mut [T]) {
+        let (nodes, sources, h) = (batch.nodes, batch.sources(self.inputs()), self.hidden());
+        let edges = batch.sender.len();
+        let rows = edges + usize::from(!self.is_full());
+        let [mut d, mut spare] = std::mem::take(&mut space.back);
+        d.clear();
+        d.extend_from_slice(d_outputs);
+
+        // The update network.
+        for (depth, layer) in self.update.iter().enumerate().skip(1).rev() {
+            let before = &space.update[depth - 1];
+            add_gradient(layer, &d, before, nodes, g);
+            through(p, layer, &d, nodes, before, &mut spare);
+            std::mem::swap(&mut d, &mut spare);
+        }
+        let (first, last) = (self.update[0], self.message[self.message.len() - 1]);
+        let hidden = &space.encoder[self.encoder.len() - 1];
+        let d_view = View::new(&d, nodes, first.outputs);
+        resize(&mut space.d_hidden, sources * h);
+        space.d_hidden[nodes * h..].fill(T::zero());
+        let from = if self.is_full() { h } else { 0 };
+        if self.is_full() {
+            let own = View::new(&hidden[..nodes * h], nodes, h);
+            multiply(&mut g[first.at..], first.inputs, Put::Onto, d_view.t(), own);
+            multiply(&mut space.d_hidden, h, Put::Over, d_view, first.columns(p, 0, h));
+        } else {
+            space.d_hidden[..nodes * h].fill(T::zero());
+        }
+        add_rows(&d, first.outputs, &mut g[first.bias()..first.end()]);
+
+        // The two layers in one, and from it to each of them.
+        let (width, outputs) = (last.inputs, first.outputs);
+        resize(&mut space.d_folded, outputs * width);
+        multiply(&mut space.d_folded, width, Put::Over, d_view.t(), View::new(&space.sum, nodes, width));
+        resize(&mut space.d_folded_bias, outputs);
+        space.d_folded_bias.fill(T::zero());
+        for (node, d) in d.chunks_exact(outputs).enumerate() {
+            let terms = self.terms::<T>(batch, node);
+            space.d_folded_bias.iter_mut().zip(d).for_each(|(sum, d)| *sum += terms * *d);
+        }
+        let d_folded = View::new(&space.d_folded, outputs, width);
+        let d_bias = View::new(&space.d_folded_bias, outputs, 1);
+        let heard = first.columns(p, from, last.outputs);
+        multiply(&mut g[first.at + from..], first.inputs, Put::Onto, d_folded, last.w(p).t());
+        multiply(&mut g[first.at + from..], first.inputs, Put::Onto, d_bias, View::new(last.b(p), 1, last.outputs));
+        multiply(&mut g[last.at..last.bias()], width, Put::Onto, heard.t(), d_folded);
+        multiply(&mut g[last.bias()..last.end()], 1, Put::Onto, heard.t(), d_bias);
+        resize(&mut spare, nodes * width);
+        multiply(&mut spare, width, Put::Over, d_view, View::new(&space.folded, outputs, width));
+        std::mem::swap(&mut d, &mut spare);
+
+        // From the sums to the edges.
+        let (made, width) = (&space.message[self.message.len() - 2], last.inputs);
+        resize(&mut spare, rows * width);
+        for node in 0..nodes {
+            let d = &d[node * width..][..width];
+            for edge in batch.first[node] as usize..batch.first[node + 1] as usize {
+                masked(d, &made[edge * width..][..width], &mut spare[edge * width..][..width]);
+            }
+        }
+        if !self.is_full() {
+            let own = &mut spare[edges * width..];
+            own.fill(T::zero());
+            d.chunks_exact(width).for_each(|d| add(own, d));
+            mask(&made[edges * width..], own);
+        }
+        std::mem::swap(&mut d, &mut spare);
+
+        // The layers between, per edge.
+        for (depth, layer) in self.message[1..self.message.len() - 1].iter().enumerate().rev() {
+            let before = &space.message[depth];
+            add_gradient(layer, &d, before, rows, g);
+            through(p, layer, &d, rows, before, &mut spare);
+            std::mem::swap(&mut d, &mut spare);
+        }
+
+        // The first message layer: from edges back to robots.
+        let first = self.message[0];
+        let width = first.outputs;
+        resize(&mut space.d_theirs, sources * width);
+        space.d_theirs.fill(T::zero());
+        resize(&mut space.d_own, nodes * width);
+        space.d_own.fill(T::zero());
+        for node in 0..nodes {
+            let own = &mut space.d_own[node * width..][..width];
+            for edge in batch.first[node] as usize..batch.first[node + 1] as usize {
+                let d = &d[edge * width..][..width];
+                add(own, d);
+                add(&mut space.d_theirs[batch.sender[edge] as usize * width..][..width], d);
+            }
+        }
+        let hidden_view = View::new(hidden, sources, h);
+        if self.is_full() {
+            add_rows(&space.d_own, width, &mut g[first.bias()..first.end()]);
+            let (d_own, d_theirs) = (View::new(&space.d_own, nodes, width), View::new(&space.d_theirs, sources, width));
+            let own = View::new(&hidden[..nodes * h], nodes, h);
+            multiply(&mut g[first.at..], first.inputs, Put::Onto, d_own.t(), own);
+            multiply(&mut g[first.at + h..], first.inputs, Put::Onto, d_theirs.t(), hidden_view);
+            if self.shape.edge > 0 {
+                let features = View::new(&batch.e, edges, self.shape.edge);
+                let d = View::new(&d, edges, width);
+                multiply(&mut g[first.at + 2 * h..], first.inputs, Put::Onto, d.t(), features);
+            }
+            multiply(&mut space.d_hidden, h, Put::Onto, d_own, first.columns(p, 0, h));
+            multiply(&mut space.d_hidden, h, Put::Onto, d_theirs, first.columns(p, h, h));
+        } else {
+            // theirs - own: what the edges say about a robot itself counts against it.
+            add_rows(&d, width, &mut g[first.bias()..first.end()]);
+            for (theirs, own) in space.d_theirs.iter_mut().zip(&space.d_own) {
+                *theirs -= *own;
+            }
+            let d_theirs = View::new(&space.d_theirs, sources, width);
+            multiply(&mut g[first.at..], first.inputs, Put::Onto, d_theirs.t(), hidden_view);
+            multiply(&mut space.d_hidden, h, Put::Onto, d_theirs, first.w(p));
+        }
+
+        // The encoder.
+        d.clear();
+        d.extend_from_slice(&space.d_hidden);
+        for (depth, layer) in self.encoder.iter().enumerate().rev() {
+            let before = if depth == 0 { &batch.x } else { &space.encoder[depth - 1] };
+            add_gradient(layer, &d, before, sources, g);
+            if depth > 0 {
+                through(p, layer, &d, sources, before, &mut spare);
+                std::mem::swap(&mut d, &mut spare);
+            }
+        }
+        space.back = [d, spare];
+    }
+}
+
+/// Adds all rows up.
+#[inline(always)]
+fn add_rows<T: Real>(rows: &[T], width: usize, sum: &mut [T]) {
+    rows.chunks_exact(width).for_each(|row| add(sum, row));
+}
+
+/// `to` = `d` where the unit was active.
+#[inline(always)]
+fn masked<T: Real>(d: &[T], active: &[T], to: &mut [T]) {
+    for ((to, d), active) in to.iter_mut().zip(d).zip(active) {
+        *to = if *active > T::zero() { *d } else { T::zero() };
+    }
+}
+
+/// Leaves `d` only where the unit was active.
+#[inline(always)]
+fn mask<T: Real>(active: &[T], d: &mut [T]) {
+    for (d, active) in d.iter_mut().zip(active) {
+        *d = if *active > T::zero() { *d } else { T::zero() };
+    }
+}
+
+/// Adds a layer's derivatives, from those by its outputs.
+#[inline(always)]
+fn add_gradient<T: Real>(layer: &Layer, d: &[T], x: &[T], rows: usize, g: &mut [T]) {
+    let (d_view, x) = (View::new(d, rows, layer.outputs), View::new(x, rows, layer.inputs));
+    multiply(&mut g[layer.at..layer.bias()], layer.inputs, Put::Onto, d_view.t(), x);
+    add_rows(d, layer.outputs, &mut g[layer.bias()..layer.end()]);
+}
+
+/// The derivatives by a layer's rectified inputs.
+#[inline(always)]
+fn through<T: Real>(p: &[T], layer: &Layer, d: &[T], rows: usize, before: &[T], to: &mut Vec<T>) {
+    resize(to, rows * layer.inputs);
+    multiply(to, layer.inputs, Put::Over, View::new(d, rows, layer.outputs), layer.w(p));
+    mask(before, to);
+}

@@ -1,0 +1,139 @@
+//! Matrices as views of slices, and their product. The only file with `unsafe` in it: the product is a foreign
+//! kernel that takes pointers, and every view is checked against its slice before it gets one.
+//!
+//! Generic over the number, so that gradients can be checked in f64 by the code that runs in f32.
+
+use std::ops::{AddAssign, SubAssign};
+
+use num_traits::Float;
+
+/// A number that networks are computed in: f32, or f64 for checks.
+pub trait Real: Float + AddAssign + SubAssign + Default + Send + Sync + std::fmt::Debug + 'static {
+    /// From f32, exactly.
+    fn of(value: f32) -> Self;
+}
+
+impl Real for f32 {
+    fn of(value: f32) -> f32 {
+        value
+    }
+}
+
+impl Real for f64 {
+    fn of(value: f32) -> f64 {
+        f64::from(value)
+    }
+}
+
+/// A matrix that is read.
+#[derive(Clone, Copy, Debug)]
+pub struct View<'a, T> {
+    data: &'a [T],
+    rows: usize,
+    columns: usize,
+    row_stride: usize,
+    column_stride: usize,
+}
+
+impl<'a, T> View<'a, T> {
+    /// `rows` x `columns`, row by row without gaps.
+    pub fn new(data: &'a [T], rows: usize, columns: usize) -> View<'a, T> {
+        View::strided(data, rows, columns, columns)
+    }
+
+    /// `rows` x `columns`, each row `stride` after the one before: some columns of a wider matrix.
+    pub fn strided(data: &'a [T], rows: usize, columns: usize, stride: usize) -> View<'a, T> {
+        let view = View { data, rows, columns, row_stride: stride, column_stride: 1 };
+        assert!(within(data.len(), rows, columns, stride), "a view lies inside its slice");
+        view
+    }
+
+    /// The transposed matrix.
+    pub fn t(self) -> View<'a, T> {
+        View {
+            rows: self.columns,
+            columns: self.rows,
+            row_stride: self.column_stride,
+            column_stride: self.row_stride,
+            ..self
+        }
+    }
+}
+
+fn within(len: usize, rows: usize, columns: usize, stride: usize) -> bool {
+    rows == 0 || columns == 0 || ((rows - 1) * stride + columns <= len && (columns <= stride || rows == 1))
+}
+
+/// Whether a product replaces what is there or is added to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Put {
+    /// Replaces it.
+    Over,
+    /// Is added to it.
+    Onto,
+}
+
+/// Puts `a` `b` into `into`, whose rows lie `stride` apart.
+///
+/// # Panics
+/// If the shapes do not fit each other or the slice.
+#[allow(unsafe_code)]
+pub fn multiply<T: Real>(into: &mut [T], stride: usize, put: Put, a: View<T>, b: View<T>) {
+    let (m, n, k) = (a.rows, b.columns, a.columns);
+    assert_eq!(k, b.rows, "the factors fit each other");
+    assert!(within(into.len(), m, n, stride), "the product fits its place");
+    if m == 0 || n == 0 {
+        return;
+    }
+    let signed = |stride: usize| isize::try_from(stride).expect("a stride is far below the largest number");
+    // SAFETY: each pointer comes from a slice that holds all rows and columns at these strides: `within` was
+    // asserted for `into` here and for `a` and `b` when the views were made; transposing swaps both pairs. `into`
+    // is borrowed mutably, so it overlaps neither factor, and none of its rows overlap, as `within` asserts.
+    unsafe {
+        gemm::gemm(
+            m,
+            n,
+            k,
+            into.as_mut_ptr(),
+            1,
+            signed(stride),
+            put == Put::Onto,
+            a.data.as_ptr(),
+            signed(a.column_stride),
+            signed(a.row_stride),
+            b.data.as_ptr(),
+            signed(b.column_stride),
+            signed(b.row_stride),
+            T::one(),
+            T::one(),
+            false,
+            false,
+            false,
+            gemm::Parallelism::None,
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_of_whole_transposed_and_strided_views() {
+        let a = [1.0f64, 2.0, 3.0, 4.0, 5.0, 6.0];
+        let b = [1.0f64, -1.0, 0.5, 2.0];
+        let mut c = [1.0f64; 6];
+        // The last two columns of a 2 x 3 matrix, times a 2 x 2 matrix transposed.
+        let columns = View::strided(&a[1..], 2, 2, 3);
+        multiply(&mut c, 3, Put::Onto, columns, View::new(&b, 2, 2).t());
+        assert_eq!(c, [1.0 - 1.0, 1.0 + 7.0, 1.0, 1.0 - 1.0, 1.0 + 14.5, 1.0]);
+        multiply(&mut c, 2, Put::Over, View::new(&a, 2, 3).t(), View::new(&b, 2, 2));
+        assert_eq!(c, [3.0, 7.0, 4.5, 8.0, 6.0, 9.0]);
+    }
+
+    #[test]
+    #[should_panic(expected = "inside its slice")]
+    fn a_view_beyond_its_slice_is_refused() {
+        View::new(&[0.0f32; 5], 2, 3);
+    }
+}

@@ -1,0 +1,350 @@
+//! The message-passing network over many graphs at once, forward; `gradient` goes backward through it.
+//!
+//! Everything that is linear is done once per robot: the first message layer before the edges are made, the
+//! last one after they are summed. Only the layers between work per edge. Equations in `docs/training.md`.
+
+use std::fmt;
+
+use super::batch::Batch;
+use super::matrix::{Put, Real, View, multiply};
+use crate::policy::manifest::Architecture;
+use crate::policy::mlp::Instructions;
+
+/// Widths of a network, input first.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// How the message passing is laid out.
+    pub architecture: Architecture,
+    /// Of the encoder.
+    pub encoder: Vec<usize>,
+    /// Of the message network, which has at least two layers.
+    pub message: Vec<usize>,
+    /// Of the update network.
+    pub update: Vec<usize>,
+    /// How many of the message network's inputs are edge features.
+    pub edge: usize,
+}
+
+impl fmt::Display for Shape {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Shape { architecture, encoder, message, update, .. } = self;
+        write!(f, "{architecture:?} {encoder:?} {message:?} {update:?}")
+    }
+}
+
+/// One layer's place among the parameters: weight \[outputs, inputs\], then bias.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Layer {
+    pub(super) inputs: usize,
+    pub(super) outputs: usize,
+    pub(super) at: usize,
+}
+
+impl Layer {
+    pub(super) fn bias(&self) -> usize {
+        self.at + self.inputs * self.outputs
+    }
+
+    pub(super) fn end(&self) -> usize {
+        self.bias() + self.outputs
+    }
+
+    pub(super) fn w<'a, T>(&self, parameters: &'a [T]) -> View<'a, T> {
+        View::new(&parameters[self.at..self.bias()], self.outputs, self.inputs)
+    }
+
+    /// Columns `from..from + width` of the weight.
+    pub(super) fn columns<'a, T>(&self, parameters: &'a [T], from: usize, width: usize) -> View<'a, T> {
+        View::strided(&parameters[self.at + from..self.bias()], self.outputs, width, self.inputs)
+    }
+
+    pub(super) fn b<'a, T>(&self, parameters: &'a [T]) -> &'a [T] {
+        &parameters[self.bias()..self.end()]
+    }
+}
+
+/// A network's layout. Its parameters are one flat vector that is handed in.
+#[derive(Clone, Debug)]
+pub struct Network {
+    pub(super) shape: Shape,
+    pub(super) encoder: Vec<Layer>,
+    pub(super) message: Vec<Layer>,
+    pub(super) update: Vec<Layer>,
+    parameters: usize,
+}
+
+/// Room for everything between input and output, and for the derivatives.
+#[derive(Debug, Default)]
+pub struct Space<T> {
+    pub(super) encoder: Vec<Vec<T>>,
+    theirs: Vec<T>,
+    own: Vec<T>,
+    edge_weight: Vec<T>,
+    pub(super) message: Vec<Vec<T>>,
+    pub(super) sum: Vec<T>,
+    pub(super) folded: Vec<T>,
+    folded_bias: Vec<T>,
+    pub(super) d_folded: Vec<T>,
+    pub(super) d_folded_bias: Vec<T>,
+    pub(super) update: Vec<Vec<T>>,
+    pub(super) back: [Vec<T>; 2],
+    pub(super) d_hidden: Vec<T>,
+    pub(super) d_theirs: Vec<T>,
+    pub(super) d_own: Vec<T>,
+}
+
+impl<T> Space<T> {
+    /// The outputs of the last forward pass, \[robots, outputs\].
+    pub fn outputs(&self) -> &[T] {
+        self.update.last().map_or(&[], |outputs| outputs)
+    }
+}
+
+impl Network {
+    /// The layout of these widths.
+    ///
+    /// # Panics
+    /// If they contradict each other; a checked configuration never does.
+    pub fn new(shape: Shape) -> Network {
+        let mut at = 0;
+        let mut layers = |widths: &[usize]| -> Vec<Layer> {
+            let place = |pair: &[usize]| {
+                let layer = Layer { inputs: pair[0], outputs: pair[1], at };
+                at = layer.end();
+                layer
+            };
+            widths.windows(2).map(place).collect()
+        };
+        let (encoder, message, update) = (layers(&shape.encoder), layers(&shape.message), layers(&shape.update));
+        let network = Network { encoder, message, update, parameters: at, shape };
+        let (hidden, heard) = (network.hidden(), network.message[network.message.len() - 1].outputs);
+        let (message, update) = match network.shape.architecture {
+            Architecture::Published => (hidden, heard),
+            Architecture::Full => (2 * hidden + network.shape.edge, hidden + heard),
+        };
+        assert!(network.message.len() >= 2, "a message network that is trained has at least two layers");
+        assert_eq!((network.message[0].inputs, network.update[0].inputs), (message, update), "layers fit each other");
+        network
+    }
+
+    /// How many parameters it has.
+    pub fn parameters(&self) -> usize {
+        self.parameters
+    }
+
+    /// Width of an observation.
+    pub fn inputs(&self) -> usize {
+        self.encoder[0].inputs
+    }
+
+    /// Width of the output.
+    pub fn outputs(&self) -> usize {
+        self.update[self.update.len() - 1].outputs
+    }
+
+    /// The widths.
+    pub fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    pub(super) fn hidden(&self) -> usize {
+        self.encoder[self.encoder.len() - 1].outputs
+    }
+
+    /// Every layer as (inputs, where its weight begins, where its bias begins, where it ends): encoder, message
+    /// and update network.
+    pub fn layers(&self) -> [Vec<(usize, usize, usize, usize)>; 3] {
+        [&self.encoder, &self.message, &self.update]
+            .map(|layers| layers.iter().map(|layer| (layer.inputs, layer.at, layer.bias(), layer.end())).collect())
+    }
+
+    pub(super) fn is_full(&self) -> bool {
+        self.shape.architecture == Architecture::Full
+    }
+
+    /// Computes all outputs into `space`.
+    pub fn forward<T: Real>(&self, parameters: &[T], batch: &Batch<T>, space: &mut Space<T>) {
+        Instructions::Detected.run(
+            #[inline(always)]
+            || self.forward_here(parameters, batch, space),
+        );
+    }
+
+    #[inline(always)]
+    fn forward_here<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
+        let (nodes, sources) = (batch.nodes, batch.sources(self.inputs()));
+        run(p, &self.encoder, &batch.x, sources, &mut space.encoder);
+        let hidden = &space.encoder[self.encoder.len() - 1];
+
+        // The first message layer, per robot, and then per edge.
+        let (h, first) = (self.hidden(), self.message[0]);
+        let width = first.outputs;
+        let edges = batch.sender.len();
+        // The published network hears itself: a difference of zero, the same for all, in a last row.
+        let rows = edges + usize::from(!self.is_full());
+        space.message.resize_with(self.message.len() - 1, Vec::new);
+        resize(&mut space.message[0], rows * width);
+        resize(&mut space.theirs, sources * width);
+        let hidden_view = View::new(hidden, sources, h);
+        if self.is_full() {
+            multiply(&mut space.theirs, width, Put::Over, hidden_view, first.columns(p, h, h).t());
+            resize(&mut space.own, nodes * width);
+            spread(first.b(p), &mut space.own);
+            let own = View::new(&hidden[..nodes * h], nodes, h);
+            multiply(&mut space.own, width, Put::Onto, own, first.columns(p, 0, h).t());
+            transpose_columns(p, &first, 2 * h, &mut space.edge_weight);
+        } else {
+            multiply(&mut space.theirs, width, Put::Over, hidden_view, first.w(p).t());
+        }
+        let made = &mut space.message[0];
+        for node in 0..nodes {
+            for edge in batch.first[node] as usize..batch.first[node + 1] as usize {
+                let to = &mut made[edge * width..][..width];
+                let theirs = &space.theirs[batch.sender[edge] as usize * width..][..width];
+                if self.is_full() {
+                    let own = &space.own[node * width..][..width];
+                    for k in 0..width {
+                        to[k] = theirs[k] + own[k];
+                    }
+                    let features = &batch.e[edge * self.shape.edge..][..self.shape.edge];
+                    for (feature, weight) in features.iter().zip(space.edge_weight.chunks_exact(width)) {
+                        for k in 0..width {
+                            to[k] += *feature * weight[k];
+                        }
+                    }
+                    to.iter_mut().for_each(|x| *x = relu(*x));
+                } else {
+                    let (own, bias) = (&space.theirs[node * width..][..width], first.b(p));
+                    for k in 0..width {
+                        to[k] = relu(theirs[k] - own[k] + bias[k]);
+                    }
+                }
+            }
+        }
+        if !self.is_full() {
+            made[edges * width..].copy_from_slice(first.b(p));
+            made[edges * width..].iter_mut().for_each(|x| *x = relu(*x));
+        }
+
+        // The layers between, per edge.
+        let last = self.message[self.message.len() - 1];
+        for (depth, layer) in self.message[1..self.message.len() - 1].iter().enumerate() {
+            let (from, to) = space.message.split_at_mut(depth + 1);
+            apply(p, layer, &from[depth], rows, &mut to[0], true);
+        }
+
+        // The sum.
+        let (made, width) = (&space.message[self.message.len() - 2], last.inputs);
+        resize(&mut space.sum, nodes * width);
+        for (node, sum) in space.sum.chunks_exact_mut(width).enumerate() {
+            sum.fill(T::zero());
+            let range = batch.first[node] as usize..batch.first[node + 1] as usize;
+            for term in made[range.start * width..range.end * width].chunks_exact(width) {
+                add(sum, term);
+            }
+            if !self.is_full() {
+                add(sum, &made[edges * width..]);
+            }
+        }
+        // The last message layer and the first update layer in one, for nothing comes between them.
+        let first = self.update[0];
+        let from = if self.is_full() { h } else { 0 };
+        let heard = first.columns(p, from, last.outputs);
+        resize(&mut space.folded, first.outputs * width);
+        resize(&mut space.folded_bias, first.outputs);
+        multiply(&mut space.folded, width, Put::Over, heard, last.w(p));
+        multiply(&mut space.folded_bias, 1, Put::Over, heard, View::new(last.b(p), last.outputs, 1));
+        space.update.resize_with(self.update.len(), Vec::new);
+        let to = &mut space.update[0];
+        resize(to, nodes * first.outputs);
+        let folded = View::new(&space.folded, first.outputs, width);
+        multiply(to, first.outputs, Put::Over, View::new(&space.sum, nodes, width), folded.t());
+        if self.is_full() {
+            let own = View::new(&hidden[..nodes * h], nodes, h);
+            multiply(to, first.outputs, Put::Onto, own, first.columns(p, 0, h).t());
+        }
+        for (node, to) in to.chunks_exact_mut(first.outputs).enumerate() {
+            let terms = self.terms::<T>(batch, node);
+            to.iter_mut().zip(&space.folded_bias).for_each(|(to, bias)| *to += terms * *bias);
+        }
+        shift(first.b(p), to, self.update.len() > 1);
+        for (depth, layer) in self.update.iter().enumerate().skip(1) {
+            let (from, to) = space.update.split_at_mut(depth);
+            apply(p, layer, &from[depth - 1], nodes, &mut to[0], depth + 1 < self.update.len());
+        }
+    }
+
+    /// How many terms a robot's sum has.
+    #[inline(always)]
+    pub(super) fn terms<T: Real>(&self, batch: &Batch<T>, node: usize) -> T {
+        let terms = batch.first[node + 1] - batch.first[node] + u32::from(!self.is_full());
+        T::of(terms as f32)
+    }
+}
+
+#[inline(always)]
+fn relu<T: Real>(x: T) -> T {
+    if x > T::zero() { x } else { T::zero() }
+}
+
+/// Gives a vector a length; what is in it is of no account.
+#[inline(always)]
+pub(super) fn resize<T: Real>(vector: &mut Vec<T>, length: usize) {
+    vector.resize(length, T::zero());
+}
+
+#[inline(always)]
+pub(super) fn add<T: Real>(to: &mut [T], from: &[T]) {
+    to.iter_mut().zip(from).for_each(|(to, from)| *to += *from);
+}
+
+/// Puts `bias` into every row.
+#[inline(always)]
+fn spread<T: Real>(bias: &[T], rows: &mut [T]) {
+    rows.chunks_exact_mut(bias.len()).for_each(|row| row.copy_from_slice(bias));
+}
+
+/// Adds `bias` to every row, and rectifies them.
+#[inline(always)]
+fn shift<T: Real>(bias: &[T], rows: &mut [T], rectify: bool) {
+    let width = bias.len();
+    for row in rows.chunks_exact_mut(width) {
+        if rectify {
+            for k in 0..width {
+                row[k] = relu(row[k] + bias[k]);
+            }
+        } else {
+            for k in 0..width {
+                row[k] += bias[k];
+            }
+        }
+    }
+}
+
+/// One layer over all rows.
+#[inline(always)]
+fn apply<T: Real>(p: &[T], layer: &Layer, x: &[T], rows: usize, y: &mut Vec<T>, rectify: bool) {
+    resize(y, rows * layer.outputs);
+    multiply(y, layer.outputs, Put::Over, View::new(x, rows, layer.inputs), layer.w(p).t());
+    shift(layer.b(p), y, rectify);
+}
+
+/// Layers in a row, rectified between; keeps what each gives.
+#[inline(always)]
+fn run<T: Real>(p: &[T], layers: &[Layer], x: &[T], rows: usize, outputs: &mut Vec<Vec<T>>) {
+    outputs.resize_with(layers.len(), Vec::new);
+    for (depth, layer) in layers.iter().enumerate() {
+        let (from, to) = outputs.split_at_mut(depth);
+        let x = if depth == 0 { x } else { &from[depth - 1] };
+        apply(p, layer, x, rows, &mut to[0], depth + 1 < layers.len());
+    }
+}
+
+/// The columns of a layer from `from` on, each as a row.
+#[inline(always)]
+fn transpose_columns<T: Real>(p: &[T], layer: &Layer, from: usize, to: &mut Vec<T>) {
+    to.clear();
+    for column in from..layer.inputs {
+        to.extend((0..layer.outputs).map(|row| p[layer.at + row * layer.inputs + column]));
+    }
+}
