@@ -1,41 +1,17 @@
 //! The program as a user meets it: what it prints, where, and with which exit code.
 
+mod program;
+
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
 use murmurate::policy::manifest::{KEY, Manifest};
 use murmurate::policy::weights;
+use program::{murmurate, refuses, run, text};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use tempfile::TempDir;
-
-fn murmurate(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_murmurate"));
-    command.args(args).env_remove("MURMURATE_LOG").stdin(Stdio::null());
-    command
-}
-
-fn run(args: &[&str]) -> Output {
-    murmurate(args).output().expect("the program starts")
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).expect("output is UTF-8")
-}
-
-/// The program refuses: exit code 2, nothing on stdout, one line on stderr with all of `words`.
-fn refuses(args: &[&str], words: &[&str]) {
-    let output = run(args);
-    let (out, err) = (text(&output.stdout), text(&output.stderr));
-    assert_eq!(output.status.code(), Some(2), "{args:?}: {err}");
-    assert_eq!(out, "", "{args:?}");
-    assert_eq!(err.trim_end().lines().count(), 1, "{args:?}: one line, not\n{err}");
-    assert!(!err.contains("panicked"), "{args:?}: {err}");
-    for word in words {
-        assert!(err.contains(word), "{args:?}: '{word}' is missing in: {err}");
-    }
-}
 
 struct Folder(TempDir);
 

@@ -1,37 +1,14 @@
 //! `murmurate train` as a user meets it: what it writes, how it stops, and what it refuses.
 
+mod program;
+
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
 use murmurate::train::config::Config;
+use program::{murmurate, refuses, run, text};
 use tempfile::TempDir;
-
-fn murmurate(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_murmurate"));
-    command.args(args).env_remove("MURMURATE_LOG").stdin(Stdio::null());
-    command
-}
-
-fn run(args: &[&str]) -> Output {
-    murmurate(args).output().expect("the program starts")
-}
-
-fn said(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).expect("output is UTF-8")
-}
-
-/// The program refuses: exit code 2, nothing on stdout, one line on stderr with all of `words`.
-fn refuses(args: &[&str], words: &[&str]) {
-    let output = run(args);
-    let (out, err) = (said(&output.stdout), said(&output.stderr));
-    assert_eq!(output.status.code(), Some(2), "{args:?}: {err}");
-    assert_eq!(out, "", "{args:?}");
-    assert_eq!(err.trim_end().lines().count(), 1, "{args:?}: one line, not\n{err}");
-    for word in words {
-        assert!(err.contains(word), "{args:?}: '{word}' is missing in: {err}");
-    }
-}
 
 /// A configuration that trains in no time, changed.
 fn small(change: impl Fn(&mut Config)) -> String {
@@ -63,7 +40,7 @@ fn a_training_ends_in_a_policy_that_runs() {
     let place = Place::new();
     let (config, out) = (place.at("small.toml"), place.at("runs/first"));
     let trained = run(&["train", "passage", "--config", &config, "--steps", "800", "--out", &out, "--json"]);
-    assert_eq!(trained.status.code(), Some(0), "{}", said(&trained.stderr));
+    assert_eq!(trained.status.code(), Some(0), "{}", text(&trained.stderr));
     let json: serde_json::Value = serde_json::from_slice(&trained.stdout).expect("one JSON object");
     assert_eq!((&json["decisions"], &json["interrupted"]), (&800.into(), &false.into()));
     assert_eq!(json["evaluation"][0]["conditions"], "perfect");
@@ -78,13 +55,13 @@ fn a_training_ends_in_a_policy_that_runs() {
 
     let policy = place.at("runs/first/policy.safetensors");
     let ran = run(&["sim", "--policy", &policy, "--episodes", "2", "--repeats", "1", "--json"]);
-    assert_eq!(ran.status.code(), Some(0), "{}", said(&ran.stderr));
+    assert_eq!(ran.status.code(), Some(0), "{}", text(&ran.stderr));
 
     // What was written is a configuration to start from.
     let again = place.at("runs/second");
     let written = place.at("runs/first/config.toml");
     let trained = run(&["train", "passage", "--config", &written, "--steps", "800", "--out", &again, "--quiet"]);
-    assert_eq!((trained.status.code(), said(&trained.stderr)), (Some(0), String::new()));
+    assert_eq!((trained.status.code(), text(&trained.stderr)), (Some(0), String::new()));
     let read = |path: &str| std::fs::read(path).expect("the policy");
     assert_eq!(read(&policy), read(&place.at("runs/second/policy.safetensors")), "and gives the same weights");
 }
@@ -172,7 +149,7 @@ fn another_training_s_checkpoint_is_not_resumed() {
     let (config, out) = (place.at("small.toml"), place.at("out"));
     let train = ["train", "passage", "--steps", "320", "--out", &out];
     let begun = run(&[&train[..], &["--config", &config, "--seed", "4"]].concat());
-    assert_eq!(begun.status.code(), Some(0), "{}", said(&begun.stderr));
+    assert_eq!(begun.status.code(), Some(0), "{}", text(&begun.stderr));
     let resumed = |more: &[&str], words: &[&str]| refuses(&[&train[..], &["--resume"], more].concat(), words);
     resumed(&["--seed", "5"], &["cannot resume", "seed", "4", "5"]);
     resumed(&["--preset", "published"], &["cannot resume", "preset", "published"]);
@@ -190,7 +167,7 @@ fn another_training_s_checkpoint_is_not_resumed() {
     std::fs::remove_dir_all(&next).expect("it was made");
     let wider = place.at("wider.toml");
     std::fs::write(&wider, small(|config| config.policy.update = vec![9])).expect("a temporary file");
-    let refused = said(&begin(&wider).stderr);
+    let refused = text(&begin(&wider).stderr);
     assert!(refused.contains("cannot begin with") && refused.contains("9, 4]"), "{refused}");
 
     let whole = std::fs::read(&checkpoint).expect("it was written");
@@ -209,7 +186,7 @@ fn a_training_that_comes_apart_keeps_the_last_good_checkpoint() {
     std::fs::write(&config, small(wild)).expect("a temporary file");
     let out = place.at("out");
     let ended = run(&["train", "passage", "--config", &config, "--steps", "100000", "--out", &out]);
-    let told = said(&ended.stderr);
+    let told = text(&ended.stderr);
     assert_eq!(ended.status.code(), Some(1), "{told}");
     let last = told.trim_end().lines().last().unwrap_or_default();
     for word in ["iteration", "came out as no number", "learning rate", "kept"] {

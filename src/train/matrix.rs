@@ -77,7 +77,7 @@ pub enum Put {
 ///
 /// # Panics
 /// If the shapes do not fit each other or the slice.
-#[allow(unsafe_code)]
+#[expect(unsafe_code, reason = "the kernel takes pointers; every view is checked before it gets one")]
 pub fn multiply<T: Real>(into: &mut [T], stride: usize, put: Put, a: View<T>, b: View<T>) {
     let (m, n, k) = (a.rows, b.columns, a.columns);
     assert_eq!(k, b.rows, "the factors fit each other");

@@ -1,0 +1,30 @@
+//! The program as tests start it, and what a refusal looks like. Shared by the tests of the command line.
+
+use std::process::{Command, Output, Stdio};
+
+pub fn murmurate(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_murmurate"));
+    command.args(args).env_remove("MURMURATE_LOG").stdin(Stdio::null());
+    command
+}
+
+pub fn run(args: &[&str]) -> Output {
+    murmurate(args).output().expect("the program starts")
+}
+
+pub fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).expect("output is UTF-8")
+}
+
+/// The program refuses: exit code 2, nothing on stdout, one line on stderr with all of `words`.
+pub fn refuses(args: &[&str], words: &[&str]) {
+    let output = run(args);
+    let (out, err) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(output.status.code(), Some(2), "{args:?}: {err}");
+    assert_eq!(out, "", "{args:?}");
+    assert_eq!(err.trim_end().lines().count(), 1, "{args:?}: one line, not\n{err}");
+    assert!(!err.contains("panicked"), "{args:?}: {err}");
+    for word in words {
+        assert!(err.contains(word), "{args:?}: '{word}' is missing in: {err}");
+    }
+}
