@@ -22,9 +22,11 @@ use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Heartbeat, Wire};
 use crate::net::fault::{ActorFault, FaultPlan, Role};
+use crate::net::link::LinkCounts;
 use crate::net::medium::Medium;
 use crate::net::range::CommRange;
-use crate::net::transport::ether::{Arrive, Ether, Transmit};
+use crate::net::transport::ether::Ether;
+use crate::net::transport::{self, Arrive, Transmit};
 use crate::policy::Model;
 use crate::random::Seed;
 use crate::scenario::Scenario;
@@ -83,12 +85,12 @@ pub struct Graph {
     worlds: Vec<Mailbox<world::In>>,
     server: Mailbox<Heartbeat>,
     networks: Vec<Mailbox<network::In>>,
-    ethers: Vec<Mailbox<Transmit>>,
-    recorder: Mailbox<recorder::In>,
+    pub(super) transports: Vec<Mailbox<transport::In>>,
+    pub(super) recorder: Mailbox<recorder::In>,
 }
 
 impl Graph {
-    fn new(plan: &Plan) -> Graph {
+    pub(super) fn new(plan: &Plan) -> Graph {
         let deployment = &plan.deployment;
         let routes = Routes::of(deployment);
         let team = || RobotId::team(deployment.robots);
@@ -103,6 +105,7 @@ impl Graph {
             let world = world.and_then(|other| worlds.get(other.index()));
             worlds.push(world.cloned().unwrap_or_else(|| Mailbox::new(named("world")(robot))));
         }
+        let links = deployment.links.iter().map(|link| format!("transport of {}", link.name));
         Graph {
             caches: team().map(named("cache")).map(Mailbox::new).collect(),
             agents,
@@ -111,13 +114,13 @@ impl Graph {
             worlds,
             server: Mailbox::new("state server"),
             networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
-            ethers: deployment.links.iter().map(|link| Mailbox::new(format!("ether of {}", link.name))).collect(),
+            transports: links.map(Mailbox::new).collect(),
             recorder: Mailbox::new("recorder"),
             routes,
         }
     }
 
-    fn network_of(&self, host: HostId) -> Mailbox<network::In> {
+    pub(super) fn network_of(&self, host: HostId) -> Mailbox<network::In> {
         self.networks[usize::from(host.0)].clone()
     }
 
@@ -133,7 +136,7 @@ impl Graph {
             .chain(of(&self.bodies))
             .chain(of(&self.worlds))
             .chain(of(&self.networks))
-            .chain(of(&self.ethers))
+            .chain(of(&self.transports))
             .chain(of(std::slice::from_ref(&self.server)))
             .chain(of(std::slice::from_ref(&self.recorder)))
             .collect();
@@ -158,15 +161,71 @@ impl Graph {
 pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
     let graph = Rc::new(Graph::new(plan));
+    wire_hosts(clock, plan, &graph, &Process::whole());
+    wire_links(clock, plan, &graph);
+    wire_recorder(clock, plan, &graph, said);
+    for fault in &plan.faults.actors {
+        let (fault, graph) = (fault.clone(), Rc::clone(&graph));
+        clock.call(fault.at, Box::new(move || graph.inject(fault)));
+    }
+    graph
+}
+
+/// What of a deployment runs in this process, and how it shows itself to others.
+#[derive(Clone)]
+pub struct Process {
+    /// One host alone; `None` for all of them.
+    pub only: Option<HostId>,
+    /// The team's number on every link.
+    pub team: u16,
+    /// Which life of the process this is: one that is started again has a later one.
+    pub incarnation: u32,
+    /// Whether a Recorder runs here.
+    pub records: bool,
+    /// Is told what reaches the actors and what the Networks count.
+    pub hear: Rc<dyn Fn(Heard)>,
+}
+
+/// What a Network of this process makes known.
+#[derive(Clone, Copy, Debug)]
+pub enum Heard<'a> {
+    /// A message for this host.
+    Message(&'a Wire),
+    /// What it has counted on its links since it was started.
+    Counts(&'a LinkCounts),
+}
+
+impl Process {
+    /// Every host of a deployment.
+    fn whole() -> Process {
+        Process { only: None, team: TEAM, incarnation: 0, records: true, hear: Rc::new(|_| {}) }
+    }
+}
+
+/// The actors of the hosts that run here.
+pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process: &Process) {
+    let here = |host: HostId| process.only.is_none_or(|only| only == host);
     for robot in RobotId::team(plan.deployment.robots) {
-        wire_robot(clock, plan, &graph, robot);
+        if here(graph.routes.agent_host(robot)) {
+            wire_robot(clock, plan, graph, robot);
+        }
+        if here(graph.routes.world_host(robot)) {
+            wire_body(clock, graph, robot);
+        }
     }
     for host in 0..plan.deployment.hosts.len() {
-        wire_host(clock, plan, &graph, HostId(u16::try_from(host).expect("hosts are counted in u16")));
+        let host = HostId(u16::try_from(host).expect("hosts are counted in u16"));
+        if here(host) {
+            wire_host(clock, plan, graph, host, process);
+        }
     }
-    wire_links(clock, plan, &graph);
-    wire_server(clock, plan, &graph);
+    if here(graph.routes.server_host()) {
+        wire_server(clock, plan, graph);
+    }
+}
 
+/// The Recorder of this process.
+pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: impl FnMut(recorder::Out) + 'static) {
     let config = recorder::Config {
         layouts: plan.layouts.clone(),
         repeat: plan.repeat,
@@ -176,12 +235,6 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
     let robots = plan.deployment.robots;
     let make = move |_| Recorder::new(config.clone(), robots);
     start(clock, &graph.recorder, info_span!("recorder"), make, said);
-
-    for fault in &plan.faults.actors {
-        let (fault, graph) = (fault.clone(), Rc::clone(&graph));
-        clock.call(fault.at, Box::new(move || graph.inject(fault)));
-    }
-    graph
 }
 
 /// When in each period a robot's tick or beat falls.
@@ -196,14 +249,13 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     }
 }
 
-/// Cache, Controller and Body of one robot, and its Agent if it is the first of that Agent's robots.
+/// Cache and Controller of one robot, and its Agent if it is the first of that Agent's robots.
 fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
     let first = graph.routes.companions(robot)[0];
     let interface = plan.run.interface();
     let home = graph.network_of(graph.routes.agent_host(robot));
-    let away = graph.network_of(graph.routes.world_host(robot));
 
     let config = cache::Config {
         robot,
@@ -239,10 +291,14 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
             controller::Out::Heartbeat(beat) => Wire::Heartbeat(beat),
         }));
     });
+}
 
-    let (network, world) = (away, graph.worlds[at].clone());
+/// Body of one robot.
+fn wire_body(clock: &Clock, graph: &Graph, robot: RobotId) {
+    let network = graph.network_of(graph.routes.world_host(robot));
+    let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
     let make = move |_| Body::new(robot);
-    start(clock, &graph.bodies[at], info_span!("body", robot = id), make, move |out| match out {
+    start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
         body::Out::Reading(reading) => network.send(network::In::Publish(Wire::Reading(reading))),
     });
@@ -274,7 +330,7 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
 }
 
 /// Network and World of one host.
-fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
+fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &Process) {
     let entry = &plan.deployment.hosts[usize::from(host.0)];
     // In the order of ids, however the deployment lists them: a plant moves its robots in this order.
     let here = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect();
@@ -283,7 +339,9 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
         entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
 
     let (router, links) = (graph.routes.router(host), plan.deployment.links.len());
-    let make = move |life| Network::new(host, TEAM, life, links, router.clone());
+    let Process { team, incarnation, records, .. } = *process;
+    let hear = Rc::clone(&process.hear);
+    let make = move |life| Network::new(host, team, incarnation + life, links, router.clone());
     // One entry an agent: its robots, and their caches.
     let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
     let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
@@ -295,7 +353,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
         agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect::<Vec<_>>(),
         simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
     );
-    let (ethers, recorder) = (graph.ethers.clone(), graph.recorder.clone());
+    let (transports, recorder) = (graph.transports.clone(), graph.recorder.clone());
     let name = entry.name.clone();
     let deliver = move |message: Wire| match message {
         Wire::Reading(m) => by_robot.0[m.robot.index()].send(cache::In::Reading(m)),
@@ -318,11 +376,21 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
         info_span!("network", host = name),
         make,
         move |out| match out {
-            network::Out::Deliver(message) => deliver(message),
-            network::Out::Tap(frame) => recorder.send(recorder::In::Tap(frame)),
-            network::Out::Counts(counts) => recorder.send(recorder::In::Counts(host, counts)),
+            network::Out::Deliver(message) => {
+                hear(Heard::Message(&message));
+                deliver(message);
+            }
+            network::Out::Tap(frame) if records => recorder.send(recorder::In::Tap(frame)),
+            network::Out::Tap(_) => {}
+            network::Out::Counts(counts) => {
+                hear(Heard::Counts(&counts));
+                if records {
+                    recorder.send(recorder::In::Counts(host, counts));
+                }
+            }
             network::Out::Transmit(link, audience, frame) => {
-                ethers[usize::from(link.0)].send(Transmit { from: host, audience, frame });
+                let transmit = Transmit { from: host, audience, frame };
+                transports[usize::from(link.0)].send(transport::In::Transmit(transmit));
             }
         },
     );
@@ -354,9 +422,15 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
             Ether::new(Medium::new(impairment.clone(), faults.clone(), stream), |kind| routes.listeners(kind))
         };
         let networks = graph.networks.clone();
-        start(clock, &graph.ethers[index], info_span!("ether", link = link.name), make, move |Arrive { to, frame }| {
-            networks[usize::from(to.0)].send(network::In::Frame(id, frame));
-        });
+        start(
+            clock,
+            &graph.transports[index],
+            info_span!("ether", link = link.name),
+            make,
+            move |Arrive { to, frame }| {
+                networks[usize::from(to.0)].send(network::In::Frame(id, frame));
+            },
+        );
     }
 }
 

@@ -25,6 +25,8 @@ use crate::time::{Span, Time};
 pub enum In {
     /// A Network has published this.
     Tap(Frame),
+    /// A message that was published in another process has arrived here.
+    Heard(Wire),
     /// A World has stepped.
     Truth(Truth),
     /// What a Network has counted on its links since it was started.
@@ -116,7 +118,11 @@ impl Recorder {
         if !matches!(kind, Kind::Mode | Kind::MotorCommand) {
             return;
         }
-        match codec::decode(frame).expect("a Network publishes whole frames").1 {
+        self.hear(now, &codec::decode(frame).expect("a Network publishes whole frames").1, out);
+    }
+
+    fn hear(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {
+        match message {
             Wire::Mode(mode) => self.follow(now, mode.round, mode.phase, out),
             Wire::MotorCommand(command) => self.commanded[command.robot.index()] = now,
             _ => {}
@@ -232,6 +238,7 @@ impl Core for Recorder {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Tap(frame) => self.tap(now, &frame, out),
+            In::Heard(message) => self.hear(now, &message, out),
             In::Truth(truth) => self.see(now, &truth, out),
             In::Counts(host, counts) => {
                 self.counts.insert(host, counts);
