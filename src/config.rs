@@ -27,14 +27,17 @@ impl ConfigError {
 
 /// Reads a value; the error says which line is wrong, what stands there, and why.
 pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
-    toml::from_str(text).map_err(|error| {
-        let why = error.message().replace('\n', ": ");
-        let Some(span) = error.span() else { return ConfigError::Syntax(why) };
-        let before = &text[..span.start.min(text.len())];
-        let number = before.matches('\n').count();
-        let line = text.lines().nth(number).unwrap_or_default().trim();
-        ConfigError::Syntax(format!("line {} ({line}): {why}", number + 1))
-    })
+    toml::from_str(text).map_err(|error| syntax(text, &error))
+}
+
+/// The error of a text that is not as it should be: the line, what stands there, and why it is wrong.
+pub fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
+    let why = error.message().replace('\n', ": ");
+    let Some(span) = error.span() else { return ConfigError::Syntax(why) };
+    let before = &text[..span.start.min(text.len())];
+    let number = before.matches('\n').count();
+    let line = text.lines().nth(number).unwrap_or_default().trim();
+    ConfigError::Syntax(format!("line {} ({line}): {why}", number + 1))
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 
 mod presets;
 mod routes;
+pub mod team;
 
 pub use routes::Routes;
 

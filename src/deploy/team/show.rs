@@ -1,0 +1,75 @@
+//! Every value in effect with where it comes from, for people who wonder.
+
+use super::layers::{self, Origin};
+use super::sockets::default_group;
+use super::{TeamFile, kebab, text};
+use crate::messages::ids::HostId;
+use crate::policy::shipped::shipped;
+use crate::world::Physics;
+
+/// One line of `config show`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shown {
+    /// The field.
+    pub key: String,
+    /// Its value in effect.
+    pub value: String,
+    /// Where it comes from.
+    pub origin: Origin,
+}
+
+impl TeamFile {
+    /// Every value in effect, for a host or for the team as a whole, with where it comes from.
+    pub fn values(&self, host: Option<HostId>) -> Vec<Shown> {
+        let scopes = self.scopes(host);
+        let mut all = Vec::new();
+        let mut show = |key: String, default: Option<String>| {
+            let found = self.layers.find(&scopes, &key).map(|entry| (entry.value.to_string(), entry.origin));
+            if let Some((value, origin)) = found.or_else(|| default.map(|value| (value, Origin::Default))) {
+                all.push(Shown { key, value, origin });
+            }
+        };
+        let inline = self.layers.table("deployment");
+        for key in layers::team_fields() {
+            let default = match key {
+                "robots" => Some(self.deployment.robots.to_string()),
+                "mode" => None,
+                "key_file" => Some("none: frames are not authenticated".to_owned()),
+                "policy" => self.scenario().ok().map(|scenario| {
+                    if shipped(scenario.name()).is_some() { "shipped".to_owned() } else { "orca".to_owned() }
+                }),
+                "wall_radius_m" => {
+                    let scenario = self.scenario().ok();
+                    scenario.map(|scenario| Physics::published(scenario.arena()).wall_radius_m.to_string())
+                }
+                _ => None,
+            };
+            show(key.to_owned(), default);
+        }
+        for (at, link) in self.deployment.links.iter().enumerate() {
+            let unicast = self.layers.find(&scopes, &format!("link.{}.transport", link.name));
+            let unicast = unicast.is_some_and(|entry| text(&entry) == "unicast");
+            for field in layers::link_fields().filter(|field| !(unicast && *field == "group")) {
+                let default = (field == "group").then(|| default_group(at).to_string());
+                show(format!("link.{}.{field}", link.name), default);
+            }
+            for host in self.deployment.hosts.iter().filter(|_| unicast) {
+                show(format!("link.{}.peers.{}", link.name, host.name), None);
+            }
+            for kind in &link.carries {
+                show(format!("link.{}.reliability.{}", link.name, kebab(*kind)), None);
+            }
+        }
+        if let Some(line) = inline {
+            let value = format!("inline, mode '{}'", self.deployment.mode);
+            all.push(Shown { key: "deployment".to_owned(), value, origin: Origin::File(line) });
+        }
+        let others = ["robot.", "host."].into_iter().filter(|_| host.is_none());
+        all.extend(others.flat_map(|prefix| self.layers.below(prefix)).map(|(key, entry)| Shown {
+            key: key.to_owned(),
+            value: entry.value.to_string(),
+            origin: entry.origin.clone(),
+        }));
+        all
+    }
+}

@@ -1,0 +1,164 @@
+//! How a host's socket on each link is set up, and the mistakes that can be seen without opening one.
+
+use std::collections::BTreeMap;
+use std::net::{IpAddr, SocketAddr};
+
+use super::layers::{Origin, place};
+use super::{TeamFile, address, kebab, text, whole};
+use crate::config::ConfigError;
+use crate::deploy::Link;
+use crate::messages::ids::HostId;
+use crate::messages::wire::{KINDS, Kind};
+
+/// The socket of a host on a link.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SocketConfig {
+    /// Who is talked to, and where.
+    pub transport: Transport,
+    /// The network interface, by name.
+    pub interface: String,
+    /// What the socket's receive buffer is asked to hold \[bytes\].
+    pub receive_buffer_bytes: usize,
+    /// How messages are made to arrive, by kind, one of `RELIABILITIES`; those left out as their link has it.
+    pub reliability: BTreeMap<Kind, String>,
+}
+
+/// How frames travel.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Transport {
+    /// To a group that all hosts listen to.
+    Multicast {
+        /// The group.
+        group: SocketAddr,
+    },
+    /// To each host by itself.
+    Unicast {
+        /// Where this host listens.
+        listen: SocketAddr,
+        /// Where the others listen.
+        peers: BTreeMap<HostId, SocketAddr>,
+    },
+}
+
+impl SocketConfig {
+    /// Whether frames stay on this machine.
+    pub fn stays_on_loopback(&self) -> bool {
+        match &self.transport {
+            Transport::Multicast { .. } => self.interface == LOOPBACK,
+            Transport::Unicast { listen, peers } => {
+                peers.values().chain([listen]).all(|address| address.ip().is_loopback())
+            }
+        }
+    }
+}
+
+/// The name of the loopback interface.
+const LOOPBACK: &str = "lo";
+
+/// The port of the default groups.
+const PORT: u16 = 7700;
+
+impl TeamFile {
+    /// The socket of a host on its link at this place.
+    pub(super) fn socket(&self, host: HostId, at: usize) -> Result<SocketConfig, ConfigError> {
+        let link = &self.deployment.links[at];
+        let scopes = self.scopes(Some(host));
+        let key = |field: &str| format!("link.{}.{field}", link.name);
+        let find = |field: &str| self.layers.find(&scopes, &key(field));
+        let Some(interface) = find("interface") else {
+            let why = format!(
+                "missing, so link '{}' cannot be set up on host '{}'; name the network interface, such as \"wlan0\"",
+                link.name,
+                self.deployment.hosts[usize::from(host.0)].name
+            );
+            return Err(ConfigError::field(key("interface"), why));
+        };
+        let transport = find("transport").expect("it has a default");
+        let transport = match text(&transport) {
+            "unicast" => self.unicast(host, link, &scopes)?,
+            _ => self.multicast(at, &scopes, text(&interface))?,
+        };
+        let reliability = KINDS.iter().filter_map(|&kind| {
+            let entry = find(&format!("reliability.{}", kebab(kind)))?;
+            Some((kind, text(&entry).to_owned()))
+        });
+        Ok(SocketConfig {
+            transport,
+            interface: text(&interface).to_owned(),
+            receive_buffer_bytes: usize::try_from(whole(&find("receive_buffer_bytes").expect("it has a default")))
+                .expect("its range is smaller"),
+            reliability: reliability.collect(),
+        })
+    }
+
+    fn multicast(&self, at: usize, scopes: &[String], interface: &str) -> Result<Transport, ConfigError> {
+        let key = format!("link.{}.group", self.deployment.links[at].name);
+        let Some(entry) = self.layers.find(scopes, &key) else {
+            return Ok(Transport::Multicast { group: default_group(at) });
+        };
+        let group = address(&entry);
+        let wrong = |why: String| Err(ConfigError::field(place(&key, &entry.origin), why));
+        if !group.ip().is_multicast() {
+            return wrong(format!("{} is no multicast group, such as 239.255.77.1 or ff02::4d75", group.ip()));
+        }
+        if group.is_ipv6() && interface == LOOPBACK {
+            return wrong(format!("an IPv6 group never arrives on '{LOOPBACK}'; take an IPv4 group there"));
+        }
+        Ok(Transport::Multicast { group })
+    }
+
+    fn unicast(&self, host: HostId, link: &Link, scopes: &[String]) -> Result<Transport, ConfigError> {
+        let mut peers = BTreeMap::new();
+        for (id, other) in self.hosts().zip(&self.deployment.hosts) {
+            let key = format!("link.{}.peers.{}", link.name, other.name);
+            let entry = self.layers.find(scopes, &key);
+            let entry = entry.ok_or_else(|| {
+                ConfigError::field(&key, format!("missing; say where host '{}' listens, with its port", other.name))
+            })?;
+            let listens = address(&entry);
+            let wrong = |why: String| Err(ConfigError::field(place(&key, &entry.origin), why));
+            if listens.ip().is_multicast() || listens.ip().is_unspecified() {
+                return wrong(format!("{} is no address of one host", listens.ip()));
+            }
+            if let Some((HostId(twin), _)) = peers.iter().find(|(_, peer)| **peer == listens) {
+                let twin = &self.deployment.hosts[usize::from(*twin)].name;
+                return wrong(format!("{listens} is where host '{twin}' listens; give each its own"));
+            }
+            peers.insert(id, listens);
+        }
+        let listen = peers.remove(&host).expect("every host has its address");
+        if let Some(other) = peers.values().find(|other| other.is_ipv4() != listen.is_ipv4()) {
+            let why = format!("{listen} and {other} are of two families; take one, IPv4 or IPv6");
+            return Err(ConfigError::field(format!("link.{}.peers", link.name), why));
+        }
+        Ok(Transport::Unicast { listen, peers })
+    }
+
+    /// Two links of a host that hear each other's frames are a mistake.
+    pub(super) fn check_apart(&self, host: HostId, links: &[SocketConfig]) -> Result<(), ConfigError> {
+        let scopes = self.scopes(Some(host));
+        let mut seen: BTreeMap<(SocketAddr, &str), &str> = BTreeMap::new();
+        for (link, socket) in self.deployment.links.iter().zip(links) {
+            let (field, heard) = match &socket.transport {
+                Transport::Multicast { group } => ("group".to_owned(), (*group, socket.interface.as_str())),
+                Transport::Unicast { listen, .. } => {
+                    let name = &self.deployment.hosts[usize::from(host.0)].name;
+                    (format!("peers.{name}"), (*listen, ""))
+                }
+            };
+            if let Some(twin) = seen.insert(heard, &link.name) {
+                let key = format!("link.{}.{field}", link.name);
+                let origin = self.layers.find(&scopes, &key).map_or(Origin::Default, |entry| entry.origin);
+                let why = format!("{} is link '{twin}' already; give each its own group or port", heard.0);
+                return Err(ConfigError::field(place(&key, &origin), why));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The group of a link that names none: one for each link.
+pub(super) fn default_group(at: usize) -> SocketAddr {
+    let last = u8::try_from(at % 254).expect("it is below 254") + 1;
+    SocketAddr::new(IpAddr::from([239, 255, 77, last]), PORT)
+}
