@@ -249,7 +249,8 @@ impl Trial {
         deployment
     }
 
-    fn plan(&self) -> Plan {
+    /// What its graph is made of.
+    pub fn plan(&self) -> Plan {
         let deployment = self.placed();
         let interface = self.model.interface();
         Plan {

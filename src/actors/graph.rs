@@ -143,6 +143,11 @@ impl Graph {
         counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
     }
 
+    /// Takes the motors of this process's robots out of the policy's hands.
+    pub fn stop_motors(&self) {
+        self.controllers.iter().for_each(|controller| controller.send(controller::In::Stop));
+    }
+
     fn inject(&self, fault: ActorFault) {
         let robot = fault.robot.index();
         match fault.role {

@@ -128,6 +128,18 @@ impl Routes {
         all.copied().collect::<BTreeSet<HostId>>().into_iter().collect()
     }
 
+    /// The links that a host says or hears anything on.
+    pub fn links_of(&self, host: HostId) -> BTreeSet<LinkId> {
+        let uses = |kind: Kind| {
+            RobotId::team(self.robots).any(|robot| {
+                let (from, to) = (self.publisher(kind, robot), self.takers(kind, robot));
+                let says = from == host && to.iter().any(|&taker| taker != host);
+                says || (from != host && to.contains(&host))
+            })
+        };
+        KINDS.into_iter().filter(|&kind| uses(kind)).filter_map(|kind| self.links[kind as usize]).collect()
+    }
+
     /// The routing table of a host.
     pub fn router(&self, host: HostId) -> Router {
         Router::new(self.robots, |kind, robot| {

@@ -8,7 +8,7 @@ use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
 
 /// What came of a trial.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct TrialReport {
     /// The episodes that have a result, in order.
     pub episodes: Vec<Episode>,

@@ -11,6 +11,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 use super::interface::{self, Interface, InterfaceError};
 use super::{Arrive, In, Transmit};
 use crate::actors::Core;
+use crate::deploy::team::{SocketConfig, Transport};
 use crate::messages::ids::HostId;
 use crate::net::codec::MAX_FRAME_BYTES;
 use crate::net::router::Audience;
@@ -18,34 +19,6 @@ use crate::time::Time;
 
 /// Datagrams that are read before the other actors have their turn.
 const READ_AT_ONCE: usize = 64;
-
-/// How a link's frames get from host to host.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Way {
-    /// Everyone sends to one group, and everyone hears it.
-    Multicast {
-        /// The group and its port.
-        group: SocketAddr,
-    },
-    /// Everyone sends to each.
-    Unicast {
-        /// Where this host listens.
-        listen: SocketAddr,
-        /// Where the others do.
-        peers: BTreeMap<HostId, SocketAddr>,
-    },
-}
-
-/// How a link's socket is set up.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SocketConfig {
-    /// How frames travel.
-    pub way: Way,
-    /// The name of the interface, or `auto` for the only one that is up.
-    pub interface: String,
-    /// How much the kernel is asked to keep of what has arrived and is not read \[bytes\].
-    pub receive_buffer_bytes: usize,
-}
 
 /// Why a socket cannot be opened.
 #[derive(Debug, thiserror::Error)]
@@ -95,27 +68,27 @@ enum To {
 impl Udp {
     /// Opens the sockets of a link for this host.
     pub fn open(host: HostId, config: &SocketConfig) -> Result<Udp, OpenError> {
-        let address = match &config.way {
-            Way::Multicast { group } if !group.ip().is_multicast() => return Err(OpenError::NoGroup(*group)),
-            Way::Multicast { group } => *group,
-            Way::Unicast { listen, .. } => *listen,
+        let address = match &config.transport {
+            Transport::Multicast { group } if !group.ip().is_multicast() => return Err(OpenError::NoGroup(*group)),
+            Transport::Multicast { group } => *group,
+            Transport::Unicast { listen, .. } => *listen,
         };
         let interface = interface::find(&interface::interfaces()?, &config.interface, address.is_ipv6())?;
         let failed = |what: String| {
             let interface = interface.name.clone();
             move |error| OpenError::Socket { what, interface, error }
         };
-        let ears = listener(&config.way, address, &interface, config.receive_buffer_bytes)
+        let ears = listener(&config.transport, address, &interface, config.receive_buffer_bytes)
             .map_err(failed(format!("listen to {address}")))?;
         let granted = ears.recv_buffer_size().map_err(failed("ask for the size of the buffer".to_owned()))?;
         let ears = Rc::new(UdpSocket::from(ears));
-        let (mouth, own, to) = match &config.way {
-            Way::Multicast { group } => {
+        let (mouth, own, to) = match &config.transport {
+            Transport::Multicast { group } => {
                 let mouth = speaker(*group, &interface).map_err(failed(format!("send to {group}")))?;
                 let own = mouth.local_addr().map_err(failed("learn the own port".to_owned()))?;
                 (Rc::new(mouth), Some(own), To::Group(scoped(*group, &interface)))
             }
-            Way::Unicast { peers, .. } => {
+            Transport::Unicast { peers, .. } => {
                 let peers = peers.iter().filter(|(peer, _)| **peer != host).map(|(peer, at)| (*peer, *at));
                 (Rc::clone(&ears), None, To::Peers(peers.collect()))
             }
@@ -224,12 +197,17 @@ fn first_v4(interface: &Interface) -> Ipv4Addr {
     interface.v4.first().copied().unwrap_or(Ipv4Addr::UNSPECIFIED)
 }
 
-fn listener(way: &Way, address: SocketAddr, interface: &Interface, buffer_bytes: usize) -> io::Result<Socket> {
+fn listener(
+    transport: &Transport,
+    address: SocketAddr,
+    interface: &Interface,
+    buffer_bytes: usize,
+) -> io::Result<Socket> {
     let socket = socket(address)?;
     pin(&socket, interface)?;
     socket.set_recv_buffer_size(buffer_bytes)?;
-    match way {
-        Way::Multicast { .. } => {
+    match transport {
+        Transport::Multicast { .. } => {
             // Every process of the machine hears a group; all of them have to say so.
             socket.set_reuse_address(true)?;
             socket.set_reuse_port(true)?;
@@ -245,7 +223,7 @@ fn listener(way: &Way, address: SocketAddr, interface: &Interface, buffer_bytes:
                 }
             }
         }
-        Way::Unicast { .. } => socket.bind(&address.into())?,
+        Transport::Unicast { .. } => socket.bind(&address.into())?,
     }
     Ok(socket)
 }
@@ -278,8 +256,13 @@ mod tests {
     use super::*;
 
     fn multicast(group: &str) -> SocketConfig {
-        let way = Way::Multicast { group: group.parse().unwrap() };
-        SocketConfig { way, interface: "lo".to_owned(), receive_buffer_bytes: 1 << 16 }
+        let transport = Transport::Multicast { group: group.parse().unwrap() };
+        SocketConfig {
+            transport,
+            interface: "lo".to_owned(),
+            receive_buffer_bytes: 1 << 16,
+            reliability: BTreeMap::new(),
+        }
     }
 
     fn hear(udp: &mut Udp) -> Vec<Vec<u8>> {
@@ -314,8 +297,8 @@ mod tests {
         let at = |port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port));
         let ports = [(HostId(1), at(47_711)), (HostId(2), at(47_712)), (HostId(3), at(47_713))];
         let open = |(host, listen): (HostId, SocketAddr)| {
-            let way = Way::Unicast { listen, peers: ports.into_iter().collect() };
-            Udp::open(host, &SocketConfig { way, ..multicast("239.0.0.1:1") }).unwrap()
+            let transport = Transport::Unicast { listen, peers: ports.into_iter().collect() };
+            Udp::open(host, &SocketConfig { transport, ..multicast("239.0.0.1:1") }).unwrap()
         };
         let [mut one, mut two, mut three] = ports.map(open);
         say(&mut one, Audience::Host(HostId(2)), b"two");
