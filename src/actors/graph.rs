@@ -20,16 +20,17 @@ use super::world::{self, Ground, World};
 use crate::deploy::{Deployment, Routes, Stepping};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::wire::{Heartbeat, Wire};
+use crate::messages::wire::{Stop, Wire};
 use crate::net::fault::{ActorFault, FaultPlan, Role};
 use crate::net::medium::Medium;
 use crate::net::range::CommRange;
 use crate::net::transport::ether::{Arrive, Ether, Transmit};
 use crate::policy::Model;
 use crate::random::Seed;
+use crate::safety::{Safety, guard};
 use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
-use crate::time::Span;
+use crate::time::{Span, Time};
 use crate::world as plants;
 use crate::world::{Clamp, Physics};
 
@@ -59,6 +60,10 @@ pub struct Plan {
     pub handling: Handling,
     /// How Controllers limit what the policies want.
     pub clamp: Clamp,
+    /// When robots are stopped or slowed.
+    pub safety: Safety,
+    /// The emergency stops and re-arms of the run, and when a host says them.
+    pub stops: Vec<(Time, Stop)>,
     /// The episodes.
     pub layouts: Layouts,
     /// Which repeat of the experiment this is.
@@ -81,7 +86,7 @@ pub struct Graph {
     bodies: Vec<Mailbox<body::In>>,
     /// By robot, likewise.
     worlds: Vec<Mailbox<world::In>>,
-    server: Mailbox<Heartbeat>,
+    server: Mailbox<state_server::In>,
     networks: Vec<Mailbox<network::In>>,
     ethers: Vec<Mailbox<Transmit>>,
     recorder: Mailbox<recorder::In>,
@@ -181,6 +186,10 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
         let (fault, graph) = (fault.clone(), Rc::clone(&graph));
         clock.call(fault.at, Box::new(move || graph.inject(fault)));
     }
+    for (at, stop) in plan.stops.iter().copied() {
+        let network = graph.network_of(stop.by);
+        clock.call(at, Box::new(move || network.send(network::In::Publish(Wire::Stop(stop)))));
+    }
     graph
 }
 
@@ -213,11 +222,13 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
         range: plan.range,
         hold: plan.hold,
         handling: plan.handling,
+        own_age: Span::from_secs(plan.safety.own_state_s),
     };
     let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
-    let agent = graph.agents[at].clone();
-    start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |percept| {
-        agent.send(agent::In::Percept(percept));
+    let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
+    start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |out| match out {
+        cache::Out::Percept(percept) => agent.send(agent::In::Percept(percept)),
+        cache::Out::Fresh => controller.send(controller::In::Fresh),
     });
 
     if first == robot {
@@ -226,18 +237,22 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
 
     let config = controller::Config {
         robot,
-        limit_m_s: interface.limit_m_s,
-        clamp: plan.clamp,
+        guard: guard::Config {
+            safety: plan.safety,
+            half_extent: plan.scenario.arena().half_extent,
+            limit_m_s: interface.limit_m_s,
+            clamp: plan.clamp,
+            period: interface.period,
+        },
         valid_for: COMMAND_VALIDITY,
         phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
     };
-    let network = home;
+    let (network, recorder) = (home, graph.recorder.clone());
     let make = move |_| Controller::new(config);
-    start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| {
-        network.send(network::In::Publish(match out {
-            controller::Out::MotorCommand(command) => Wire::MotorCommand(command),
-            controller::Out::Heartbeat(beat) => Wire::Heartbeat(beat),
-        }));
+    start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
+        controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
+        controller::Out::Heartbeat(m) => network.send(network::In::Publish(Wire::Heartbeat(m))),
+        controller::Out::Counts(counts) => recorder.send(recorder::In::Safety(robot, counts)),
     });
 
     let (network, world) = (away, graph.worlds[at].clone());
@@ -290,6 +305,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
     let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
         firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();
     let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone());
+    let leads = entry.state_server;
     let told_modes = (
         firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect::<Vec<_>>(),
         agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect::<Vec<_>>(),
@@ -300,7 +316,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
     let deliver = move |message: Wire| match message {
         Wire::Reading(m) => by_robot.0[m.robot.index()].send(cache::In::Reading(m)),
         Wire::MotorCommand(m) => by_robot.1[m.robot.index()].send(body::In::MotorCommand(m)),
-        Wire::Heartbeat(m) => by_robot.2.send(m),
+        Wire::Heartbeat(m) => by_robot.2.send(state_server::In::Heartbeat(m)),
         Wire::Latent(m) => {
             for (_, caches) in caches.iter().filter(|(robots, _)| robots.binary_search(&m.robot).is_err()) {
                 caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
@@ -310,6 +326,12 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
             told_modes.2.iter().for_each(|world| world.send(world::In::Mode(m.clone())));
             told_modes.0.iter().for_each(|agent| agent.send(agent::In::Mode(m.clone())));
             told_modes.1.iter().for_each(|controller| controller.send(controller::In::Mode(m.clone())));
+        }
+        Wire::Stop(m) => {
+            told_modes.1.iter().for_each(|controller| controller.send(controller::In::Stop(m)));
+            if leads {
+                by_robot.2.send(state_server::In::Stop(m));
+            }
         }
     };
     start(
