@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 
 /// The layer of a module; a module may use its own layer and those below.
 fn layer(module: &str) -> Option<u8> {
-    let layers: [(&str, u8); 22] = [
+    let layers: [(&str, u8); 23] = [
         ("config", 0),
         ("time", 0),
         ("random", 0),
@@ -68,6 +68,7 @@ fn layer(module: &str) -> Option<u8> {
         ("scenario", 1),
         ("world", 1),
         ("policy", 1),
+        ("safety", 1),
         ("net", 1),
         ("report::episode", 1),
         ("report::statistics", 1),

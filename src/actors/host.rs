@@ -14,7 +14,6 @@ use super::real::Readers;
 use super::recorder;
 use super::shell::start;
 use crate::messages::ids::{HostId, LinkId};
-use crate::messages::wire::Wire;
 use crate::net::transport::udp::Udp;
 use crate::net::transport::{self, Arrive};
 use crate::time::Time;
@@ -41,18 +40,14 @@ pub fn wire(
     said: impl FnMut(recorder::Out) + 'static,
 ) -> Rc<Graph> {
     let plan = &Rc::new(plan);
-    let graph = Rc::new(Graph::new(plan));
-    let records = plan.deployment.hosts[usize::from(host.id.0)].world.len() == plan.deployment.robots;
-    let recorder = graph.recorder.clone();
-    // A Recorder hears what the others have published when it arrives.
-    let hear = move |told: Heard| {
-        if let (true, Heard::Message(message @ (Wire::Mode(_) | Wire::MotorCommand(_)))) = (records, told) {
-            recorder.send(recorder::In::Heard(message.clone()));
-        }
-        heard(told);
+    let process = Process {
+        only: Some(host.id),
+        team: host.team,
+        incarnation: host.incarnation,
+        records: plan.deployment.hosts[usize::from(host.id.0)].world.len() == plan.deployment.robots,
+        hear: Rc::new(heard),
     };
-    let process =
-        Process { only: Some(host.id), team: host.team, incarnation: host.incarnation, records, hear: Rc::new(hear) };
+    let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
     for (link, udp) in host.sockets {
         let mailbox = graph.transports[usize::from(link.0)].clone();
@@ -67,7 +62,7 @@ pub fn wire(
             network.send(network::In::Frame(link, frame));
         });
     }
-    if records {
+    if process.records {
         wire_recorder(clock, plan, &graph, said);
     }
     graph

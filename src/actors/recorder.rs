@@ -8,13 +8,14 @@ use std::collections::BTreeMap;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::Core;
-use crate::messages::ids::HostId;
+use crate::messages::ids::{HostId, RobotId};
 use crate::messages::local::{Sample, Truth};
 use crate::messages::wire::{Kind, Phase, Round, Wire};
 use crate::net::codec::{self, Frame};
 use crate::net::link::LinkCounts;
 use crate::report::episode::Episode;
 use crate::report::trial::{Step, Totals};
+use crate::safety::guard::SafetyCounts;
 use crate::scenario::Rules;
 use crate::scenario::judge::{Finding, Judge, Seen, Verdict};
 use crate::scenario::layout::Layouts;
@@ -31,6 +32,8 @@ pub enum In {
     Truth(Truth),
     /// What a Network has counted on its links since it was started.
     Counts(HostId, LinkCounts),
+    /// How often a robot's guard has stopped or slowed it since its Controller was started.
+    Safety(RobotId, SafetyCounts),
 }
 
 /// What a Recorder says.
@@ -77,6 +80,8 @@ pub struct Recorder {
     commanded: Vec<Time>,
     /// The last counts of each host; those of a crashed Network begin anew.
     counts: BTreeMap<HostId, LinkCounts>,
+    /// The same of each robot's guard.
+    safety: BTreeMap<RobotId, SafetyCounts>,
     oldest_command: Span,
     round: Round,
     phase: Phase,
@@ -99,6 +104,7 @@ impl Recorder {
             seen: vec![false; robots],
             commanded: vec![Time::ZERO; robots],
             counts: BTreeMap::new(),
+            safety: BTreeMap::new(),
             oldest_command: Span::ZERO,
             round: Round::default(),
             phase: Phase::NeedReset,
@@ -166,6 +172,7 @@ impl Recorder {
             trace: self.digest.digest128(),
             oldest_command: self.oldest_command,
             links: self.counts.values().copied().sum(),
+            safety: self.safety.values().copied().sum(),
         }
     }
 
@@ -243,6 +250,9 @@ impl Core for Recorder {
             In::Counts(host, counts) => {
                 self.counts.insert(host, counts);
             }
+            In::Safety(robot, counts) => {
+                self.safety.insert(robot, counts);
+            }
         }
     }
 
@@ -258,6 +268,7 @@ mod tests {
     use super::*;
     use crate::messages::geometry::{Motion, Vec2};
     use crate::messages::ids::RobotId;
+    use crate::messages::latch::Latch;
     use crate::messages::local::Contacts;
     use crate::messages::wire::Mode;
     use crate::net::codec::Header;
@@ -276,7 +287,7 @@ mod tests {
     fn say(recorder: &mut Recorder, ms: u64, episode: u32, phase: Phase) -> Vec<Out> {
         let round = Round { epoch: 1, episode };
         let tasks = recorder.config.layouts.episode(0).into();
-        let mode = Wire::Mode(Mode { round, repeat: 4, phase, first: RobotId(0), tasks });
+        let mode = Wire::Mode(Mode { round, repeat: 4, phase, first: RobotId(0), tasks, latch: Latch::default() });
         let header = Header { kind: Kind::Mode, team: 0, sender: HostId(0), epoch: 1, sequence: 0 };
         let frame = codec::encode(&header, &mode).unwrap();
         let mut out = Vec::new();

@@ -142,7 +142,7 @@ pub fn run(args: &Args) -> Result<Ended> {
             if signal.load(Ordering::Relaxed) != 0 && stopping.is_none() {
                 stopping = Some(now);
                 let _ = sd_notify::notify(&[NotifyState::Stopping]);
-                graph.stop_motors();
+                graph.stop(id);
             }
             let serves = team.deployment.hosts[usize::from(id.0)].state_server;
             let grace = if serves { SERVER_GRACE } else { GRACE };
