@@ -159,9 +159,10 @@ impl Deployment {
             if names.len() > MAX_NAMES {
                 return wrong(field, format!("{} of them; there is room for {MAX_NAMES}", names.len()));
             }
-            let unique: BTreeSet<&String> = names.iter().copied().collect();
-            if unique.len() < names.len() || names.iter().any(|name| name.is_empty()) {
-                return wrong(&format!("{field}.name"), "every one needs a name of its own".to_owned());
+            let mut unique = BTreeSet::new();
+            if let Some(name) = names.iter().find(|name| name.is_empty() || !unique.insert(**name)) {
+                let why = format!("'{name}' is there twice, or empty; every {field} needs a name of its own");
+                return wrong(&format!("{field}.name"), why);
             }
         }
         let agents = |host: &Host| host.agents.concat();

@@ -131,6 +131,14 @@ impl Routes {
         })
     }
 
+    /// Whether the host sends any message of this kind to another, or takes one from another.
+    pub fn exchanges(&self, host: HostId, kind: Kind) -> bool {
+        RobotId::team(self.robots).any(|robot| {
+            let (from, takers) = (self.publisher(kind, robot), self.takers(kind, robot));
+            if from == host { takers.iter().any(|&to| to != host) } else { takers.binary_search(&host).is_ok() }
+        })
+    }
+
     /// The hosts that take messages of this kind.
     pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
         let all = RobotId::team(self.robots).flat_map(|robot| self.takers(kind, robot));

@@ -5,9 +5,13 @@
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+mod config;
 mod deployment;
+mod key;
 mod output;
+mod policy;
 mod sim;
+mod team;
 mod train;
 
 use std::io::IsTerminal;
@@ -38,6 +42,12 @@ enum Command {
     Deployment(deployment::Args),
     /// Trains a policy.
     Train(Box<train::Args>),
+    /// Makes the key that a team's messages are authenticated with.
+    #[command(subcommand)]
+    Key(key::Args),
+    /// Checks a team file, or shows what it comes to.
+    #[command(subcommand)]
+    Config(config::Args),
 }
 
 /// How a command ended.
@@ -74,6 +84,8 @@ fn main() -> ExitCode {
         Command::Sim(args) => sim::run(&args),
         Command::Deployment(args) => deployment::run(&args),
         Command::Train(args) => train::run(&args),
+        Command::Key(args) => key::run(&args),
+        Command::Config(args) => config::run(&args),
     };
     match ended {
         Ok(Ended::Done) => ExitCode::SUCCESS,

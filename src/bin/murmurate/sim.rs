@@ -13,19 +13,16 @@ use murmurate::actors::recorder::Steps;
 use murmurate::deploy::{Deployment, Impair, MODES};
 use murmurate::net::fault::FaultPlan;
 use murmurate::net::range::CommRange;
-use murmurate::policy::gnn::Network;
-use murmurate::policy::shipped::shipped;
-use murmurate::policy::{Draw, Model, weights};
 use murmurate::report::episode::Episode;
 use murmurate::report::summary::{Run, Summary};
 use murmurate::safety::Safety;
 use murmurate::scenario::layout::Layouts;
-use murmurate::scenario::{self, Scenario, Settings};
+use murmurate::scenario::{self, Settings};
 use murmurate::trial::{Proceed, Trial, TrialReport};
 use murmurate::world::{Clamp, ContactRule, Placement};
 
 use crate::output::{WholeFile, print, read_text, talk};
-use crate::{BadInput, Ended};
+use crate::{BadInput, Ended, policy};
 
 /// Flags of `murmurate sim`.
 #[derive(clap::Args)]
@@ -253,7 +250,11 @@ fn trial(args: &Args) -> Result<(Trial, String)> {
             .map_err(|e| bad(format!("{flag}: {e}")))?;
     }
     deployment.placement = args.placement.unwrap_or(deployment.placement);
-    let (model, policy) = model(args, &*scenario)?;
+    let policy::Loaded { model, name: policy, assumed } =
+        policy::load(args.policy.as_deref(), args.action.as_deref(), &*scenario)?;
+    if let Some(assumed) = assumed.filter(|_| !args.quiet) {
+        talk(&format!("warning: {assumed}"));
+    }
     let mut trial = Trial::new(deployment, Arc::clone(&scenario), model).seed(args.seed).episodes(args.episodes);
     (trial.handling, trial.safety) = (args.handling, args.safety);
     trial = physics(args, trial.clamp(args.clamp))?;
@@ -301,43 +302,6 @@ fn read_deployment(path: &Path) -> Result<Deployment> {
     let text = read_text(path, "deployment file")?;
     Deployment::from_toml(&text)
         .map_err(|e| BadInput(format!("the deployment file '{}': {}", path.display(), e)).into())
-}
-
-/// The policy, and its name in the report.
-fn model(args: &Args, scenario: &dyn Scenario) -> Result<(Model, String)> {
-    let shipped = if args.policy.is_none() { shipped(scenario.name()) } else { None };
-    let named = args.policy.as_deref().unwrap_or(Path::new("orca"));
-    let (shown, file) = match shipped {
-        Some(bytes) => ("shipped".to_owned(), weights::read(bytes)),
-        None if named == Path::new("orca") => {
-            if args.action.is_some() {
-                let why = "--action: the policy 'orca' draws nothing; leave the flag out";
-                return Err(BadInput(why.to_owned()).into());
-            }
-            return Ok((Model::Orca, "orca".to_owned()));
-        }
-        None => {
-            let shown = named.display().to_string();
-            let bytes = std::fs::read(named).map_err(|e| {
-                BadInput(format!("cannot read the policy file '{shown}': {e} (or name the policy 'orca')"))
-            })?;
-            (shown, weights::read(&bytes))
-        }
-    };
-    let file = file.map_err(|e| BadInput(format!("the policy file '{shown}': {e}")))?;
-    if file.manifest.scenario != scenario.name() {
-        let (theirs, ours) = (&file.manifest.scenario, scenario.name());
-        return Err(BadInput(format!("the policy file '{shown}' is for the scenario '{theirs}', not '{ours}'")).into());
-    }
-    if let Some(assumed) = file.assumed.as_ref().filter(|_| !args.quiet) {
-        talk(&format!("warning: the policy file '{shown}': {assumed}"));
-    }
-    let draw = match args.action.as_deref() {
-        Some("mean") => Draw::Mean,
-        Some(_) => Draw::Sample,
-        None => file.manifest.draw,
-    };
-    Ok((Model::Gnn(Arc::new(Network::new(file)), draw), shown))
 }
 
 fn range(args: &Args, trial: &Trial) -> Result<Option<CommRange>> {

@@ -364,12 +364,17 @@ pub fn variable(key: &str) -> String {
 
 /// Whether a table of this name holds fields.
 fn holds_fields(key: &str) -> bool {
-    match key.split('.').collect::<Vec<_>>()[..] {
-        ["link" | "robot" | "host"] | ["link" | "robot" | "host", _] | ["link", _, "peers" | "reliability"] => true,
-        ["robot" | "host", _, "link"] | ["robot" | "host", _, "link", _] => true,
-        ["robot" | "host", _, "link", _, "peers"] => true,
-        _ => false,
+    let parts: Vec<&str> = key.split('.').collect();
+    match parts[..] {
+        ["robot" | "host"] | ["robot" | "host", _] => true,
+        // What senders and receivers must agree on is of the whole team.
+        ["robot" | "host", _, ref link @ ..] => link.last() != Some(&"reliability") && holds_link_fields(link),
+        ref link => holds_link_fields(link),
     }
+}
+
+fn holds_link_fields(parts: &[&str]) -> bool {
+    matches!(parts, ["link"] | ["link", _] | ["link", _, "peers" | "reliability"])
 }
 
 fn unknown(key: &str, origin: &Origin) -> ConfigError {

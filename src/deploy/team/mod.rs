@@ -49,8 +49,8 @@ pub struct Team {
     pub seed: u64,
     /// What simulated robots are like.
     pub simulated: Simulated,
-    /// The sockets, by link.
-    pub links: Vec<SocketConfig>,
+    /// The sockets, by link; `None` for a link on which this host neither sends nor listens.
+    pub links: Vec<Option<SocketConfig>>,
 }
 
 /// What simulated robots are like, and how messages and commands are handled.
@@ -147,11 +147,15 @@ impl TeamFile {
         let name = find("scenario").expect("it has a default");
         let scenario = self.scenario()?;
         let whole = |key: &str| whole(&find(key).expect("it has a default"));
-        let links: Vec<SocketConfig> =
-            self.deployment.links.iter().enumerate().map(|(at, _)| self.socket(host, at)).collect::<Result<_, _>>()?;
+        let routes = Routes::of(&self.deployment);
+        let links = self.deployment.links.iter().enumerate().map(|(at, link)| {
+            let used = link.carries.iter().any(|&kind| routes.exchanges(host, kind));
+            used.then(|| self.socket(host, at)).transpose()
+        });
+        let links: Vec<Option<SocketConfig>> = links.collect::<Result<_, _>>()?;
         self.check_apart(host, &links)?;
         let key_file = find("key_file").map(|entry| self.path(&entry));
-        let outside = links.iter().position(|link| !link.stays_on_loopback());
+        let outside = links.iter().position(|link| link.as_ref().is_some_and(|link| !link.stays_on_loopback()));
         if let (None, Some(at)) = (&key_file, outside) {
             let (host, link) = (&self.deployment.hosts[usize::from(host.0)].name, &self.deployment.links[at].name);
             let why = format!(
@@ -296,4 +300,228 @@ fn number(entry: &Entry) -> f32 {
 fn address(entry: &Entry) -> SocketAddr {
     let Value::Address(address) = entry.value else { panic!("the fields let only addresses through") };
     address
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ADHOC: &str = r#"
+team = 3
+key_file = "keys/team.key"
+mode = "onboard-adhoc"
+robots = 3
+seed = 4
+
+[link.ad-hoc]
+interface = "wlan1"
+group = "[ff02::4d75]:7700"
+reliability = { latent = "repeat" }
+
+[link.infra]
+interface = "wlan0"
+group = "239.255.77.1:7700"
+receive_buffer_bytes = 65536
+
+[link.wires]
+transport = "unicast"
+interface = "lo"
+peers = { robot-0 = "127.0.0.1:1", robot-1 = "127.0.0.1:2", robot-2 = "127.0.0.1:3", world = "127.0.0.1:4" }
+
+[robot.2.link.infra]
+interface = "wlan7"
+
+[host.robot-2]
+policy = "orca"
+key_file = "own.key"
+
+[host.robot-2.link.infra]
+interface = "wlan8"
+"#;
+
+    fn read(text: &str, variables: &[(&str, &str)], flags: &[(&'static str, &str, &str)]) -> Result<TeamFile, String> {
+        let variables: Vec<(String, String)> =
+            variables.iter().map(|(name, value)| ((*name).to_owned(), (*value).to_owned())).collect();
+        let flags: Vec<Flag> = flags
+            .iter()
+            .map(|(flag, key, value)| Flag { flag, key: (*key).to_owned(), value: (*value).to_owned() })
+            .collect();
+        let file = TeamFile::read(text, Path::new("teams"), &variables, &flags).map_err(|e| e.to_string())?;
+        file.check().map_err(|e| e.to_string())?;
+        Ok(file)
+    }
+
+    fn team(file: &TeamFile, host: &str) -> Team {
+        file.for_host(file.host_named(host).unwrap()).unwrap()
+    }
+
+    fn interface(team: &Team, link: usize) -> &str {
+        &team.links[link].as_ref().unwrap().interface
+    }
+
+    #[test]
+    fn a_host_sees_its_own_values() {
+        let file = read(ADHOC, &[], &[]).unwrap();
+        let (first, third) = (team(&file, "robot-0"), team(&file, "robot-2"));
+        assert_eq!((first.number, first.seed, first.episodes), (3, 4, 16));
+        assert_eq!(first.key_file.as_deref(), Some(Path::new("teams/keys/team.key")), "from the file's folder");
+        assert_eq!(third.key_file.as_deref(), Some(Path::new("teams/own.key")));
+        assert_eq!((first.policy, third.policy.as_deref()), (None, Some(Path::new("orca"))));
+        let infra = first.links[1].as_ref().unwrap();
+        assert_eq!((infra.interface.as_str(), infra.receive_buffer_bytes), ("wlan0", 65536));
+        let latent = first.links[0].as_ref().unwrap();
+        assert_eq!(latent.transport, Transport::Multicast { group: "[ff02::4d75]:7700".parse().unwrap() });
+        assert_eq!(latent.receive_buffer_bytes, 4 << 20);
+        assert_eq!(latent.reliability.get(&Kind::Latent).map(String::as_str), Some("repeat"));
+        assert_eq!(interface(&third, 1), "wlan7", "a robot's override is narrower than its host's");
+        let Transport::Unicast { listen, peers } = &third.links[2].as_ref().unwrap().transport else { panic!() };
+        assert_eq!(listen.port(), 3);
+        assert_eq!(peers.keys().copied().collect::<Vec<_>>(), [HostId(0), HostId(1), HostId(3)]);
+        assert_eq!(file.host_of(RobotId(2)), Ok(HostId(2)));
+        assert!(file.host_of(RobotId(3)).is_err() && file.host_named("pc").is_err());
+    }
+
+    #[test]
+    fn a_host_needs_no_socket_on_a_link_that_it_has_no_part_in() {
+        let file = read(ADHOC, &[], &[]).unwrap();
+        assert_eq!(team(&file, "world").links[0], None, "the world hears no latents");
+        assert!(team(&file, "world").links[1].is_some());
+    }
+
+    #[test]
+    fn a_flag_counts_before_the_environment_and_that_before_the_file() {
+        let variables = [("MURMURATE_SEED", "5"), ("MURMURATE_LINK_INFRA_INTERFACE", "env0"), ("OTHER", "x")];
+        let file = read(ADHOC, &variables, &[]).unwrap();
+        let third = team(&file, "robot-2");
+        assert_eq!((third.seed, interface(&third, 1)), (5, "env0"), "even before a robot's own");
+        let flags = [("--set", "seed", "6"), ("--interface", "interface", "flag0"), ("--key-file", "key_file", "k")];
+        let file = read(ADHOC, &variables, &flags).unwrap();
+        let third = team(&file, "robot-2");
+        assert_eq!((third.seed, interface(&third, 0), interface(&third, 1)), (6, "flag0", "flag0"));
+        assert_eq!(third.key_file.as_deref(), Some(Path::new("k")), "from where the user is");
+        let origin = |key: &str| {
+            let values = file.values(Some(HostId(2)));
+            values.into_iter().find(|shown| shown.key == key).unwrap_or_else(|| panic!("{key} is shown")).origin
+        };
+        assert_eq!(origin("seed"), Origin::Flag("--set"));
+        assert_eq!(origin("team"), Origin::File(2));
+        assert_eq!(origin("policy"), Origin::File(27));
+        assert_eq!(origin("episodes"), Origin::Default);
+        let file = read(ADHOC, &variables, &[("--set", "link.infra.interface", "set0"), flags[1]]).unwrap();
+        assert_eq!(interface(&team(&file, "robot-0"), 1), "set0", "the link's own before that of all");
+    }
+
+    #[test]
+    fn a_team_without_a_key_stays_on_its_machine() {
+        let bare = "team = 1\nmode = \"centralized\"\n[link.infra]\ninterface = \"lo\"\n[link.wires]\n";
+        let lo = format!("{bare}interface = \"lo\"");
+        let file = read(&lo, &[], &[]).unwrap();
+        assert_eq!(team(&file, "pc").key_file, None);
+        let error = read(&lo, &[], &[("--interface", "interface", "wlan0")]).unwrap_err();
+        assert!(error.starts_with("key_file: missing") && error.contains("'infra'"), "{error}");
+        let peers = |pc: &str| {
+            format!(
+                "{bare}interface = \"lo\"\ntransport = \"unicast\"\npeers = {{ pc = \"{pc}\", world = \"[::1]:2\" }}"
+            )
+        };
+        assert!(read(&peers("[::1]:1"), &[], &[]).is_ok());
+        assert!(read(&peers("[fd00::7]:1"), &[], &[]).unwrap_err().starts_with("key_file: missing"));
+        assert!(read(&peers("[::1]:2"), &[], &[]).unwrap_err().contains("is where host 'pc' listens"));
+        assert!(read(&peers("127.0.0.1:1"), &[], &[]).unwrap_err().contains("families"));
+    }
+
+    #[test]
+    fn a_deployment_may_be_written_out() {
+        let inline = |deployment: &Deployment, head: &str| {
+            let table = std::collections::BTreeMap::from([("deployment", deployment)]);
+            let links = "[link.infra]\ninterface = \"lo\"\n[link.wires]\ninterface = \"lo\"\n";
+            read(&format!("team = 1\n{head}\n{}{links}", toml::to_string(&table).unwrap()), &[], &[])
+        };
+        let preset = Deployment::preset("onboard-infra", 3).unwrap();
+        assert_eq!(inline(&preset, "").unwrap().deployment(), &preset);
+        assert!(inline(&preset, "robots = 3").is_ok());
+        assert!(inline(&preset, "robots = 4").unwrap_err().starts_with("robots (line 2): 4, but"));
+        assert!(inline(&preset, "mode = \"sim\"").unwrap_err().starts_with("mode (line 2): there is a [deployment]"));
+        let wrong = |change: fn(&mut Deployment)| {
+            let mut deployment = preset.clone();
+            change(&mut deployment);
+            inline(&deployment, "").unwrap_err()
+        };
+        let twice = wrong(|deployment| deployment.hosts[1].agents = vec![vec![0]]);
+        assert!(twice.contains("deployment.host.agents: robot 0 has a second agent on host 'robot-1'"), "{twice}");
+        let twins = wrong(|deployment| deployment.hosts[1].name = "robot-0".to_owned());
+        assert!(twins.contains("deployment.host.name: 'robot-0'"), "{twins}");
+        assert!(wrong(|deployment| deployment.links[0].delay_s = 0.1).contains("'infra'"));
+        assert!(wrong(|deployment| deployment.hosts[0].name = "a.b".to_owned()).contains("dot"));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        let error = |from: &str, to: &str| {
+            assert!(ADHOC.contains(from), "{from}");
+            read(&ADHOC.replacen(from, to, 1), &[], &[]).unwrap_err()
+        };
+        let cases = [
+            ("team = 3", "teem = 3", "teem (line 2): there is no such field; there are team, key_file"),
+            ("team = 3\n", "\n", "team: missing"),
+            ("team = 3", "team = 65536", "team (line 2): '65536'"),
+            ("team = 3", "team = \"3\"", "team (line 2): a string where a whole number belongs"),
+            ("team = 3", "team = 3\nteam = 3", "line 3"),
+            ("seed = 4", "seed = -4", "seed (line 6): '-4'"),
+            ("seed = 4", "lag_s = 11", "lag_s (line 6): '11'"),
+            ("seed = 4", "lag_s = nan", "lag_s (line 6): 'nan'"),
+            ("seed = 4", "wall_radius_m = 0", "wall_radius_m (line 6)"),
+            ("seed = 4", "clamp = \"none\"", "clamp (line 6): 'none' is not one of training, deployed"),
+            ("seed = 4", "scenario = \"maze\"", "scenario (line 6): "),
+            ("mode = \"onboard-adhoc\"\n", "", "mode: missing"),
+            ("robots = 3", "robots = 20", "scenario: "),
+            ("onboard-adhoc", "telepathy", "mode (line 4): 'telepathy' is not one of"),
+            ("interface = \"wlan1\"\n", "", "link.ad-hoc.interface: missing"),
+            (
+                "interface = \"wlan1\"",
+                "interfase = \"wlan1\"",
+                "link.ad-hoc.interfase (line 9): there is no such field",
+            ),
+            ("interface = \"wlan1\"", "interface = \"wlan 1\"", "link.ad-hoc.interface (line 9): "),
+            ("interface = \"wlan1\"", "interface = \"lo\"", "link.ad-hoc.group (line 10): an IPv6 group never"),
+            ("239.255.77.1:7700", "239.255.77.1", "link.infra.group (line 15): "),
+            ("239.255.77.1:7700", "239.255.77.1:0", "link.infra.group (line 15): "),
+            ("239.255.77.1:7700", "10.0.0.1:7700", "link.infra.group (line 15): 10.0.0.1 is no multicast"),
+            ("latent = \"repeat\"", "latent = \"hope\"", "link.ad-hoc.reliability.latent (line 11): 'hope'"),
+            ("latent = \"repeat\"", "mode = \"repeat\"", "link.ad-hoc.reliability.mode (line 11): link 'ad-hoc' does"),
+            ("65536", "1", "link.infra.receive_buffer_bytes (line 16)"),
+            ("\"unicast\"", "\"pigeon\"", "link.wires.transport (line 19)"),
+            ("robot-1 = \"127.0.0.1:2\", ", "", "link.wires.peers.robot-1: missing"),
+            ("robot-1 = \"127", "robot-9 = \"127", "link.wires.peers.robot-9 (line 21): there is no host 'robot-9'"),
+            ("[robot.2.link", "[robot.3.link", "robot.3.link.infra.interface (line 24): there is no robot '3'"),
+            ("[robot.2.link", "[robot.02.link", "robot.02.link.infra.interface (line 24): there is no robot '02'"),
+            ("[host.robot-2]", "[host.pc]", "host.pc"),
+            ("policy = \"orca\"", "episodes = 2", "host.robot-2.episodes (line 27): there is no such field"),
+            ("[link.infra]", "[link.infra2]", "link.infra2"),
+            ("[link.infra]", "[link.\"in.fra\"]", "link.in.fra (line 13): a name"),
+        ];
+        for (from, to, start) in cases {
+            let error = error(from, to);
+            assert!(error.starts_with(start) && !error.contains('\n'), "{to}: {error}");
+        }
+        let flag = |flag: (&'static str, &str, &str)| read(ADHOC, &[], &[flag]).unwrap_err();
+        assert!(flag(("--set", "sed", "1")).starts_with("sed (--set): there is no such field"));
+        assert!(flag(("--set", "seed", "x")).starts_with("seed (--set): 'x'"));
+        assert!(flag(("--interface", "interface", "")).starts_with("--interface: ''"));
+        let variable = |name: &str| read(ADHOC, &[(name, "x")], &[]).unwrap_err();
+        assert!(variable("MURMURATE_SED").starts_with("MURMURATE_SED: no such variable"));
+        assert!(variable("MURMURATE_SEED").starts_with("seed (MURMURATE_SEED): 'x'"));
+        assert!(read(ADHOC, &[("MURMURATE_LOG", "info")], &[]).is_ok());
+    }
+
+    #[test]
+    fn two_links_do_not_share_a_group() {
+        let text = "team = 1\nmode = \"centralized\"\n[link.infra]\ninterface = \"lo\"\ngroup = \"239.1.1.1:7\"\n\
+                    [link.wires]\ninterface = \"lo\"\ngroup = \"239.1.1.1:7\"\n";
+        let error = read(text, &[], &[]).unwrap_err();
+        assert!(error.starts_with("link.wires.group (line 8): 239.1.1.1:7 is link 'infra' already"), "{error}");
+        assert!(read(&text.replace("group = \"239.1.1.1:7\"\n", ""), &[], &[]).is_ok(), "by default they do not");
+        let robot = format!("{text}[robot.0]\npolicy = \"orca\"\n").replace("1.1:7\"\n[link.w", "1.2:7\"\n[link.w");
+        assert!(read(&robot, &[], &[]).unwrap_err().contains("host 'pc' runs more robots than this"));
+    }
 }

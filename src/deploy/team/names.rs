@@ -13,7 +13,7 @@ impl TeamFile {
         let deployment = &self.deployment;
         let hosts: BTreeSet<&str> = deployment.hosts.iter().map(|host| host.name.as_str()).collect();
         let links: BTreeSet<&str> = deployment.links.iter().map(|link| link.name.as_str()).collect();
-        for name in hosts.iter().chain(&links).filter(|name| name.contains('.')) {
+        if let Some(name) = hosts.iter().chain(&links).find(|name| name.contains('.')) {
             return Err(ConfigError::field("deployment", format!("the name '{name}' may have no dot in a team file")));
         }
         let known = |what: &str, names: &BTreeSet<&str>, name: &str| {

@@ -135,10 +135,11 @@ impl TeamFile {
     }
 
     /// Two links of a host that hear each other's frames are a mistake.
-    pub(super) fn check_apart(&self, host: HostId, links: &[SocketConfig]) -> Result<(), ConfigError> {
+    pub(super) fn check_apart(&self, host: HostId, links: &[Option<SocketConfig>]) -> Result<(), ConfigError> {
         let scopes = self.scopes(Some(host));
         let mut seen: BTreeMap<(SocketAddr, &str), &str> = BTreeMap::new();
         for (link, socket) in self.deployment.links.iter().zip(links) {
+            let Some(socket) = socket else { continue };
             let (field, heard) = match &socket.transport {
                 Transport::Multicast { group } => ("group".to_owned(), (*group, socket.interface.as_str())),
                 Transport::Unicast { listen, .. } => {

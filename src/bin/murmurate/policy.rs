@@ -1,0 +1,58 @@
+//! The policy that a user has named, or the scenario's own, from its file to a model.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::Result;
+use murmurate::policy::gnn::Network;
+use murmurate::policy::shipped::shipped;
+use murmurate::policy::{Draw, Model, weights};
+use murmurate::scenario::Scenario;
+
+use crate::BadInput;
+
+/// A policy that can drive a team.
+pub struct Loaded {
+    /// What drives it.
+    pub model: Model,
+    /// Its name in reports.
+    pub name: String,
+    /// What its file does not say and was assumed, for a warning.
+    pub assumed: Option<String>,
+}
+
+/// Reads the policy: a file, `orca`, or without either the shipped one of the scenario (`orca` if there is none).
+/// `action` says how actions are drawn (`mean`, `sample`); without it the file does.
+pub fn load(named: Option<&Path>, action: Option<&str>, scenario: &dyn Scenario) -> Result<Loaded> {
+    let shipped = if named.is_none() { shipped(scenario.name()) } else { None };
+    let named = named.unwrap_or(Path::new("orca"));
+    let (name, file) = match shipped {
+        Some(bytes) => ("shipped".to_owned(), weights::read(bytes)),
+        None if named == Path::new("orca") => {
+            if action.is_some() {
+                let why = "--action: the policy 'orca' draws nothing; leave the flag out";
+                return Err(BadInput(why.to_owned()).into());
+            }
+            return Ok(Loaded { model: Model::Orca, name: "orca".to_owned(), assumed: None });
+        }
+        None => {
+            let name = named.display().to_string();
+            let bytes = std::fs::read(named).map_err(|e| {
+                BadInput(format!("cannot read the policy file '{name}': {e} (or name the policy 'orca')"))
+            })?;
+            (name, weights::read(&bytes))
+        }
+    };
+    let file = file.map_err(|e| BadInput(format!("the policy file '{name}': {e}")))?;
+    if file.manifest.scenario != scenario.name() {
+        let (theirs, ours) = (&file.manifest.scenario, scenario.name());
+        return Err(BadInput(format!("the policy file '{name}' is for the scenario '{theirs}', not '{ours}'")).into());
+    }
+    let assumed = file.assumed.as_ref().map(|assumed| format!("the policy file '{name}': {assumed}"));
+    let draw = match action {
+        Some("mean") => Draw::Mean,
+        Some(_) => Draw::Sample,
+        None => file.manifest.draw,
+    };
+    Ok(Loaded { model: Model::Gnn(Arc::new(Network::new(file)), draw), name, assumed })
+}
