@@ -7,6 +7,7 @@
 
 mod config;
 mod deployment;
+mod host;
 mod key;
 mod output;
 mod policy;
@@ -42,6 +43,8 @@ enum Command {
     Deployment(deployment::Args),
     /// Trains a policy.
     Train(Box<train::Args>),
+    /// Runs one host of a team in real time: what is started on a robot.
+    Host(Box<host::Args>),
     /// Makes the key that a team's messages are authenticated with.
     #[command(subcommand)]
     Key(key::Args),
@@ -84,6 +87,7 @@ fn main() -> ExitCode {
         Command::Sim(args) => sim::run(&args),
         Command::Deployment(args) => deployment::run(&args),
         Command::Train(args) => train::run(&args),
+        Command::Host(args) => host::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args),
     };
