@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 
 /// The layer of a module; a module may use its own layer and those below.
 fn layer(module: &str) -> Option<u8> {
-    let layers: [(&str, u8); 22] = [
+    let layers: [(&str, u8); 23] = [
         ("config", 0),
         ("time", 0),
         ("random", 0),
@@ -70,6 +70,7 @@ fn layer(module: &str) -> Option<u8> {
         ("policy", 1),
         ("net", 1),
         ("report::episode", 1),
+        ("report::event", 1),
         ("report::statistics", 1),
         ("report::trial", 1),
         ("report", 1),
