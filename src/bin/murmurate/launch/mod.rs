@@ -28,7 +28,7 @@ use supervisor::{Answer, Heard, Limits, Outcome, Process, Supervisor};
     wrong; 130 interrupted by Ctrl-C or SIGTERM. The results until then are printed.")]
 pub struct Args {
     #[command(flatten)]
-    team: team::Args,
+    team: team::TeamArgs,
     /// Prints one JSON object in place of the table
     #[arg(long)]
     json: bool,
