@@ -9,8 +9,8 @@
 //!
 //! # Layers
 //! Each may use those before it, never those after:
-//! `time`, `random`, `config`, `messages`; then `scenario`, `world`, `policy`, `net` (but for its transports),
-//! `report`; then the cores in `actors`, and beside them [`train`], which knows no actor; then `deploy`; then
+//! `time`, `random`, `config`, `messages`; then `scenario`, `world`, `policy`, `safety`, `net` (but for its
+//! transports), `report`; then the cores in `actors`, and beside them [`train`], which knows no actor; then `deploy`; then
 //! `actors::{shell, clock}` and `net::transport`; then `actors::graph`; then `trial`; then the program.
 //! `tests/tidy.rs` checks it.
 //!
@@ -28,6 +28,7 @@ pub mod net;
 pub mod policy;
 pub mod random;
 pub mod report;
+pub mod safety;
 pub mod scenario;
 pub mod time;
 pub mod train;

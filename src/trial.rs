@@ -22,6 +22,7 @@ use crate::actors::recorder::{Out, Steps};
 use crate::actors::state_server;
 use crate::config::ConfigError;
 use crate::deploy::Deployment;
+use crate::messages::wire::Stop;
 use crate::net::fault::FaultPlan;
 use crate::net::range::CommRange;
 use crate::policy::Model;
@@ -29,6 +30,7 @@ use crate::random::Seed;
 use crate::report::episode::Episode;
 use crate::report::trial::Totals;
 pub use crate::report::trial::TrialReport;
+use crate::safety::Safety;
 use crate::scenario::judge::Verdict;
 use crate::scenario::layout::Layouts;
 use crate::scenario::{self, Scenario, ScenarioError, Settings};
@@ -61,6 +63,10 @@ pub struct Trial {
     pub handling: Handling,
     /// How Controllers limit what the policy wants; `Trial::clamp` sets it together with the physics it goes with.
     pub clamp: Clamp,
+    /// When robots are stopped or slowed, whatever the policy wants.
+    pub safety: Safety,
+    /// The emergency stops and re-arms of the trial, and when a host of the deployment says them.
+    pub stops: Vec<(Time, Stop)>,
     /// What goes wrong.
     pub faults: FaultPlan,
     /// Whether the report keeps every step.
@@ -116,6 +122,8 @@ impl Trial {
             range: None,
             handling: Handling::Hold,
             clamp: Clamp::Training,
+            safety: Safety::emulated(),
+            stops: Vec::new(),
             faults: FaultPlan::default(),
             steps: Steps::Discarded,
         }
@@ -237,6 +245,11 @@ impl Trial {
     pub fn check(&self) -> Result<(), ConfigError> {
         let deployment = self.placed();
         deployment.check()?;
+        self.safety.check()?;
+        if let Some((_, stop)) = self.stops.iter().find(|(_, stop)| usize::from(stop.by.0) >= deployment.hosts.len()) {
+            let reason = format!("there is no host {}; there are {}, from 0", stop.by.0, deployment.hosts.len());
+            return Err(ConfigError::field("stops", reason));
+        }
         self.faults.check(&deployment.targets())
     }
 
@@ -249,7 +262,8 @@ impl Trial {
         deployment
     }
 
-    fn plan(&self) -> Plan {
+    /// What its graph is made of.
+    pub fn plan(&self) -> Plan {
         let deployment = self.placed();
         let interface = self.model.interface();
         Plan {
@@ -262,6 +276,8 @@ impl Trial {
             hold: interface.hold,
             handling: self.handling,
             clamp: self.clamp,
+            safety: self.safety,
+            stops: self.stops.clone(),
             layouts: self.layouts.clone(),
             repeat: self.repeat,
             seed: Seed::of_repeat(self.seed, self.repeat),

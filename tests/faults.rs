@@ -2,7 +2,6 @@
 //!
 //! The first test is an example to copy for a system of your own.
 
-use murmurate::actors::controller::MAX_SILENCE;
 use murmurate::actors::graph::COMMAND_VALIDITY;
 use murmurate::actors::state_server::MISSING_AFTER;
 use murmurate::messages::geometry::Vec2;
@@ -10,6 +9,7 @@ use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{MAX_VALIDITY, Phase};
 use murmurate::net::fault::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFaultKind, Role};
 use murmurate::report::trial::TrialReport;
+use murmurate::safety::Safety;
 use murmurate::scenario::judge::Verdict;
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
@@ -98,7 +98,8 @@ fn a_crash_of_any_actor_stops_the_motors_in_time_and_the_next_episode_runs() {
             let report = trial(mode, 5).faults(plan).run();
 
             // Robots hear of a dead state server by its silence; of anything else by what it no longer sends.
-            let silence = if role == Role::StateServer { MAX_SILENCE } else { Span::ZERO };
+            let silence =
+                if role == Role::StateServer { Span::from_secs(Safety::emulated().silence_s) } else { Span::ZERO };
             let robots = if role == Role::StateServer { RobotId::team(5).collect() } else { vec![robot] };
             for robot in robots {
                 let late = driven(&report, robot, at + silence + in_time, at + lasts);

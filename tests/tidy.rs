@@ -68,6 +68,7 @@ fn layer(module: &str) -> Option<u8> {
         ("scenario", 1),
         ("world", 1),
         ("policy", 1),
+        ("safety", 1),
         ("net", 1),
         ("report::episode", 1),
         ("report::event", 1),

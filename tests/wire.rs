@@ -4,8 +4,10 @@ use std::sync::Arc;
 
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{
-    Features, Heartbeat, Latent, MAX_BLOCK, MAX_FEATURES, MAX_VALIDITY, Mode, MotorCommand, Phase, Reading, Round, Wire,
+    Features, Heartbeat, Latent, MAX_BLOCK, MAX_FEATURES, MAX_VALIDITY, Mode, MotorCommand, Phase, Reading, Round,
+    Stop, Wire,
 };
 use murmurate::net::codec::{
     DecodeError, EncodeError, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, VERSION, decode, encode, peek,
@@ -35,6 +37,11 @@ fn round() -> impl Strategy<Value = Round> {
     (any::<u32>(), any::<u32>()).prop_map(|(epoch, episode)| Round { epoch, episode })
 }
 
+fn latch() -> impl Strategy<Value = Latch> {
+    let latch = |(number, engaged)| if engaged { Latch::engaged(number) } else { Latch::armed(number) };
+    (any::<u32>(), any::<bool>()).prop_map(latch)
+}
+
 fn robot() -> impl Strategy<Value = RobotId> {
     any::<u16>().prop_map(RobotId)
 }
@@ -49,15 +56,17 @@ fn message() -> impl Strategy<Value = Wire> {
     let command = (robot(), motion(), 0..=MAX_VALIDITY.as_nanos()).prop_map(|(robot, motion, ns)| {
         Wire::MotorCommand(MotorCommand { robot, velocity: motion.velocity, valid_for: Span::from_nanos(ns) })
     });
-    let beat = (robot(), round(), phase())
-        .prop_map(|(robot, round, phase)| Wire::Heartbeat(Heartbeat { robot, round, phase }));
+    let beat = (robot(), round(), phase(), latch())
+        .prop_map(|(robot, round, phase, latch)| Wire::Heartbeat(Heartbeat { robot, round, phase, latch }));
     let tasks = prop::collection::vec(motion(), 1..=MAX_BLOCK);
-    let mode = (round(), any::<u32>(), phase(), 0u16..1000, tasks).prop_map(|(round, repeat, phase, first, tasks)| {
+    let mode = (round(), any::<u32>(), phase(), 0u16..1000, tasks, latch());
+    let mode = mode.prop_map(|(round, repeat, phase, first, tasks, latch)| {
         let task = |motion: Motion| Task { start: motion.position, goal: motion.velocity };
         let tasks = tasks.into_iter().map(task).collect();
-        Wire::Mode(Mode { round, repeat, phase, first: RobotId(first), tasks })
+        Wire::Mode(Mode { round, repeat, phase, first: RobotId(first), tasks, latch })
     });
-    prop_oneof![reading, latent, command, beat, mode]
+    let stop = (any::<u16>(), latch()).prop_map(|(by, latch)| Wire::Stop(Stop { by: HostId(by), latch }));
+    prop_oneof![reading, latent, command, beat, mode, stop]
 }
 
 fn latent(features: Vec<f32>) -> Wire {
@@ -103,7 +112,7 @@ proptest! {
     }
 
     #[test]
-    fn noise_is_refused_and_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..1400), kind in 0u8..6) {
+    fn noise_is_refused_and_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..1400), kind in 0u8..7) {
         let _ = decode(&bytes);
         // Noise behind a sound header gets further in.
         let mut frame = vec![VERSION, kind];
@@ -151,7 +160,8 @@ fn limits_hold_when_sending() {
     let mode = |first: u16, count: usize| {
         let task = Task { start: Vec2::zeros(), goal: Vec2::zeros() };
         let tasks = vec![task; count].into();
-        Wire::Mode(Mode { round: Round::default(), repeat: 0, phase: Phase::Running, first: RobotId(first), tasks })
+        let (round, phase, latch) = (Round::default(), Phase::Running, Latch::default());
+        Wire::Mode(Mode { round, repeat: 0, phase, first: RobotId(first), tasks, latch })
     };
     assert!(unfit(mode(0, 0)) && unfit(mode(0, MAX_BLOCK + 1)) && unfit(mode(u16::MAX, 2)));
     assert!(send(&mode(1000, MAX_BLOCK)).len() <= MAX_FRAME_BYTES);

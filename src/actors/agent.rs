@@ -9,8 +9,8 @@ use std::sync::Arc;
 use super::Core;
 use crate::messages::geometry::{Task, Vec2, is_finite};
 use crate::messages::ids::RobotId;
-use crate::messages::local::{Action, Heard, Percept, Progress};
-use crate::messages::wire::{Features, Latent, Mode, Phase, Round};
+use crate::messages::local::{Action, Heard, NEAR_M, Other, Percept, Progress};
+use crate::messages::wire::{Features, Latent, MAX_FEATURES, Mode, Phase, Round, all_sound};
 use crate::net::range::CommRange;
 use crate::policy::{Neighbour, Policy};
 use crate::random::Stream;
@@ -62,6 +62,21 @@ struct Seat {
     percept: Option<Percept>,
     /// What it broadcasts in this step.
     features: Vec<f32>,
+    /// Whether that is a latent at all. If it is not, the policy has come apart and moves nobody.
+    sound: bool,
+    /// How wide latents are: of the policy under test, and of the one that drives to the start.
+    widths: [usize; 2],
+}
+
+impl Seat {
+    fn new(pilot: Pilot) -> Seat {
+        let widths = [&pilot.run, &pilot.reset].map(|policy| policy.interface().features);
+        Seat { pilot, task: None, percept: None, features: Vec::new(), sound: true, widths }
+    }
+
+    fn width(&self, phase: Phase) -> usize {
+        self.widths[usize::from(phase != Phase::Running)]
+    }
 }
 
 /// An agent for some robots.
@@ -82,12 +97,11 @@ impl Agent {
     /// An agent for these robots, in the order of their ids.
     pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, patience: Span, pilots: Vec<Pilot>) -> Agent {
         assert!(pilots.is_sorted_by_key(|pilot| pilot.robot), "sums run in the order of ids");
-        let seats = pilots.into_iter().map(|pilot| Seat { pilot, task: None, percept: None, features: Vec::new() });
         Agent {
             scenario,
             range,
             patience,
-            seats: seats.collect(),
+            seats: pilots.into_iter().map(Seat::new).collect(),
             round: Round::default(),
             phase: Phase::NeedReset,
             began: Time::ZERO,
@@ -126,12 +140,20 @@ impl Agent {
     fn encode(&mut self, at: usize) -> Option<Latent> {
         let (phase, round) = (self.phase, self.round);
         let seat = &mut self.seats[at];
+        let agreed = seat.width(phase);
         let (percept, task) = (seat.percept.as_ref()?, seat.task.as_ref()?);
         let task = bound_for(phase, task);
         let policy = if phase == Phase::Running { &mut seat.pilot.run } else { &mut seat.pilot.reset };
-        seat.features.resize(policy.interface().features, 0.0);
+        let width = policy.interface().features;
+        // It writes as much as it says, whether or not that is what it said at first.
+        seat.features.resize(width, 0.0);
         policy.encode(&self.scenario.observe(&task, &percept.estimate), &mut seat.features);
-        Some(Latent {
+        let sound = width == agreed && width <= MAX_FEATURES && all_sound(&seat.features);
+        if !sound && seat.sound {
+            tracing::error!(width, agreed, "the policy says something that is no latent; its robot is to stop");
+        }
+        seat.sound = sound;
+        sound.then(|| Latent {
             robot: seat.pilot.robot,
             round,
             phase,
@@ -146,12 +168,12 @@ impl Agent {
         // The robot's own seat is split off, so that its policy can look at all others.
         let (before, rest) = self.seats.split_at_mut(at);
         let (seat, after) = rest.split_first_mut().expect("the seat exists");
+        let width = seat.width(phase);
         let (percept, task) = (seat.percept.as_ref()?, seat.task.as_ref()?);
         let task = bound_for(phase, task);
         let own = percept.estimate;
         let frame = self.scenario.frame(&task);
         let policy = if phase == Phase::Running { &mut seat.pilot.run } else { &mut seat.pilot.reset };
-        let width = policy.interface().features;
 
         let usable = |heard: &&Heard| heard.round == round && heard.phase == phase && heard.features.0.len() == width;
         let cached = percept.heard.iter().filter(usable).map(|heard| {
@@ -163,7 +185,7 @@ impl Agent {
         let (range, ranges) = (self.range, &mut seat.pilot.ranges);
         let joint = before.iter().chain(after.iter()).filter_map(|other| {
             let theirs = other.percept.as_ref()?.estimate;
-            other.task?;
+            other.task.filter(|_| other.sound)?;
             range.admits(own.position, theirs.position, ranges).then(|| {
                 let motion = frame.turn_motion(&theirs);
                 (other.pilot.robot, Neighbour { motion, features: &other.features, age: Span::ZERO })
@@ -174,18 +196,31 @@ impl Agent {
         let neighbours: Vec<Neighbour> = neighbours.into_iter().map(|(_, neighbour)| neighbour).collect();
 
         let seen = self.scenario.observe(&task, &own);
-        let velocity = policy.act(&seen, &seat.features, &neighbours, &mut seat.pilot.actions);
+        let velocity = match seat.sound {
+            true => policy.act(&seen, &seat.features, &neighbours, &mut seat.pilot.actions),
+            // Left for the Controller to stop, as any other output that is no velocity.
+            false => Vec2::repeat(f32::NAN),
+        };
         let limit = policy.interface().limit_m_s;
         let there = match phase {
             Phase::Running => self.scenario.reached(&task, own.position),
             _ => (task.goal - own.position).norm() <= START_M,
         };
+        let known =
+            percept.heard.iter().map(|heard| Other { robot: heard.robot, motion: heard.motion, age: heard.age });
+        let beside = before.iter().chain(after.iter()).filter_map(|other| {
+            let motion = other.percept.as_ref()?.estimate;
+            Some(Other { robot: other.pilot.robot, motion, age: Span::ZERO })
+        });
+        let near = |other: &Other| (other.motion.position - own.position).norm_squared() <= NEAR_M * NEAR_M;
         Some(Action {
             robot: seat.pilot.robot,
             round,
             phase,
+            due: percept.due,
             velocity: self.scenario.steer(&task, limited(velocity, limit)),
-            measured: own.velocity,
+            estimate: own,
+            others: known.chain(beside).filter(near).collect(),
             progress: if there && settled { Progress::Reached } else { Progress::Underway },
         })
     }
@@ -234,6 +269,7 @@ impl Core for Agent {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
+    use crate::messages::latch::Latch;
     use crate::policy::Interface;
     use crate::random::Seed;
     use crate::scenario::{Observation, Settings, build};
@@ -272,20 +308,21 @@ mod tests {
         let mut agent = Agent::new(passage, CommRange::fixed(2.0), Span::from_millis(12), pilots);
         let task = Task { start: Vec2::new(0.0, -1.5), goal: Vec2::new(0.0, 1.5) };
         let tasks = [task; 3].into();
-        let mode = Mode { round: ROUND, repeat: 0, phase: Phase::Running, first: RobotId(0), tasks };
+        let (phase, first, latch) = (Phase::Running, RobotId(0), Latch::default());
+        let mode = Mode { round: ROUND, repeat: 0, phase, first, tasks, latch };
         agent.handle(Time::ZERO, In::Mode(mode), &mut Vec::new());
         agent
     }
 
     fn percept(robot: u16, x: f32, heard: Vec<Heard>) -> In {
         let estimate = Motion { position: Vec2::new(x, -1.5), velocity: MEASURED };
-        In::Percept(Percept { robot: RobotId(robot), estimate, heard })
+        In::Percept(Percept { robot: RobotId(robot), due: Time::ZERO, estimate, heard })
     }
 
     fn speeds(out: &[Out]) -> Vec<(u16, f32)> {
         let action = |said: &Out| match said {
             Out::Action(action) => {
-                assert_eq!(action.measured, MEASURED, "it says how the robot moved");
+                assert_eq!(action.estimate.velocity, MEASURED, "it says how the robot moved");
                 Some((action.robot.0, action.velocity.x))
             }
             Out::Latent(_) => None,

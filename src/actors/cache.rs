@@ -14,9 +14,6 @@ use crate::net::range::CommRange;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// The oldest own estimate that a robot acts on: two World steps. Without a younger one it stays silent, and
-/// its Body stops.
-pub const MAX_OWN_AGE: Span = Span::from_millis(100);
 /// The most neighbours that are kept; far more than fit within any communication range.
 pub const MAX_NEIGHBOURS: usize = 256;
 
@@ -53,6 +50,17 @@ pub struct Config {
     pub hold: Span,
     /// What becomes of it within that time.
     pub handling: Handling,
+    /// The oldest own estimate that the robot acts on. Without a younger one it stays silent.
+    pub own_age: Span,
+}
+
+/// What a Cache says.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Out {
+    /// To the robot's Agent.
+    Percept(Percept),
+    /// To the robot's Controller: its own state was measured anew.
+    Fresh,
 }
 
 /// One robot's cache and filter.
@@ -78,7 +86,7 @@ impl Cache {
     fn perceive(&self, now: Time) -> Option<Percept> {
         let (arrived, reading) = self.own.as_ref()?;
         let age = now.since(*arrived);
-        if age > MAX_OWN_AGE {
+        if age > self.config.own_age {
             return None;
         }
         let heard = self.heard.values().map(|(arrived, latent)| Heard {
@@ -89,22 +97,26 @@ impl Cache {
             features: latent.features.clone(),
             age: now.since(*arrived),
         });
-        Some(Percept { robot: self.config.robot, estimate: reading.motion, heard: heard.collect() })
+        let robot = self.config.robot;
+        Some(Percept { robot, due: self.next, estimate: reading.motion, heard: heard.collect() })
     }
 }
 
 impl Core for Cache {
     type In = In;
-    type Out = Percept;
+    type Out = Out;
 
-    fn handle(&mut self, now: Time, input: In, _: &mut Vec<Percept>) {
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
-            // The same reading again is the same measurement: it makes the estimate no younger. (A robot that is
-            // placed is measured twice at one instant, at two places.)
-            In::Reading(reading) if self.own.as_ref().is_none_or(|(_, own)| *own != reading) => {
-                self.own = Some((now, reading));
-            }
-            In::Reading(_) => {}
+            In::Reading(reading) => match &mut self.own {
+                // The same stamp again is the same measurement: it makes the estimate no younger. (A robot that is
+                // placed is measured twice at one instant, at two places.)
+                Some((_, own)) if own.stamp_ns == reading.stamp_ns => *own = reading,
+                own => {
+                    *own = Some((now, reading));
+                    out.push(Out::Fresh);
+                }
+            },
             In::Latent(latent) => {
                 let Some(own) = self.estimate() else { return };
                 let near = self.config.range.admits(own.position, latent.motion.position, &mut self.stream);
@@ -120,11 +132,11 @@ impl Core for Cache {
         Some(self.next)
     }
 
-    fn wake(&mut self, now: Time, out: &mut Vec<Percept>) {
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         let Config { hold, handling, .. } = self.config;
         self.heard.retain(|_, (arrived, _)| now.since(*arrived) <= hold);
         if let Some(percept) = self.perceive(now) {
-            out.push(percept);
+            out.push(Out::Percept(percept));
             // Without a percept the agent does not step, and has seen nothing.
             if handling == Handling::AsPublished {
                 self.heard.clear();
@@ -159,6 +171,7 @@ mod tests {
             range: CommRange::fixed(2.0),
             hold: Span::from_millis(80),
             handling,
+            own_age: Span::from_millis(100),
         };
         Cache::new(config, Seed::of_run(0).stream("cache"))
     }
@@ -180,7 +193,10 @@ mod tests {
     fn tick(cache: &mut Cache, ms: u64) -> Option<Percept> {
         let mut out = Vec::new();
         cache.wake(at_ms(ms), &mut out);
-        out.pop()
+        match out.pop() {
+            Some(Out::Percept(percept)) => Some(percept),
+            _ => None,
+        }
     }
 
     #[test]
@@ -219,8 +235,14 @@ mod tests {
     fn a_stale_or_repeated_own_reading_silences_the_robot() {
         let mut cache = cache();
         assert_eq!(tick(&mut cache, 0), None, "nothing is known yet");
-        cache.handle(at_ms(0), reading(1), &mut Vec::new());
-        cache.handle(at_ms(90), reading(1), &mut Vec::new());
+        let mut out = Vec::new();
+        cache.handle(at_ms(0), reading(1), &mut out);
+        let moved = Motion { velocity: Vec2::new(1.0, 0.0), ..Motion::default() };
+        for (ms, motion) in [(80, Motion::default()), (90, moved)] {
+            let again = In::Reading(Reading { robot: RobotId(0), stamp_ns: 1, motion });
+            cache.handle(at_ms(ms), again, &mut out);
+        }
+        assert_eq!(out, [Out::Fresh], "a stamp is news once, whatever else the reading says");
         assert!(tick(&mut cache, 100).is_some());
         assert_eq!(tick(&mut cache, 150), None);
     }

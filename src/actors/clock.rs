@@ -1,5 +1,5 @@
 //! The clock of a run: the present, and an event queue ordered by (time, sequence). There is no other source of
-//! order, so a seed gives the same run, however often. `drive` moves it on.
+//! order, so under virtual time a seed gives the same run, however often. `drive` and `real` move it on.
 
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
@@ -93,14 +93,38 @@ impl Clock {
         let Some(event) = self.queue.borrow_mut().events.pop() else { return false };
         assert!(event.at >= self.now(), "time runs forward");
         self.now.set(event.at);
-        match event.what {
+        self.happen(event.what);
+        true
+    }
+
+    /// When the earliest event is due.
+    pub(super) fn next(&self) -> Option<Time> {
+        self.queue.borrow().events.peek().map(|event| event.at)
+    }
+
+    /// The present is `now`, as read from a real clock, which may have passed over events.
+    pub(super) fn set(&self, now: Time) {
+        self.now.set(now.max(self.now()));
+    }
+
+    /// Lets the earliest event happen that is due by now, however late; `false` if there is none.
+    pub(super) fn catch_up(&self) -> bool {
+        if self.next().is_none_or(|at| at > self.now()) {
+            return false;
+        }
+        let event = self.queue.borrow_mut().events.pop().expect("there is a next event");
+        self.happen(event.what);
+        true
+    }
+
+    fn happen(&self, what: What) {
+        match what {
             What::Call(call) => call(),
             What::Wake(Sleeper(index)) => {
                 let wake = Rc::clone(&self.queue.borrow().sleepers[index]);
                 wake();
             }
         }
-        true
     }
 
     /// Lets go of all sleepers and events, which hold the actors that hold this clock.

@@ -1,28 +1,29 @@
 //! Controller: the last say over one robot's velocity, and its place in the episode.
 //!
-//! It limits what the policy wants, stops when the policy's output is no velocity or when the state server
-//! has fallen silent, and tells the state server how far the robot has come.
+//! Its guard (`safety::guard`) rules on every action and alone grants motor commands; the Controller follows the state
+//! server's instructions, and tells it how far the robot has come and what is known of the emergency stop.
 
 use super::Core;
-use crate::messages::geometry::{Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Action, Progress};
-use crate::messages::wire::{Heartbeat, Mode, MotorCommand, Phase, Round};
+use crate::messages::wire::{Heartbeat, Mode, MotorCommand, Phase, Round, Stop};
+use crate::safety::guard::{self, Granted, Guard, Ruling, SafetyCounts};
 use crate::time::{Span, Time};
-use crate::world::Clamp;
 
 /// How often a robot tells where it stands.
 pub const HEARTBEAT_PERIOD: Span = Span::from_millis(200);
-/// How long the state server may be silent before a robot stops: ten of its periods.
-pub const MAX_SILENCE: Span = Span::from_millis(1000);
 
 /// What a Controller accepts.
 #[derive(Clone, Debug)]
 pub enum In {
     /// What the policy wants.
     Action(Action),
+    /// The robot's own state was measured anew.
+    Fresh,
     /// The state server's instruction.
     Mode(Mode),
+    /// The emergency stop, engaged or taken back.
+    Stop(Stop),
 }
 
 /// What a Controller says.
@@ -32,6 +33,8 @@ pub enum Out {
     MotorCommand(MotorCommand),
     /// To the StateServer.
     Heartbeat(Heartbeat),
+    /// To the Recorder: how often the guard has stopped or slowed the robot, if that is news.
+    Counts(SafetyCounts),
 }
 
 /// How a Controller is set up.
@@ -39,10 +42,8 @@ pub enum Out {
 pub struct Config {
     /// The robot.
     pub robot: RobotId,
-    /// Largest speed along each axis \[m/s\].
-    pub limit_m_s: f32,
-    /// How the policy's velocity is limited, in episodes and in resets.
-    pub clamp: Clamp,
+    /// What its guard lets through.
+    pub guard: guard::Config,
     /// How long a command holds.
     pub valid_for: Span,
     /// When in each period it beats.
@@ -53,12 +54,14 @@ pub struct Config {
 #[derive(Debug)]
 pub struct Controller {
     config: Config,
+    guard: Guard,
     round: Round,
     /// What the team does.
     team: Phase,
     /// How far this robot has come in it.
     own: Phase,
-    server_heard: Option<Time>,
+    /// What was last told of the guard.
+    told: SafetyCounts,
     next_beat: Time,
 }
 
@@ -67,62 +70,86 @@ impl Controller {
     pub fn new(config: Config) -> Controller {
         Controller {
             config,
+            guard: Guard::new(config.guard),
             round: Round::default(),
             team: Phase::NeedReset,
             own: Phase::NeedReset,
-            server_heard: None,
+            told: SafetyCounts::default(),
             next_beat: Time::ZERO + config.phase,
         }
     }
 
     fn follow(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
+        // The stop counts whoever the instruction is for, and however old it is.
+        let changed = self.guard.learn(mode.latch);
+        self.latched(now, changed, out);
         if mode.round < self.round || mode.task_of(self.config.robot).is_none() {
             return;
         }
-        self.server_heard = Some(now);
+        self.guard.server_heard(now);
         if (mode.round, mode.phase) == (self.round, self.team) {
             return;
         }
+        self.guard.instructed();
         (self.round, self.team) = (mode.round, mode.phase);
         self.own = match mode.phase {
             Phase::Resetting | Phase::Running | Phase::EpisodesFinished => mode.phase,
             _ => Phase::NeedReset,
         };
         if !matches!(self.team, Phase::Resetting | Phase::Running) {
-            self.command(Vec2::zeros(), out);
+            self.stand(out);
         }
     }
 
-    fn obey(&mut self, action: &Action, out: &mut Vec<Out>) {
+    fn obey(&mut self, now: Time, action: &Action, out: &mut Vec<Out>) {
         let moving = matches!(self.team, Phase::Resetting | Phase::Running) && self.own != Phase::AbortRunning;
         let meant = (action.round, action.phase) == (self.round, self.team);
-        if !moving || !meant || self.server_heard.is_none() {
+        // Who is latched says again and again that the wheels are to stand, should one such command be lost.
+        if !self.guard.latch().is_engaged() && !(moving && meant) {
             return;
         }
-        if !is_finite(action.velocity) {
-            tracing::error!("the policy's output is no velocity; the robot stops and the episode is given up");
+        match self.guard.rule(now, action) {
+            Ruling::Drive(granted) => {
+                self.own = match (self.team, action.progress) {
+                    (Phase::Resetting, Progress::Reached) => Phase::FinishedResetting,
+                    (Phase::Resetting, Progress::Underway) => Phase::Resetting,
+                    // Who has once arrived has arrived.
+                    (_, Progress::Reached) => Phase::FinishedRunning,
+                    (_, Progress::Underway) => self.own,
+                };
+                self.command(granted, out);
+            }
+            Ruling::Stand => self.stand(out),
+            Ruling::GiveUp => self.give_up(out),
+        }
+    }
+
+    /// The emergency stop has changed: the wheels are told first, the state server at once.
+    fn latched(&mut self, now: Time, changed: bool, out: &mut Vec<Out>) {
+        if changed {
+            self.next_beat = now;
+            if self.guard.latch().is_engaged() {
+                self.give_up(out);
+            }
+        }
+    }
+
+    /// An episode that runs is given up; a reset goes on once there is no more reason to stand.
+    fn give_up(&mut self, out: &mut Vec<Out>) {
+        if matches!(self.own, Phase::Running | Phase::FinishedRunning) {
             self.own = Phase::AbortRunning;
-            self.command(Vec2::zeros(), out);
-            return;
         }
-        self.own = match (self.team, action.progress) {
-            (Phase::Resetting, Progress::Reached) => Phase::FinishedResetting,
-            (Phase::Resetting, Progress::Underway) => Phase::Resetting,
-            // Who has once arrived has arrived.
-            (_, Progress::Reached) => Phase::FinishedRunning,
-            (_, Progress::Underway) => self.own,
-        };
-        let Config { clamp, limit_m_s, .. } = self.config;
-        self.command(clamp.limit(action.velocity, action.measured, limit_m_s), out);
+        self.stand(out);
     }
 
-    fn command(&self, velocity: Vec2, out: &mut Vec<Out>) {
+    fn stand(&mut self, out: &mut Vec<Out>) {
+        let granted = self.guard.stand();
+        self.command(granted, out);
+    }
+
+    fn command(&self, granted: Granted, out: &mut Vec<Out>) {
         let Config { robot, valid_for, .. } = self.config;
-        out.push(Out::MotorCommand(MotorCommand { robot, velocity, valid_for }));
-    }
-
-    fn silence_ends(&self) -> Option<Time> {
-        self.server_heard.map(|heard| heard + MAX_SILENCE)
+        out.push(Out::MotorCommand(MotorCommand { robot, velocity: granted.velocity(), valid_for }));
     }
 }
 
@@ -133,27 +160,34 @@ impl Core for Controller {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Mode(mode) => self.follow(now, &mode, out),
-            In::Action(action) => self.obey(&action, out),
+            In::Action(action) => self.obey(now, &action, out),
+            In::Fresh => self.guard.own_state(now),
+            In::Stop(stop) => {
+                let changed = self.guard.told(&stop);
+                self.latched(now, changed, out);
+            }
         }
     }
 
     fn wake_at(&self) -> Option<Time> {
-        [Some(self.next_beat), self.silence_ends()].into_iter().flatten().min()
+        [Some(self.next_beat), self.guard.wake_at()].into_iter().flatten().min()
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        if self.silence_ends().is_some_and(|at| at <= now) {
-            tracing::warn!("the state server has been silent for {MAX_SILENCE}; the robot stops");
-            self.server_heard = None;
-            if matches!(self.own, Phase::Running | Phase::FinishedRunning) {
-                self.own = Phase::AbortRunning;
-            }
-            self.command(Vec2::zeros(), out);
+        match self.guard.wake(now) {
+            None => {}
+            Some(Ruling::GiveUp) => self.give_up(out),
+            Some(_) => self.stand(out),
         }
         if self.next_beat <= now {
-            let Config { robot, phase, .. } = self.config;
-            out.push(Out::Heartbeat(Heartbeat { robot, round: self.round, phase: self.own }));
-            self.next_beat = now.next_on_grid(phase, HEARTBEAT_PERIOD);
+            let (robot, latch) = (self.config.robot, self.guard.latch());
+            out.push(Out::Heartbeat(Heartbeat { robot, round: self.round, phase: self.own, latch }));
+            let counts = self.guard.counts();
+            if counts != self.told {
+                self.told = counts;
+                out.push(Out::Counts(counts));
+            }
+            self.next_beat = now.next_on_grid(self.config.phase, HEARTBEAT_PERIOD);
         }
     }
 }
@@ -161,7 +195,11 @@ impl Core for Controller {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::geometry::Task;
+    use crate::messages::geometry::{Motion, Task, Vec2};
+    use crate::messages::ids::HostId;
+    use crate::messages::latch::Latch;
+    use crate::safety::Safety;
+    use crate::world::Clamp;
 
     /// How the robot moves in every action \[m/s\].
     const MEASURED: Vec2 = Vec2::new(0.5, 0.0);
@@ -173,8 +211,13 @@ mod tests {
     fn clamping(clamp: Clamp) -> Controller {
         Controller::new(Config {
             robot: RobotId(1),
-            limit_m_s: 1.5,
-            clamp,
+            guard: guard::Config {
+                safety: Safety::emulated(),
+                half_extent: Vec2::new(2.0, 3.0),
+                limit_m_s: 1.5,
+                clamp,
+                period: Span::from_millis(50),
+            },
             valid_for: Span::from_millis(200),
             phase: Span::ZERO,
         })
@@ -183,13 +226,14 @@ mod tests {
     fn mode(episode: u32, phase: Phase) -> In {
         let task = Task { start: Vec2::zeros(), goal: Vec2::zeros() };
         let round = Round { epoch: 1, episode };
-        In::Mode(Mode { round, repeat: 0, phase, first: RobotId(0), tasks: [task; 3].into() })
+        In::Mode(Mode { round, repeat: 0, phase, first: RobotId(0), tasks: [task; 3].into(), latch: Latch::default() })
     }
 
     fn action(episode: u32, phase: Phase, x: f32, progress: Progress) -> In {
         let round = Round { epoch: 1, episode };
-        let (velocity, measured) = (Vec2::new(x, 0.0), MEASURED);
-        In::Action(Action { robot: RobotId(1), round, phase, velocity, measured, progress })
+        let estimate = Motion { velocity: MEASURED, ..Motion::default() };
+        let (robot, velocity, others) = (RobotId(1), Vec2::new(x, 0.0), Vec::new());
+        In::Action(Action { robot, round, phase, due: Time::ZERO, velocity, estimate, others, progress })
     }
 
     fn commanded(controller: &mut Controller, input: In) -> Option<f32> {
@@ -197,7 +241,7 @@ mod tests {
         controller.handle(Time::ZERO, input, &mut out);
         out.iter().find_map(|said| match said {
             Out::MotorCommand(command) => Some(command.velocity.x),
-            Out::Heartbeat(_) => None,
+            Out::Heartbeat(_) | Out::Counts(_) => None,
         })
     }
 
@@ -246,10 +290,42 @@ mod tests {
         let mut controller = controller();
         commanded(&mut controller, mode(0, Phase::Running));
         let mut out = Vec::new();
-        controller.wake(Time::ZERO + MAX_SILENCE, &mut out);
+        controller.wake(Time::ZERO + Span::from_secs(Safety::emulated().silence_s), &mut out);
         assert!(matches!(&out[0], Out::MotorCommand(command) if command.velocity == Vec2::zeros()));
         assert!(matches!(&out[1], Out::Heartbeat(beat) if beat.phase == Phase::AbortRunning));
+        assert!(matches!(&out[2], Out::Counts(counts) if counts.silence == 1));
         assert_eq!(commanded(&mut controller, action(0, Phase::Running, 1.0, Progress::Underway)), None);
+    }
+
+    #[test]
+    fn an_engaged_stop_stops_the_robot_at_once_is_told_at_once_and_holds() {
+        let mut controller = controller();
+        commanded(&mut controller, mode(0, Phase::Running));
+        let (mut out, half) = (Vec::new(), Time::ZERO + Span::from_millis(50));
+        controller.wake(Time::ZERO, &mut out);
+        controller.handle(half, In::Stop(Stop::engage(HostId(9), Latch::default())), &mut out);
+        assert!(matches!(&out[1], Out::MotorCommand(command) if command.velocity == Vec2::zeros()));
+        assert_eq!(controller.wake_at(), Some(half), "its heartbeat does not wait for its turn");
+        controller.wake(half, &mut out);
+        let told = |beat: &Heartbeat| beat.latch == Latch::engaged(1) && beat.phase == Phase::AbortRunning;
+        assert!(matches!(&out[2], Out::Heartbeat(beat) if told(beat)));
+        let go = || action(1, Phase::Running, 1.0, Progress::Underway);
+        assert_eq!(commanded(&mut controller, mode(1, Phase::Running)), None, "a server that has not heard of it");
+        assert_eq!(commanded(&mut controller, go()), Some(0.0));
+        commanded(&mut controller, In::Stop(Stop { by: HostId(9), latch: Latch::armed(1) }));
+        assert_eq!(commanded(&mut controller, go()), Some(0.0), "that re-arm is not later");
+        commanded(&mut controller, In::Stop(Stop::rearm(HostId(9), Latch::engaged(1))));
+        assert_eq!(commanded(&mut controller, go()), None, "the episode was given up");
+        commanded(&mut controller, mode(2, Phase::Running));
+        assert_eq!(commanded(&mut controller, action(2, Phase::Running, 1.0, Progress::Underway)), Some(1.0));
+    }
+
+    #[test]
+    fn a_fresh_controller_learns_of_the_stop_from_the_first_instruction() {
+        let mut controller = controller();
+        let In::Mode(told) = mode(0, Phase::Running) else { panic!("it is one") };
+        commanded(&mut controller, In::Mode(Mode { latch: Latch::engaged(4), ..told }));
+        assert_eq!(commanded(&mut controller, action(0, Phase::Running, 1.0, Progress::Underway)), Some(0.0));
     }
 
     #[test]

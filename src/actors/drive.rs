@@ -55,7 +55,7 @@ impl Wake for Signal {
 }
 
 /// Polls the actors until none has anything left to do.
-fn drain(actors: &mut LocalSet) {
+pub(super) fn drain(actors: &mut LocalSet) {
     thread_local! {
         static SIGNAL: Arc<Signal> = Arc::new(Signal(AtomicBool::new(false)));
     }

@@ -20,16 +20,20 @@ use super::world::{self, Ground, World};
 use crate::deploy::{Deployment, Routes, Stepping};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::wire::{Heartbeat, Wire};
+use crate::messages::latch::Latch;
+use crate::messages::wire::{Stop, Wire};
 use crate::net::fault::{ActorFault, FaultPlan, Role};
+use crate::net::link::LinkCounts;
 use crate::net::medium::Medium;
 use crate::net::range::CommRange;
-use crate::net::transport::ether::{Arrive, Ether, Transmit};
+use crate::net::transport::ether::Ether;
+use crate::net::transport::{self, Arrive, Transmit};
 use crate::policy::Model;
 use crate::random::Seed;
+use crate::safety::{Safety, guard};
 use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
-use crate::time::Span;
+use crate::time::{Span, Time};
 use crate::world as plants;
 use crate::world::{Clamp, Physics};
 
@@ -59,6 +63,10 @@ pub struct Plan {
     pub handling: Handling,
     /// How Controllers limit what the policies want.
     pub clamp: Clamp,
+    /// When robots are stopped or slowed.
+    pub safety: Safety,
+    /// The emergency stops and re-arms of the run, and when a host says them.
+    pub stops: Vec<(Time, Stop)>,
     /// The episodes.
     pub layouts: Layouts,
     /// Which repeat of the experiment this is.
@@ -81,14 +89,15 @@ pub struct Graph {
     bodies: Vec<Mailbox<body::In>>,
     /// By robot, likewise.
     worlds: Vec<Mailbox<world::In>>,
-    server: Mailbox<Heartbeat>,
+    server: Mailbox<state_server::In>,
     networks: Vec<Mailbox<network::In>>,
-    ethers: Vec<Mailbox<Transmit>>,
-    recorder: Mailbox<recorder::In>,
+    pub(super) transports: Vec<Mailbox<transport::In>>,
+    /// Where there is one.
+    pub(super) recorder: Option<Mailbox<recorder::In>>,
 }
 
 impl Graph {
-    fn new(plan: &Plan) -> Graph {
+    pub(super) fn new(plan: &Plan, process: &Process) -> Graph {
         let deployment = &plan.deployment;
         let routes = Routes::of(deployment);
         let team = || RobotId::team(deployment.robots);
@@ -103,6 +112,7 @@ impl Graph {
             let world = world.and_then(|other| worlds.get(other.index()));
             worlds.push(world.cloned().unwrap_or_else(|| Mailbox::new(named("world")(robot))));
         }
+        let links = deployment.links.iter().map(|link| format!("transport of {}", link.name));
         Graph {
             caches: team().map(named("cache")).map(Mailbox::new).collect(),
             agents,
@@ -111,14 +121,24 @@ impl Graph {
             worlds,
             server: Mailbox::new("state server"),
             networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
-            ethers: deployment.links.iter().map(|link| Mailbox::new(format!("ether of {}", link.name))).collect(),
-            recorder: Mailbox::new("recorder"),
+            transports: links.map(Mailbox::new).collect(),
+            recorder: process.records.then(|| Mailbox::new("recorder")),
             routes,
         }
     }
 
-    fn network_of(&self, host: HostId) -> Mailbox<network::In> {
+    pub(super) fn network_of(&self, host: HostId) -> Mailbox<network::In> {
         self.networks[usize::from(host.0)].clone()
+    }
+
+    /// The way to the Recorder, which leads nowhere where there is none.
+    fn record(&self) -> impl Fn(recorder::In) + use<> {
+        let recorder = self.recorder.clone();
+        move |told| {
+            if let Some(recorder) = &recorder {
+                recorder.send(told);
+            }
+        }
     }
 
     /// Messages that full mailboxes refused, and messages that were lost in crashes, so far.
@@ -133,11 +153,17 @@ impl Graph {
             .chain(of(&self.bodies))
             .chain(of(&self.worlds))
             .chain(of(&self.networks))
-            .chain(of(&self.ethers))
+            .chain(of(&self.transports))
             .chain(of(std::slice::from_ref(&self.server)))
-            .chain(of(std::slice::from_ref(&self.recorder)))
+            .chain(of(self.recorder.as_slice()))
             .collect();
         counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
+    }
+
+    /// Engages the team's emergency stop, in the name of a host that runs here.
+    pub fn stop(&self, by: HostId) {
+        let stop = Stop::engage(by, Latch::default());
+        self.networks[usize::from(by.0)].send(network::In::Publish(Wire::Stop(stop)));
     }
 
     fn inject(&self, fault: ActorFault) {
@@ -157,16 +183,77 @@ impl Graph {
 /// Starts all actors of a plan; `said` takes what the Recorder says.
 pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
-    let graph = Rc::new(Graph::new(plan));
+    let process = Process::whole();
+    let graph = Rc::new(Graph::new(plan, &process));
+    wire_hosts(clock, plan, &graph, &process);
+    wire_links(clock, plan, &graph);
+    wire_recorder(clock, plan, &graph, said);
+    for fault in &plan.faults.actors {
+        let (fault, graph) = (fault.clone(), Rc::clone(&graph));
+        clock.call(fault.at, Box::new(move || graph.inject(fault)));
+    }
+    for (at, stop) in plan.stops.iter().copied() {
+        let network = graph.network_of(stop.by);
+        clock.call(at, Box::new(move || network.send(network::In::Publish(Wire::Stop(stop)))));
+    }
+    graph
+}
+
+/// What of a deployment runs in this process, and how it shows itself to others.
+#[derive(Clone)]
+pub struct Process {
+    /// One host alone; `None` for all of them.
+    pub only: Option<HostId>,
+    /// The team's number on every link.
+    pub team: u16,
+    /// Which life of the process this is: one that is started again has a later one.
+    pub incarnation: u32,
+    /// Whether a Recorder runs here.
+    pub records: bool,
+    /// Is told what reaches the actors and what the Networks count.
+    pub hear: Rc<dyn Fn(Heard)>,
+}
+
+/// What a Network of this process makes known.
+#[derive(Clone, Copy, Debug)]
+pub enum Heard<'a> {
+    /// A message for this host.
+    Message(&'a Wire),
+    /// What it has counted on its links since it was started.
+    Counts(&'a LinkCounts),
+}
+
+impl Process {
+    /// Every host of a deployment.
+    fn whole() -> Process {
+        Process { only: None, team: TEAM, incarnation: 0, records: true, hear: Rc::new(|_| {}) }
+    }
+}
+
+/// The actors of the hosts that run here.
+pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process: &Process) {
+    let here = |host: HostId| process.only.is_none_or(|only| only == host);
     for robot in RobotId::team(plan.deployment.robots) {
-        wire_robot(clock, plan, &graph, robot);
+        if here(graph.routes.agent_host(robot)) {
+            wire_robot(clock, plan, graph, robot);
+        }
+        if here(graph.routes.world_host(robot)) {
+            wire_body(clock, graph, robot);
+        }
     }
     for host in 0..plan.deployment.hosts.len() {
-        wire_host(clock, plan, &graph, HostId(u16::try_from(host).expect("hosts are counted in u16")));
+        let host = HostId(u16::try_from(host).expect("hosts are counted in u16"));
+        if here(host) {
+            wire_host(clock, plan, graph, host, process);
+        }
     }
-    wire_links(clock, plan, &graph);
-    wire_server(clock, plan, &graph);
+    if here(graph.routes.server_host()) {
+        wire_server(clock, plan, graph);
+    }
+}
 
+/// The Recorder of this process.
+pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: impl FnMut(recorder::Out) + 'static) {
     let config = recorder::Config {
         layouts: plan.layouts.clone(),
         repeat: plan.repeat,
@@ -175,13 +262,8 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
     };
     let robots = plan.deployment.robots;
     let make = move |_| Recorder::new(config.clone(), robots);
-    start(clock, &graph.recorder, info_span!("recorder"), make, said);
-
-    for fault in &plan.faults.actors {
-        let (fault, graph) = (fault.clone(), Rc::clone(&graph));
-        clock.call(fault.at, Box::new(move || graph.inject(fault)));
-    }
-    graph
+    let mailbox = graph.recorder.as_ref().expect("a Recorder is started where one runs");
+    start(clock, mailbox, info_span!("recorder"), make, said);
 }
 
 /// When in each period a robot's tick or beat falls.
@@ -196,14 +278,13 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     }
 }
 
-/// Cache, Controller and Body of one robot, and its Agent if it is the first of that Agent's robots.
+/// Cache and Controller of one robot, and its Agent if it is the first of that Agent's robots.
 fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
     let first = graph.routes.companions(robot)[0];
     let interface = plan.run.interface();
     let home = graph.network_of(graph.routes.agent_host(robot));
-    let away = graph.network_of(graph.routes.world_host(robot));
 
     let config = cache::Config {
         robot,
@@ -213,11 +294,13 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
         range: plan.range,
         hold: plan.hold,
         handling: plan.handling,
+        own_age: Span::from_secs(plan.safety.own_state_s),
     };
     let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
-    let agent = graph.agents[at].clone();
-    start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |percept| {
-        agent.send(agent::In::Percept(percept));
+    let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
+    start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |out| match out {
+        cache::Out::Percept(percept) => agent.send(agent::In::Percept(percept)),
+        cache::Out::Fresh => controller.send(controller::In::Fresh),
     });
 
     if first == robot {
@@ -226,23 +309,31 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
 
     let config = controller::Config {
         robot,
-        limit_m_s: interface.limit_m_s,
-        clamp: plan.clamp,
+        guard: guard::Config {
+            safety: plan.safety,
+            half_extent: plan.scenario.arena().half_extent,
+            limit_m_s: interface.limit_m_s,
+            clamp: plan.clamp,
+            period: interface.period,
+        },
         valid_for: COMMAND_VALIDITY,
         phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
     };
-    let network = home;
+    let (network, record) = (home, graph.record());
     let make = move |_| Controller::new(config);
-    start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| {
-        network.send(network::In::Publish(match out {
-            controller::Out::MotorCommand(command) => Wire::MotorCommand(command),
-            controller::Out::Heartbeat(beat) => Wire::Heartbeat(beat),
-        }));
+    start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
+        controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
+        controller::Out::Heartbeat(m) => network.send(network::In::Publish(Wire::Heartbeat(m))),
+        controller::Out::Counts(counts) => record(recorder::In::Safety(robot, counts)),
     });
+}
 
-    let (network, world) = (away, graph.worlds[at].clone());
+/// Body of one robot.
+fn wire_body(clock: &Clock, graph: &Graph, robot: RobotId) {
+    let network = graph.network_of(graph.routes.world_host(robot));
+    let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
     let make = move |_| Body::new(robot);
-    start(clock, &graph.bodies[at], info_span!("body", robot = id), make, move |out| match out {
+    start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
         body::Out::Reading(reading) => network.send(network::In::Publish(Wire::Reading(reading))),
     });
@@ -274,7 +365,7 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
 }
 
 /// Network and World of one host.
-fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
+fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &Process) {
     let entry = &plan.deployment.hosts[usize::from(host.0)];
     // In the order of ids, however the deployment lists them: a plant moves its robots in this order.
     let here = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect();
@@ -283,24 +374,27 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
         entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
 
     let (router, links) = (graph.routes.router(host), plan.deployment.links.len());
-    let make = move |life| Network::new(host, TEAM, life, links, router.clone());
+    let Process { team, incarnation, .. } = *process;
+    let (hear, alone) = (Rc::clone(&process.hear), process.only.is_some());
+    let make = move |life| Network::new(host, team, incarnation + life, links, router.clone());
     // One entry an agent: its robots, and their caches.
     let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
     let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
     let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
         firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();
     let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone());
+    let leads = entry.state_server;
     let told_modes = (
         firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect::<Vec<_>>(),
         agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect::<Vec<_>>(),
         simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
     );
-    let (ethers, recorder) = (graph.ethers.clone(), graph.recorder.clone());
+    let (transports, record) = (graph.transports.clone(), graph.record());
     let name = entry.name.clone();
     let deliver = move |message: Wire| match message {
         Wire::Reading(m) => by_robot.0[m.robot.index()].send(cache::In::Reading(m)),
         Wire::MotorCommand(m) => by_robot.1[m.robot.index()].send(body::In::MotorCommand(m)),
-        Wire::Heartbeat(m) => by_robot.2.send(m),
+        Wire::Heartbeat(m) => by_robot.2.send(state_server::In::Heartbeat(m)),
         Wire::Latent(m) => {
             for (_, caches) in caches.iter().filter(|(robots, _)| robots.binary_search(&m.robot).is_err()) {
                 caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
@@ -311,6 +405,12 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
             told_modes.0.iter().for_each(|agent| agent.send(agent::In::Mode(m.clone())));
             told_modes.1.iter().for_each(|controller| controller.send(controller::In::Mode(m.clone())));
         }
+        Wire::Stop(m) => {
+            told_modes.1.iter().for_each(|controller| controller.send(controller::In::Stop(m)));
+            if leads {
+                by_robot.2.send(state_server::In::Stop(m));
+            }
+        }
     };
     start(
         clock,
@@ -318,17 +418,28 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
         info_span!("network", host = name),
         make,
         move |out| match out {
-            network::Out::Deliver(message) => deliver(message),
-            network::Out::Tap(frame) => recorder.send(recorder::In::Tap(frame)),
-            network::Out::Counts(counts) => recorder.send(recorder::In::Counts(host, counts)),
+            network::Out::Deliver(message) => {
+                hear(Heard::Message(&message));
+                // What other processes publish is news to a Recorder here.
+                if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
+                    record(recorder::In::Heard(message.clone()));
+                }
+                deliver(message);
+            }
+            network::Out::Tap(frame) => record(recorder::In::Tap(frame)),
+            network::Out::Counts(counts) => {
+                hear(Heard::Counts(&counts));
+                record(recorder::In::Counts(host, counts));
+            }
             network::Out::Transmit(link, audience, frame) => {
-                ethers[usize::from(link.0)].send(Transmit { from: host, audience, frame });
+                let transmit = Transmit { from: host, audience, frame };
+                transports[usize::from(link.0)].send(transport::In::Transmit(transmit));
             }
         },
     );
 
     if let Some(first) = simulated.first().copied() {
-        let (bodies, recorder) = (graph.bodies.clone(), graph.recorder.clone());
+        let (bodies, record) = (graph.bodies.clone(), graph.record());
         // On the floor before anything starts, as people would put them there.
         let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
         let plant = plants::REGISTRY.iter().find(|entry| entry.name == plan.deployment.plant);
@@ -338,7 +449,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
         let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
         start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {
             world::Out::Sample(sample) => bodies[sample.robot.index()].send(body::In::Sample(sample)),
-            world::Out::Truth(truth) => recorder.send(recorder::In::Truth(truth)),
+            world::Out::Truth(truth) => record(recorder::In::Truth(truth)),
         });
     }
 }
@@ -354,9 +465,15 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
             Ether::new(Medium::new(impairment.clone(), faults.clone(), stream), |kind| routes.listeners(kind))
         };
         let networks = graph.networks.clone();
-        start(clock, &graph.ethers[index], info_span!("ether", link = link.name), make, move |Arrive { to, frame }| {
-            networks[usize::from(to.0)].send(network::In::Frame(id, frame));
-        });
+        start(
+            clock,
+            &graph.transports[index],
+            info_span!("ether", link = link.name),
+            make,
+            move |Arrive { to, frame }| {
+                networks[usize::from(to.0)].send(network::In::Frame(id, frame));
+            },
+        );
     }
 }
 

@@ -8,13 +8,14 @@ use std::collections::BTreeMap;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::Core;
-use crate::messages::ids::HostId;
+use crate::messages::ids::{HostId, RobotId};
 use crate::messages::local::{Sample, Truth};
 use crate::messages::wire::{Kind, Phase, Round, Wire};
 use crate::net::codec::{self, Frame};
 use crate::net::link::LinkCounts;
 use crate::report::episode::Episode;
 use crate::report::trial::{Step, Totals};
+use crate::safety::guard::SafetyCounts;
 use crate::scenario::Rules;
 use crate::scenario::judge::{Finding, Judge, Seen, Verdict};
 use crate::scenario::layout::Layouts;
@@ -25,10 +26,14 @@ use crate::time::{Span, Time};
 pub enum In {
     /// A Network has published this.
     Tap(Frame),
+    /// A message that was published in another process has arrived here.
+    Heard(Wire),
     /// A World has stepped.
     Truth(Truth),
     /// What a Network has counted on its links since it was started.
     Counts(HostId, LinkCounts),
+    /// How often a robot's guard has stopped or slowed it since its Controller was started.
+    Safety(RobotId, SafetyCounts),
 }
 
 /// What a Recorder says.
@@ -75,6 +80,8 @@ pub struct Recorder {
     commanded: Vec<Time>,
     /// The last counts of each host; those of a crashed Network begin anew.
     counts: BTreeMap<HostId, LinkCounts>,
+    /// The same of each robot's guard.
+    safety: BTreeMap<RobotId, SafetyCounts>,
     oldest_command: Span,
     round: Round,
     phase: Phase,
@@ -97,6 +104,7 @@ impl Recorder {
             seen: vec![false; robots],
             commanded: vec![Time::ZERO; robots],
             counts: BTreeMap::new(),
+            safety: BTreeMap::new(),
             oldest_command: Span::ZERO,
             round: Round::default(),
             phase: Phase::NeedReset,
@@ -116,7 +124,11 @@ impl Recorder {
         if !matches!(kind, Kind::Mode | Kind::MotorCommand) {
             return;
         }
-        match codec::decode(frame).expect("a Network publishes whole frames").1 {
+        self.hear(now, &codec::decode(frame).expect("a Network publishes whole frames").1, out);
+    }
+
+    fn hear(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {
+        match message {
             Wire::Mode(mode) => self.follow(now, mode.round, mode.phase, out),
             Wire::MotorCommand(command) => self.commanded[command.robot.index()] = now,
             _ => {}
@@ -160,6 +172,7 @@ impl Recorder {
             trace: self.digest.digest128(),
             oldest_command: self.oldest_command,
             links: self.counts.values().copied().sum(),
+            safety: self.safety.values().copied().sum(),
         }
     }
 
@@ -232,9 +245,13 @@ impl Core for Recorder {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Tap(frame) => self.tap(now, &frame, out),
+            In::Heard(message) => self.hear(now, &message, out),
             In::Truth(truth) => self.see(now, &truth, out),
             In::Counts(host, counts) => {
                 self.counts.insert(host, counts);
+            }
+            In::Safety(robot, counts) => {
+                self.safety.insert(robot, counts);
             }
         }
     }
@@ -251,6 +268,7 @@ mod tests {
     use super::*;
     use crate::messages::geometry::{Motion, Vec2};
     use crate::messages::ids::RobotId;
+    use crate::messages::latch::Latch;
     use crate::messages::local::Contacts;
     use crate::messages::wire::Mode;
     use crate::net::codec::Header;
@@ -269,7 +287,7 @@ mod tests {
     fn say(recorder: &mut Recorder, ms: u64, episode: u32, phase: Phase) -> Vec<Out> {
         let round = Round { epoch: 1, episode };
         let tasks = recorder.config.layouts.episode(0).into();
-        let mode = Wire::Mode(Mode { round, repeat: 4, phase, first: RobotId(0), tasks });
+        let mode = Wire::Mode(Mode { round, repeat: 4, phase, first: RobotId(0), tasks, latch: Latch::default() });
         let header = Header { kind: Kind::Mode, team: 0, sender: HostId(0), epoch: 1, sequence: 0 };
         let frame = codec::encode(&header, &mode).unwrap();
         let mut out = Vec::new();

@@ -1,13 +1,14 @@
 //! StateServer: leads the team through its episodes, unattended (paper, section IV).
 //!
 //! It hears heartbeats and says, several times a second, what everyone is to do: reset, run, or stop. It
-//! asks nothing and is answered by nothing. A restarted one learns from the heartbeats where the team is,
+//! asks nothing and is answered by nothing. While the emergency stop is engaged it holds the team. A restarted one learns from the heartbeats where the team is,
 //! gives up an episode that was running, and goes on with the next.
 
 use super::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::RobotId;
-use crate::messages::wire::{Heartbeat, MAX_BLOCK, Mode, Phase, Round};
+use crate::messages::latch::Latch;
+use crate::messages::wire::{Heartbeat, MAX_BLOCK, Mode, Phase, Round, Stop};
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::Placement;
@@ -24,6 +25,15 @@ pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 pub const RESET_LIMIT: Span = Span::from_millis(60_000);
 /// How much longer than the rules allow a running episode is let go on: heartbeats are that late.
 pub const GRACE: Span = Span::from_millis(500);
+
+/// What a StateServer accepts.
+#[derive(Clone, Debug)]
+pub enum In {
+    /// Where a robot stands.
+    Heartbeat(Heartbeat),
+    /// The emergency stop, engaged or taken back.
+    Stop(Stop),
+}
 
 /// How a StateServer is set up.
 #[derive(Clone, Debug)]
@@ -47,6 +57,7 @@ pub struct StateServer {
     life: u32,
     /// Whether it has taken up its work without hearing anyone.
     blind: bool,
+    latch: Latch,
     round: Round,
     phase: Phase,
     /// When the phase began; before the first tick there is none.
@@ -63,6 +74,7 @@ impl StateServer {
             robots: vec![None; robots],
             life,
             blind: false,
+            latch: Latch::default(),
             round: Round::default(),
             phase: Phase::NeedReset,
             since: None,
@@ -134,9 +146,28 @@ impl StateServer {
         }
     }
 
+    /// Nobody moves, no episode begins, and the next one begins no sooner than the team is ready for it.
+    fn hold(&mut self, now: Time) {
+        match self.phase {
+            Phase::Resetting | Phase::Running => self.enter(now, Phase::AbortRunning),
+            _ => self.since = Some(now),
+        }
+    }
+
+    /// It knows more of the emergency stop than before, and says so at once.
+    fn latched(&mut self, latch: Latch) {
+        if latch != self.latch {
+            tracing::warn!(engaged = latch.is_engaged(), number = latch.number(), "emergency stop");
+            (self.latch, self.said) = (latch, None);
+        }
+    }
+
     /// Decides what comes next.
     fn decide(&mut self, now: Time) {
         self.overtake(now);
+        if self.latch.is_engaged() {
+            return self.hold(now);
+        }
         let since = *self.since.get_or_insert(now);
         let lasted = now.since(since);
         let everyone = self.present(now).all(|beat| beat.is_some());
@@ -172,18 +203,26 @@ impl StateServer {
                 phase: self.phase,
                 first: RobotId(first),
                 tasks: block.iter().copied().collect::<std::sync::Arc<[Task]>>(),
+                latch: self.latch,
             });
         }
     }
 }
 
 impl Core for StateServer {
-    type In = Heartbeat;
+    type In = In;
     type Out = Mode;
 
-    fn handle(&mut self, now: Time, beat: Heartbeat, _: &mut Vec<Mode>) {
-        if let Some(heard) = self.robots.get_mut(beat.robot.index()) {
-            *heard = Some((now, beat));
+    fn handle(&mut self, now: Time, input: In, _: &mut Vec<Mode>) {
+        match input {
+            In::Heartbeat(beat) => {
+                let latch = self.latch.joined(beat.latch);
+                if let Some(heard) = self.robots.get_mut(beat.robot.index()) {
+                    *heard = Some((now, beat));
+                    self.latched(latch);
+                }
+            }
+            In::Stop(stop) => self.latched(self.latch.told(stop.latch)),
         }
     }
 
@@ -193,8 +232,9 @@ impl Core for StateServer {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Mode>) {
         self.decide(now);
-        // Until it knows where the team is, it has nothing to say.
-        if self.round.epoch > 0 && self.said.is_none_or(|said| now.since(said) >= MODE_PERIOD) {
+        // Until it knows where the team is, it has nothing to say but that everyone is to stand.
+        let speaks = self.round.epoch > 0 || self.latch.is_engaged();
+        if speaks && self.said.is_none_or(|said| now.since(said) >= MODE_PERIOD) {
             self.said = Some(now);
             self.say(out);
         }
@@ -205,6 +245,7 @@ impl Core for StateServer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::ids::HostId;
     use crate::scenario::{Settings, build};
 
     fn server() -> StateServer {
@@ -217,7 +258,8 @@ mod tests {
     fn beat(server: &mut StateServer, now: Time, round: Round, phases: [Phase; 2]) {
         for (robot, phase) in phases.into_iter().enumerate() {
             let robot = RobotId(robot as u16);
-            server.handle(now, Heartbeat { robot, round, phase }, &mut Vec::new());
+            let latch = Latch::default();
+            server.handle(now, In::Heartbeat(Heartbeat { robot, round, phase, latch }), &mut Vec::new());
         }
     }
 
@@ -293,5 +335,39 @@ mod tests {
         let mut server = running();
         beat(&mut server, at_ms(110), round(1, 0), [Phase::Running, Phase::AbortRunning]);
         assert_eq!(tick(&mut server, at_ms(150)).1, Phase::AbortRunning);
+    }
+
+    #[test]
+    fn an_engaged_stop_holds_the_team_until_a_later_re_arm() {
+        let mut server = server();
+        tick(&mut server, at_ms(0));
+        beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
+        assert_eq!(tick(&mut server, at_ms(50)).1, Phase::Resetting);
+        let (robot, phase, latch) = (RobotId(1), Phase::Resetting, Latch::engaged(3));
+        let stopped = Heartbeat { robot, round: round(1, 0), phase, latch };
+        server.handle(at_ms(60), In::Heartbeat(stopped), &mut Vec::new());
+        let mut out = Vec::new();
+        server.wake(at_ms(100), &mut out);
+        assert_eq!((out[0].phase, out[0].latch), (Phase::AbortRunning, Latch::engaged(3)), "it repeats the stop");
+        for ms in (150..30_000).step_by(50) {
+            beat(&mut server, at_ms(ms), round(1, 0), [Phase::NeedReset; 2]);
+            assert_eq!(tick(&mut server, at_ms(ms)).1, Phase::AbortRunning, "whatever the robots say, and for ever");
+        }
+        let rearm = |number| In::Stop(Stop { by: HostId(9), latch: Latch::armed(number) });
+        server.handle(at_ms(30_000), rearm(3), &mut Vec::new());
+        assert_eq!(tick(&mut server, at_ms(30_000)).1, Phase::AbortRunning, "not later than the stop");
+        server.handle(at_ms(30_010), rearm(4), &mut Vec::new());
+        assert_eq!(tick(&mut server, at_ms(30_050)), (round(1, 1), Phase::Resetting), "the next episode");
+    }
+
+    #[test]
+    fn a_stop_before_the_team_is_together_is_told_and_held() {
+        let mut server = server();
+        server.handle(at_ms(0), In::Stop(Stop::engage(HostId(9), Latch::default())), &mut Vec::new());
+        let mut out = Vec::new();
+        server.wake(at_ms(0), &mut out);
+        assert!(out[0].latch.is_engaged());
+        beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
+        assert_eq!(tick(&mut server, at_ms(50)), (round(0, 0), Phase::NeedReset));
     }
 }

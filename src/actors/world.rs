@@ -168,6 +168,7 @@ impl Core for World {
 mod tests {
     use super::*;
     use crate::messages::geometry::Task;
+    use crate::messages::latch::Latch;
     use crate::scenario::{Settings, build};
     use crate::world::{Physics, kinematic};
 
@@ -205,8 +206,8 @@ mod tests {
         let mut world = world(Placement::Drive);
         let task = Task { start: Vec2::new(0.5, -2.0), goal: Vec2::zeros() };
         let mut say = |episode: u32, phase: Phase| {
-            let (round, mut out) = (Round { epoch: 1, episode }, Vec::new());
-            let mode = Mode { round, repeat: 0, phase, first: RobotId(0), tasks: [task; 2].into() };
+            let (round, latch, mut out) = (Round { epoch: 1, episode }, Latch::default(), Vec::new());
+            let mode = Mode { round, repeat: 0, phase, first: RobotId(0), tasks: [task; 2].into(), latch };
             world.handle(at_ms(50), In::Mode(mode), &mut out);
             out.len()
         };
@@ -222,7 +223,7 @@ mod tests {
         let task = Task { start: Vec2::new(0.5, -2.0), goal: Vec2::zeros() };
         let tasks = [task; 2].into();
         let round = Round { epoch: 1, episode: 0 };
-        let mode = Mode { round, repeat: 0, phase: Phase::Running, first: RobotId(0), tasks };
+        let mode = Mode { round, repeat: 0, phase: Phase::Running, first: RobotId(0), tasks, latch: Latch::default() };
         let mut out = Vec::new();
         world.handle(at_ms(50), In::Mode(mode.clone()), &mut out);
         assert_eq!(out.len(), 2, "both bodies learn where they are");

@@ -283,7 +283,7 @@ mod tests {
             KINDS.into_iter().filter(|&kind| Routes::of(&preset).crosses(kind)).collect()
         };
         assert_eq!(crossing("sim"), []);
-        assert_eq!(crossing("centralized"), [Kind::Reading, Kind::MotorCommand, Kind::Mode]);
+        assert_eq!(crossing("centralized"), [Kind::Reading, Kind::MotorCommand, Kind::Mode, Kind::Stop]);
         for mode in ["offboard", "onboard-infra", "onboard-adhoc"] {
             assert_eq!(crossing(mode), KINDS, "{mode}");
         }

@@ -33,21 +33,21 @@ impl Deployment {
             "sim" => (vec![Host { agents: vec![everyone.clone()], ..world_and_server }], Vec::new()),
             "centralized" => (
                 vec![Host { agents: vec![everyone.clone()], state_server: true, ..host("pc") }, world],
-                vec![link("infra", &[MotorCommand]), link(WIRES, &[Reading, Mode])],
+                vec![link("infra", &[MotorCommand]), link(WIRES, &[Reading, Mode, Stop])],
             ),
             "offboard" => (
                 and(one_each("agent"), world_and_server),
-                vec![link("loopback", &[Latent, Reading, Heartbeat, Mode]), link("infra", &[MotorCommand])],
+                vec![link("loopback", &[Latent, Reading, Heartbeat, Mode, Stop]), link("infra", &[MotorCommand])],
             ),
             "onboard-infra" => (
                 and(one_each("robot"), world_and_server),
-                vec![link("infra", &[Reading, Latent, Heartbeat, Mode]), link(WIRES, &[MotorCommand])],
+                vec![link("infra", &[Reading, Latent, Heartbeat, Mode, Stop]), link(WIRES, &[MotorCommand])],
             ),
             "onboard-adhoc" => (
                 and(one_each("robot"), world_and_server),
                 vec![
                     link("ad-hoc", &[Latent]),
-                    link("infra", &[Reading, Heartbeat, Mode]),
+                    link("infra", &[Reading, Heartbeat, Mode, Stop]),
                     link(WIRES, &[MotorCommand]),
                 ],
             ),

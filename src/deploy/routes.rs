@@ -12,6 +12,7 @@ use crate::net::router::{Audience, Route, Router};
 #[derive(Clone, Debug)]
 pub struct Routes {
     robots: usize,
+    hosts: usize,
     /// By robot: the host of its agent, the robots of that agent in the order of their ids, the host of its world.
     agent_host: Vec<HostId>,
     companions: Vec<Vec<RobotId>>,
@@ -50,6 +51,7 @@ impl Routes {
         let link_of = |kind: Kind| deployment.links.iter().position(|link| link.carries.contains(&kind));
         let mut routes = Routes {
             robots,
+            hosts: deployment.hosts.len(),
             agent_host: found(agent_host),
             companions,
             world_host: found(world_host),
@@ -78,6 +80,11 @@ impl Routes {
             Kind::MotorCommand => vec![self.world_host(robot)],
             Kind::Heartbeat => vec![self.server_host],
             Kind::Mode => told.iter().copied().collect(),
+            // Those who move, and the one who leads them.
+            Kind::Stop => {
+                let hosts: BTreeSet<HostId> = self.agent_host.iter().chain([&self.server_host]).copied().collect();
+                hosts.into_iter().collect()
+            }
         }
     }
 
@@ -105,12 +112,13 @@ impl Routes {
         &self.takers[kind as usize * self.robots + robot.index()]
     }
 
-    /// The host that publishes messages of this kind about this robot.
-    fn publisher(&self, kind: Kind, robot: RobotId) -> HostId {
+    /// The host that publishes messages of this kind about this robot; `None` if any may.
+    fn publisher(&self, kind: Kind, robot: RobotId) -> Option<HostId> {
         match kind {
-            Kind::Reading => self.world_host(robot),
-            Kind::Latent | Kind::MotorCommand | Kind::Heartbeat => self.agent_host(robot),
-            Kind::Mode => self.server_host,
+            Kind::Reading => Some(self.world_host(robot)),
+            Kind::Latent | Kind::MotorCommand | Kind::Heartbeat => Some(self.agent_host(robot)),
+            Kind::Mode => Some(self.server_host),
+            Kind::Stop => None,
         }
     }
 
@@ -118,7 +126,8 @@ impl Routes {
     pub fn crosses(&self, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let from = self.publisher(kind, robot);
-            self.takers(kind, robot).iter().any(|&to| to != from)
+            // What any host may say crosses as soon as there are two.
+            self.hosts > 1 && self.takers(kind, robot).iter().any(|&to| Some(to) != from)
         })
     }
 
@@ -136,6 +145,18 @@ impl Routes {
         all.copied().collect::<BTreeSet<HostId>>().into_iter().collect()
     }
 
+    /// The links that a host says or hears anything on.
+    pub fn links_of(&self, host: HostId) -> BTreeSet<LinkId> {
+        let uses = |kind: Kind| {
+            RobotId::team(self.robots).any(|robot| {
+                let (from, to) = (self.publisher(kind, robot), self.takers(kind, robot));
+                let says = from == host && to.iter().any(|&taker| taker != host);
+                says || (from != host && to.contains(&host))
+            })
+        };
+        KINDS.into_iter().filter(|&kind| uses(kind)).filter_map(|kind| self.links[kind as usize]).collect()
+    }
+
     /// The routing table of a host.
     pub fn router(&self, host: HostId) -> Router {
         Router::new(self.robots, |kind, robot| {
@@ -147,7 +168,7 @@ impl Routes {
                 (Some(&only), None) => Some(Audience::Host(only)),
                 _ => Some(Audience::All),
             };
-            let publishes = self.publisher(kind, robot) == host;
+            let publishes = self.publisher(kind, robot).is_none_or(|publisher| publisher == host);
             let link = || self.links[kind as usize].expect("a checked deployment has a link for all that crosses");
             Route { local, leaves: audience.filter(|_| publishes).map(|audience| (link(), audience)) }
         })

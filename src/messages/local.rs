@@ -12,6 +12,8 @@ use crate::time::{Span, Time};
 pub struct Percept {
     /// The robot.
     pub robot: RobotId,
+    /// When the tick was due, on this host's clock.
+    pub due: Time,
     /// Its own filtered estimate.
     pub estimate: Motion,
     /// Its usable neighbours, by robot id.
@@ -35,6 +37,20 @@ pub struct Heard {
     pub age: Span,
 }
 
+/// Robots that are farther away than this are of no account to each other's safety \[m\].
+pub const NEAR_M: f32 = 5.0;
+
+/// Where another robot was last known to be, whatever it has said.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Other {
+    /// The other robot.
+    pub robot: RobotId,
+    /// Its own estimate then, world frame.
+    pub motion: Motion,
+    /// Age since arrival here.
+    pub age: Span,
+}
+
 /// Whether a robot is where it is to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
@@ -53,10 +69,14 @@ pub struct Action {
     pub round: Round,
     /// The phase that it was computed in.
     pub phase: Phase,
-    /// Wanted velocity \[m/s\], world frame; not yet limited.
+    /// When the tick was due that it comes of, on this host's clock.
+    pub due: Time,
+    /// Wanted velocity \[m/s\], world frame; not yet limited. NaN if the policy came apart.
     pub velocity: Vec2,
-    /// The robot's own velocity as it was measured for this step \[m/s\], world frame.
-    pub measured: Vec2,
+    /// The robot's own estimate for this step, world frame.
+    pub estimate: Motion,
+    /// The other robots within `NEAR_M` that are known of.
+    pub others: Vec<Other>,
     /// Whether the robot is where it is to be.
     pub progress: Progress,
 }

@@ -1,10 +1,11 @@
 //! Every message of the system: plain data, serde only. No behaviour beyond checking one's own ranges.
 //!
 //! `wire` holds what may cross hosts and therefore always passes through a Network; `local` holds what
-//! stays between the actors of one host; `ids`, `geometry` and `floats` are their vocabulary.
+//! stays between the actors of one host; `ids`, `geometry`, `floats` and `latch` are their vocabulary.
 
 mod floats;
 pub mod geometry;
 pub mod ids;
+pub mod latch;
 pub mod local;
 pub mod wire;

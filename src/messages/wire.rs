@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 use super::floats;
 pub use super::floats::{Features, MAX_FEATURES};
 use super::geometry::{Motion, Task, Vec2, is_sound};
-use super::ids::RobotId;
+use super::ids::{HostId, RobotId};
+use super::latch::Latch;
 use crate::time::Span;
 
 /// The largest feature: a policy that says more has come apart.
@@ -119,6 +120,8 @@ pub struct Heartbeat {
     pub round: Round,
     /// Its own phase in that round.
     pub phase: Phase,
+    /// What it knows of the emergency stop.
+    pub latch: Latch,
 }
 
 /// The whole instruction for one block of robots; soft state.
@@ -135,12 +138,36 @@ pub struct Mode {
     /// Start and goal of each robot of the block.
     #[serde(with = "floats::tasks")]
     pub tasks: Arc<[Task]>,
+    /// What the state server knows of the emergency stop.
+    pub latch: Latch,
 }
 
 impl Mode {
     /// The task of `robot`, if it is in this block.
     pub fn task_of(&self, robot: RobotId) -> Option<Task> {
         robot.0.checked_sub(self.first.0).and_then(|offset| self.tasks.get(usize::from(offset))).copied()
+    }
+}
+
+/// The emergency stop, engaged or taken back: of an operator or a host, to everyone. It is no soft state; who hears it
+/// repeats it in `Heartbeat` and `Mode`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Stop {
+    /// The host that says so.
+    pub by: HostId,
+    /// What is to hold.
+    pub latch: Latch,
+}
+
+impl Stop {
+    /// Everyone is to stand. `seen` is the latest latch that `by` has heard of; none is needed.
+    pub fn engage(by: HostId, seen: Latch) -> Stop {
+        Stop { by, latch: Latch::engaged(seen.number().saturating_add(1)) }
+    }
+
+    /// Everyone may move again. `seen` is the latest latch that `by` has heard of: a later stop stays engaged.
+    pub fn rearm(by: HostId, seen: Latch) -> Stop {
+        Stop { by, latch: Latch::armed(seen.number().saturating_add(1)) }
     }
 }
 
@@ -157,6 +184,8 @@ pub enum Wire {
     Heartbeat(Heartbeat),
     /// StateServer to everyone.
     Mode(Mode),
+    /// Anyone to everyone.
+    Stop(Stop),
 }
 
 /// The kinds of wire messages, as the deployment's table names them.
@@ -173,10 +202,12 @@ pub enum Kind {
     Heartbeat,
     /// A [`Mode`].
     Mode,
+    /// A [`Stop`].
+    Stop,
 }
 
 /// All kinds, in the order of their numbers on the wire.
-pub const KINDS: [Kind; 5] = [Kind::Reading, Kind::Latent, Kind::MotorCommand, Kind::Heartbeat, Kind::Mode];
+pub const KINDS: [Kind; 6] = [Kind::Reading, Kind::Latent, Kind::MotorCommand, Kind::Heartbeat, Kind::Mode, Kind::Stop];
 
 /// Why a message has no place on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -195,8 +226,8 @@ pub enum Unfit {
     Block,
 }
 
-/// Without a way out at the first: so it is a handful of vector instructions. NaN is never at most anything.
-fn all_sound(floats: &[f32]) -> bool {
+/// Whether no number is NaN, infinite or larger than `MAX_FEATURE`. Without a way out at the first: so it is a handful of vector instructions. NaN is never at most anything.
+pub fn all_sound(floats: &[f32]) -> bool {
     floats.iter().fold(true, |all, float| all & (float.abs() <= MAX_FEATURE))
 }
 
@@ -209,10 +240,12 @@ impl Wire {
             Wire::MotorCommand(_) => Kind::MotorCommand,
             Wire::Heartbeat(_) => Kind::Heartbeat,
             Wire::Mode(_) => Kind::Mode,
+            Wire::Stop(_) => Kind::Stop,
         }
     }
 
-    /// The robot that the message is about: sender or target, and for `Mode` the first of its block.
+    /// The robot that the message is about: sender or target, for `Mode` the first of its block, for `Stop` the first
+    /// of the team.
     pub fn robot(&self) -> RobotId {
         match self {
             Wire::Reading(m) => m.robot,
@@ -220,6 +253,7 @@ impl Wire {
             Wire::MotorCommand(m) => m.robot,
             Wire::Heartbeat(m) => m.robot,
             Wire::Mode(m) => m.first,
+            Wire::Stop(_) => RobotId(0),
         }
     }
 
@@ -229,7 +263,7 @@ impl Wire {
             Wire::Reading(m) => m.motion.is_sound(),
             Wire::Latent(m) => m.motion.is_sound() && all_sound(&m.features.0),
             Wire::MotorCommand(m) => is_sound(m.velocity),
-            Wire::Heartbeat(_) => true,
+            Wire::Heartbeat(_) | Wire::Stop(_) => true,
             Wire::Mode(m) => m.tasks.iter().all(|task| is_sound(task.start) && is_sound(task.goal)),
         };
         if !sound {

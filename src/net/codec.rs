@@ -98,6 +98,7 @@ pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
         Wire::MotorCommand(body) => rmp_serde::encode::write(&mut bytes, body),
         Wire::Heartbeat(body) => rmp_serde::encode::write(&mut bytes, body),
         Wire::Mode(body) => rmp_serde::encode::write(&mut bytes, body),
+        Wire::Stop(body) => rmp_serde::encode::write(&mut bytes, body),
     }
     .expect("plain data is always MessagePack");
     if bytes.len() > MAX_FRAME_BYTES {
@@ -135,6 +136,7 @@ pub fn decode(frame: &[u8]) -> Result<(Header, Wire), DecodeError> {
         Kind::MotorCommand => Wire::MotorCommand(body(kind, bytes)?),
         Kind::Heartbeat => Wire::Heartbeat(body(kind, bytes)?),
         Kind::Mode => Wire::Mode(body(kind, bytes)?),
+        Kind::Stop => Wire::Stop(body(kind, bytes)?),
     };
     message.check().map_err(|unfit| DecodeError::Unfit(kind, unfit))?;
     Ok((header, message))

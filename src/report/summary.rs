@@ -9,6 +9,7 @@ use super::episode::Episode;
 use super::statistics::{quantile, wilson_95};
 use super::trial::TrialReport;
 use crate::net::link::LinkCounts;
+use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 
 /// The summary of a run. Fields are only ever added.
@@ -54,6 +55,8 @@ pub struct Summary {
     pub lost: u64,
     /// Frames sent, let in, and refused by cause, on all links together.
     pub links: LinkCounts,
+    /// How often robots were stopped or slowed, by reason.
+    pub safety: SafetyCounts,
     /// The oldest command that any robot was still driven by \[s\].
     pub oldest_command_s: f64,
     /// A digest of every message and state of the run, in hexadecimal; null for a run that was interrupted or in real time.
@@ -113,6 +116,7 @@ impl Summary {
             refused: trials.iter().map(|trial| trial.refused).sum(),
             lost: trials.iter().map(|trial| trial.lost).sum(),
             links: totals().map(|totals| totals.links).sum(),
+            safety: totals().map(|totals| totals.safety).sum(),
             oldest_command_s: totals().map(|totals| totals.oldest_command.as_secs()).fold(0.0, f64::max),
             trace_hash: (!interrupted).then(|| format!("{:032x}", trace.digest128())),
             seed,
@@ -196,6 +200,11 @@ impl fmt::Display for Summary {
             failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
         let what = if failed.is_empty() { "none".to_owned() } else { failed.join(", ") };
         writeln!(f, "  failures     {:>8}   {what}", self.episodes - self.successes)?;
+        let held: Vec<String> = self.safety.reasons().map(|(n, what)| format!("{n} {what}")).collect();
+        if !held.is_empty() {
+            let times: u64 = self.safety.reasons().map(|(n, _)| n).sum();
+            writeln!(f, "  safety       {times:>8}   {}", held.join(", "))?;
+        }
         let speed = self.virtual_s / self.wall_s.max(1e-9);
         writeln!(f, "  simulated  {:>8.0} s   in {:.2} s: {speed:.0} x real time", self.virtual_s, self.wall_s)?;
         let (refused, lost, frames) = (self.refused, self.lost, self.links.refused());

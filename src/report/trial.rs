@@ -4,11 +4,12 @@ use super::episode::Episode;
 use crate::messages::local::Sample;
 use crate::messages::wire::Phase;
 use crate::net::link::LinkCounts;
+use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
 
 /// What came of a trial.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct TrialReport {
     /// The episodes that have a result, in order.
     pub episodes: Vec<Episode>,
@@ -57,4 +58,6 @@ pub struct Totals {
     pub oldest_command: Span,
     /// What the Networks counted on all links, up to the last full second.
     pub links: LinkCounts,
+    /// What the robots' guards counted, up to their last heartbeats.
+    pub safety: SafetyCounts,
 }

@@ -28,6 +28,9 @@ pub struct Config {
     pub episode_s: f32,
     /// The network.
     pub policy: Policy,
+    /// The critic's network; the policy's widths if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub critic: Option<Critic>,
     /// Proximal policy optimisation.
     pub ppo: Ppo,
     /// What a robot earns.
@@ -63,6 +66,19 @@ pub struct Policy {
     pub hold_s: f64,
     /// How actions are drawn when the policy runs.
     pub draw: Draw,
+}
+
+/// Widths of the network that estimates what is still to be earned. It is thrown away after the training and sees
+/// the whole team anyway, so it may be the lighter one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Critic {
+    /// Of the encoder's layers.
+    pub encoder: Vec<usize>,
+    /// Of the message network's layers; with two of them no product is left to do per edge.
+    pub message: Vec<usize>,
+    /// Of the update network's layers but the last.
+    pub update: Vec<usize>,
 }
 
 /// Proximal policy optimisation (Schulman et al., arXiv 1707.06347) with generalised advantages (arXiv 1506.02438).
@@ -279,6 +295,17 @@ impl Config {
         if self.policy.encoder.is_empty() {
             return wrong("policy.encoder", "an encoder has a layer".to_owned());
         }
+        if let Some(Critic { encoder, message, update }) = &self.critic {
+            let fields = [("encoder", encoder, 1), ("message", message, 2), ("update", update, 0)];
+            for (field, widths, least) in fields {
+                if widths.len() < least || widths.iter().any(|width| !(1..=4096).contains(width)) {
+                    return wrong(
+                        &format!("critic.{field}"),
+                        format!("{widths:?} is not {least} or more layers of 1 to 4096"),
+                    );
+                }
+            }
+        }
         self.manifest("any").check().map_err(|text| match text.split_once(": ") {
             Some((field, reason)) => ConfigError::field(format!("policy.{field}"), reason.to_owned()),
             None => ConfigError::field("policy", text),
@@ -345,28 +372,39 @@ impl Config {
 
     /// The policy's network.
     pub fn actor(&self) -> Shape {
-        let edge = self.policy.edge.iter().map(|field| field.floats()).sum();
-        self.shape(self.policy.architecture, 2 * self.policy.observation.len(), edge, 4)
+        let policy = &self.policy;
+        let edge = policy.edge.iter().map(|field| field.floats()).sum();
+        let widths = [&policy.encoder, &policy.message, &policy.update];
+        shape(policy.architecture, 2 * policy.observation.len(), edge, widths, 4)
     }
 
     /// The network that estimates what is still to be earned: it sees all of its team, and more of each.
     pub fn critic(&self) -> Shape {
-        let inputs = 2 * self.policy.observation.len() + super::observe::PRIVILEGED;
-        self.shape(Architecture::Full, inputs, 2, 1)
-    }
-
-    fn shape(&self, architecture: Architecture, inputs: usize, edge: usize, outputs: usize) -> Shape {
         let policy = &self.policy;
-        let widths = |input: usize, rest: &[usize]| [&[input], rest].concat();
-        let last = |widths: &[usize]| widths.last().copied().unwrap_or(0);
-        let (hidden, heard) = (last(&policy.encoder), last(&policy.message));
-        let (message, update) = match architecture {
-            Architecture::Published => (hidden, heard),
-            Architecture::Full => (2 * hidden + edge, hidden + heard),
+        let widths = match &self.critic {
+            Some(critic) => [&critic.encoder, &critic.message, &critic.update],
+            None => [&policy.encoder, &policy.message, &policy.update],
         };
-        let mut update = widths(update, &policy.update);
-        update.push(outputs);
-        let encoder = widths(inputs, &policy.encoder);
-        Shape { architecture, encoder, message: widths(message, &policy.message), update, edge }
+        let inputs = 2 * policy.observation.len() + super::observe::PRIVILEGED;
+        shape(Architecture::Full, inputs, 2, widths, 1)
     }
+}
+
+/// A network's widths from those of its hidden layers: encoder, message and update network.
+fn shape(
+    architecture: Architecture,
+    inputs: usize,
+    edge: usize,
+    [encoder, message, update]: [&Vec<usize>; 3],
+    outputs: usize,
+) -> Shape {
+    let widths = |input: usize, rest: &[usize]| [&[input], rest].concat();
+    let last = |widths: &[usize]| widths.last().copied().unwrap_or(0);
+    let (hidden, heard) = (last(encoder), last(message));
+    let (gathered, updated) = match architecture {
+        Architecture::Published => (hidden, heard),
+        Architecture::Full => (2 * hidden + edge, hidden + heard),
+    };
+    let update = [&widths(updated, update)[..], &[outputs]].concat();
+    Shape { architecture, encoder: widths(inputs, encoder), message: widths(gathered, message), update, edge }
 }

@@ -15,6 +15,7 @@ use murmurate::net::fault::FaultPlan;
 use murmurate::net::range::CommRange;
 use murmurate::report::episode::Episode;
 use murmurate::report::summary::{Run, Summary};
+use murmurate::safety::Safety;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Settings};
 use murmurate::trial::{Proceed, Trial, TrialReport};
@@ -72,6 +73,11 @@ pub struct Args {
     #[arg(long, default_value = "training",
         value_parser = choice([("training", Clamp::Training), ("deployed", Clamp::Deployed)]))]
     clamp: Clamp,
+    /// What comes between policy and wheels: 'emulated' is what the published robots had; 'deployed' is what runs on
+    /// real hosts, with stops on late ticks and stale state at once, a geofence and a least distance
+    #[arg(long, default_value = "emulated",
+        value_parser = choice([("emulated", Safety::emulated()), ("deployed", Safety::deployed())]))]
+    safety: Safety,
     /// What becomes of a neighbour's message after the step that has used it: dropped, as published, or held until a
     /// newer one comes or the policy's window is over
     #[arg(long, default_value = "hold",
@@ -250,7 +256,7 @@ fn trial(args: &Args) -> Result<(Trial, String)> {
         talk(&format!("warning: {assumed}"));
     }
     let mut trial = Trial::new(deployment, Arc::clone(&scenario), model).seed(args.seed).episodes(args.episodes);
-    trial.handling = args.handling;
+    (trial.handling, trial.safety) = (args.handling, args.safety);
     trial = physics(args, trial.clamp(args.clamp))?;
     if let Some(path) = &args.episodes_file {
         let text = read_text(path, "episodes file")?;

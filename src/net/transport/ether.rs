@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::{Arrive, In, Transmit};
 use crate::actors::Core;
 use crate::messages::ids::HostId;
 use crate::messages::wire::{KINDS, Kind};
@@ -9,26 +10,6 @@ use crate::net::codec::{Frame, peek};
 use crate::net::medium::Medium;
 use crate::net::router::Audience;
 use crate::time::Time;
-
-/// A frame handed to the ether.
-#[derive(Clone, Debug)]
-pub struct Transmit {
-    /// The host that sends it.
-    pub from: HostId,
-    /// Whom it is for.
-    pub audience: Audience,
-    /// The bytes.
-    pub frame: Frame,
-}
-
-/// A frame that has arrived.
-#[derive(Clone, Debug)]
-pub struct Arrive {
-    /// The host that it has reached.
-    pub to: HostId,
-    /// The bytes.
-    pub frame: Frame,
-}
 
 /// The ether of one link.
 #[derive(Debug)]
@@ -64,10 +45,11 @@ impl Ether {
 }
 
 impl Core for Ether {
-    type In = Transmit;
+    type In = In;
     type Out = Arrive;
 
-    fn handle(&mut self, now: Time, transmit: Transmit, out: &mut Vec<Arrive>) {
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Arrive>) {
+        let In::Transmit(transmit) = input else { unreachable!("an ether has no socket") };
         let kind = peek(&transmit.frame).expect("a Network sends whole frames").kind;
         match transmit.audience {
             Audience::Host(to) => self.carry(now, kind, &transmit, to, out),

@@ -1,5 +1,40 @@
 //! Transports: actors that take a frame to transmit and give the frames that arrive. One file each.
 //!
-//! Here are the emulated ether of one-process runs and, to come, the sockets of real hosts.
+//! Here are the emulated ether of one-process runs and the sockets of real hosts. What a frame says never matters here.
 
 pub mod ether;
+pub mod interface;
+pub mod udp;
+
+use crate::messages::ids::HostId;
+use crate::net::codec::Frame;
+use crate::net::router::Audience;
+
+/// What a transport accepts.
+#[derive(Clone, Debug)]
+pub enum In {
+    /// A Network sends a frame.
+    Transmit(Transmit),
+    /// The transport's socket has something to read.
+    Readable,
+}
+
+/// A frame handed to a transport.
+#[derive(Clone, Debug)]
+pub struct Transmit {
+    /// The host that sends it.
+    pub from: HostId,
+    /// Whom it is for.
+    pub audience: Audience,
+    /// The bytes.
+    pub frame: Frame,
+}
+
+/// A frame that has arrived.
+#[derive(Clone, Debug)]
+pub struct Arrive {
+    /// The host that it has reached.
+    pub to: HostId,
+    /// The bytes.
+    pub frame: Frame,
+}

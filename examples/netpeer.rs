@@ -1,0 +1,396 @@
+//! One participant of a messaging benchmark: the Network actor, link, codec, authentication and UDP transport of
+//! `murmurate host`, without robots. It says what robots say: latents at a given rate, heartbeats and modes.
+//!
+//! It is set up by variables of the environment (`NP_ID`, `NP_N`, `NP_RATE`, ...) and answers with files in `NP_DIR`;
+//! the harness that starts it measures other middleware in the same way. A message of 152 bytes (sender, sequence
+//! number, stamp, two floats of position, 32 floats) travels as a latent: the sequence number is its episode, the
+//! stamp its epoch and velocity, the position its position.
+
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+use std::fs;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::rc::Rc;
+use std::str::FromStr;
+use std::time::{Duration, Instant};
+
+use murmurate::actors::Core;
+use murmurate::actors::clock::Clock;
+use murmurate::actors::network::{self, Network};
+use murmurate::actors::real::{Readers, run_real};
+use murmurate::actors::shell::{Mailbox, start};
+use murmurate::deploy::team::{SocketConfig, Transport};
+use murmurate::messages::floats::Features;
+use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::messages::ids::{HostId, LinkId, RobotId};
+use murmurate::messages::wire::{Heartbeat, Kind, Latent, Mode, Phase, Round, Wire};
+use murmurate::net::router::{Audience, Route, Router};
+use murmurate::net::transport::udp::Udp;
+use murmurate::net::transport::{self, Arrive, Transmit};
+use murmurate::time::{Span, Time};
+use nix::sys::resource::{UsageWho, getrusage};
+use nix::time::{ClockId, clock_gettime};
+use tracing::info_span;
+
+/// Marks the sequence number of a hello.
+const HELLO: u32 = 0x8000_0000;
+/// Floats of a message.
+const FLOATS: usize = 32;
+/// How often a participant says where it stands, and the first one what is to be done: as robots and state servers do.
+const HEARTBEAT: Span = Span::from_millis(200);
+const MODE: Span = Span::from_millis(100);
+const LINK: LinkId = LinkId(0);
+
+/// Nanoseconds of the clock that the harness goes by.
+fn monotonic_ns() -> u64 {
+    let now = clock_gettime(ClockId::CLOCK_MONOTONIC).expect("every kernel has this clock");
+    now.tv_sec() as u64 * 1_000_000_000 + now.tv_nsec() as u64
+}
+
+fn sleep_until(ns: u64) {
+    std::thread::sleep(Duration::from_nanos(ns.saturating_sub(monotonic_ns())));
+}
+
+fn cpu() -> [f64; 2] {
+    let usage = getrusage(UsageWho::RUSAGE_SELF).expect("a process may ask for its own usage");
+    [usage.user_time(), usage.system_time()].map(|time| time.tv_sec() as f64 + time.tv_usec() as f64 * 1e-6)
+}
+
+fn variable<T: FromStr>(name: &str, default: T) -> T {
+    let given = std::env::var(name).ok().filter(|text| !text.is_empty());
+    given.map_or(default, |text| {
+        text.parse().unwrap_or_else(|_| panic!("{name}={text} is not what the harness sets it to"))
+    })
+}
+
+/// What was measured of the messages of one sender.
+#[derive(Clone, Default)]
+struct Sender {
+    heard: bool,
+    seen: BTreeSet<u32>,
+    duplicates: u64,
+    out_of_order: u64,
+    last: Option<u32>,
+}
+
+/// What a participant does, and what it finds.
+struct Peer {
+    id: u16,
+    rate: f64,
+    seconds: f64,
+    drain: f64,
+    hello: Span,
+    start_ns: u64,
+    /// The harness's clock at the actors' time zero.
+    zero_ns: u64,
+    hellos: u32,
+    sent: u32,
+    next: Time,
+    next_heartbeat: Time,
+    next_mode: Time,
+    /// When messages are sent, once that is known.
+    window: Option<(Time, Time)>,
+    cpu: [f64; 2],
+    send_ns: u64,
+    mesh_ns: u64,
+    senders: Vec<Sender>,
+    delays: BTreeMap<u64, u64>,
+    max_ns: u64,
+    last_arrival_ns: u64,
+}
+
+enum In {
+    Arrived(Latent),
+    /// The measurement begins at this time of the harness's clock.
+    Go(u64),
+}
+
+impl Peer {
+    fn new(id: u16, participants: usize, zero_ns: u64) -> Peer {
+        let hello = Span::from_millis(variable("NP_HELLO_MS", 20));
+        let first = Span::from_nanos(hello.as_nanos() * u64::from(id) / participants as u64);
+        let next = Time::from_nanos(monotonic_ns() - zero_ns) + first;
+        Peer {
+            id,
+            rate: variable("NP_RATE", 10.0),
+            seconds: variable("NP_SECONDS", 3.0),
+            drain: variable("NP_DRAIN", 1.0),
+            hello,
+            start_ns: variable("NP_START_NS", zero_ns),
+            zero_ns,
+            hellos: 0,
+            sent: 0,
+            next,
+            next_heartbeat: next,
+            next_mode: next,
+            window: None,
+            cpu: [0.0; 2],
+            send_ns: 0,
+            mesh_ns: 0,
+            senders: vec![Sender::default(); participants],
+            delays: BTreeMap::new(),
+            max_ns: 0,
+            last_arrival_ns: 0,
+        }
+    }
+
+    fn say(&self, sequence: u32, out: &mut Vec<Wire>) {
+        let own = 0.5 * f32::from(self.id + 1);
+        let stamp = monotonic_ns() - self.start_ns.min(self.zero_ns);
+        let (ms, rest) = ((stamp / 1_000_000) as u32, stamp % 1_000_000);
+        out.push(Wire::Latent(Latent {
+            robot: RobotId(self.id),
+            round: Round { epoch: ms, episode: sequence },
+            phase: Phase::Running,
+            motion: Motion {
+                position: Vec2::new((sequence & 0xffff) as f32, 0.0),
+                velocity: Vec2::new((rest / 1000) as f32, (rest % 1000) as f32),
+            },
+            features: Features((0..FLOATS).map(|at| own + at as f32).collect()),
+        }));
+    }
+
+    fn hear(&mut self, latent: &Latent) {
+        let now = monotonic_ns();
+        let others = self.senders.len() - 1;
+        let Some(sender) = self.senders.get_mut(latent.robot.index()) else { return };
+        sender.heard = true;
+        if self.mesh_ns == 0 && self.senders.iter().filter(|sender| sender.heard).count() == others {
+            self.mesh_ns = now;
+        }
+        let sequence = latent.round.episode;
+        if sequence & HELLO != 0 {
+            return;
+        }
+        let sender = &mut self.senders[latent.robot.index()];
+        if !sender.seen.insert(sequence) {
+            sender.duplicates += 1;
+            return;
+        }
+        if sender.last.is_some_and(|last| sequence < last) {
+            sender.out_of_order += 1;
+        }
+        sender.last = sender.last.max(Some(sequence));
+        let velocity = latent.motion.velocity;
+        let stamp = u64::from(latent.round.epoch) * 1_000_000 + velocity.x as u64 * 1000 + velocity.y as u64;
+        let delay = now.saturating_sub(stamp + self.start_ns.min(self.zero_ns));
+        // Sixty-four steps an octave.
+        let grain = 1 << (63 - (delay | 64).leading_zeros()).saturating_sub(6);
+        *self.delays.entry(delay / grain * grain).or_default() += 1;
+        self.max_ns = self.max_ns.max(delay);
+        self.last_arrival_ns = now;
+    }
+
+    /// When message number `sent` is due.
+    fn due(&self, begin: Time) -> Time {
+        if self.rate <= 0.0 {
+            return self.next;
+        }
+        let step_ns = 1e9 / self.rate;
+        let offset = step_ns * (f64::from(self.sent) + f64::from(self.id) / self.senders.len() as f64);
+        begin + Span::from_nanos(offset as u64)
+    }
+
+    /// Sends what is due by `now`.
+    fn send(&mut self, now: Time, out: &mut Vec<Wire>) {
+        let Some((begin, end)) = self.window else {
+            self.say(HELLO | self.hellos, out);
+            self.hellos += 1;
+            self.next = self.next + self.hello;
+            return;
+        };
+        if self.cpu == [0.0; 2] {
+            self.cpu = cpu();
+        }
+        if self.rate < 0.0 || self.due(begin) >= end || now >= end {
+            self.next = Time::MAX;
+            return;
+        }
+        // As fast as possible means: a handful, then a look at what has arrived.
+        for _ in 0..if self.rate == 0.0 { 16 } else { 1 } {
+            self.say(self.sent, out);
+            self.sent += 1;
+        }
+        self.send_ns = now.since(begin).as_nanos();
+        self.next = if self.rate == 0.0 { now + Span::from_nanos(1) } else { self.due(begin) };
+        if self.next >= end {
+            self.next = Time::MAX;
+        }
+    }
+
+    fn is_over(&self, now: Time) -> bool {
+        self.window.is_some_and(|(_, end)| now >= end + Span::from_secs(self.drain))
+    }
+
+    /// The file that the harness reads.
+    fn result(&self) -> String {
+        let now = cpu();
+        let begin_ns = self.window.map_or(0, |(begin, _)| begin.as_nanos() + self.zero_ns);
+        let mut text = format!(
+            "mesh {}\nsent {} 0 {}\ncpu {:.6} {:.6}\nmax {}\nlastrx {}\n",
+            self.mesh_ns,
+            self.sent,
+            self.send_ns,
+            now[0] - self.cpu[0],
+            now[1] - self.cpu[1],
+            self.max_ns,
+            self.last_arrival_ns.saturating_sub(begin_ns)
+        );
+        for (id, sender) in self.senders.iter().enumerate().filter(|(id, _)| *id != usize::from(self.id)) {
+            writeln!(text, "from {id} {} {} {}", sender.seen.len(), sender.duplicates, sender.out_of_order)
+                .expect("text grows");
+        }
+        for (delay, count) in &self.delays {
+            writeln!(text, "h {delay} {count}").expect("text grows");
+        }
+        text + "end\n"
+    }
+}
+
+impl Core for Peer {
+    type In = In;
+    type Out = Wire;
+
+    fn handle(&mut self, now: Time, input: In, _: &mut Vec<Wire>) {
+        match input {
+            In::Arrived(latent) => self.hear(&latent),
+            In::Go(ns) => {
+                let begin = Time::from_nanos(ns - self.zero_ns);
+                self.window = Some((begin, begin + Span::from_secs(self.seconds)));
+                self.next = if self.rate > 0.0 { self.due(begin) } else { begin.max(now) };
+            }
+        }
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        Some(self.next.min(self.next_heartbeat).min(self.next_mode))
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Wire>) {
+        let (round, phase) = (Round { epoch: 1, episode: 0 }, Phase::Running);
+        if self.next <= now {
+            self.send(now, out);
+        }
+        if self.next_heartbeat <= now {
+            self.next_heartbeat = now + HEARTBEAT;
+            out.push(Wire::Heartbeat(Heartbeat { robot: RobotId(self.id), round, phase }));
+        }
+        if self.next_mode <= now {
+            self.next_mode = if self.id == 0 { now + MODE } else { Time::MAX };
+            let tasks = vec![Task { start: Vec2::zeros(), goal: Vec2::zeros() }; self.senders.len()].into();
+            if self.id == 0 {
+                out.push(Wire::Mode(Mode { round, repeat: 0, phase, first: RobotId(0), tasks }));
+            }
+        }
+    }
+}
+
+/// The peer as its actor and this program share it.
+struct Shared(Rc<RefCell<Peer>>);
+
+impl Core for Shared {
+    type In = In;
+    type Out = Wire;
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Wire>) {
+        self.0.borrow_mut().handle(now, input, out);
+    }
+    fn wake_at(&self) -> Option<Time> {
+        self.0.borrow().wake_at()
+    }
+    fn wake(&mut self, now: Time, out: &mut Vec<Wire>) {
+        self.0.borrow_mut().wake(now, out);
+    }
+}
+
+fn main() {
+    let (id, participants): (u16, usize) = (variable("NP_ID", 0), variable("NP_N", 2));
+    let folder: PathBuf = variable("NP_DIR", PathBuf::from("."));
+    sleep_until(variable("NP_START_NS", 0));
+    let group = SocketAddr::from((Ipv4Addr::new(239, 192, 7, 8), 45_451));
+    let socket = SocketConfig {
+        transport: Transport::Multicast { group },
+        interface: variable("NP_IFACE", "lo".to_owned()),
+        receive_buffer_bytes: 4 << 20,
+        reliability: BTreeMap::new(),
+    };
+    let udp = Udp::open(HostId(id), &socket).unwrap_or_else(|error| panic!("{error}"));
+    let (origin, zero_ns) = (Instant::now(), monotonic_ns());
+    let peer = Rc::new(RefCell::new(Peer::new(id, participants, zero_ns)));
+    let (mut ready, mut told) = (false, false);
+    run_real(
+        origin,
+        |clock, readers| wire(clock, readers, udp, &peer, (id, participants)),
+        |mailbox, now| {
+            let (mesh_ns, going, over) = {
+                let peer = peer.borrow();
+                (peer.mesh_ns, peer.window.is_some(), peer.is_over(now))
+            };
+            if mesh_ns != 0 && !ready {
+                ready = true;
+                put(&folder, id, "ready", &format!("{mesh_ns}\n"));
+            }
+            if !going && !told {
+                let go = fs::read_to_string(folder.join("go")).ok().and_then(|text| text.trim().parse().ok());
+                if let Some(ns) = go {
+                    told = true;
+                    mailbox.send(In::Go(ns));
+                }
+            }
+            over
+        },
+    );
+    put(&folder, id, "out", &peer.borrow().result());
+}
+
+/// Writes a file whole.
+fn put(folder: &std::path::Path, id: u16, name: &str, text: &str) {
+    let temporary = folder.join(format!(".tmp.{id}"));
+    fs::write(&temporary, text).expect("the harness's folder can be written");
+    fs::rename(&temporary, folder.join(format!("{name}.{id}"))).expect("the harness's folder can be written");
+}
+
+/// Starts Network, transport and peer.
+fn wire(
+    clock: &Clock,
+    readers: &mut Readers,
+    udp: Udp,
+    peer: &Rc<RefCell<Peer>>,
+    (id, participants): (u16, usize),
+) -> Mailbox<In> {
+    let (to_network, to_udp, to_peer) =
+        (Mailbox::<network::In>::new("network"), Mailbox::<transport::In>::new("udp"), Mailbox::<In>::new("peer"));
+    let router = Router::new(participants, |kind, robot| {
+        let own = robot == RobotId(id);
+        let (local, leaves) = match kind {
+            Kind::Latent => (!own, own),
+            Kind::Heartbeat => (id == 0, own && id != 0),
+            Kind::Mode => (true, id == 0),
+            _ => (false, false),
+        };
+        Route { local, leaves: leaves.then_some((LINK, Audience::All)) }
+    });
+    let make = move |life| Network::new(HostId(id), 1, life, 1, router.clone());
+    let (outward, inward) = (to_udp.clone(), to_peer.clone());
+    start(clock, &to_network, info_span!("network"), make, move |said| match said {
+        network::Out::Deliver(Wire::Latent(latent)) => inward.send(In::Arrived(latent)),
+        network::Out::Transmit(_, audience, frame) => {
+            outward.send(transport::In::Transmit(Transmit { from: HostId(id), audience, frame }));
+        }
+        _ => {}
+    });
+    readers.watch(udp.ears(), {
+        let mailbox = to_udp.clone();
+        move || mailbox.send(transport::In::Readable)
+    });
+    let (network, mut udp) = (to_network.clone(), Some(udp));
+    let make = move |_| udp.take().expect("no fault strikes this actor");
+    start(clock, &to_udp, info_span!("udp"), make, move |Arrive { frame, .. }| {
+        network.send(network::In::Frame(LINK, frame));
+    });
+    let (peer, network) = (Rc::clone(peer), to_network);
+    let make = move |_| Shared(Rc::clone(&peer));
+    start(clock, &to_peer, info_span!("peer"), make, move |message| network.send(network::In::Publish(message)));
+    to_peer
+}

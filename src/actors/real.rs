@@ -1,0 +1,80 @@
+//! The driver of real time: does what is due, lets the actors run until every mailbox is empty, then sleeps until the
+//! next event or until a file descriptor has something to read. One thread, no runtime's timers: they are a
+//! millisecond coarse, and the poll here is not. What the actors do never lives here.
+
+use std::os::fd::AsFd;
+use std::rc::Rc;
+use std::time::Instant;
+
+use nix::errno::Errno;
+use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::sys::time::TimeSpec;
+use tokio::task::LocalSet;
+
+use super::clock::Clock;
+use super::drive::drain;
+use super::shell::in_system;
+use crate::time::{Span, Time};
+
+/// The longest sleep: whoever asks `done` is not kept waiting for longer.
+const MAX_SLEEP: Span = Span::from_millis(50);
+
+/// File descriptors, and who is rung when one of them has something to read.
+#[derive(Default)]
+pub struct Readers(Vec<(Rc<dyn AsFd>, Box<dyn Fn()>)>);
+
+impl Readers {
+    /// Rings whenever `source` has something to read, until it has been read.
+    pub fn watch(&mut self, source: Rc<dyn AsFd>, ring: impl Fn() + 'static) {
+        self.0.push((source, Box::new(ring)));
+    }
+
+    /// Sleeps until one has something to read, at most for `span`, and rings for those that have.
+    fn sleep(&self, span: Span) {
+        let mut polled: Vec<PollFd> =
+            self.0.iter().map(|(source, _)| PollFd::new(source.as_fd(), PollFlags::POLLIN)).collect();
+        let timeout = TimeSpec::from_duration(std::time::Duration::from_nanos(span.as_nanos()));
+        match ppoll(&mut polled, Some(timeout), None) {
+            Ok(_) | Err(Errno::EINTR) => {}
+            Err(error) => panic!("the kernel does not poll sockets that are open: {error}"),
+        }
+        for (polled, (_, ring)) in polled.iter().zip(&self.0) {
+            // An error is read from the socket, too: it must not be polled for ever.
+            if polled.revents().is_some_and(|events| !events.is_empty()) {
+                ring();
+            }
+        }
+    }
+}
+
+/// Runs actors in real time on this thread: `build` starts them and says which descriptors are read, and time goes by
+/// from `origin` until `done`, which is asked after every turn.
+pub fn run_real<W>(
+    origin: Instant,
+    build: impl FnOnce(&Clock, &mut Readers) -> W,
+    mut done: impl FnMut(&W, Time) -> bool,
+) -> W {
+    let elapsed = || Time::from_nanos(u64::try_from(origin.elapsed().as_nanos()).expect("a run is below 500 years"));
+    in_system(|| {
+        let (clock, mut readers, mut actors) = (Clock::default(), Readers::default(), LocalSet::new());
+        clock.set(elapsed());
+        let world = {
+            let _inside = actors.enter();
+            build(&clock, &mut readers)
+        };
+        loop {
+            clock.set(elapsed());
+            while clock.catch_up() {}
+            drain(&mut actors);
+            let now = elapsed();
+            if done(&world, now) {
+                break;
+            }
+            let next = clock.next().unwrap_or(Time::MAX);
+            readers.sleep(next.since(now).min(MAX_SLEEP));
+            clock.set(elapsed());
+        }
+        clock.clear();
+        world
+    })
+}

@@ -1,0 +1,252 @@
+//! `murmurate host`: what runs on a robot. One host of a team: its actors, in real time, on its sockets.
+
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use murmurate::actors::graph::{Graph, Heard};
+use murmurate::actors::host::{self, Host};
+use murmurate::actors::real::run_real;
+use murmurate::actors::recorder::Out;
+use murmurate::deploy::Routes;
+use murmurate::deploy::team::{Team, TeamFile};
+use murmurate::messages::ids::{HostId, LinkId};
+use murmurate::messages::wire::{Phase, Wire};
+use murmurate::net::link::LinkCounts;
+use murmurate::net::transport::udp::Udp;
+use murmurate::report::episode::Episode;
+use murmurate::report::summary::{Run, Summary};
+use murmurate::report::trial::{Totals, TrialReport};
+use murmurate::scenario::layout::Layouts;
+use murmurate::scenario::{self, Settings};
+use murmurate::time::{Span, Time};
+use murmurate::trial::Trial;
+use sd_notify::NotifyState;
+use serde::Serialize;
+use signal_hook::consts::{SIGINT, SIGTERM};
+
+use crate::output::print;
+use crate::{BadInput, Ended, team};
+
+/// How long a host goes on after the last episode: whoever has missed the news hears it again.
+const GRACE: Span = Span::from_millis(500);
+/// The same for the host of the state server, which tells the news.
+const SERVER_GRACE: Span = Span::from_millis(2000);
+/// How long a host that is told to stop goes on, for its last commands to get out.
+const STOPPING: Span = Span::from_millis(150);
+
+/// What a host is for, where a team has one of the kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Role {
+    /// Runs the agents of several robots.
+    Pc,
+    /// Runs the simulated World.
+    World,
+    /// Runs the StateServer.
+    StateServer,
+}
+
+/// Flags of `murmurate host`.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    team: team::Args,
+    #[command(flatten)]
+    which: team::Which,
+    /// The host that is there for this
+    #[arg(long, conflicts_with_all = ["host", "robot"])]
+    role: Option<Role>,
+    /// Prints what happens as JSON, one object a line, in place of the table at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// A line of `--json`.
+#[derive(Serialize)]
+#[serde(tag = "event", rename_all = "kebab-case")]
+enum Event<'a> {
+    /// The sockets are open and the actors run.
+    Ready { host: &'a str },
+    /// An episode is over.
+    Episode(Episode),
+    /// All episodes are over, as the host of the World has seen them.
+    Finished { host: &'a str, messages: u64, virtual_s: f64, oldest_command_s: f64, links: LinkCounts },
+    /// This host ends.
+    Ended { host: &'a str, links: LinkCounts },
+}
+
+/// What has become known while the host runs.
+#[derive(Default)]
+struct Seen {
+    report: RefCell<TrialReport>,
+    over: Cell<bool>,
+    counts: Cell<LinkCounts>,
+}
+
+/// Runs the host until the team has finished, or until it is told to stop.
+pub fn run(args: &Args) -> Result<Ended> {
+    let began = Instant::now();
+    let file = args.team.read()?;
+    let id = args.host(&file)?;
+    let team = args.team.for_host(&file, id)?;
+    let name = team.deployment.hosts[usize::from(id.0)].name.clone();
+    let key = team::key(&team)?;
+    let policy = team::policy(&team)?;
+    let trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
+    let sockets = sockets(&team)?;
+    let signal = Arc::new(AtomicUsize::new(0));
+    for number in [SIGINT, SIGTERM] {
+        signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
+            .context("cannot listen for signals")?;
+    }
+    // Later lives of a process have later numbers, as far as the machine's clock goes forward.
+    let incarnation = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()) as u32;
+
+    let seen = Rc::new(Seen::default());
+    let tell = |event: Event| -> Result<()> {
+        if args.json { print(&serde_json::to_string(&event).context("an event is JSON")?) } else { Ok(()) }
+    };
+    tracing::info!(host = name, robots = team.deployment.robots, "starts");
+    let (mut over, mut stopping, mut told) = (None, None, 0);
+    let mut lost = None;
+    let watchdog = sd_notify::watchdog_enabled();
+    let mut petted = Time::ZERO;
+    run_real(
+        began,
+        |clock, readers| {
+            let host = Host { id, team: team.number, incarnation, key, sockets };
+            let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
+            let graph = host::wire((clock, readers), trial.plan(), host, move |h| heard.hear(h), move |o| said.say(o));
+            let _ = sd_notify::notify(&[NotifyState::Ready]);
+            lost = tell(Event::Ready { host: &name }).err();
+            graph
+        },
+        |graph: &Rc<Graph>, now| {
+            while let Some(episode) = seen.report.borrow().episodes.get(told).copied() {
+                told += 1;
+                lost = tell(Event::Episode(episode)).err().or(lost.take());
+            }
+            if let Some(patience) = watchdog
+                && now.since(petted) >= Span::from_secs(patience.as_secs_f64() / 4.0)
+            {
+                petted = now;
+                let _ = sd_notify::notify(&[NotifyState::Watchdog]);
+            }
+            if seen.over.get() && over.is_none() {
+                over = Some(now);
+            }
+            if signal.load(Ordering::Relaxed) != 0 && stopping.is_none() {
+                stopping = Some(now);
+                let _ = sd_notify::notify(&[NotifyState::Stopping]);
+                graph.stop(id);
+            }
+            let serves = team.deployment.hosts[usize::from(id.0)].state_server;
+            let grace = if serves { SERVER_GRACE } else { GRACE };
+            lost.is_some()
+                || over.is_some_and(|at: Time| now.since(at) >= grace)
+                || stopping.is_some_and(|at: Time| now.since(at) >= STOPPING)
+        },
+    );
+    if let Some(error) = lost {
+        return Err(error);
+    }
+    let report = seen.report.borrow().clone();
+    let interrupted = over.is_none();
+    if report.finished {
+        let Totals { messages, end, oldest_command, links, .. } = report.totals;
+        let (virtual_s, oldest_command_s) = (end.as_secs(), oldest_command.as_secs());
+        tell(Event::Finished { host: &name, messages, virtual_s, oldest_command_s, links })?;
+    }
+    tell(Event::Ended { host: &name, links: seen.counts.get() })?;
+    if !args.json && !report.episodes.is_empty() {
+        let run = Run {
+            mode: team.deployment.mode.clone(),
+            scenario: team.scenario.clone(),
+            policy: policy.name,
+            robots: team.deployment.robots,
+            seed: team.seed,
+            wall_s: began.elapsed().as_secs_f64(),
+            interrupted,
+        };
+        print(&Summary::of(run, &[report]).to_string())?;
+    }
+    let by_user = signal.load(Ordering::Relaxed) == SIGINT as usize;
+    Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
+}
+
+impl Seen {
+    fn hear(&self, heard: Heard) {
+        match heard {
+            Heard::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
+            Heard::Message(_) => {}
+            Heard::Counts(counts) => self.counts.set(*counts),
+        }
+    }
+
+    fn say(&self, out: Out) {
+        let mut report = self.report.borrow_mut();
+        match out {
+            Out::Episode(episode, totals) => {
+                report.episodes.push(episode);
+                report.totals = totals;
+            }
+            Out::Step(_) => {}
+            Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
+        }
+        report.simulated = report.totals.end.since(Time::ZERO);
+    }
+}
+
+impl Args {
+    fn host(&self, file: &TeamFile) -> Result<HostId> {
+        if let Some(host) = self.which.find(file)? {
+            return Ok(host);
+        }
+        let Some(role) = self.role else {
+            let why = "which host is this? give --host NAME, --robot N, or --role pc|world|state-server";
+            return Err(BadInput(why.to_owned()).into());
+        };
+        let hosts = &file.deployment().hosts;
+        let fits: Vec<usize> = (0..hosts.len())
+            .filter(|&at| match role {
+                Role::Pc => hosts[at].agents.concat().len() > 1,
+                Role::World => !hosts[at].world.is_empty(),
+                Role::StateServer => hosts[at].state_server,
+            })
+            .collect();
+        match fits[..] {
+            [only] => Ok(HostId(u16::try_from(only).expect("hosts are counted in u16"))),
+            _ => Err(BadInput(format!("--role: {} hosts of this team are that; give --host NAME", fits.len())).into()),
+        }
+    }
+}
+
+/// The run that the team is to make, of which this host does its part.
+fn trial(team: &Team, model: murmurate::policy::Model) -> Result<Trial> {
+    let settings = Settings { robots: Some(team.deployment.robots), gap_m: None };
+    let scenario = scenario::build(&team.scenario, &settings)?;
+    let simulated = team.simulated;
+    let mut trial = Trial::new(team.deployment.clone(), Arc::clone(&scenario), model).clamp(simulated.clamp);
+    trial.seed = team.seed;
+    trial.layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
+    trial.handling = simulated.handling;
+    (trial.physics.lag_s, trial.physics.contacts) = (simulated.lag_s, simulated.contacts);
+    trial.physics.wall_radius_m = simulated.wall_radius_m;
+    trial.check()?;
+    Ok(trial)
+}
+
+/// The sockets of the links that this host uses.
+fn sockets(team: &Team) -> Result<Vec<(LinkId, Udp)>> {
+    let open = |link: LinkId| {
+        let (name, config) = (&team.deployment.links[usize::from(link.0)].name, &team.links[usize::from(link.0)]);
+        let udp = Udp::open(team.host, config).map_err(|e| BadInput(format!("link '{name}': {e}")))?;
+        tracing::info!(link = name, receive_buffer_bytes = udp.granted_bytes(), "open");
+        Ok((link, udp))
+    };
+    Routes::of(&team.deployment).links_of(team.host).into_iter().map(open).collect()
+}

@@ -1,0 +1,173 @@
+//! The network interfaces of this machine, and the one that a link is to use. Asks the kernel and nothing else.
+
+use std::collections::BTreeMap;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
+
+use nix::ifaddrs::getifaddrs;
+use nix::net::if_::{InterfaceFlags, if_nametoindex};
+
+/// The interface name that stands for the only one that could be meant.
+pub const AUTO: &str = "auto";
+
+/// A network interface.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Interface {
+    /// Its name.
+    pub name: String,
+    /// The kernel's number of it.
+    pub index: u32,
+    /// Whether it is up and has a carrier.
+    pub up: bool,
+    /// Whether it never leaves this machine.
+    pub loopback: bool,
+    /// Its IPv4 addresses.
+    pub v4: Vec<Ipv4Addr>,
+    /// Its IPv6 addresses.
+    pub v6: Vec<Ipv6Addr>,
+}
+
+/// Why a link has no interface.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InterfaceError {
+    /// The kernel does not tell.
+    #[error("cannot list the network interfaces: {0}")]
+    Unknown(String),
+    /// There is none of that name.
+    #[error("there is no network interface '{name}'; there are: {known}")]
+    Missing {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: String,
+    },
+    /// It is down.
+    #[error("the network interface '{name}' is down; there are: {known}")]
+    Down {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: String,
+    },
+    /// It has no address of the group's family.
+    #[error("the network interface '{name}' has no {family} address; there are: {known}")]
+    Address {
+        /// What was asked for.
+        name: String,
+        /// IPv4 or IPv6.
+        family: &'static str,
+        /// What there is.
+        known: String,
+    },
+    /// Several could be meant, or none.
+    #[error("'auto' finds {found} interfaces that are up and no loopback; name one of: {known}")]
+    Ambiguous {
+        /// How many.
+        found: usize,
+        /// What there is.
+        known: String,
+    },
+}
+
+/// All interfaces, by name.
+pub fn interfaces() -> Result<Vec<Interface>, InterfaceError> {
+    let mut all: BTreeMap<String, Interface> = BTreeMap::new();
+    for address in getifaddrs().map_err(|errno| InterfaceError::Unknown(errno.to_string()))? {
+        let name = address.interface_name;
+        let flags = address.flags;
+        let index = if_nametoindex(name.as_str()).unwrap_or(0);
+        let entry = all.entry(name.clone()).or_insert(Interface {
+            name,
+            index,
+            up: flags.contains(InterfaceFlags::IFF_UP | InterfaceFlags::IFF_RUNNING),
+            loopback: flags.contains(InterfaceFlags::IFF_LOOPBACK),
+            v4: Vec::new(),
+            v6: Vec::new(),
+        });
+        if let Some(address) = address.address {
+            if let Some(v4) = address.as_sockaddr_in() {
+                entry.v4.push(v4.ip());
+            } else if let Some(v6) = address.as_sockaddr_in6() {
+                entry.v6.push(v6.ip());
+            }
+        }
+    }
+    Ok(all.into_values().collect())
+}
+
+/// What there is, as an error says it.
+fn known(all: &[Interface]) -> String {
+    let one = |interface: &Interface| {
+        let addresses = interface.v4.iter().map(|v4| IpAddr::V4(*v4)).chain(interface.v6.iter().map(|v6| (*v6).into()));
+        let mut words: Vec<String> = addresses.map(|address| address.to_string()).collect();
+        if !interface.up {
+            words.insert(0, "down".to_owned());
+        }
+        format!("{} ({})", interface.name, words.join(" "))
+    };
+    all.iter().map(one).collect::<Vec<_>>().join(", ")
+}
+
+/// The interface of that name, up and with an address of the family.
+pub fn find(all: &[Interface], name: &str, v6: bool) -> Result<Interface, InterfaceError> {
+    let fits = |interface: &&Interface| {
+        let addresses = if v6 { interface.v6.len() } else { interface.v4.len() };
+        interface.up && !interface.loopback && addresses > 0
+    };
+    let known = || known(all);
+    if name == AUTO {
+        let mut found: Vec<&Interface> = all.iter().filter(fits).collect();
+        return match (found.pop(), found.len()) {
+            (Some(only), 0) => Ok(only.clone()),
+            (one, others) => {
+                Err(InterfaceError::Ambiguous { found: others + usize::from(one.is_some()), known: known() })
+            }
+        };
+    }
+    let named = all.iter().find(|interface| interface.name == name);
+    let named = named.ok_or_else(|| InterfaceError::Missing { name: name.to_owned(), known: known() })?;
+    if !named.up {
+        return Err(InterfaceError::Down { name: name.to_owned(), known: known() });
+    }
+    if (v6 && named.v6.is_empty()) || (!v6 && named.v4.is_empty()) {
+        let family = if v6 { "IPv6" } else { "IPv4" };
+        return Err(InterfaceError::Address { name: name.to_owned(), family, known: known() });
+    }
+    Ok(named.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn interface(name: &str, up: bool, v4: &[Ipv4Addr]) -> Interface {
+        Interface { name: name.to_owned(), index: 1, up, loopback: name == "lo", v4: v4.to_vec(), v6: Vec::new() }
+    }
+
+    #[test]
+    fn the_machine_has_a_loopback() {
+        let all = interfaces().unwrap();
+        let lo = all.iter().find(|interface| interface.loopback).expect("every machine has one");
+        assert!(lo.index > 0);
+    }
+
+    #[test]
+    fn what_cannot_be_used_is_refused_and_the_others_are_named() {
+        let one = Ipv4Addr::new(10, 0, 0, 1);
+        let all = [
+            interface("lo", true, &[Ipv4Addr::LOCALHOST]),
+            interface("wlan0", true, &[one]),
+            interface("eth0", false, &[one]),
+            interface("bare", true, &[]),
+        ];
+        assert_eq!(find(&all, "wlan0", false).unwrap().name, "wlan0");
+        assert_eq!(find(&all, AUTO, false).unwrap().name, "wlan0");
+        let said = |name: &str, v6| find(&all, name, v6).unwrap_err().to_string();
+        assert!(said("wlan7", false).contains("no network interface 'wlan7'; there are: lo (127.0.0.1), wlan0 (10.0"));
+        assert!(said("eth0", false).contains("'eth0' is down"));
+        assert!(said("bare", false).contains("no IPv4 address"));
+        assert!(said("wlan0", true).contains("no IPv6 address"));
+        assert!(said(AUTO, true).contains("finds 0 interfaces"));
+        let two = [interface("a", true, &[one]), interface("b", true, &[one])];
+        assert!(find(&two, AUTO, false).unwrap_err().to_string().contains("finds 2 interfaces"));
+    }
+}
