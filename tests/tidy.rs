@@ -71,6 +71,7 @@ fn layer(module: &str) -> Option<u8> {
         ("safety", 1),
         ("net", 1),
         ("report::episode", 1),
+        ("report::event", 1),
         ("report::statistics", 1),
         ("report::trial", 1),
         ("report", 1),

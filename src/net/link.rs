@@ -4,14 +4,15 @@
 use std::collections::BTreeMap;
 use std::iter::Sum;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::codec::{DecodeError, Header};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 
 /// Frames of one link, as one host counted them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct LinkCounts {
     /// Sent.
     pub sent: u64,

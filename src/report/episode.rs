@@ -1,11 +1,11 @@
 //! The result of one episode.
 
-use serde::Serialize;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::scenario::judge::Verdict;
 
 /// What came of one episode.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Episode {
     /// Which repeat of the experiment.
     pub repeat: u32,
@@ -18,5 +18,11 @@ pub struct Episode {
     /// How long the reset before it took \[s\].
     pub reset_s: f64,
     /// The smallest distance between two robots' centres \[m\].
+    #[serde(deserialize_with = "infinite_if_null")]
     pub min_separation_m: f32,
+}
+
+/// JSON has no infinity, which is the distance in a team of one.
+fn infinite_if_null<'de, D: Deserializer<'de>>(from: D) -> Result<f32, D::Error> {
+    Ok(Option::deserialize(from)?.unwrap_or(f32::INFINITY))
 }

@@ -1,6 +1,7 @@
 //! What came of a run: episodes, their summary, and the tables that a person reads.
 
 pub mod episode;
+pub mod event;
 pub mod statistics;
 pub mod summary;
 pub mod trial;

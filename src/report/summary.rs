@@ -59,7 +59,7 @@ pub struct Summary {
     pub safety: SafetyCounts,
     /// The oldest command that any robot was still driven by \[s\].
     pub oldest_command_s: f64,
-    /// A digest of every message and state of the run, in hexadecimal; null for a run that was interrupted.
+    /// A digest of every message and state of the run, in hexadecimal; null for a run that was interrupted or in real time.
     pub trace_hash: Option<String>,
     /// The seed of the run.
     pub seed: u64,
@@ -213,7 +213,8 @@ impl fmt::Display for Summary {
             let by = format!("{refused} by full mailboxes, {lost} in crashes, {frames} refused by links");
             writeln!(f, "  undelivered  {undelivered:>8}   {by}")?;
         }
-        let trace = self.trace_hash.as_deref().unwrap_or("incomplete");
+        let trace =
+            self.trace_hash.as_deref().unwrap_or(if self.interrupted { "incomplete" } else { "none: real time" });
         write!(f, "  messages     {:>8}   trace {trace}", self.messages)
     }
 }

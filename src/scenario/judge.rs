@@ -4,7 +4,7 @@
 //! and no move was ever blocked by a wall. Judging ends with the last arrival or at the limit; what happens
 //! afterwards is not the episode's. Pure, and the same for the Recorder and for training.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::Rules;
 use crate::messages::geometry::Vec2;
@@ -12,7 +12,7 @@ use crate::messages::local::Contacts;
 use crate::time::Span;
 
 /// How an episode ended. A failed one counts under what happened first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
     /// Every robot arrived in time and nothing was touched.

@@ -53,7 +53,7 @@ enum Role {
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    team: team::Args,
+    team: team::TeamArgs,
     #[command(flatten)]
     which: team::Which,
     /// The host that is there for this

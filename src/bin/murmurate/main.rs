@@ -9,13 +9,13 @@ mod config;
 mod deployment;
 mod host;
 mod key;
+mod launch;
 mod output;
 mod policy;
 mod sim;
 mod team;
 mod train;
 
-use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -45,6 +45,8 @@ enum Command {
     Train(Box<train::Args>),
     /// Runs one host of a team in real time: what is started on a robot.
     Host(Box<host::Args>),
+    /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
+    Launch(Box<launch::Args>),
     /// Makes the key that a team's messages are authenticated with.
     #[command(subcommand)]
     Key(key::Args),
@@ -71,7 +73,6 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return refuse(&error),
     };
-    let colour = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     let filter = match std::env::var("MURMURATE_LOG") {
         Err(_) => EnvFilter::new("error"),
         Ok(level) => match EnvFilter::try_new(&level) {
@@ -82,12 +83,13 @@ fn main() -> ExitCode {
             }
         },
     };
-    tracing_subscriber::fmt().with_writer(std::io::stderr).with_ansi(colour).with_env_filter(filter).init();
+    tracing_subscriber::fmt().with_writer(std::io::stderr).with_ansi(output::colour()).with_env_filter(filter).init();
     let ended = match cli.command {
         Command::Sim(args) => sim::run(&args),
         Command::Deployment(args) => deployment::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Host(args) => host::run(&args),
+        Command::Launch(args) => launch::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args),
     };

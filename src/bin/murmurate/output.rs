@@ -1,7 +1,7 @@
 //! Writing: data to stdout, talk to stderr, files whole or not at all.
 
 use std::fs::{File, OpenOptions};
-use std::io::{ErrorKind, Write};
+use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -13,6 +13,11 @@ use crate::BadInput;
 pub fn talk(text: &str) {
     // Nobody is there to be told that stderr is closed.
     let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+/// Whether stderr may have colours: only on a terminal, and never against the person's will (<https://no-color.org>).
+pub fn colour() -> bool {
+    std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
 /// Prints data, on stdout. A reader that has closed the pipe has seen enough.

@@ -1,0 +1,151 @@
+//! Team files, keys and their refusals as a user meets them, and the example files.
+#![cfg(unix)]
+
+mod program;
+
+use std::fs::{Permissions, read_to_string, set_permissions, write};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use program::{murmurate, refuses, run, text};
+use tempfile::TempDir;
+
+const TEAM: &str = "team = 1\nkey_file = \"team.key\"\nmode = \"onboard-infra\"\n\n[link.infra]\n\
+                    interface = \"wlan0\"\n\n[link.wires]\ninterface = \"lo\"\n";
+
+/// A folder with a team file and its key.
+fn folder() -> (TempDir, String) {
+    let folder = TempDir::new().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    write(path("team.toml"), TEAM).expect("it can be written");
+    assert_eq!(run(&["key", "new", "--out", &path("team.key")]).status.code(), Some(0));
+    let file = path("team.toml");
+    (folder, file)
+}
+
+fn done(output: &Output) -> String {
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+#[test]
+fn every_example_is_sound_and_says_all_that_it_is() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("teams");
+    let files = std::fs::read_dir(&root).expect("the examples").map(|entry| entry.expect("an example").path());
+    let mut names: Vec<String> = Vec::new();
+    for path in files {
+        let (folder, _) = folder();
+        let copy = folder.path().join("team.toml");
+        let content = read_to_string(&path).expect("it is text");
+        write(&copy, &content).expect("it can be written");
+        let output = run(&["config", "check", &copy.to_string_lossy()]);
+        assert!(done(&output).contains("sound"), "{}", path.display());
+        let err = text(&output.stderr);
+        assert_eq!(content.contains("key_file ="), err.is_empty(), "no key is said loudly: {err}");
+        assert!(content.contains("docs/teams.md"), "{} points to the docs", path.display());
+        names.push(path.file_stem().expect("a name").to_string_lossy().into_owned());
+    }
+    names.sort();
+    assert_eq!(names, ["centralized", "offboard", "onboard-adhoc", "onboard-infra", "onboard-wlan"]);
+}
+
+#[test]
+fn a_key_is_its_owners_alone_and_never_overwritten_by_chance() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let path = folder.path().join("team.key");
+    let key = path.to_string_lossy().into_owned();
+    let said = done(&run(&["key", "new", "--out", &key]));
+    assert!(said.contains("fingerprint"), "{said}");
+    let first = read_to_string(&path).expect("it is there");
+    assert_eq!((first.len(), first.trim_end().len()), (65, 64));
+    assert!(first.trim_end().bytes().all(|byte| byte.is_ascii_hexdigit()));
+    assert!(!said.contains(&first[..16]), "a key is never printed");
+    assert_eq!(path.metadata().expect("it is there").permissions().mode() & 0o777, 0o600);
+    refuses(&["key", "new", "--out", &key], &[&key, "--force"]);
+    assert_eq!(read_to_string(&path).expect("it is there"), first);
+    done(&run(&["key", "new", "--out", &key, "--force"]));
+    assert_ne!(read_to_string(&path).expect("it is there"), first);
+    assert_eq!(path.metadata().expect("it is there").permissions().mode() & 0o777, 0o600);
+    refuses(&["key", "new", "--out", &folder.path().to_string_lossy()], &["--force"]);
+    refuses(&["key", "new", "--out", "/nowhere/at/all.key"], &["/nowhere/at/all.key"]);
+}
+
+#[test]
+fn a_key_that_is_none_is_refused_in_one_line() {
+    let (folder, file) = folder();
+    let key: PathBuf = folder.path().join("team.key");
+    let sound = read_to_string(&key).expect("it is there");
+    let commands = [&["config", "check"][..], &["launch"]];
+    let refused =
+        |words: &[&str]| commands.iter().for_each(|command| refuses(&[command, &[&*file][..]].concat(), words));
+    for mode in [0o640, 0o604, 0o644, 0o700] {
+        set_permissions(&key, Permissions::from_mode(mode)).expect("it is ours");
+        refused(&["team.key", &format!("mode {mode:04o}"), "chmod 600"]);
+    }
+    set_permissions(&key, Permissions::from_mode(0o400)).expect("it is ours");
+    done(&run(&["config", "check", &file]));
+    set_permissions(&key, Permissions::from_mode(0o600)).expect("it is ours");
+    for content in ["", "00", &sound[1..], &format!("0{sound}"), &sound.replace(&sound[..1], "x")] {
+        write(&key, content).expect("it can be written");
+        refused(&["team.key", "64 hexadecimal digits"]);
+    }
+    std::fs::remove_file(&key).expect("it is ours");
+    refused(&["team.key", "is not there", "murmurate key new"]);
+    std::fs::create_dir(&key).expect("a folder");
+    refused(&["team.key", "is no file"]);
+}
+
+#[test]
+fn a_team_that_cannot_be_is_refused_in_one_line() {
+    let (folder, file) = folder();
+    let refused = |change: (&str, &str), words: &[&str]| {
+        assert!(TEAM.contains(change.0), "{}", change.0);
+        write(&file, TEAM.replacen(change.0, change.1, 1)).expect("it can be written");
+        refuses(&["config", "check", &file], words);
+        refuses(&["launch", &file], words);
+    };
+    refused(("key_file = \"team.key\"\n", ""), &["key_file", "'infra'", "murmurate key new"]);
+    refused(("team = 1", "team = 1\ncolour = 2"), &["colour (line 2)", "no such field"]);
+    refused(("[link.infra]\ninterface = \"wlan0\"", "[link.infra]"), &["link.infra.interface", "missing"]);
+    refused(("[link.infra]", "[link.infra]\n[link.infra]"), &["line 6", "duplicate"]);
+    let robots = "robots = 2\n[robot.1]\npolicy = \"orca\"\n[robot.1]\npolicy = \"orca\"\n[link.infra]";
+    refused(("[link.infra]", robots), &["robot", "duplicate"]);
+    let twice = "[deployment]\nmode = \"x\"\nrobots = 2\nplacement = \"drive\"\nstepping = \"seeded\"\n\
+                 [[deployment.host]]\nname = \"pc\"\nagents = [[0], [0]]\nworld = [0, 1]\nstate_server = true\n";
+    refused(("mode = \"onboard-infra\"\n", twice), &["robot 0 has a second agent on host 'pc'"]);
+    refused(("mode = ", "policy = \"nowhere\"\nmode = "), &["policy file", "nowhere"]);
+    refused(("\"onboard-infra\"", "onboard-infra"), &["line 3"]);
+    write(&file, TEAM).expect("it can be written");
+    let missing = folder.path().join("missing.toml").to_string_lossy().into_owned();
+    refuses(&["launch", &missing], &["team file", &missing]);
+    refuses(&["config", "show", &file, "--robot", "9"], &["--robot", "0 to 4"]);
+    refuses(&["config", "show", &file, "--host", "pc"], &["--host", "'pc'", "world"]);
+    refuses(&["config", "show", &file, "--host", "world", "--robot", "1"], &["--robot"]);
+    refuses(&["config", "show", &file, "--set", "seed"], &["--set seed", "FIELD=VALUE"]);
+    refuses(&["config", "show", &file, "--set", "sed=1"], &["sed (--set)"]);
+    refuses(&["config", "check", &file, "--key-file", "/nowhere"], &["/nowhere"]);
+}
+
+#[test]
+fn show_says_where_every_value_comes_from() {
+    let (_folder, file) = folder();
+    let args = ["config", "show", &file, "--robot", "2", "--set", "seed=7", "--interface", "eth9"];
+    let output = murmurate(&args).env("MURMURATE_EPISODES", "3").output().expect("it starts");
+    let shown = done(&output);
+    let line = |field: &str| {
+        let found = shown.lines().find(|line| line.split_whitespace().next() == Some(field));
+        found.unwrap_or_else(|| panic!("{field} is shown in {shown}")).split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    assert_eq!(line("seed"), "seed 7 --set");
+    assert_eq!(line("episodes"), "episodes 3 MURMURATE_EPISODES");
+    assert_eq!(line("mode"), format!("mode onboard-infra {file}:3"));
+    assert_eq!(line("link.wires.interface"), "link.wires.interface eth9 --interface");
+    assert_eq!(line("link.infra.transport"), "link.infra.transport multicast default");
+    assert_eq!(line("policy"), "policy shipped default");
+    let json = run(&["config", "show", &file, "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&done(&json)).expect("one JSON object");
+    assert_eq!(json["values"][0]["field"], "team");
+    assert_eq!(json["values"][0]["origin"], format!("{file}:1"));
+    assert_eq!(json["deployment"]["robots"], 5);
+}
