@@ -24,6 +24,7 @@ use crate::messages::wire::{Heartbeat, Wire};
 use crate::net::fault::{ActorFault, FaultPlan, Role};
 use crate::net::medium::Medium;
 use crate::net::range::CommRange;
+use crate::net::reliability::Setup;
 use crate::net::transport::ether::{Arrive, Ether, Transmit};
 use crate::policy::Model;
 use crate::random::Seed;
@@ -282,8 +283,15 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
     let firsts: Vec<RobotId> =
         entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
 
-    let (router, links) = (graph.routes.router(host), plan.deployment.links.len());
-    let make = move |life| Network::new(host, TEAM, life, links, router.clone());
+    let links = plan.deployment.links.iter().map(|link| Setup::emulated(link.reliability.clone())).collect();
+    let me = network::Identity { host, team: TEAM, epoch: 0 };
+    let config = network::Config { me, key: None, links, router: graph.routes.router(host) };
+    let seed = plan.seed;
+    let make = move |life| {
+        let me = network::Identity { epoch: life, ..config.me };
+        let stream = seed.stream(&format!("network/{}/{life}", host.0));
+        Network::new(network::Config { me, ..config.clone() }, stream)
+    };
     // One entry an agent: its robots, and their caches.
     let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
     let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
@@ -321,6 +329,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId) {
             network::Out::Deliver(message) => deliver(message),
             network::Out::Tap(frame) => recorder.send(recorder::In::Tap(frame)),
             network::Out::Counts(counts) => recorder.send(recorder::In::Counts(host, counts)),
+            network::Out::Peers(_) => {}
             network::Out::Transmit(link, audience, frame) => {
                 ethers[usize::from(link.0)].send(Transmit { from: host, audience, frame });
             }
