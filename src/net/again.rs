@@ -9,7 +9,7 @@ use super::codec::Frame;
 use super::counts::LinkCounts;
 use super::incoming::FRESH;
 use super::reliability::Reliability;
-use super::report::Name;
+use super::report::{MAX_HELD, Name};
 use super::router::Audience;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
@@ -140,6 +140,12 @@ impl Again {
             if rested { self.once_more(now, stream) } else { None }
         };
         names.iter().filter_map(&mut wanted).collect()
+    }
+
+    /// What the receivers of this audience may ask for: the newest of the streams that are repaired.
+    pub fn held(&self, audience: Audience) -> Vec<u32> {
+        let repaired = |kept: &&Kept| kept.reliability == Reliability::Nack && kept.audience == audience;
+        self.kept.values().filter(repaired).map(|kept| kept.sequence).take(MAX_HELD).collect()
     }
 
     /// When anything is next due.

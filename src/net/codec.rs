@@ -86,12 +86,15 @@ pub enum Content {
     Ack,
     /// Requests to send again.
     Nack,
+    /// The numbers of earlier datagrams that may be asked for.
+    Held,
 }
 
 impl Content {
     const REPORT: u8 = 0x80;
     const ACK: u8 = 0x81;
     const NACK: u8 = 0x82;
+    const HELD: u8 = 0x83;
 
     fn byte(self) -> u8 {
         match self {
@@ -99,6 +102,7 @@ impl Content {
             Content::Report => Content::REPORT,
             Content::Ack => Content::ACK,
             Content::Nack => Content::NACK,
+            Content::Held => Content::HELD,
         }
     }
 
@@ -107,6 +111,7 @@ impl Content {
             Content::REPORT => Some(Content::Report),
             Content::ACK => Some(Content::Ack),
             Content::NACK => Some(Content::Nack),
+            Content::HELD => Some(Content::Held),
             _ => KINDS.get(usize::from(byte)).copied().map(Content::Message),
         }
     }

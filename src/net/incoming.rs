@@ -63,8 +63,6 @@ pub struct Incoming {
     epoch: u32,
     /// Whether senders have to prove themselves.
     guarded: bool,
-    /// Whether anything that is missing can be asked for.
-    repairs: bool,
     rate: Option<Rate>,
     senders: BTreeMap<HostId, Sender>,
     forgot: Time,
@@ -75,39 +73,32 @@ pub struct Incoming {
 
 impl Incoming {
     /// Nothing yet.
-    pub fn new(host: HostId, epoch: u32, guarded: bool, repairs: bool, rate: Option<Rate>) -> Incoming {
+    pub fn new(host: HostId, epoch: u32, guarded: bool, rate: Option<Rate>) -> Incoming {
         let (senders, gaps) = (BTreeMap::new(), BTreeMap::new());
-        Incoming { host, epoch, guarded, repairs, rate, senders, forgot: Time::ZERO, gaps, turn: 0 }
+        Incoming { host, epoch, guarded, rate, senders, forgot: Time::ZERO, gaps, turn: 0 }
     }
 
-    /// Takes up a datagram of this team whose tag is right. `backoff` draws how long to wait before asking.
-    pub fn admit(
-        &mut self,
-        now: Time,
-        header: &Header,
-        report: Option<&Report>,
-        backoff: impl FnMut() -> Span,
-        counts: &mut LinkCounts,
-    ) -> Verdict {
+    /// Takes up a datagram of this team whose tag is right.
+    pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
         if let Err(verdict) = self.known(now, header, report, counts) {
             return verdict;
         }
         let sender = self.senders.get_mut(&header.sender).expect("it is known by now");
         let direct = header.flags.has(Flags::DIRECT);
-        let missed =
-            match sender.lanes[usize::from(direct)].window.place(header.sequence, header.flags.has(Flags::COPY)) {
-                Place::New(missed) => missed,
-                Place::Seen => {
-                    counts.duplicate += 1;
-                    return Verdict::Again;
-                }
-                Place::Behind if self.guarded => {
-                    counts.replay += 1;
-                    return Verdict::Refused { prompt: false };
-                }
-                // Without a key there is no replay to fear, and newest wins all the same.
-                Place::Behind => 0,
-            };
+        let copy = header.flags.has(Flags::COPY);
+        match sender.lanes[usize::from(direct)].window.place(header.sequence, copy) {
+            Place::New => {}
+            Place::Seen => {
+                counts.duplicate += 1;
+                return Verdict::Again;
+            }
+            Place::Behind if self.guarded => {
+                counts.replay += 1;
+                return Verdict::Refused { prompt: false };
+            }
+            // Without a key there is no replay to fear, and newest wins all the same.
+            Place::Behind => {}
+        }
         if let Some(rate) = &self.rate
             && !sender.bucket.take(now, rate)
         {
@@ -127,9 +118,6 @@ impl Incoming {
                     }
                 }
             }
-        }
-        if self.repairs {
-            self.note_gaps(now, header, missed, backoff);
         }
         Verdict::New
     }
@@ -241,14 +229,17 @@ impl Incoming {
         true
     }
 
-    fn note_gaps(&mut self, now: Time, header: &Header, missed: u32, mut backoff: impl FnMut() -> Span) {
+    /// A new datagram says what its sender still holds: whatever of it has not been here is missing. `backoff` draws
+    /// how long to wait before asking. Only what is held is asked for, so requests never breed requests.
+    pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], mut backoff: impl FnMut() -> Span) {
         let (host, epoch, direct) = (header.sender, header.epoch, header.flags.has(Flags::DIRECT));
         let name = |sequence| Name { host, epoch, direct, sequence };
         self.gaps.remove(&name(header.sequence));
-        for behind in 1..=missed.min(LOSS_SPAN) {
+        let Some(sender) = self.senders.get(&host) else { return };
+        let window = &sender.lanes[usize::from(direct)].window;
+        for &sequence in held.iter().filter(|sequence| window.misses(**sequence)) {
             if self.gaps.len() < MAX_GAPS {
-                let gap = Gap { due: now + backoff(), asked: 0 };
-                self.gaps.insert(name(header.sequence.wrapping_sub(behind)), gap);
+                self.gaps.entry(name(sequence)).or_insert_with(|| Gap { due: now + backoff(), asked: 0 });
             }
         }
     }

@@ -8,8 +8,8 @@ pub use super::counts::LinkCounts;
 use super::incoming::{BACKOFF, Incoming, Verdict};
 use super::key::{Key, TAG_BYTES};
 use super::outgoing::{Leaving, Outgoing, REPORT_PERIOD};
-use super::reliability::{Reliability, Reports, Setup};
-use super::report::{MAX_NAMES, Name, Report, read_names};
+use super::reliability::{Reports, Setup};
+use super::report::{MAX_NAMES, Name, Report, read_held, read_names};
 use super::router::Audience;
 use super::sender::Peer;
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -46,7 +46,6 @@ impl LinkState {
         if key.is_some() {
             setup.reports = Reports::On;
         }
-        let repairs = setup.reliability.values().any(|one| *one == Reliability::Nack);
         let Identity { host, team, epoch } = me;
         let first = Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
         let header = Header { flags: Flags::default(), team, sender: host, epoch, sequence: 0 };
@@ -54,7 +53,7 @@ impl LinkState {
             me,
             id,
             reports: setup.reports,
-            incoming: Incoming::new(host, epoch, key.is_some(), repairs, setup.rate),
+            incoming: Incoming::new(host, epoch, key.is_some(), setup.rate),
             outgoing: Outgoing::new(header, id, key.clone(), setup, first),
             key,
             counts: LinkCounts::default(),
@@ -112,13 +111,14 @@ impl LinkState {
         if !self.ours(&header) {
             return Ok(None);
         }
-        let (mut report, mut acks, mut asks) = (None, Vec::new(), Vec::new());
+        let (mut report, mut held, mut acks, mut asks) = (None, Vec::new(), Vec::new(), Vec::new());
         let mut empty = true;
         for block in codec::blocks(plain) {
             empty = false;
             match block? {
                 (Content::Message(_), _) => {}
                 (Content::Report, body) => report = Some(Report::read(body)?),
+                (Content::Held, body) => held.extend(read_held(body)?),
                 (content @ Content::Ack, body) => acks.extend(read_names(content, body)?),
                 (content @ Content::Nack, body) => asks.extend(read_names(content, body)?),
             }
@@ -126,8 +126,7 @@ impl LinkState {
         if empty {
             return Err(DecodeError::Blocks);
         }
-        let backoff = || backoff(stream);
-        let verdict = self.incoming.admit(now, &header, report.as_ref(), backoff, &mut self.counts);
+        let verdict = self.incoming.admit(now, &header, report.as_ref(), &mut self.counts);
         if let Verdict::Refused { prompt } = verdict {
             if prompt {
                 self.outgoing.prompt(now, stream.random_range(0.0..1.0));
@@ -141,6 +140,7 @@ impl LinkState {
         if verdict == Verdict::Again {
             return Ok(None);
         }
+        self.incoming.note_gaps(now, &header, &held, || backoff(stream));
         let mine = |names: Vec<Name>| -> (Vec<Name>, Vec<Name>) {
             names.into_iter().partition(|name| (name.host, name.epoch) == (self.me.host, self.me.epoch))
         };

@@ -10,7 +10,7 @@ use super::counts::LinkCounts;
 use super::incoming::Incoming;
 use super::key::Key;
 use super::reliability::{Reliability, Reports, Ride, Setup};
-use super::report::{MAX_NAMES, Name, write_names};
+use super::report::{MAX_NAMES, Name, write_held, write_names};
 use super::router::Audience;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
@@ -107,7 +107,8 @@ impl Outgoing {
         if let Some(once) = self.again.supersede(now, stream) {
             self.leave_again(once, counts, out);
         }
-        let plain = self.with_riders(now, audience, frame.clone(), incoming);
+        let held = if reliability == Reliability::Nack { self.again.held(audience) } else { Vec::new() };
+        let plain = self.with_riders(now, audience, frame.clone(), &held, incoming);
         out.push((audience, self.seal(&plain, audience, 0)));
         let repeats = if reliability == Reliability::Repeat { incoming.repeats(now, audience) } else { 0 };
         let sequence = self.header(audience, 0).sequence;
@@ -155,13 +156,23 @@ impl Outgoing {
     }
 
     /// The datagram with what may ride on it.
-    fn with_riders(&mut self, now: Time, audience: Audience, frame: Frame, incoming: &mut Incoming) -> Frame {
+    fn with_riders(
+        &mut self,
+        now: Time,
+        audience: Audience,
+        frame: Frame,
+        held: &[u32],
+        incoming: &mut Incoming,
+    ) -> Frame {
         let all = audience == Audience::All;
         let acks = self.setup.ride == Ride::Any && !self.acks.is_empty();
-        if self.soft.is_empty() && !(all && self.report_rides(now)) && !acks {
+        if self.soft.is_empty() && !(all && self.report_rides(now)) && !acks && held.is_empty() {
             return frame;
         }
         let mut bytes = frame.to_vec();
+        if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= MAX_PLAIN_BYTES {
+            add(&mut bytes, Content::Held, |bytes| write_held(held, bytes));
+        }
         self.board(now, audience, &mut bytes, incoming);
         bytes.into()
     }
@@ -204,6 +215,10 @@ impl Outgoing {
             entry.direct = self.direct.get(&entry.host).copied().unwrap_or(0);
         }
         add(bytes, Content::Report, |bytes| report.write(bytes));
+        let held = self.again.held(Audience::All);
+        if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= MAX_PLAIN_BYTES {
+            add(bytes, Content::Held, |bytes| write_held(&held, bytes));
+        }
         (self.report_left, self.report_due) = (Some(now), Some(now + REPORT_PERIOD));
         self.prompted = false;
     }

@@ -134,6 +134,22 @@ pub fn read_names(content: Content, bytes: &[u8]) -> Result<Vec<Name>, DecodeErr
     Ok(names.iter().map(name).collect())
 }
 
+/// The most numbers in one block of datagrams that are held.
+pub const MAX_HELD: usize = 16;
+
+/// Appends the numbers of datagrams that may be asked for.
+pub fn write_held(held: &[u32], bytes: &mut Vec<u8>) {
+    held.iter().for_each(|sequence| bytes.extend_from_slice(&sequence.to_le_bytes()));
+}
+
+/// Reads them.
+pub fn read_held(bytes: &[u8]) -> Result<Vec<u32>, DecodeError> {
+    match bytes.as_chunks::<4>() {
+        (held, []) if held.len() <= MAX_HELD => Ok(held.iter().map(|four| u32::from_le_bytes(*four)).collect()),
+        _ => Err(DecodeError::Link(Content::Held)),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -9,8 +9,8 @@ pub const LOSS_SPAN: u32 = 64;
 /// Where a datagram stands among those that were here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// It has not been here; so many just before it are missing.
-    New(u32),
+    /// It has not been here.
+    New,
     /// It has been here.
     Seen,
     /// It is older than the window.
@@ -48,7 +48,7 @@ impl Window {
         let ahead = sequence.wrapping_sub(newest);
         let place = if ahead != 0 && ahead <= u32::MAX / 2 {
             self.advance(newest, ahead);
-            Place::New(ahead - 1)
+            Place::New
         } else {
             let behind = newest.wrapping_sub(sequence);
             if behind >= WINDOW {
@@ -59,7 +59,7 @@ impl Window {
                 self.mark_original(behind, copy);
                 return Place::Seen;
             }
-            Place::New(0)
+            Place::New
         };
         let newest = self.newest.expect("there is one by now");
         self.seen[word(sequence)] |= bit(sequence);
@@ -88,9 +88,13 @@ impl Window {
         self.newest = Some(newest.wrapping_add(by));
     }
 
-    /// Whether this one, which is inside the window, was here.
-    pub fn has(&self, sequence: u32) -> bool {
+    fn has(&self, sequence: u32) -> bool {
         self.seen[word(sequence)] & bit(sequence) != 0
+    }
+
+    /// Whether this one lies within the window and has not been here.
+    pub fn misses(&self, sequence: u32) -> bool {
+        self.newest.is_some_and(|newest| newest.wrapping_sub(sequence) < WINDOW) && !self.has(sequence)
     }
 
     /// How many of the newest `LOSS_SPAN` first transmissions did not arrive.
@@ -120,25 +124,25 @@ mod tests {
     #[test]
     fn each_is_new_once_in_whatever_order_and_across_a_wrap() {
         let mut window = Window::default();
-        assert_eq!(window.place(u32::MAX - 1, false), Place::New(0));
-        assert_eq!(window.place(1, false), Place::New(2), "two are missing at the wrap");
-        assert_eq!(window.place(u32::MAX, false), Place::New(0));
+        assert_eq!(window.place(u32::MAX - 1, false), Place::New);
+        assert_eq!(window.place(1, false), Place::New);
+        assert_eq!(window.place(u32::MAX, false), Place::New);
         assert_eq!(window.place(u32::MAX, false), Place::Seen);
         assert_eq!(window.lost(), 1);
-        assert_eq!(window.place(0, true), Place::New(0));
+        assert_eq!(window.place(0, true), Place::New);
         assert_eq!((window.lost(), window.missing()), (1, (4, 0)), "a copy repairs and the loss remains known");
         assert_eq!(window.place(0, false), Place::Seen);
         assert_eq!(window.lost(), 0, "it was late, not lost");
-        assert_eq!(window.place(1 + WINDOW, false), Place::New(WINDOW - 1));
+        assert_eq!(window.place(1 + WINDOW, false), Place::New);
         assert_eq!(window.place(1, false), Place::Behind);
-        assert_eq!(window.place(2, false), Place::New(0));
+        assert_eq!(window.place(2, false), Place::New);
     }
 
     #[test]
     fn a_window_that_begins_somewhere_takes_nothing_from_before() {
         let mut window = Window::starting(500);
         assert_eq!(window.place(499, false), Place::Seen);
-        assert_eq!(window.place(500, false), Place::New(0));
+        assert_eq!(window.place(500, false), Place::New);
         assert_eq!(window.missing(), (1, 0));
     }
 }

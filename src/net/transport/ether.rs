@@ -72,7 +72,7 @@ impl Core for Ether {
         let (kind, heard_as) = match first(&transmit.frame).expect("a Network sends whole datagrams") {
             Content::Message(kind) => (kind, kind as usize),
             // Soft state: the medium treats it like the soft state of robots.
-            Content::Report | Content::Ack | Content::Nack => (Kind::Heartbeat, KINDS.len()),
+            _ => (Kind::Heartbeat, KINDS.len()),
         };
         match transmit.audience {
             Audience::Host(to) => self.carry(now, kind, &transmit, to, out),
