@@ -22,13 +22,16 @@ use murmurate::actors::network::{self, Network};
 use murmurate::actors::real::{Readers, run_real};
 use murmurate::actors::shell::{Mailbox, start};
 use murmurate::deploy::team::{SocketConfig, Transport};
-use murmurate::messages::floats::Features;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
-use murmurate::messages::wire::{Heartbeat, Kind, Latent, Mode, Phase, Round, Wire};
+use murmurate::messages::latch::Latch;
+use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Mode, Phase, Round, Wire};
+use murmurate::net::key::Key;
+use murmurate::net::reliability::{Reliabilities, Reliability, Setup};
 use murmurate::net::router::{Audience, Route, Router};
 use murmurate::net::transport::udp::Udp;
 use murmurate::net::transport::{self, Arrive, Transmit};
+use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
 use nix::sys::resource::{UsageWho, getrusage};
 use nix::time::{ClockId, clock_gettime};
@@ -42,6 +45,8 @@ const FLOATS: usize = 32;
 const HEARTBEAT: Span = Span::from_millis(200);
 const MODE: Span = Span::from_millis(100);
 const LINK: LinkId = LinkId(0);
+/// A key like any other: what authentication costs does not depend on it.
+const KEY: [u8; 32] = *b"the key of the messaging harness";
 
 /// Nanoseconds of the clock that the harness goes by.
 fn monotonic_ns() -> u64 {
@@ -269,19 +274,19 @@ impl Core for Peer {
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Wire>) {
-        let (round, phase) = (Round { epoch: 1, episode: 0 }, Phase::Running);
+        let (round, phase, latch) = (Round { epoch: 1, episode: 0 }, Phase::Running, Latch::default());
         if self.next <= now {
             self.send(now, out);
         }
         if self.next_heartbeat <= now {
             self.next_heartbeat = now + HEARTBEAT;
-            out.push(Wire::Heartbeat(Heartbeat { robot: RobotId(self.id), round, phase }));
+            out.push(Wire::Heartbeat(Heartbeat { robot: RobotId(self.id), round, phase, latch }));
         }
         if self.next_mode <= now {
             self.next_mode = if self.id == 0 { now + MODE } else { Time::MAX };
             let tasks = vec![Task { start: Vec2::zeros(), goal: Vec2::zeros() }; self.senders.len()].into();
             if self.id == 0 {
-                out.push(Wire::Mode(Mode { round, repeat: 0, phase, first: RobotId(0), tasks }));
+                out.push(Wire::Mode(Mode { round, repeat: 0, phase, first: RobotId(0), tasks, latch }));
             }
         }
     }
@@ -313,7 +318,7 @@ fn main() {
         transport: Transport::Multicast { group },
         interface: variable("NP_IFACE", "lo".to_owned()),
         receive_buffer_bytes: 4 << 20,
-        reliability: BTreeMap::new(),
+        reliability: Reliabilities::new(),
     };
     let udp = Udp::open(HostId(id), &socket).unwrap_or_else(|error| panic!("{error}"));
     let (origin, zero_ns) = (Instant::now(), monotonic_ns());
@@ -371,7 +376,17 @@ fn wire(
         };
         Route { local, leaves: leaves.then_some((LINK, Audience::All)) }
     });
-    let make = move |life| Network::new(HostId(id), 1, life, 1, router.clone());
+    let reliability = Reliabilities::from([(Kind::Latent, Reliability::Repeat)]);
+    let config = network::Config {
+        me: network::Identity { host: HostId(id), team: 1, epoch: 1 },
+        key: Some(Key::new(KEY)),
+        links: vec![Setup::multicast(reliability)],
+        router,
+    };
+    let make = move |life| {
+        let stream = Seed::of_run(u64::from(id)).stream(&format!("network/{life}"));
+        Network::new(config.clone(), stream)
+    };
     let (outward, inward) = (to_udp.clone(), to_peer.clone());
     start(clock, &to_network, info_span!("network"), make, move |said| match said {
         network::Out::Deliver(Wire::Latent(latent)) => inward.send(In::Arrived(latent)),

@@ -10,17 +10,17 @@ use murmurate::messages::wire::{
     Stop, Wire,
 };
 use murmurate::net::codec::{
-    DecodeError, EncodeError, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, VERSION, decode, encode, peek,
+    BLOCK_BYTES, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, MAX_PLAIN_BYTES,
+    VERSION, decode, encode, peek,
 };
+use murmurate::net::key::TAG_BYTES;
 use murmurate::time::Span;
 use proptest::prelude::*;
 
-fn header(message: &Wire) -> Header {
-    Header { kind: message.kind(), team: 7, sender: HostId(3), epoch: 2, sequence: u32::MAX }
-}
+const HEADER: Header = Header { flags: Flags(Flags::DIRECT), team: 7, sender: HostId(3), epoch: 2, sequence: u32::MAX };
 
 fn send(message: &Wire) -> Frame {
-    encode(&header(message), message).expect("a sound message can be sent")
+    encode(&HEADER, message).expect("a sound message can be sent")
 }
 
 fn motion() -> impl Strategy<Value = Motion> {
@@ -83,8 +83,8 @@ proptest! {
     #[test]
     fn what_can_be_built_survives_the_wire(message in message()) {
         let frame = send(&message);
-        prop_assert!(frame.len() <= MAX_FRAME_BYTES);
-        prop_assert_eq!(decode(&frame), Ok((header(&message), message.clone())));
+        prop_assert!(frame.len() <= MAX_PLAIN_BYTES);
+        prop_assert_eq!(decode(&frame), Ok((HEADER, message.clone())));
     }
 
     #[test]
@@ -106,7 +106,7 @@ proptest! {
             turned[bit / 8] ^= 1 << (bit % 8);
             if let Ok((header, other)) = decode(&turned) {
                 prop_assert!(other.check().is_ok());
-                prop_assert!((header, other) != (self::header(&message), message.clone()), "bit {bit} counts");
+                prop_assert!((header, other) != (HEADER, message.clone()), "bit {bit} counts");
             }
         }
     }
@@ -115,7 +115,10 @@ proptest! {
     fn noise_is_refused_and_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..1400), kind in 0u8..7) {
         let _ = decode(&bytes);
         // Noise behind a sound header gets further in.
-        let mut frame = vec![VERSION, kind];
+        let mut frame = encode(&HEADER, &latent(Vec::new())).expect("a sound message").to_vec();
+        frame.truncate(HEADER_BYTES);
+        let length = u16::try_from(bytes.len()).expect("a short body").to_le_bytes();
+        frame.extend_from_slice(&[kind, length[0], length[1]]);
         frame.extend(bytes);
         if let Ok((_, message)) = decode(&frame) {
             prop_assert!(message.check().is_ok());
@@ -127,7 +130,7 @@ proptest! {
 fn numbers_that_are_none_are_refused_at_both_ends() {
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 2e6] {
         let message = latent(vec![0.0, bad]);
-        assert!(matches!(encode(&header(&message), &message), Err(EncodeError::Unfit(..))));
+        assert!(matches!(encode(&HEADER, &message), Err(EncodeError::Unfit(..))));
         // Smuggled in behind the sender's back: the last four bytes are the last feature.
         let mut frame = send(&latent(vec![0.0, 0.0])).to_vec();
         let at = frame.len() - 4;
@@ -145,14 +148,15 @@ fn another_version_and_another_kind_are_refused() {
         decode(&frame)
     };
     assert_eq!(with(0, VERSION + 1), Err(DecodeError::Version(VERSION + 1)));
-    assert_eq!(with(1, 200), Err(DecodeError::Kind(200)));
+    assert_eq!(with(HEADER_BYTES, 200), Err(DecodeError::Kind(200)));
+    assert_eq!(with(1, 0x80), Err(DecodeError::Flags(0x80)));
     assert_eq!(decode(&[VERSION; 5]), Err(DecodeError::Length(5)));
     assert_eq!(peek(&vec![VERSION; MAX_FRAME_BYTES + 1]), Err(DecodeError::Length(MAX_FRAME_BYTES + 1)));
 }
 
 #[test]
 fn limits_hold_when_sending() {
-    let unfit = |message: Wire| matches!(encode(&header(&message), &message), Err(EncodeError::Unfit(..)));
+    let unfit = |message: Wire| matches!(encode(&HEADER, &message), Err(EncodeError::Unfit(..)));
     assert!(unfit(latent(vec![0.0; MAX_FEATURES + 1])));
     let velocity = Vec2::zeros();
     let valid_for = MAX_VALIDITY + Span::from_nanos(1);
@@ -169,9 +173,9 @@ fn limits_hold_when_sending() {
 
 #[test]
 fn a_published_latent_is_small() {
-    // 32 floats, with every integer at its largest: header and body.
-    let frame = send(&latent(vec![0.5; 32]));
-    assert!(frame.len() <= 200, "{} bytes", frame.len());
-    const TAG_BYTES: usize = 16;
-    const { assert!(HEADER_BYTES + TAG_BYTES <= 40, "header and tag take at most 40 bytes") };
+    // 32 floats, with every integer at its largest: header, block and body, and the tag of a team with a key.
+    let datagram = send(&latent(vec![0.5; 32])).len() + TAG_BYTES;
+    const ETHERNET_IP_UDP: usize = 14 + 20 + 8;
+    assert!(datagram + ETHERNET_IP_UDP <= 240, "{datagram} bytes");
+    const { assert!(HEADER_BYTES + BLOCK_BYTES + TAG_BYTES <= 40, "header and tag take at most 40 bytes") };
 }

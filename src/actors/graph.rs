@@ -23,9 +23,12 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
 use crate::messages::wire::{Stop, Wire};
 use crate::net::fault::{ActorFault, FaultPlan, Role};
-use crate::net::link::LinkCounts;
+use crate::net::key::Key;
+use crate::net::link::{self, LinkCounts};
 use crate::net::medium::Medium;
 use crate::net::range::CommRange;
+use crate::net::reliability::Setup;
+use crate::net::sender::Peer;
 use crate::net::transport::ether::Ether;
 use crate::net::transport::{self, Arrive, Transmit};
 use crate::policy::Model;
@@ -208,6 +211,10 @@ pub struct Process {
     pub team: u16,
     /// Which life of the process this is: one that is started again has a later one.
     pub incarnation: u32,
+    /// What the team's datagrams are sealed with, if they are.
+    pub key: Option<Key>,
+    /// How its links are set up; `None` for those of the emulated ether.
+    pub links: Option<Vec<Setup>>,
     /// Whether a Recorder runs here.
     pub records: bool,
     /// Is told what reaches the actors and what the Networks count.
@@ -221,6 +228,8 @@ pub enum Heard<'a> {
     Published,
     /// A message for this host.
     Message(&'a Wire),
+    /// What is known of the other hosts.
+    Peers(&'a [Peer]),
     /// What it has counted on its links since it was started.
     Counts(&'a LinkCounts),
 }
@@ -228,7 +237,13 @@ pub enum Heard<'a> {
 impl Process {
     /// Every host of a deployment.
     fn whole() -> Process {
-        Process { only: None, team: TEAM, incarnation: 0, records: true, hear: Rc::new(|_| {}) }
+        let hear = Rc::new(|_: Heard| {});
+        Process { only: None, team: TEAM, incarnation: 0, key: None, links: None, records: true, hear }
+    }
+
+    fn setups(&self, deployment: &Deployment) -> Vec<Setup> {
+        let emulated = || deployment.links.iter().map(|link| Setup::emulated(link.reliability.clone())).collect();
+        self.links.clone().unwrap_or_else(emulated)
     }
 }
 
@@ -375,10 +390,19 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
     let firsts: Vec<RobotId> =
         entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
 
-    let (router, links) = (graph.routes.router(host), plan.deployment.links.len());
-    let Process { team, incarnation, .. } = *process;
+    let config = network::Config {
+        me: link::Identity { host, team: process.team, epoch: 0 },
+        key: process.key.clone(),
+        links: process.setups(&plan.deployment),
+        router: graph.routes.router(host),
+    };
+    let (seed, incarnation) = (plan.seed, process.incarnation);
     let (hear, alone) = (Rc::clone(&process.hear), process.only.is_some());
-    let make = move |life| Network::new(host, team, incarnation + life, links, router.clone());
+    let make = move |life: u32| {
+        let me = link::Identity { epoch: incarnation + life, ..config.me };
+        let stream = seed.stream(&format!("network/{}/{life}", host.0));
+        Network::new(network::Config { me, ..config.clone() }, stream)
+    };
     // One entry an agent: its robots, and their caches.
     let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
     let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
@@ -436,6 +460,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
                 hear(Heard::Counts(&counts));
                 record(recorder::In::Counts(host, counts));
             }
+            network::Out::Peers(peers) => hear(Heard::Peers(&peers)),
             network::Out::Transmit(link, audience, frame) => {
                 let transmit = Transmit { from: host, audience, frame };
                 transports[usize::from(link.0)].send(transport::In::Transmit(transmit));

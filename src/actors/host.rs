@@ -14,6 +14,8 @@ use super::real::Readers;
 use super::recorder;
 use super::shell::start;
 use crate::messages::ids::{HostId, LinkId};
+use crate::net::key::Key;
+use crate::net::reliability::Setup;
 use crate::net::transport::udp::Udp;
 use crate::net::transport::{self, Arrive};
 use crate::time::Time;
@@ -26,6 +28,10 @@ pub struct Host {
     pub team: u16,
     /// Which of its lives this is.
     pub incarnation: u32,
+    /// The team's key; none on a machine that keeps to itself.
+    pub key: Option<Key>,
+    /// How its links are set up, in the order of the deployment.
+    pub links: Vec<Setup>,
     /// Its sockets by link, for the links that it uses.
     pub sockets: Vec<(LinkId, Udp)>,
 }
@@ -44,6 +50,8 @@ pub fn wire(
         only: Some(host.id),
         team: host.team,
         incarnation: host.incarnation,
+        key: host.key,
+        links: Some(host.links),
         records: plan.deployment.hosts[usize::from(host.id.0)].world.len() == plan.deployment.robots,
         hear: Rc::new(heard),
     };

@@ -1,15 +1,22 @@
 //! Network: the one way out of a host and into it. It decides for every wire message whether it has takers
 //! here, which link it leaves on, or both.
 //!
-//! Each published message is encoded once; the same bytes go to the links and to the Recorder. A frame that
-//! arrives is checked, decoded and handed in, or counted and dropped.
+//! Each published message is encoded once; the same bytes go to the links and to the Recorder. A datagram that
+//! arrives is checked, decoded and handed in, or counted and dropped. What is sent when and again, and who is
+//! believed, is decided in `net::link`.
 
 use super::Core;
-use crate::messages::ids::{HostId, LinkId};
+use crate::messages::ids::LinkId;
 use crate::messages::wire::Wire;
-use crate::net::codec::{self, Frame};
+use crate::net::codec::{self, Content, Frame, Header};
+use crate::net::key::Key;
+pub use crate::net::link::Identity;
 use crate::net::link::{LinkCounts, LinkState};
+use crate::net::outgoing::Leaving;
+use crate::net::reliability::{Ride, Setup};
 use crate::net::router::{Audience, Router};
+use crate::net::sender::Peer;
+use crate::random::Stream;
 use crate::time::{Span, Time};
 
 /// What a Network accepts.
@@ -17,8 +24,10 @@ use crate::time::{Span, Time};
 pub enum In {
     /// An actor of this host has something to say.
     Publish(Wire),
-    /// A frame has arrived.
+    /// A datagram has arrived.
     Frame(LinkId, Frame),
+    /// A transport has dropped so many datagrams, because a queue was full.
+    Dropped(LinkId, u64),
 }
 
 /// What a Network says.
@@ -28,47 +37,83 @@ pub enum Out {
     Deliver(Wire),
     /// To a link's transport.
     Transmit(LinkId, Audience, Frame),
-    /// To the Recorder: everything that was published.
+    /// To the Recorder: everything that was published, one message a datagram, without a tag.
     Tap(Frame),
     /// To the Recorder: what has happened on all links together.
     Counts(LinkCounts),
+    /// To whoever shows it: what is known of the other hosts, on links with reports.
+    Peers(Vec<Peer>),
 }
 
 /// How often a Network tells its counts.
 pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
+
+/// How a Network is set up.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Who this host is.
+    pub me: Identity,
+    /// The team's key; none where everyone is believed.
+    pub key: Option<Key>,
+    /// Its links, in the order of the deployment.
+    pub links: Vec<Setup>,
+    /// The way of every message.
+    pub router: Router,
+}
 
 /// One host's network.
 #[derive(Debug)]
 pub struct Network {
     router: Router,
     links: Vec<LinkState>,
-    /// Counts the frames that are published but leave on no link.
-    indoors: LinkState,
+    /// By link: whether every datagram reaches everyone.
+    shared: Vec<bool>,
+    /// The next datagram that is published but leaves on no link, and how many of those there were.
+    indoors: Header,
+    indoor_counts: LinkCounts,
+    stream: Stream,
+    leaving: Vec<Leaving>,
     next_counts: Time,
 }
 
 impl Network {
-    /// A network of `links` links in its `epoch`th incarnation.
-    pub fn new(host: HostId, team: u16, epoch: u32, links: usize, router: Router) -> Network {
-        let link = LinkState::new(host, team, epoch);
-        Network { router, links: vec![link.clone(); links], indoors: link, next_counts: Time::ZERO }
+    /// A network at the start of its epoch. It draws from `stream` when to ask and when to answer.
+    pub fn new(config: Config, mut stream: Stream) -> Network {
+        let Config { me, key, links, router } = config;
+        let shared = links.iter().map(|setup| setup.ride == Ride::Any).collect();
+        let ids = (0..=u16::MAX).map(LinkId);
+        let state = |(id, setup)| LinkState::new(me, id, key.clone(), setup, &mut stream);
+        let links = ids.zip(links).map(state).collect();
+        let Identity { host, team, epoch } = me;
+        let indoors = Header { flags: codec::Flags::default(), team, sender: host, epoch, sequence: 0 };
+        let indoor_counts = LinkCounts::default();
+        let (leaving, next_counts) = (Vec::new(), Time::ZERO);
+        Network { router, links, shared, indoors, indoor_counts, stream, leaving, next_counts }
     }
 
-    fn publish(&mut self, message: Wire, out: &mut Vec<Out>) {
+    fn publish(&mut self, now: Time, message: Wire, out: &mut Vec<Out>) {
         let route = self.router.route(message.kind(), message.robot());
-        let link = match route.leaves {
-            Some((link, _)) => &mut self.links[usize::from(link.0)],
-            None => &mut self.indoors,
-        };
-        match codec::encode(&link.stamp(message.kind()), &message) {
-            Ok(frame) => {
-                if let Some((link, audience)) = route.leaves {
-                    out.push(Out::Transmit(link, audience, frame.clone()));
-                }
-                out.push(Out::Tap(frame));
+        let encoded = match route.leaves {
+            Some((link, audience)) => {
+                let state = &mut self.links[usize::from(link.0)];
+                let encoded = state.say(now, audience, &message, &mut self.leaving);
+                transmit(link, &mut self.leaving, out);
+                encoded
             }
+            None => codec::encode(&self.indoors, &message).inspect(|_| {
+                self.indoors.sequence = self.indoors.sequence.wrapping_add(1);
+                self.indoor_counts.sent += 1;
+            }),
+        };
+        match encoded {
+            Ok(frame) => out.push(Out::Tap(frame)),
             Err(error) => {
-                if link.unfit() {
+                let counts = match route.leaves {
+                    Some((link, _)) => self.links[usize::from(link.0)].counts(),
+                    None => &mut self.indoor_counts,
+                };
+                counts.unfit += 1;
+                if counts.unfit == 1 {
                     tracing::error!(robot = message.robot().0, "not sent: {error}; what follows is only counted");
                 }
                 return;
@@ -79,43 +124,70 @@ impl Network {
         }
     }
 
-    fn receive(&mut self, link: LinkId, frame: &[u8], out: &mut Vec<Out>) {
-        let Some(state) = self.links.get_mut(usize::from(link.0)) else { return };
-        match codec::peek(frame) {
-            Ok(header) if !state.admit(&header) => return,
-            Ok(_) => {}
-            Err(error) => return state.refuse(&error),
-        }
-        match codec::decode(frame) {
-            Ok((_, message)) if !self.router.route(message.kind(), message.robot()).local => state.misrouted(),
-            Ok((header, message)) => {
-                if state.accept(&header, message.robot()) {
+    fn receive(&mut self, now: Time, link: LinkId, frame: &[u8], out: &mut Vec<Out>) {
+        let at = usize::from(link.0);
+        let Some(state) = self.links.get_mut(at) else { return };
+        let admitted = state.admit(now, frame, &mut self.stream, &mut self.leaving);
+        transmit(link, &mut self.leaving, out);
+        let Some((header, plain)) = admitted else { return };
+        for (content, body) in codec::blocks(plain).flatten() {
+            let Content::Message(kind) = content else { continue };
+            let message = match codec::message(kind, body) {
+                Ok(message) => message,
+                // Whoever garbles one message is not believed the rest.
+                Err(error) => return state.refuse(&error),
+            };
+            let robot = message.robot();
+            if self.router.route(kind, robot).local {
+                if state.accept(&header, kind, robot) {
                     out.push(Out::Deliver(message));
                 }
+            } else if self.shared[at] {
+                state.counts().aside += 1;
+            } else {
+                state.counts().misrouted += 1;
             }
-            Err(error) => state.refuse(&error),
         }
     }
+}
+
+fn transmit(link: LinkId, leaving: &mut Vec<Leaving>, out: &mut Vec<Out>) {
+    out.extend(leaving.drain(..).map(|(audience, frame)| Out::Transmit(link, audience, frame)));
 }
 
 impl Core for Network {
     type In = In;
     type Out = Out;
 
-    fn handle(&mut self, _: Time, input: In, out: &mut Vec<Out>) {
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
-            In::Publish(message) => self.publish(message, out),
-            In::Frame(link, frame) => self.receive(link, &frame, out),
+            In::Publish(message) => self.publish(now, message, out),
+            In::Frame(link, frame) => self.receive(now, link, &frame, out),
+            In::Dropped(link, count) => {
+                if let Some(state) = self.links.get_mut(usize::from(link.0)) {
+                    state.counts().queue += count;
+                }
+            }
         }
     }
 
     fn wake_at(&self) -> Option<Time> {
-        Some(self.next_counts)
+        self.links.iter().filter_map(LinkState::due).chain([self.next_counts]).min()
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        out.push(Out::Counts(self.links.iter().chain([&self.indoors]).map(LinkState::counts).sum()));
-        self.next_counts = now.next_on_grid(Span::ZERO, COUNTS_PERIOD);
+        for (state, id) in self.links.iter_mut().zip((0..=u16::MAX).map(LinkId)) {
+            state.wake(now, &mut self.stream, &mut self.leaving);
+            transmit(id, &mut self.leaving, out);
+        }
+        if self.next_counts <= now {
+            out.push(Out::Counts(self.links.iter().map(LinkState::counted).chain([self.indoor_counts]).sum()));
+            let peers: Vec<Peer> = self.links.iter().flat_map(|link| link.peers(now)).collect();
+            if !peers.is_empty() {
+                out.push(Out::Peers(peers));
+            }
+            self.next_counts = now.next_on_grid(Span::ZERO, COUNTS_PERIOD);
+        }
     }
 }
 
@@ -123,9 +195,11 @@ impl Core for Network {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
-    use crate::messages::ids::RobotId;
+    use crate::messages::ids::{HostId, RobotId};
     use crate::messages::wire::{Kind, Reading};
+    use crate::net::reliability::Reliabilities;
     use crate::net::router::Route;
+    use crate::random::Seed;
 
     const LINK: LinkId = LinkId(0);
 
@@ -135,7 +209,9 @@ mod tests {
             local: kind == Kind::Reading && robot == RobotId(0),
             leaves: (robot == RobotId(1)).then_some((LINK, Audience::Host(HostId(9)))),
         });
-        Network::new(HostId(host), team, 1, 1, router)
+        let me = Identity { host: HostId(host), team, epoch: 1 };
+        let links = vec![Setup::emulated(Reliabilities::new())];
+        Network::new(Config { me, key: None, links, router }, Seed::of_run(1).stream("network"))
     }
 
     fn reading(robot: u16) -> Wire {

@@ -11,7 +11,7 @@ use super::Core;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::local::{Sample, Truth};
 use crate::messages::wire::{Kind, Phase, Round, Wire};
-use crate::net::codec::{self, Frame};
+use crate::net::codec::{self, Content, Frame};
 use crate::net::link::LinkCounts;
 use crate::report::episode::Episode;
 use crate::report::trial::{Step, Totals};
@@ -120,11 +120,11 @@ impl Recorder {
         self.messages += 1;
         self.digest.update(&now.as_nanos().to_le_bytes());
         self.digest.update(frame);
-        let kind = codec::peek(frame).expect("a Network publishes whole frames").kind;
-        if !matches!(kind, Kind::Mode | Kind::MotorCommand) {
+        let content = codec::first(frame).expect("a Network publishes whole datagrams");
+        if !matches!(content, Content::Message(Kind::Mode | Kind::MotorCommand)) {
             return;
         }
-        self.hear(now, &codec::decode(frame).expect("a Network publishes whole frames").1, out);
+        self.hear(now, &codec::decode(frame).expect("a Network publishes whole datagrams").1, out);
     }
 
     fn hear(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {
@@ -271,7 +271,7 @@ mod tests {
     use crate::messages::latch::Latch;
     use crate::messages::local::Contacts;
     use crate::messages::wire::Mode;
-    use crate::net::codec::Header;
+    use crate::net::codec::{Flags, Header};
     use crate::scenario::{Settings, build};
 
     fn recorder() -> Recorder {
@@ -288,7 +288,7 @@ mod tests {
         let round = Round { epoch: 1, episode };
         let tasks = recorder.config.layouts.episode(0).into();
         let mode = Wire::Mode(Mode { round, repeat: 4, phase, first: RobotId(0), tasks, latch: Latch::default() });
-        let header = Header { kind: Kind::Mode, team: 0, sender: HostId(0), epoch: 1, sequence: 0 };
+        let header = Header { flags: Flags::default(), team: 0, sender: HostId(0), epoch: 1, sequence: 0 };
         let frame = codec::encode(&header, &mode).unwrap();
         let mut out = Vec::new();
         recorder.handle(at_ms(ms), In::Tap(frame), &mut out);

@@ -19,6 +19,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::fault::Targets;
 use crate::net::medium::Impairment;
+use crate::net::reliability::Reliabilities;
 use crate::time::Span;
 use crate::world::{self, Placement};
 
@@ -66,6 +67,9 @@ pub struct Link {
     /// The kinds that are impaired.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub impairs: Vec<Kind>,
+    /// How sure the kinds are to arrive; those not named are sent once.
+    #[serde(default, skip_serializing_if = "Reliabilities::is_empty")]
+    pub reliability: Reliabilities,
 }
 
 /// Which host runs what, and which link carries what.
@@ -181,6 +185,9 @@ impl Deployment {
             }
             if let Some(kind) = link.impairs.iter().find(|kind| !link.carries.contains(kind)) {
                 return wrong("link.impairs", format!("'{}' does not carry {kind:?}", link.name));
+            }
+            if let Some(kind) = link.reliability.keys().find(|kind| !link.carries.contains(kind)) {
+                return wrong("link.reliability", format!("'{}' does not carry {kind:?}", link.name));
             }
             if !(0.0..=60.0).contains(&link.delay_s) {
                 return wrong("link.delay_s", format!("{} on '{}' is not 0 to 60 s", link.delay_s, link.name));

@@ -3,6 +3,7 @@
 use super::{Deployment, Host, Link, Stepping, WIRES, kinematic};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Kind;
+use crate::net::reliability::Reliabilities;
 use crate::world::Placement;
 
 impl Deployment {
@@ -18,6 +19,7 @@ impl Deployment {
             delay_s: 0.0,
             loss: 0.0,
             impairs: Vec::new(),
+            reliability: Reliabilities::new(),
         };
         let one_each = |prefix: &str| -> Vec<Host> {
             let agent = |&robot: &u16| Host { agents: vec![vec![robot]], ..host(&format!("{prefix}-{robot}")) };

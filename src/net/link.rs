@@ -1,194 +1,233 @@
-//! What a host remembers of one link: its own sequence numbers, the newest frame of every sender, and a
-//! count of everything that was let in or refused, by cause. Pure; no sockets, no clock.
+//! One link as one host sees it: what leaves (`outgoing`), what arrives (`incoming`), and everything counted. Pure;
+//! no sockets, no clock.
 
-use std::collections::BTreeMap;
-use std::iter::Sum;
+use rand::RngExt;
 
-use serde::{Deserialize, Serialize};
+use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
+pub use super::counts::LinkCounts;
+use super::incoming::{BACKOFF, Incoming, Verdict};
+use super::key::{Key, TAG_BYTES};
+use super::outgoing::{Leaving, Outgoing, REPORT_PERIOD};
+use super::reliability::{Reports, Setup};
+use super::report::{MAX_NAMES, Name, Report, read_held, read_names};
+use super::router::Audience;
+use super::sender::Peer;
+use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::wire::{Kind, Wire};
+use crate::random::Stream;
+use crate::time::{Span, Time};
 
-use super::codec::{DecodeError, Header};
-use crate::messages::ids::{HostId, RobotId};
-use crate::messages::wire::Kind;
-
-/// Frames of one link, as one host counted them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct LinkCounts {
-    /// Sent.
-    pub sent: u64,
-    /// Not sent: out of the ranges of their kind.
-    pub unfit: u64,
-    /// Received and let in.
-    pub accepted: u64,
-    /// Refused: own frames, heard back.
-    pub own: u64,
-    /// Refused: of another team.
-    pub team: u64,
-    /// Refused: of another version.
-    pub version: u64,
-    /// Refused: the same frame again.
-    pub duplicate: u64,
-    /// Refused: older than what is already here, or of an earlier epoch.
-    pub stale: u64,
-    /// Refused: not a message.
-    pub malformed: u64,
-    /// Refused: about a robot that is not on this host.
-    pub misrouted: u64,
-}
-
-impl LinkCounts {
-    /// Everything that was refused, whatever the cause.
-    pub fn refused(&self) -> u64 {
-        self.own + self.team + self.version + self.duplicate + self.stale + self.malformed + self.misrouted
-    }
-}
-
-impl Sum for LinkCounts {
-    fn sum<I: Iterator<Item = LinkCounts>>(all: I) -> LinkCounts {
-        all.fold(LinkCounts::default(), |sum, one| LinkCounts {
-            sent: sum.sent + one.sent,
-            unfit: sum.unfit + one.unfit,
-            accepted: sum.accepted + one.accepted,
-            own: sum.own + one.own,
-            team: sum.team + one.team,
-            version: sum.version + one.version,
-            duplicate: sum.duplicate + one.duplicate,
-            stale: sum.stale + one.stale,
-            malformed: sum.malformed + one.malformed,
-            misrouted: sum.misrouted + one.misrouted,
-        })
-    }
+/// Who this host is on its links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// The host.
+    pub host: HostId,
+    /// Its team.
+    pub team: u16,
+    /// Its incarnation: a host that is started again must choose a later one.
+    pub epoch: u32,
 }
 
 /// One link as one host sees it.
 #[derive(Clone, Debug)]
 pub struct LinkState {
-    host: HostId,
-    team: u16,
-    epoch: u32,
-    next_sequence: u32,
-    senders: BTreeMap<HostId, Sender>,
+    me: Identity,
+    id: LinkId,
+    key: Option<Key>,
+    reports: Reports,
+    incoming: Incoming,
+    outgoing: Outgoing,
     counts: LinkCounts,
 }
 
-#[derive(Clone, Debug, Default)]
-struct Sender {
-    epoch: u32,
-    /// The newest sequence number of each stream: a kind about a robot.
-    newest: BTreeMap<(Kind, RobotId), u32>,
-}
-
 impl LinkState {
-    /// The state at the start of `epoch`.
-    pub fn new(host: HostId, team: u16, epoch: u32) -> LinkState {
-        let counts = LinkCounts::default();
-        LinkState { host, team, epoch, next_sequence: 0, senders: BTreeMap::new(), counts }
+    /// The state at the start of an epoch. With a key there are always reports: they show who is alive.
+    pub fn new(me: Identity, id: LinkId, key: Option<Key>, mut setup: Setup, stream: &mut Stream) -> LinkState {
+        if key.is_some() {
+            setup.reports = Reports::On;
+        }
+        let Identity { host, team, epoch } = me;
+        let first = Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
+        let header = Header { flags: Flags::default(), team, sender: host, epoch, sequence: 0 };
+        LinkState {
+            me,
+            id,
+            reports: setup.reports,
+            incoming: Incoming::new(host, epoch, key.is_some(), setup.rate),
+            outgoing: Outgoing::new(header, id, key.clone(), setup, first),
+            key,
+            counts: LinkCounts::default(),
+        }
     }
 
-    /// The header of the next frame that this host sends here.
-    pub fn stamp(&mut self, kind: Kind) -> Header {
-        let sequence = self.next_sequence;
-        self.next_sequence = sequence.wrapping_add(1);
-        self.counts.sent += 1;
-        Header { kind, team: self.team, sender: self.host, epoch: self.epoch, sequence }
+    /// A message leaves for these hosts. Gives what was encoded.
+    pub fn say(
+        &mut self,
+        now: Time,
+        audience: Audience,
+        message: &Wire,
+        out: &mut Vec<Leaving>,
+    ) -> Result<Frame, EncodeError> {
+        self.outgoing.say(now, audience, message, &mut self.incoming, &mut self.counts, out)
     }
 
-    /// Whether a frame with this header is worth decoding.
-    pub fn admit(&mut self, header: &Header) -> bool {
-        let cause = if header.sender == self.host {
-            &mut self.counts.own
-        } else if header.team != self.team {
+    /// Takes a datagram in: what it holds, without its tag, if it is to be believed and new.
+    pub fn admit<'a>(
+        &mut self,
+        now: Time,
+        frame: &'a [u8],
+        stream: &mut Stream,
+        out: &mut Vec<Leaving>,
+    ) -> Option<(Header, &'a [u8])> {
+        match self.read(now, frame, stream, out) {
+            Ok(admitted) => admitted,
+            Err(error) => {
+                self.refuse(&error);
+                None
+            }
+        }
+    }
+
+    fn read<'a>(
+        &mut self,
+        now: Time,
+        frame: &'a [u8],
+        stream: &mut Stream,
+        out: &mut Vec<Leaving>,
+    ) -> Result<Option<(Header, &'a [u8])>, DecodeError> {
+        let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
+        if frame.len() < shortest || frame.len() > MAX_FRAME_BYTES {
+            return Err(DecodeError::Length(frame.len()));
+        }
+        let plain = match &self.key {
+            Some(key) => key.open(frame, self.id, self.me.host),
+            None => (frame[codec::FLAGS_AT] & Flags::TAGGED == 0).then_some(frame),
+        };
+        let Some(plain) = plain else {
+            self.counts.auth += 1;
+            return Ok(None);
+        };
+        let header = codec::peek(plain)?;
+        if !self.ours(&header) {
+            return Ok(None);
+        }
+        let (mut report, mut held, mut acks, mut asks) = (None, Vec::new(), Vec::new(), Vec::new());
+        let mut empty = true;
+        for block in codec::blocks(plain) {
+            empty = false;
+            match block? {
+                (Content::Message(_), _) => {}
+                (Content::Report, body) => report = Some(Report::read(body)?),
+                (Content::Held, body) => held.extend(read_held(body)?),
+                (content @ Content::Ack, body) => acks.extend(read_names(content, body)?),
+                (content @ Content::Nack, body) => asks.extend(read_names(content, body)?),
+            }
+        }
+        if empty {
+            return Err(DecodeError::Blocks);
+        }
+        let verdict = self.incoming.admit(now, &header, report.as_ref(), &mut self.counts);
+        if let Verdict::Refused { prompt } = verdict {
+            if prompt {
+                self.outgoing.prompt(now, stream.random_range(0.0..1.0));
+            }
+            return Ok(None);
+        }
+        if header.flags.has(Flags::ACK) {
+            let Header { sender: host, epoch, sequence, flags, .. } = header;
+            self.outgoing.acknowledge(now, Name { host, epoch, direct: flags.has(Flags::DIRECT), sequence });
+        }
+        if verdict == Verdict::Again {
+            return Ok(None);
+        }
+        self.incoming.note_gaps(now, &header, &held, || backoff(stream));
+        let mine = |names: Vec<Name>| -> (Vec<Name>, Vec<Name>) {
+            names.into_iter().partition(|name| (name.host, name.epoch) == (self.me.host, self.me.epoch))
+        };
+        if !acks.is_empty() {
+            self.outgoing.acknowledged(now, header.sender, &mine(acks).0);
+        }
+        if !asks.is_empty() {
+            let (mine, others) = mine(asks);
+            self.incoming.asked_by_others(now, &others);
+            self.outgoing.asked(now, &mine, &mut self.counts, out);
+        }
+        Ok(Some((header, plain)))
+    }
+
+    /// Whether it is from another host of this team.
+    fn ours(&mut self, header: &Header) -> bool {
+        let cause = if header.team != self.me.team {
             &mut self.counts.team
-        } else {
+        } else if header.sender != self.me.host {
             return true;
+        } else if header.epoch > self.me.epoch {
+            // Not a former self of this host: epochs grow.
+            if self.counts.twin.is_power_of_two() || self.counts.twin == 0 {
+                tracing::error!("a second live host has the id {} of this one: stop one of them", self.me.host.0);
+            }
+            &mut self.counts.twin
+        } else {
+            &mut self.counts.own
         };
         *cause += 1;
         false
     }
 
-    /// Whether a decoded message about `robot` is the newest of its stream; all kinds are state, so an
-    /// older one is worth nothing.
-    pub fn accept(&mut self, header: &Header, robot: RobotId) -> bool {
-        let sender = self.senders.entry(header.sender).or_default();
-        if header.epoch < sender.epoch {
-            self.counts.stale += 1;
-            return false;
-        }
-        if header.epoch > sender.epoch {
-            *sender = Sender { epoch: header.epoch, newest: BTreeMap::new() };
-        }
-        if let Some(newest) = sender.newest.get_mut(&(header.kind, robot)) {
-            // Serial number arithmetic (RFC 1982): half of the numbers are ahead, half behind.
-            let ahead = header.sequence.wrapping_sub(*newest);
-            if ahead == 0 {
-                self.counts.duplicate += 1;
-                return false;
-            }
-            if ahead > u32::MAX / 2 {
-                self.counts.stale += 1;
-                return false;
-            }
-            *newest = header.sequence;
-        } else {
-            sender.newest.insert((header.kind, robot), header.sequence);
-        }
-        self.counts.accepted += 1;
-        true
+    /// Whether a decoded message about `robot` is the newest of its stream.
+    pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId) -> bool {
+        self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// Counts a message that could not be sent; whether it is the first.
-    pub fn unfit(&mut self) -> bool {
-        self.counts.unfit += 1;
-        self.counts.unfit == 1
-    }
-
-    /// Counts bytes that are no frame.
+    /// Counts bytes that are no message.
     pub fn refuse(&mut self, error: &DecodeError) {
         match error {
             DecodeError::Version(_) => self.counts.version += 1,
+            DecodeError::Unfit(..) => self.counts.range += 1,
             _ => self.counts.malformed += 1,
         }
     }
 
-    /// Counts a message that nobody on this host wants.
-    pub fn misrouted(&mut self) {
-        self.counts.misrouted += 1;
+    /// What has been counted, to add to it.
+    pub fn counts(&mut self) -> &mut LinkCounts {
+        &mut self.counts
     }
 
     /// What has happened so far.
-    pub fn counts(&self) -> LinkCounts {
+    pub fn counted(&self) -> LinkCounts {
         self.counts
+    }
+
+    /// What is known of the others; none on a link without reports.
+    pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
+        let told = self.reports == Reports::On;
+        self.incoming.peers(now, self.id).filter(move |_| told)
+    }
+
+    /// When anything is next due.
+    pub fn due(&self) -> Option<Time> {
+        [self.outgoing.due(), self.incoming.gaps_due()].into_iter().flatten().min()
+    }
+
+    /// Does what is due.
+    pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Leaving>) {
+        self.outgoing.wake(now, &mut self.incoming, &mut self.counts, out);
+        if self.incoming.gaps_due().is_some_and(|due| due <= now) {
+            let names = self.incoming.ask(now, MAX_NAMES, || backoff(stream));
+            if !names.is_empty() {
+                self.outgoing.ask(&names, &mut self.counts, out);
+            }
+        }
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn header(epoch: u32, sequence: u32) -> Header {
-        Header { kind: Kind::Latent, team: 1, sender: HostId(2), epoch, sequence }
-    }
-
-    #[test]
-    fn the_newest_wins_across_a_wrap_and_a_restart() {
-        let mut link = LinkState::new(HostId(1), 1, 1);
-        let robot = RobotId(0);
-        assert!(link.accept(&header(1, u32::MAX), robot));
-        assert!(link.accept(&header(1, 0), robot), "the sequence wraps");
-        assert!(!link.accept(&header(1, u32::MAX), robot), "older than the newest");
-        assert!(!link.accept(&header(1, 0), robot), "the same again");
-        assert!(link.accept(&header(2, 0), robot), "a restarted sender starts anew");
-        assert!(!link.accept(&header(1, 9), robot), "its former self is stale");
-        let counts = link.counts();
-        assert_eq!((counts.accepted, counts.stale, counts.duplicate), (3, 2, 1));
-    }
-
-    #[test]
-    fn own_frames_and_other_teams_are_refused() {
-        let mut link = LinkState::new(HostId(2), 1, 1);
-        assert!(!link.admit(&header(1, 0)));
-        let mut link = LinkState::new(HostId(1), 7, 1);
-        assert!(!link.admit(&header(1, 0)));
-        assert_eq!(link.counts().team, 1);
-    }
+/// How long to wait before asking for a repair: mostly long, rarely short, so that few ask (RFC 5401, section 3.2,
+/// `RandomBackoff`).
+fn backoff(stream: &mut Stream) -> Span {
+    /// A group of about this size is reckoned with.
+    const GROUP: f64 = 10.0;
+    let (lambda, longest) = (GROUP.ln() + 1.0, BACKOFF.as_secs());
+    let scale = lambda / (longest * (lambda.exp() - 1.0));
+    let drawn = stream.random_range(0.0..1.0) * (lambda / longest) + scale;
+    Span::from_secs((longest / lambda * (drawn / scale).ln()).min(longest))
 }

@@ -3,11 +3,22 @@
 //!
 //! Nothing here knows what a message is good for; nothing in `policy` or `scenario` knows of this room.
 
+pub mod again;
+pub mod bucket;
 pub mod codec;
+pub mod counts;
 pub mod fault;
 mod fault_file;
+pub mod incoming;
+pub mod key;
 pub mod link;
 pub mod medium;
+pub mod offset;
+pub mod outgoing;
 pub mod range;
+pub mod reliability;
+pub mod report;
 pub mod router;
+pub mod sender;
 pub mod transport;
+pub mod window;

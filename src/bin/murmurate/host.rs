@@ -12,10 +12,13 @@ use murmurate::actors::graph::{Graph, Heard};
 use murmurate::actors::host::{self, Host};
 use murmurate::actors::real::run_real;
 use murmurate::actors::recorder::Out;
-use murmurate::deploy::team::{Team, TeamFile};
+use murmurate::deploy::Link;
+use murmurate::deploy::team::{SocketConfig, Team, TeamFile, Transport};
 use murmurate::messages::ids::{HostId, LinkId};
 use murmurate::messages::wire::{Phase, Wire};
+use murmurate::net::key::Key;
 use murmurate::net::link::LinkCounts;
+use murmurate::net::reliability::Setup;
 use murmurate::net::transport::udp::Udp;
 use murmurate::report::event::{Counted, HostEvent};
 use murmurate::report::summary::{Run, Summary};
@@ -79,10 +82,10 @@ pub fn run(args: &Args) -> Result<Ended> {
     let id = args.host(&file)?;
     let team = args.team.for_host(&file, id)?;
     let name = team.deployment.hosts[usize::from(id.0)].name.clone();
-    let _key = team::key(&team)?;
+    let key = team::key(&team)?.map(Key::new);
     let policy = team::policy(&team)?;
     let trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
-    let sockets = sockets(&team)?;
+    let (links, sockets) = (setups(&team), sockets(&team)?);
     let signal = Arc::new(AtomicUsize::new(0));
     for number in [SIGINT, SIGTERM] {
         signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
@@ -107,7 +110,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     let graph = run_real(
         began,
         |clock, readers| {
-            let host = Host { id, team: team.number, incarnation, sockets };
+            let host = Host { id, team: team.number, incarnation, key, links, sockets };
             let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
             let graph = host::wire((clock, readers), trial.plan(), host, move |h| heard.hear(h), move |o| said.say(o));
             let _ = sd_notify::notify(&[NotifyState::Ready]);
@@ -175,7 +178,7 @@ impl Seen {
     fn hear(&self, heard: Heard) {
         match heard {
             Heard::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
-            Heard::Message(_) => {}
+            Heard::Message(_) | Heard::Peers(_) => {}
             Heard::Counts(counts) => self.counts.set(*counts),
             Heard::Published => self.messages.set(self.messages.get() + 1),
         }
@@ -232,6 +235,19 @@ fn trial(team: &Team, model: murmurate::policy::Model) -> Result<Trial> {
     trial.physics.wall_radius_m = simulated.wall_radius_m;
     trial.check()?;
     Ok(trial)
+}
+
+/// How the links are set up: as the deployment has them, and as the team file has it otherwise.
+fn setups(team: &Team) -> Vec<Setup> {
+    let setup = |(link, config): (&Link, &Option<SocketConfig>)| {
+        let mut reliability = link.reliability.clone();
+        reliability.extend(config.iter().flat_map(|config| config.reliability.clone()));
+        match config.as_ref().map(|config| &config.transport) {
+            Some(Transport::Unicast { .. }) => Setup::unicast(reliability),
+            _ => Setup::multicast(reliability),
+        }
+    };
+    team.deployment.links.iter().zip(&team.links).map(setup).collect()
 }
 
 /// The sockets of the links that this host uses.

@@ -12,6 +12,7 @@ use toml::de::{DeTable, DeValue};
 
 use crate::config::{ConfigError, syntax};
 use crate::deploy::MODES;
+use crate::net::reliability::Reliability;
 
 /// Where a value comes from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -99,7 +100,10 @@ type Field = (&'static str, Takes, Option<&'static str>);
 pub const EVERY_INTERFACE: &str = "interface";
 
 /// How a kind of message is made to arrive.
-pub const RELIABILITIES: [&str; 4] = ["best-effort", "repeat", "nack", "ack"];
+pub const RELIABILITIES: [&str; 4] = {
+    let [(a, _), (b, _), (c, _), (d, _)] = Reliability::NAMED;
+    [a, b, c, d]
+};
 
 /// The fields of the whole team, in the order in which they are shown.
 const TEAM: [Field; 13] = [

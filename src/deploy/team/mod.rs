@@ -373,7 +373,7 @@ interface = "wlan8"
         let latent = first.links[0].as_ref().unwrap();
         assert_eq!(latent.transport, Transport::Multicast { group: "[ff02::4d75]:7700".parse().unwrap() });
         assert_eq!(latent.receive_buffer_bytes, 4 << 20);
-        assert_eq!(latent.reliability.get(&Kind::Latent).map(String::as_str), Some("repeat"));
+        assert_eq!(latent.reliability.get(&Kind::Latent), Some(&crate::net::reliability::Reliability::Repeat));
         assert_eq!(interface(&third, 1), "wlan7", "a robot's override is narrower than its host's");
         let Transport::Unicast { listen, peers } = &third.links[2].as_ref().unwrap().transport else { panic!() };
         assert_eq!(listen.port(), 3);

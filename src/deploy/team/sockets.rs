@@ -8,7 +8,8 @@ use super::{TeamFile, address, kebab, text, whole};
 use crate::config::ConfigError;
 use crate::deploy::Link;
 use crate::messages::ids::HostId;
-use crate::messages::wire::{KINDS, Kind};
+use crate::messages::wire::KINDS;
+use crate::net::reliability::{Reliabilities, Reliability};
 
 /// The socket of a host on a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -19,8 +20,8 @@ pub struct SocketConfig {
     pub interface: String,
     /// What the socket's receive buffer is asked to hold \[bytes\].
     pub receive_buffer_bytes: usize,
-    /// How messages are made to arrive, by kind, one of `RELIABILITIES`; those left out as their link has it.
-    pub reliability: BTreeMap<Kind, String>,
+    /// How messages are made to arrive, by kind; those left out as their link has it.
+    pub reliability: Reliabilities,
 }
 
 /// How frames travel.
@@ -80,7 +81,8 @@ impl TeamFile {
         };
         let reliability = KINDS.iter().filter_map(|&kind| {
             let entry = find(&format!("reliability.{}", kebab(kind)))?;
-            Some((kind, text(&entry).to_owned()))
+            let named = Reliability::NAMED.iter().find(|(name, _)| *name == text(&entry));
+            Some((kind, named.expect("the fields let only reliabilities through").1))
         });
         Ok(SocketConfig {
             transport,

@@ -1,12 +1,12 @@
 //! The emulated ether: one actor a link, carrying frames between the Networks of one process.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::{Arrive, In, Transmit};
 use crate::actors::Core;
 use crate::messages::ids::HostId;
 use crate::messages::wire::{KINDS, Kind};
-use crate::net::codec::{Frame, peek};
+use crate::net::codec::{Content, Frame, first};
 use crate::net::medium::Medium;
 use crate::net::router::Audience;
 use crate::time::Time;
@@ -15,7 +15,7 @@ use crate::time::Time;
 #[derive(Debug)]
 pub struct Ether {
     medium: Medium,
-    /// By kind.
+    /// By kind; and last, whoever listens to anything, for what the link layer says for itself.
     listeners: Vec<Vec<HostId>>,
     /// Frames on their way, in order of arrival and, at one instant, of departure.
     flying: BTreeMap<(Time, u64), Arrive>,
@@ -26,7 +26,8 @@ pub struct Ether {
 impl Ether {
     /// An ether on which `listens` says which hosts listen to a kind of message.
     pub fn new(medium: Medium, listens: impl Fn(Kind) -> Vec<HostId>) -> Ether {
-        let listeners = KINDS.iter().map(|&kind| listens(kind)).collect();
+        let mut listeners: Vec<Vec<HostId>> = KINDS.iter().map(|&kind| listens(kind)).collect();
+        listeners.push(listeners.concat().into_iter().collect::<BTreeSet<_>>().into_iter().collect());
         Ether { medium, listeners, flying: BTreeMap::new(), departures: 0, copies: Vec::new() }
     }
 
@@ -50,12 +51,16 @@ impl Core for Ether {
 
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Arrive>) {
         let In::Transmit(transmit) = input else { unreachable!("an ether has no socket") };
-        let kind = peek(&transmit.frame).expect("a Network sends whole frames").kind;
+        let (kind, heard_as) = match first(&transmit.frame).expect("a Network sends whole datagrams") {
+            Content::Message(kind) => (kind, kind as usize),
+            // Soft state: the medium treats it like the soft state of robots.
+            _ => (Kind::Heartbeat, KINDS.len()),
+        };
         match transmit.audience {
             Audience::Host(to) => self.carry(now, kind, &transmit, to, out),
             Audience::All => {
-                for at in 0..self.listeners[kind as usize].len() {
-                    let to = self.listeners[kind as usize][at];
+                for at in 0..self.listeners[heard_as].len() {
+                    let to = self.listeners[heard_as][at];
                     if to != transmit.from {
                         self.carry(now, kind, &transmit, to, out);
                     }

@@ -1,0 +1,54 @@
+//! A token bucket: how much one sender may say. Pure; the time is handed in.
+
+use crate::time::{Span, Time};
+
+/// How much one sender may say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rate {
+    /// Datagrams \[1/s\] in the long run.
+    pub per_s: f64,
+    /// Datagrams at once.
+    pub burst: f64,
+}
+
+/// What one sender has left.
+#[derive(Clone, Copy, Debug)]
+pub struct Bucket {
+    tokens: f64,
+    at: Time,
+}
+
+impl Bucket {
+    /// A full one.
+    pub fn full(now: Time, rate: &Rate) -> Bucket {
+        Bucket { tokens: rate.burst, at: now }
+    }
+
+    /// Takes one token, if there is one.
+    pub fn take(&mut self, now: Time, rate: &Rate) -> bool {
+        let passed: Span = now.since(self.at);
+        self.tokens = (self.tokens + passed.as_secs() * rate.per_s).min(rate.burst);
+        self.at = self.at.max(now);
+        let left = self.tokens >= 1.0;
+        if left {
+            self.tokens -= 1.0;
+        }
+        left
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_burst_passes_and_then_the_rate() {
+        let rate = Rate { per_s: 100.0, burst: 10.0 };
+        let mut bucket = Bucket::full(Time::ZERO, &rate);
+        let mut taken = 0;
+        for ms in 0..1000 {
+            taken += usize::from(bucket.take(Time::ZERO + Span::from_millis(ms), &rate));
+        }
+        assert!((108..=110).contains(&taken), "{taken} of 1000 in one second");
+    }
+}

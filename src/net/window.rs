@@ -1,0 +1,148 @@
+//! Which datagrams of one sender have been here: the replay window, and how many were lost. No time, no bytes.
+
+/// How far back a datagram may lie and still be told new or not.
+pub const WINDOW: u32 = 1024;
+const WORDS: usize = WINDOW as usize / 64;
+/// Over how many datagrams loss is measured: the newest.
+pub const LOSS_SPAN: u32 = 64;
+
+/// Where a datagram stands among those that were here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// It has not been here.
+    New,
+    /// It has been here.
+    Seen,
+    /// It is older than the window.
+    Behind,
+}
+
+/// The window of one sequence of numbers.
+#[derive(Clone, Debug, Default)]
+pub struct Window {
+    newest: Option<u32>,
+    /// By sequence number, modulo its length.
+    seen: [u64; WORDS],
+    /// The newest `LOSS_SPAN`, the lowest bit the newest: set where the first transmission itself arrived.
+    originals: u64,
+    /// How many numbers have passed, and how many of them were here.
+    passed: u64,
+    here: u64,
+}
+
+impl Window {
+    /// A window that begins at `first`: everything before it is behind.
+    pub fn starting(first: u32) -> Window {
+        let mut window = Window { newest: Some(first.wrapping_sub(1)), ..Window::default() };
+        window.seen = [u64::MAX; WORDS];
+        window
+    }
+
+    /// Takes a datagram up; `copy` says that it is not the first transmission.
+    pub fn place(&mut self, sequence: u32, copy: bool) -> Place {
+        let Some(newest) = self.newest else {
+            *self = Window::starting(sequence);
+            return self.place(sequence, copy);
+        };
+        // Serial number arithmetic (RFC 1982): half of the numbers are ahead, half behind.
+        let ahead = sequence.wrapping_sub(newest);
+        let place = if ahead != 0 && ahead <= u32::MAX / 2 {
+            self.advance(newest, ahead);
+            Place::New
+        } else {
+            let behind = newest.wrapping_sub(sequence);
+            if behind >= WINDOW {
+                return Place::Behind;
+            }
+            if self.has(sequence) {
+                // The first transmission, overtaken by its copy, was not lost.
+                self.mark_original(behind, copy);
+                return Place::Seen;
+            }
+            Place::New
+        };
+        let newest = self.newest.expect("there is one by now");
+        self.seen[word(sequence)] |= bit(sequence);
+        self.mark_original(newest.wrapping_sub(sequence), copy);
+        self.here += 1;
+        place
+    }
+
+    fn mark_original(&mut self, behind: u32, copy: bool) {
+        if !copy && behind < LOSS_SPAN {
+            self.originals |= 1 << behind;
+        }
+    }
+
+    fn advance(&mut self, newest: u32, by: u32) {
+        if by >= WINDOW {
+            self.seen = [0; WORDS];
+        } else {
+            for skipped in 1..=by {
+                let at = newest.wrapping_add(skipped);
+                self.seen[word(at)] &= !bit(at);
+            }
+        }
+        self.originals = if by < 64 { self.originals << by } else { 0 };
+        self.passed += u64::from(by);
+        self.newest = Some(newest.wrapping_add(by));
+    }
+
+    fn has(&self, sequence: u32) -> bool {
+        self.seen[word(sequence)] & bit(sequence) != 0
+    }
+
+    /// Whether this one lies within the window and has not been here.
+    pub fn misses(&self, sequence: u32) -> bool {
+        self.newest.is_some_and(|newest| newest.wrapping_sub(sequence) < WINDOW) && !self.has(sequence)
+    }
+
+    /// How many of the newest `LOSS_SPAN` first transmissions did not arrive.
+    pub fn lost(&self) -> u8 {
+        let span = self.passed.min(u64::from(LOSS_SPAN)) as u32;
+        (span - self.originals.count_ones().min(span)) as u8
+    }
+
+    /// How many datagrams have passed, and how many of them never came, not even as a copy.
+    pub fn missing(&self) -> (u64, u64) {
+        (self.passed, self.passed.saturating_sub(self.here))
+    }
+}
+
+fn word(sequence: u32) -> usize {
+    (sequence % WINDOW / 64) as usize
+}
+
+fn bit(sequence: u32) -> u64 {
+    1 << (sequence % 64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_is_new_once_in_whatever_order_and_across_a_wrap() {
+        let mut window = Window::default();
+        assert_eq!(window.place(u32::MAX - 1, false), Place::New);
+        assert_eq!(window.place(1, false), Place::New);
+        assert_eq!(window.place(u32::MAX, false), Place::New);
+        assert_eq!(window.place(u32::MAX, false), Place::Seen);
+        assert_eq!(window.lost(), 1);
+        assert_eq!(window.place(0, true), Place::New);
+        assert_eq!((window.lost(), window.missing()), (1, (4, 0)), "a copy repairs and the loss remains known");
+        assert_eq!(window.place(0, false), Place::Seen);
+        assert_eq!(window.lost(), 0, "it was late, not lost");
+        assert_eq!(window.place(1 + WINDOW, false), Place::New);
+        assert_eq!(window.place(1, false), Place::Behind);
+        assert_eq!(window.place(2, false), Place::New);
+    }
+
+    #[test]
+    fn a_window_that_begins_somewhere_takes_nothing_from_before() {
+        let mut window = Window::starting(500);
+        assert_eq!(window.place(499, false), Place::Seen);
+        assert_eq!(window.place(500, false), Place::New);
+        assert_eq!(window.missing(), (1, 0));
+    }
+}

@@ -1,0 +1,282 @@
+//! Abuse: whatever a network, a stranger or a broken host sends, it is refused under its cause, and nobody else suffers.
+
+mod rig;
+
+use murmurate::actors::Core;
+use murmurate::actors::network::In;
+use murmurate::messages::ids::HostId;
+use murmurate::messages::wire::Wire;
+use murmurate::net::codec::{self, Content, Flags, Header};
+use murmurate::net::incoming::MAX_SENDERS;
+use murmurate::net::key::Key;
+use murmurate::net::link::LinkCounts;
+use murmurate::net::reliability::Reliabilities;
+use murmurate::net::report::{Entry, Report, Stamp};
+use murmurate::time::{Span, Time};
+use proptest::prelude::*;
+use rig::{LINK, Rig, TEAM, config, key, latent, multicast, network};
+
+/// Two hosts that believe each other, and one more datagram that host 1 sends and host 0 has not heard.
+fn two() -> (Rig, Vec<u8>) {
+    let mut rig = Rig::team(2, Reliabilities::new());
+    rig.meet();
+    let delay = std::mem::replace(&mut rig.delay, Span::from_secs(1e6));
+    rig.publish(1, latent(1, 1));
+    rig.delay = delay;
+    let frame = rig.last_data(1).to_vec();
+    (rig, frame)
+}
+
+/// What host 0 has counted after a datagram, less what it had before.
+fn counted_for(rig: &mut Rig, frames: &[Vec<u8>]) -> LinkCounts {
+    let before = rig.counted(0);
+    rig.delivered[0].clear();
+    for frame in frames {
+        rig.arrive(0, frame);
+    }
+    let after = rig.counted(0);
+    let less = |of: fn(&LinkCounts) -> u64| of(&after) - of(&before);
+    LinkCounts {
+        accepted: less(|c| c.accepted),
+        own: less(|c| c.own),
+        auth: less(|c| c.auth),
+        replay: less(|c| c.replay),
+        unproven: less(|c| c.unproven),
+        twin: less(|c| c.twin),
+        team: less(|c| c.team),
+        version: less(|c| c.version),
+        range: less(|c| c.range),
+        duplicate: less(|c| c.duplicate),
+        stale: less(|c| c.stale),
+        rate: less(|c| c.rate),
+        crowd: less(|c| c.crowd),
+        malformed: less(|c| c.malformed),
+        misrouted: less(|c| c.misrouted),
+        ..LinkCounts::default()
+    }
+}
+
+fn sealed(key: &Key, header: Header, message: &Wire) -> Vec<u8> {
+    let mut bytes = codec::encode(&header, message).expect("a sound message").to_vec();
+    key.seal(&mut bytes, LINK, None);
+    bytes
+}
+
+fn header(sender: u16, epoch: u32, sequence: u32) -> Header {
+    Header { flags: Flags::default(), team: TEAM, sender: HostId(sender), epoch, sequence }
+}
+
+/// A datagram whose report shows host 0 that its sender is alive at `now`.
+fn lively(now: Time, header: Header, message: &Wire) -> Vec<u8> {
+    let mut bytes = codec::encode(&header, message).expect("a sound message").to_vec();
+    let (host, echo) = (HostId(0), Stamp::of(now));
+    let entry = Entry { host, epoch: 1, echo, held: Span::ZERO, lost: 0, direct: 0 };
+    let report = Report { stamp: Stamp::of(now), heard: vec![entry] };
+    codec::add(&mut bytes, Content::Report, |bytes| report.write(bytes));
+    key().seal(&mut bytes, LINK, None);
+    bytes
+}
+
+#[test]
+fn a_datagram_cut_anywhere_is_refused_and_the_whole_one_is_not() {
+    let (mut rig, frame) = two();
+    let cut: Vec<Vec<u8>> = (0..frame.len()).map(|length| frame[..length].to_vec()).collect();
+    let counts = counted_for(&mut rig, &cut);
+    assert_eq!(counts.auth + counts.malformed, frame.len() as u64);
+    assert_eq!(counts.malformed, 30, "shorter than header and tag");
+    assert_eq!(counted_for(&mut rig, &[frame]).accepted, 1);
+}
+
+#[test]
+fn a_datagram_with_any_bit_turned_is_refused() {
+    let (mut rig, frame) = two();
+    let turned = |bit: usize| {
+        let mut turned = frame.clone();
+        turned[bit / 8] ^= 1 << (bit % 8);
+        turned
+    };
+    let all: Vec<Vec<u8>> = (0..frame.len() * 8).map(turned).collect();
+    let counts = counted_for(&mut rig, &all);
+    assert_eq!(counts, LinkCounts { auth: frame.len() as u64 * 8, ..LinkCounts::default() });
+    assert_eq!(counted_for(&mut rig, &[frame]).accepted, 1);
+}
+
+#[test]
+fn each_refusal_has_its_cause() {
+    let (mut rig, frame) = two();
+    let (message, later) = (latent(1, 1), 1000);
+    let of = |change: fn(&mut Header)| {
+        let mut header = header(1, 1, later);
+        change(&mut header);
+        sealed(&key(), header, &message)
+    };
+    let stranger = sealed(&Key::new([1; 32]), header(1, 1, later), &message);
+    let untagged = codec::encode(&header(1, 1, later), &message).unwrap().to_vec();
+    let mut version = untagged.clone();
+    version[0] += 1;
+    key().seal(&mut version, LINK, None);
+    let mut garbled = untagged.clone();
+    garbled.truncate(60);
+    key().seal(&mut garbled, LINK, None);
+    let mut number = untagged.clone();
+    let end = number.len();
+    number[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+    key().seal(&mut number, LINK, None);
+    let other_link = {
+        let mut bytes = untagged.clone();
+        key().seal(&mut bytes, murmurate::messages::ids::LinkId(1), None);
+        bytes
+    };
+    let none = LinkCounts::default();
+    let mut is = |frame: Vec<u8>, counts: LinkCounts, what: &str| {
+        assert_eq!(counted_for(&mut rig, &[frame]), counts, "{what}");
+        assert!(rig.delivered[0].is_empty() || counts.accepted > 0, "{what}");
+    };
+    is(stranger, LinkCounts { auth: 1, ..none }, "another key, so a forged id");
+    is(untagged, LinkCounts { auth: 1, ..none }, "no tag");
+    is(other_link, LinkCounts { auth: 1, ..none }, "of another link");
+    is(of(|header| header.team += 1), LinkCounts { team: 1, ..none }, "another team with the same key");
+    is(version, LinkCounts { version: 1, ..none }, "another version");
+    is(garbled, LinkCounts { malformed: 1, ..none }, "cut before it was tagged");
+    is(of(|header| header.sender = HostId(0)), LinkCounts { own: 1, ..none }, "our own");
+    is(of(|header| header.epoch = 0), LinkCounts { replay: 1, ..none }, "an older epoch");
+    is(of(|header| header.epoch = 9), LinkCounts { unproven: 1, ..none }, "an epoch that proves nothing");
+    is(of(|header| header.sender = HostId(5)), LinkCounts { unproven: 1, ..none }, "a host that proves nothing");
+    is(frame.clone(), LinkCounts { accepted: 1, ..none }, "the datagram itself");
+    is(frame.clone(), LinkCounts { duplicate: 1, ..none }, "a copy");
+    is(number, LinkCounts { range: 1, ..none }, "a number that is none");
+    // Five thousand later the first one is too old to tell, and so is what else is still said with the old numbers.
+    let counts = counted_for(&mut rig, &[of(|header| header.sequence += 5000), frame]);
+    assert!(counts.accepted == 1 && counts.replay >= 1, "{counts:?}");
+}
+
+#[test]
+fn recordings_are_worth_nothing_after_any_restart() {
+    let mut rig = Rig::team(2, Reliabilities::new());
+    rig.meet();
+    for episode in 0..20 {
+        rig.publish(1, latent(1, episode));
+        let next = rig.now + Span::from_millis(50);
+        rig.run_to(next);
+    }
+    assert_eq!(rig.delivered[0].len(), 20);
+    let recorded: Vec<Vec<u8>> =
+        rig.sent.iter().filter(|flight| flight.from == 1).map(|flight| flight.frame.to_vec()).collect();
+    let setup = || multicast(Reliabilities::new());
+
+    // The receiver starts again and the sender is dead: there is nobody whose word could refute the recording.
+    rig.restart(0, config(0, 2, 2, Some(key()), setup()));
+    rig.restart(1, config(0, 2, 99, None, setup()));
+    rig.counts[0] = LinkCounts::default();
+    for frame in &recorded {
+        rig.arrive(0, frame);
+    }
+    assert!(rig.delivered[0].len() == 20, "nothing more");
+    assert_eq!(rig.counted(0).unproven, recorded.len() as u64);
+
+    // The sender starts again, and is believed; what it said before it died is not.
+    rig.restart(1, config(1, 2, 2, Some(key()), setup()));
+    rig.meet();
+    rig.publish(1, latent(1, 77));
+    let next = rig.now + Span::from_millis(10);
+    rig.run_to(next);
+    assert_eq!(rig.delivered[0].len(), 1, "it is believed within three messages");
+    rig.delivered[0].clear();
+    assert_eq!(counted_for(&mut rig, &recorded).replay, recorded.len() as u64);
+    assert!(rig.delivered[0].is_empty());
+}
+
+#[test]
+fn numbers_wrap_and_what_was_before_the_wrap_stays_old() {
+    let (mut rig, _) = two();
+    let (start, message) = (rig.now, latent(1, 1));
+    let first = lively(start, header(1, 5, u32::MAX - 1), &message);
+    let of = |sequence: u32| sealed(&key(), header(1, 5, sequence), &message);
+    rig.arrive(0, &first);
+    let all = [of(u32::MAX), of(0), of(1), of(u32::MAX), of(u32::MAX - 500), of(u32::MAX - 5000)];
+    let counts = counted_for(&mut rig, &all);
+    assert_eq!((counts.accepted, counts.duplicate, counts.replay), (3, 2, 1), "{counts:?}");
+}
+
+#[test]
+fn two_live_hosts_of_one_id_are_noticed_by_all() {
+    // The fourth host was started later than the second, under its id.
+    let hosts = [(0, 1), (1, 1), (2, 1), (1, 2)];
+    let config = |(host, epoch)| config(host, 3, epoch, Some(key()), multicast(Reliabilities::new()));
+    let mut rig = Rig::new(hosts.map(config));
+    for step in 0..60 {
+        for (host, robot) in [(0, 0), (1, 1), (2, 2), (3, 1)] {
+            rig.publish(host, latent(robot, step));
+        }
+        let next = rig.now + Span::from_millis(50);
+        rig.run_to(next);
+    }
+    for host in 0..3 {
+        assert!(rig.counted(host).twin > 5, "host {host}: {:?}", rig.counts[host]);
+    }
+    assert!(rig.peers[0].iter().any(|peer| peer.host == 1 && peer.epoch == 2 && peer.twins > 5));
+    assert!(rig.delivered[0].len() > 100, "the later one and the third host are heard");
+}
+
+#[test]
+fn one_babbler_of_twenty_is_limited_alone() {
+    let mut rig = Rig::team(20, Reliabilities::new());
+    rig.meet();
+    for ms in 0..2000u32 {
+        // Forty messages in a millisecond from one, twenty a second from each of the others.
+        for _ in 0..40 {
+            rig.publish(1, latent(1, ms));
+        }
+        if ms % 50 == 0 {
+            (2..20).for_each(|host| rig.publish(usize::from(host), latent(host, ms)));
+        }
+        let next = rig.now + Span::from_millis(1);
+        rig.run_to(next);
+    }
+    let of = |robot: u16| {
+        rig.delivered[0].iter().filter(|(_, message)| message.robot().0 == robot && message.kind() as u8 == 1).count()
+    };
+    let babbled = of(1);
+    assert!((20_000..=25_000).contains(&babbled), "{babbled} of 80 000 got in");
+    assert!((2..20).all(|robot| of(robot) == 40), "everybody else is heard");
+    assert!(rig.counted(0).rate > 50_000);
+}
+
+#[test]
+fn made_up_senders_find_no_room() {
+    let config = config(0, 2, 1, None, multicast(Reliabilities::new()));
+    let mut network = network(config);
+    let mut out = Vec::new();
+    for sender in 1..=20_000 {
+        let frame = codec::encode(&header(sender, 1, 1), &latent(1, 1)).unwrap();
+        network.handle(Time::ZERO, In::Frame(LINK, frame), &mut out);
+        out.clear();
+    }
+    network.wake(Time::ZERO + Span::from_millis(1000), &mut out);
+    let counts = out.iter().find_map(|said| match said {
+        murmurate::actors::network::Out::Counts(counts) => Some(*counts),
+        _ => None,
+    });
+    assert_eq!(counts.map(|counts| counts.crowd), Some(20_000 - MAX_SENDERS as u64));
+}
+
+proptest! {
+    #[test]
+    fn junk_is_counted_and_never_panics(junk in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 0..20)) {
+        for key in [None, Some(key())] {
+            let mut network = network(config(0, 4, 1, key.clone(), multicast(Reliabilities::new())));
+            for bytes in &junk {
+                // As it is, and behind a sound header and tag: so it gets further in.
+                let mut deep = codec::start(&header(1, 1, 1));
+                deep.extend_from_slice(bytes);
+                if let Some(key) = &key {
+                    key.seal(&mut deep, LINK, None);
+                }
+                for frame in [bytes.clone(), deep] {
+                    network.handle(Time::ZERO, In::Frame(LINK, frame.into()), &mut Vec::new());
+                }
+            }
+            network.wake(Time::ZERO, &mut Vec::new());
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! Some Networks on one lossy link under virtual time: what the tests of the link layer share. Not a test.
+
+// Each test file uses a part of it.
+#![allow(dead_code)]
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use murmurate::actors::Core;
+use murmurate::actors::network::{Config, Identity, In, Network, Out};
+use murmurate::messages::geometry::Motion;
+use murmurate::messages::ids::{HostId, LinkId, RobotId};
+use murmurate::messages::latch::Latch;
+use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Phase, Round, Wire};
+use murmurate::net::codec::{self, Content, Frame};
+use murmurate::net::key::Key;
+use murmurate::net::link::LinkCounts;
+use murmurate::net::reliability::{Reliabilities, Setup};
+use murmurate::net::router::{Audience, Route, Router};
+use murmurate::net::sender::Peer;
+use murmurate::random::{Seed, Stream};
+use murmurate::time::{Span, Time};
+use rand::RngExt;
+
+pub const LINK: LinkId = LinkId(0);
+pub const TEAM: u16 = 7;
+
+pub fn key() -> Key {
+    Key::new([42; 32])
+}
+
+/// Robot i lives on host i: its latents are for all others, its heartbeats for host 0.
+pub fn config(host: u16, robots: usize, epoch: u32, key: Option<Key>, setup: Setup) -> Config {
+    let router = Router::new(robots, |kind, robot| {
+        let own = robot.0 == host;
+        match kind {
+            Kind::Heartbeat => {
+                Route { local: host == 0, leaves: (own && host != 0).then_some((LINK, Audience::Host(HostId(0)))) }
+            }
+            _ => Route { local: !own, leaves: own.then_some((LINK, Audience::All)) },
+        }
+    });
+    Config { me: Identity { host: HostId(host), team: TEAM, epoch }, key, links: vec![setup], router }
+}
+
+pub fn network(config: Config) -> Network {
+    let stream = Seed::of_run(u64::from(config.me.host.0)).stream("network");
+    Network::new(config, stream)
+}
+
+pub fn multicast(kinds: Reliabilities) -> Setup {
+    Setup::multicast(kinds)
+}
+
+pub fn latent(robot: u16, episode: u32) -> Wire {
+    Wire::Latent(Latent {
+        robot: RobotId(robot),
+        round: Round { epoch: 1, episode },
+        phase: Phase::Running,
+        motion: Motion::default(),
+        features: Features(Arc::from(vec![0.5; 32])),
+    })
+}
+
+pub fn heartbeat(robot: u16, episode: u32) -> Wire {
+    let round = Round { epoch: 1, episode };
+    Wire::Heartbeat(Heartbeat { robot: RobotId(robot), round, phase: Phase::Running, latch: Latch::default() })
+}
+
+/// A datagram under way, or one that has arrived.
+#[derive(Clone)]
+pub struct Flight {
+    pub from: usize,
+    pub at: Time,
+    pub frame: Frame,
+    pub bytes: usize,
+}
+
+pub struct Rig {
+    pub now: Time,
+    pub networks: Vec<Network>,
+    /// Messages handed in, by host: when, what.
+    pub delivered: Vec<Vec<(Time, Wire)>>,
+    pub peers: Vec<Vec<Peer>>,
+    pub counts: Vec<LinkCounts>,
+    /// Everything that was sent.
+    pub sent: Vec<Flight>,
+    pub loss: f64,
+    pub delay: Span,
+    flying: BTreeMap<(Time, u64), (usize, Frame)>,
+    count: u64,
+    stream: Stream,
+}
+
+impl Rig {
+    pub fn new(configs: impl IntoIterator<Item = Config>) -> Rig {
+        let networks: Vec<Network> = configs.into_iter().map(network).collect();
+        let count = networks.len();
+        Rig {
+            now: Time::ZERO,
+            delivered: vec![Vec::new(); count],
+            peers: vec![Vec::new(); count],
+            counts: vec![LinkCounts::default(); count],
+            networks,
+            sent: Vec::new(),
+            loss: 0.0,
+            delay: Span::from_nanos(300_000),
+            flying: BTreeMap::new(),
+            count: 0,
+            stream: Seed::of_run(5).stream("pipe"),
+        }
+    }
+
+    /// `count` hosts with a key on a multicast link.
+    pub fn team(count: u16, kinds: Reliabilities) -> Rig {
+        Rig::new((0..count).map(|host| config(host, count.into(), 1, Some(key()), multicast(kinds.clone()))))
+    }
+
+    fn act(&mut self, host: usize, act: impl FnOnce(&mut Network, Time, &mut Vec<Out>)) {
+        let mut out = Vec::new();
+        act(&mut self.networks[host], self.now, &mut out);
+        for said in out {
+            match said {
+                Out::Deliver(message) => self.delivered[host].push((self.now, message)),
+                Out::Counts(counts) => self.counts[host] = counts,
+                Out::Peers(peers) => self.peers[host] = peers,
+                Out::Tap(_) => {}
+                Out::Transmit(_, audience, frame) => {
+                    let bytes = frame.len();
+                    self.sent.push(Flight { from: host, at: self.now, frame: frame.clone(), bytes });
+                    for to in 0..self.networks.len() {
+                        let meant = audience == Audience::All || audience == Audience::Host(HostId(to as u16));
+                        if to != host && meant && !self.stream.random_bool(self.loss) {
+                            self.flying.insert((self.now + self.delay, self.count), (to, frame.clone()));
+                            self.count += 1;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    pub fn publish(&mut self, host: usize, message: Wire) {
+        self.act(host, |network, now, out| network.handle(now, In::Publish(message), out));
+    }
+
+    pub fn arrive(&mut self, host: usize, frame: &[u8]) {
+        self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into()), out));
+    }
+
+    /// Lets the time pass until `end`.
+    pub fn run_to(&mut self, end: Time) {
+        loop {
+            let wake = (0..self.networks.len()).filter_map(|at| Some((self.networks[at].wake_at()?, at))).min();
+            let flight = self.flying.keys().next().copied();
+            let next = [wake.map(|(at, _)| at), flight.map(|(at, _)| at)].into_iter().flatten().min();
+            let Some(next) = next.filter(|next| *next <= end) else { break };
+            self.now = self.now.max(next);
+            if let Some(flight) = flight.filter(|(at, _)| *at <= next) {
+                let (to, frame) = self.flying.remove(&flight).expect("it flies");
+                self.arrive(to, &frame);
+            } else if let Some((_, host)) = wake {
+                self.act(host, |network, now, out| network.wake(now, out));
+            }
+        }
+        self.now = end;
+    }
+
+    /// What a host has counted by now.
+    pub fn counted(&mut self, host: usize) -> LinkCounts {
+        let second = Time::ZERO + Span::from_secs(self.now.as_secs().floor() + 1.0);
+        self.run_to(second);
+        self.counts[host]
+    }
+
+    /// Lets everyone be believed by everyone: each says two things.
+    pub fn meet(&mut self) {
+        for _ in 0..3 {
+            for host in 0..self.networks.len() {
+                let robot = u16::try_from(host).expect("few hosts");
+                self.publish(host, latent(robot, 0));
+            }
+            let next = self.now + Span::from_millis(20);
+            self.run_to(next);
+        }
+        self.delivered.iter_mut().for_each(Vec::clear);
+    }
+
+    /// A host starts again under the same id.
+    pub fn restart(&mut self, host: usize, config: Config) {
+        self.networks[host] = network(config);
+    }
+
+    /// The newest datagram of a host with data.
+    pub fn last_data(&self, host: usize) -> Frame {
+        let data = |flight: &&Flight| flight.from == host && is_data(&flight.frame);
+        self.sent.iter().rev().find(data).expect("it has sent something").frame.clone()
+    }
+}
+
+/// Whether a datagram holds data, and not only soft state.
+pub fn is_data(frame: &[u8]) -> bool {
+    matches!(codec::first(frame), Ok(Content::Message(kind)) if !matches!(kind, Kind::Heartbeat | Kind::Mode))
+}
