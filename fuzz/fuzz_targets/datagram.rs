@@ -1,0 +1,23 @@
+//! Any bytes as a datagram: every block decoder, and what a message that gets through promises.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use murmurate::net::codec::{self, Content};
+use murmurate::net::report::{Report, read_held, read_names};
+
+fuzz_target!(|bytes: &[u8]| {
+    let _ = codec::peek(bytes);
+    let _ = codec::decode(bytes);
+    for block in codec::blocks(bytes).flatten() {
+        match block {
+            (Content::Message(kind), body) => {
+                if let Ok(message) = codec::message(kind, body) {
+                    assert!(message.check().is_ok());
+                }
+            }
+            (Content::Report, body) => drop(Report::read(body)),
+            (Content::Held, body) => drop(read_held(body)),
+            (content, body) => drop(read_names(content, body)),
+        }
+    }
+});
