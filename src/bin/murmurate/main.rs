@@ -7,6 +7,7 @@
 
 mod config;
 mod deployment;
+mod doctor;
 mod key;
 mod launch;
 mod output;
@@ -44,6 +45,8 @@ enum Command {
     Train(Box<train::Args>),
     /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
     Launch(Box<launch::Args>),
+    /// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
+    Doctor(Box<doctor::Args>),
     /// Makes the key that a team's messages are authenticated with.
     #[command(subcommand)]
     Key(key::Args),
@@ -56,6 +59,8 @@ enum Command {
 pub enum Ended {
     /// As asked.
     Done,
+    /// As asked, and it was found that something is wrong; what, was printed.
+    Unfit,
     /// By Ctrl-C, with the results until then printed.
     Interrupted,
 }
@@ -86,11 +91,13 @@ fn main() -> ExitCode {
         Command::Deployment(args) => deployment::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Launch(args) => launch::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args),
     };
     match ended {
         Ok(Ended::Done) => ExitCode::SUCCESS,
+        Ok(Ended::Unfit) => ExitCode::from(1),
         Ok(Ended::Interrupted) => ExitCode::from(130),
         Err(error) => {
             output::talk(&format!("error: {error:#}"));

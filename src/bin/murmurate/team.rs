@@ -14,7 +14,8 @@ use crate::{BadInput, key, policy};
 
 /// The team file and what differs from it.
 #[derive(clap::Args)]
-pub struct TeamArgs {
+#[group(id = "team_file")]
+pub struct Args {
     /// The team file (docs/teams.md says what is in it)
     #[arg(value_name = "TEAM.toml")]
     file: PathBuf,
@@ -41,7 +42,7 @@ pub struct Which {
     robot: Option<u16>,
 }
 
-impl TeamArgs {
+impl Args {
     /// Where the team file is.
     pub fn path(&self) -> &Path {
         &self.file

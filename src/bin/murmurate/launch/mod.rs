@@ -11,6 +11,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow};
 use murmurate::deploy::team::Team;
+use murmurate::net::link::LinkCounts;
 use murmurate::report::episode::Episode;
 use murmurate::report::event::{Counted, HostEvent};
 use murmurate::report::summary::{Run, Summary};
@@ -28,7 +29,7 @@ use supervisor::{Answer, Heard, Limits, Outcome, Process, Supervisor};
     wrong; 130 interrupted by Ctrl-C or SIGTERM. The results until then are printed.")]
 pub struct Args {
     #[command(flatten)]
-    team: team::TeamArgs,
+    team: team::Args,
     /// Prints one JSON object in place of the table
     #[arg(long)]
     json: bool,
@@ -125,6 +126,7 @@ struct Results {
     ready: usize,
     episodes: BTreeMap<u32, Episode>,
     counted: Vec<Counted>,
+    links: Vec<LinkCounts>,
 }
 
 impl Results {
@@ -139,6 +141,7 @@ impl Results {
             ready: 0,
             episodes: BTreeMap::new(),
             counted: Vec::new(),
+            links: Vec::new(),
         }
     }
 
@@ -153,6 +156,7 @@ impl Results {
                     self.counted.push(counted);
                     return Answer::Done;
                 }
+                Some(HostEvent::Ended { links, .. }) => self.links.push(links),
                 None => self.pass_on(at, line),
             },
         }
@@ -201,7 +205,7 @@ impl Results {
             totals: Totals {
                 messages: sum(|counted| counted.messages),
                 oldest_command: Span::from_secs(oldest),
-                links: self.counted.iter().map(|counted| counted.links).sum(),
+                links: self.links.iter().copied().sum(),
                 ..Totals::default()
             },
             finished: self.episodes.len() == self.wanted as usize,
