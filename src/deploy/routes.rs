@@ -135,7 +135,8 @@ impl Routes {
     pub fn exchanges(&self, host: HostId, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let (from, takers) = (self.publisher(kind, robot), self.takers(kind, robot));
-            if from == host { takers.iter().any(|&to| to != host) } else { takers.binary_search(&host).is_ok() }
+            let says = from.is_none_or(|from| from == host) && takers.iter().any(|&to| to != host);
+            says || (from != Some(host) && takers.binary_search(&host).is_ok())
         })
     }
 
@@ -143,18 +144,6 @@ impl Routes {
     pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
         let all = RobotId::team(self.robots).flat_map(|robot| self.takers(kind, robot));
         all.copied().collect::<BTreeSet<HostId>>().into_iter().collect()
-    }
-
-    /// The links that a host says or hears anything on.
-    pub fn links_of(&self, host: HostId) -> BTreeSet<LinkId> {
-        let uses = |kind: Kind| {
-            RobotId::team(self.robots).any(|robot| {
-                let (from, to) = (self.publisher(kind, robot), self.takers(kind, robot));
-                let says = from == host && to.iter().any(|&taker| taker != host);
-                says || (from != host && to.contains(&host))
-            })
-        };
-        KINDS.into_iter().filter(|&kind| uses(kind)).filter_map(|kind| self.links[kind as usize]).collect()
     }
 
     /// The routing table of a host.

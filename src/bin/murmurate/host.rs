@@ -12,7 +12,6 @@ use murmurate::actors::graph::{Graph, Heard};
 use murmurate::actors::host::{self, Host};
 use murmurate::actors::real::run_real;
 use murmurate::actors::recorder::Out;
-use murmurate::deploy::Routes;
 use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::messages::ids::{HostId, LinkId};
 use murmurate::messages::wire::{Phase, Wire};
@@ -58,7 +57,7 @@ pub struct Args {
     #[command(flatten)]
     which: team::Which,
     /// The host that is there for this
-    #[arg(long, conflicts_with_all = ["host", "robot"])]
+    #[arg(long, conflicts_with = "which-host")]
     role: Option<Role>,
     /// Prints what happens as JSON, one object a line, in place of the table at the end
     #[arg(long)]
@@ -94,7 +93,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     let id = args.host(&file)?;
     let team = args.team.for_host(&file, id)?;
     let name = team.deployment.hosts[usize::from(id.0)].name.clone();
-    let key = team::key(&team)?;
+    let _key = team::key(&team)?;
     let policy = team::policy(&team)?;
     let trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
     let sockets = sockets(&team)?;
@@ -112,23 +111,29 @@ pub fn run(args: &Args) -> Result<Ended> {
     };
     tracing::info!(host = name, robots = team.deployment.robots, "starts");
     let (mut over, mut stopping, mut told) = (None, None, 0);
-    let mut lost = None;
+    // What is printed and cannot be: there is nobody left to run for.
+    let lost = RefCell::new(None);
+    let tell_or_lose = |event: Event| {
+        if let Err(error) = tell(event) {
+            lost.replace(Some(error));
+        }
+    };
     let watchdog = sd_notify::watchdog_enabled();
     let mut petted = Time::ZERO;
     run_real(
         began,
         |clock, readers| {
-            let host = Host { id, team: team.number, incarnation, key, sockets };
+            let host = Host { id, team: team.number, incarnation, sockets };
             let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
             let graph = host::wire((clock, readers), trial.plan(), host, move |h| heard.hear(h), move |o| said.say(o));
             let _ = sd_notify::notify(&[NotifyState::Ready]);
-            lost = tell(Event::Ready { host: &name }).err();
+            tell_or_lose(Event::Ready { host: &name });
             graph
         },
         |graph: &Rc<Graph>, now| {
             while let Some(episode) = seen.report.borrow().episodes.get(told).copied() {
                 told += 1;
-                lost = tell(Event::Episode(episode)).err().or(lost.take());
+                tell_or_lose(Event::Episode(episode));
             }
             if let Some(patience) = watchdog
                 && now.since(petted) >= Span::from_secs(patience.as_secs_f64() / 4.0)
@@ -146,12 +151,12 @@ pub fn run(args: &Args) -> Result<Ended> {
             }
             let serves = team.deployment.hosts[usize::from(id.0)].state_server;
             let grace = if serves { SERVER_GRACE } else { GRACE };
-            lost.is_some()
+            lost.borrow().is_some()
                 || over.is_some_and(|at: Time| now.since(at) >= grace)
                 || stopping.is_some_and(|at: Time| now.since(at) >= STOPPING)
         },
     );
-    if let Some(error) = lost {
+    if let Some(error) = lost.take() {
         return Err(error);
     }
     let report = seen.report.borrow().clone();
@@ -242,11 +247,12 @@ fn trial(team: &Team, model: murmurate::policy::Model) -> Result<Trial> {
 
 /// The sockets of the links that this host uses.
 fn sockets(team: &Team) -> Result<Vec<(LinkId, Udp)>> {
-    let open = |link: LinkId| {
-        let (name, config) = (&team.deployment.links[usize::from(link.0)].name, &team.links[usize::from(link.0)]);
-        let udp = Udp::open(team.host, config).map_err(|e| BadInput(format!("link '{name}': {e}")))?;
-        tracing::info!(link = name, receive_buffer_bytes = udp.granted_bytes(), "open");
-        Ok((link, udp))
-    };
-    Routes::of(&team.deployment).links_of(team.host).into_iter().map(open).collect()
+    let mut sockets = Vec::new();
+    for (at, (link, config)) in team.deployment.links.iter().zip(&team.links).enumerate() {
+        let Some(config) = config else { continue };
+        let udp = Udp::open(team.host, config).map_err(|e| BadInput(format!("link '{}': {e}", link.name)))?;
+        tracing::info!(link = link.name, receive_buffer_bytes = udp.granted_bytes(), "open");
+        sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
+    }
+    Ok(sockets)
 }

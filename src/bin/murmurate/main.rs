@@ -8,6 +8,7 @@
 mod config;
 mod deployment;
 mod doctor;
+mod host;
 mod key;
 mod launch;
 mod output;
@@ -47,6 +48,8 @@ enum Command {
     Launch(Box<launch::Args>),
     /// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
     Doctor(Box<doctor::Args>),
+    /// Runs one host of a team in real time: what is started on a robot.
+    Host(Box<host::Args>),
     /// Makes the key that a team's messages are authenticated with.
     #[command(subcommand)]
     Key(key::Args),
@@ -92,6 +95,7 @@ fn main() -> ExitCode {
         Command::Train(args) => train::run(&args),
         Command::Launch(args) => launch::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Host(args) => host::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args),
     };

@@ -14,7 +14,7 @@ use crate::{BadInput, key, policy};
 
 /// The team file and what differs from it.
 #[derive(clap::Args)]
-#[group(id = "team_file")]
+#[group(id = "team-file")]
 pub struct Args {
     /// The team file (docs/teams.md says what is in it)
     #[arg(value_name = "TEAM.toml")]
@@ -32,7 +32,7 @@ pub struct Args {
 
 /// One host of the team.
 #[derive(clap::Args)]
-#[group(multiple = false)]
+#[group(id = "which-host", multiple = false)]
 pub struct Which {
     /// The host of that name
     #[arg(long, value_name = "NAME")]

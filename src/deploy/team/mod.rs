@@ -274,6 +274,7 @@ fn kebab(kind: Kind) -> String {
         Kind::MotorCommand => "motor-command",
         Kind::Heartbeat => "heartbeat",
         Kind::Mode => "mode",
+        Kind::Stop => "stop",
     }
     .to_owned()
 }
