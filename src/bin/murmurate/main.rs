@@ -1,7 +1,7 @@
 //! The command-line program. Flags, files, progress and exit codes live here; what a run does never does.
 //!
-//! Exit codes: 0 done; 1 the run, one of its processes, its output or a check of `doctor` failed; 2 a flag or a file is wrong, and nothing was run;
-//! 101 a bug (a panic); 130 interrupted, with the results until then printed.
+//! Exit codes: 0 done; 1 the run, one of its processes, its output or a check of `doctor` failed; 2 a flag or a file is
+//! wrong, and nothing was run; 101 a bug (a panic); 130 interrupted, with the results until then printed.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
@@ -27,8 +27,8 @@ use tracing_subscriber::EnvFilter;
 #[command(
     name = "murmurate",
     version,
-    after_help = "Exit codes: 0 done; 1 the run, its output or a check failed; 2 a flag or a file is wrong, nothing was run; \
-                  101 a bug; 130 interrupted, results until then printed.\n\
+    after_help = "Exit codes: 0 done; 1 the run, its output or a check failed; 2 a flag or a file is wrong, nothing was \
+                  run; 101 a bug; 130 interrupted, results until then printed.\n\
                   Logs go to stderr; MURMURATE_LOG sets their level (error, warn, info, debug)."
 )]
 struct Cli {
