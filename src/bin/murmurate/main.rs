@@ -27,8 +27,8 @@ use tracing_subscriber::EnvFilter;
 #[command(
     name = "murmurate",
     version,
-    after_help = "Exit codes: 0 done; 1 the run, its output or a check failed; 2 a flag or a file is wrong, nothing was \
-                  run; 101 a bug; 130 interrupted, results until then printed.\n\
+    after_help = "Exit codes: 0 done; 1 the run, its output or a check failed; 2 a flag or a file is wrong, nothing \
+                  was run; 101 a bug; 130 interrupted, results until then printed.\n\
                   Logs go to stderr; MURMURATE_LOG sets their level (error, warn, info, debug)."
 )]
 struct Cli {
