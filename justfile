@@ -7,7 +7,7 @@ default:
 check:
     cargo fmt --check
     cargo clippy --all-targets -- -D warnings
-    cargo test --lib --test contracts --test wire --test determinism --test faults --test physics --test tidy
+    cargo test --lib --test contracts --test wire --test determinism --test faults --test safety --test physics --test tidy
 
 # Episodes of the passage in a preset mode (seconds)
 sim mode="offboard" *flags:

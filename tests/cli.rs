@@ -64,6 +64,7 @@ fn wrong_flags_are_refused_in_one_line() {
     refuses(&["sim", "--wall-radius-m", "NaN"], &["--wall-radius-m", "NaN"]);
     refuses(&["sim", "--clamp", "none"], &["--clamp", "none", "deployed"]);
     refuses(&["sim", "--handling", "forget"], &["--handling", "forget", "as-published"]);
+    refuses(&["sim", "--safety", "none"], &["--safety", "none", "deployed"]);
     refuses(&["sim", "--placement", "fly"], &["--placement", "fly", "drive"]);
     refuses(&["sim", "--mode", "offboard", "--impair", "all"], &["--impair", "--loss"]);
     refuses(&["deployment", "offboard", "--robots", "70000"], &["--robots", "70000"]);
@@ -258,6 +259,7 @@ fn json_is_one_object_with_the_promised_fields_whatever_the_jobs() {
         }
     }
     assert_eq!(one["episodes"], 6);
+    assert_eq!(one["safety"]["stop"], 0);
 }
 
 #[test]
@@ -273,6 +275,7 @@ fn flags_about_the_robots_reach_them_and_their_defaults_change_nothing() {
         ("--wall-radius-m", "0.25", "0.49"),
         ("--clamp", "training", "deployed"),
         ("--handling", "hold", "as-published"),
+        ("--safety", "emulated", "deployed"),
         ("--placement", "drive", "exact"),
     ];
     let plain = trace(&[]);

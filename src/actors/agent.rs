@@ -375,4 +375,35 @@ mod tests {
         agent.handle(Time::ZERO, percept(0, 0.0, all), &mut out);
         assert_eq!(speeds(&out), [(0, 1.0)]);
     }
+
+    /// Says latents of one width at first and of another from its third word on, or none that is finite.
+    struct Unsound(usize, f32, std::cell::Cell<usize>);
+
+    impl Policy for Unsound {
+        fn interface(&self) -> Interface {
+            self.2.set(self.2.get() + 1);
+            Interface { features: if self.2.get() > 2 { self.0 } else { 1 }, ..Counting.interface() }
+        }
+        fn encode(&mut self, _: &Observation, features: &mut [f32]) {
+            features.fill(self.1);
+        }
+        fn act(&mut self, _: &Observation, _: &[f32], _: &[Neighbour], _: &mut Stream) -> Vec2 {
+            Vec2::x()
+        }
+    }
+
+    #[test]
+    fn what_is_no_latent_is_neither_said_nor_heard_and_moves_nobody() {
+        for (width, value) in [(2, 0.0), (0, 0.0), (MAX_FEATURES + 1, 0.0), (1, f32::NAN), (1, f32::INFINITY)] {
+            let mut agent = agent(&[0, 1]);
+            agent.seats[0].pilot.run = Box::new(Unsound(width, value, std::cell::Cell::new(2)));
+            let mut out = Vec::new();
+            agent.handle(Time::ZERO, percept(0, 0.0, Vec::new()), &mut out);
+            agent.handle(Time::ZERO, percept(1, 1.0, Vec::new()), &mut out);
+            let speeds = speeds(&out);
+            assert!(speeds[0].1.is_nan(), "{width} {value}: the Controller has to stop it");
+            assert_eq!(speeds[1], (1, 0.0), "{width} {value}: its companion hears nobody, and goes on");
+            assert!(out.iter().all(|said| !matches!(said, Out::Latent(latent) if latent.robot == RobotId(0))));
+        }
+    }
 }

@@ -105,7 +105,8 @@ impl Controller {
         let moving = matches!(self.team, Phase::Resetting | Phase::Running) && self.own != Phase::AbortRunning;
         let meant = (action.round, action.phase) == (self.round, self.team);
         // Who is latched says again and again that the wheels are to stand, should one such command be lost.
-        if !self.guard.latch().is_engaged() && !(moving && meant) {
+        let latched = self.guard.latch().is_engaged();
+        if !(latched || moving && meant) {
             return;
         }
         match self.guard.rule(now, action) {

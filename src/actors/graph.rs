@@ -217,6 +217,8 @@ pub struct Process {
 /// What a Network of this process makes known.
 #[derive(Clone, Copy, Debug)]
 pub enum Heard<'a> {
+    /// An actor of this process has said something.
+    Published,
     /// A message for this host.
     Message(&'a Wire),
     /// What it has counted on its links since it was started.
@@ -426,7 +428,10 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
                 }
                 deliver(message);
             }
-            network::Out::Tap(frame) => record(recorder::In::Tap(frame)),
+            network::Out::Tap(frame) => {
+                hear(Heard::Published);
+                record(recorder::In::Tap(frame));
+            }
             network::Out::Counts(counts) => {
                 hear(Heard::Counts(&counts));
                 record(recorder::In::Counts(host, counts));

@@ -1,8 +1,9 @@
 //! StateServer: leads the team through its episodes, unattended (paper, section IV).
 //!
 //! It hears heartbeats and says, several times a second, what everyone is to do: reset, run, or stop. It
-//! asks nothing and is answered by nothing. While the emergency stop is engaged it holds the team. A restarted one learns from the heartbeats where the team is,
-//! gives up an episode that was running, and goes on with the next.
+//! asks nothing and is answered by nothing. While the emergency stop is engaged it holds the team. A restarted
+//! one learns from the heartbeats where the team is, gives up an episode that was running, and goes on with the
+//! next.
 
 use super::Core;
 use crate::messages::geometry::Task;

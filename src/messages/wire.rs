@@ -226,7 +226,8 @@ pub enum Unfit {
     Block,
 }
 
-/// Whether no number is NaN, infinite or larger than `MAX_FEATURE`. Without a way out at the first: so it is a handful of vector instructions. NaN is never at most anything.
+/// Whether no number is NaN, infinite or larger than `MAX_FEATURE`. Without a way out at the first: so it is a
+/// handful of vector instructions. NaN is never at most anything.
 pub fn all_sound(floats: &[f32]) -> bool {
     floats.iter().fold(true, |all, float| all & (float.abs() <= MAX_FEATURE))
 }

@@ -16,18 +16,11 @@ pub enum HostEvent {
     },
     /// An episode is over; told by the host with the World.
     Episode(Episode),
-    /// The team has finished its episodes, as the host with the World has seen it.
+    /// The team has finished its episodes.
     Finished(Counted),
-    /// The host ends.
-    Ended {
-        /// Its name.
-        host: String,
-        /// What it counted on all its links together.
-        links: LinkCounts,
-    },
 }
 
-/// What the host with the World counted, up to the last episode.
+/// What one host counted from its start to its end.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counted {
@@ -76,7 +69,6 @@ mod tests {
             HostEvent::Episode(episode(0.25)),
             HostEvent::Episode(episode(f32::INFINITY)),
             HostEvent::Finished(counted),
-            HostEvent::Ended { host: "world".to_owned(), links: LinkCounts { sent: 3, ..LinkCounts::default() } },
         ];
         for event in all {
             assert_eq!(HostEvent::from_line(&event.to_line()), Some(event.clone()), "{}", event.to_line());

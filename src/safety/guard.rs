@@ -373,3 +373,154 @@ impl Guard {
         Some(trigger.ruling())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::ids::HostId;
+    use crate::messages::local::{Other, Progress};
+    use crate::messages::wire::{Phase, Round};
+
+    fn at_ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    /// A guard of everything that has just heard the state server and a reading.
+    fn guard(safety: Safety) -> Guard {
+        let (half_extent, period) = (Vec2::new(2.0, 3.0), Span::from_millis(50));
+        let mut guard = Guard::new(Config { safety, half_extent, limit_m_s: 1.5, clamp: Clamp::Training, period });
+        guard.server_heard(Time::ZERO);
+        guard.own_state(Time::ZERO);
+        guard
+    }
+
+    fn action(due_ms: u64, velocity: Vec2) -> Action {
+        Action {
+            robot: RobotId(0),
+            round: Round::default(),
+            phase: Phase::Running,
+            due: at_ms(due_ms),
+            velocity,
+            estimate: Motion::default(),
+            others: Vec::new(),
+            progress: Progress::Underway,
+        }
+    }
+
+    const EAST: Vec2 = Vec2::new(1.0, 0.0);
+    const DRIVE: Ruling = Ruling::Drive(Granted(EAST));
+
+    #[test]
+    fn nothing_moves_before_the_state_server_is_heard_or_after_it_falls_silent() {
+        let mut guard = Guard::new(guard(Safety::emulated()).config);
+        assert_eq!(guard.rule(at_ms(0), &action(0, EAST)), Ruling::GiveUp);
+        guard.server_heard(at_ms(10));
+        assert_eq!(guard.rule(at_ms(50), &action(50, EAST)), DRIVE);
+        assert_eq!(guard.wake_at(), Some(at_ms(1010)));
+        assert_eq!(guard.wake(at_ms(1009)), None, "not yet");
+        assert_eq!(guard.wake(at_ms(1010)), Some(Ruling::GiveUp));
+        assert_eq!(guard.wake_at(), None, "once");
+        assert_eq!(guard.rule(at_ms(1050), &action(1050, EAST)), Ruling::GiveUp);
+        guard.server_heard(at_ms(1060));
+        assert_eq!(guard.rule(at_ms(1100), &action(1100, EAST)), DRIVE);
+        assert_eq!(guard.counts().silence, 2);
+    }
+
+    #[test]
+    fn an_output_that_is_no_velocity_is_distrusted_until_the_next_instruction() {
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            let mut guard = guard(Safety::emulated());
+            assert_eq!(guard.rule(at_ms(0), &action(0, Vec2::new(0.0, bad))), Ruling::GiveUp);
+            assert_eq!(guard.rule(at_ms(50), &action(50, EAST)), Ruling::GiveUp);
+            guard.instructed();
+            assert_eq!(guard.rule(at_ms(100), &action(100, EAST)), DRIVE);
+            assert_eq!(guard.counts().output, 1);
+        }
+    }
+
+    #[test]
+    fn an_own_state_that_grows_old_stops_at_once_and_a_new_reading_ends_it() {
+        let mut guard = guard(Safety { late_tick: Switch::Off, ..Safety::deployed() });
+        assert_eq!(guard.rule(at_ms(60), &action(60, EAST)), DRIVE);
+        let deadline = at_ms(100) + Span::from_nanos(1);
+        assert_eq!(guard.wake_at(), Some(deadline), "100 ms are not yet too old");
+        assert_eq!(guard.wake(deadline), Some(Ruling::Stand));
+        assert_eq!(guard.rule(at_ms(110), &action(110, EAST)), Ruling::Stand);
+        guard.own_state(at_ms(120));
+        assert_eq!(guard.rule(at_ms(160), &action(160, EAST)), DRIVE);
+        assert_eq!(guard.counts().own_state, 1);
+    }
+
+    #[test]
+    fn a_tick_that_is_late_or_never_comes_stops_until_one_is_in_time() {
+        let mut guard = guard(Safety { own_state: Switch::Off, ..Safety::deployed() });
+        assert_eq!(guard.rule(at_ms(50), &action(0, EAST)), DRIVE, "50 ms late are allowed");
+        assert_eq!(guard.rule(at_ms(101), &action(50, EAST)), Ruling::Stand, "more are not");
+        assert_eq!(guard.rule(at_ms(110), &action(100, EAST)), DRIVE);
+        let missing = at_ms(100 + 50 + 50) + Span::from_nanos(1);
+        assert_eq!(guard.wake_at(), Some(missing));
+        assert_eq!(guard.wake(missing), Some(Ruling::Stand));
+        assert_eq!(guard.wake_at(), Some(at_ms(1000)), "who stands waits for nothing but the state server");
+        assert_eq!(guard.counts().late_tick, 2);
+    }
+
+    #[test]
+    fn the_emergency_stop_is_latched_until_a_later_re_arm() {
+        let mut guard = guard(Safety::emulated());
+        assert_eq!(guard.rule(at_ms(0), &action(0, EAST)), DRIVE);
+        assert!(guard.told(&Stop::engage(HostId(1), Latch::default())));
+        assert!(!guard.told(&Stop::engage(HostId(2), Latch::default())), "again");
+        assert!(!guard.learn(Latch::armed(0)), "a state server that does not know yet");
+        assert!(!guard.told(&Stop::rearm(HostId(1), Latch::default())), "no later than the stop");
+        assert_eq!(guard.rule(at_ms(50), &action(50, EAST)), Ruling::GiveUp);
+        guard.instructed();
+        assert_eq!(guard.rule(at_ms(100), &action(100, EAST)), Ruling::GiveUp, "no instruction takes it back");
+        assert!(guard.told(&Stop::rearm(HostId(1), guard.latch())));
+        assert_eq!(guard.rule(at_ms(150), &action(150, EAST)), DRIVE);
+        assert!(!guard.learn(Latch::engaged(1)), "what was known before the re-arm");
+        assert!(guard.learn(Latch::engaged(3)), "a later stop, heard of others");
+        assert_eq!(guard.counts().stop, 2);
+    }
+
+    #[test]
+    fn the_ground_is_not_left_and_far_outside_nobody_moves() {
+        let mut guard = guard(Safety { late_tick: Switch::Off, own_state: Switch::Off, ..Safety::deployed() });
+        let mut from = |x: f32, velocity: Vec2| {
+            let estimate = Motion::at_rest(Vec2::new(x, 0.0));
+            guard.rule(at_ms(0), &Action { estimate, ..action(0, velocity) })
+        };
+        let north = Vec2::new(0.0, 1.0);
+        assert_eq!(from(1.0, EAST), DRIVE);
+        assert_eq!(from(2.3, EAST + north), Ruling::Drive(Granted(north)), "the outward part alone");
+        assert_eq!(from(2.3, -EAST), Ruling::Drive(Granted(-EAST)), "it may come back");
+        assert_eq!(from(3.1, -EAST), Ruling::GiveUp);
+        assert_eq!(from(1.0, EAST), DRIVE, "someone has carried it back");
+        assert_eq!((guard.counts().fence, guard.counts().outside), (1, 1));
+    }
+
+    #[test]
+    fn a_neighbour_is_not_run_into_even_if_it_is_no_longer_heard() {
+        let mut guard = guard(Safety { late_tick: Switch::Off, own_state: Switch::Off, ..Safety::deployed() });
+        let motion = Motion::at_rest(Vec2::new(0.5, 0.0));
+        let others = vec![Other { robot: RobotId(1), motion, age: Span::from_millis(100) }];
+        let mut speed = |ms: u64, others: Vec<Other>| match guard.rule(at_ms(ms), &Action { others, ..action(0, EAST) })
+        {
+            Ruling::Drive(granted) => granted.velocity().x,
+            ruling => panic!("{ruling:?}"),
+        };
+        assert!((speed(0, others) - 0.1).abs() < 1e-6, "0.1 m are left");
+        assert!((speed(400, Vec::new()) - 0.1).abs() < 1e-6, "500 ms old");
+        assert_eq!(speed(401, Vec::new()), 1.0, "forgotten");
+        assert_eq!(guard.counts().distance, 1);
+    }
+
+    #[test]
+    fn as_emulated_nothing_comes_between() {
+        let mut guard = guard(Safety::emulated());
+        let motion = Motion::at_rest(Vec2::new(9.1, 0.0));
+        let others = vec![Other { robot: RobotId(1), motion, age: Span::ZERO }];
+        let estimate = Motion::at_rest(Vec2::new(9.0, 0.0));
+        assert_eq!(guard.rule(at_ms(900), &Action { estimate, others, ..action(0, EAST) }), DRIVE);
+        assert_eq!((guard.counts(), guard.wake_at()), (SafetyCounts::default(), Some(at_ms(1000))));
+    }
+}

@@ -24,7 +24,7 @@ pub enum Args {
 #[derive(clap::Args)]
 pub struct Check {
     #[command(flatten)]
-    team: team::Args,
+    team: team::TeamArgs,
     #[command(flatten)]
     which: team::Which,
 }
@@ -33,7 +33,7 @@ pub struct Check {
 #[derive(clap::Args)]
 pub struct Show {
     #[command(flatten)]
-    team: team::Args,
+    team: team::TeamArgs,
     #[command(flatten)]
     which: team::Which,
     /// Prints one JSON object

@@ -20,7 +20,7 @@ use crate::{BadInput, Ended, key, team};
 #[command(after_help = "Exit codes: 0 nothing has failed; 1 a check has failed; 2 a flag or the team file is wrong.")]
 pub struct Args {
     #[command(flatten)]
-    team: team::Args,
+    team: team::TeamArgs,
     #[command(flatten)]
     which: team::Which,
     /// Prints one JSON object

@@ -17,15 +17,14 @@ use murmurate::messages::ids::{HostId, LinkId};
 use murmurate::messages::wire::{Phase, Wire};
 use murmurate::net::link::LinkCounts;
 use murmurate::net::transport::udp::Udp;
-use murmurate::report::episode::Episode;
+use murmurate::report::event::{Counted, HostEvent};
 use murmurate::report::summary::{Run, Summary};
-use murmurate::report::trial::{Totals, TrialReport};
+use murmurate::report::trial::TrialReport;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Settings};
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
 use sd_notify::NotifyState;
-use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::output::print;
@@ -53,7 +52,7 @@ enum Role {
 #[derive(clap::Args)]
 pub struct Args {
     #[command(flatten)]
-    team: team::Args,
+    team: team::TeamArgs,
     #[command(flatten)]
     which: team::Which,
     /// The host that is there for this
@@ -64,25 +63,12 @@ pub struct Args {
     json: bool,
 }
 
-/// A line of `--json`.
-#[derive(Serialize)]
-#[serde(tag = "event", rename_all = "kebab-case")]
-enum Event<'a> {
-    /// The sockets are open and the actors run.
-    Ready { host: &'a str },
-    /// An episode is over.
-    Episode(Episode),
-    /// All episodes are over, as the host of the World has seen them.
-    Finished { host: &'a str, messages: u64, virtual_s: f64, oldest_command_s: f64, links: LinkCounts },
-    /// This host ends.
-    Ended { host: &'a str, links: LinkCounts },
-}
-
 /// What has become known while the host runs.
 #[derive(Default)]
 struct Seen {
     report: RefCell<TrialReport>,
     over: Cell<bool>,
+    messages: Cell<u64>,
     counts: Cell<LinkCounts>,
 }
 
@@ -106,34 +92,32 @@ pub fn run(args: &Args) -> Result<Ended> {
     let incarnation = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()) as u32;
 
     let seen = Rc::new(Seen::default());
-    let tell = |event: Event| -> Result<()> {
-        if args.json { print(&serde_json::to_string(&event).context("an event is JSON")?) } else { Ok(()) }
-    };
+    let tell = |event: &HostEvent| -> Result<()> { if args.json { print(&event.to_line()) } else { Ok(()) } };
     tracing::info!(host = name, robots = team.deployment.robots, "starts");
     let (mut over, mut stopping, mut told) = (None, None, 0);
     // What is printed and cannot be: there is nobody left to run for.
     let lost = RefCell::new(None);
-    let tell_or_lose = |event: Event| {
+    let tell_or_lose = |event: &HostEvent| {
         if let Err(error) = tell(event) {
             lost.replace(Some(error));
         }
     };
     let watchdog = sd_notify::watchdog_enabled();
     let mut petted = Time::ZERO;
-    run_real(
+    let graph = run_real(
         began,
         |clock, readers| {
             let host = Host { id, team: team.number, incarnation, sockets };
             let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
             let graph = host::wire((clock, readers), trial.plan(), host, move |h| heard.hear(h), move |o| said.say(o));
             let _ = sd_notify::notify(&[NotifyState::Ready]);
-            tell_or_lose(Event::Ready { host: &name });
+            tell_or_lose(&HostEvent::Ready { host: name.clone() });
             graph
         },
         |graph: &Rc<Graph>, now| {
             while let Some(episode) = seen.report.borrow().episodes.get(told).copied() {
                 told += 1;
-                tell_or_lose(Event::Episode(episode));
+                tell_or_lose(&HostEvent::Episode(episode));
             }
             if let Some(patience) = watchdog
                 && now.since(petted) >= Span::from_secs(patience.as_secs_f64() / 4.0)
@@ -159,14 +143,18 @@ pub fn run(args: &Args) -> Result<Ended> {
     if let Some(error) = lost.take() {
         return Err(error);
     }
-    let report = seen.report.borrow().clone();
+    let mut report = seen.report.borrow().clone();
+    (report.refused, report.lost) = graph.undelivered();
     let interrupted = over.is_none();
-    if report.finished {
-        let Totals { messages, end, oldest_command, links, .. } = report.totals;
-        let (virtual_s, oldest_command_s) = (end.as_secs(), oldest_command.as_secs());
-        tell(Event::Finished { host: &name, messages, virtual_s, oldest_command_s, links })?;
+    if !interrupted {
+        tell(&HostEvent::Finished(Counted {
+            messages: seen.messages.get(),
+            refused: report.refused,
+            lost: report.lost,
+            links: seen.counts.get(),
+            oldest_command_s: report.totals.oldest_command.as_secs(),
+        }))?;
     }
-    tell(Event::Ended { host: &name, links: seen.counts.get() })?;
     if !args.json && !report.episodes.is_empty() {
         let run = Run {
             mode: team.deployment.mode.clone(),
@@ -189,6 +177,7 @@ impl Seen {
             Heard::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
             Heard::Message(_) => {}
             Heard::Counts(counts) => self.counts.set(*counts),
+            Heard::Published => self.messages.set(self.messages.get() + 1),
         }
     }
 

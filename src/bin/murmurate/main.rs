@@ -44,12 +44,12 @@ enum Command {
     Deployment(deployment::Args),
     /// Trains a policy.
     Train(Box<train::Args>),
+    /// Runs one host of a team in real time: what is started on a robot.
+    Host(Box<host::Args>),
     /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
     Launch(Box<launch::Args>),
     /// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
     Doctor(Box<doctor::Args>),
-    /// Runs one host of a team in real time: what is started on a robot.
-    Host(Box<host::Args>),
     /// Makes the key that a team's messages are authenticated with.
     #[command(subcommand)]
     Key(key::Args),
@@ -93,9 +93,9 @@ fn main() -> ExitCode {
         Command::Sim(args) => sim::run(&args),
         Command::Deployment(args) => deployment::run(&args),
         Command::Train(args) => train::run(&args),
+        Command::Host(args) => host::run(&args),
         Command::Launch(args) => launch::run(&args),
         Command::Doctor(args) => doctor::run(&args),
-        Command::Host(args) => host::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args),
     };

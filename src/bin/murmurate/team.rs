@@ -14,8 +14,7 @@ use crate::{BadInput, key, policy};
 
 /// The team file and what differs from it.
 #[derive(clap::Args)]
-#[group(id = "team-file")]
-pub struct Args {
+pub struct TeamArgs {
     /// The team file (docs/teams.md says what is in it)
     #[arg(value_name = "TEAM.toml")]
     file: PathBuf,
@@ -42,7 +41,7 @@ pub struct Which {
     robot: Option<u16>,
 }
 
-impl Args {
+impl TeamArgs {
     /// Where the team file is.
     pub fn path(&self) -> &Path {
         &self.file

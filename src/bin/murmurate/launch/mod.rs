@@ -11,7 +11,6 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow};
 use murmurate::deploy::team::Team;
-use murmurate::net::link::LinkCounts;
 use murmurate::report::episode::Episode;
 use murmurate::report::event::{Counted, HostEvent};
 use murmurate::report::summary::{Run, Summary};
@@ -29,7 +28,7 @@ use supervisor::{Answer, Heard, Limits, Outcome, Process, Supervisor};
     wrong; 130 interrupted by Ctrl-C or SIGTERM. The results until then are printed.")]
 pub struct Args {
     #[command(flatten)]
-    team: team::Args,
+    team: team::TeamArgs,
     /// Prints one JSON object in place of the table
     #[arg(long)]
     json: bool,
@@ -126,7 +125,6 @@ struct Results {
     ready: usize,
     episodes: BTreeMap<u32, Episode>,
     counted: Vec<Counted>,
-    links: Vec<LinkCounts>,
 }
 
 impl Results {
@@ -141,7 +139,6 @@ impl Results {
             ready: 0,
             episodes: BTreeMap::new(),
             counted: Vec::new(),
-            links: Vec::new(),
         }
     }
 
@@ -156,7 +153,6 @@ impl Results {
                     self.counted.push(counted);
                     return Answer::Done;
                 }
-                Some(HostEvent::Ended { links, .. }) => self.links.push(links),
                 None => self.pass_on(at, line),
             },
         }
@@ -205,7 +201,7 @@ impl Results {
             totals: Totals {
                 messages: sum(|counted| counted.messages),
                 oldest_command: Span::from_secs(oldest),
-                links: self.links.iter().copied().sum(),
+                links: self.counted.iter().map(|counted| counted.links).sum(),
                 ..Totals::default()
             },
             finished: self.episodes.len() == self.wanted as usize,

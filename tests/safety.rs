@@ -1,0 +1,259 @@
+//! Safety on the robots' side, in whole trials: whatever triggers, the motors stop in time, and the team recovers.
+
+use std::sync::Arc;
+
+use murmurate::actors::Core;
+use murmurate::actors::cache::{self, Cache, Handling};
+use murmurate::actors::controller::{self, Controller};
+use murmurate::deploy::MODES;
+use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::latch::Latch;
+use murmurate::messages::local::{Action, Progress};
+use murmurate::messages::wire::{Kind, Mode, Phase, Reading, Round, Stop};
+use murmurate::net::fault::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, Role};
+use murmurate::net::range::CommRange;
+use murmurate::policy::gnn::Network;
+use murmurate::policy::manifest::Manifest;
+use murmurate::policy::shipped::shipped;
+use murmurate::policy::{Draw, Model, weights};
+use murmurate::random::Seed;
+use murmurate::report::trial::{Step, TrialReport};
+use murmurate::safety::guard::{self, SafetyCounts};
+use murmurate::safety::{Safety, Switch};
+use murmurate::scenario::judge::Verdict;
+use murmurate::time::{Span, Time};
+use murmurate::trial::Trial;
+use murmurate::world::{Clamp, ContactRule, kinematic};
+
+fn ms(ms: u64) -> Span {
+    Span::from_millis(ms)
+}
+
+fn trial(mode: &str, seed: u64) -> Trial {
+    let trial = Trial::preset(mode, "passage").expect("a preset").seed(seed).episodes(3).keeping_steps();
+    Trial { safety: Safety::deployed(), ..trial }
+}
+
+/// A moment in the midst of the first episode.
+fn midst(trial: &Trial) -> Time {
+    let report = trial.run();
+    let running = report.steps.iter().filter(|step| step.episode == 0 && step.phase == Phase::Running);
+    let running: Vec<Time> = running.map(|step| step.samples[0].time).collect();
+    running[running.len() / 3]
+}
+
+/// The robots that are driven at some time between two moments.
+fn driven(report: &TrialReport, from: Time, until: Time) -> Vec<(RobotId, Time)> {
+    let samples = report.steps.iter().flat_map(|step| &step.samples);
+    let moving = samples.filter(|s| s.time >= from && s.time < until && s.command != Vec2::zeros());
+    moving.map(|s| (s.robot, s.time)).collect()
+}
+
+fn actor(role: Role, robot: u16, kind: ActorFaultKind, at: Time, lasts: Span) -> FaultPlan {
+    let fault = ActorFault { role, robot: RobotId(robot), kind, at, lasts, by: Span::ZERO };
+    FaultPlan { actors: vec![fault], links: Vec::new() }
+}
+
+#[test]
+fn nothing_triggers_in_a_sound_team() {
+    for mode in MODES {
+        let report = trial(mode, 3).run();
+        let stopped = SafetyCounts { fence: 0, distance: 0, ..report.totals.safety };
+        assert_eq!(stopped, SafetyCounts::default(), "{mode}");
+        assert_eq!(report.successes(), 3, "{mode}: {:?}", report.episodes);
+    }
+}
+
+#[test]
+fn without_own_readings_a_robot_stops_within_the_age_of_the_last() {
+    let trial = trial("offboard", 1);
+    let (from, lasts) = (midst(&trial), ms(700));
+    let fault = LinkFault { kinds: vec![Kind::Reading], from, until: from + lasts, ..LinkFault::always("loopback") };
+    let plan = FaultPlan { actors: Vec::new(), links: vec![fault] };
+    let report = trial.clone().faults(plan.clone()).run();
+    assert_eq!(driven(&report, from + ms(100) + kinematic::PERIOD, from + lasts), []);
+    assert_eq!(report.totals.safety.own_state, 5, "each robot once");
+    assert_eq!(report.successes(), 3, "and it drives on: {:?}", report.episodes);
+
+    let published = Trial { safety: Safety::emulated(), ..trial }.faults(plan).run();
+    assert!(!driven(&published, from + ms(100) + kinematic::PERIOD, from + lasts).is_empty(), "commands lapse later");
+    assert_eq!(published.totals.safety, SafetyCounts::default());
+}
+
+/// The cores of one robot, one tick after the other: the same stamp keeps arriving, and the robot stands in time.
+#[test]
+fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
+    let (robot, round, period) = (RobotId(0), Round { epoch: 1, episode: 0 }, ms(50));
+    let (range, hold, handling) = (CommRange::fixed(2.0), ms(200), Handling::Hold);
+    let config = cache::Config { robot, period, phase: Span::ZERO, range, hold, handling, own_age: ms(100) };
+    let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
+    let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
+    let guard = guard::Config { safety, half_extent, limit_m_s: 1.5, clamp, period };
+    let mut controller = Controller::new(controller::Config { robot, guard, valid_for: ms(200), phase: Span::ZERO });
+    let task = Task { start: Vec2::zeros(), goal: Vec2::x() };
+    let (phase, tasks, latch) = (Phase::Running, [task].into(), Latch::default());
+    let mode = Mode { round, repeat: 0, phase, first: robot, tasks, latch };
+    controller.handle(Time::ZERO, controller::In::Mode(mode), &mut Vec::new());
+
+    let mut commands: Vec<(u64, f32)> = Vec::new();
+    for at in 0..400 {
+        let (now, mut known, mut said) = (Time::ZERO + ms(at), Vec::new(), Vec::new());
+        if at.is_multiple_of(20) {
+            let reading = Reading { robot, stamp_ns: 7, motion: Motion::default() };
+            cache.handle(now, cache::In::Reading(reading), &mut known);
+        }
+        if cache.wake_at().is_some_and(|due| due <= now) {
+            cache.wake(now, &mut known);
+        }
+        for known in known {
+            let input = match known {
+                cache::Out::Fresh => controller::In::Fresh,
+                cache::Out::Percept(percept) => controller::In::Action(Action {
+                    robot,
+                    round,
+                    phase,
+                    due: percept.due,
+                    velocity: Vec2::x(),
+                    estimate: percept.estimate,
+                    others: Vec::new(),
+                    progress: Progress::Underway,
+                }),
+            };
+            controller.handle(now, input, &mut said);
+        }
+        if controller.wake_at().is_some_and(|due| due <= now) {
+            controller.wake(now, &mut said);
+        }
+        commands.extend(said.iter().filter_map(|said| match said {
+            controller::Out::MotorCommand(command) => Some((at, command.velocity.x)),
+            _ => None,
+        }));
+    }
+    assert_eq!(commands, [(0, 1.0), (50, 1.0), (100, 1.0), (101, 0.0)]);
+}
+
+#[test]
+fn a_policy_that_comes_apart_moves_nobody_and_the_episodes_are_given_up() {
+    let mut manifest = Manifest::published();
+    (manifest.encoder, manifest.message, manifest.update) = (vec![6, 4, 3], vec![3, 5, 4], vec![4, 4]);
+    let huge = |widths: &[usize]| -> Vec<(Vec<f32>, Vec<f32>)> {
+        widths.windows(2).map(|pair| (vec![1e30; pair[0] * pair[1]], vec![1e30; pair[1]])).collect()
+    };
+    let tensors = [huge(&manifest.encoder), huge(&manifest.message), huge(&manifest.update)];
+    let file = weights::read(&weights::write(&manifest, &tensors)).expect("large numbers are numbers");
+    let model = Model::Gnn(Arc::new(Network::new(file)), Draw::Mean);
+    for mode in ["sim", "offboard"] {
+        for safety in [Safety::deployed(), Safety::emulated()] {
+            let report = Trial { model: model.clone(), safety, ..trial(mode, 2) }.run();
+            assert!(report.finished && report.episodes.iter().all(|episode| episode.verdict == Verdict::Aborted));
+            assert!(report.totals.safety.output > 0, "{mode}: {:?}", report.totals.safety);
+            // A step of a reset may still be carried out as the episode begins.
+            assert!(report.steps.iter().any(|step| step.phase == Phase::Running), "{mode}: episodes do begin");
+            let later = |steps: &&[Step]| steps.iter().all(|step| step.phase != Phase::Resetting);
+            let begun: Vec<&[Step]> = report.steps.windows(3).filter(later).collect();
+            assert!(!begun.is_empty(), "{mode}");
+            assert!(begun.iter().flat_map(|steps| &steps[2].samples).all(|s| s.command == Vec2::zeros()), "{mode}");
+        }
+    }
+}
+
+#[test]
+fn late_ticks_stop_a_robot_and_no_burst_of_old_actions_follows() {
+    for role in [Role::Agent, Role::Cache] {
+        let trial = trial("onboard-adhoc", 4);
+        let (at, lasts) = (midst(&trial), ms(600));
+        let report = trial.faults(actor(role, 2, ActorFaultKind::Stall, at, lasts)).run();
+        // A tick that was just met, the one that is missed, and how late it may be.
+        let stopped = at + ms(50) + ms(50) + kinematic::PERIOD;
+        let late: Vec<_> = driven(&report, stopped, at + lasts).into_iter().filter(|(r, _)| r.0 == 2).collect();
+        assert_eq!(late, [], "{role:?}");
+        let counts = report.totals.safety;
+        assert!(counts.late_tick + counts.own_state >= 1, "{role:?}: {counts:?}");
+        let again = driven(&report, at + lasts, at + lasts + ms(300));
+        assert!(again.iter().any(|(robot, _)| robot.0 == 2), "{role:?}: it drives again");
+        assert_eq!(report.episodes[2].verdict, Verdict::Success, "{role:?}");
+    }
+}
+
+#[test]
+fn a_silent_state_server_stops_everyone() {
+    let trial = trial("onboard-infra", 5);
+    let (at, lasts) = (midst(&trial), ms(3000));
+    let report = trial.faults(actor(Role::StateServer, 0, ActorFaultKind::Mute, at, lasts)).run();
+    assert_eq!(driven(&report, at + ms(1000) + kinematic::PERIOD, at + lasts), []);
+    assert_eq!(report.totals.safety.silence, 5);
+    assert_eq!(report.episodes[2].verdict, Verdict::Success);
+}
+
+#[test]
+fn an_emergency_stop_stops_everyone_within_100_ms_and_holds_until_a_later_re_arm() {
+    for mode in MODES {
+        for safety in [Safety::deployed(), Safety::emulated()] {
+            let trial = Trial { safety, ..trial(mode, 6) };
+            let (at, by) = (midst(&trial), HostId(0));
+            let rearmed = at + ms(5000);
+            let stops = vec![
+                (at, Stop::engage(by, Latch::default())),
+                (at + ms(2000), Stop::rearm(by, Latch::default())),
+                (rearmed, Stop::rearm(by, Latch::engaged(1))),
+            ];
+            // Whoever is started afresh while it holds has to learn of it.
+            let crashed = actor(Role::Controller, 1, ActorFaultKind::Crash, at + ms(1000), ms(500));
+            let report = Trial { stops, ..trial }.faults(crashed).run();
+            assert_eq!(driven(&report, at + ms(100), rearmed), [], "{mode}");
+            let verdicts: Vec<Verdict> = report.episodes.iter().map(|episode| episode.verdict).collect();
+            assert_eq!(verdicts[0], Verdict::Aborted, "{mode}");
+            assert_eq!(verdicts[1..], [Verdict::Success; 2], "{mode}: the next episodes run");
+        }
+    }
+}
+
+#[test]
+fn who_misses_the_stop_or_the_re_arm_hears_of_it_from_the_state_server() {
+    let trial = trial("onboard-infra", 7);
+    let (at, by) = (midst(&trial), HostId(3));
+    let rearmed = at + ms(2000);
+    let stops = vec![(at, Stop::engage(by, Latch::default())), (rearmed, Stop::rearm(by, Latch::engaged(1)))];
+    // No stop gets through to anyone: only the host that says it knows.
+    let links = vec![LinkFault { kinds: vec![Kind::Stop], ..LinkFault::always("infra") }];
+    let report = Trial { stops, ..trial }.faults(FaultPlan { actors: Vec::new(), links }).run();
+    // A heartbeat at once, the state server's next decision, and a World step.
+    assert_eq!(driven(&report, at + ms(50) + kinematic::PERIOD, rearmed), []);
+    assert_eq!(report.totals.safety.stop, 5);
+    assert_eq!(report.successes(), 2, "{:?}", report.episodes);
+}
+
+#[test]
+fn a_fence_keeps_commands_on_the_ground() {
+    let mut trial = trial("offboard", 8);
+    (trial.safety.geofence_margin_m, trial.safety.geofence_horizon_s) = (0.0, 2.0);
+    let half = trial.scenario.arena().half_extent;
+    let report = trial.run();
+    assert!(report.totals.safety.fence > 0, "robots come near the edge");
+    for sample in report.steps.iter().flat_map(|step| &step.samples) {
+        let reached = sample.motion.position + sample.command * 2.0;
+        // The estimate that a command was made from is up to two steps old.
+        let slack = 0.25;
+        assert!(reached.x.abs() <= half.x + slack && reached.y.abs() <= half.y + slack, "{sample:?}");
+    }
+}
+
+#[test]
+fn a_least_distance_reduces_collisions_of_a_policy_that_hears_nobody() {
+    let model = weights::read(shipped("passage").expect("one is shipped")).expect("and it can be read");
+    let model = Model::Gnn(Arc::new(Network::new(model)), Draw::Mean);
+    let collisions = |distance: Switch| {
+        let mut trial = Trial { model: model.clone(), ..trial("centralized", 9) }.episodes(24);
+        trial.range = Some(CommRange::fixed(0.0));
+        (trial.physics.contacts, trial.physics.wall_radius_m) = (ContactRule::Judge, 0.16);
+        trial.safety = Safety { distance, ..Safety::deployed() };
+        let report = trial.run();
+        let hit = report.episodes.iter().filter(|episode| episode.verdict == Verdict::RobotCollision).count();
+        (hit, report.totals.safety.distance)
+    };
+    let ((without, unfiltered), (with, filtered)) = (collisions(Switch::Off), collisions(Switch::On));
+    println!("robots too near in {without} of 24 episodes without the filter, {with} with it ({filtered} times)");
+    assert!(unfiltered == 0 && filtered > 0);
+    assert!(without >= 6 && with * 3 <= without, "{with} in place of {without}");
+}
