@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 
 /// The layer of a module; a module may use its own layer and those below.
 fn layer(module: &str) -> Option<u8> {
-    let layers: [(&str, u8); 23] = [
+    let layers: [(&str, u8); 24] = [
         ("config", 0),
         ("time", 0),
         ("random", 0),
