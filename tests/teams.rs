@@ -4,9 +4,10 @@
 mod program;
 
 use std::fs::{Permissions, read_to_string, set_permissions, write};
+use std::io::{BufRead, BufReader};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::Output;
+use std::process::{Output, Stdio};
 
 use program::{murmurate, refuses, run, text};
 use tempfile::TempDir;
@@ -148,4 +149,81 @@ fn show_says_where_every_value_comes_from() {
     assert_eq!(json["values"][0]["field"], "team");
     assert_eq!(json["values"][0]["origin"], format!("{file}:1"));
     assert_eq!(json["deployment"]["robots"], 5);
+}
+
+#[test]
+fn the_doctor_says_what_is_wrong_and_what_to_do() {
+    let (folder, file) = folder();
+    let output = run(&["doctor", &file, "--host", "world", "--set", "link.infra.interface=wlan99"]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = text(&output.stdout);
+    assert!(said.contains("ok   key: fingerprint") && said.contains("ok   policy: shipped"), "{said}");
+    let missing = said.lines().find(|line| line.contains("wlan99")).expect("a line about it");
+    assert!(missing.starts_with("fail link infra, interface") && missing.contains("lo (127.0.0.1"), "{missing}");
+    assert!(missing.contains("link.infra.interface"), "{missing}");
+    let args = ["doctor", &file, "--interface", "lo", "--json"];
+    let fit = run(&args);
+    let found: serde_json::Value = serde_json::from_str(&done(&fit)).expect("one JSON object");
+    assert_eq!(found["fit"], true);
+    let checks = found["checks"].as_array().expect("checks");
+    for what in ["key", "policy", "link infra, interface", "link infra, MTU", "link infra, group", "link wires, group"]
+    {
+        assert!(checks.iter().any(|check| check["what"] == what && check["status"] == "ok"), "{what}: {found}");
+    }
+    refuses(&["doctor", &file], &["--host", "--robot", "robot-0, "]);
+    std::fs::remove_file(folder.path().join("team.key")).expect("it is ours");
+    let output = run(&args);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(text(&output.stdout).contains("is not there"));
+}
+
+/// A team of its own on loopback, on groups of its own.
+fn loopback(folder: &TempDir, number: u16) -> String {
+    let link = |name: &str, last: u8| {
+        format!("[link.{name}]\ninterface = \"lo\"\ngroup = \"239.255.78.{last}:{}\"\n", 40_000 + number)
+    };
+    let links = link("loopback", 1) + &link("infra", 2);
+    let file = folder.path().join("loopback.toml").to_string_lossy().into_owned();
+    let key = "key_file = \"team.key\"";
+    write(&file, format!("team = {number}\n{key}\nmode = \"offboard\"\nepisodes = 100\n{links}")).expect("written");
+    file
+}
+
+#[test]
+fn launch_starts_a_team_and_stops_it_when_interrupted() {
+    let (folder, _) = folder();
+    let file = loopback(&folder, 771);
+    let mut launch = murmurate(&["launch", &file, "--json", "--set", "robots=2"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    let mut said = Vec::new();
+    let mut lines = BufReader::new(launch.stderr.take().expect("it is piped")).lines();
+    for line in &mut lines {
+        said.push(line.expect("text"));
+        if said.last().is_some_and(|line| line.starts_with("3 processes run")) {
+            break;
+        }
+    }
+    let pid = nix::unistd::Pid::from_raw(i32::try_from(launch.id()).expect("process numbers are small"));
+    nix::sys::signal::kill(pid, nix::sys::signal::Signal::SIGTERM).expect("it runs");
+    said.extend(lines.map(|line| line.expect("text")));
+    let output = launch.wait_with_output().expect("it ends");
+    assert_eq!(output.status.code(), Some(130), "{said:?}");
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    assert_eq!((&summary["interrupted"], &summary["robots"]), (&true.into(), &2.into()));
+    assert!(!said.iter().any(|line| line.contains("killed") || line.contains("failed")), "{said:?}");
+}
+
+#[test]
+fn launch_passes_on_why_a_process_has_refused() {
+    let (folder, _) = folder();
+    let file = loopback(&folder, 772);
+    let output = run(&["launch", &file, "--interface", "wlan99"]);
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    let said = text(&output.stderr);
+    let last = said.lines().last().expect("an error");
+    assert!(last.starts_with("error: the process '") && last.contains("wlan99") && last.contains("lo ("), "{said}");
+    assert_eq!(text(&output.stdout), "");
 }

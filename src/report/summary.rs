@@ -59,7 +59,8 @@ pub struct Summary {
     pub safety: SafetyCounts,
     /// The oldest command that any robot was still driven by \[s\].
     pub oldest_command_s: f64,
-    /// A digest of every message and state of the run, in hexadecimal; null for a run that was interrupted or in real time.
+    /// A digest of every message and state of the run, in hexadecimal; null for a run that was interrupted or in real
+    /// time.
     pub trace_hash: Option<String>,
     /// The seed of the run.
     pub seed: u64,

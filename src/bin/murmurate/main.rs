@@ -1,12 +1,13 @@
 //! The command-line program. Flags, files, progress and exit codes live here; what a run does never does.
 //!
-//! Exit codes: 0 done; 1 the run or its output failed; 2 a flag or a file is wrong, and nothing was run;
-//! 101 a bug (a panic); 130 interrupted, with the results until then printed.
+//! Exit codes: 0 done; 1 the run, one of its processes, its output or a check of `doctor` failed; 2 a flag or a file is
+//! wrong, and nothing was run; 101 a bug (a panic); 130 interrupted, with the results until then printed.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 mod config;
 mod deployment;
+mod doctor;
 mod host;
 mod key;
 mod launch;
@@ -26,8 +27,8 @@ use tracing_subscriber::EnvFilter;
 #[command(
     name = "murmurate",
     version,
-    after_help = "Exit codes: 0 done; 1 the run or its output failed; 2 a flag or a file is wrong, nothing was run; \
-                  101 a bug; 130 interrupted, results until then printed.\n\
+    after_help = "Exit codes: 0 done; 1 the run, its output or a check failed; 2 a flag or a file is wrong, nothing \
+                  was run; 101 a bug; 130 interrupted, results until then printed.\n\
                   Logs go to stderr; MURMURATE_LOG sets their level (error, warn, info, debug)."
 )]
 struct Cli {
@@ -47,6 +48,8 @@ enum Command {
     Host(Box<host::Args>),
     /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
     Launch(Box<launch::Args>),
+    /// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
+    Doctor(Box<doctor::Args>),
     /// Makes the key that a team's messages are authenticated with.
     #[command(subcommand)]
     Key(key::Args),
@@ -59,6 +62,8 @@ enum Command {
 pub enum Ended {
     /// As asked.
     Done,
+    /// As asked, and it was found that something is wrong; what, was printed.
+    Unfit,
     /// By Ctrl-C, with the results until then printed.
     Interrupted,
 }
@@ -90,11 +95,13 @@ fn main() -> ExitCode {
         Command::Train(args) => train::run(&args),
         Command::Host(args) => host::run(&args),
         Command::Launch(args) => launch::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args),
     };
     match ended {
         Ok(Ended::Done) => ExitCode::SUCCESS,
+        Ok(Ended::Unfit) => ExitCode::from(1),
         Ok(Ended::Interrupted) => ExitCode::from(130),
         Err(error) => {
             output::talk(&format!("error: {error:#}"));

@@ -4,10 +4,14 @@
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
+
+use nix::sys::signal::{Signal, killpg};
+use nix::unistd::Pid;
 
 /// How often the processes are looked at when they say nothing.
 const TICK: Duration = Duration::from_millis(50);
@@ -202,12 +206,8 @@ impl Supervisor {
         let slot = &mut self.slots[at];
         let mut command = (slot.process.command)();
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        #[cfg(unix)]
-        {
-            use std::os::unix::process::CommandExt;
-            // Ctrl-C on the terminal comes here only, and is passed on once.
-            command.process_group(0);
-        }
+        // Ctrl-C on the terminal comes here only, and is passed on once.
+        command.process_group(0);
         slot.start += 1;
         match command.spawn() {
             Ok(mut child) => {
@@ -370,53 +370,33 @@ fn listen_to(pipe: impl Read, at: usize, data: bool, start: u32, sender: &SyncSe
     let _ = sender.send(Event::Closed { at, start });
 }
 
-#[cfg(unix)]
 fn ask_to_stop(child: &mut Child) {
-    use nix::sys::signal::Signal;
     signal(child, Signal::SIGTERM);
     // One that is halted must go on to hear it.
     signal(child, Signal::SIGCONT);
 }
 
-#[cfg(unix)]
 fn kill(child: &mut Child) {
-    signal(child, nix::sys::signal::Signal::SIGKILL);
+    signal(child, Signal::SIGKILL);
 }
 
 /// Sends a signal to a process and all that it has started. It is not yet waited for, so its number is still its own;
 /// if it has ended in this moment, the signal goes nowhere.
-#[cfg(unix)]
-fn signal(child: &Child, signal: nix::sys::signal::Signal) {
-    let group = nix::unistd::Pid::from_raw(i32::try_from(child.id()).expect("process numbers are small"));
-    let _ = nix::sys::signal::killpg(group, signal);
-}
-
-#[cfg(not(unix))]
-fn ask_to_stop(child: &mut Child) {
-    kill(child);
-}
-
-#[cfg(not(unix))]
-fn kill(child: &mut Child) {
-    let _ = child.kill();
+fn signal(child: &Child, signal: Signal) {
+    let group = Pid::from_raw(i32::try_from(child.id()).expect("process numbers are small"));
+    let _ = killpg(group, signal);
 }
 
 fn how(status: ExitStatus) -> String {
-    #[cfg(unix)]
-    {
-        use std::os::unix::process::ExitStatusExt;
-        if let Some(signal) = status.signal() {
-            let name = nix::sys::signal::Signal::try_from(signal).map_or("unknown", |signal| signal.as_str());
-            return format!("signal {signal}, {name}");
-        }
+    if let Some(signal) = status.signal() {
+        let name = Signal::try_from(signal).map_or("unknown", |signal| signal.as_str());
+        return format!("signal {signal}, {name}");
     }
     status.code().map_or_else(|| "no exit code".to_owned(), |code| format!("exit code {code}"))
 }
 
 #[cfg(test)]
 mod tests {
-    #![cfg(unix)]
-
     use super::*;
 
     fn shell(name: &str, script: &str) -> Process {
