@@ -1,7 +1,7 @@
 //! The whole actor graph as wiring: one place that says who talks to whom. No logic lives here.
 
 use std::cell::RefCell;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -13,22 +13,19 @@ use super::cache::{self, Cache, Handling};
 use super::clock::Clock;
 use super::controller::{self, Controller};
 use super::network::{self, Network};
+use super::process::{Graph, Heard, Process};
 use super::recorder::{self, Recorder};
 use super::shell::{Mailbox, start};
 use super::state_server::{self, StateServer};
 use super::world::{self, Ground, World};
-use crate::deploy::{Deployment, Routes, Stepping};
+use crate::deploy::{Deployment, Stepping};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::latch::Latch;
 use crate::messages::wire::{Stop, Wire};
-use crate::net::fault::{ActorFault, FaultPlan, Role};
-use crate::net::key::Key;
-use crate::net::link::{self, LinkCounts};
+use crate::net::fault::FaultPlan;
+use crate::net::link;
 use crate::net::medium::Medium;
 use crate::net::range::CommRange;
-use crate::net::reliability::Setup;
-use crate::net::sender::Peer;
 use crate::net::transport::ether::Ether;
 use crate::net::transport::{self, Arrive, Transmit};
 use crate::policy::Model;
@@ -42,8 +39,6 @@ use crate::world::{Clamp, Physics};
 
 /// How long a motor command holds: four of the published control periods (design, section 2).
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
-/// The team number of one-process runs, where there is no other team.
-const TEAM: u16 = 0;
 
 /// All that a graph is made of.
 #[derive(Clone)]
@@ -82,107 +77,6 @@ pub struct Plan {
     pub steps: recorder::Steps,
 }
 
-/// The ways to all actors of a graph.
-pub struct Graph {
-    routes: Routes,
-    caches: Vec<Mailbox<cache::In>>,
-    /// By robot: the robots of one agent share a mailbox.
-    agents: Vec<Mailbox<agent::In>>,
-    controllers: Vec<Mailbox<controller::In>>,
-    bodies: Vec<Mailbox<body::In>>,
-    /// By robot, likewise.
-    worlds: Vec<Mailbox<world::In>>,
-    server: Mailbox<state_server::In>,
-    networks: Vec<Mailbox<network::In>>,
-    pub(super) transports: Vec<Mailbox<transport::In>>,
-    /// Where there is one.
-    pub(super) recorder: Option<Mailbox<recorder::In>>,
-}
-
-impl Graph {
-    pub(super) fn new(plan: &Plan, process: &Process) -> Graph {
-        let deployment = &plan.deployment;
-        let routes = Routes::of(deployment);
-        let team = || RobotId::team(deployment.robots);
-        let named = |what: &'static str| move |robot: RobotId| format!("{what} of {robot}");
-        let mut agents: Vec<Mailbox<agent::In>> = Vec::new();
-        let mut worlds: Vec<Mailbox<world::In>> = Vec::new();
-        for robot in team() {
-            let agent = agents.get(routes.companions(robot)[0].index());
-            agents.push(agent.cloned().unwrap_or_else(|| Mailbox::new(named("agent")(robot))));
-            let host = routes.world_host(robot);
-            let world = team().take(robot.index()).find(|&other| routes.world_host(other) == host);
-            let world = world.and_then(|other| worlds.get(other.index()));
-            worlds.push(world.cloned().unwrap_or_else(|| Mailbox::new(named("world")(robot))));
-        }
-        let links = deployment.links.iter().map(|link| format!("transport of {}", link.name));
-        Graph {
-            caches: team().map(named("cache")).map(Mailbox::new).collect(),
-            agents,
-            controllers: team().map(named("controller")).map(Mailbox::new).collect(),
-            bodies: team().map(named("body")).map(Mailbox::new).collect(),
-            worlds,
-            server: Mailbox::new("state server"),
-            networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
-            transports: links.map(Mailbox::new).collect(),
-            recorder: process.records.then(|| Mailbox::new("recorder")),
-            routes,
-        }
-    }
-
-    pub(super) fn network_of(&self, host: HostId) -> Mailbox<network::In> {
-        self.networks[usize::from(host.0)].clone()
-    }
-
-    /// The way to the Recorder, which leads nowhere where there is none.
-    fn record(&self) -> impl Fn(recorder::In) + use<> {
-        let recorder = self.recorder.clone();
-        move |told| {
-            if let Some(recorder) = &recorder {
-                recorder.send(told);
-            }
-        }
-    }
-
-    /// Messages that full mailboxes refused, and messages that were lost in crashes, so far.
-    pub fn undelivered(&self) -> (u64, u64) {
-        fn of<I>(mailboxes: &[Mailbox<I>]) -> impl Iterator<Item = (&str, (u64, u64))> {
-            mailboxes.iter().map(|mailbox| (mailbox.name(), (mailbox.refused(), mailbox.lost())))
-        }
-        // By name, because some robots share an agent or a world.
-        let counts: BTreeMap<&str, (u64, u64)> = of(&self.caches)
-            .chain(of(&self.agents))
-            .chain(of(&self.controllers))
-            .chain(of(&self.bodies))
-            .chain(of(&self.worlds))
-            .chain(of(&self.networks))
-            .chain(of(&self.transports))
-            .chain(of(std::slice::from_ref(&self.server)))
-            .chain(of(self.recorder.as_slice()))
-            .collect();
-        counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
-    }
-
-    /// Engages the team's emergency stop, in the name of a host that runs here.
-    pub fn stop(&self, by: HostId) {
-        let stop = Stop::engage(by, Latch::default());
-        self.networks[usize::from(by.0)].send(network::In::Publish(Wire::Stop(stop)));
-    }
-
-    fn inject(&self, fault: ActorFault) {
-        let robot = fault.robot.index();
-        match fault.role {
-            Role::Cache => self.caches[robot].inject(fault),
-            Role::Agent => self.agents[robot].inject(fault),
-            Role::Controller => self.controllers[robot].inject(fault),
-            Role::Body => self.bodies[robot].inject(fault),
-            Role::World => self.worlds[robot].inject(fault),
-            Role::StateServer => self.server.inject(fault),
-            Role::Network => self.network_of(self.routes.agent_host(fault.robot)).inject(fault),
-        }
-    }
-}
-
 /// Starts all actors of a plan; `said` takes what the Recorder says.
 pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
@@ -200,51 +94,6 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
         clock.call(at, Box::new(move || network.send(network::In::Publish(Wire::Stop(stop)))));
     }
     graph
-}
-
-/// What of a deployment runs in this process, and how it shows itself to others.
-#[derive(Clone)]
-pub struct Process {
-    /// One host alone; `None` for all of them.
-    pub only: Option<HostId>,
-    /// The team's number on every link.
-    pub team: u16,
-    /// Which life of the process this is: one that is started again has a later one.
-    pub incarnation: u32,
-    /// What the team's datagrams are sealed with, if they are.
-    pub key: Option<Key>,
-    /// How its links are set up; `None` for those of the emulated ether.
-    pub links: Option<Vec<Setup>>,
-    /// Whether a Recorder runs here.
-    pub records: bool,
-    /// Is told what reaches the actors and what the Networks count.
-    pub hear: Rc<dyn Fn(Heard)>,
-}
-
-/// What a Network of this process makes known.
-#[derive(Clone, Copy, Debug)]
-pub enum Heard<'a> {
-    /// An actor of this process has said something.
-    Published,
-    /// A message for this host.
-    Message(&'a Wire),
-    /// What is known of the other hosts.
-    Peers(&'a [Peer]),
-    /// What it has counted on its links since it was started.
-    Counts(&'a LinkCounts),
-}
-
-impl Process {
-    /// Every host of a deployment.
-    fn whole() -> Process {
-        let hear = Rc::new(|_: Heard| {});
-        Process { only: None, team: TEAM, incarnation: 0, key: None, links: None, records: true, hear }
-    }
-
-    fn setups(&self, deployment: &Deployment) -> Vec<Setup> {
-        let emulated = || deployment.links.iter().map(|link| Setup::emulated(link.reliability.clone())).collect();
-        self.links.clone().unwrap_or_else(emulated)
-    }
 }
 
 /// The actors of the hosts that run here.

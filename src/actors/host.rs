@@ -8,8 +8,9 @@ use tracing::info_span;
 
 use super::Core;
 use super::clock::Clock;
-use super::graph::{Graph, Heard, Plan, Process, wire_hosts, wire_recorder};
+use super::graph::{Plan, wire_hosts, wire_recorder};
 use super::network;
+use super::process::{Graph, Heard, Process};
 use super::real::Readers;
 use super::recorder;
 use super::shell::start;

@@ -21,27 +21,32 @@ const MAX_SLEEP: Span = Span::from_millis(50);
 
 /// File descriptors, and who is rung when one of them has something to read.
 #[derive(Default)]
-pub struct Readers(Vec<(Rc<dyn AsFd>, Box<dyn Fn()>)>);
+pub struct Readers(Vec<Reader>);
+
+struct Reader {
+    source: Rc<dyn AsFd>,
+    ring: Box<dyn Fn()>,
+}
 
 impl Readers {
     /// Rings whenever `source` has something to read, until it has been read.
     pub fn watch(&mut self, source: Rc<dyn AsFd>, ring: impl Fn() + 'static) {
-        self.0.push((source, Box::new(ring)));
+        self.0.push(Reader { source, ring: Box::new(ring) });
     }
 
     /// Sleeps until one has something to read, at most for `span`, and rings for those that have.
     fn sleep(&self, span: Span) {
         let mut polled: Vec<PollFd> =
-            self.0.iter().map(|(source, _)| PollFd::new(source.as_fd(), PollFlags::POLLIN)).collect();
+            self.0.iter().map(|reader| PollFd::new(reader.source.as_fd(), PollFlags::POLLIN)).collect();
         let timeout = TimeSpec::from_duration(std::time::Duration::from_nanos(span.as_nanos()));
         match ppoll(&mut polled, Some(timeout), None) {
             Ok(_) | Err(Errno::EINTR) => {}
             Err(error) => panic!("the kernel does not poll sockets that are open: {error}"),
         }
-        for (polled, (_, ring)) in polled.iter().zip(&self.0) {
+        for (polled, reader) in polled.iter().zip(&self.0) {
             // An error is read from the socket, too: it must not be polled for ever.
             if polled.revents().is_some_and(|events| !events.is_empty()) {
-                ring();
+                (reader.ring)();
             }
         }
     }

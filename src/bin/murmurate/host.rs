@@ -8,8 +8,8 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
 use clap::ValueEnum;
-use murmurate::actors::graph::{Graph, Heard};
 use murmurate::actors::host::{self, Host};
+use murmurate::actors::process::{Graph, Heard};
 use murmurate::actors::real::run_real;
 use murmurate::actors::recorder::Out;
 use murmurate::deploy::Link;

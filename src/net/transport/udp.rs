@@ -123,9 +123,12 @@ impl Udp {
                 None => Err(io::Error::new(io::ErrorKind::AddrNotAvailable, "the host has no address")),
             },
             (To::Peers(peers), Audience::All) => {
-                let sent = peers.values().map(|peer| self.mouth.send_to(&transmit.frame, peer).map(drop));
                 // One that cannot be reached keeps nobody else from hearing.
-                sent.fold(Ok(()), |all, one| all.and(one))
+                let mut all = Ok(());
+                for peer in peers.values() {
+                    all = all.and(self.mouth.send_to(&transmit.frame, peer).map(drop));
+                }
+                all
             }
         };
         if let Err(error) = sent {

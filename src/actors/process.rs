@@ -1,0 +1,167 @@
+//! What of a deployment runs in this process, and the ways to all of its actors. Who talks to whom is in `graph`.
+
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use super::graph::Plan;
+use super::shell::Mailbox;
+use super::{agent, body, cache, controller, network, recorder, state_server, world};
+use crate::deploy::{Deployment, Routes};
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::latch::Latch;
+use crate::messages::wire::{Stop, Wire};
+use crate::net::fault::{ActorFault, Role};
+use crate::net::key::Key;
+use crate::net::link::LinkCounts;
+use crate::net::reliability::Setup;
+use crate::net::sender::Peer;
+use crate::net::transport;
+
+/// The team number of one-process runs, where there is no other team.
+const TEAM: u16 = 0;
+
+/// What of a deployment runs in this process, and how it shows itself to others.
+#[derive(Clone)]
+pub struct Process {
+    /// One host alone; `None` for all of them.
+    pub only: Option<HostId>,
+    /// The team's number on every link.
+    pub team: u16,
+    /// Which life of the process this is: one that is started again has a later one.
+    pub incarnation: u32,
+    /// What the team's datagrams are sealed with, if they are.
+    pub key: Option<Key>,
+    /// How its links are set up; `None` for those of the emulated ether.
+    pub links: Option<Vec<Setup>>,
+    /// Whether a Recorder runs here.
+    pub records: bool,
+    /// Is told what reaches the actors and what the Networks count.
+    pub hear: Rc<dyn Fn(Heard)>,
+}
+
+/// What a Network of this process makes known.
+#[derive(Clone, Copy, Debug)]
+pub enum Heard<'a> {
+    /// An actor of this process has said something.
+    Published,
+    /// A message for this host.
+    Message(&'a Wire),
+    /// What is known of the other hosts.
+    Peers(&'a [Peer]),
+    /// What it has counted on its links since it was started.
+    Counts(&'a LinkCounts),
+}
+
+impl Process {
+    /// Every host of a deployment.
+    pub(super) fn whole() -> Process {
+        let hear = Rc::new(|_: Heard| {});
+        Process { only: None, team: TEAM, incarnation: 0, key: None, links: None, records: true, hear }
+    }
+
+    pub(super) fn setups(&self, deployment: &Deployment) -> Vec<Setup> {
+        let emulated = || deployment.links.iter().map(|link| Setup::emulated(link.reliability.clone())).collect();
+        self.links.clone().unwrap_or_else(emulated)
+    }
+}
+
+/// The ways to all actors of a graph.
+pub struct Graph {
+    pub(super) routes: Routes,
+    pub(super) caches: Vec<Mailbox<cache::In>>,
+    /// By robot: the robots of one agent share a mailbox.
+    pub(super) agents: Vec<Mailbox<agent::In>>,
+    pub(super) controllers: Vec<Mailbox<controller::In>>,
+    pub(super) bodies: Vec<Mailbox<body::In>>,
+    /// By robot, likewise.
+    pub(super) worlds: Vec<Mailbox<world::In>>,
+    pub(super) server: Mailbox<state_server::In>,
+    pub(super) networks: Vec<Mailbox<network::In>>,
+    pub(super) transports: Vec<Mailbox<transport::In>>,
+    /// Where there is one.
+    pub(super) recorder: Option<Mailbox<recorder::In>>,
+}
+
+impl Graph {
+    pub(super) fn new(plan: &Plan, process: &Process) -> Graph {
+        let deployment = &plan.deployment;
+        let routes = Routes::of(deployment);
+        let team = || RobotId::team(deployment.robots);
+        let named = |what: &'static str| move |robot: RobotId| format!("{what} of {robot}");
+        let mut agents: Vec<Mailbox<agent::In>> = Vec::new();
+        let mut worlds: Vec<Mailbox<world::In>> = Vec::new();
+        for robot in team() {
+            let agent = agents.get(routes.companions(robot)[0].index());
+            agents.push(agent.cloned().unwrap_or_else(|| Mailbox::new(named("agent")(robot))));
+            let host = routes.world_host(robot);
+            let world = team().take(robot.index()).find(|&other| routes.world_host(other) == host);
+            let world = world.and_then(|other| worlds.get(other.index()));
+            worlds.push(world.cloned().unwrap_or_else(|| Mailbox::new(named("world")(robot))));
+        }
+        let links = deployment.links.iter().map(|link| format!("transport of {}", link.name));
+        Graph {
+            caches: team().map(named("cache")).map(Mailbox::new).collect(),
+            agents,
+            controllers: team().map(named("controller")).map(Mailbox::new).collect(),
+            bodies: team().map(named("body")).map(Mailbox::new).collect(),
+            worlds,
+            server: Mailbox::new("state server"),
+            networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
+            transports: links.map(Mailbox::new).collect(),
+            recorder: process.records.then(|| Mailbox::new("recorder")),
+            routes,
+        }
+    }
+
+    pub(super) fn network_of(&self, host: HostId) -> Mailbox<network::In> {
+        self.networks[usize::from(host.0)].clone()
+    }
+
+    /// The way to the Recorder, which leads nowhere where there is none.
+    pub(super) fn record(&self) -> impl Fn(recorder::In) + use<> {
+        let recorder = self.recorder.clone();
+        move |told| {
+            if let Some(recorder) = &recorder {
+                recorder.send(told);
+            }
+        }
+    }
+
+    /// Messages that full mailboxes refused, and messages that were lost in crashes, so far.
+    pub fn undelivered(&self) -> (u64, u64) {
+        fn of<I>(mailboxes: &[Mailbox<I>]) -> impl Iterator<Item = (&str, (u64, u64))> {
+            mailboxes.iter().map(|mailbox| (mailbox.name(), (mailbox.refused(), mailbox.lost())))
+        }
+        // By name, because some robots share an agent or a world.
+        let counts: BTreeMap<&str, (u64, u64)> = of(&self.caches)
+            .chain(of(&self.agents))
+            .chain(of(&self.controllers))
+            .chain(of(&self.bodies))
+            .chain(of(&self.worlds))
+            .chain(of(&self.networks))
+            .chain(of(&self.transports))
+            .chain(of(std::slice::from_ref(&self.server)))
+            .chain(of(self.recorder.as_slice()))
+            .collect();
+        counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
+    }
+
+    /// Engages the team's emergency stop, in the name of a host that runs here.
+    pub fn stop(&self, by: HostId) {
+        let stop = Stop::engage(by, Latch::default());
+        self.networks[usize::from(by.0)].send(network::In::Publish(Wire::Stop(stop)));
+    }
+
+    pub(super) fn inject(&self, fault: ActorFault) {
+        let robot = fault.robot.index();
+        match fault.role {
+            Role::Cache => self.caches[robot].inject(fault),
+            Role::Agent => self.agents[robot].inject(fault),
+            Role::Controller => self.controllers[robot].inject(fault),
+            Role::Body => self.bodies[robot].inject(fault),
+            Role::World => self.worlds[robot].inject(fault),
+            Role::StateServer => self.server.inject(fault),
+            Role::Network => self.network_of(self.routes.agent_host(fault.robot)).inject(fault),
+        }
+    }
+}
