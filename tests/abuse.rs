@@ -187,6 +187,16 @@ fn recordings_are_worth_nothing_after_any_restart() {
 }
 
 #[test]
+fn what_was_held_back_is_not_believed_long_after_its_sender_fell_silent() {
+    let (mut rig, frame) = two();
+    rig.restart(1, config(0, 2, 99, None, multicast(Reliabilities::new())));
+    let later = rig.now + Span::from_millis(5500);
+    rig.run_to(later);
+    let counts = counted_for(&mut rig, &[frame]);
+    assert_eq!((counts.unproven, counts.accepted), (1, 0));
+}
+
+#[test]
 fn numbers_wrap_and_what_was_before_the_wrap_stays_old() {
     let (mut rig, _) = two();
     let (start, message) = (rig.now, latent(1, 1));
