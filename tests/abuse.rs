@@ -1,4 +1,4 @@
-//! Abuse: whatever a network, a stranger or a broken host sends, it is refused under its cause, and nobody else suffers.
+//! Abuse: whatever a network, a stranger or a broken host sends is refused under its cause, and nobody else suffers.
 
 mod rig;
 
