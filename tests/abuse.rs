@@ -1,4 +1,4 @@
-//! Abuse: whatever a network, a stranger or a broken host sends, it is refused under its cause, and nobody else suffers.
+//! Abuse: whatever a network, a stranger or a broken host sends is refused under its cause, and nobody else suffers.
 
 mod rig;
 
@@ -184,6 +184,16 @@ fn recordings_are_worth_nothing_after_any_restart() {
     rig.delivered[0].clear();
     assert_eq!(counted_for(&mut rig, &recorded).replay, recorded.len() as u64);
     assert!(rig.delivered[0].is_empty());
+}
+
+#[test]
+fn what_was_held_back_is_not_believed_long_after_its_sender_fell_silent() {
+    let (mut rig, frame) = two();
+    rig.restart(1, config(0, 2, 99, None, multicast(Reliabilities::new())));
+    let later = rig.now + Span::from_millis(5500);
+    rig.run_to(later);
+    let counts = counted_for(&mut rig, &[frame]);
+    assert_eq!((counts.unproven, counts.accepted), (1, 0));
 }
 
 #[test]

@@ -20,6 +20,8 @@ use crate::time::{Span, Time};
 pub const MAX_SENDERS: usize = 1024;
 /// How old an echo may be and still show that its sender is alive; and how long a stamp is echoed.
 pub const FRESH: Span = Span::from_millis(2000);
+/// How long after showing that it is alive a sender is believed: what was held back for longer is worth nothing.
+pub const PROOF_HOLDS: Span = Span::from_millis(5000);
 /// Reported loss from which a message is repeated: 2 of 64, about 3 %.
 pub const LOSS_TO_REPEAT: u8 = 2;
 /// Reported loss from which it is repeated twice: 40 %.
@@ -110,6 +112,7 @@ impl Incoming {
             sender.stamp = Some((report.stamp, now));
             if let Some(entry) = self.about_us(now, report) {
                 let sender = self.senders.get_mut(&header.sender).expect("it is known");
+                sender.proved = now;
                 sender.offsets.measure(now, report.stamp, entry);
                 sender.told_lost = entry.lost.min(LOSS_SPAN as u8);
                 for (asks, from) in sender.asks.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
@@ -170,6 +173,9 @@ impl Incoming {
             return Err(REFUSED);
         }
         let later = header.epoch > sender.epoch;
+        if self.guarded && now.since(sender.proved) > PROOF_HOLDS {
+            sender.proven = false;
+        }
         if !later && sender.proven {
             return Ok(());
         }

@@ -33,6 +33,8 @@ pub struct Sender {
     pub epoch: u32,
     /// Whether it has shown that it is alive now.
     pub proven: bool,
+    /// When it last has.
+    pub proved: Time,
     /// When this incarnation was taken up.
     pub since: Stamp,
     /// Its datagrams to all and, second, to this host.
@@ -62,6 +64,7 @@ impl Sender {
         Sender {
             epoch,
             proven,
+            proved: now,
             since: Stamp::of(now),
             lanes: [Lane::default(), Lane::default()],
             bucket: Bucket::full(now, rate.unwrap_or(&super::reliability::RATE)),
