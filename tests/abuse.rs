@@ -270,9 +270,13 @@ fn made_up_senders_find_no_room() {
     assert_eq!(counts.map(|counts| counts.crowd), Some(20_000 - MAX_SENDERS as u64));
 }
 
+fn junk() -> impl Strategy<Value = Vec<Vec<u8>>> {
+    prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 0..20)
+}
+
 proptest! {
     #[test]
-    fn junk_is_counted_and_never_panics(junk in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 0..20)) {
+    fn junk_is_counted_and_never_panics(junk in junk()) {
         for key in [None, Some(key())] {
             let mut network = network(config(0, 4, 1, key.clone(), multicast(Reliabilities::new())));
             for bytes in &junk {
