@@ -16,8 +16,8 @@ use super::drive::drain;
 use super::shell::in_system;
 use crate::time::{Span, Time};
 
-/// The longest sleep: whoever asks `done` is not kept waiting for longer.
-const MAX_SLEEP: Span = Span::from_millis(50);
+/// The longest sleep. Whoever has to be heard sooner has something to read.
+const MAX_SLEEP: Span = Span::from_millis(1000);
 
 /// File descriptors, and who is rung when one of them has something to read.
 #[derive(Default)]

@@ -1,6 +1,8 @@
 //! `murmurate host`: what runs on a robot. One host of a team: its actors, in real time, on its sockets.
 
 use std::cell::{Cell, RefCell};
+use std::io::Read;
+use std::os::unix::net::UnixStream;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -86,9 +88,13 @@ pub fn run(args: &Args) -> Result<Ended> {
     let policy = team::policy(&team)?;
     let trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
     let (links, sockets) = (setups(&team), sockets(&team)?);
-    let signal = Arc::new(AtomicUsize::new(0));
+    let (signal, (rings, bell)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
+    let rings = Rc::new(rings);
+    rings.set_nonblocking(true).context("cannot make a pipe")?;
     for number in [SIGINT, SIGTERM] {
+        // First the number, then the bell that wakes this thread to read it.
         signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
+            .and_then(|_| signal_hook::low_level::pipe::register(number, bell.try_clone()?))
             .context("cannot listen for signals")?;
     }
     // Later lives of a process have later numbers, as far as the machine's clock goes forward.
@@ -114,6 +120,10 @@ pub fn run(args: &Args) -> Result<Ended> {
             let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
             let graph = host::wire((clock, readers), trial.plan(), host, move |h| heard.hear(h), move |o| said.say(o));
             let _ = sd_notify::notify(&[NotifyState::Ready]);
+            let source = Rc::clone(&rings);
+            readers.watch(rings, move || {
+                let _ = (&*source).read(&mut [0; 16]);
+            });
             tell_or_lose(&HostEvent::Ready { host: name.clone() });
             graph
         },

@@ -6,7 +6,7 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, SocketAddrV6, UdpSocket};
 use std::rc::Rc;
 
-use socket2::{Domain, Protocol, Socket, Type};
+use socket2::{Domain, Protocol, SockFilter, Socket, Type};
 
 use super::interface::{self, Interface, InterfaceError};
 use super::{Arrive, In, Transmit};
@@ -15,10 +15,12 @@ use crate::deploy::team::{SocketConfig, Transport};
 use crate::messages::ids::HostId;
 use crate::net::codec::MAX_FRAME_BYTES;
 use crate::net::router::Audience;
-use crate::time::Time;
+use crate::time::{Span, Time};
 
 /// Datagrams that are read before the other actors have their turn.
 const READ_AT_ONCE: usize = 64;
+/// A link that rings again within this time is busy.
+const BUSY: Span = Span::from_nanos(100_000);
 
 /// Why a socket cannot be opened.
 #[derive(Debug, thiserror::Error)]
@@ -56,6 +58,8 @@ pub struct Udp {
     /// How much the kernel keeps \[bytes\].
     granted: usize,
     buffer: Box<[u8]>,
+    /// When it was last looked whether something has arrived.
+    looked: Time,
     unsent: u64,
 }
 
@@ -81,18 +85,20 @@ impl Udp {
         let ears = listener(&config.transport, address, &interface, config.receive_buffer_bytes)
             .map_err(failed(format!("listen to {address}")))?;
         let granted = ears.recv_buffer_size().map_err(failed("ask for the size of the buffer".to_owned()))?;
-        let ears = Rc::new(UdpSocket::from(ears));
         let (mouth, own, to) = match &config.transport {
             Transport::Multicast { group } => {
                 let mouth = speaker(*group, &interface).map_err(failed(format!("send to {group}")))?;
                 let own = mouth.local_addr().map_err(failed("learn the own port".to_owned()))?;
-                (Rc::new(mouth), Some(own), To::Group(scoped(*group, &interface)))
+                deafen(&ears, own);
+                (Some(mouth), Some(own), To::Group(scoped(*group, &interface)))
             }
             Transport::Unicast { peers, .. } => {
                 let peers = peers.iter().filter(|(peer, _)| **peer != host).map(|(peer, at)| (*peer, *at));
-                (Rc::clone(&ears), None, To::Peers(peers.collect()))
+                (None, None, To::Peers(peers.collect()))
             }
         };
+        let ears = Rc::new(UdpSocket::from(ears));
+        let mouth = mouth.map_or_else(|| Rc::clone(&ears), Rc::new);
         // The kernel doubles what it is asked for, to keep its own books in, and halves nothing when it tells.
         if granted < 2 * config.receive_buffer_bytes {
             tracing::warn!(
@@ -102,7 +108,7 @@ impl Udp {
             );
         }
         let buffer = vec![0; MAX_FRAME_BYTES + 1].into_boxed_slice();
-        Ok(Udp { host, ears, mouth, own, to, granted, buffer, unsent: 0 })
+        Ok(Udp { host, ears, mouth, own, to, granted, buffer, looked: Time::ZERO, unsent: 0 })
     }
 
     /// The socket that is to be watched: whenever it has something to read, the actor wants to know.
@@ -140,8 +146,12 @@ impl Udp {
         }
     }
 
-    fn receive(&mut self, out: &mut Vec<Arrive>) {
-        for _ in 0..READ_AT_ONCE {
+    /// Reads what has arrived. To ask the kernel in vain costs as much as to read, so a quiet link is read once a
+    /// ring, and only a busy one until nothing is left.
+    fn receive(&mut self, now: Time, out: &mut Vec<Arrive>) {
+        let busy = now.since(self.looked) < BUSY;
+        self.looked = now;
+        for _ in 0..if busy { READ_AT_ONCE } else { 1 } {
             match self.ears.recv_from(&mut self.buffer) {
                 Ok((_, from)) if self.own == Some(from) => {}
                 Ok((length, _)) => out.push(Arrive { to: self.host, frame: self.buffer[..length].into() }),
@@ -157,10 +167,10 @@ impl Core for Udp {
     type In = In;
     type Out = Arrive;
 
-    fn handle(&mut self, _: Time, input: In, out: &mut Vec<Arrive>) {
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Arrive>) {
         match input {
             In::Transmit(transmit) => self.transmit(&transmit),
-            In::Readable => self.receive(out),
+            In::Readable => self.receive(now, out),
         }
     }
 
@@ -176,6 +186,30 @@ fn scoped(group: SocketAddr, interface: &Interface) -> SocketAddr {
     match group {
         SocketAddr::V6(v6) => SocketAddrV6::new(*v6.ip(), v6.port(), 0, interface.index).into(),
         v4 => v4,
+    }
+}
+
+/// Lets the kernel drop what this process has said itself, so that it is not woken for it. Where the kernel does not,
+/// an echo is known by its source when it is read.
+fn deafen(ears: &Socket, own: SocketAddr) {
+    let SocketAddr::V4(own) = own else { return };
+    // Classic BPF: from the own port and the own address, none of it; anything else, all of it.
+    const LOAD_HALF: u16 = 0x28;
+    const LOAD_WORD: u16 = 0x20;
+    const EQUAL: u16 = 0x15;
+    const RETURN: u16 = 0x06;
+    // Where the IP header begins, as filters name it (linux/filter.h, SKF_NET_OFF), and the source in it.
+    const SOURCE_ADDRESS: u32 = 0xfff0_0000 + 12;
+    let program = [
+        SockFilter::new(LOAD_HALF, 0, 0, 0),
+        SockFilter::new(EQUAL, 0, 3, u32::from(own.port())),
+        SockFilter::new(LOAD_WORD, 0, 0, SOURCE_ADDRESS),
+        SockFilter::new(EQUAL, 0, 1, u32::from(*own.ip())),
+        SockFilter::new(RETURN, 0, 0, 0),
+        SockFilter::new(RETURN, 0, 0, u32::MAX),
+    ];
+    if let Err(error) = ears.attach_filter(&program) {
+        tracing::debug!("the kernel takes no filter: {error}");
     }
 }
 
@@ -271,7 +305,7 @@ mod tests {
     fn hear(udp: &mut Udp) -> Vec<Vec<u8>> {
         // Loopback delivers before the sender's call returns.
         let mut out = Vec::new();
-        udp.handle(Time::ZERO, In::Readable, &mut out);
+        (0..4).for_each(|_| udp.handle(Time::ZERO, In::Readable, &mut out));
         out.into_iter().map(|arrive| arrive.frame.to_vec()).collect()
     }
 
