@@ -23,6 +23,14 @@ impl ConfigError {
     pub fn field(field: impl Into<String>, reason: impl Into<String>) -> ConfigError {
         ConfigError::Field { field: field.into(), reason: reason.into() }
     }
+
+    /// The same error of a table inside of another.
+    pub fn within(self, table: &str) -> ConfigError {
+        match self {
+            ConfigError::Field { field, reason } => ConfigError::field(format!("{table}.{field}"), reason),
+            syntax => syntax,
+        }
+    }
 }
 
 /// Reads a value; the error says which line is wrong, what stands there, and why.

@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 
 /// The layer of a module; a module may use its own layer and those below.
 fn layer(module: &str) -> Option<u8> {
-    let layers: [(&str, u8); 27] = [
+    let layers: [(&str, u8); 28] = [
         ("config", 0),
         ("time", 0),
         ("random", 0),
@@ -66,6 +66,7 @@ fn layer(module: &str) -> Option<u8> {
         ("actors::graph", 5),
         ("actors::process", 5),
         ("actors::host", 5),
+        ("actors::operator", 5),
         ("actors", 2),
         ("train", 2),
         ("scenario", 1),

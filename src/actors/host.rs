@@ -64,7 +64,7 @@ pub fn wire(
         readers.watch(udp.ears(), move || bell.send(transport::In::Readable));
         // A socket outlives its actor: what waits in it would be lost with it.
         let udp = Rc::new(RefCell::new(udp));
-        let make = move |_| Shared(Rc::clone(&udp));
+        let make = move |_| Shared::new(&udp);
         let network = graph.network_of(host.id);
         let name = &plan.deployment.links[usize::from(link.0)].name;
         start(clock, &mailbox, info_span!("udp", link = name), make, move |Arrive { frame, .. }| {
@@ -78,7 +78,13 @@ pub fn wire(
 }
 
 /// A core whose state outlives it.
-struct Shared<C>(Rc<RefCell<C>>);
+pub(super) struct Shared<C>(Rc<RefCell<C>>);
+
+impl<C> Shared<C> {
+    pub(super) fn new(core: &Rc<RefCell<C>>) -> Shared<C> {
+        Shared(Rc::clone(core))
+    }
+}
 
 impl<C: Core> Core for Shared<C> {
     type In = C::In;

@@ -13,6 +13,7 @@ pub mod drive;
 pub mod graph;
 pub mod host;
 pub mod network;
+pub mod operator;
 pub mod process;
 pub mod real;
 pub mod recorder;

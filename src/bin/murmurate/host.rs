@@ -6,7 +6,7 @@ use std::os::unix::net::UnixStream;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::ValueEnum;
@@ -14,14 +14,11 @@ use murmurate::actors::host::{self, Host};
 use murmurate::actors::process::{Graph, Heard};
 use murmurate::actors::real::run_real;
 use murmurate::actors::recorder::Out;
-use murmurate::deploy::Link;
-use murmurate::deploy::team::{SocketConfig, Team, TeamFile, Transport};
-use murmurate::messages::ids::{HostId, LinkId};
+use murmurate::deploy::team::{Team, TeamFile};
+use murmurate::messages::ids::HostId;
 use murmurate::messages::wire::{Phase, Wire};
 use murmurate::net::key::Key;
 use murmurate::net::link::LinkCounts;
-use murmurate::net::reliability::Setup;
-use murmurate::net::transport::udp::Udp;
 use murmurate::report::event::{Counted, HostEvent};
 use murmurate::report::summary::{Run, Summary};
 use murmurate::report::trial::TrialReport;
@@ -33,7 +30,7 @@ use sd_notify::NotifyState;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::output::print;
-use crate::{BadInput, Ended, team};
+use crate::{BadInput, Ended, links, team};
 
 /// How long a host goes on after the last episode: whoever has missed the news hears it again.
 const GRACE: Span = Span::from_millis(500);
@@ -87,7 +84,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     let key = team::key(&team)?.map(Key::new);
     let policy = team::policy(&team)?;
     let trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
-    let (links, sockets) = (setups(&team), sockets(&team)?);
+    let (links, sockets) = (links::setups(&team), links::open(&team, team.host)?);
     let (signal, (rings, bell)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
     let rings = Rc::new(rings);
     rings.set_nonblocking(true).context("cannot make a pipe")?;
@@ -97,8 +94,7 @@ pub fn run(args: &Args) -> Result<Ended> {
             .and_then(|_| signal_hook::low_level::pipe::register(number, bell.try_clone()?))
             .context("cannot listen for signals")?;
     }
-    // Later lives of a process have later numbers, as far as the machine's clock goes forward.
-    let incarnation = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()) as u32;
+    let incarnation = links::incarnation();
 
     let seen = Rc::new(Seen::default());
     let tell = |event: &HostEvent| -> Result<()> { if args.json { print(&event.to_line()) } else { Ok(()) } };
@@ -241,33 +237,9 @@ fn trial(team: &Team, model: murmurate::policy::Model) -> Result<Trial> {
     trial.seed = team.seed;
     trial.layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
     trial.handling = simulated.handling;
+    trial.safety = team.safety;
     (trial.physics.lag_s, trial.physics.contacts) = (simulated.lag_s, simulated.contacts);
     trial.physics.wall_radius_m = simulated.wall_radius_m;
     trial.check()?;
     Ok(trial)
-}
-
-/// How the links are set up: as the deployment has them, and as the team file has it otherwise.
-fn setups(team: &Team) -> Vec<Setup> {
-    let setup = |(link, config): (&Link, &Option<SocketConfig>)| {
-        let mut reliability = link.reliability.clone();
-        reliability.extend(config.iter().flat_map(|config| config.reliability.clone()));
-        match config.as_ref().map(|config| &config.transport) {
-            Some(Transport::Unicast { .. }) => Setup::unicast(reliability),
-            _ => Setup::multicast(reliability),
-        }
-    };
-    team.deployment.links.iter().zip(&team.links).map(setup).collect()
-}
-
-/// The sockets of the links that this host uses.
-fn sockets(team: &Team) -> Result<Vec<(LinkId, Udp)>> {
-    let mut sockets = Vec::new();
-    for (at, (link, config)) in team.deployment.links.iter().zip(&team.links).enumerate() {
-        let Some(config) = config else { continue };
-        let udp = Udp::open(team.host, config).map_err(|e| BadInput(format!("link '{}': {e}", link.name)))?;
-        tracing::info!(link = link.name, receive_buffer_bytes = udp.granted_bytes(), "open");
-        sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
-    }
-    Ok(sockets)
 }

@@ -11,9 +11,11 @@ mod doctor;
 mod host;
 mod key;
 mod launch;
+mod links;
 mod output;
 mod policy;
 mod sim;
+mod stop;
 mod team;
 mod train;
 
@@ -50,6 +52,8 @@ enum Command {
     Launch(Box<launch::Args>),
     /// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
     Doctor(Box<doctor::Args>),
+    /// Engages a team's emergency stop, or takes it back with --rearm.
+    Stop(stop::Args),
     /// Makes the key that a team's messages are authenticated with.
     #[command(subcommand)]
     Key(key::Args),
@@ -96,6 +100,7 @@ fn main() -> ExitCode {
         Command::Host(args) => host::run(&args),
         Command::Launch(args) => launch::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Stop(args) => stop::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args),
     };

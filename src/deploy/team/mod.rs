@@ -25,6 +25,7 @@ use crate::actors::cache::Handling;
 use crate::config::{self, ConfigError};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
+use crate::safety::Safety;
 use crate::scenario::{self, Scenario, Settings};
 use crate::world::{Clamp, ContactRule, Physics};
 
@@ -49,6 +50,8 @@ pub struct Team {
     pub seed: u64,
     /// What simulated robots are like.
     pub simulated: Simulated,
+    /// What stops and slows every robot.
+    pub safety: Safety,
     /// The sockets, by link; `None` for a link on which this host neither sends nor listens.
     pub links: Vec<Option<SocketConfig>>,
 }
@@ -69,19 +72,22 @@ pub struct Simulated {
 }
 
 /// The tables of a team file that are read as a whole, not field by field.
-const WHOLE_TABLES: [&str; 1] = ["deployment"];
+const WHOLE_TABLES: [&str; 2] = ["deployment", "safety"];
 
 /// A team file with what the environment and the flags say, checked as far as it concerns all hosts.
 #[derive(Clone, Debug)]
 pub struct TeamFile {
     layers: Layers,
     deployment: Deployment,
+    safety: Safety,
     folder: PathBuf,
 }
 
 #[derive(Deserialize)]
 struct Inline {
     deployment: Option<Deployment>,
+    #[serde(default)]
+    safety: Safety,
 }
 
 impl TeamFile {
@@ -94,7 +100,9 @@ impl TeamFile {
     ) -> Result<TeamFile, ConfigError> {
         let mut layers = Layers::read(text, flags, &WHOLE_TABLES)?;
         layers.read_environment(variables)?;
-        let deployment = deployment(text, &layers)?;
+        let inline: Inline = config::from_toml(text)?;
+        inline.safety.check().map_err(|error| error.within("safety"))?;
+        let (deployment, safety) = (deployment(inline.deployment, &layers)?, inline.safety);
         let mut fields = vec![layers::EVERY_INTERFACE.to_owned()];
         for link in &deployment.links {
             fields.extend(layers::link_fields().map(|field| format!("link.{}.{field}", link.name)));
@@ -102,7 +110,7 @@ impl TeamFile {
             fields.extend(KINDS.map(|kind| format!("link.{}.reliability.{}", link.name, kebab(kind))));
         }
         layers.read_link_environment(variables, &fields)?;
-        let file = TeamFile { layers, deployment, folder: folder.to_owned() };
+        let file = TeamFile { layers, deployment, safety, folder: folder.to_owned() };
         file.check_names()?;
         Ok(file)
     }
@@ -178,6 +186,7 @@ impl TeamFile {
             episodes: u32::try_from(whole("episodes")).expect("its range is smaller"),
             seed: whole("seed"),
             simulated: self.simulated(&scopes, &*scenario),
+            safety: self.safety,
             links,
         })
     }
@@ -217,20 +226,15 @@ impl TeamFile {
 }
 
 /// The deployment of the file: a preset, or written out.
-fn deployment(text_of_file: &str, layers: &Layers) -> Result<Deployment, ConfigError> {
+fn deployment(inline: Option<Deployment>, layers: &Layers) -> Result<Deployment, ConfigError> {
     let find = |key: &str| layers.find(&[String::new()], key);
     let (mode, robots) = (find("mode"), find("robots"));
-    if layers.table("deployment").is_some() {
+    if let Some(deployment) = inline {
         if let Some(entry) = mode {
             let why = "there is a [deployment] too; leave one of the two out";
             return Err(ConfigError::field(place("mode", &entry.origin), why));
         }
-        let inline: Inline = config::from_toml(text_of_file)?;
-        let deployment = inline.deployment.expect("the table is there");
-        deployment.check().map_err(|error| match error {
-            ConfigError::Field { field, reason } => ConfigError::field(format!("deployment.{field}"), reason),
-            syntax => syntax,
-        })?;
+        deployment.check().map_err(|error| error.within("deployment"))?;
         if let Some(link) = deployment.links.iter().find(|link| link.delay_s > 0.0 || link.loss > 0.0) {
             let why = format!("link '{}' is to be made slow or lossy, which only 'murmurate sim' can", link.name);
             return Err(ConfigError::field("deployment.link", why));

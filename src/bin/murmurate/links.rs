@@ -1,0 +1,42 @@
+//! A host's links, from what the team file says to open sockets. What is said on them never matters here.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use anyhow::Result;
+use murmurate::deploy::Link;
+use murmurate::deploy::team::{SocketConfig, Team, Transport};
+use murmurate::messages::ids::{HostId, LinkId};
+use murmurate::net::reliability::Setup;
+use murmurate::net::transport::udp::Udp;
+
+use crate::BadInput;
+
+/// Which life of a process this is: later ones have later numbers, as far as the machine's clock goes forward.
+pub fn incarnation() -> u32 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()) as u32
+}
+
+/// How the links are set up: as the deployment has them, and as the team file has it otherwise.
+pub fn setups(team: &Team) -> Vec<Setup> {
+    let setup = |(link, config): (&Link, &Option<SocketConfig>)| {
+        let mut reliability = link.reliability.clone();
+        reliability.extend(config.iter().flat_map(|config| config.reliability.clone()));
+        match config.as_ref().map(|config| &config.transport) {
+            Some(Transport::Unicast { .. }) => Setup::unicast(reliability),
+            _ => Setup::multicast(reliability),
+        }
+    };
+    team.deployment.links.iter().zip(&team.links).map(setup).collect()
+}
+
+/// The sockets of the links that the team's host uses, opened for `me`.
+pub fn open(team: &Team, me: HostId) -> Result<Vec<(LinkId, Udp)>> {
+    let mut sockets = Vec::new();
+    for (at, (link, config)) in team.deployment.links.iter().zip(&team.links).enumerate() {
+        let Some(config) = config else { continue };
+        let udp = Udp::open(me, config).map_err(|e| BadInput(format!("link '{}': {e}", link.name)))?;
+        tracing::info!(link = link.name, receive_buffer_bytes = udp.granted_bytes(), "open");
+        sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
+    }
+    Ok(sockets)
+}
