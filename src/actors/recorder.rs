@@ -28,7 +28,7 @@ pub enum In {
     /// A World has stepped.
     Truth(Truth),
     /// What a Network has counted on its links since it was started.
-    Counts(HostId, LinkCounts),
+    Counts(HostId, Box<LinkCounts>),
 }
 
 /// What a Recorder says.
@@ -234,7 +234,7 @@ impl Core for Recorder {
             In::Tap(frame) => self.tap(now, &frame, out),
             In::Truth(truth) => self.see(now, &truth, out),
             In::Counts(host, counts) => {
-                self.counts.insert(host, counts);
+                self.counts.insert(host, *counts);
             }
         }
     }
