@@ -264,7 +264,7 @@ fn made_up_senders_find_no_room() {
     }
     network.wake(Time::ZERO + Span::from_millis(1000), &mut out);
     let counts = out.iter().find_map(|said| match said {
-        murmurate::actors::network::Out::Counts(counts) => Some(*counts),
+        murmurate::actors::network::Out::Counts(counts) => Some(**counts),
         _ => None,
     });
     assert_eq!(counts.map(|counts| counts.crowd), Some(20_000 - MAX_SENDERS as u64));

@@ -1,4 +1,4 @@
-//! Reliability by kind over a lossy link: what arrives, in what time, for how many datagrams; and what soft state costs.
+//! Reliability by kind over a lossy link: what arrives, when, for how many datagrams; and what soft state costs.
 
 mod rig;
 

@@ -39,8 +39,9 @@ pub enum Out {
     Transmit(LinkId, Audience, Frame),
     /// To the Recorder: everything that was published, one message a datagram, without a tag.
     Tap(Frame),
-    /// To the Recorder: what has happened on all links together.
-    Counts(LinkCounts),
+    /// To the Recorder: what has happened on all links together. Boxed: everything that is said is moved, and this is
+    /// large and rare.
+    Counts(Box<LinkCounts>),
     /// To whoever shows it: what is known of the other hosts, on links with reports.
     Peers(Vec<Peer>),
 }
@@ -172,7 +173,8 @@ impl Core for Network {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        self.links.iter().filter_map(LinkState::due).chain([self.next_counts]).min()
+        let links = self.links.iter().filter_map(LinkState::due);
+        Some(links.fold(self.next_counts, Time::min))
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
@@ -181,7 +183,8 @@ impl Core for Network {
             transmit(id, &mut self.leaving, out);
         }
         if self.next_counts <= now {
-            out.push(Out::Counts(self.links.iter().map(LinkState::counted).chain([self.indoor_counts]).sum()));
+            let counts = self.links.iter().map(LinkState::counted).chain([self.indoor_counts]).sum();
+            out.push(Out::Counts(Box::new(counts)));
             let peers: Vec<Peer> = self.links.iter().flat_map(|link| link.peers(now)).collect();
             if !peers.is_empty() {
                 out.push(Out::Peers(peers));
@@ -257,7 +260,7 @@ mod tests {
         let mut out = Vec::new();
         here.wake(Time::ZERO, &mut out);
         let [Out::Counts(counts)] = &out[..] else { panic!("it tells its counts: {out:?}") };
-        let LinkCounts { accepted, duplicate, team, own, misrouted, version, malformed, .. } = *counts;
+        let LinkCounts { accepted, duplicate, team, own, misrouted, version, malformed, .. } = **counts;
         assert_eq!([accepted, duplicate, team, own, misrouted, version, malformed], [1; 7]);
         assert_eq!(counts.refused(), 6);
     }

@@ -31,9 +31,13 @@ pub enum In {
     /// A World has stepped.
     Truth(Truth),
     /// What a Network has counted on its links since it was started.
+<<<<<<< HEAD
     Counts(HostId, LinkCounts),
     /// How often a robot's guard has stopped or slowed it since its Controller was started.
     Safety(RobotId, SafetyCounts),
+=======
+    Counts(HostId, Box<LinkCounts>),
+>>>>>>> a64a32047fc819cde0c752f478fc705195355fea
 }
 
 /// What a Recorder says.
@@ -248,7 +252,7 @@ impl Core for Recorder {
             In::Heard(message) => self.hear(now, &message, out),
             In::Truth(truth) => self.see(now, &truth, out),
             In::Counts(host, counts) => {
-                self.counts.insert(host, counts);
+                self.counts.insert(host, *counts);
             }
             In::Safety(robot, counts) => {
                 self.safety.insert(robot, counts);

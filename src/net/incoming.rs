@@ -238,6 +238,9 @@ impl Incoming {
     /// A new datagram says what its sender still holds: whatever of it has not been here is missing. `backoff` draws
     /// how long to wait before asking. Only what is held is asked for, so requests never breed requests.
     pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], mut backoff: impl FnMut() -> Span) {
+        if held.is_empty() && self.gaps.is_empty() {
+            return;
+        }
         let (host, epoch, direct) = (header.sender, header.epoch, header.flags.has(Flags::DIRECT));
         let name = |sequence| Name { host, epoch, direct, sequence };
         self.gaps.remove(&name(header.sequence));

@@ -38,6 +38,8 @@ pub struct LinkState {
     incoming: Incoming,
     outgoing: Outgoing,
     counts: LinkCounts,
+    /// When anything is next due: asked for far more often than it changes.
+    due: Option<Time>,
 }
 
 impl LinkState {
@@ -49,7 +51,7 @@ impl LinkState {
         let Identity { host, team, epoch } = me;
         let first = Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
         let header = Header { flags: Flags::default(), team, sender: host, epoch, sequence: 0 };
-        LinkState {
+        let mut state = LinkState {
             me,
             id,
             reports: setup.reports,
@@ -57,7 +59,14 @@ impl LinkState {
             outgoing: Outgoing::new(header, id, key.clone(), setup, first),
             key,
             counts: LinkCounts::default(),
-        }
+            due: None,
+        };
+        state.plan();
+        state
+    }
+
+    fn plan(&mut self) {
+        self.due = [self.outgoing.due(), self.incoming.gaps_due()].into_iter().flatten().min();
     }
 
     /// A message leaves for these hosts. Gives what was encoded.
@@ -68,7 +77,9 @@ impl LinkState {
         message: &Wire,
         out: &mut Vec<Leaving>,
     ) -> Result<Frame, EncodeError> {
-        self.outgoing.say(now, audience, message, &mut self.incoming, &mut self.counts, out)
+        let encoded = self.outgoing.say(now, audience, message, &mut self.incoming, &mut self.counts, out);
+        self.plan();
+        encoded
     }
 
     /// Takes a datagram in: what it holds, without its tag, if it is to be believed and new.
@@ -79,7 +90,9 @@ impl LinkState {
         stream: &mut Stream,
         out: &mut Vec<Leaving>,
     ) -> Option<(Header, &'a [u8])> {
-        match self.read(now, frame, stream, out) {
+        let read = self.read(now, frame, stream, out);
+        self.plan();
+        match read {
             Ok(admitted) => admitted,
             Err(error) => {
                 self.refuse(&error);
@@ -206,7 +219,7 @@ impl LinkState {
 
     /// When anything is next due.
     pub fn due(&self) -> Option<Time> {
-        [self.outgoing.due(), self.incoming.gaps_due()].into_iter().flatten().min()
+        self.due
     }
 
     /// Does what is due.
@@ -218,6 +231,7 @@ impl LinkState {
                 self.outgoing.ask(&names, &mut self.counts, out);
             }
         }
+        self.plan();
     }
 }
 

@@ -122,7 +122,7 @@ impl Rig {
         for said in out {
             match said {
                 Out::Deliver(message) => self.delivered[host].push((self.now, message)),
-                Out::Counts(counts) => self.counts[host] = counts,
+                Out::Counts(counts) => self.counts[host] = *counts,
                 Out::Peers(peers) => self.peers[host] = peers,
                 Out::Tap(_) => {}
                 Out::Transmit(_, audience, frame) => {
