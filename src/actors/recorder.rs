@@ -31,13 +31,9 @@ pub enum In {
     /// A World has stepped.
     Truth(Truth),
     /// What a Network has counted on its links since it was started.
-<<<<<<< HEAD
-    Counts(HostId, LinkCounts),
+    Counts(HostId, Box<LinkCounts>),
     /// How often a robot's guard has stopped or slowed it since its Controller was started.
     Safety(RobotId, SafetyCounts),
-=======
-    Counts(HostId, Box<LinkCounts>),
->>>>>>> a64a32047fc819cde0c752f478fc705195355fea
 }
 
 /// What a Recorder says.
