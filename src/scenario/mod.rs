@@ -66,6 +66,21 @@ pub struct Rules {
     pub limit: Span,
 }
 
+/// A team after a step, by robot.
+#[derive(Debug)]
+pub struct Scored<'a> {
+    /// What each is to do.
+    pub tasks: &'a [Task],
+    /// Positions \[m\].
+    pub position: &'a [Vec2],
+    /// Velocities \[m/s\].
+    pub velocity: &'a [Vec2],
+    /// What each touched.
+    pub contacts: &'a [Contacts],
+    /// How far each has come; moved on.
+    pub stage: &'a mut [Stage],
+}
+
 /// A task for a team, and the place where it is done.
 pub trait Scenario: Debug + Send + Sync {
     /// Its name on the command line.
@@ -101,6 +116,23 @@ pub trait Scenario: Debug + Send + Sync {
 
     /// The reward of one robot for one step that has brought it to `after`; moves its stage on.
     fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32;
+
+    /// `reward` for all robots of a team: mass rollouts ask once a team where they would ask once a robot.
+    fn rewards(&self, team: Scored, rewards: &mut [f32]) {
+        let states = team.position.iter().zip(team.velocity).zip(team.contacts);
+        for (((task, ((&position, &velocity), &contacts)), stage), reward) in
+            team.tasks.iter().zip(states).zip(team.stage).zip(rewards)
+        {
+            *reward = self.reward(task, &Motion { position, velocity }, contacts, stage);
+        }
+    }
+
+    /// `reached` for all robots of a team.
+    fn arrivals(&self, tasks: &[Task], position: &[Vec2], reached: &mut [bool]) {
+        for ((task, position), reached) in tasks.iter().zip(position).zip(reached) {
+            *reached = self.reached(task, *position);
+        }
+    }
 
     /// How far a robot at `position` \[m\] still has to go, along the way that it is to take \[m\].
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {

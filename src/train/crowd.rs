@@ -16,7 +16,7 @@ use super::reward::{Part, crowding, earn};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::Stream;
-use crate::scenario::{Scenario, Stage};
+use crate::scenario::{Scenario, Scored, Stage};
 use crate::world::kinematic::{self, PERIOD};
 use crate::world::{Clamp, Physics};
 
@@ -75,6 +75,9 @@ pub struct Crowd {
     physics: Vec<Physics>,
     before: Vec<Vec2>,
     command: Vec<Vec2>,
+    /// What the scenario says of each after the last step.
+    reward: Vec<f32>,
+    reached: Vec<bool>,
 }
 
 /// What of a crowd is to be remembered for going on exactly.
@@ -124,6 +127,8 @@ impl Crowd {
             scenarios: by_size,
             before: vec![Vec2::zeros(); robots],
             command: vec![Vec2::zeros(); robots],
+            reward: vec![0.0; robots],
+            reached: vec![false; robots],
         }
     }
 
@@ -193,15 +198,21 @@ impl Crowd {
             before: &mut self.before[range.clone()],
         };
         kinematic::step(scenario.arena(), &self.physics[team], &self.command[range.clone()], &mut world);
-        let (position, velocity) = (&self.position[range.clone()], &self.velocity[range.clone()]);
-        let (contacts, tasks) = (&self.contacts[range.clone()], &self.tasks[range.clone()]);
-        let progress = self.stage[range.clone()].iter_mut().zip(&mut self.to_go_m[range.clone()]);
-        let progress = progress.zip(&mut self.arrived[range.clone()]).zip(&mut self.earned[range.clone()]);
-        let states = tasks.iter().zip(position).zip(velocity).zip(contacts).zip(progress).enumerate();
+        let (position, contacts) = (&self.position[range.clone()], &self.contacts[range.clone()]);
+        let tasks = &self.tasks[range.clone()];
+        if weights.scenario > 0.0 {
+            let (velocity, stage) = (&self.velocity[range.clone()], &mut self.stage[range.clone()]);
+            let after = Scored { tasks, position, velocity, contacts, stage };
+            scenario.rewards(after, &mut self.reward[range.clone()]);
+        }
+        scenario.arrivals(tasks, position, &mut self.reached[range.clone()]);
+        let found = self.reward[range.clone()].iter().zip(&self.reached[range.clone()]);
+        let progress = self.to_go_m[range.clone()].iter_mut().zip(&mut self.arrived[range.clone()]);
+        let progress = progress.zip(&mut self.earned[range.clone()]);
+        let states = tasks.iter().zip(position).zip(contacts).zip(found).zip(progress).enumerate();
         let (mut sum, mut touched) = (0.0, false);
-        for (robot, ((((task, &at), &velocity), &contacts), (((stage, to_go_m), arrived), earned))) in states {
-            let after = Motion { position: at, velocity };
-            *earned = earn(weights, scenario, Part { task, after, contacts, stage, to_go_m, arrived });
+        for (robot, ((((task, &at), &contacts), (&reward, &reached)), ((to_go_m, arrived), earned))) in states {
+            *earned = earn(weights, scenario, Part { task, position: at, contacts, reward, reached, to_go_m, arrived });
             if weights.proximity > 0.0 {
                 *earned -= crowding(weights, robot, position);
             }

@@ -1,9 +1,9 @@
 //! What a robot earns in a step: the scenario's own reward and what the configuration adds to it.
 
 use super::config::Reward;
-use crate::messages::geometry::{Motion, Task, Vec2};
+use crate::messages::geometry::{Task, Vec2};
 use crate::messages::local::Contacts;
-use crate::scenario::{Scenario, Stage};
+use crate::scenario::Scenario;
 use crate::world::kinematic::PERIOD;
 
 /// One robot's part of a step, as its reward sees it.
@@ -11,12 +11,14 @@ use crate::world::kinematic::PERIOD;
 pub struct Part<'a> {
     /// What it was to do.
     pub task: &'a Task,
-    /// Where it is now.
-    pub after: Motion,
+    /// Where it is now \[m\].
+    pub position: Vec2,
     /// What it touched.
     pub contacts: Contacts,
-    /// How far it has come; moved on.
-    pub stage: &'a mut Stage,
+    /// The scenario's own reward of the step.
+    pub reward: f32,
+    /// Whether it is where it is to go.
+    pub reached: bool,
     /// How far it had to go \[m\]; brought up to date.
     pub to_go_m: &'a mut f32,
     /// Whether it has arrived; brought up to date.
@@ -25,10 +27,10 @@ pub struct Part<'a> {
 
 /// What one robot earns by itself in a step.
 pub fn earn(weights: &Reward, scenario: &dyn Scenario, part: Part) -> f32 {
-    let position = part.after.position;
+    let position = part.position;
     let mut earned = 0.0;
     if weights.scenario > 0.0 {
-        earned += weights.scenario * scenario.reward(part.task, &part.after, part.contacts, part.stage);
+        earned += weights.scenario * part.reward;
     }
     if weights.progress > 0.0 {
         let to_go_m = scenario.distance_to_go(part.task, position);
@@ -36,7 +38,7 @@ pub fn earn(weights: &Reward, scenario: &dyn Scenario, part: Part) -> f32 {
         *part.to_go_m = to_go_m;
     }
     if !*part.arrived {
-        if scenario.reached(part.task, position) {
+        if part.reached {
             *part.arrived = true;
             earned += weights.arrival;
         } else {

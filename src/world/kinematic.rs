@@ -52,8 +52,7 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
     // In the order of their ids, each against all others: those before it have moved already.
     for robot in 0..team.position.len() {
         let candidate = team.position[robot] + team.velocity[robot] * DT_S;
-        let (earlier, rest) = team.position.split_at(robot);
-        let touches = at_most(earlier.iter().chain(&rest[1..]).map(|other| candidate - other), apart);
+        let touches = at_most(team.position.iter().map(|other| candidate - other), robot, apart);
         team.contacts[robot] = Contacts { robot: touches, wall: false };
         if !(touches && blocks) {
             team.position[robot] = candidate;
@@ -62,7 +61,7 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
     let half = arena.half_extent;
     for ((position, before), contacts) in team.position.iter_mut().zip(&*team.before).zip(&mut *team.contacts) {
         let at = *position;
-        if at_most(arena.keep_outs.iter().map(|block| at - block.nearest(at)), physics.wall_radius_m) {
+        if at_most(arena.keep_outs.iter().map(|block| at - block.nearest(at)), NOBODY, physics.wall_radius_m) {
             contacts.wall = true;
             if blocks {
                 *position = *before;
@@ -83,12 +82,17 @@ fn limited(axis: f32, most: f32) -> f32 {
     if axis > most { most } else { axis }
 }
 
-/// Whether the shortest of some offsets is at most `distance` long. Only that one's root is drawn, and only if its
-/// square leaves a doubt: a root never changes an order, and its rounding is part of the published arithmetic.
+/// No place in a list.
+const NOBODY: usize = usize::MAX;
+
+/// Whether the shortest of some offsets but the one at `own` is at most `distance` long. Only that one's root is drawn,
+/// and only if its square leaves a doubt: a root never changes an order, and its rounding is part of the published
+/// arithmetic.
 #[inline(always)]
-fn at_most(offsets: impl Iterator<Item = Vec2>, distance: f32) -> bool {
-    let shortest = offsets.fold(f32::INFINITY, |least, offset| {
+fn at_most(offsets: impl Iterator<Item = Vec2>, own: usize, distance: f32) -> bool {
+    let shortest = offsets.enumerate().fold(f32::INFINITY, |least, (at, offset)| {
         let square = offset.x * offset.x + offset.y * offset.y;
+        let square = if at == own { f32::INFINITY } else { square };
         if square < least { square } else { least }
     });
     shortest <= 1.001 * distance * distance && shortest.sqrt() <= distance
