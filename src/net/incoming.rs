@@ -69,6 +69,8 @@ pub struct Incoming {
     senders: BTreeMap<HostId, Sender>,
     forgot: Time,
     gaps: BTreeMap<Name, Gap>,
+    /// Whether somebody is believed who has had no echo of ours yet, and so cannot believe us.
+    owes: bool,
     /// Where the next report goes on, when there are more hosts than one report holds.
     turn: usize,
 }
@@ -77,7 +79,7 @@ impl Incoming {
     /// Nothing yet.
     pub fn new(host: HostId, epoch: u32, guarded: bool, rate: Option<Rate>) -> Incoming {
         let (senders, gaps) = (BTreeMap::new(), BTreeMap::new());
-        Incoming { host, epoch, guarded, rate, senders, forgot: Time::ZERO, gaps, turn: 0 }
+        Incoming { host, epoch, guarded, rate, senders, forgot: Time::ZERO, gaps, owes: false, turn: 0 }
     }
 
     /// Takes up a datagram of this team whose tag is right.
@@ -109,6 +111,7 @@ impl Incoming {
         }
         sender.heard(now);
         if let Some(report) = report {
+            self.owes |= sender.stamp.is_none();
             sender.stamp = Some((report.stamp, now));
             if let Some(entry) = self.about_us(now, report) {
                 let sender = self.senders.get_mut(&header.sender).expect("it is known");
@@ -153,6 +156,7 @@ impl Incoming {
             }
             let sender = taken_up(self.rate.as_ref(), self.guarded);
             let proven = sender.proven;
+            self.owes |= proven && report.is_some();
             self.senders.insert(header.sender, sender);
             return if proven { Ok(()) } else { Err(unproven(counts)) };
         };
@@ -183,6 +187,7 @@ impl Incoming {
             let twins = sender.twins;
             *sender = taken_up(self.rate.as_ref(), self.guarded);
             sender.twins = twins;
+            self.owes |= report.is_some();
             return Ok(());
         }
         if let Some(report) = report {
@@ -281,6 +286,11 @@ impl Incoming {
         names
     }
 
+    /// Whether the others should hear from this host soon: somebody waits for an echo.
+    pub fn owes(&self) -> bool {
+        self.owes
+    }
+
     /// What to tell the others, in at most `room` bytes; whoever waits for it to prove itself comes first.
     pub fn report(&mut self, now: Time, room: usize) -> Option<Report> {
         let places = room.checked_sub(REPORT_BYTES)? / ENTRY_BYTES;
@@ -308,6 +318,7 @@ impl Incoming {
         // All of them had their turn, or the next report goes on where this one ends.
         self.turn = if waiting.len() > places { self.turn.wrapping_add(places.max(1)) } else { 0 };
         waiting.truncate(places);
+        self.owes = false;
         Some(Report { stamp: Stamp::of(now), heard: waiting })
     }
 

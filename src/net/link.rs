@@ -49,7 +49,7 @@ impl LinkState {
             setup.reports = Reports::On;
         }
         let Identity { host, team, epoch } = me;
-        let first = Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
+        let first = REPORT_PERIOD + Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
         let header = Header { flags: Flags::default(), team, sender: host, epoch, sequence: 0 };
         let mut state = LinkState {
             me,
@@ -145,6 +145,9 @@ impl LinkState {
                 self.outgoing.prompt(now, stream.random_range(0.0..1.0));
             }
             return Ok(None);
+        }
+        if self.incoming.owes() {
+            self.outgoing.prompt(now, stream.random_range(0.0..1.0));
         }
         if header.flags.has(Flags::ACK) {
             let Header { sender: host, epoch, sequence, flags, .. } = header;

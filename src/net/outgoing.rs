@@ -229,8 +229,12 @@ impl Outgoing {
             return;
         }
         self.prompted = true;
-        if self.data_left.is_none_or(|left| now.since(left) > QUIET) {
-            let due = now + Span::from_secs(ANSWER.as_secs() * (0.5 + share));
+        // Whatever leaves soon anyway takes the report along, and nobody is told twice within a period.
+        let quiet = |left: Option<Time>| left.is_none_or(|left| now.since(left) > QUIET);
+        if quiet(self.data_left) && quiet(self.soft_left) {
+            // Before the first report of all, that one answers everyone.
+            let Some(left) = self.report_left else { return };
+            let due = (now + Span::from_secs(ANSWER.as_secs() * (0.5 + share))).max(left + REPORT_PERIOD);
             self.report_due = self.report_due.map(|before| before.min(due));
         }
     }
