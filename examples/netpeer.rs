@@ -203,7 +203,7 @@ impl Peer {
         let Some((begin, end)) = self.window else {
             self.say(HELLO | self.hellos, out);
             self.hellos += 1;
-            self.next = self.next + self.hello;
+            self.next += self.hello;
             return;
         };
         if self.cpu == [0.0; 2] {

@@ -126,6 +126,11 @@ fn a_team_that_cannot_be_is_refused_in_one_line() {
     refuses(&["config", "show", &file, "--set", "seed"], &["--set seed", "FIELD=VALUE"]);
     refuses(&["config", "show", &file, "--set", "sed=1"], &["sed (--set)"]);
     refuses(&["config", "check", &file, "--key-file", "/nowhere"], &["/nowhere"]);
+    refuses(&["host", &file], &["--host", "--robot", "--role"]);
+    refuses(&["host", &file, "--robot", "1"], &["wlan0", "there are: lo"]);
+    let paths = folder.path().join("paths.csv").to_string_lossy().into_owned();
+    let lo = ["--interface", "lo", "--trajectories", &paths];
+    refuses(&[&["host", &file, "--robot", "1"][..], &lo].concat(), &["--trajectories", "World"]);
 }
 
 #[test]
@@ -161,7 +166,7 @@ fn the_doctor_says_what_is_wrong_and_what_to_do() {
     let missing = said.lines().find(|line| line.contains("wlan99")).expect("a line about it");
     assert!(missing.starts_with("fail link infra, interface") && missing.contains("lo (127.0.0.1"), "{missing}");
     assert!(missing.contains("link.infra.interface"), "{missing}");
-    let args = ["doctor", &file, "--interface", "lo", "--json"];
+    let args = ["doctor", &file, "--interface", "lo", "--json", "--listen", "0"];
     let fit = run(&args);
     let found: serde_json::Value = serde_json::from_str(&done(&fit)).expect("one JSON object");
     assert_eq!(found["fit"], true);
@@ -171,6 +176,7 @@ fn the_doctor_says_what_is_wrong_and_what_to_do() {
         assert!(checks.iter().any(|check| check["what"] == what && check["status"] == "ok"), "{what}: {found}");
     }
     refuses(&["doctor", &file], &["--host", "--robot", "robot-0, "]);
+    refuses(&["doctor", &file, "--host", "world", "--listen", "9999"], &["--listen"]);
     std::fs::remove_file(folder.path().join("team.key")).expect("it is ours");
     let output = run(&args);
     assert_eq!(output.status.code(), Some(1));
@@ -214,6 +220,41 @@ fn launch_starts_a_team_and_stops_it_when_interrupted() {
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
     assert_eq!((&summary["interrupted"], &summary["robots"]), (&true.into(), &2.into()));
     assert!(!said.iter().any(|line| line.contains("killed") || line.contains("failed")), "{said:?}");
+}
+
+#[test]
+fn the_doctor_hears_who_is_there_and_who_is_not() {
+    let (folder, _) = folder();
+    let file = loopback(&folder, 773);
+    let set = ["--set", "robots=2"];
+    let mut world = murmurate(&["host", &file, "--host", "world", "--json", set[0], set[1]])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    let mut lines = BufReader::new(world.stdout.take().expect("it is piped")).lines();
+    assert!(lines.next().expect("a line").expect("text").contains("ready"));
+    let doctor = |host: &str, key: &[&str]| {
+        let args = [&["doctor", &*file, "--host", host, "--json"][..], &set, key].concat();
+        let found: serde_json::Value = serde_json::from_str(&done(&run(&args))).expect("one JSON object");
+        let of = |what: &str| {
+            let checks = found["checks"].as_array().expect("checks").iter().find(|check| check["what"] == what);
+            let check = checks.unwrap_or_else(|| panic!("{what}: {found}"));
+            (check["status"].as_str().expect("text").to_owned(), check["found"].as_str().expect("text").to_owned())
+        };
+        ["link loopback, loop-back", "link loopback, host world", "link loopback, host agent-1", "refused"]
+            .map(|what| if what == "refused" && key.is_empty() { Default::default() } else { of(what) })
+    };
+    let [back, heard, missing, _] = doctor("agent-0", &[]);
+    assert!(back.0 == "ok" && back.1.contains("there and back in"), "{back:?}");
+    assert!(heard.0 == "ok" && heard.1.contains("loss 0 %") && heard.1.contains("clock"), "{heard:?}");
+    assert_eq!((&*missing.0, &*missing.1), ("warn", "not heard"));
+    let other = folder.path().join("other.key").to_string_lossy().into_owned();
+    done(&run(&["key", "new", "--out", &other]));
+    let [back, heard, _, refused] = doctor("agent-0", &["--key-file", &other]);
+    assert_eq!((&*back.0, &*heard.1), ("ok", "not heard"));
+    assert!(refused.1.contains("with another key"), "{refused:?}");
+    world.kill().expect("it runs");
+    world.wait().expect("it is ours");
 }
 
 #[test]

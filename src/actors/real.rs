@@ -2,6 +2,7 @@
 //! next event or until a file descriptor has something to read. One thread, no runtime's timers: they are a
 //! millisecond coarse, and the poll here is not. What the actors do never lives here.
 
+use std::cell::Cell;
 use std::os::fd::AsFd;
 use std::rc::Rc;
 use std::time::Instant;
@@ -25,27 +26,37 @@ pub struct Readers(Vec<Reader>);
 
 struct Reader {
     source: Rc<dyn AsFd>,
+    awaited: PollFlags,
+    /// Whether it has nothing more to tell.
+    over: Cell<bool>,
     ring: Box<dyn Fn()>,
 }
 
 impl Readers {
     /// Rings whenever `source` has something to read, until it has been read.
     pub fn watch(&mut self, source: Rc<dyn AsFd>, ring: impl Fn() + 'static) {
-        self.0.push(Reader { source, ring: Box::new(ring) });
+        self.0.push(Reader { source, awaited: PollFlags::POLLIN, over: Cell::new(false), ring: Box::new(ring) });
+    }
+
+    /// Rings once when the other end of `source`, which is written to, has gone. A regular file has no other end.
+    pub fn watch_end(&mut self, source: Rc<dyn AsFd>, ring: impl Fn() + 'static) {
+        self.0.push(Reader { source, awaited: PollFlags::empty(), over: Cell::new(false), ring: Box::new(ring) });
     }
 
     /// Sleeps until one has something to read, at most for `span`, and rings for those that have.
     fn sleep(&self, span: Span) {
+        let readers: Vec<&Reader> = self.0.iter().filter(|reader| !reader.over.get()).collect();
         let mut polled: Vec<PollFd> =
-            self.0.iter().map(|reader| PollFd::new(reader.source.as_fd(), PollFlags::POLLIN)).collect();
+            readers.iter().map(|reader| PollFd::new(reader.source.as_fd(), reader.awaited)).collect();
         let timeout = TimeSpec::from_duration(std::time::Duration::from_nanos(span.as_nanos()));
         match ppoll(&mut polled, Some(timeout), None) {
             Ok(_) | Err(Errno::EINTR) => {}
             Err(error) => panic!("the kernel does not poll sockets that are open: {error}"),
         }
-        for (polled, reader) in polled.iter().zip(&self.0) {
+        for (polled, reader) in polled.iter().zip(readers) {
             // An error is read from the socket, too: it must not be polled for ever.
             if polled.revents().is_some_and(|events| !events.is_empty()) {
+                reader.over.set(reader.awaited.is_empty());
                 (reader.ring)();
             }
         }

@@ -1,4 +1,5 @@
 //! The program as tests start it, and what a refusal looks like. Shared by the tests of the command line.
+#![allow(dead_code)] // Each test uses its part.
 
 use std::process::{Command, Output, Stdio};
 

@@ -1,19 +1,21 @@
 //! `murmurate host`: what runs on a robot. One host of a team: its actors, in real time, on its sockets.
 
 use std::cell::{Cell, RefCell};
+use std::fs::File;
 use std::io::Read;
 use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use clap::ValueEnum;
 use murmurate::actors::host::{self, Host};
 use murmurate::actors::process::{Graph, Heard};
 use murmurate::actors::real::run_real;
-use murmurate::actors::recorder::Out;
+use murmurate::actors::recorder::{Out, Steps};
 use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::messages::ids::HostId;
 use murmurate::messages::wire::{Phase, Wire};
@@ -30,6 +32,7 @@ use sd_notify::NotifyState;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::output::print;
+use crate::paths::Paths;
 use crate::{BadInput, Ended, links, team};
 
 /// How long a host goes on after the last episode: whoever has missed the news hears it again.
@@ -60,9 +63,13 @@ pub struct Args {
     /// The host that is there for this
     #[arg(long, conflicts_with = "which-host")]
     role: Option<Role>,
-    /// Prints what happens as JSON, one object a line, in place of the table at the end
+    /// Prints what happens as JSON, one object a line, in place of the table at the end; when nobody reads it any more,
+    /// the host stops
     #[arg(long)]
     json: bool,
+    /// Writes every robot's path to a CSV file while it runs; for the host with the World
+    #[arg(long, value_name = "FILE.csv")]
+    trajectories: Option<PathBuf>,
 }
 
 /// What has become known while the host runs.
@@ -72,6 +79,9 @@ struct Seen {
     over: Cell<bool>,
     messages: Cell<u64>,
     counts: Cell<LinkCounts>,
+    paths: RefCell<Option<Paths<File>>>,
+    /// What was to be written and could not be: there is nobody left to run for.
+    lost: RefCell<Option<anyhow::Error>>,
 }
 
 /// Runs the host until the team has finished, or until it is told to stop.
@@ -83,7 +93,12 @@ pub fn run(args: &Args) -> Result<Ended> {
     let name = team.deployment.hosts[usize::from(id.0)].name.clone();
     let key = team::key(&team)?.map(Key::new);
     let policy = team::policy(&team)?;
-    let trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
+    let mut trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
+    let seen = Rc::new(Seen::default());
+    if let Some(path) = &args.trajectories {
+        trial.steps = Steps::Reported;
+        seen.paths.replace(Some(trajectories(path, &team)?));
+    }
     let (links, sockets) = (links::setups(&team), links::open(&team, team.host)?);
     let (signal, (rings, bell)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
     let rings = Rc::new(rings);
@@ -96,17 +111,11 @@ pub fn run(args: &Args) -> Result<Ended> {
     }
     let incarnation = links::incarnation();
 
-    let seen = Rc::new(Seen::default());
     let tell = |event: &HostEvent| -> Result<()> { if args.json { print(&event.to_line()) } else { Ok(()) } };
     tracing::info!(host = name, robots = team.deployment.robots, "starts");
     let (mut over, mut stopping, mut told) = (None, None, 0);
-    // What is printed and cannot be: there is nobody left to run for.
-    let lost = RefCell::new(None);
-    let tell_or_lose = |event: &HostEvent| {
-        if let Err(error) = tell(event) {
-            lost.replace(Some(error));
-        }
-    };
+    let tell_or_lose = |event: &HostEvent| seen.lose(tell(event));
+    let abandoned = Rc::new(Cell::new(false));
     let watchdog = sd_notify::watchdog_enabled();
     let mut petted = Time::ZERO;
     let graph = run_real(
@@ -120,6 +129,11 @@ pub fn run(args: &Args) -> Result<Ended> {
             readers.watch(rings, move || {
                 let _ = (&*source).read(&mut [0; 16]);
             });
+            if args.json {
+                // Whoever has started this host and listens to it has died: its robot must not go on alone.
+                let gone = Rc::clone(&abandoned);
+                readers.watch_end(Rc::new(std::io::stdout()), move || gone.set(true));
+            }
             tell_or_lose(&HostEvent::Ready { host: name.clone() });
             graph
         },
@@ -137,20 +151,23 @@ pub fn run(args: &Args) -> Result<Ended> {
             if seen.over.get() && over.is_none() {
                 over = Some(now);
             }
-            if signal.load(Ordering::Relaxed) != 0 && stopping.is_none() {
+            if (signal.load(Ordering::Relaxed) != 0 || abandoned.get()) && stopping.is_none() {
                 stopping = Some(now);
                 let _ = sd_notify::notify(&[NotifyState::Stopping]);
                 graph.stop(id);
             }
             let serves = team.deployment.hosts[usize::from(id.0)].state_server;
             let grace = if serves { SERVER_GRACE } else { GRACE };
-            lost.borrow().is_some()
+            seen.lost.borrow().is_some()
                 || over.is_some_and(|at: Time| now.since(at) >= grace)
                 || stopping.is_some_and(|at: Time| now.since(at) >= STOPPING)
         },
     );
-    if let Some(error) = lost.take() {
+    if let Some(error) = seen.lost.take() {
         return Err(error);
+    }
+    if abandoned.get() && !seen.over.get() {
+        return Err(anyhow!("nobody reads what this host prints; it has stopped"));
     }
     let mut report = seen.report.borrow().clone();
     (report.refused, report.lost) = graph.undelivered();
@@ -190,6 +207,13 @@ impl Seen {
         }
     }
 
+    /// Remembers that something could not be written.
+    fn lose(&self, written: Result<()>) {
+        if let Err(error) = written {
+            self.lost.replace(Some(error));
+        }
+    }
+
     fn say(&self, out: Out) {
         let mut report = self.report.borrow_mut();
         match out {
@@ -197,7 +221,11 @@ impl Seen {
                 report.episodes.push(episode);
                 report.totals = totals;
             }
-            Out::Step(_) => {}
+            Out::Step(step) => {
+                if let Some(paths) = &mut *self.paths.borrow_mut() {
+                    self.lose(paths.write(0, &step).and_then(|()| paths.flush()));
+                }
+            }
             Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
         }
         report.simulated = report.totals.end.since(Time::ZERO);
@@ -226,6 +254,17 @@ impl Args {
             _ => Err(BadInput(format!("--role: {} hosts of this team are that; give --host NAME", fits.len())).into()),
         }
     }
+}
+
+/// Opens the file of paths, which only the host that sees the whole team can fill.
+fn trajectories(path: &Path, team: &Team) -> Result<Paths<File>> {
+    let host = &team.deployment.hosts[usize::from(team.host.0)];
+    if host.world.len() != team.deployment.robots {
+        let why = format!("--trajectories: host '{}' does not run the World of the whole team", host.name);
+        return Err(BadInput(why).into());
+    }
+    let file = File::create(path).map_err(|e| BadInput(format!("cannot write '{}': {e}", path.display())))?;
+    Paths::new(file)
 }
 
 /// The run that the team is to make, of which this host does its part.

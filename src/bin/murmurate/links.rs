@@ -11,9 +11,15 @@ use murmurate::net::transport::udp::Udp;
 
 use crate::BadInput;
 
-/// Which life of a process this is: later ones have later numbers, as far as the machine's clock goes forward.
+/// Lives of a process that can be told apart in a second.
+const LIVES_PER_S: u128 = 8;
+
+/// Which life of a process this is: later ones have later numbers, as far as the machine's clock goes forward. Eighths of
+/// a second, so that one that is killed and started again at once is not taken for its former self. They begin anew
+/// every 17 years, next in 2038; then a team that runs on is to be started again as a whole.
 pub fn incarnation() -> u32 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs()) as u32
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    (since.as_millis() * LIVES_PER_S / 1000) as u32
 }
 
 /// How the links are set up: as the deployment has them, and as the team file has it otherwise.

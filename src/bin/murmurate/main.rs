@@ -13,6 +13,7 @@ mod key;
 mod launch;
 mod links;
 mod output;
+mod paths;
 mod policy;
 mod sim;
 mod stop;

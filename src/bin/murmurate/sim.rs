@@ -22,6 +22,7 @@ use murmurate::trial::{Proceed, Trial, TrialReport};
 use murmurate::world::{Clamp, ContactRule, Placement};
 
 use crate::output::{WholeFile, print, read_text, talk};
+use crate::paths::Paths;
 use crate::{BadInput, Ended, policy};
 
 /// Flags of `murmurate sim`.
@@ -160,7 +161,7 @@ pub fn run(args: &Args) -> Result<Ended> {
         summary.to_string()
     })?;
     if let Some(mut file) = paths.take() {
-        write_paths(&mut file, &reports).context("cannot write the trajectories")?;
+        write_paths(&mut file, &reports)?;
         file.keep()?;
     }
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
@@ -331,32 +332,9 @@ fn faults(given: &str, trial: &Trial) -> Result<FaultPlan> {
 }
 
 fn write_paths(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
-    let mut csv = csv::Writer::from_writer(std::io::BufWriter::new(file.writer()));
-    csv.write_record([
-        "repeat",
-        "episode",
-        "phase",
-        "time_s",
-        "robot",
-        "x_m",
-        "y_m",
-        "vx_m_s",
-        "vy_m_s",
-        "command_x_m_s",
-        "command_y_m_s",
-    ])?;
+    let mut paths = Paths::new(std::io::BufWriter::new(file.writer()))?;
     for (repeat, report) in reports.iter().enumerate() {
-        for step in &report.steps {
-            for sample in &step.samples {
-                let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
-                let phase = format!("{:?}", step.phase);
-                let time = format!("{:.3}", sample.time.as_secs());
-                let numbers = [p.x, p.y, v.x, v.y, c.x, c.y].map(|float| float.to_string());
-                let head = [repeat.to_string(), step.episode.to_string(), phase, time, sample.robot.0.to_string()];
-                csv.write_record(head.iter().chain(&numbers))?;
-            }
-        }
+        report.steps.iter().try_for_each(|step| paths.write(repeat, step))?;
     }
-    csv.flush()?;
-    Ok(())
+    paths.flush()
 }

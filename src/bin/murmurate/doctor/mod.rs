@@ -1,6 +1,9 @@
 //! `murmurate doctor`: whether this machine is fit to be one host of a team; one line a check, and what to do.
 //!
-//! What can be seen without the rest of the team. Nothing is sent, and a robot that runs is not disturbed.
+//! First what can be seen without the rest of the team, then who is heard. What it sends for that are link reports
+//! under names of its own: a robot that runs is not disturbed.
+
+mod listen;
 
 use std::path::Path;
 
@@ -23,6 +26,9 @@ pub struct Args {
     team: team::TeamArgs,
     #[command(flatten)]
     which: team::Which,
+    /// How long to listen who is there, once all else is sound; 0 sends nothing and listens to nobody
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
+    listen: f64,
     /// Prints one JSON object
     #[arg(long)]
     json: bool,
@@ -55,6 +61,9 @@ struct Check {
 /// Checks, and prints what was found.
 pub fn run(args: &Args) -> Result<Ended> {
     let file = args.team.read()?;
+    if !(0.0..=3600.0).contains(&args.listen) {
+        return Err(BadInput(format!("--listen: {} is not 0 to 3600 seconds", args.listen)).into());
+    }
     let teams = teams(args, &file)?;
     let mut checks = Vec::new();
     for team in &teams {
@@ -68,6 +77,12 @@ pub fn run(args: &Args) -> Result<Ended> {
             if let Some(socket) = socket {
                 check_link(team.host, &link.name, socket).into_iter().for_each(&mut add);
             }
+        }
+    }
+    if args.listen > 0.0 && checks.iter().all(|check| check.status != Status::Fail) {
+        let all: Vec<Team> = file.hosts().map(|host| args.team.for_host(&file, host)).collect::<Result<_>>()?;
+        for (status, what, found, advice) in listen::listen(&teams, &all, args.listen)? {
+            checks.push(Check { status, host: "here".to_owned(), what, found, advice });
         }
     }
     let unfit = checks.iter().any(|check| check.status == Status::Fail);

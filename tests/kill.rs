@@ -1,0 +1,221 @@
+//! What dies, at any moment: every kind of process of a team that runs on real sockets. Motors stop in time, the next
+//! episode runs, and nobody is left behind. `MURMURATE_KILLS=50` strikes at so many moments (an hour has room for 400).
+#![cfg(target_os = "linux")]
+
+mod crew;
+mod program;
+
+use std::io::{BufRead, BufReader, Read};
+use std::os::fd::AsFd;
+use std::process::Stdio;
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use crew::{Crew, folder, report};
+use nix::fcntl::{FcntlArg, FdFlag, fcntl};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::signal::Signal;
+use program::murmurate;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// One team at a time: they would take each other's time.
+static ALONE: Mutex<()> = Mutex::new(());
+
+/// How long a motor command holds (`actors::graph::COMMAND_VALIDITY`).
+const VALID_S: f64 = 0.2;
+/// A step of the World.
+const STEP_S: f64 = 0.05;
+/// How long the state server may be silent.
+const SILENCE_S: f64 = 1.0;
+/// How much later than on time a process may be on a busy machine; how late the World was is measured.
+const SLACK_S: f64 = 0.02;
+
+/// How long a process is halted, or dead before it is started again.
+const HALT: Duration = Duration::from_millis(1500);
+
+const ROBOTS: [u16; 3] = [0, 1, 2];
+
+/// Agents, World and state server, each a process of its own.
+fn team(number: u16) -> String {
+    let mut text = format!("team = {number}\nkey_file = \"team.key\"\nepisodes = 10000\n\n[deployment]\n");
+    text += "mode = \"apart\"\nrobots = 3\nplacement = \"drive\"\nstepping = \"seeded\"\n\n";
+    for robot in ROBOTS {
+        text += &format!("[[deployment.host]]\nname = \"agent-{robot}\"\nagents = [[{robot}]]\n\n");
+    }
+    text += "[[deployment.host]]\nname = \"world\"\nworld = [0, 1, 2]\n\n";
+    text += "[[deployment.host]]\nname = \"server\"\nstate_server = true\n\n";
+    let links =
+        [("loopback", "\"latent\", \"reading\", \"heartbeat\", \"mode\", \"stop\""), ("infra", "\"motor-command\"")];
+    for (name, carries) in links {
+        text += &format!("[[deployment.link]]\nname = \"{name}\"\ncarries = [{carries}]\n\n");
+    }
+    for (name, last) in [("loopback", 1), ("infra", 2)] {
+        let group = format!("239.255.79.{last}:{}", 40_000 + number);
+        text += &format!("[link.{name}]\ninterface = \"lo\"\ngroup = \"{group}\"\n\n");
+    }
+    text
+}
+
+/// The whole team, running its first episode.
+fn launched(file: &str) -> (Crew, u32) {
+    let file = file.to_owned();
+    let mut crew = Crew::new(move |host| {
+        let mut args = vec!["host", &file, "--host", host, "--json"];
+        if host == "world" {
+            args.extend(["--trajectories", "/dev/stdout"]);
+        }
+        let mut command = murmurate(&args);
+        command.env_remove("MURMURATE_KILLS");
+        command
+    });
+    let hosts = ["agent-0", "agent-1", "agent-2", "world", "server"];
+    hosts.iter().for_each(|host| crew.start(host));
+    crew.ready(&hosts);
+    let episode = crew.runs_after(None, &ROBOTS);
+    (crew, episode)
+}
+
+/// The World's clock beside this process's, both of which are the machine's: the least that a line takes is nothing.
+struct Clocks {
+    origin: Option<Instant>,
+}
+
+impl Clocks {
+    fn see(&mut self, time_s: f64, heard: Instant) -> Instant {
+        let span = Duration::from_secs_f64(time_s);
+        let origin = heard.checked_sub(span).expect("the machine is older than the test");
+        self.origin = Some(self.origin.map_or(origin, |before| before.min(origin)));
+        self.origin.expect("it is known now") + span
+    }
+}
+
+/// What came of one stroke.
+struct Stroke {
+    victim: String,
+    signal: Signal,
+    /// When its robots were last driven after it, and when they first were not \[s\].
+    driven_s: f64,
+    stood_s: f64,
+}
+
+/// Lets a random number of steps go by and strikes while the victim's robots are driven. Gives what came of it.
+fn strike(crew: &mut Crew, episode: u32, victim: &str, signal: Signal, random: &mut ChaCha8Rng) -> Stroke {
+    let robots: Vec<u16> = match victim.strip_prefix("agent-") {
+        Some(robot) => vec![robot.parse().expect("a robot's number")],
+        None => ROBOTS.to_vec(),
+    };
+    let mut clocks = Clocks { origin: None };
+    let (mut steps, mut now) = (random.random_range(1..30u32), f64::NAN);
+    crew.row("a moment at which they are driven", |row, heard| {
+        clocks.see(row.time_s, heard);
+        if row.time_s != now {
+            (now, steps) = (row.time_s, steps.saturating_sub(1));
+        }
+        (steps == 0 && robots.contains(&row.robot) && row.is_driven()).then_some(())
+    });
+    // Anywhere within a step.
+    crew.pass(Duration::from_micros(random.random_range(0..50_000)));
+    let struck = crew.signal(victim, signal);
+    let stroke = |driven_s, stood_s| Stroke { victim: victim.to_owned(), signal, driven_s, stood_s };
+    let stroke = if victim == "world" {
+        // Its motors are halted or dead with it; what counts is that they do not start with what was said before.
+        crew.pass(HALT);
+        stroke(0.0, 0.0)
+    } else {
+        let (mut driven_s, mut stood_s) = (0.0, None);
+        let since = |at: Instant| at.saturating_duration_since(struck).as_secs_f64();
+        crew.row("they stand", |row, heard| {
+            let at_s = since(clocks.see(row.time_s, heard));
+            if at_s > 0.0 && robots.contains(&row.robot) {
+                if row.is_driven() {
+                    (driven_s, stood_s) = (at_s, None);
+                } else {
+                    stood_s = stood_s.or(Some(at_s));
+                }
+            }
+            (at_s > HALT.as_secs_f64()).then_some(())
+        });
+        stroke(driven_s, stood_s.unwrap_or(f64::INFINITY))
+    };
+    match signal {
+        Signal::SIGSTOP => drop(crew.signal(victim, Signal::SIGCONT)),
+        _ => {
+            assert_eq!(crew.ended(victim), None, "{victim} was killed");
+            crew.start(victim);
+        }
+    }
+    if victim == "world" {
+        let (mut first, mut seen) = (f64::NAN, 0);
+        crew.row("the World's first step", |row, _| {
+            if seen == 0 {
+                first = row.time_s;
+            }
+            seen += 1;
+            assert!(row.time_s != first || !row.is_driven(), "robot {} starts by itself: {row:?}", row.robot);
+            (seen == ROBOTS.len()).then_some(())
+        });
+    }
+    crew.runs_after(Some(episode), &ROBOTS);
+    stroke
+}
+
+#[test]
+fn motors_stop_in_time_whatever_is_struck_and_the_next_episode_runs() {
+    let _alone = ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let (_folder, file) = folder(&team(781));
+    let (mut crew, mut episode) = launched(&file);
+    let kinds = [
+        ("agent-1", Signal::SIGKILL),
+        ("server", Signal::SIGKILL),
+        ("world", Signal::SIGKILL),
+        ("agent-2", Signal::SIGSTOP),
+        ("server", Signal::SIGSTOP),
+        ("world", Signal::SIGSTOP),
+    ];
+    let moments = std::env::var("MURMURATE_KILLS").map_or(kinds.len(), |kills| kills.parse().expect("a number"));
+    let mut random = ChaCha8Rng::seed_from_u64(4);
+    let mut strokes = Vec::new();
+    for moment in 0..moments {
+        let (victim, signal) = kinds[moment % kinds.len()];
+        let stroke = strike(&mut crew, episode, victim, signal, &mut random);
+        let silence_s = if victim == "server" { SILENCE_S + STEP_S } else { 0.0 };
+        let worst_s = silence_s + VALID_S + SLACK_S;
+        let Stroke { driven_s, stood_s, .. } = stroke;
+        report(&format!(
+            "{moment}: {signal} of {victim} in episode {episode}: driven until {:.0} ms after, stood {:.0} ms after",
+            driven_s * 1e3,
+            stood_s * 1e3
+        ));
+        assert!(driven_s <= worst_s, "{victim}: a robot was driven {driven_s} s after {signal}");
+        assert!(stood_s <= worst_s + 2.0 * STEP_S, "{victim}: its robots stand only {stood_s} s after {signal}");
+        strokes.push(stroke);
+        episode = crew.runs_after(None, &ROBOTS);
+    }
+    for (victim, signal) in kinds {
+        let like = strokes.iter().filter(|stroke| (&*stroke.victim, stroke.signal) == (victim, signal));
+        let latest = like.clone().map(|stroke| stroke.stood_s).fold(0.0, f64::max);
+        report(&format!("{signal} of {victim}: {} times, robots stood within {:.0} ms", like.count(), latest * 1e3));
+    }
+}
+
+#[test]
+fn nobody_outlives_a_launch_that_was_killed() {
+    let _alone = ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let (_folder, file) = folder(&team(782));
+    // Inherited by launch and by all that it starts: it is closed when the last of them has gone.
+    let (mut all_gone, held) = std::io::pipe().expect("a pipe");
+    let mut command = murmurate(&["launch", &file, "--json"]);
+    command.env_remove("MURMURATE_KILLS").stdout(Stdio::null()).stderr(Stdio::piped());
+    fcntl(&held, FcntlArg::F_SETFD(FdFlag::empty())).expect("it can be inherited");
+    let mut launch = command.spawn().expect("it starts");
+    drop(held);
+    let lines = BufReader::new(launch.stderr.take().expect("it is piped")).lines();
+    assert!(lines.map_while(Result::ok).any(|line| line.starts_with("5 processes run")), "it runs");
+    launch.kill().expect("it runs");
+    launch.wait().expect("it is ours");
+    let mut polled = [PollFd::new(all_gone.as_fd(), PollFlags::POLLIN)];
+    let ready = poll(&mut polled, PollTimeout::from(10_000u16)).expect("it can be polled");
+    assert_eq!(ready, 1, "a host goes on although its launch is dead");
+    assert_eq!(all_gone.read(&mut [0; 1]).expect("it can be read"), 0);
+}
