@@ -12,6 +12,7 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
 
 use crew::{Crew, Said, folder, report};
 use murmurate::messages::wire::Kind;
@@ -68,7 +69,24 @@ impl Lab {
                 assert!(lab.ip(&["-n", &space, "link", "set", network, "up"]));
             }
         }
+        lab.settle();
         Some(lab)
+    }
+
+    /// Waits until every interface has its carrier: the kernel tells it up to a second late.
+    fn settle(&self) {
+        let deadline = Instant::now() + Duration::from_secs(10);
+        for (host, networks) in hosts() {
+            for network in networks {
+                let up = || {
+                    let output = Command::new("ip").args(["-n", &self.space(&host), "link", "show", network]).output();
+                    String::from_utf8_lossy(&output.expect("it was there before").stdout).contains("state UP")
+                };
+                while !up() {
+                    assert!(Instant::now() < deadline, "{host} has no carrier on {network}");
+                }
+            }
+        }
     }
 
     fn space(&self, name: &str) -> String {
