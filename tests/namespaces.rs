@@ -243,7 +243,9 @@ fn six_machines_on_two_networks_run_and_survive_partition_leave_and_rejoin() {
     let episode = result_from(&crew, next);
     report(&format!("left and back under its own name; then episode {episode} has its result"));
 
-    names.iter().for_each(|host| drop(crew.signal(host, Signal::SIGTERM)));
+    for host in &names {
+        crew.signal(host, Signal::SIGTERM);
+    }
     for host in &names {
         assert_eq!(crew.ended(host), Some(0), "{host} ends cleanly");
     }
