@@ -7,6 +7,7 @@ mod crew;
 mod program;
 
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -15,7 +16,6 @@ use std::time::{Duration, Instant};
 use crew::{Crew, Said, folder, report};
 use murmurate::report::event::HostEvent;
 use murmurate::scenario::judge::Verdict;
-use program::murmurate;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -55,6 +55,14 @@ fn babble(groups: [SocketAddr; 2], team: u16, stop: &AtomicBool) -> f64 {
     sent as f64 / began.elapsed().as_secs_f64()
 }
 
+/// Whether a process comes before those that have no deadline.
+fn has_priority(crew: &Crew, host: &str) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", crew.pid(host))).expect("it runs");
+    // Behind the name in parentheses: proc(5) counts niceness as the 19th field, and the name is the second.
+    let rest = stat.rsplit_once(')').expect("a name").1;
+    rest.split_whitespace().nth(16).expect("a niceness").starts_with('-')
+}
+
 /// What a process has in memory \[KiB\].
 fn resident_kib(crew: &Crew, host: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", crew.pid(host))).expect("it runs");
@@ -79,7 +87,9 @@ fn a_running_team_does_not_mind_junk() {
         if host == "world" {
             args.extend(["--trajectories", "/dev/stdout"]);
         }
-        let mut command = murmurate(&args);
+        // As its service is started (packaging/), where this is permitted: before everything that has no deadline.
+        let mut command = Command::new("nice");
+        command.args(["-n", "-10", env!("CARGO_BIN_EXE_murmurate")]).args(&args).stdin(Stdio::null());
         command.env_remove("MURMURATE_JUNK_S").env("MURMURATE_LOG", "warn");
         command
     });
@@ -122,9 +132,12 @@ fn a_running_team_does_not_mind_junk() {
          given up, {steps} World steps; KiB {before:?} -> {after:?}; episode {episode} runs"
     ));
     assert_eq!(aborted, 0, "junk has ended an episode");
-    assert!(late <= late_before + 1, "{late} late ticks under junk, {late_before} without");
-    assert!(steps as f64 >= seconds * 20.0 * 0.9, "the World has made {steps} steps in {seconds} s");
     for ((host, before), after) in HOSTS.iter().zip(before).zip(after) {
         assert!(after <= before + 2048, "{host} has grown from {before} to {after} KiB");
     }
+    if !has_priority(&crew, "world") {
+        return report("late ticks are not judged: hosts may not come before the sender here, which needs root");
+    }
+    assert!(late <= late_before + 1, "{late} late ticks under junk, {late_before} without");
+    assert!(steps as f64 >= seconds * 20.0 * 0.9, "the World has made {steps} steps in {seconds} s");
 }

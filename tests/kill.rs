@@ -138,12 +138,11 @@ fn strike(crew: &mut Crew, episode: u32, victim: &str, signal: Signal, random: &
         });
         stroke(driven_s, stood_s.unwrap_or(f64::INFINITY))
     };
-    match signal {
-        Signal::SIGSTOP => drop(crew.signal(victim, Signal::SIGCONT)),
-        _ => {
-            assert_eq!(crew.ended(victim), None, "{victim} was killed");
-            crew.start(victim);
-        }
+    if signal == Signal::SIGSTOP {
+        crew.signal(victim, Signal::SIGCONT);
+    } else {
+        assert_eq!(crew.ended(victim), None, "{victim} was killed");
+        crew.start(victim);
     }
     if victim == "world" {
         let (mut first, mut seen) = (f64::NAN, 0);

@@ -12,6 +12,7 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
 
 use crew::{Crew, Said, folder, report};
 use murmurate::messages::wire::Kind;
@@ -68,7 +69,24 @@ impl Lab {
                 assert!(lab.ip(&["-n", &space, "link", "set", network, "up"]));
             }
         }
+        lab.settle();
         Some(lab)
+    }
+
+    /// Waits until every interface has its carrier: the kernel tells it up to a second late.
+    fn settle(&self) {
+        let deadline = Instant::now() + Duration::from_secs(10);
+        for (host, networks) in hosts() {
+            for network in networks {
+                let up = || {
+                    let output = Command::new("ip").args(["-n", &self.space(&host), "link", "show", network]).output();
+                    String::from_utf8_lossy(&output.expect("it was there before").stdout).contains("state UP")
+                };
+                while !up() {
+                    assert!(Instant::now() < deadline, "{host} has no carrier on {network}");
+                }
+            }
+        }
     }
 
     fn space(&self, name: &str) -> String {
@@ -225,7 +243,9 @@ fn six_machines_on_two_networks_run_and_survive_partition_leave_and_rejoin() {
     let episode = result_from(&crew, next);
     report(&format!("left and back under its own name; then episode {episode} has its result"));
 
-    names.iter().for_each(|host| drop(crew.signal(host, Signal::SIGTERM)));
+    for host in &names {
+        crew.signal(host, Signal::SIGTERM);
+    }
     for host in &names {
         assert_eq!(crew.ended(host), Some(0), "{host} ends cleanly");
     }

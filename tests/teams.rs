@@ -127,7 +127,7 @@ fn a_team_that_cannot_be_is_refused_in_one_line() {
     refuses(&["config", "show", &file, "--set", "sed=1"], &["sed (--set)"]);
     refuses(&["config", "check", &file, "--key-file", "/nowhere"], &["/nowhere"]);
     refuses(&["host", &file], &["--host", "--robot", "--role"]);
-    refuses(&["host", &file, "--robot", "1"], &["wlan0", "there are: lo"]);
+    refuses(&["host", &file, "--robot", "1"], &["wlan0", "there are: ", "lo ("]);
     let paths = folder.path().join("paths.csv").to_string_lossy().into_owned();
     let lo = ["--interface", "lo", "--trajectories", &paths];
     refuses(&[&["host", &file, "--robot", "1"][..], &lo].concat(), &["--trajectories", "World"]);

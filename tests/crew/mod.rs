@@ -55,6 +55,8 @@ pub enum Said {
     Event(HostEvent),
     /// A line of stderr.
     Log(String),
+    /// It says nothing more on stdout.
+    Closed,
 }
 
 /// Something that was said: by which start of which host, and when it was heard.
@@ -101,7 +103,8 @@ impl Crew {
     fn listen(&self, host: &str, life: u32, pipe: impl Read + Send + 'static, read: fn(String) -> Option<Said>) {
         let (sender, host) = (self.heard.0.clone(), host.to_owned());
         thread::spawn(move || {
-            for said in BufReader::new(pipe).lines().map_while(Result::ok).filter_map(read) {
+            let lines = BufReader::new(pipe).lines().map_while(Result::ok).filter_map(read);
+            for said in lines.chain([Said::Closed]) {
                 let heard = Heard { host: host.clone(), life, at: Instant::now(), said };
                 if sender.send(heard).is_err() {
                     return;
@@ -128,16 +131,19 @@ impl Crew {
     /// Hears what is said until `found` finds something in it.
     pub fn until<T>(&self, what: &str, mut found: impl FnMut(&Heard) -> Option<T>) -> T {
         let deadline = Instant::now() + PATIENCE;
-        let mut last = String::new();
+        let (mut last, mut logs) = (String::new(), String::new());
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
-            let Ok(heard) = self.heard.1.recv_timeout(left) else { panic!("never came: {what}; last: {last}") };
+            let Ok(heard) = self.heard.1.recv_timeout(left) else { panic!("never came: {what}; last: {last}{logs}") };
             // What a former life has said late is of the past.
             if self.members[&heard.host].life != heard.life {
                 continue;
             }
             if let Some(found) = found(&heard) {
                 return found;
+            }
+            if matches!(heard.said, Said::Log(_) | Said::Closed) {
+                logs += &format!("\n{}: {:?}", heard.host, heard.said);
             }
             last = format!("{}: {:?}", heard.host, heard.said);
         }
@@ -157,6 +163,9 @@ impl Crew {
         self.until("all hosts run", |heard| {
             if matches!(heard.said, Said::Event(HostEvent::Ready { .. })) {
                 waiting.retain(|host| *host != heard.host);
+            }
+            if let Said::Log(line) = &heard.said {
+                assert!(!line.contains("error:"), "{} does not start: {line}", heard.host);
             }
             waiting.is_empty().then_some(())
         });

@@ -14,8 +14,8 @@ use crate::BadInput;
 /// Lives of a process that can be told apart in a second.
 const LIVES_PER_S: u128 = 8;
 
-/// Which life of a process this is: later ones have later numbers, as far as the machine's clock goes forward. Eighths of
-/// a second, so that one that is killed and started again at once is not taken for its former self. They begin anew
+/// Which life of a process this is: later ones have later numbers, as far as the machine's clock goes forward. Eighths
+/// of a second, so that one that is killed and started again at once is not taken for its former self. They begin anew
 /// every 17 years, next in 2038; then a team that runs on is to be started again as a whole.
 pub fn incarnation() -> u32 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
