@@ -1,5 +1,5 @@
-//! Junk at a running team: as many datagrams as one core sends, up to 100 000 a second, at every group of a team on real
-//! sockets. Control ticks stay inside their deadline, episodes end as they would, memory stays flat.
+//! Junk at a running team: as many datagrams as one core sends, up to 100 000 a second, at every group of a team on
+//! real sockets. Control ticks stay inside their deadline, episodes end as they would, memory stays flat.
 //! `MURMURATE_JUNK_S=10` sends for so many seconds.
 #![cfg(target_os = "linux")]
 
@@ -128,8 +128,8 @@ fn a_running_team_does_not_mind_junk() {
     let rate = babbler.join().expect("it stops");
     let episode = crew.runs_after(None, &ROBOTS);
     report(&format!(
-        "{rate:.0} datagrams/s for {seconds} s: {late} late ticks or silences ({late_before} before), {aborted} episodes \
-         given up, {steps} World steps; KiB {before:?} -> {after:?}; episode {episode} runs"
+        "{rate:.0} datagrams/s for {seconds} s: {late} late ticks or silences ({late_before} before), {aborted} \
+         episodes given up, {steps} World steps; KiB {before:?} -> {after:?}; episode {episode} runs"
     ));
     assert_eq!(aborted, 0, "junk has ended an episode");
     for ((host, before), after) in HOSTS.iter().zip(before).zip(after) {
