@@ -2,12 +2,13 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 use murmurate::deploy::Link;
 use murmurate::deploy::team::{SocketConfig, Team, Transport};
 use murmurate::messages::ids::{HostId, LinkId};
 use murmurate::net::reliability::Setup;
-use murmurate::net::transport::udp::Udp;
+use murmurate::net::transport::interface::InterfaceError;
+use murmurate::net::transport::udp::{OpenError, Udp};
 
 use crate::BadInput;
 
@@ -40,7 +41,14 @@ pub fn open(team: &Team, me: HostId) -> Result<Vec<(LinkId, Udp)>> {
     let mut sockets = Vec::new();
     for (at, (link, config)) in team.deployment.links.iter().zip(&team.links).enumerate() {
         let Some(config) = config else { continue };
-        let udp = Udp::open(me, config).map_err(|e| BadInput(format!("link '{}': {e}", link.name)))?;
+        let udp = Udp::open(me, config).map_err(|error| {
+            let what = format!("link '{}': {error}", link.name);
+            match error {
+                // It may come up yet; a wrong name stays wrong.
+                OpenError::Interface(InterfaceError::Down { .. }) => anyhow!(what),
+                _ => BadInput(what).into(),
+            }
+        })?;
         tracing::info!(link = link.name, receive_buffer_bytes = udp.granted_bytes(), "open");
         sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
     }
