@@ -8,8 +8,9 @@ use std::rc::Rc;
 use std::time::Instant;
 
 use nix::errno::Errno;
-use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::time::TimeSpec;
+use nix::sys::timerfd::{ClockId, Expiration, TimerFd, TimerFlags, TimerSetTimeFlags};
 use tokio::task::LocalSet;
 
 use super::clock::Clock;
@@ -43,13 +44,13 @@ impl Readers {
         self.0.push(Reader { source, awaited: PollFlags::empty(), over: Cell::new(false), ring: Box::new(ring) });
     }
 
-    /// Sleeps until one has something to read, at most for `span`, and rings for those that have.
-    fn sleep(&self, span: Span) {
+    /// Sleeps until one has something to read or the alarm goes off, or looks only, and rings for those that have.
+    fn sleep(&self, alarm: &Alarm, timeout: PollTimeout) {
         let readers: Vec<&Reader> = self.0.iter().filter(|reader| !reader.over.get()).collect();
         let mut polled: Vec<PollFd> =
             readers.iter().map(|reader| PollFd::new(reader.source.as_fd(), reader.awaited)).collect();
-        let timeout = TimeSpec::from_duration(std::time::Duration::from_nanos(span.as_nanos()));
-        match ppoll(&mut polled, Some(timeout), None) {
+        polled.push(PollFd::new(alarm.timer.as_fd(), PollFlags::POLLIN));
+        match poll(&mut polled, timeout) {
             Ok(_) | Err(Errno::EINTR) => {}
             Err(error) => panic!("the kernel does not poll sockets that are open: {error}"),
         }
@@ -63,6 +64,35 @@ impl Readers {
     }
 }
 
+/// Wakes the poll. A timeout of its own would set the machine's timer for every datagram that arrives, and take it
+/// back, which costs more than the datagram; an alarm stands until something earlier is due.
+struct Alarm {
+    timer: TimerFd,
+    /// When it goes off.
+    at: Option<Time>,
+}
+
+impl Alarm {
+    fn new() -> Alarm {
+        let flags = TimerFlags::TFD_NONBLOCK | TimerFlags::TFD_CLOEXEC;
+        let timer = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags).expect("a process may have a timer");
+        Alarm { timer, at: None }
+    }
+
+    /// Goes off at `next` at the latest.
+    fn set(&mut self, now: Time, next: Time) {
+        // One that has gone off rings until it is set again.
+        if self.at.is_some_and(|at| at > now && at <= next) {
+            return;
+        }
+        let next = next.min(now + MAX_SLEEP);
+        let span = Span::from_nanos(next.since(now).as_nanos().max(1));
+        let once = Expiration::OneShot(TimeSpec::from_duration(std::time::Duration::from_nanos(span.as_nanos())));
+        self.timer.set(once, TimerSetTimeFlags::empty()).expect("an open timer can be set");
+        self.at = Some(next);
+    }
+}
+
 /// Runs actors in real time on this thread: `build` starts them and says which descriptors are read, and time goes by
 /// from `origin` until `done`, which is asked after every turn.
 pub fn run_real<W>(
@@ -73,6 +103,7 @@ pub fn run_real<W>(
     let elapsed = || Time::from_nanos(u64::try_from(origin.elapsed().as_nanos()).expect("a run is below 500 years"));
     in_system(|| {
         let (clock, mut readers, mut actors) = (Clock::default(), Readers::default(), LocalSet::new());
+        let mut alarm = Alarm::new();
         clock.set(elapsed());
         let world = {
             let _inside = actors.enter();
@@ -86,8 +117,13 @@ pub fn run_real<W>(
             if done(&world, now) {
                 break;
             }
-            let next = clock.next().unwrap_or(Time::MAX);
-            readers.sleep(next.since(now).min(MAX_SLEEP));
+            match clock.next().unwrap_or(Time::MAX) {
+                next if next <= now => readers.sleep(&alarm, PollTimeout::ZERO),
+                next => {
+                    alarm.set(now, next);
+                    readers.sleep(&alarm, PollTimeout::NONE);
+                }
+            }
             clock.set(elapsed());
         }
         clock.clear();
