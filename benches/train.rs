@@ -6,6 +6,7 @@
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use murmurate::messages::geometry::Vec2;
+use murmurate::policy::manifest::Architecture;
 use murmurate::random::Seed;
 use murmurate::scenario::{self, Settings};
 use murmurate::train::batch::{Batch, Graphs};
@@ -65,11 +66,14 @@ fn rollout(bencher: Bencher, reward: &str) {
     assert!(crowds.iter().all(|crowd| crowd.teams[0].step >= 20), "every team has moved on");
 }
 
-/// The policy for 4096 environments of five robots that all hear each other, one thread.
-#[divan::bench(args = ["published", "robust"], sample_count = 20)]
-fn forward(bencher: Bencher, name: &str) {
+/// The policy for 4096 environments of five robots that all hear each other, one thread, in both architectures.
+#[divan::bench(args = ["full", "published"], sample_count = 20)]
+fn forward(bencher: Bencher, architecture: &str) {
     const ENVIRONMENTS: usize = 4096;
-    let config = preset(name);
+    let mut config = preset("published");
+    if architecture == "published" {
+        (config.policy.architecture, config.policy.edge) = (Architecture::Published, Vec::new());
+    }
     let network = Network::new(config.actor());
     let parameters = initial(&network, Seed::of_run(1), &[0.0; 4]);
     let mut stream = Seed::of_run(1).stream("bench");

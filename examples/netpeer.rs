@@ -21,6 +21,7 @@ use murmurate::actors::clock::Clock;
 use murmurate::actors::network::{self, Network};
 use murmurate::actors::real::{Readers, run_real};
 use murmurate::actors::shell::{Mailbox, start};
+use murmurate::actors::sockets::{self, Shared};
 use murmurate::deploy::team::{SocketConfig, Transport};
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
@@ -30,7 +31,7 @@ use murmurate::net::key::Key;
 use murmurate::net::reliability::{Reliabilities, Reliability, Setup};
 use murmurate::net::router::{Audience, Route, Router};
 use murmurate::net::transport::udp::Udp;
-use murmurate::net::transport::{self, Arrive, Transmit};
+use murmurate::net::transport::{self, Transmit};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
 use nix::sys::resource::{UsageWho, getrusage};
@@ -292,23 +293,6 @@ impl Core for Peer {
     }
 }
 
-/// The peer as its actor and this program share it.
-struct Shared(Rc<RefCell<Peer>>);
-
-impl Core for Shared {
-    type In = In;
-    type Out = Wire;
-    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Wire>) {
-        self.0.borrow_mut().handle(now, input, out);
-    }
-    fn wake_at(&self) -> Option<Time> {
-        self.0.borrow().wake_at()
-    }
-    fn wake(&mut self, now: Time, out: &mut Vec<Wire>) {
-        self.0.borrow_mut().wake(now, out);
-    }
-}
-
 fn main() {
     let (id, participants): (u16, usize) = (variable("NP_ID", 0), variable("NP_N", 2));
     let folder: PathBuf = variable("NP_DIR", PathBuf::from("."));
@@ -395,15 +379,7 @@ fn wire(
         }
         _ => {}
     });
-    readers.watch(udp.ears(), {
-        let mailbox = to_udp.clone();
-        move || mailbox.send(transport::In::Readable)
-    });
-    let (network, mut udp) = (to_network.clone(), Some(udp));
-    let make = move |_| udp.take().expect("no fault strikes this actor");
-    start(clock, &to_udp, info_span!("udp"), make, move |Arrive { frame, .. }| {
-        network.send(network::In::Frame(LINK, frame));
-    });
+    sockets::wire((clock, readers), (LINK, udp), &to_udp, &to_network);
     let (peer, network) = (Rc::clone(peer), to_network);
     let make = move |_| Shared(Rc::clone(&peer));
     start(clock, &to_peer, info_span!("peer"), make, move |message| network.send(network::In::Publish(message)));

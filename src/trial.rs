@@ -102,7 +102,7 @@ pub enum Proceed {
 impl Trial {
     /// A trial of one episode in a preset mode, with the scripted policy, the scenario's own team and seed 0.
     pub fn preset(mode: &str, scenario: &str) -> Result<Trial, TrialError> {
-        let scenario = scenario::build(scenario, &Settings { robots: None, gap_m: None })?;
+        let scenario = scenario::build(scenario, &Settings::default())?;
         let deployment = Deployment::preset(mode, scenario.robots());
         let deployment = deployment.ok_or_else(|| TrialError::Mode { name: mode.to_owned() })?;
         Ok(Trial::new(deployment, scenario, Model::Orca))

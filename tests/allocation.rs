@@ -8,7 +8,7 @@ use murmurate::time::Span;
 
 #[test]
 fn a_step_of_a_network_allocates_nothing() {
-    let passage = scenario::build("passage", &Settings { robots: None, gap_m: None }).expect("the default is sound");
+    let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
     for model in [policy::untrained(1), policy::untrained_full(1)] {
         let mut policy = model.instance(passage.arena());
         let observation = Observation { motion: Motion::at_rest(Vec2::new(0.3, -1.5)), goal: Vec2::new(-0.2, 1.5) };

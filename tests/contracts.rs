@@ -126,7 +126,7 @@ fn layouts_that_do_not_chain_are_placed_exactly_in_every_mode() {
     // The same episode three times over: the goals of one are where the next one ends, too.
     let episode = r#"[{"start": [0.3, -1.5], "goal": [-0.4, 1.5]}, {"start": [-0.5, -1.5], "goal": [0.6, 1.5]}]"#;
     let text = format!("{{\"episodes\": [{episode}, {episode}, {episode}]}}");
-    let scenario = scenario::build("passage", &Settings { robots: Some(2), gap_m: None }).expect("two robots can pass");
+    let scenario = scenario::build("passage", &Settings::of(2)).expect("two robots can pass");
     let layouts = Layouts::from_json(&text, &*scenario, 3).expect("the layouts are sound");
     for mode in MODES {
         for repeat in 0..6 {
@@ -160,7 +160,7 @@ fn situations(model: &Model) -> Vec<Situation> {
 
 #[test]
 fn a_policy_is_a_function_of_what_it_sees_and_draws() {
-    let passage = scenario::build("passage", &Settings { robots: None, gap_m: None }).expect("the default is sound");
+    let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
     for entry in policy::REGISTRY {
         let model = (entry.example)();
         assert_eq!(model.name(), entry.name);
@@ -189,7 +189,7 @@ fn a_policy_is_a_function_of_what_it_sees_and_draws() {
 
 #[test]
 fn a_plant_obeys_and_repeats_itself() {
-    let scenario = scenario::build("passage", &Settings { robots: None, gap_m: None }).expect("the default is sound");
+    let scenario = scenario::build("passage", &Settings::default()).expect("the default is sound");
     let starts: Vec<Vec2> = scenario.tasks(1, 0).iter().map(|task| task.start).collect();
     for entry in world::REGISTRY {
         let run = || {

@@ -25,7 +25,7 @@ const DIFFERENT: u32 = 2;
 
 /// By episode: its verdict, and what is told of it.
 fn simulated(episodes: u32) -> BTreeMap<u32, (String, String)> {
-    let scenario = scenario::build("passage", &Settings { robots: None, gap_m: None }).expect("the scenario");
+    let scenario = scenario::build("passage", &Settings::default()).expect("the scenario");
     let deployment = Deployment::preset("offboard", scenario.robots()).expect("a preset");
     let file = weights::read(shipped("passage").expect("it is shipped")).expect("it is sound");
     let draw = file.manifest.draw;

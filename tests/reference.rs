@@ -23,7 +23,7 @@ use murmurate::world::{Physics, kinematic};
 use safetensors::SafeTensors;
 
 fn passage() -> Arc<dyn Scenario> {
-    scenario::build("passage", &Settings { robots: Some(5), gap_m: None }).expect("five robots is the published team")
+    scenario::build("passage", &Settings::of(5)).expect("five robots is the published team")
 }
 
 fn published(path: &Path) -> Arc<Network> {

@@ -54,7 +54,7 @@ fn train(mut trainer: Trainer, iterations: std::ops::Range<u32>, stop: u32, thre
 #[test]
 fn dynamics_and_reward_are_those_of_the_world() {
     for (name, robots) in [("passage", 5), ("passage", 2), ("swap", 6)] {
-        let scenario = scenario::build(name, &Settings { robots: Some(robots), gap_m: None }).expect("it can be made");
+        let scenario = scenario::build(name, &Settings::of(robots)).expect("it can be made");
         let deployed = Episode { lag_s: Some(0.3), wall_radius_m: 0.16, ..Episode::perfect(robots) };
         for episode in [Episode::perfect(robots), deployed] {
             let none = Config::preset("published").expect("it is a preset").reward.with_penalties(0.0);
@@ -184,7 +184,7 @@ fn both(
     let bytes = std::fs::read(&path).expect("the shipped policy");
     let file = weights::read(&bytes).expect("the shipped policy is sound");
     let manifest = file.manifest.clone();
-    let scenario = scenario::build("passage", &Settings { robots: Some(robots), gap_m: None }).expect("it can be made");
+    let scenario = scenario::build("passage", &Settings::of(robots)).expect("it can be made");
     let deployment = Deployment::preset(mode, robots).expect("it is a mode");
     let model = Model::Gnn(Arc::new(gnn::Network::new(file)), Draw::Mean);
     let trial = Trial::new(deployment, Arc::clone(&scenario), model);

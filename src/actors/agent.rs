@@ -295,7 +295,7 @@ mod tests {
     const MEASURED: Vec2 = Vec2::new(0.1, -0.2);
 
     fn agent(robots: &[u16]) -> Agent {
-        let passage = build("passage", &Settings { robots: Some(3), gap_m: None }).unwrap();
+        let passage = build("passage", &Settings::of(3)).unwrap();
         let stream = || Seed::of_run(0).stream("agent");
         let pilot = |&robot: &u16| Pilot {
             robot: RobotId(robot),

@@ -1,25 +1,18 @@
 //! One host of a deployment as a process of its own: its part of the graph, in real time, on sockets. What an actor
 //! does never lives here, nor what a person is shown.
 
-use std::cell::RefCell;
 use std::rc::Rc;
 
-use tracing::info_span;
-
-use super::Core;
 use super::clock::Clock;
 use super::graph::{Plan, wire_hosts, wire_recorder};
-use super::network;
 use super::process::{Graph, Heard, Process};
 use super::real::Readers;
 use super::recorder;
-use super::shell::start;
+use super::sockets;
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::key::Key;
 use crate::net::reliability::Setup;
 use crate::net::transport::udp::Udp;
-use crate::net::transport::{self, Arrive};
-use crate::time::Time;
 
 /// A host: which one it is, and its links.
 pub struct Host {
@@ -59,46 +52,11 @@ pub fn wire(
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
     for (link, udp) in host.sockets {
-        let mailbox = graph.transports[usize::from(link.0)].clone();
-        let bell = mailbox.clone();
-        readers.watch(udp.ears(), move || bell.send(transport::In::Readable));
-        // A socket outlives its actor: what waits in it would be lost with it.
-        let udp = Rc::new(RefCell::new(udp));
-        let make = move |_| Shared::new(&udp);
-        let network = graph.network_of(host.id);
-        let name = &plan.deployment.links[usize::from(link.0)].name;
-        start(clock, &mailbox, info_span!("udp", link = name), make, move |Arrive { frame, .. }| {
-            network.send(network::In::Frame(link, frame));
-        });
+        let mailbox = &graph.transports[usize::from(link.0)];
+        sockets::wire((clock, readers), (link, udp), mailbox, &graph.network_of(host.id));
     }
     if process.records {
         wire_recorder(clock, plan, &graph, said);
     }
     graph
-}
-
-/// A core whose state outlives it.
-pub(super) struct Shared<C>(Rc<RefCell<C>>);
-
-impl<C> Shared<C> {
-    pub(super) fn new(core: &Rc<RefCell<C>>) -> Shared<C> {
-        Shared(Rc::clone(core))
-    }
-}
-
-impl<C: Core> Core for Shared<C> {
-    type In = C::In;
-    type Out = C::Out;
-
-    fn handle(&mut self, now: Time, input: C::In, out: &mut Vec<C::Out>) {
-        self.0.borrow_mut().handle(now, input, out);
-    }
-
-    fn wake_at(&self) -> Option<Time> {
-        self.0.borrow().wake_at()
-    }
-
-    fn wake(&mut self, now: Time, out: &mut Vec<C::Out>) {
-        self.0.borrow_mut().wake(now, out);
-    }
 }

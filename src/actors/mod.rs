@@ -18,6 +18,7 @@ pub mod process;
 pub mod real;
 pub mod recorder;
 pub mod shell;
+pub mod sockets;
 pub mod state_server;
 pub mod world;
 

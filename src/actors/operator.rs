@@ -1,24 +1,21 @@
 //! An operator: a host that is in no deployment. It hears a team's heartbeats and modes, and may stop it. It has a
 //! Network and its links, and no robot; what it shows a person never lives here.
 
-use std::cell::RefCell;
-use std::rc::Rc;
-
 use tracing::info_span;
 
 use super::clock::Clock;
-use super::host::Shared;
 use super::network::{self, Identity, Network};
 use super::process::Heard;
 use super::real::Readers;
 use super::shell::{Mailbox, start};
+use super::sockets;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::Kind;
 use crate::net::key::Key;
 use crate::net::reliability::Setup;
 use crate::net::router::{Audience, Route, Router};
 use crate::net::transport::udp::Udp;
-use crate::net::transport::{self, Arrive, Transmit};
+use crate::net::transport::{self, Transmit};
 use crate::random::Seed;
 
 /// The number of an operator: no deployment has so many hosts.
@@ -50,7 +47,7 @@ pub fn wire(
     operator: Operator,
     heard: impl Fn(Heard) + 'static,
 ) -> Mailbox<network::In> {
-    let Operator { id, team, robots, incarnation, key, links, sockets, stop } = operator;
+    let Operator { id, team, robots, incarnation, key, links, sockets: open, stop } = operator;
     let router = Router::new(robots, |kind, _| match kind {
         Kind::Stop => Route { local: true, leaves: stop.map(|link| (link, Audience::All)) },
         Kind::Heartbeat | Kind::Mode => Route { local: true, leaves: None },
@@ -75,15 +72,8 @@ pub fn wire(
             outward[usize::from(link.0)].send(transport::In::Transmit(transmit));
         }
     });
-    for (link, udp) in sockets {
-        let mailbox = transports[usize::from(link.0)].clone();
-        let bell = mailbox.clone();
-        readers.watch(udp.ears(), move || bell.send(transport::In::Readable));
-        let (udp, inward) = (Rc::new(RefCell::new(udp)), network.clone());
-        let make = move |_| Shared::new(&udp);
-        start(clock, &mailbox, info_span!("udp"), make, move |Arrive { frame, .. }| {
-            inward.send(network::In::Frame(link, frame));
-        });
+    for (link, udp) in open {
+        sockets::wire((clock, readers), (link, udp), &transports[usize::from(link.0)], &network);
     }
     network
 }

@@ -275,7 +275,7 @@ mod tests {
     use crate::scenario::{Settings, build};
 
     fn recorder() -> Recorder {
-        let passage = build("passage", &Settings { robots: Some(2), gap_m: None }).unwrap();
+        let passage = build("passage", &Settings::of(2)).unwrap();
         let layouts = Layouts::of_scenario(&*passage, 1, 3);
         Recorder::new(Config { layouts, repeat: 4, rules: passage.rules(), steps: Steps::Discarded }, 2)
     }

@@ -250,7 +250,7 @@ mod tests {
     use crate::scenario::{Settings, build};
 
     fn server() -> StateServer {
-        let passage = build("passage", &Settings { robots: Some(2), gap_m: None }).unwrap();
+        let passage = build("passage", &Settings::of(2)).unwrap();
         let layouts = Layouts::of_scenario(&*passage, 1, 2);
         let limit = Span::from_millis(25_000);
         StateServer::new(Config { layouts, repeat: 0, placement: Placement::Drive, limit }, 2, 1)

@@ -173,7 +173,7 @@ mod tests {
     use crate::world::{Physics, kinematic};
 
     fn world(placement: Placement) -> World {
-        let passage = build("passage", &Settings { robots: Some(2), gap_m: None }).unwrap();
+        let passage = build("passage", &Settings::of(2)).unwrap();
         let starts = [Vec2::new(0.0, -1.0), Vec2::new(1.0, -1.0)];
         let ground = Ground::new(kinematic::build(passage.arena(), &Physics::published(passage.arena()), &starts));
         World::new(Rc::new(RefCell::new(ground)), placement, &[RobotId(0), RobotId(1)])

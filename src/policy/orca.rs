@@ -281,7 +281,7 @@ mod tests {
     use crate::scenario::{Settings, build};
 
     fn passage() -> Arena {
-        build("passage", &Settings { robots: None, gap_m: None }).unwrap().arena().clone()
+        build("passage", &Settings::default()).unwrap().arena().clone()
     }
 
     #[test]

@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn the_way_to_the_other_side_leads_through_the_gap() {
-        let passage = build("passage", &Settings { robots: None, gap_m: None }).unwrap();
+        let passage = build("passage", &Settings::default()).unwrap();
         let arena = passage.arena();
         let (from, to) = (Vec2::new(1.5, -1.5), Vec2::new(1.0, 1.5));
         let Leg::Through(crossing) = leg(arena, from, to) else { panic!("a wall stands between") };
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn who_passes_is_told_from_who_only_heads_that_way() {
-        let passage = build("passage", &Settings { robots: None, gap_m: None }).unwrap();
+        let passage = build("passage", &Settings::default()).unwrap();
         let arena = passage.arena();
         let (from, to) = (Vec2::new(1.5, -1.5), Vec2::new(1.0, 1.5));
         let Leg::Through(crossing) = leg(arena, from, to) else { panic!("a wall stands between") };
@@ -179,7 +179,7 @@ mod tests {
 
     #[test]
     fn whatever_is_wanted_no_wall_is_touched_and_the_ground_is_not_left() {
-        let passage = build("passage", &Settings { robots: None, gap_m: None }).unwrap();
+        let passage = build("passage", &Settings::default()).unwrap();
         let arena = passage.arena();
         // At corners, into the gap, along the wall and off the ground, from speed and at random angles.
         for (step, start) in [(0.3, Vec2::new(0.0, -1.5)), (0.7, Vec2::new(1.2, -0.6)), (1.1, Vec2::new(-1.9, 2.9))] {

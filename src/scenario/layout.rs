@@ -127,7 +127,7 @@ mod tests {
 
     #[test]
     fn layouts_of_a_scenario_chain_and_a_bad_file_is_refused() {
-        let passage = build("passage", &Settings { robots: Some(2), gap_m: None }).unwrap();
+        let passage = build("passage", &Settings::of(2)).unwrap();
         let layouts = Layouts::of_scenario(&*passage, 1, 4);
         assert!(layouts.chained());
         let robot = |sx: f32, gx: f32| format!("{{\"start\":[{sx},-1.5],\"goal\":[{gx},1.5]}}");

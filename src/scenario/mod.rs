@@ -155,6 +155,13 @@ pub struct Settings {
     pub gap_m: Option<f32>,
 }
 
+impl Settings {
+    /// A team of this size; everything else as the scenario has it.
+    pub fn of(robots: usize) -> Settings {
+        Settings { robots: Some(robots), ..Settings::default() }
+    }
+}
+
 /// A scenario by name.
 pub struct Entry {
     /// Its name on the command line.

@@ -78,7 +78,7 @@ pub enum SetupError {
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
     /// The bytes are no checkpoint.
-    #[error("not a whole checkpoint: {0}")]
+    #[error("not a whole checkpoint of this version of the program: {0}")]
     Format(String),
     /// The checkpoint is of another training.
     #[error("it is of another training: {what} is {theirs} there and {ours} here")]

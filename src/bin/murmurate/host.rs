@@ -269,7 +269,7 @@ fn trajectories(path: &Path, team: &Team) -> Result<Paths<File>> {
 
 /// The run that the team is to make, of which this host does its part.
 fn trial(team: &Team, model: murmurate::policy::Model) -> Result<Trial> {
-    let settings = Settings { robots: Some(team.deployment.robots), gap_m: None };
+    let settings = Settings::of(team.deployment.robots);
     let scenario = scenario::build(&team.scenario, &settings)?;
     let simulated = team.simulated;
     let mut trial = Trial::new(team.deployment.clone(), Arc::clone(&scenario), model).clamp(simulated.clamp);

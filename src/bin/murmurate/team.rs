@@ -122,7 +122,7 @@ pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
 
 /// The team's policy.
 pub fn policy(team: &Team) -> Result<policy::Loaded> {
-    let settings = Settings { robots: Some(team.deployment.robots), gap_m: None };
+    let settings = Settings::of(team.deployment.robots);
     let scenario = scenario::build(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
     policy::load(team.policy.as_deref(), None, &*scenario)
 }
