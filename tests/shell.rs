@@ -104,9 +104,9 @@ fn a_full_mailbox_refuses_and_counts() {
 #[test]
 fn a_crashed_actor_loses_what_it_is_sent_and_starts_afresh() {
     let sent = [(1, 11), (3, 12), (9, 13), (11, 14)];
-    let (notes, refused, lost) = notes(&[2], &sent, &[fault(ActorFaultKind::Crash, 2, 8)]);
-    // The alarm at 2 ms was over; the fresh core wants it again, and gets it as soon as it lives.
-    assert_eq!(notes, [Note(1, 1, 11), Note(1, 2, 0), Note(2, 10, 0), Note(2, 11, 14)]);
+    let (notes, refused, lost) = notes(&[1], &sent, &[fault(ActorFaultKind::Crash, 2, 8)]);
+    // The alarm at 1 ms was over; the fresh core wants it again, and gets it as soon as it lives.
+    assert_eq!(notes, [Note(1, 1, 11), Note(1, 1, 0), Note(2, 10, 0), Note(2, 11, 14)]);
     assert_eq!((refused, lost), (0, 2));
 }
 

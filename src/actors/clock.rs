@@ -1,9 +1,10 @@
-//! The clock of a run: the present, and an event queue ordered by (time, sequence). There is no other source of
-//! order, so under virtual time a seed gives the same run, however often. `drive` and `real` move it on.
+//! The clock of a run: the present, an event queue ordered by (time, sequence), and who has been rung since, in that
+//! order. There is no other source of order, so under virtual time a seed gives the same run, however often. `drive`
+//! and `real` move it on.
 
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, VecDeque};
 use std::rc::Rc;
 
 use crate::time::Time;
@@ -19,10 +20,17 @@ pub struct Clock {
 struct Queue {
     events: BinaryHeap<Event>,
     sequence: u64,
-    sleepers: Vec<Rc<dyn Fn()>>,
+    sleepers: Vec<Registered>,
+    rung: VecDeque<usize>,
 }
 
-/// Who can be woken by the clock.
+struct Registered {
+    attend: Rc<dyn Fn()>,
+    /// It is not rung twice before it has attended.
+    rung: bool,
+}
+
+/// Who can be rung, by a mailbox or by the clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Sleeper(usize);
 
@@ -64,14 +72,39 @@ impl Clock {
         self.now.get()
     }
 
-    /// Makes `wake` known; it is called whenever an instant comes that was `arm`ed for it.
-    pub fn register(&self, wake: Rc<dyn Fn()>) -> Sleeper {
+    /// Makes `attend` known; it is called once after every time that it was rung.
+    pub fn register(&self, attend: Rc<dyn Fn()>) -> Sleeper {
         let mut queue = self.queue.borrow_mut();
-        queue.sleepers.push(wake);
+        queue.sleepers.push(Registered { attend, rung: false });
         Sleeper(queue.sleepers.len() - 1)
     }
 
-    /// Wakes `sleeper` at `at`.
+    /// `sleeper` attends when those have attended that were rung before it.
+    pub fn ring(&self, sleeper: Sleeper) {
+        let Queue { sleepers, rung, .. } = &mut *self.queue.borrow_mut();
+        // A run that has ended has nobody left to ring.
+        if let Some(registered) = sleepers.get_mut(sleeper.0)
+            && !std::mem::replace(&mut registered.rung, true)
+        {
+            rung.push_back(sleeper.0);
+        }
+    }
+
+    /// Lets everyone attend who is rung, until nobody is.
+    pub(super) fn attend(&self) {
+        while let Some(attend) = self.next_rung() {
+            attend();
+        }
+    }
+
+    fn next_rung(&self) -> Option<Rc<dyn Fn()>> {
+        let Queue { sleepers, rung, .. } = &mut *self.queue.borrow_mut();
+        let registered = &mut sleepers[rung.pop_front()?];
+        registered.rung = false;
+        Some(Rc::clone(&registered.attend))
+    }
+
+    /// Rings `sleeper` at `at`.
     pub fn arm(&self, at: Time, sleeper: Sleeper) {
         self.push(at, What::Wake(sleeper));
     }
@@ -120,10 +153,7 @@ impl Clock {
     fn happen(&self, what: What) {
         match what {
             What::Call(call) => call(),
-            What::Wake(Sleeper(index)) => {
-                let wake = Rc::clone(&self.queue.borrow().sleepers[index]);
-                wake();
-            }
+            What::Wake(sleeper) => self.ring(sleeper),
         }
     }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{self, AtomicBool};
 use std::task::{Context, Wake, Waker};
 
-use tokio::task::LocalSet;
+use tokio::task::{LocalEnterGuard, LocalSet};
 
 use super::clock::Clock;
 use super::shell::in_system;
@@ -24,13 +24,13 @@ pub enum End {
 pub fn run_virtual<W>(build: impl FnOnce(&Clock) -> W, mut done: impl FnMut(&W, Time) -> bool) -> (W, End) {
     in_system(|| {
         let clock = Clock::default();
-        let mut actors = LocalSet::new();
+        let mut actors = Tasks::new();
         let world = {
             let _inside = actors.enter();
             build(&clock)
         };
         let end = loop {
-            drain(&mut actors);
+            actors.drain(&clock);
             if done(&world, clock.now()) {
                 break End::Done;
             }
@@ -41,6 +41,12 @@ pub fn run_virtual<W>(build: impl FnOnce(&Clock) -> W, mut done: impl FnMut(&W, 
         clock.clear();
         (world, end)
     })
+}
+
+/// The actor library's tasks: who starts, and who is started again.
+pub(super) struct Tasks {
+    tasks: LocalSet,
+    signal: Arc<Signal>,
 }
 
 struct Signal(AtomicBool);
@@ -54,20 +60,25 @@ impl Wake for Signal {
     }
 }
 
-/// Polls the actors until none has anything left to do.
-pub(super) fn drain(actors: &mut LocalSet) {
-    thread_local! {
-        static SIGNAL: Arc<Signal> = Arc::new(Signal(AtomicBool::new(false)));
+impl Tasks {
+    pub(super) fn new() -> Tasks {
+        Tasks { tasks: LocalSet::new(), signal: Arc::new(Signal(AtomicBool::new(true))) }
     }
-    SIGNAL.with(|signal| {
-        let waker = Waker::from(Arc::clone(signal));
-        let mut context = Context::from_waker(&waker);
+
+    /// Where actors can be started.
+    pub(super) fn enter(&self) -> LocalEnterGuard {
+        self.tasks.enter()
+    }
+
+    /// Lets the actors attend until every mailbox is empty.
+    pub(super) fn drain(&mut self, clock: &Clock) {
         loop {
-            signal.0.store(false, atomic::Ordering::Relaxed);
-            let _ = Pin::new(&mut *actors).poll(&mut context);
-            if !signal.0.load(atomic::Ordering::Relaxed) {
+            clock.attend();
+            if !self.signal.0.swap(false, atomic::Ordering::Relaxed) {
                 return;
             }
+            let waker = Waker::from(Arc::clone(&self.signal));
+            let _ = Pin::new(&mut self.tasks).poll(&mut Context::from_waker(&waker));
         }
-    });
+    }
 }

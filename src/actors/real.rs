@@ -11,10 +11,9 @@ use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::time::TimeSpec;
 use nix::sys::timerfd::{ClockId, Expiration, TimerFd, TimerFlags, TimerSetTimeFlags};
-use tokio::task::LocalSet;
 
 use super::clock::Clock;
-use super::drive::drain;
+use super::drive::Tasks;
 use super::shell::in_system;
 use crate::time::{Span, Time};
 
@@ -102,7 +101,7 @@ pub fn run_real<W>(
 ) -> W {
     let elapsed = || Time::from_nanos(u64::try_from(origin.elapsed().as_nanos()).expect("a run is below 500 years"));
     in_system(|| {
-        let (clock, mut readers, mut actors) = (Clock::default(), Readers::default(), LocalSet::new());
+        let (clock, mut readers, mut actors) = (Clock::default(), Readers::default(), Tasks::new());
         let mut alarm = Alarm::new();
         clock.set(elapsed());
         let world = {
@@ -112,7 +111,7 @@ pub fn run_real<W>(
         loop {
             clock.set(elapsed());
             while clock.catch_up() {}
-            drain(&mut actors);
+            actors.drain(&clock);
             let now = elapsed();
             if done(&world, now) {
                 break;

@@ -16,8 +16,9 @@ use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
 
-/// How long soft state waits for data to ride on, where data has left within this time.
-pub const HOLD: Span = Span::from_millis(60);
+/// How long soft state waits for data to ride on, where data has left within this time: a robot that says something
+/// twelve times a second still takes all of it along. What may not wait is no soft state: a `Stop` leaves at once.
+pub const HOLD: Span = Span::from_millis(100);
 /// Soft state leaves by itself no more often than this; half of it where there are modes among it.
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
 /// A report rides as soon as the last one is this old.
@@ -47,7 +48,10 @@ pub struct Outgoing {
     /// Soft state that waits: the newest of each stream, whom it is for, its block.
     soft: BTreeMap<Stream, (Audience, Frame)>,
     soft_due: Option<Time>,
-    soft_left: Option<Time>,
+    /// Since when any waits.
+    soft_since: Option<Time>,
+    /// When that was said which last left by itself: periods count from there, so that waiting does not add up.
+    soft_said: Option<Time>,
     data_left: Option<Time>,
     report_left: Option<Time>,
     report_due: Option<Time>,
@@ -71,7 +75,8 @@ impl Outgoing {
             again: Again::default(),
             soft: BTreeMap::new(),
             soft_due: None,
-            soft_left: None,
+            soft_since: None,
+            soft_said: None,
             data_left: None,
             report_left: None,
             report_due,
@@ -189,7 +194,7 @@ impl Outgoing {
             !rides
         });
         if self.soft.is_empty() {
-            self.soft_due = None;
+            (self.soft_due, self.soft_since) = (None, None);
         }
         if any && !self.acks.is_empty() {
             for names in std::mem::take(&mut self.acks).into_values() {
@@ -231,7 +236,7 @@ impl Outgoing {
         self.prompted = true;
         // Whatever leaves soon anyway takes the report along, and nobody is told twice within a period.
         let quiet = |left: Option<Time>| left.is_none_or(|left| now.since(left) > QUIET);
-        if quiet(self.data_left) && quiet(self.soft_left) {
+        if quiet(self.data_left) && quiet(self.soft_said) {
             // Before the first report of all, that one answers everyone.
             let Some(left) = self.report_left else { return };
             let due = (now + Span::from_secs(ANSWER.as_secs() * (0.5 + share))).max(left + REPORT_PERIOD);
@@ -244,25 +249,26 @@ impl Outgoing {
         let period = if modes { Span::from_nanos(SOFT_PERIOD.as_nanos() / 2) } else { SOFT_PERIOD };
         let flows = self.data_left.is_some_and(|left| now.since(left) < HOLD);
         let wait = if flows { now + HOLD } else { now };
-        let due = self.soft_left.map_or(wait, |left| wait.max(left + period));
+        let due = self.soft_said.map_or(wait, |left| wait.max(left + period));
         self.soft_due = Some(self.soft_due.map_or(due, |before| before.min(due)));
+        self.soft_since = self.soft_since.or(Some(now));
     }
 
     fn leave_soft(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
         while self.soft_due.is_some_and(|due| due <= now) {
             let Some((&stream, (audience, frame))) = self.soft.first_key_value() else {
-                self.soft_due = None;
+                (self.soft_due, self.soft_since) = (None, None);
                 return;
             };
             let (audience, block) = (*audience, frame[HEADER_BYTES..].to_vec());
+            self.soft_said = self.soft_since.or(Some(now));
             self.soft.remove(&stream);
             let mut bytes = codec::start(&self.header(audience, 0));
             bytes.extend_from_slice(&block);
             self.board(now, audience, &mut bytes, incoming);
             self.leave_alone(audience, bytes, counts, out);
-            self.soft_left = Some(now);
             if self.soft.is_empty() {
-                self.soft_due = None;
+                (self.soft_due, self.soft_since) = (None, None);
             }
         }
     }
