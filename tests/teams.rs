@@ -149,11 +149,16 @@ fn show_says_where_every_value_comes_from() {
     assert_eq!(line("link.wires.interface"), "link.wires.interface eth9 --interface");
     assert_eq!(line("link.infra.transport"), "link.infra.transport multicast default");
     assert_eq!(line("policy"), "policy shipped default");
+    assert_eq!(line("safety.silence_s"), "safety.silence_s 1.0 default");
     let json = run(&["config", "show", &file, "--json"]);
     let json: serde_json::Value = serde_json::from_str(&done(&json)).expect("one JSON object");
     assert_eq!(json["values"][0]["field"], "team");
     assert_eq!(json["values"][0]["origin"], format!("{file}:1"));
     assert_eq!(json["deployment"]["robots"], 5);
+    write(&file, format!("{TEAM}\n[safety]\ndistance = \"off\"\n")).expect("it can be written");
+    let shown = done(&run(&["config", "show", &file]));
+    let line = shown.lines().find(|line| line.starts_with("safety.distance ")).expect("it is shown");
+    assert!(line.contains(" off ") && line.ends_with(&TEAM.lines().count().saturating_add(3).to_string()), "{line}");
 }
 
 #[test]

@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::net::SocketAddr;
+use std::ops::Range;
 
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -242,7 +243,7 @@ pub struct Layers {
     flags: BTreeMap<String, Entry>,
     environment: BTreeMap<String, Entry>,
     file: BTreeMap<String, Entry>,
-    /// The lines on which the file's tables begin that are read as a whole.
+    /// The lines on which the file's tables begin that are read as a whole, and those of their fields.
     tables: BTreeMap<String, usize>,
 }
 
@@ -266,7 +267,7 @@ impl Layers {
     fn flatten(&mut self, text: &str, prefix: &str, table: &DeTable<'_>, whole: &[&str]) -> Result<(), ConfigError> {
         let entries: Vec<(&Spanned<_>, &Spanned<DeValue<'_>>)> = table.iter().collect();
         for (name, value) in entries {
-            let line = text[..name.span().start].matches('\n').count() + 1;
+            let line = line_of(text, &name.span());
             let origin = Origin::File(line);
             let name: &str = name.get_ref();
             let key = if prefix.is_empty() { name.to_owned() } else { format!("{prefix}.{name}") };
@@ -275,6 +276,10 @@ impl Layers {
                 return Err(ConfigError::field(place(&key, &origin), why));
             }
             if whole.contains(&key.as_str()) {
+                if let DeValue::Table(inner) = value.get_ref() {
+                    let fields = inner.keys().map(|field| (format!("{key}.{}", field.get_ref()), field.span()));
+                    self.tables.extend(fields.map(|(field, span)| (field, line_of(text, &span))));
+                }
                 self.tables.insert(key, line);
                 continue;
             }
@@ -354,7 +359,7 @@ impl Layers {
             .map(|(key, entry)| (key.as_str(), entry))
     }
 
-    /// The line on which a table begins that is read as a whole.
+    /// The line on which a table begins that is read as a whole, or a field of one stands, as `table.field`.
     pub fn table(&self, name: &str) -> Option<usize> {
         self.tables.get(name).copied()
     }
@@ -364,6 +369,10 @@ impl Layers {
 pub fn variable(key: &str) -> String {
     let name = key.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' });
     format!("MURMURATE_{}", name.collect::<String>())
+}
+
+fn line_of(text: &str, span: &Range<usize>) -> usize {
+    text[..span.start].matches('\n').count() + 1
 }
 
 /// Whether a table of this name holds fields.

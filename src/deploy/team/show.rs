@@ -60,6 +60,13 @@ impl TeamFile {
                 show(format!("link.{}.reliability.{}", link.name, kebab(*kind)), None);
             }
         }
+        // As TOML writes it: a line a field.
+        let safety = toml::to_string(&self.safety).expect("safety is TOML");
+        all.extend(safety.lines().filter_map(|line| line.split_once(" = ")).map(|(field, value)| {
+            let key = format!("safety.{field}");
+            let origin = self.layers.table(&key).map_or(Origin::Default, Origin::File);
+            Shown { key, value: value.trim_matches('"').to_owned(), origin }
+        }));
         if let Some(line) = inline {
             let value = format!("inline, mode '{}'", self.deployment.mode);
             all.push(Shown { key: "deployment".to_owned(), value, origin: Origin::File(line) });
