@@ -3,11 +3,13 @@
 
 use std::sync::Arc;
 
+use murmurate::deploy::{AD_HOC, Deployment, LOOPBACK, MODES, WIRES};
 use murmurate::messages::geometry::Vec2;
 use murmurate::net::radio::bianchi::Saturation;
 use murmurate::net::radio::{Channel, Counting, Delivery, Radio, RadioCounts, To, Topology};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
+use murmurate::trial::Trial;
 
 fn seed(number: u64) -> Seed {
     Seed::of_run(number).child("radio")
@@ -204,4 +206,56 @@ fn a_channel_repeats_itself_and_a_seed_makes_a_difference() {
     };
     assert_eq!(run(1), run(1));
     assert_ne!(run(1), run(2));
+}
+
+#[test]
+fn a_radio_comes_to_every_link_that_would_have_one() {
+    for mode in MODES {
+        let preset = Deployment::preset(mode, 5).unwrap();
+        let near = Radio { range_m: Some(2.0), ..ad_hoc() };
+        let deployment = preset.clone().with_radio(&near);
+        assert_eq!(deployment.check(), Ok(()), "{mode}");
+        assert_eq!(Deployment::from_toml(&deployment.to_toml()), Ok(deployment.clone()), "{mode}");
+        for link in &deployment.links {
+            let expected = match link.name.as_str() {
+                WIRES | LOOPBACK => None,
+                AD_HOC => Some((Topology::AdHoc, Some(2.0))),
+                _ => Some((Topology::Infrastructure, None)),
+            };
+            assert_eq!(link.radio.as_ref().map(|radio| (radio.channel, radio.range_m)), expected, "{mode}");
+        }
+    }
+    let broken = |change: fn(&mut Deployment)| {
+        let mut deployment = Deployment::preset("onboard-adhoc", 5).unwrap().with_radio(&Radio::default());
+        change(&mut deployment);
+        deployment.check().unwrap_err().to_string()
+    };
+    assert!(broken(|d| d.links[0].radio.as_mut().unwrap().queue = 0).starts_with("link.radio.queue: 0"));
+    assert!(broken(|d| d.links[2].radio = Some(Radio::default())).starts_with("link.radio: 'wires'"));
+}
+
+#[test]
+fn a_team_on_a_radio_repeats_itself_and_loses_what_the_radio_loses() {
+    let run = |radio: Option<Radio>| {
+        let mut trial = Trial::preset("onboard-adhoc", "passage").expect("a preset").seed(5);
+        trial.deployment = match &radio {
+            Some(radio) => trial.deployment.with_radio(radio),
+            None => trial.deployment,
+        };
+        let report = trial.run();
+        assert!(report.finished);
+        (report.totals, report.episodes)
+    };
+    let wifi = run(Some(Radio::default()));
+    assert_eq!(wifi, run(Some(Radio::default())));
+    let ideal = run(None);
+    assert_ne!(wifi.0.trace, ideal.0.trace, "a frame takes its time");
+    assert_eq!(ideal.0.radio, RadioCounts::default());
+    let counts = wifi.0.radio;
+    assert!(counts.arrived > 1000 && counts.lost() * 50 < counts.wanted, "{counts:?}");
+    assert!(counts.airtime() > 0.05 && counts.airtime() < 0.5, "{counts:?}");
+    // Robots that are deaf to each other beyond a step say less to each other, to nobody else.
+    let near = run(Some(Radio { range_m: Some(0.7), ..ad_hoc() })).0.radio;
+    assert!(near.lost_range > counts.wanted / 10, "{near:?}");
+    assert_eq!(counts.lost_range, 0);
 }

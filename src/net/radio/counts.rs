@@ -51,9 +51,16 @@ counts! {
 }
 
 impl RadioCounts {
+    /// What was lost, by its cause.
+    pub fn causes(&self) -> impl Iterator<Item = (u64, &'static str)> {
+        let multicast =
+            [(self.lost_collision, "to collisions"), (self.lost_noise, "to noise"), (self.lost_range, "out of range")];
+        [(self.lost_queue, "to full queues"), (self.lost_retries, "after all retries")].into_iter().chain(multicast)
+    }
+
     /// Everything that was lost, whatever the cause.
     pub fn lost(&self) -> u64 {
-        self.lost_queue + self.lost_retries + self.lost_collision + self.lost_noise + self.lost_range
+        self.causes().map(|(n, _)| n).sum()
     }
 
     /// The share of time in which the medium was taken by these stations, over all channels.

@@ -170,10 +170,17 @@ impl Radio {
                 sifs_us: 16,
                 ..Radio::default()
             },
-            // Table 16-4 (HR/DSSS): everything at the lowest rate, as a small robot far from the others would.
-            "wifi-slow" => {
-                Radio { rate: rate("dsss-1"), ack_rate: rate("dsss-1"), slot_us: 20, cw_min: 31, ..Radio::default() }
-            }
+            // Table 16-4 (HR/DSSS), without EDCA and its QoS control: everything at the rate that reaches farthest.
+            "wifi-slow" => Radio {
+                rate: rate("dsss-1"),
+                ack_rate: rate("dsss-1"),
+                slot_us: 20,
+                aifsn: 2,
+                cw_min: 31,
+                counting: Counting::Dcf,
+                overhead_bytes: OVERHEAD_BYTES - 2,
+                ..Radio::default()
+            },
             _ => return None,
         })
     }
