@@ -9,7 +9,7 @@
 //!
 //! # Layers
 //! Each may use those before it, never those after:
-//! `time`, `random`, `config`, `messages`; then `scenario`, `world`, `policy`, `safety`, `net` (but for its
+//! `time`, `random`, `config`, `messages`, `grid`; then `scenario`, `world`, `policy`, `safety`, `net` (but for its
 //! transports), `report`; then the cores in `actors`, and beside them [`train`], which knows no actor; then
 //! `deploy`; then `actors::{shell, clock}` and `net::transport`; then `actors::graph`; then `trial`; then the program.
 //! `tests/tidy.rs` checks it.
@@ -23,6 +23,7 @@
 pub mod actors;
 pub mod config;
 pub mod deploy;
+pub mod grid;
 pub mod messages;
 pub mod net;
 pub mod policy;

@@ -53,11 +53,12 @@ fn sources(folder: &str) -> Vec<Source> {
 
 /// The layer of a module; a module may use its own layer and those below.
 fn layer(module: &str) -> Option<u8> {
-    let layers: [(&str, u8); 29] = [
+    let layers: [(&str, u8); 30] = [
         ("config", 0),
         ("time", 0),
         ("random", 0),
         ("messages", 0),
+        ("grid", 0),
         ("net::transport", 4),
         ("actors::shell", 4),
         ("actors::clock", 4),

@@ -26,6 +26,7 @@ use crate::net::fault::FaultPlan;
 use crate::net::link;
 use crate::net::medium::Medium;
 use crate::net::range::CommRange;
+use crate::net::reach::Reach;
 use crate::net::transport::air::Air;
 use crate::net::transport::ether::{self, Ether};
 use crate::net::transport::{self, Arrive, Transmit};
@@ -343,8 +344,8 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
 
 /// The emulated links on which it matters where robots are.
 fn ranged_ethers(plan: &Plan, graph: &Graph, process: &Process) -> Vec<Mailbox<transport::In>> {
-    let links = plan.deployment.links.iter().zip(&graph.transports).filter(|_| process.only.is_none());
-    let ranged = links.filter(|(link, _)| link.radio.as_ref().is_some_and(|radio| radio.range_m.is_some()));
+    let links = plan.deployment.links.iter().zip(graph.transports.iter()).filter(|_| process.only.is_none());
+    let ranged = links.filter(|(link, _)| link.range_m.or(link.radio.as_ref().and_then(|r| r.range_m)).is_some());
     ranged.map(|(_, ether)| ether.clone()).collect()
 }
 
@@ -356,13 +357,14 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
         let routes = graph.routes.clone();
         let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
         let (seed, name) = (plan.seed, link.name.clone());
-        let (radio, robots_of) = (link.radio.clone(), Rc::clone(&robots_of));
+        let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
         let make = move |life| {
             let stream = seed.stream(&format!("link/{name}/{life}"));
             let medium = Medium::new(impairment.clone(), faults.clone(), stream);
             let air = || seed.child(&format!("link/{name}/radio/{life}"));
             let air = radio.clone().map(|radio| Air::new(radio, &robots_of, &air()));
-            Ether::new(medium, air, |kind| routes.listeners(kind))
+            let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
+            Ether::new(medium, air, reach, |kind| routes.listeners(kind))
         };
         let (networks, record) = (graph.networks.clone(), graph.record());
         start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {

@@ -16,7 +16,7 @@ use crate::world::Placement;
 
 /// How often it decides: once a World step.
 pub const TICK: Span = Span::from_millis(50);
-/// How often it repeats an unchanged instruction.
+/// How often it repeats an unchanged instruction; to a team of more than one block, a block at a time.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
 /// A robot that has been silent for longer is missing: five heartbeats.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
@@ -64,6 +64,8 @@ pub struct StateServer {
     /// When the phase began; before the first tick there is none.
     since: Option<Time>,
     said: Option<Time>,
+    /// Which block of robots is repeated next.
+    turn: usize,
     next: Time,
 }
 
@@ -80,6 +82,7 @@ impl StateServer {
             phase: Phase::NeedReset,
             since: None,
             said: None,
+            turn: 0,
             next: Time::ZERO,
         }
     }
@@ -193,10 +196,15 @@ impl StateServer {
         }
     }
 
-    fn say(&self, out: &mut Vec<Mode>) {
+    /// What is new is said to everyone at once. Of what is repeated each message holds the tasks of one block, and the
+    /// rest of it for all: so what a robot hears does not grow with the team.
+    fn say(&mut self, out: &mut Vec<Mode>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));
-        for (index, block) in tasks.chunks(MAX_BLOCK).enumerate() {
+        let blocks = tasks.len().div_ceil(MAX_BLOCK);
+        let turn = if self.said.is_some() { self.turn..self.turn + 1 } else { 0..blocks };
+        self.turn = turn.end % blocks;
+        for (index, block) in tasks.chunks(MAX_BLOCK).enumerate().filter(|(index, _)| turn.contains(index)) {
             let first = u16::try_from(index * MAX_BLOCK).expect("a team has at most 65 535 robots");
             out.push(Mode {
                 round: self.round,
@@ -236,8 +244,8 @@ impl Core for StateServer {
         // Until it knows where the team is, it has nothing to say but that everyone is to stand.
         let speaks = self.round.epoch > 0 || self.latch.is_engaged();
         if speaks && self.said.is_none_or(|said| now.since(said) >= MODE_PERIOD) {
-            self.said = Some(now);
             self.say(out);
+            self.said = Some(now);
         }
         self.next = now.next_on_grid(Span::ZERO, TICK);
     }

@@ -4,6 +4,7 @@
 //! `step` is the one definition of these dynamics; the World actor and the trainer both call it.
 
 use super::{ContactRule, Physics, Plant, PlantState};
+use crate::grid::{self, Grid};
 use crate::messages::geometry::Vec2;
 use crate::messages::local::Contacts;
 use crate::scenario::Arena;
@@ -49,13 +50,12 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
         ContactRule::Block => (true, 2.0 * arena.robot_radius_m),
         ContactRule::Judge => (false, 2.0 * physics.wall_radius_m),
     };
-    // In the order of their ids, each against all others: those before it have moved already.
-    for robot in 0..team.position.len() {
-        let candidate = team.position[robot] + team.velocity[robot] * DT_S;
-        let touches = at_most(team.position.iter().map(|other| candidate - other), robot, apart);
-        team.contacts[robot] = Contacts { robot: touches, wall: false };
-        if !(touches && blocks) {
-            team.position[robot] = candidate;
+    if team.position.len() <= grid::FEW || !meet_by_cells(apart, blocks, team) {
+        // In the order of their ids, each against all others: those before it have moved already.
+        for robot in 0..team.position.len() {
+            let candidate = team.position[robot] + team.velocity[robot] * DT_S;
+            let touches = at_most(team.position.iter().map(|other| candidate - other), robot, apart);
+            meet(robot, candidate, touches, blocks, team);
         }
     }
     let half = arena.half_extent;
@@ -75,6 +75,34 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
     }
 }
 
+/// A robot moves to where it wants to be, unless another that it touches blocks it.
+#[inline(always)]
+fn meet(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: &mut Team) {
+    team.contacts[robot] = Contacts { robot: touches, wall: false };
+    if !(touches && blocks) {
+        team.position[robot] = candidate;
+    }
+}
+
+/// The same as looking at all others, in the same order: whoever can be touched was not farther away before the step
+/// than the others may have come since. `false`, and nothing is done, if that is no distance.
+fn meet_by_cells(apart: f32, blocks: bool, team: &mut Team) -> bool {
+    let fastest = team.velocity.iter().fold(0.0, |most: f32, velocity| most.max(velocity.norm()));
+    // Twice: what rounding adds is far less than a step.
+    let Some(grid) = Grid::new(apart * SURELY + 2.0 * fastest * DT_S, team.before.iter().copied()) else {
+        return false;
+    };
+    let mut near = Vec::new();
+    for robot in 0..team.position.len() {
+        let candidate = team.position[robot] + team.velocity[robot] * DT_S;
+        grid.near(candidate, &mut near);
+        let own = near.binary_search(&robot).unwrap_or(NOBODY);
+        let touches = at_most(near.iter().map(|&other| candidate - team.position[other]), own, apart);
+        meet(robot, candidate, touches, blocks, team);
+    }
+    true
+}
+
 /// Within `most` of zero; what is no number stays so.
 #[inline(always)]
 fn limited(axis: f32, most: f32) -> f32 {
@@ -84,6 +112,8 @@ fn limited(axis: f32, most: f32) -> f32 {
 
 /// No place in a list.
 const NOBODY: usize = usize::MAX;
+/// A distance times this is beyond it, whatever rounding does.
+const SURELY: f32 = 1.01;
 
 /// Whether the shortest of some offsets but the one at `own` is at most `distance` long. Only that one's root is drawn,
 /// and only if its square leaves a doubt: a root never changes an order, and its rounding is part of the published
@@ -130,11 +160,14 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2]) -> Box<dyn Pl
 
 impl Kinematic {
     fn show(&mut self) {
-        for (robot, state) in self.states.iter_mut().enumerate() {
-            state.motion.position = self.position[robot];
-            state.motion.velocity = self.velocity[robot];
-            state.contacts = self.contacts[robot];
-        }
+        (0..self.states.len()).for_each(|robot| self.show_one(robot));
+    }
+
+    fn show_one(&mut self, robot: usize) {
+        let state = &mut self.states[robot];
+        state.motion.position = self.position[robot];
+        state.motion.velocity = self.velocity[robot];
+        state.contacts = self.contacts[robot];
     }
 }
 
@@ -148,7 +181,7 @@ impl Plant for Kinematic {
         self.velocity[robot] = Vec2::zeros();
         self.contacts[robot] = Contacts::default();
         self.commands[robot] = Vec2::zeros();
-        self.show();
+        self.show_one(robot);
     }
 
     fn drive(&mut self, robot: usize, velocity: Vec2) {
