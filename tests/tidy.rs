@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 
 /// The layer of a module; a module may use its own layer and those below.
 fn layer(module: &str) -> Option<u8> {
-    let layers: [(&str, u8); 30] = [
+    let layers: [(&str, u8); 31] = [
         ("config", 0),
         ("time", 0),
         ("random", 0),
@@ -76,6 +76,7 @@ fn layer(module: &str) -> Option<u8> {
         ("policy", 1),
         ("safety", 1),
         ("net", 1),
+        ("report::cost", 1),
         ("report::episode", 1),
         ("report::event", 1),
         ("report::statistics", 1),

@@ -75,6 +75,8 @@ pub struct Plan {
     pub seed: Seed,
     /// What goes wrong.
     pub faults: FaultPlan,
+    /// When the run ends, if not with its last episode.
+    pub until: Option<Time>,
     /// Whether every step is told.
     pub steps: recorder::Steps,
 }
@@ -90,6 +92,10 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
     for fault in &plan.faults.actors {
         let (fault, graph) = (fault.clone(), Rc::clone(&graph));
         clock.call(fault.at, Box::new(move || graph.inject(fault)));
+    }
+    if let Some(until) = plan.until {
+        let record = graph.record();
+        clock.call(until, Box::new(move || record(recorder::In::Closing)));
     }
     for (at, stop) in plan.stops.iter().copied() {
         let network = graph.network_of(stop.by);
