@@ -380,6 +380,26 @@ mod tests {
     }
 
     #[test]
+    fn of_many_robots_those_near_are_heard_and_met_as_if_everyone_was_looked_at() {
+        let robots: Vec<u16> = (0..60).collect();
+        // A range that is drawn, if from next to nothing, has no bound: then everyone is looked at.
+        let out = [0.0, 1e-30].map(|std_m| {
+            let (mut agent, mut out) = (agent(&robots), Vec::new());
+            agent.range.std_m = std_m;
+            for &robot in &robots {
+                agent.seats[usize::from(robot)].task = agent.seats[0].task;
+                agent.handle(Time::ZERO, percept(robot, f32::from(robot * 37 % 60) * 0.7, Vec::new()), &mut out);
+            }
+            assert_eq!(agent.whereabouts.is_some(), std_m == 0.0);
+            out
+        });
+        assert_eq!(out.each_ref().map(Vec::len), [120; 2]);
+        for (by_cells, by_all) in out[0].iter().zip(&out[1]) {
+            assert_eq!(format!("{by_cells:?}"), format!("{by_all:?}"));
+        }
+    }
+
+    #[test]
     fn a_joint_step_goes_on_without_a_robot_that_does_not_perceive() {
         let (mut agent, mut out) = (agent(&[0, 1, 2]), Vec::new());
         agent.handle(Time::ZERO, percept(0, 0.0, Vec::new()), &mut out);

@@ -315,7 +315,7 @@ mod tests {
         let limit = Span::from_millis(60_000);
         let config = Config { layouts, repeat: 0, placement: Placement::Exact, limit };
         let mut server = StateServer::new(config, 150, 1);
-        let mut blocks = |server: &mut StateServer, ms: u64, phase: Phase| -> Vec<u16> {
+        let blocks = |server: &mut StateServer, ms: u64, phase: Phase| -> Vec<u16> {
             for robot in RobotId::team(150) {
                 let beat = Heartbeat { robot, round: server.round, phase, latch: Latch::default() };
                 server.handle(at_ms(ms), In::Heartbeat(beat), &mut Vec::new());

@@ -51,12 +51,7 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
         ContactRule::Judge => (false, 2.0 * physics.wall_radius_m),
     };
     if team.position.len() <= grid::FEW || !meet_by_cells(apart, blocks, team) {
-        // In the order of their ids, each against all others: those before it have moved already.
-        for robot in 0..team.position.len() {
-            let candidate = team.position[robot] + team.velocity[robot] * DT_S;
-            let touches = at_most(team.position.iter().map(|other| candidate - other), robot, apart);
-            meet(robot, candidate, touches, blocks, team);
-        }
+        meet_all(apart, blocks, team);
     }
     let half = arena.half_extent;
     for ((position, before), contacts) in team.position.iter_mut().zip(&*team.before).zip(&mut *team.contacts) {
@@ -81,6 +76,16 @@ fn meet(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: &mut T
     team.contacts[robot] = Contacts { robot: touches, wall: false };
     if !(touches && blocks) {
         team.position[robot] = candidate;
+    }
+}
+
+/// In the order of their ids, each against all others: those before it have moved already.
+#[inline(always)]
+fn meet_all(apart: f32, blocks: bool, team: &mut Team) {
+    for robot in 0..team.position.len() {
+        let candidate = team.position[robot] + team.velocity[robot] * DT_S;
+        let touches = at_most(team.position.iter().map(|other| candidate - other), robot, apart);
+        meet(robot, candidate, touches, blocks, team);
     }
 }
 
@@ -246,6 +251,31 @@ mod tests {
         (0..10).for_each(|_| plant.advance());
         // After one time constant, 1 - 1/e of the way.
         assert!((plant.states()[0].motion.velocity.x - 0.632).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_crowd_touches_whom_it_touches_by_cells_or_not() {
+        use rand::RngExt;
+        let mut stream = crate::random::Seed::of_run(2).stream("crowd");
+        let mut some = |most: f32| Vec2::new(stream.random_range(-most..=most), stream.random_range(-most..=most));
+        let before: Vec<Vec2> = (0..200).map(|_| some(8.0)).collect();
+        let mut velocity: Vec<Vec2> = (0..200).map(|_| some(1.5)).collect();
+        let step = |by_cells: bool, velocity: &mut [Vec2]| {
+            let (mut position, mut contacts) = (before.clone(), vec![Contacts::default(); 200]);
+            let (position_of, contacts_of) = (&mut position, &mut contacts);
+            let mut team = Team { position: position_of, velocity, contacts: contacts_of, before: &mut before.clone() };
+            if by_cells {
+                assert!(meet_by_cells(0.5, true, &mut team));
+            } else {
+                meet_all(0.5, true, &mut team);
+            }
+            (position, contacts)
+        };
+        assert_eq!(step(true, &mut velocity), step(false, &mut velocity));
+        let touching = step(true, &mut velocity).1.iter().filter(|contacts| contacts.robot).count();
+        assert!((20..180).contains(&touching), "{touching} of 200 touch somebody");
+        velocity[7] = Vec2::repeat(300.0);
+        assert_eq!(step(true, &mut velocity), step(false, &mut velocity), "whatever their speed");
     }
 
     #[test]
