@@ -18,15 +18,16 @@ use super::recorder::{self, Recorder};
 use super::shell::{Mailbox, start};
 use super::state_server::{self, StateServer};
 use super::world::{self, Ground, World};
-use crate::deploy::{Deployment, Stepping};
+use crate::deploy::{Deployment, Host, Stepping};
 use crate::messages::geometry::Vec2;
-use crate::messages::ids::{HostId, RobotId};
+use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Stop, Wire};
 use crate::net::fault::FaultPlan;
 use crate::net::link;
 use crate::net::medium::Medium;
 use crate::net::range::CommRange;
-use crate::net::transport::ether::Ether;
+use crate::net::transport::air::Air;
+use crate::net::transport::ether::{self, Ether};
 use crate::net::transport::{self, Arrive, Transmit};
 use crate::policy::Model;
 use crate::random::Seed;
@@ -322,6 +323,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
 
     if let Some(first) = simulated.first().copied() {
         let (bodies, record) = (graph.bodies.clone(), graph.record());
+        let ranged = ranged_ethers(plan, graph, process);
         // On the floor before anything starts, as people would put them there.
         let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
         let plant = plants::REGISTRY.iter().find(|entry| entry.name == plan.deployment.plant);
@@ -331,31 +333,44 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
         let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
         start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {
             world::Out::Sample(sample) => bodies[sample.robot.index()].send(body::In::Sample(sample)),
-            world::Out::Truth(truth) => record(recorder::In::Truth(truth)),
+            world::Out::Truth(truth) => {
+                ranged.iter().for_each(|ether| ether.send(transport::In::Truth(truth.clone())));
+                record(recorder::In::Truth(truth));
+            }
         });
     }
 }
 
+/// The emulated links on which it matters where robots are.
+fn ranged_ethers(plan: &Plan, graph: &Graph, process: &Process) -> Vec<Mailbox<transport::In>> {
+    let links = plan.deployment.links.iter().zip(&graph.transports).filter(|_| process.only.is_none());
+    let ranged = links.filter(|(link, _)| link.radio.as_ref().is_some_and(|radio| radio.range_m.is_some()));
+    ranged.map(|(_, ether)| ether.clone()).collect()
+}
+
 fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
+    let first_robot = |host: &Host| host.agents.concat().into_iter().min();
+    let robots_of: Rc<[Option<u16>]> = plan.deployment.hosts.iter().map(first_robot).collect();
     for (index, link) in plan.deployment.links.iter().enumerate() {
-        let id = crate::messages::ids::LinkId(u16::try_from(index).expect("links are counted in u16"));
+        let id = LinkId(u16::try_from(index).expect("links are counted in u16"));
         let routes = graph.routes.clone();
         let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
         let (seed, name) = (plan.seed, link.name.clone());
+        let (radio, robots_of) = (link.radio.clone(), Rc::clone(&robots_of));
         let make = move |life| {
             let stream = seed.stream(&format!("link/{name}/{life}"));
-            Ether::new(Medium::new(impairment.clone(), faults.clone(), stream), |kind| routes.listeners(kind))
+            let medium = Medium::new(impairment.clone(), faults.clone(), stream);
+            let air = || seed.child(&format!("link/{name}/radio/{life}"));
+            let air = radio.clone().map(|radio| Air::new(radio, &robots_of, &air()));
+            Ether::new(medium, air, |kind| routes.listeners(kind))
         };
-        let networks = graph.networks.clone();
-        start(
-            clock,
-            &graph.transports[index],
-            info_span!("ether", link = link.name),
-            make,
-            move |Arrive { to, frame }| {
+        let (networks, record) = (graph.networks.clone(), graph.record());
+        start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
+            ether::Out::Arrive(Arrive { to, frame }) => {
                 networks[usize::from(to.0)].send(network::In::Frame(id, frame));
-            },
-        );
+            }
+            ether::Out::Counts(counts) => record(recorder::In::Radio(id, counts)),
+        });
     }
 }
 

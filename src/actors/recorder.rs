@@ -8,11 +8,12 @@ use std::collections::BTreeMap;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::Core;
-use crate::messages::ids::{HostId, RobotId};
+use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::local::{Sample, Truth};
 use crate::messages::wire::{Kind, Phase, Round, Wire};
 use crate::net::codec::{self, Content, Frame};
 use crate::net::link::LinkCounts;
+use crate::net::radio::RadioCounts;
 use crate::report::episode::Episode;
 use crate::report::trial::{Step, Totals};
 use crate::safety::guard::SafetyCounts;
@@ -32,6 +33,8 @@ pub enum In {
     Truth(Truth),
     /// What a Network has counted on its links since it was started.
     Counts(HostId, Box<LinkCounts>),
+    /// What was counted on the radio of a link since the start of the run.
+    Radio(LinkId, Box<RadioCounts>),
     /// How often a robot's guard has stopped or slowed it since its Controller was started.
     Safety(RobotId, SafetyCounts),
 }
@@ -80,6 +83,7 @@ pub struct Recorder {
     commanded: Vec<Time>,
     /// The last counts of each host; those of a crashed Network begin anew.
     counts: BTreeMap<HostId, LinkCounts>,
+    radio: BTreeMap<LinkId, RadioCounts>,
     /// The same of each robot's guard.
     safety: BTreeMap<RobotId, SafetyCounts>,
     oldest_command: Span,
@@ -104,6 +108,7 @@ impl Recorder {
             seen: vec![false; robots],
             commanded: vec![Time::ZERO; robots],
             counts: BTreeMap::new(),
+            radio: BTreeMap::new(),
             safety: BTreeMap::new(),
             oldest_command: Span::ZERO,
             round: Round::default(),
@@ -172,6 +177,7 @@ impl Recorder {
             trace: self.digest.digest128(),
             oldest_command: self.oldest_command,
             links: self.counts.values().copied().sum(),
+            radio: self.radio.values().copied().sum(),
             safety: self.safety.values().copied().sum(),
         }
     }
@@ -249,6 +255,9 @@ impl Core for Recorder {
             In::Truth(truth) => self.see(now, &truth, out),
             In::Counts(host, counts) => {
                 self.counts.insert(host, *counts);
+            }
+            In::Radio(link, counts) => {
+                self.radio.insert(link, *counts);
             }
             In::Safety(robot, counts) => {
                 self.safety.insert(robot, counts);

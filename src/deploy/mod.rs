@@ -19,6 +19,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::fault::Targets;
 use crate::net::medium::Impairment;
+use crate::net::radio::{Radio, Topology};
 use crate::net::reliability::Reliabilities;
 use crate::time::Span;
 use crate::world::{self, Placement};
@@ -70,6 +71,9 @@ pub struct Link {
     /// How sure the kinds are to arrive; those not named are sent once.
     #[serde(default, skip_serializing_if = "Reliabilities::is_empty")]
     pub reliability: Reliabilities,
+    /// The radio channel that its frames share; none for a link where they never meet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radio: Option<Radio>,
 }
 
 /// Which host runs what, and which link carries what.
@@ -104,6 +108,10 @@ const MAX_NAMES: usize = 10_000;
 
 /// The link that stands for cables to a simulated world: it is never impaired.
 pub const WIRES: &str = "wires";
+/// The link between processes of one machine: it has no radio.
+pub const LOOPBACK: &str = "loopback";
+/// The link on which robots talk to each other without an access point.
+pub const AD_HOC: &str = "ad-hoc";
 
 /// The names of the presets.
 pub const MODES: [&str; 5] = ["sim", "centralized", "offboard", "onboard-infra", "onboard-adhoc"];
@@ -193,6 +201,12 @@ impl Deployment {
                 return wrong("link.delay_s", format!("{} on '{}' is not 0 to 60 s", link.delay_s, link.name));
             }
         }
+        for (link, radio) in self.links.iter().filter_map(|link| Some((link, link.radio.as_ref()?))) {
+            radio.check().map_err(|e| e.within("link.radio"))?;
+            if link.name == WIRES {
+                return wrong("link.radio", format!("'{WIRES}' stands for cables"));
+            }
+        }
         let routes = Routes::of(self);
         for kind in KINDS {
             let carriers = self.links.iter().flat_map(|link| &link.carries).filter(|carried| **carried == kind).count();
@@ -230,6 +244,17 @@ impl Deployment {
     pub fn targets(&self) -> Targets<'_> {
         let links = self.links.iter().map(|link| (link.name.as_str(), link.carries.as_slice())).collect();
         Targets { robots: self.robots, hosts: self.hosts.len(), links }
+    }
+
+    /// Puts such a radio on the links that would have one: every link but the wires and the loopback gets a channel of
+    /// its own. The one named 'ad-hoc' is ad-hoc and has the range; the others go through an access point.
+    pub fn with_radio(mut self, radio: &Radio) -> Deployment {
+        for link in self.links.iter_mut().filter(|link| link.name != WIRES && link.name != LOOPBACK) {
+            let ad_hoc = link.name == AD_HOC;
+            let channel = if ad_hoc { Topology::AdHoc } else { Topology::Infrastructure };
+            link.radio = Some(Radio { channel, range_m: radio.range_m.filter(|_| ad_hoc), ..radio.clone() });
+        }
+        self
     }
 
     /// Makes links slow and lossy; what is not given stays as it is.

@@ -1,6 +1,6 @@
 //! The modes of the paper as deployments (section IV): the only place that knows them by name.
 
-use super::{Deployment, Host, Link, Stepping, WIRES, kinematic};
+use super::{AD_HOC, Deployment, Host, LOOPBACK, Link, Stepping, WIRES, kinematic};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Kind;
 use crate::net::reliability::Reliabilities;
@@ -20,6 +20,7 @@ impl Deployment {
             loss: 0.0,
             impairs: Vec::new(),
             reliability: Reliabilities::new(),
+            radio: None,
         };
         let one_each = |prefix: &str| -> Vec<Host> {
             let agent = |&robot: &u16| Host { agents: vec![vec![robot]], ..host(&format!("{prefix}-{robot}")) };
@@ -39,7 +40,7 @@ impl Deployment {
             ),
             "offboard" => (
                 and(one_each("agent"), world_and_server),
-                vec![link("loopback", &[Latent, Reading, Heartbeat, Mode, Stop]), link("infra", &[MotorCommand])],
+                vec![link(LOOPBACK, &[Latent, Reading, Heartbeat, Mode, Stop]), link("infra", &[MotorCommand])],
             ),
             "onboard-infra" => (
                 and(one_each("robot"), world_and_server),
@@ -48,7 +49,7 @@ impl Deployment {
             "onboard-adhoc" => (
                 and(one_each("robot"), world_and_server),
                 vec![
-                    link("ad-hoc", &[Latent]),
+                    link(AD_HOC, &[Latent]),
                     link("infra", &[Reading, Heartbeat, Mode, Stop]),
                     link(WIRES, &[MotorCommand]),
                 ],

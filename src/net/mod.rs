@@ -15,6 +15,7 @@ pub mod link;
 pub mod medium;
 pub mod offset;
 pub mod outgoing;
+pub mod radio;
 pub mod range;
 pub mod reliability;
 pub mod report;

@@ -9,6 +9,7 @@ use super::episode::Episode;
 use super::statistics::{quantile, wilson_95};
 use super::trial::TrialReport;
 use crate::net::link::LinkCounts;
+use crate::net::radio::RadioCounts;
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 
@@ -55,6 +56,8 @@ pub struct Summary {
     pub lost: u64,
     /// Frames sent, let in, and refused by cause, on all links together.
     pub links: LinkCounts,
+    /// Frames and airtime of all radio channels together, and what was lost by cause; null without a radio.
+    pub radio: Option<RadioCounts>,
     /// How often robots were stopped or slowed, by reason.
     pub safety: SafetyCounts,
     /// The oldest command that any robot was still driven by \[s\].
@@ -117,6 +120,7 @@ impl Summary {
             refused: trials.iter().map(|trial| trial.refused).sum(),
             lost: trials.iter().map(|trial| trial.lost).sum(),
             links: totals().map(|totals| totals.links).sum(),
+            radio: Some(totals().map(|totals| totals.radio).sum()).filter(|radio: &RadioCounts| radio.channel_ns > 0),
             safety: totals().map(|totals| totals.safety).sum(),
             oldest_command_s: totals().map(|totals| totals.oldest_command.as_secs()).fold(0.0, f64::max),
             trace_hash: (!interrupted).then(|| format!("{:032x}", trace.digest128())),
@@ -208,6 +212,13 @@ impl fmt::Display for Summary {
         }
         let speed = self.virtual_s / self.wall_s.max(1e-9);
         writeln!(f, "  simulated  {:>8.0} s   in {:.2} s: {speed:.0} x real time", self.virtual_s, self.wall_s)?;
+        if let Some(radio) = &self.radio {
+            let causes: Vec<String> =
+                radio.causes().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
+            let lost = if causes.is_empty() { "none lost".to_owned() } else { format!("lost {}", causes.join(", ")) };
+            let (airtime, wanted) = (percent(radio.airtime()), radio.wanted);
+            writeln!(f, "  radio        {airtime:>8}   of airtime used; of {wanted} copies of frames {lost}")?;
+        }
         let (refused, lost, frames) = (self.refused, self.lost, self.links.refused());
         let undelivered = refused + lost + frames;
         if undelivered > 0 {

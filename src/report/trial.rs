@@ -4,6 +4,7 @@ use super::episode::Episode;
 use crate::messages::local::Sample;
 use crate::messages::wire::Phase;
 use crate::net::link::LinkCounts;
+use crate::net::radio::RadioCounts;
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
@@ -58,6 +59,8 @@ pub struct Totals {
     pub oldest_command: Span,
     /// What the Networks counted on all links, up to the last full second.
     pub links: LinkCounts,
+    /// What happened on all radio channels, up to the last full second; nothing without a radio.
+    pub radio: RadioCounts,
     /// What the robots' guards counted, up to their last heartbeats.
     pub safety: SafetyCounts,
 }

@@ -1,10 +1,14 @@
-//! `murmurate deployment`: a preset mode as a file to start from.
+//! `murmurate deployment`: a preset mode as a file to start from; and the radio that `--radio` puts on its links.
+
+use std::path::Path;
 
 use anyhow::Result;
 use clap::builder::PossibleValuesParser;
 use murmurate::deploy::{Deployment, MODES};
+use murmurate::net::radio::{PRESETS, Radio};
 
-use crate::{BadInput, Ended, output};
+use crate::output::{print, read_text};
+use crate::{BadInput, Ended};
 
 /// Flags of `murmurate deployment`.
 #[derive(clap::Args)]
@@ -15,13 +19,39 @@ pub struct Args {
     /// Size of the team
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=5000))]
     robots: u16,
+    /// What its links are: 'none' for ideal ones, a preset radio (wifi, wifi-n, wifi-slow) or a radio as a file
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
+    radio: String,
 }
 
 /// Prints the deployment.
 pub fn run(args: &Args) -> Result<Ended> {
     let deployment =
         Deployment::preset(&args.mode, usize::from(args.robots)).expect("the parser lets only modes through");
+    let deployment = with_radio(deployment, &args.radio)?;
     deployment.check().map_err(|e| BadInput(format!("--{e}")))?;
-    output::print(deployment.to_toml().trim_end())?;
+    print(deployment.to_toml().trim_end())?;
     Ok(Ended::Done)
+}
+
+/// The deployment with the radio of that name or file on its links.
+pub fn with_radio(deployment: Deployment, given: &str) -> Result<Deployment> {
+    if given == "none" {
+        return Ok(deployment);
+    }
+    let radio = match Radio::preset(given) {
+        Some(radio) => radio,
+        None if !given.contains(['.', '/']) => {
+            let names = PRESETS.join(", ");
+            let why = format!("--radio: there is no radio '{given}'; there are: none, {names}, or a file FILE.toml");
+            return Err(BadInput(why).into());
+        }
+        None => Radio::from_toml(&read_text(Path::new(given), "radio file")?)
+            .map_err(|e| BadInput(format!("the radio file '{given}': {e}")))?,
+    };
+    let deployment = deployment.with_radio(&radio);
+    if deployment.links.iter().all(|link| link.radio.is_none()) {
+        return Err(BadInput(format!("--radio: in mode '{}' no link is a radio", deployment.mode)).into());
+    }
+    Ok(deployment)
 }

@@ -23,7 +23,7 @@ use murmurate::world::{Clamp, ContactRule, Placement};
 
 use crate::output::{WholeFile, print, read_text, talk};
 use crate::paths::Paths;
-use crate::{BadInput, Ended, policy};
+use crate::{BadInput, Ended, deployment, policy};
 
 /// Flags of `murmurate sim`.
 #[derive(clap::Args)]
@@ -96,6 +96,10 @@ pub struct Args {
     /// What suffers delay and loss: what robots tell each other, or everything on every link [default: latent]
     #[arg(long, value_parser = PossibleValuesParser::new(["latent", "all"]))]
     impair: Option<String>,
+    /// What the mode's links are: 'none' for ideal ones or those of the deployment file, a preset radio (wifi, wifi-n,
+    /// wifi-slow), or a radio as a file (see docs/radio.md)
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
+    radio: String,
     /// How far a robot hears [m] ('inf' for everywhere) [default: as the policy's file says]
     #[arg(long)]
     comm_range_m: Option<f32>,
@@ -250,6 +254,7 @@ fn trial(args: &Args) -> Result<(Trial, String)> {
             .impaired(given(args.delay_ms / 1000.0), given(args.loss), impair)
             .map_err(|e| bad(format!("{flag}: {e}")))?;
     }
+    deployment = deployment::with_radio(deployment, &args.radio)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
     let policy::Loaded { model, name: policy, assumed } =
         policy::load(args.policy.as_deref(), args.action.as_deref(), &*scenario)?;

@@ -1,22 +1,37 @@
 //! The emulated ether: one actor a link, carrying frames between the Networks of one process.
+//!
+//! With a radio, frames are first on the air, and the medium takes over what arrives there.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
+use super::air::Air;
 use super::{Arrive, In, Transmit};
 use crate::actors::Core;
 use crate::messages::ids::HostId;
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::codec::{Content, Frame, first};
 use crate::net::medium::Medium;
+use crate::net::radio::RadioCounts;
 use crate::net::router::Audience;
 use crate::time::Time;
+
+/// What an ether says.
+#[derive(Clone, Debug)]
+pub enum Out {
+    /// To a Network.
+    Arrive(Arrive),
+    /// To the Recorder: what has happened on its radio. Boxed: it is large and rare.
+    Counts(Box<RadioCounts>),
+}
 
 /// The ether of one link.
 #[derive(Debug)]
 pub struct Ether {
     medium: Medium,
+    air: Option<Air>,
     /// By kind; and last, whoever listens to anything, for what the link layer says for itself.
-    listeners: Vec<Vec<HostId>>,
+    listeners: Vec<Arc<[u16]>>,
     /// Frames on their way, in order of arrival and, at one instant, of departure.
     flying: BTreeMap<(Time, u64), Arrive>,
     departures: u64,
@@ -25,18 +40,42 @@ pub struct Ether {
 
 impl Ether {
     /// An ether on which `listens` says which hosts listen to a kind of message.
-    pub fn new(medium: Medium, listens: impl Fn(Kind) -> Vec<HostId>) -> Ether {
-        let mut listeners: Vec<Vec<HostId>> = KINDS.iter().map(|&kind| listens(kind)).collect();
-        listeners.push(listeners.concat().into_iter().collect::<BTreeSet<_>>().into_iter().collect());
-        Ether { medium, listeners, flying: BTreeMap::new(), departures: 0, copies: Vec::new() }
+    pub fn new(medium: Medium, air: Option<Air>, listens: impl Fn(Kind) -> Vec<HostId>) -> Ether {
+        let of = |kind| listens(kind).into_iter().map(|host| host.0).collect::<BTreeSet<u16>>();
+        let by_kind: Vec<BTreeSet<u16>> = KINDS.iter().map(|&kind| of(kind)).collect();
+        let all = by_kind.iter().flatten().copied().collect();
+        let listeners = by_kind.into_iter().chain([all]).map(|hosts| hosts.into_iter().collect()).collect();
+        Ether { medium, air, listeners, flying: BTreeMap::new(), departures: 0, copies: Vec::new() }
     }
 
-    fn carry(&mut self, now: Time, kind: Kind, transmit: &Transmit, to: HostId, out: &mut Vec<Arrive>) {
-        self.medium.carry(now, kind, (transmit.from, to), &transmit.frame, &mut self.copies);
+    fn transmit(&mut self, now: Time, transmit: &Transmit, out: &mut Vec<Out>) {
+        let (kind, heard_as) = match first(&transmit.frame).expect("a Network sends whole datagrams") {
+            Content::Message(kind) => (kind, kind as usize),
+            // Soft state: the medium treats it like the soft state of robots.
+            _ => (Kind::Heartbeat, KINDS.len()),
+        };
+        if let Some(air) = &mut self.air {
+            return air.offer(now, transmit, kind, &self.listeners[heard_as]);
+        }
+        match transmit.audience {
+            Audience::Host(to) => self.carry(now, kind, (transmit.from, to), &transmit.frame, out),
+            Audience::All => {
+                for at in 0..self.listeners[heard_as].len() {
+                    let to = HostId(self.listeners[heard_as][at]);
+                    if to != transmit.from {
+                        self.carry(now, kind, (transmit.from, to), &transmit.frame, out);
+                    }
+                }
+            }
+        }
+    }
+
+    fn carry(&mut self, now: Time, kind: Kind, (from, to): (HostId, HostId), frame: &Frame, out: &mut Vec<Out>) {
+        self.medium.carry(now, kind, (from, to), frame, &mut self.copies);
         for (at, frame) in self.copies.drain(..) {
             let arrive = Arrive { to, frame };
             if at <= now {
-                out.push(arrive);
+                out.push(Out::Arrive(arrive));
             } else {
                 self.flying.insert((at, self.departures), arrive);
                 self.departures += 1;
@@ -47,35 +86,33 @@ impl Ether {
 
 impl Core for Ether {
     type In = In;
-    type Out = Arrive;
+    type Out = Out;
 
-    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Arrive>) {
-        let In::Transmit(transmit) = input else { unreachable!("an ether has no socket") };
-        let (kind, heard_as) = match first(&transmit.frame).expect("a Network sends whole datagrams") {
-            Content::Message(kind) => (kind, kind as usize),
-            // Soft state: the medium treats it like the soft state of robots.
-            _ => (Kind::Heartbeat, KINDS.len()),
-        };
-        match transmit.audience {
-            Audience::Host(to) => self.carry(now, kind, &transmit, to, out),
-            Audience::All => {
-                for at in 0..self.listeners[heard_as].len() {
-                    let to = self.listeners[heard_as][at];
-                    if to != transmit.from {
-                        self.carry(now, kind, &transmit, to, out);
-                    }
-                }
-            }
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
+        match input {
+            In::Transmit(transmit) => self.transmit(now, &transmit, out),
+            In::Truth(truth) => self.air.iter_mut().for_each(|air| air.locate(&truth)),
+            In::Readable => unreachable!("an ether has no socket"),
         }
     }
 
     fn wake_at(&self) -> Option<Time> {
-        self.flying.keys().next().map(|&(at, _)| at)
+        let arrival = self.flying.keys().next().map(|&(at, _)| at);
+        [arrival, self.air.as_ref().map(Air::wake_at)].into_iter().flatten().min()
     }
 
-    fn wake(&mut self, now: Time, out: &mut Vec<Arrive>) {
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
+        if let Some(air) = &mut self.air {
+            let mut heard = Vec::new();
+            let counts = air.wake(now, &mut heard);
+            for delivery in heard {
+                let between = (HostId(delivery.from), HostId(delivery.to));
+                self.carry(now, delivery.token.kind, between, &delivery.token.frame, out);
+            }
+            out.extend(counts.map(|counts| Out::Counts(Box::new(counts))));
+        }
         while let Some(entry) = self.flying.first_entry().filter(|entry| entry.key().0 <= now) {
-            out.push(entry.remove());
+            out.push(Out::Arrive(entry.remove()));
         }
     }
 }

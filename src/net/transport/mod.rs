@@ -2,11 +2,13 @@
 //!
 //! Here are the emulated ether of one-process runs and the sockets of real hosts. What a frame says never matters here.
 
+pub mod air;
 pub mod ether;
 pub mod interface;
 pub mod udp;
 
 use crate::messages::ids::HostId;
+use crate::messages::local::Truth;
 use crate::net::codec::Frame;
 use crate::net::router::Audience;
 
@@ -17,6 +19,8 @@ pub enum In {
     Transmit(Transmit),
     /// The transport's socket has something to read.
     Readable,
+    /// Where robots truly are: from a simulated World, for an ether whose radio has a range.
+    Truth(Truth),
 }
 
 /// A frame handed to a transport.

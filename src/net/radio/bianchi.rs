@@ -1,0 +1,109 @@
+//! Where a channel saturates: the model of G. Bianchi, "Performance analysis of the IEEE 802.11 distributed
+//! coordination function", IEEE JSAC 18(3), 2000. Closed form; no simulation.
+
+use super::Radio;
+use crate::time::Span;
+
+/// What becomes of n stations that always have a frame to send.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Saturation {
+    /// The probability that a station transmits in a slot: tau of equation (7).
+    pub attempt: f64,
+    /// The probability that a frame on the air collides: p of equation (9).
+    pub collision: f64,
+    /// The share of time in which payload goes out: S of equation (13).
+    pub throughput: f64,
+    /// Frames that arrive, of all stations together \[1/s\].
+    pub frames_per_s: f64,
+}
+
+/// The lengths that the model is made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lengths {
+    /// A slot.
+    pub slot: Span,
+    /// The channel is taken by a frame that arrives: T_s.
+    pub success: Span,
+    /// The channel is taken by frames that collide: T_c.
+    pub collision: Span,
+    /// The payload alone: E\[P\].
+    pub payload: Span,
+}
+
+/// tau as a function of p: equation (7), with its geometric series written out, so that p = 1/2 is like any other.
+fn attempt(p: f64, window: f64, stages: i32) -> f64 {
+    let series: f64 = (0..stages).map(|stage| (2.0 * p).powi(stage)).sum();
+    2.0 / (1.0 + window + p * window * series)
+}
+
+impl Saturation {
+    /// Of `stations` stations with backoff windows from `window` slots, doubled `stages` times at the most, and retries
+    /// without end.
+    pub fn of(stations: usize, window: u32, stages: i32, lengths: &Lengths) -> Saturation {
+        let n = stations as f64;
+        let window = f64::from(window);
+        // Equations (7) and (9) meet once: the one falls with p, the other grows.
+        let (mut low, mut high) = (0.0, 1.0);
+        for _ in 0..60 {
+            let p = f64::midpoint(low, high);
+            let collides = 1.0 - (1.0 - attempt(p, window, stages)).powf(n - 1.0);
+            if collides > p { low = p } else { high = p }
+        }
+        let collision = f64::midpoint(low, high);
+        let attempt = attempt(collision, window, stages);
+        // Equations (10), (11) and (13).
+        let busy = 1.0 - (1.0 - attempt).powf(n);
+        let alone = n * attempt * (1.0 - attempt).powf(n - 1.0);
+        let step = (1.0 - busy) * lengths.slot.as_secs()
+            + alone * lengths.success.as_secs()
+            + (busy - alone) * lengths.collision.as_secs();
+        Saturation {
+            attempt,
+            collision,
+            throughput: alone * lengths.payload.as_secs() / step,
+            frames_per_s: alone / step,
+        }
+    }
+
+    /// Of stations on this channel that all send one another datagrams of so many bytes, by unicast in a single hop.
+    pub fn of_radio(radio: &Radio, stations: usize, datagram_bytes: usize) -> Saturation {
+        let times = radio.times();
+        let frame = radio.frame_airtime(datagram_bytes);
+        let lengths = Lengths {
+            slot: times.slot,
+            success: frame + times.propagation + times.acknowledged + times.space,
+            collision: frame + times.propagation + times.recovery,
+            payload: radio.payload_airtime(datagram_bytes),
+        };
+        let stages = ((radio.cw_max + 1) / (radio.cw_min + 1)).ilog2();
+        Saturation::of(stations, radio.cw_min + 1, stages.cast_signed(), &lengths)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_model_has_the_published_optimum() {
+        let times = |success, collision| Lengths {
+            slot: Span::from_nanos(50_000),
+            success: Span::from_nanos(success),
+            collision: Span::from_nanos(collision),
+            payload: Span::from_nanos(8_184_000),
+        };
+        // Table II: T_s = 8982 us and T_c = 8713 us of basic access (179.64 and 174.26 slots).
+        let lengths = times(8_982_000, 8_713_000);
+        let all = [2, 5, 10, 20, 50].map(|n| Saturation::of(n, 32, 3, &lengths));
+        assert!(all.windows(2).all(|pair| pair[0].throughput > pair[1].throughput), "{all:?}");
+        assert!(all.windows(2).all(|pair| pair[0].collision < pair[1].collision), "{all:?}");
+        // Equation (28): with K = 9.334, the window that suits the number of stations gives 0.824.
+        let (n, k): (usize, f64) = (50, (8713.0_f64 / 50.0 / 2.0).sqrt());
+        assert!((k - 9.334).abs() < 1e-3);
+        let window = (2.0 * n as f64 * k) as u32 - 1;
+        let best = Saturation::of(n, window, 0, &lengths).throughput;
+        assert!((best - 0.824).abs() < 2e-3, "{best}");
+        let alone = Saturation::of(1, 32, 3, &lengths);
+        assert!(alone.collision < 1e-12 && (alone.attempt - 2.0 / 33.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,339 @@
+//! The radio channel of 802.11, pure: this file says what a channel is like, as data, and what follows from it.
+//!
+//! `channel` is the distributed coordination function, `station` the queue and backoff of one station, `rate` how long
+//! frames are on the air, `bianchi` the model that says where a channel saturates. Nothing here knows an actor, a
+//! message or a clock. Clauses are those of IEEE 802.11-2016. `docs/radio.md` says what is left out.
+
+pub mod bianchi;
+pub mod channel;
+pub mod counts;
+pub mod rate;
+mod station;
+
+pub use channel::{Channel, Delivery, To};
+pub use counts::RadioCounts;
+pub use rate::{Band, Rate, Width};
+
+use serde::{Deserialize, Serialize};
+
+use crate::config::{self, ConfigError};
+use crate::time::Span;
+
+/// How frames find their way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Topology {
+    /// Through an access point, which is one station more and sends everything a second time (4.3.5).
+    Infrastructure,
+    /// From station to station, in one hop (4.3.2).
+    AdHoc,
+}
+
+/// What becomes of a backoff counter in the slot in which another station begins to send.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Counting {
+    /// It keeps its value: only a slot without activity counts (DCF, 10.3.4.3).
+    Dcf,
+    /// It counts that slot too: one step at every slot boundary (EDCA, 10.22.2.4; and the model of Bianchi).
+    Edca,
+}
+
+/// How long stations wait after a frame that nobody could read, before they count slots again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Recovery {
+    /// As after any frame (the model of Bianchi).
+    Difs,
+    /// For as long as an acknowledgement would have taken, too (EIFS, 10.3.2.3.7).
+    Eifs,
+}
+
+/// What a radio channel is like.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Radio {
+    /// How frames find their way.
+    pub channel: Topology,
+    /// The rate of unicast frames.
+    pub rate: Rate,
+    /// The rate of multicast frames.
+    pub basic_rate: Rate,
+    /// The rate of acknowledgements.
+    pub ack_rate: Rate,
+    /// The width of the channel \[MHz\].
+    pub width_mhz: Width,
+    /// Its band.
+    pub band: Band,
+    /// A slot \[us\].
+    pub slot_us: u32,
+    /// The short interframe space \[us\].
+    pub sifs_us: u32,
+    /// How many slots the medium must be idle after a SIFS: two are a DIFS (10.3.7).
+    pub aifsn: u32,
+    /// How long a frame takes to the other station \[us\].
+    pub propagation_us: u32,
+    /// The first contention window \[slots\]: a backoff is drawn from 0 to this.
+    pub cw_min: u32,
+    /// The last one \[slots\].
+    pub cw_max: u32,
+    /// What becomes of a backoff counter in a busy slot.
+    pub counting: Counting,
+    /// How long to wait after a frame that nobody could read.
+    pub after_error: Recovery,
+    /// How often a unicast frame without an acknowledgement is sent again, after the first time.
+    pub retries: u32,
+    /// How many frames wait at a station or at the access point; those that come then are lost.
+    pub queue: usize,
+    /// What is on the air beside a datagram \[bytes\].
+    pub overhead_bytes: usize,
+    /// How far a station is heard \[m\]; none for everywhere. Ad-hoc alone: all are in reach of an access point.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub range_m: Option<f32>,
+    /// The share of frames that noise spoils, for each receiver by itself, 0 to 1.
+    pub noise_loss: f64,
+    /// The share of airtime that foreign stations ask for, 0 to 1.
+    pub background: f64,
+}
+
+/// On the air beside a datagram: MAC header 24 (9.2.3) with QoS control 2 (9.2.4.5) and FCS 4, LLC and SNAP 8 (RFC
+/// 1042), IPv4 20 (RFC 791), UDP 8 (RFC 768) \[bytes\].
+pub const OVERHEAD_BYTES: usize = 24 + 2 + 4 + 8 + 20 + 8;
+/// An acknowledgement (9.3.1.4) \[bytes\].
+pub const ACK_BYTES: usize = 14;
+
+/// The presets by name.
+pub const PRESETS: [&str; 3] = ["wifi", "wifi-n", "wifi-slow"];
+
+impl Default for Radio {
+    /// The preset `wifi`, with an access point.
+    fn default() -> Radio {
+        Radio {
+            channel: Topology::Infrastructure,
+            rate: rate("ofdm-54"),
+            // What access points take by default, so that any station understands it.
+            basic_rate: rate("dsss-1"),
+            // The highest mandatory rate not above that of the data (10.7.6.5.2).
+            ack_rate: rate("ofdm-24"),
+            width_mhz: Width::Full,
+            band: Band::Low,
+            // Table 18-5: short slot, SIFS, contention windows of ERP.
+            slot_us: 9,
+            sifs_us: 10,
+            // Best effort of Table 9-137.
+            aifsn: 3,
+            propagation_us: 0,
+            cw_min: 15,
+            cw_max: 1023,
+            counting: Counting::Edca,
+            after_error: Recovery::Eifs,
+            retries: 7,
+            queue: 64,
+            overhead_bytes: OVERHEAD_BYTES,
+            range_m: None,
+            noise_loss: 0.0,
+            background: 0.0,
+        }
+    }
+}
+
+fn rate(name: &str) -> Rate {
+    name.parse().expect("a rate of the table")
+}
+
+/// The lengths of time that the access to a channel is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Times {
+    /// A slot.
+    pub slot: Span,
+    /// A frame on its way.
+    pub propagation: Span,
+    /// Idle before slots are counted: AIFS, or DIFS where it is two slots and a SIFS.
+    pub space: Span,
+    /// From the arrival of a unicast frame to that of its acknowledgement.
+    pub acknowledged: Span,
+    /// From the end of what nobody could read to where slots are counted.
+    pub recovery: Span,
+}
+
+impl Radio {
+    /// The preset of that name, with an access point; `None` if there is none.
+    pub fn preset(name: &str) -> Option<Radio> {
+        Some(match name {
+            "wifi" => Radio::default(),
+            // Table 19-25 with Table 17-21: HT at 5 GHz.
+            "wifi-n" => Radio {
+                rate: rate("ht-mcs7"),
+                basic_rate: rate("ofdm-6"),
+                band: Band::High,
+                slot_us: 9,
+                sifs_us: 16,
+                ..Radio::default()
+            },
+            // Table 16-4 (HR/DSSS), without EDCA and its QoS control: everything at the rate that reaches farthest.
+            "wifi-slow" => Radio {
+                rate: rate("dsss-1"),
+                ack_rate: rate("dsss-1"),
+                slot_us: 20,
+                aifsn: 2,
+                cw_min: 31,
+                counting: Counting::Dcf,
+                overhead_bytes: OVERHEAD_BYTES - 2,
+                ..Radio::default()
+            },
+            _ => return None,
+        })
+    }
+
+    /// The system of Bianchi's Table II (JSAC 18(3), 2000): FHSS at 1 Mbit/s, MAC header 272 bits, PHY header 128 bits,
+    /// ACK 112 bits and PHY header, window 32 doubled `stages` times, retries without end. Its payload is 1023 bytes.
+    pub fn bianchi(stages: u32) -> Radio {
+        let fhss = rate("fhss-1");
+        Radio {
+            channel: Topology::AdHoc,
+            rate: fhss,
+            basic_rate: fhss,
+            ack_rate: fhss,
+            slot_us: 50,
+            sifs_us: 28,
+            aifsn: 2,
+            propagation_us: 1,
+            cw_min: 31,
+            cw_max: 32 * (1 << stages) - 1,
+            counting: Counting::Edca,
+            after_error: Recovery::Difs,
+            retries: u32::MAX,
+            overhead_bytes: 34,
+            ..Radio::default()
+        }
+    }
+
+    /// Reads a channel from TOML and checks it; what is not given is as in the preset `wifi`.
+    pub fn from_toml(text: &str) -> Result<Radio, ConfigError> {
+        let radio: Radio = config::from_toml(text)?;
+        radio.check()?;
+        Ok(radio)
+    }
+
+    /// Checks that there can be such a channel.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
+        for (field, rate) in [("rate", self.rate), ("basic_rate", self.basic_rate), ("ack_rate", self.ack_rate)] {
+            if !rate.fits(self.width_mhz) {
+                let mhz = u8::from(self.width_mhz);
+                return wrong(field, format!("there is no {rate} in a channel of {mhz} MHz; an ofdm rate fits"));
+            }
+        }
+        for (field, value, least, most) in [
+            ("slot_us", self.slot_us, 1, 1000),
+            ("sifs_us", self.sifs_us, 1, 1000),
+            ("aifsn", self.aifsn, 1, 15),
+            ("propagation_us", self.propagation_us, 0, 100),
+            ("cw_min", self.cw_min, 1, 32_767),
+            ("cw_max", self.cw_max, 1, 32_767),
+        ] {
+            if !(least..=most).contains(&value) {
+                return wrong(field, format!("{value} is not {least} to {most}"));
+            }
+        }
+        if !(self.cw_min + 1).is_power_of_two() {
+            return wrong("cw_min", format!("{} is not one less than a power of two", self.cw_min));
+        }
+        if self.cw_max < self.cw_min || !(self.cw_max + 1).is_power_of_two() {
+            return wrong("cw_max", format!("{} is not one less than a power of two, from cw_min on", self.cw_max));
+        }
+        if !(1..=100_000).contains(&self.queue) {
+            return wrong("queue", format!("{} is not 1 to 100000 frames", self.queue));
+        }
+        if self.overhead_bytes > 1000 {
+            return wrong("overhead_bytes", format!("{} is not 0 to 1000", self.overhead_bytes));
+        }
+        if let Some(range_m) = self.range_m {
+            if self.channel == Topology::Infrastructure {
+                return wrong("range_m", "all are in reach of an access point; only 'ad-hoc' has a range".to_owned());
+            }
+            if range_m.is_nan() || range_m < 0.0 {
+                return wrong("range_m", format!("{range_m} is not a distance"));
+            }
+        }
+        for (field, share) in [("noise_loss", self.noise_loss), ("background", self.background)] {
+            if !(0.0..=1.0).contains(&share) {
+                return wrong(field, format!("{share} is not a share of 0 to 1"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The lengths of time that follow.
+    pub fn times(&self) -> Times {
+        let us = |us: u32| Span::from_nanos(1000 * u64::from(us));
+        let (slot, sifs, propagation) = (us(self.slot_us), us(self.sifs_us), us(self.propagation_us));
+        let space = sifs + slot * u64::from(self.aifsn);
+        let answer = sifs + self.ack_rate.airtime(ACK_BYTES, self.width_mhz, self.band);
+        let recovery = match self.after_error {
+            Recovery::Difs => space,
+            Recovery::Eifs => answer + space,
+        };
+        Times { slot, propagation, space, acknowledged: answer + propagation, recovery }
+    }
+
+    /// How long a unicast frame with a datagram of so many bytes is on the air.
+    pub fn frame_airtime(&self, datagram_bytes: usize) -> Span {
+        self.rate.airtime(self.overhead_bytes + datagram_bytes, self.width_mhz, self.band)
+    }
+
+    /// The same of a multicast frame.
+    pub fn multicast_airtime(&self, datagram_bytes: usize) -> Span {
+        self.basic_rate.airtime(self.overhead_bytes + datagram_bytes, self.width_mhz, self.band)
+    }
+
+    /// How long the datagram alone takes of that.
+    pub fn payload_airtime(&self, datagram_bytes: usize) -> Span {
+        let empty = self.rate.airtime(self.overhead_bytes, self.width_mhz, self.band);
+        self.frame_airtime(datagram_bytes) - empty
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_is_sound_and_survives_toml() {
+        for name in PRESETS {
+            let preset = Radio::preset(name).unwrap();
+            assert_eq!(Radio::from_toml(&toml::to_string(&preset).unwrap()), Ok(preset), "{name}");
+        }
+        assert!(Radio::preset("wire").is_none());
+        assert_eq!(Radio::from_toml("").unwrap(), Radio::preset("wifi").unwrap());
+    }
+
+    #[test]
+    fn a_broken_channel_is_refused_by_its_field() {
+        let error = |text: &str| Radio::from_toml(text).unwrap_err().to_string();
+        assert!(error("rate = \"ofdm-55\"").contains("there is no rate 'ofdm-55'"));
+        assert!(error("width_mhz = 10").starts_with("basic_rate"), "there is no DSSS in a narrow channel");
+        assert!(error("width_mhz = 30").contains("5, 10, 20 or 40 MHz"));
+        assert!(error("cw_min = 16").starts_with("cw_min"));
+        assert!(error("cw_max = 7").starts_with("cw_max"));
+        assert!(error("queue = 0").starts_with("queue"));
+        assert!(error("noise_loss = 1.5").starts_with("noise_loss"));
+        assert!(error("background = nan").starts_with("background"));
+        assert!(error("range_m = 3.0").starts_with("range_m"));
+        assert!(error("channel = \"ad-hoc\"\nrange_m = -1.0").starts_with("range_m"));
+        assert!(error("antenna = 2").contains("unknown field"));
+    }
+
+    #[test]
+    fn bianchis_times_are_those_of_his_table() {
+        let radio = Radio::bianchi(3);
+        let times = radio.times();
+        assert_eq!(times.space, Span::from_nanos(128_000));
+        // Ts = 8982 us and Tc = 8713 us of basic access.
+        let success = radio.frame_airtime(1023) + times.propagation + times.acknowledged + times.space;
+        assert_eq!(success, Span::from_nanos(8_982_000));
+        let collision = radio.frame_airtime(1023) + times.propagation + times.recovery;
+        assert_eq!(collision, Span::from_nanos(8_713_000));
+        assert_eq!(radio.payload_airtime(1023), Span::from_nanos(8_184_000));
+    }
+}

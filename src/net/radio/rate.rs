@@ -1,0 +1,217 @@
+//! The rates of 802.11, and how long a frame is on the air at each. No medium access.
+//!
+//! Clauses and tables are those of IEEE 802.11-2016.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::time::Span;
+
+/// Time on air that follows an ERP-OFDM or HT frame at 2.4 GHz with nothing sent (18.3.2.4, 19.4.3) \[ns\].
+const SIGNAL_EXTENSION_NS: u64 = 6_000;
+/// Of an OFDM frame: 16 bits of SERVICE before the data and 6 of tail after it (17.3.5.2, 17.3.5.3).
+const SERVICE_AND_TAIL_BITS: u64 = 22;
+
+/// How frames are modulated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Family {
+    /// Bits go out one by one after a preamble of this length.
+    Serial { preamble_ns: u64 },
+    /// Symbols of 4 us at 20 MHz, of more where the channel is narrower (clause 17).
+    Ofdm,
+    /// Symbols of 4 us after the longer preamble of the mixed format, one spatial stream (clause 19).
+    Ht,
+}
+
+/// A rate by name, and how many bits it carries in two symbols of its family: of a serial one, in two microseconds.
+struct Coding {
+    name: &'static str,
+    family: Family,
+    bits_in_two: u64,
+}
+
+const fn coding(name: &'static str, family: Family, bits_in_two: u64) -> Coding {
+    Coding { name, family, bits_in_two }
+}
+
+/// Long preamble of 144 us and header of 48 us (16.2.2.2, 16.3.4).
+const DSSS: Family = Family::Serial { preamble_ns: 192_000 };
+/// The 128 bits of PHY header of Bianchi's Table II (JSAC 18(3), 2000), at 1 Mbit/s.
+const FHSS: Family = Family::Serial { preamble_ns: 128_000 };
+
+/// DSSS and HR/DSSS: 16.3.4; OFDM: data bits per symbol, Table 17-4; HT: Table 19-27, 20 MHz.
+const CODINGS: [Coding; 21] = [
+    coding("fhss-1", FHSS, 2),
+    coding("dsss-1", DSSS, 2),
+    coding("dsss-2", DSSS, 4),
+    coding("dsss-5.5", DSSS, 11),
+    coding("dsss-11", DSSS, 22),
+    coding("ofdm-6", Family::Ofdm, 2 * 24),
+    coding("ofdm-9", Family::Ofdm, 2 * 36),
+    coding("ofdm-12", Family::Ofdm, 2 * 48),
+    coding("ofdm-18", Family::Ofdm, 2 * 72),
+    coding("ofdm-24", Family::Ofdm, 2 * 96),
+    coding("ofdm-36", Family::Ofdm, 2 * 144),
+    coding("ofdm-48", Family::Ofdm, 2 * 192),
+    coding("ofdm-54", Family::Ofdm, 2 * 216),
+    coding("ht-mcs0", Family::Ht, 2 * 26),
+    coding("ht-mcs1", Family::Ht, 2 * 52),
+    coding("ht-mcs2", Family::Ht, 2 * 78),
+    coding("ht-mcs3", Family::Ht, 2 * 104),
+    coding("ht-mcs4", Family::Ht, 2 * 156),
+    coding("ht-mcs5", Family::Ht, 2 * 208),
+    coding("ht-mcs6", Family::Ht, 2 * 234),
+    coding("ht-mcs7", Family::Ht, 2 * 260),
+];
+
+/// The width of a channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "u8", into = "u8")]
+pub enum Width {
+    /// 5 MHz, OFDM alone.
+    Quarter,
+    /// 10 MHz, OFDM alone.
+    Half,
+    /// 20 MHz, all rates.
+    Full,
+    /// 40 MHz: HT frames carry more, all others are as at 20 MHz.
+    Double,
+}
+
+const WIDTHS: [(Width, u8); 4] = [(Width::Quarter, 5), (Width::Half, 10), (Width::Full, 20), (Width::Double, 40)];
+
+impl TryFrom<u8> for Width {
+    type Error = String;
+    fn try_from(mhz: u8) -> Result<Width, String> {
+        let found = WIDTHS.iter().find(|(_, other)| *other == mhz).map(|(width, _)| *width);
+        found.ok_or_else(|| format!("a channel is 5, 10, 20 or 40 MHz wide, not {mhz}"))
+    }
+}
+
+impl From<Width> for u8 {
+    fn from(width: Width) -> u8 {
+        WIDTHS.iter().find(|(other, _)| *other == width).map_or(20, |(_, mhz)| *mhz)
+    }
+}
+
+/// The band of a channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Band {
+    /// 2.4 GHz: OFDM frames are followed by 6 us of silence.
+    #[serde(rename = "2.4GHz")]
+    Low,
+    /// 5 GHz.
+    #[serde(rename = "5GHz")]
+    High,
+}
+
+/// A rate of 802.11, by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Rate(u8);
+
+impl Rate {
+    fn coding(self) -> &'static Coding {
+        &CODINGS[usize::from(self.0)]
+    }
+
+    /// Whether there are channels of this width at this rate.
+    pub fn fits(self, width: Width) -> bool {
+        matches!(width, Width::Full | Width::Double) || self.coding().family == Family::Ofdm
+    }
+
+    /// How long a frame of so many bytes is on the air, headers and check sequence of its MAC included: TXTIME of
+    /// 16.3.4, 17.4.3, 18.5.3.2 and 19.4.3.
+    pub fn airtime(self, bytes: usize, width: Width, band: Band) -> Span {
+        let Coding { family, bits_in_two, .. } = *self.coding();
+        let bits = 8 * bytes as u64;
+        let extension = if band == Band::Low { SIGNAL_EXTENSION_NS } else { 0 };
+        Span::from_nanos(match family {
+            Family::Serial { preamble_ns } => preamble_ns + 1_000 * (2 * bits).div_ceil(bits_in_two),
+            Family::Ofdm => {
+                // Table 17-21: everything is slower in a narrow channel.
+                let slower = match width {
+                    Width::Quarter => 4,
+                    Width::Half => 2,
+                    Width::Full | Width::Double => 1,
+                };
+                let symbols = (2 * (SERVICE_AND_TAIL_BITS + bits)).div_ceil(bits_in_two);
+                // Training of 16 us and SIGNAL of 4 us (17.4.3).
+                slower * (20_000 + 4_000 * symbols) + extension
+            }
+            Family::Ht => {
+                // 108 in place of 52 subcarriers carry data: Table 19-31 beside Table 19-27.
+                let (wider, narrower) = if width == Width::Double { (27, 13) } else { (1, 1) };
+                let symbols = (2 * narrower * (SERVICE_AND_TAIL_BITS + bits)).div_ceil(wider * bits_in_two);
+                // Legacy training and SIGNAL, HT-SIG 8 us, HT-STF 4 us, one HT-LTF of 4 us (Table 19-6, 19.4.3).
+                36_000 + 4_000 * symbols + extension
+            }
+        })
+    }
+}
+
+impl FromStr for Rate {
+    type Err = String;
+    fn from_str(name: &str) -> Result<Rate, String> {
+        let at = CODINGS.iter().position(|coding| coding.name == name);
+        let at = at.and_then(|at| u8::try_from(at).ok());
+        let names = || CODINGS.map(|coding| coding.name).join(", ");
+        at.map(Rate).ok_or_else(|| format!("there is no rate '{name}'; there are: {}", names()))
+    }
+}
+
+impl TryFrom<String> for Rate {
+    type Error = String;
+    fn try_from(name: String) -> Result<Rate, String> {
+        name.parse()
+    }
+}
+
+impl From<Rate> for String {
+    fn from(rate: Rate) -> String {
+        rate.to_string()
+    }
+}
+
+impl fmt::Display for Rate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.coding().name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn airtime_ns(rate: &str, bytes: usize, width: Width, band: Band) -> u64 {
+        rate.parse::<Rate>().unwrap().airtime(bytes, width, band).as_nanos()
+    }
+
+    #[test]
+    fn frames_are_on_the_air_as_long_as_the_standard_says() {
+        use Band::*;
+        use Width::*;
+        // 14 bytes of ACK: 192 + 112 us.
+        assert_eq!(airtime_ns("dsss-1", 14, Full, Low), 304_000);
+        assert_eq!(airtime_ns("dsss-5.5", 14, Full, Low), 213_000, "112 bits at 5.5 Mbit/s, rounded up");
+        // 22 + 112 bits are two symbols of 96, six of 24 and three of 48.
+        assert_eq!(airtime_ns("ofdm-24", 14, Full, High), 28_000);
+        assert_eq!(airtime_ns("ofdm-6", 14, Full, High), 44_000);
+        assert_eq!(airtime_ns("ofdm-12", 14, Full, Low), 38_000);
+        assert_eq!(airtime_ns("ofdm-54", 1536, Full, High), 248_000, "57 symbols");
+        assert_eq!(airtime_ns("ofdm-54", 1536, Quarter, High), 4 * 248_000);
+        assert_eq!(airtime_ns("ht-mcs7", 1538, Full, High), 36_000 + 4_000 * 48);
+        assert_eq!(airtime_ns("ht-mcs7", 1538, Double, High), 36_000 + 4_000 * 23, "540 bits a symbol");
+    }
+
+    #[test]
+    fn a_rate_has_one_name() {
+        for coding in &CODINGS {
+            assert_eq!(coding.name.parse::<Rate>().unwrap().to_string(), coding.name);
+        }
+        assert!("ofdm-7".parse::<Rate>().unwrap_err().contains("ofdm-6, ofdm-9"));
+        assert!(!"dsss-1".parse::<Rate>().unwrap().fits(Width::Half));
+    }
+}
