@@ -1,8 +1,8 @@
 //! What a team costs as it grows, at constant density: scenario `swap`, scripted navigation, one thread.
 //!
-//! `cargo bench --bench growth`. Items are robots' seconds: the time of one is what a robot costs for each second of its
-//! own time, and a team runs in real time as long as it has fewer robots than there are items in a second. The start of
-//! the run is part of it.
+//! `cargo bench --bench growth`. Items are robots' seconds: the time of one is what a robot costs for each second of
+//! its own time, and a team runs in real time as long as it has fewer robots than there are items in a second. The
+//! start of the run is part of it.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;

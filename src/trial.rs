@@ -176,8 +176,8 @@ impl Trial {
         self.faults(plan)
     }
 
-    /// For so long and no longer, and with as many episodes as that may take: what is said and carried in this time is in
-    /// the report's totals, and `Cost::of` gives it per robot and second.
+    /// For so long and no longer, and with as many episodes as that may take: what is said and carried in this time is
+    /// in the report's totals, and `Cost::of` gives it per robot and second.
     pub fn lasting(mut self, lasts: Span) -> Trial {
         let episodes = 1 + lasts.as_nanos() / LEAST_EPISODE.as_nanos();
         // What happens at the last instant is part of it.

@@ -7,7 +7,7 @@ use murmurate::report::trial::TrialReport;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 
-/// What a robot's frames must reach beyond whom it hears \[m\]: how far two of them may have come since they were measured.
+/// What frames must reach beyond what is listened to \[m\]: how far two robots may have come since they were measured.
 const MARGIN_M: f32 = 0.25;
 
 fn team(mode: &str, robots: usize) -> Trial {

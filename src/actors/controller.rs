@@ -86,7 +86,7 @@ impl Controller {
         if mode.round < self.round {
             return;
         }
-        // Whoever the instruction is for, the server is alive. What it says of others may be older than what is known here.
+        // Whoever the instruction is for, the server is alive. What it says to others may be older than what is known.
         self.guard.server_heard(now);
         if mode.task_of(self.config.robot).is_none() {
             return;

@@ -200,8 +200,8 @@ impl StateServer {
         }
     }
 
-    /// What is new is said to everyone. What is repeated holds the tasks of one block, and the rest of it for all: so what
-    /// a robot hears does not grow with the team.
+    /// What is new is said to everyone. What is repeated holds the tasks of one block, and all else for everyone: so
+    /// what a robot hears does not grow with the team.
     fn say(&mut self, out: &mut Vec<Mode>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));

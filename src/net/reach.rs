@@ -23,8 +23,8 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// A link that reaches `range_m` \[m\]. A host is where the first of the robots is whose agents it runs; one without
-    /// is in everybody's reach, and so is one whose robot nobody has seen yet.
+    /// A link that reaches `range_m` \[m\]. A host is where the first of the robots is whose agents it runs; one
+    /// without is in everybody's reach, and so is one whose robot nobody has seen yet.
     pub fn new(range_m: f32, robots_of: &[Option<u16>]) -> Reach {
         let hosts = u16::try_from(robots_of.len()).expect("hosts are counted in u16");
         let robots = robots_of.iter().flatten().max().map_or(0, |&last| usize::from(last) + 1);

@@ -1,7 +1,7 @@
 //! Robots trade places on open ground, of which every robot has the same, however large the team.
 //!
-//! Places form a grid, about as wide as it is deep; every episode deals them out anew, and no robot keeps its own. There are no walls
-//! and one policy frame.
+//! Places form a grid, about as wide as it is deep; every episode deals them out anew, and no robot keeps its own.
+//! There are no walls and one policy frame.
 
 use std::sync::Arc;
 
@@ -14,8 +14,8 @@ use crate::messages::local::Contacts;
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Every robot has the square of this of ground \[m\]: five robots have about that of the passage's arena. A row is this
-/// wide for each of its places, and less deep by as much as the last row is short of places, so by a quarter at the most.
+/// Every robot has the square of this of ground \[m\]: five robots have about that of the passage's arena. A row is
+/// this wide for each of its places, and less deep by what the last row is short of: by a quarter at the most.
 const PITCH_M: f32 = 2.0;
 /// How far a place may lie off its grid point along each axis, of what it has there: neighbours stay 0.9 m apart.
 const JITTER: f32 = 0.2;

@@ -100,8 +100,8 @@ pub struct Args {
     /// those in a deployment file, or a radio as a file (see docs/radio.md)
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     radio: String,
-    /// How far the frames of links carry that carry latents [m]: a large team is simulated much faster if nobody gets
-    /// what is out of range anyway, and to the same end if this is half a metre more than a robot hears [default: everywhere]
+    /// How far the links reach that carry latents [m]: a large team is simulated much faster if nobody gets what is out
+    /// of range anyway, and to the same end if this is a quarter of a metre more than robots hear [default: everywhere]
     #[arg(long)]
     link_range_m: Option<f32>,
     /// How far a robot hears [m] ('inf' for everywhere) [default: as the policy's file says]

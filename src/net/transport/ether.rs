@@ -43,7 +43,7 @@ pub struct Ether {
 }
 
 impl Ether {
-    /// An ether on which `listens` says which hosts listen to a kind of message. With a radio, the range is the radio's.
+    /// An ether on which `listens` says which hosts listen to a kind of message. With a radio, the range is that one's.
     pub fn new(medium: Medium, air: Option<Air>, reach: Option<Reach>, listens: impl Fn(Kind) -> Vec<HostId>) -> Ether {
         let of = |kind| listens(kind).into_iter().map(|host| host.0).collect::<BTreeSet<u16>>();
         let by_kind: Vec<BTreeSet<u16>> = KINDS.iter().map(|&kind| of(kind)).collect();
