@@ -96,8 +96,8 @@ impl Core for Body {
             self.lapses = None;
             out.push(Out::Drive(Drive { robot: self.robot, velocity: Vec2::zeros(), until: now }));
         }
-        while let Some((_, reading)) = self.pending.pop_front_if(|(due, _)| *due <= now) {
-            out.push(Out::Reading(reading));
+        while self.pending.front().is_some_and(|(due, _)| *due <= now) {
+            out.extend(self.pending.pop_front().map(|(_, reading)| Out::Reading(reading)));
         }
     }
 }
