@@ -119,7 +119,8 @@ fn a_team_that_cannot_be_is_refused_in_one_line() {
     let hull = "plant = \"rigid\"\nwall_radius_m = 0.2\nmode = ";
     refused(("mode = ", hull), &["wall_radius_m (line 4)", "'rigid'", "leave it out"]);
     let plant = "plant = \"rigid\"\n[deployment]\nmode = \"x\"\nrobots = 1\nplacement = \"drive\"\n\
-                 stepping = \"seeded\"\n[[deployment.host]]\nname = \"pc\"\nagents = [[0]]\nworld = [0]\nstate_server = true\n";
+                 stepping = \"seeded\"\n[[deployment.host]]\nname = \"pc\"\nagents = [[0]]\nworld = [0]\n\
+                 state_server = true\n";
     refused(("mode = \"onboard-infra\"\n", plant), &["plant (line 3)", "[deployment]"]);
     refused(("mode = ", "policy = \"nowhere\"\nmode = "), &["policy file", "nowhere"]);
     refused(("\"onboard-infra\"", "onboard-infra"), &["line 3"]);

@@ -25,6 +25,9 @@ pub const FIXED: &[(&str, &str)] = &[
 /// How thick the rails about the ground are \[m\]: more than a robot moves in any step.
 const RAIL_M: f32 = 1.0;
 
+/// How far a robot that is pressed against a rail may sink into it \[m\].
+const SINK_M: f32 = 0.002;
+
 /// Rigid bodies as a plant.
 pub struct Rigid {
     arena: Arena,
@@ -40,11 +43,17 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -
     let period_s = PERIOD.as_secs() as f32;
     let mut world = PhysicsWorld::new();
     world.gravity = Vector::ZERO;
-    // One step a period: contacts are foreseen within it (below), and the solver takes it in four parts by itself. Its
-    // defaults but for the iterations of each part, of which a crowd's chains of contacts need more: with one, twelve
-    // robots that press into a corner overlap by 5 cm.
-    world.integration_parameters =
-        IntegrationParameters { dt: period_s, num_internal_pgs_iterations: 4, ..IntegrationParameters::default() };
+    // One step a period, which the solver takes in four parts by itself; whatever two robots can meet within it is a
+    // contact from its beginning, also between those that a third pushes. So nothing is left for what would look for
+    // missed collisions afterwards, nor are last step's contacts of use.
+    world.integration_parameters = IntegrationParameters {
+        dt: period_s,
+        normalized_prediction_distance: 2.0 * physics.top_speed_m_s * period_s,
+        max_ccd_substeps: 0,
+        contact_recycling: false,
+        num_internal_pgs_iterations: 4,
+        ..IntegrationParameters::default()
+    };
     let core_m = physics.wall_radius_m - physics.give_m;
     let wall = |half: Vec2, centre: Vec2| {
         let collider = ColliderBuilder::cuboid(half.x, half.y).translation(glam(centre));
@@ -53,9 +62,9 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -
     for block in &arena.keep_outs {
         world.insert_collider(wall((block.max - block.min) / 2.0, (block.max + block.min) / 2.0), None);
     }
-    // Rails that a robot's solid core meets when its centre leaves the ground.
-    let (half, reach) =
-        (arena.half_extent.add_scalar(core_m + RAIL_M), arena.half_extent.add_scalar(core_m + RAIL_M / 2.0));
+    // Rails that a robot's solid core meets just before its centre leaves the ground.
+    let face = arena.half_extent.add_scalar(core_m - SINK_M);
+    let (half, reach) = (face.add_scalar(RAIL_M), face.add_scalar(RAIL_M / 2.0));
     for side in [-1.0, 1.0] {
         world.insert_collider(wall(Vec2::new(RAIL_M / 2.0, half.y), Vec2::new(side * reach.x, 0.0)), None);
         world.insert_collider(wall(Vec2::new(half.x, RAIL_M / 2.0), Vec2::new(0.0, side * reach.y)), None);
@@ -63,8 +72,6 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -
     let robots = positions.iter().enumerate().map(|(robot, position)| {
         // Their headings are held by the robots themselves, and no part of their state.
         let body = RigidBodyBuilder::dynamic().translation(glam(*position)).lock_rotations().can_sleep(false);
-        // Contacts are seen coming within a step, so that no speed is too high for one.
-        let body = body.soft_ccd_prediction(physics.top_speed_m_s * period_s);
         let disc = ColliderBuilder::ball(core_m).mass(physics.mass_kg);
         let (handle, _) = world.insert(body, disc.friction(physics.friction).restitution(physics.restitution));
         (handle, Drivetrain::new(seed.stream(&format!("slip/{robot}"))))
@@ -233,7 +240,7 @@ mod tests {
                     least = least.min(arena.clearance(at));
                     assert_eq!(state.contacts.wall, arena.clearance(at) <= HULL_M);
                     let outside = (at.abs() - arena.half_extent).max();
-                    assert!(outside < 2e-3, "{outside} m off the ground");
+                    assert!(outside <= 0.0, "{outside} m off the ground");
                 }
             });
             assert!(least > HULL_M - 0.01, "{start}: {least} m from a wall");
@@ -244,17 +251,19 @@ mod tests {
     fn a_crowd_that_is_driven_into_a_corner_never_overlaps_deeply() {
         let starts: Vec<Vec2> =
             (0..12).map(|k| Vec2::new((k % 4) as f32 * 0.5 - 1.0, (k / 4) as f32 * 0.5 - 2.5)).collect();
-        let physics = Physics { slip: 0.05, ..prompt() };
-        let mut plant = plant(&physics, &starts);
-        let mut least = f32::INFINITY;
-        drive_all(&mut *plant, &[Vec2::new(1.5, -1.5); 12], 200, |states| {
-            for (index, state) in states.iter().enumerate() {
-                for other in &states[..index] {
-                    least = least.min((state.motion.position - other.motion.position).norm());
+        let physics = Physics { acceleration_m_s2: f32::INFINITY, ..Physics::robomaster(&arena()) };
+        for seed in 0..8 {
+            let mut plant = build(&arena(), &physics, &starts, Seed::of_run(seed));
+            let mut least = f32::INFINITY;
+            drive_all(&mut *plant, &[Vec2::new(1.5, -1.5); 12], 200, |states| {
+                for (index, state) in states.iter().enumerate() {
+                    for other in &states[..index] {
+                        least = least.min((state.motion.position - other.motion.position).norm());
+                    }
                 }
-            }
-        });
-        assert!(least > 0.295, "{least} m");
+            });
+            assert!(least > 0.30, "seed {seed}: {least} m");
+        }
     }
 
     #[test]
