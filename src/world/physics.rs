@@ -76,8 +76,8 @@ impl Physics {
             // Four motors of 0.25 N m (data sheet) on wheels of 0.1 m under 3.3 kg: 4 * 0.25 / 0.05 / 3.3.
             traction_m_s2: 6.0,
             // An assumption: mecanum wheels skid over a tenth of a way and more, most of which is alike at any time and
-            // taken up by whoever closes the loop; this is what varies. It was 0.05, and was changed once with results in view
-            // (docs/world.md).
+            // taken up by whoever closes the loop; this is what varies. It was 0.05, and was changed once with
+            // results in view (docs/world.md).
             slip: 0.02,
             // An assumption: about the time in which a wheel passes over all of its rollers at 0.6 m/s.
             slip_s: 0.5,
