@@ -106,7 +106,7 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
             wire_robot(clock, plan, graph, robot);
         }
         if here(graph.routes.world_host(robot)) {
-            wire_body(clock, graph, robot);
+            wire_body(clock, plan, graph, robot);
         }
     }
     for host in 0..plan.deployment.hosts.len() {
@@ -209,10 +209,11 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
 }
 
 /// Body of one robot.
-fn wire_body(clock: &Clock, graph: &Graph, robot: RobotId) {
+fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
     let network = graph.network_of(graph.routes.world_host(robot));
     let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
-    let make = move |_| Body::new(robot);
+    let (sensor, seed) = (plan.physics.sensor, plan.seed);
+    let make = move |life| Body::new(robot, sensor, seed.stream(&format!("body/{}/sensor/{life}", robot.0)));
     start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
         body::Out::Reading(reading) => network.send(network::In::Publish(Wire::Reading(reading))),
@@ -336,9 +337,9 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
         let ranged = ranged_ethers(plan, graph, process);
         // On the floor before anything starts, as people would put them there.
         let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
-        let plant = plants::REGISTRY.iter().find(|entry| entry.name == plan.deployment.plant);
-        let plant =
-            (plant.expect("a checked deployment names a plant").build)(plan.scenario.arena(), &plan.physics, &starts);
+        let plant = plants::plant(&plan.deployment.plant).expect("a checked deployment names a plant");
+        let seed = plan.seed.child(&format!("world/{}", host.0));
+        let plant = (plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
         let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
         let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
         start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {

@@ -6,6 +6,7 @@
 use super::{ContactRule, Physics, Plant, PlantState};
 use crate::messages::geometry::Vec2;
 use crate::messages::local::Contacts;
+use crate::random::Seed;
 use crate::scenario::Arena;
 use crate::time::Span;
 
@@ -112,7 +113,7 @@ pub struct Kinematic {
 }
 
 /// Makes the plant.
-pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2]) -> Box<dyn Plant> {
+pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> Box<dyn Plant> {
     let zeros = vec![Vec2::zeros(); positions.len()];
     let mut plant = Kinematic {
         arena: arena.clone(),
@@ -183,7 +184,7 @@ mod tests {
 
     #[test]
     fn acceleration_and_speed_are_limited_and_a_wall_blocks() {
-        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros()]);
+        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros()], Seed::of_run(0));
         plant.drive(0, Vec2::new(9.0, 0.0));
         plant.advance();
         assert!((plant.states()[0].motion.velocity.x - 0.05).abs() < 1e-5);
@@ -197,7 +198,8 @@ mod tests {
     #[test]
     fn judged_contacts_are_flagged_and_block_nothing() {
         let physics = Physics { contacts: ContactRule::Judge, wall_radius_m: 0.16, ..Physics::published(&arena()) };
-        let mut plant = build(&arena(), &physics, &[Vec2::new(0.0, 0.335), Vec2::new(0.3, 0.335), Vec2::zeros()]);
+        let mut plant =
+            build(&arena(), &physics, &[Vec2::new(0.0, 0.335), Vec2::new(0.3, 0.335), Vec2::zeros()], Seed::of_run(0));
         (0..3).for_each(|robot| plant.drive(robot, Vec2::new(0.0, 1.0)));
         (0..4).for_each(|_| plant.advance());
         let states = plant.states();
@@ -208,7 +210,7 @@ mod tests {
     #[test]
     fn a_lagging_drivetrain_follows_as_a_first_order_system() {
         let free = Physics { acceleration_m_s2: f32::INFINITY, lag_s: 0.5, ..Physics::published(&arena()) };
-        let mut plant = build(&arena(), &free, &[Vec2::new(-1.0, -2.0)]);
+        let mut plant = build(&arena(), &free, &[Vec2::new(-1.0, -2.0)], Seed::of_run(0));
         plant.drive(0, Vec2::new(1.0, 0.0));
         (0..10).for_each(|_| plant.advance());
         // After one time constant, 1 - 1/e of the way.
@@ -217,7 +219,8 @@ mod tests {
 
     #[test]
     fn a_robot_blocks_another() {
-        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros(), Vec2::new(0.501, 0.0)]);
+        let mut plant =
+            build(&arena(), &Physics::published(&arena()), &[Vec2::zeros(), Vec2::new(0.501, 0.0)], Seed::of_run(0));
         plant.drive(0, Vec2::new(1.0, 0.0));
         plant.advance();
         assert!(plant.states()[0].contacts.robot && !plant.states()[1].contacts.robot);
