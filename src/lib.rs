@@ -9,9 +9,10 @@
 //!
 //! # Layers
 //! Each may use those before it, never those after:
-//! `time`, `random`, `config`, `messages`, `grid`; then `scenario`, `world`, `policy`, `safety`, `net` (but for its
+//! `time`, `random`, `config`, `messages`, `cells`; then `scenario`, `world`, `policy`, `safety`, `net` (but for its
 //! transports), `report`; then the cores in `actors`, and beside them [`train`], which knows no actor; then
-//! `deploy`; then `actors::{shell, clock}` and `net::transport`; then `actors::graph`; then `trial`; then the program.
+//! `deploy`; then `actors::{shell, clock}` and `net::transport`; then `actors::graph`; then `trial`; then `study`;
+//! then the program.
 //! `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
@@ -21,9 +22,9 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod actors;
+pub mod cells;
 pub mod config;
 pub mod deploy;
-pub mod grid;
 pub mod messages;
 pub mod net;
 pub mod policy;
@@ -31,6 +32,7 @@ pub mod random;
 pub mod report;
 pub mod safety;
 pub mod scenario;
+pub mod study;
 pub mod time;
 pub mod train;
 pub mod trial;

@@ -33,9 +33,9 @@ pub use crate::report::trial::TrialReport;
 use crate::safety::Safety;
 use crate::scenario::judge::Verdict;
 use crate::scenario::layout::Layouts;
-use crate::scenario::{self, Scenario, ScenarioError, Settings};
+use crate::scenario::{self, Arena, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
-use crate::world::{Clamp, Physics, Placement, kinematic};
+use crate::world::{self, Clamp, Physics, Placement, kinematic};
 
 /// About how long an episode with its reset takes \[s\].
 const EPISODE_S: f64 = 10.0;
@@ -104,6 +104,12 @@ pub enum Proceed {
     Stop,
 }
 
+/// What the robots of a plant are like; a plant that there is not is refused by `Trial::check`.
+fn physics(plant: &str, scenario: &dyn Scenario) -> Physics {
+    let entry = world::plant(plant);
+    entry.map_or(Physics::published as fn(&Arena) -> Physics, |entry| entry.physics)(scenario.arena())
+}
+
 impl Trial {
     /// A trial of one episode in a preset mode, with the scripted policy, the scenario's own team and seed 0.
     pub fn preset(mode: &str, scenario: &str) -> Result<Trial, TrialError> {
@@ -123,7 +129,7 @@ impl Trial {
         assert_eq!(deployment.robots, scenario.robots(), "a deployment is made for the scenario's team");
         Trial {
             layouts: Layouts::of_scenario(&*scenario, 0, 1),
-            physics: Physics::published(scenario.arena()),
+            physics: physics(&deployment.plant, &*scenario),
             deployment,
             scenario,
             model,
@@ -138,6 +144,13 @@ impl Trial {
             until: None,
             steps: Steps::Discarded,
         }
+    }
+
+    /// In this plant, whose robots are as they are unless someone says otherwise.
+    pub fn plant(mut self, name: &str) -> Trial {
+        (self.physics, self.deployment.plant) = (physics(name, &*self.scenario), name.to_owned());
+        let clamp = self.clamp;
+        self.clamp(clamp)
     }
 
     /// With so many of the scenario's own episodes.

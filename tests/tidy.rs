@@ -53,12 +53,12 @@ fn sources(folder: &str) -> Vec<Source> {
 
 /// The layer of a module; a module may use its own layer and those below.
 fn layer(module: &str) -> Option<u8> {
-    let layers: [(&str, u8); 31] = [
+    let layers: [(&str, u8); 32] = [
         ("config", 0),
         ("time", 0),
         ("random", 0),
         ("messages", 0),
-        ("grid", 0),
+        ("cells", 0),
         ("net::transport", 4),
         ("actors::shell", 4),
         ("actors::clock", 4),
@@ -84,7 +84,8 @@ fn layer(module: &str) -> Option<u8> {
         ("report", 1),
         ("deploy", 3),
         ("trial", 6),
-        ("lib", 7),
+        ("study", 7),
+        ("lib", 8),
     ];
     layers.iter().find(|(name, _)| module == *name || module.starts_with(&format!("{name}::"))).map(|(_, layer)| *layer)
 }

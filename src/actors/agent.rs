@@ -8,7 +8,7 @@ use std::cmp::Ordering;
 use std::sync::Arc;
 
 use super::Core;
-use crate::grid::{self, Grid};
+use crate::cells::{self, Cells};
 use crate::messages::geometry::{Task, Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Action, Heard, NEAR_M, Other, Percept, Progress};
@@ -96,7 +96,7 @@ pub struct Agent {
     /// How many of its robots have not perceived yet.
     missing: usize,
     /// Its robots by where they are, for the step at hand; none where everyone counts or they are few.
-    whereabouts: Option<Grid>,
+    whereabouts: Option<Cells>,
 }
 
 impl Agent {
@@ -150,13 +150,13 @@ impl Agent {
 
     /// Where everyone is that has perceived, to look at those alone who can be heard or met. A range that is drawn for
     /// every message has no bound.
-    fn locate(&self) -> Option<Grid> {
-        if self.seats.len() <= grid::FEW || self.range.std_m > 0.0 {
+    fn locate(&self) -> Option<Cells> {
+        if self.seats.len() <= cells::FEW || self.range.std_m > 0.0 {
             return None;
         }
         let nowhere = Vec2::repeat(f32::NAN);
         let at = |seat: &Seat| seat.percept.as_ref().map_or(nowhere, |percept| percept.estimate.position);
-        Grid::new(self.range.mean_m.max(NEAR_M), self.seats.iter().map(at))
+        Cells::new(self.range.mean_m.max(NEAR_M), self.seats.iter().map(at))
     }
 
     fn encode(&mut self, at: usize) -> Option<Latent> {

@@ -21,7 +21,8 @@ use super::world::{self, Ground, World};
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{Stop, Wire};
+use crate::messages::wire::{Kind, Stop, Wire};
+use crate::net::codec::Frame;
 use crate::net::fault::FaultPlan;
 use crate::net::link;
 use crate::net::medium::Medium;
@@ -112,7 +113,7 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
             wire_robot(clock, plan, graph, robot);
         }
         if here(graph.routes.world_host(robot)) {
-            wire_body(clock, graph, robot);
+            wire_body(clock, plan, graph, robot);
         }
     }
     for host in 0..plan.deployment.hosts.len() {
@@ -133,6 +134,7 @@ pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: imp
         repeat: plan.repeat,
         rules: plan.scenario.rules(),
         steps: plan.steps,
+        hearers: plan.deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count() as u64 - 1,
     };
     let robots = plan.deployment.robots;
     let make = move |_| Recorder::new(config.clone(), robots);
@@ -173,8 +175,16 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
     let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
     let watched = plan.safety.own_state == Switch::On;
+    let (record, observed) = (graph.record(), plan.steps == recorder::Steps::Reported);
+    let host = graph.routes.agent_host(robot);
     start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |out| match out {
-        cache::Out::Percept(percept) => agent.send(agent::In::Percept(percept)),
+        cache::Out::Percept(percept) => {
+            if observed {
+                let heard = percept.heard.iter().map(|heard| (heard.robot, heard.age)).collect();
+                record(recorder::In::Perceived(host, heard));
+            }
+            agent.send(agent::In::Percept(percept));
+        }
         // Nobody waits for it where own state is not watched, and it would be a fifth of all that goes around.
         cache::Out::Fresh if watched => controller.send(controller::In::Fresh),
         cache::Out::Fresh => {}
@@ -206,10 +216,11 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
 }
 
 /// Body of one robot.
-fn wire_body(clock: &Clock, graph: &Graph, robot: RobotId) {
+fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
     let network = graph.network_of(graph.routes.world_host(robot));
     let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
-    let make = move |_| Body::new(robot);
+    let (sensor, seed) = (plan.physics.sensor, plan.seed);
+    let make = move |life| Body::new(robot, sensor, seed.stream(&format!("body/{}/sensor/{life}", robot.0)));
     start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
         body::Out::Reading(reading) => network.send(network::In::Publish(Wire::Reading(reading))),
@@ -333,9 +344,9 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
         let ranged = ranged_ethers(plan, graph, process);
         // On the floor before anything starts, as people would put them there.
         let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
-        let plant = plants::REGISTRY.iter().find(|entry| entry.name == plan.deployment.plant);
-        let plant =
-            (plant.expect("a checked deployment names a plant").build)(plan.scenario.arena(), &plan.physics, &starts);
+        let plant = plants::plant(&plan.deployment.plant).expect("a checked deployment names a plant");
+        let seed = plan.seed.child(&format!("world/{}", host.0));
+        let plant = (plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
         let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
         let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
         start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {
@@ -373,8 +384,12 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
             Ether::new(medium, air, reach, |kind| routes.listeners(kind))
         };
         let (networks, record) = (graph.networks.clone(), graph.record());
+        let observed = plan.steps == recorder::Steps::Reported && link.carries.contains(&Kind::Latent);
         start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
             ether::Out::Arrive(Arrive { to, frame }) => {
+                if observed {
+                    record(recorder::In::Arrived(to, Frame::clone(&frame)));
+                }
                 networks[usize::from(to.0)].send(network::In::Frame(id, frame));
             }
             ether::Out::Counts(counts) => record(recorder::In::Radio(id, counts)),

@@ -171,13 +171,15 @@ mod tests {
     use super::*;
     use crate::messages::geometry::Task;
     use crate::messages::latch::Latch;
+    use crate::random::Seed;
     use crate::scenario::{Settings, build};
     use crate::world::{Physics, kinematic};
 
     fn world(placement: Placement) -> World {
         let passage = build("passage", &Settings::of(2)).unwrap();
         let starts = [Vec2::new(0.0, -1.0), Vec2::new(1.0, -1.0)];
-        let ground = Ground::new(kinematic::build(passage.arena(), &Physics::published(passage.arena()), &starts));
+        let physics = Physics::published(passage.arena());
+        let ground = Ground::new(kinematic::build(passage.arena(), &physics, &starts, Seed::of_run(0)));
         World::new(Rc::new(RefCell::new(ground)), placement, &[RobotId(0), RobotId(1)])
     }
 

@@ -22,7 +22,7 @@ use crate::net::medium::Impairment;
 use crate::net::radio::{Radio, Topology};
 use crate::net::reliability::Reliabilities;
 use crate::time::Span;
-use crate::world::{self, Placement};
+use crate::world::{self, PLANTS, Placement};
 
 /// When agents step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -164,8 +164,8 @@ impl Deployment {
         if self.robots == 0 || self.robots > usize::from(u16::MAX) {
             return wrong("robots", format!("{} is not 1 to {}", self.robots, u16::MAX));
         }
-        if !world::REGISTRY.iter().any(|entry| entry.name == self.plant) {
-            return wrong("plant", format!("there is no plant '{}'", self.plant));
+        if world::plant(&self.plant).is_none() {
+            return wrong("plant", format!("there is no plant '{}'; there are {}", self.plant, PLANTS.join(", ")));
         }
         for (field, names) in [
             ("host", self.hosts.iter().map(|host| &host.name).collect::<Vec<_>>()),

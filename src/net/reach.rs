@@ -2,7 +2,7 @@
 //!
 //! This is what the medium does. What a robot makes of whom it hears is decided by `range`.
 
-use crate::grid::Grid;
+use crate::cells::Cells;
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::HostId;
 use crate::messages::local::Truth;
@@ -16,7 +16,7 @@ pub struct Reach {
     /// By host: where it is \[m\], if it is on a robot that was seen.
     places: Vec<Option<Vec2>>,
     /// Made anew when somebody asks after a robot was seen.
-    grid: Option<Grid>,
+    grid: Option<Cells>,
     /// Hosts without a place: in everybody's reach.
     anywhere: Vec<usize>,
     near: Vec<usize>,
@@ -75,7 +75,7 @@ impl Reach {
         let grid = self.grid.get_or_insert_with(|| {
             self.anywhere = hosts.filter(|&host| places[host].is_none()).collect();
             let nowhere = Vec2::repeat(f32::NAN);
-            Grid::new(self.range_m, places.iter().map(|place| place.unwrap_or(nowhere))).expect("a checked range")
+            Cells::new(self.range_m, places.iter().map(|place| place.unwrap_or(nowhere))).expect("a checked range")
         });
         grid.near(at, found);
         found.extend(&self.anywhere);

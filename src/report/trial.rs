@@ -2,6 +2,7 @@
 
 use super::cost::Said;
 use super::episode::Episode;
+use super::listening::Listening;
 use crate::messages::local::Sample;
 use crate::messages::wire::{KINDS, Phase};
 use crate::net::link::LinkCounts;
@@ -66,4 +67,6 @@ pub struct Totals {
     pub radio: RadioCounts,
     /// What the robots' guards counted, up to their last heartbeats.
     pub safety: SafetyCounts,
+    /// What robots heard of each other while episodes ran; empty unless steps are kept.
+    pub listening: Listening,
 }

@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Rules;
-use crate::grid::{self, Grid};
+use crate::cells::{self, Cells};
 use crate::messages::geometry::Vec2;
 use crate::messages::local::Contacts;
 use crate::time::Span;
@@ -99,7 +99,7 @@ fn separation(robots: &[Seen], bound_m: f32) -> f32 {
         least = least.min((robots[one].position - robots[other].position).norm_squared());
     };
     let all = || robots.iter().map(|robot| robot.position);
-    match Grid::new(bound_m, all()).filter(|_| robots.len() > grid::FEW) {
+    match Cells::new(bound_m, all()).filter(|_| robots.len() > cells::FEW) {
         None => (0..robots.len()).for_each(|one| (one + 1..robots.len()).for_each(|other| between(one, other))),
         Some(grid) => {
             let mut near = Vec::new();

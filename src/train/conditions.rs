@@ -85,6 +85,7 @@ impl Episode {
                 wall_radius_m: self.wall_radius_m,
                 acceleration_m_s2: f32::INFINITY,
                 lag_s,
+                ..Physics::published(arena)
             },
         }
     }

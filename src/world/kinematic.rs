@@ -4,9 +4,10 @@
 //! `step` is the one definition of these dynamics; the World actor and the trainer both call it.
 
 use super::{ContactRule, Physics, Plant, PlantState};
-use crate::grid::{self, Grid};
+use crate::cells::{self, Cells};
 use crate::messages::geometry::Vec2;
 use crate::messages::local::Contacts;
+use crate::random::Seed;
 use crate::scenario::Arena;
 use crate::time::Span;
 
@@ -50,7 +51,7 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
         ContactRule::Block => (true, 2.0 * arena.robot_radius_m),
         ContactRule::Judge => (false, 2.0 * physics.wall_radius_m),
     };
-    if team.position.len() <= grid::FEW || !meet_by_cells(apart, blocks, team) {
+    if team.position.len() <= cells::FEW || !meet_by_cells(apart, blocks, team) {
         meet_all(apart, blocks, team);
     }
     let half = arena.half_extent;
@@ -94,7 +95,7 @@ fn meet_all(apart: f32, blocks: bool, team: &mut Team) {
 fn meet_by_cells(apart: f32, blocks: bool, team: &mut Team) -> bool {
     let fastest = team.velocity.iter().fold(0.0, |most: f32, velocity| most.max(velocity.norm()));
     // Twice: what rounding adds is far less than a step.
-    let Some(grid) = Grid::new(apart * SURELY + 2.0 * fastest * DT_S, team.before.iter().copied()) else {
+    let Some(grid) = Cells::new(apart * SURELY + 2.0 * fastest * DT_S, team.before.iter().copied()) else {
         return false;
     };
     let mut near = Vec::new();
@@ -147,7 +148,7 @@ pub struct Kinematic {
 }
 
 /// Makes the plant.
-pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2]) -> Box<dyn Plant> {
+pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> Box<dyn Plant> {
     let zeros = vec![Vec2::zeros(); positions.len()];
     let mut plant = Kinematic {
         arena: arena.clone(),
@@ -221,7 +222,7 @@ mod tests {
 
     #[test]
     fn acceleration_and_speed_are_limited_and_a_wall_blocks() {
-        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros()]);
+        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros()], Seed::of_run(0));
         plant.drive(0, Vec2::new(9.0, 0.0));
         plant.advance();
         assert!((plant.states()[0].motion.velocity.x - 0.05).abs() < 1e-5);
@@ -235,7 +236,8 @@ mod tests {
     #[test]
     fn judged_contacts_are_flagged_and_block_nothing() {
         let physics = Physics { contacts: ContactRule::Judge, wall_radius_m: 0.16, ..Physics::published(&arena()) };
-        let mut plant = build(&arena(), &physics, &[Vec2::new(0.0, 0.335), Vec2::new(0.3, 0.335), Vec2::zeros()]);
+        let mut plant =
+            build(&arena(), &physics, &[Vec2::new(0.0, 0.335), Vec2::new(0.3, 0.335), Vec2::zeros()], Seed::of_run(0));
         (0..3).for_each(|robot| plant.drive(robot, Vec2::new(0.0, 1.0)));
         (0..4).for_each(|_| plant.advance());
         let states = plant.states();
@@ -246,7 +248,7 @@ mod tests {
     #[test]
     fn a_lagging_drivetrain_follows_as_a_first_order_system() {
         let free = Physics { acceleration_m_s2: f32::INFINITY, lag_s: 0.5, ..Physics::published(&arena()) };
-        let mut plant = build(&arena(), &free, &[Vec2::new(-1.0, -2.0)]);
+        let mut plant = build(&arena(), &free, &[Vec2::new(-1.0, -2.0)], Seed::of_run(0));
         plant.drive(0, Vec2::new(1.0, 0.0));
         (0..10).for_each(|_| plant.advance());
         // After one time constant, 1 - 1/e of the way.
@@ -280,7 +282,8 @@ mod tests {
 
     #[test]
     fn a_robot_blocks_another() {
-        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros(), Vec2::new(0.501, 0.0)]);
+        let mut plant =
+            build(&arena(), &Physics::published(&arena()), &[Vec2::zeros(), Vec2::new(0.501, 0.0)], Seed::of_run(0));
         plant.drive(0, Vec2::new(1.0, 0.0));
         plant.advance();
         assert!(plant.states()[0].contacts.robot && !plant.states()[1].contacts.robot);

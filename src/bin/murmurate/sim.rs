@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
@@ -19,11 +19,11 @@ use murmurate::safety::Safety;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Settings};
 use murmurate::trial::{Proceed, Trial, TrialReport};
-use murmurate::world::{Clamp, ContactRule, Placement};
+use murmurate::world::{self, Clamp, ContactRule, Given, PLANTS, Placement, Sensor};
 
 use crate::output::{WholeFile, print, read_text, talk};
 use crate::paths::Paths;
-use crate::{BadInput, Ended, deployment, policy};
+use crate::{BadInput, Ended, deployment, jobs, policy};
 
 /// Flags of `murmurate sim`.
 #[derive(clap::Args)]
@@ -59,16 +59,26 @@ pub struct Args {
     /// How robots come to their starts: put there exactly, or driven there [default: as the deployment says]
     #[arg(long, value_parser = choice([("exact", Placement::Exact), ("drive", Placement::Drive)]))]
     placement: Option<Placement>,
-    /// Time constant of simulated robots' drivetrains: their true velocity follows commands this slowly [s]
-    #[arg(long, default_value_t = 0.0)]
-    lag_s: f32,
-    /// What comes of a contact: the move is not made, as in training, or it is made and the judge is told
-    #[arg(long, default_value = "block",
-        value_parser = choice([("block", ContactRule::Block), ("judge", ContactRule::Judge)]))]
-    contacts: ContactRule,
-    /// How near to a wall a robot's centre touches it [m] [default: the scenario's robot radius, 0.25]
+    /// What simulated robots move in: the training world, or one of rigid bodies with mass, friction and slipping
+    /// wheels, seen by motion capture (docs/world.md) [default: as the deployment says, else kinematic]
+    #[arg(long, value_parser = PossibleValuesParser::new(PLANTS))]
+    plant: Option<String>,
+    /// Time constant of simulated robots' drivetrains: their true velocity follows commands this slowly [s] [default:
+    /// as the plant has it: kinematic 0, rigid 0.5]
+    #[arg(long)]
+    lag_s: Option<f32>,
+    /// What comes of a contact: the move is not made, as in training, or it is made and the judge is told [default:
+    /// block; not for plant rigid]
+    #[arg(long, value_parser = choice([("block", ContactRule::Block), ("judge", ContactRule::Judge)]))]
+    contacts: Option<ContactRule>,
+    /// How near to a wall a robot's centre touches it [m] [default: the scenario's robot radius, 0.25; not for plant
+    /// rigid]
     #[arg(long)]
     wall_radius_m: Option<f32>,
+    /// How robots' states are measured: exactly, or with noise and latency [default: as the plant has it: kinematic
+    /// exact, rigid motion-capture]
+    #[arg(long, value_parser = choice(Sensor::NAMED))]
+    sensor: Option<Sensor>,
     /// What limits acceleration: the world to 1 m/s^2, as in training, or only the robots' own controllers, to commands
     /// within 0.25 m/s of the measured velocity, as on the published robots
     #[arg(long, default_value = "training",
@@ -127,7 +137,8 @@ pub struct Args {
     quiet: bool,
 }
 
-fn scenarios() -> PossibleValuesParser {
+/// A flag that takes a scenario.
+pub fn scenarios() -> PossibleValuesParser {
     PossibleValuesParser::new(scenario::REGISTRY.iter().map(|entry| entry.name))
 }
 
@@ -176,47 +187,35 @@ pub fn run(args: &Args) -> Result<Ended> {
 }
 
 fn run_all(args: &Args, trial: &Trial, stop: &AtomicBool) -> Result<Vec<TrialReport>> {
-    let bar = progress(args);
-    let next = AtomicU32::new(0);
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let jobs = args.jobs.map_or(cores, usize::from).min(args.repeats as usize);
-    let work = || {
-        let mut reports = Vec::new();
-        loop {
-            let repeat = next.fetch_add(1, Ordering::Relaxed);
-            if repeat >= args.repeats || stop.load(Ordering::Relaxed) {
-                return reports;
-            }
-            let mut shown = 0;
-            let proceed = |episodes: &[Episode]| {
-                if episodes.len() > shown {
-                    let new = (episodes.len() - shown) as u64;
-                    shown = episodes.len();
-                    bar.inc(new);
-                }
-                if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::On }
-            };
-            reports.push((repeat, Trial { repeat, ..trial.clone() }.run_while(proceed)));
-        }
+    let bar = progress(u64::from(args.episodes) * u64::from(args.repeats), args.quiet);
+    let repeats = args.repeats as usize;
+    let work = |repeat: usize| {
+        let repeat = u32::try_from(repeat).expect("repeats were counted in u32");
+        Trial { repeat, ..trial.clone() }.run_while(watched(&bar, stop))
     };
-    let mut reports: Vec<(u32, TrialReport)> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
-        threads
-            .into_iter()
-            .flat_map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-            .collect()
-    });
+    let reports = jobs::run(repeats, jobs::threads(args.jobs, repeats), stop, work);
     bar.finish_and_clear();
-    reports.sort_by_key(|(repeat, _)| *repeat);
     Ok(reports.into_iter().map(|(_, report)| report).collect())
 }
 
-fn progress(args: &Args) -> ProgressBar {
-    if args.quiet {
+/// Shows every episode on a bar as it ends, until the trial is to stop.
+pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -> Proceed {
+    let mut shown = 0;
+    move |episodes| {
+        if episodes.len() > shown {
+            bar.inc((episodes.len() - shown) as u64);
+            shown = episodes.len();
+        }
+        if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::On }
+    }
+}
+
+/// A bar over so many episodes, with the time that is left. On anything but a terminal it draws nothing.
+pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
+    if quiet {
         return ProgressBar::hidden();
     }
-    // On anything but a terminal it draws nothing.
-    let bar = ProgressBar::new(u64::from(args.episodes) * u64::from(args.repeats));
+    let bar = ProgressBar::new(episodes);
     let style =
         ProgressStyle::with_template("{bar:30} {pos}/{len} episodes, {eta} left").expect("the template is sound");
     bar.set_style(style);
@@ -263,14 +262,17 @@ fn trial(args: &Args) -> Result<(Trial, String)> {
     }
     deployment = deployment::with_radio(deployment, &args.radio)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
-    let policy::Loaded { model, name: policy, assumed } =
+    if let Some(plant) = &args.plant {
+        deployment.plant.clone_from(plant);
+    }
+    let policy::Loaded { model, name: policy, assumed, .. } =
         policy::load(args.policy.as_deref(), args.action.as_deref(), &*scenario)?;
     if let Some(assumed) = assumed.filter(|_| !args.quiet) {
         talk(&format!("warning: {assumed}"));
     }
     let mut trial = Trial::new(deployment, Arc::clone(&scenario), model).seed(args.seed).episodes(args.episodes);
     (trial.handling, trial.safety) = (args.handling, args.safety);
-    trial = physics(args, trial.clamp(args.clamp))?;
+    trial = physics(args, trial)?.clamp(args.clamp);
     if let Some(path) = &args.episodes_file {
         let text = read_text(path, "episodes file")?;
         trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes)
@@ -299,15 +301,22 @@ fn trial(args: &Args) -> Result<(Trial, String)> {
 
 /// The trial with robots as the flags say.
 fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
-    if !(0.0..=10.0).contains(&args.lag_s) {
-        return Err(BadInput(format!("--lag-s: {} is not 0 to 10", args.lag_s)).into());
+    let bad = |text: String| anyhow::Error::from(BadInput(text));
+    if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
+        return Err(bad(format!("--lag-s: {lag_s} is not 0 to 10")));
     }
-    let wall_radius_m = args.wall_radius_m.unwrap_or(trial.physics.wall_radius_m);
-    if !(wall_radius_m > 0.0 && wall_radius_m <= 10.0) {
-        return Err(BadInput(format!("--wall-radius-m: {wall_radius_m} is not above 0 and at most 10")).into());
+    if let Some(radius_m) = args.wall_radius_m.filter(|radius_m| !(*radius_m > 0.0 && *radius_m <= 10.0)) {
+        return Err(bad(format!("--wall-radius-m: {radius_m} is not above 0 and at most 10")));
     }
-    (trial.physics.lag_s, trial.physics.contacts) = (args.lag_s, args.contacts);
-    trial.physics.wall_radius_m = wall_radius_m;
+    let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
+    let given = Given { lag_s, contacts, wall_radius_m, sensor };
+    // A file with a plant that there is not is refused with its other faults, by its name.
+    if let Some(entry) = world::plant(&trial.deployment.plant) {
+        let flag = |field: &str| format!("--{}", field.replace('_', "-"));
+        trial.physics = given
+            .physics(entry, trial.scenario.arena())
+            .map_err(|error| bad(format!("{}: {error}", flag(error.field))))?;
+    }
     Ok(trial)
 }
 

@@ -1,7 +1,7 @@
 //! Who is near: points of the plane in square cells, so that nobody of a large team has to look at everyone.
 //!
 //! It gives candidates: all points within reach and some beyond, in the order of their numbers. Whoever asks measures
-//! for itself, in its own arithmetic, so that no result depends on the grid.
+//! for itself, in its own arithmetic, so that no result depends on them.
 
 use crate::messages::geometry::Vec2;
 
@@ -22,17 +22,17 @@ struct Entry {
 
 /// Points in cells. Cells are spread over as many buckets as there are points, so no outlier makes it large.
 #[derive(Clone, Debug, Default)]
-pub struct Grid {
+pub struct Cells {
     cell_m: f64,
     /// Bucket b holds the entries from `starts[b]` to `starts[b + 1]`, in the order of their numbers.
     starts: Vec<u32>,
     entries: Vec<Entry>,
 }
 
-impl Grid {
+impl Cells {
     /// Points \[m\], numbered from zero, to be found within `reach_m` of anywhere; `None` if that is everywhere or no
     /// distance at all.
-    pub fn new(reach_m: f32, points: impl Iterator<Item = Vec2>) -> Option<Grid> {
+    pub fn new(reach_m: f32, points: impl Iterator<Item = Vec2>) -> Option<Cells> {
         if !(0.0..f32::INFINITY).contains(&reach_m) {
             return None;
         }
@@ -40,20 +40,20 @@ impl Grid {
         let unsorted: Vec<Entry> =
             (0..).zip(points).map(|(number, at)| Entry { cell: cell(at, cell_m), number }).collect();
         let buckets = unsorted.len().next_power_of_two();
-        let mut grid = Grid { cell_m, starts: vec![0; buckets + 1], entries: unsorted.clone() };
+        let mut cells = Cells { cell_m, starts: vec![0; buckets + 1], entries: unsorted.clone() };
         for entry in &unsorted {
-            grid.starts[bucket(entry.cell, buckets) + 1] += 1;
+            cells.starts[bucket(entry.cell, buckets) + 1] += 1;
         }
         for at in 1..=buckets {
-            grid.starts[at] += grid.starts[at - 1];
+            cells.starts[at] += cells.starts[at - 1];
         }
-        let mut next = grid.starts.clone();
+        let mut next = cells.starts.clone();
         for entry in unsorted {
             let place = &mut next[bucket(entry.cell, buckets)];
-            grid.entries[*place as usize] = entry;
+            cells.entries[*place as usize] = entry;
             *place += 1;
         }
-        Some(grid)
+        Some(cells)
     }
 
     /// Puts the numbers of all points that may be within reach of `at` into `found`, in order, and nothing else.
@@ -92,14 +92,14 @@ mod tests {
 
     #[test]
     fn nobody_within_reach_is_missed_and_few_beyond_are_named() {
-        let mut stream = Seed::of_run(5).stream("grid");
+        let mut stream = Seed::of_run(5).stream("cells");
         for (spread, reach) in [(20.0, 3.0), (20.0, 0.5), (1e5, 4.0), (3.0, 10.0), (5.0, 0.0)] {
             let mut point = || Vec2::new(stream.random_range(-spread..=spread), stream.random_range(-spread..=spread));
             let points: Vec<Vec2> = (0..500).map(|_| point()).collect();
-            let grid = Grid::new(reach, points.iter().copied()).unwrap();
+            let cells = Cells::new(reach, points.iter().copied()).unwrap();
             let (mut found, mut named) = (Vec::new(), 0);
             for at in &points {
-                grid.near(*at, &mut found);
+                cells.near(*at, &mut found);
                 named += found.len();
                 assert!(found.is_sorted_by(|a, b| a < b), "in order, each once");
                 let within = (0..500).filter(|&other| (points[other] - at).norm() <= reach);
@@ -113,16 +113,17 @@ mod tests {
     #[test]
     fn outliers_and_what_is_no_point_do_no_harm() {
         let points = [Vec2::repeat(f32::NAN), Vec2::repeat(f32::INFINITY), Vec2::repeat(f32::MAX), Vec2::zeros()];
-        let grid = Grid::new(1.0, points.into_iter()).unwrap();
+        let cells = Cells::new(1.0, points.into_iter()).unwrap();
         let mut found = Vec::new();
-        grid.near(Vec2::repeat(f32::MAX), &mut found);
+        cells.near(Vec2::repeat(f32::MAX), &mut found);
         assert_eq!(found, [1, 2]);
-        grid.near(Vec2::zeros(), &mut found);
+        cells.near(Vec2::zeros(), &mut found);
         assert!(found.contains(&3));
         assert!(
-            Grid::new(f32::INFINITY, points.into_iter()).is_none() && Grid::new(f32::NAN, points.into_iter()).is_none()
+            Cells::new(f32::INFINITY, points.into_iter()).is_none()
+                && Cells::new(f32::NAN, points.into_iter()).is_none()
         );
-        Grid::new(1.0, std::iter::empty()).unwrap().near(Vec2::zeros(), &mut found);
+        Cells::new(1.0, std::iter::empty()).unwrap().near(Vec2::zeros(), &mut found);
         assert!(found.is_empty());
     }
 }
