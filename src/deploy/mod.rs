@@ -258,8 +258,8 @@ impl Deployment {
         Targets { robots: self.robots, hosts: self.hosts.len(), links }
     }
 
-    /// Puts such a radio on the links that would have one: every link but the wires and the loopback gets a channel of its
-    /// own. The one named 'ad-hoc' is ad-hoc and has the range; the others go through an access point.
+    /// Puts such a radio on the links that would have one: every link but the wires and the loopback gets a channel of
+    /// its own. The one named 'ad-hoc' is ad-hoc and has the range; the others go through an access point.
     pub fn with_radio(mut self, radio: &Radio) -> Deployment {
         for link in self.links.iter_mut().filter(|link| link.name != WIRES && link.name != LOOPBACK) {
             let ad_hoc = link.name == AD_HOC;

@@ -106,8 +106,8 @@ pub struct Args {
     /// What suffers delay and loss: what robots tell each other, or everything on every link [default: latent]
     #[arg(long, value_parser = PossibleValuesParser::new(["latent", "all"]))]
     impair: Option<String>,
-    /// What the mode's links are: 'none' for ideal ones, a preset radio (wifi, wifi-n, wifi-slow), which takes the place of
-    /// those in a deployment file, or a radio as a file (see docs/radio.md)
+    /// What the mode's links are: 'none' for ideal ones or those of the deployment file, a preset radio (wifi, wifi-n,
+    /// wifi-slow), or a radio as a file (see docs/radio.md)
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     radio: String,
     /// How far the links reach that carry latents [m]: a large team is simulated much faster if nobody gets what is out

@@ -1,0 +1,50 @@
+//! The radio channel by itself: what a transmission costs, idle slots and collisions included.
+
+use std::sync::Arc;
+
+use divan::counter::ItemsCount;
+use divan::{Bencher, black_box};
+use murmurate::net::radio::{Channel, Radio, To, Topology};
+use murmurate::random::Seed;
+use murmurate::time::{Span, Time};
+
+fn main() {
+    divan::main();
+}
+
+/// Stations that always have a frame of 300 bytes: ten seconds of it, counted in transmissions.
+#[divan::bench(args = [2, 5, 20, 50])]
+fn saturated(bencher: Bencher, stations: u16) {
+    let end = Time::ZERO + Span::from_millis(10_000);
+    let run = || {
+        let radio = Radio { channel: Topology::AdHoc, ..Radio::default() };
+        let mut channel = Channel::new(radio, stations, &Seed::of_run(1));
+        for station in 0..stations {
+            channel.saturate(Time::ZERO, station, To::One((station + 1) % stations), 300, ());
+        }
+        let mut arrived = Vec::new();
+        channel.wake(end, &mut arrived);
+        channel.counts(end).transmissions
+    };
+    bencher.counter(ItemsCount::new(run())).bench_local(|| black_box(run()));
+}
+
+/// A team that tells everybody everything 20 times a second through an access point, for ten seconds, with noise and
+/// foreign frames; counted in transmissions.
+#[divan::bench(args = [5, 20])]
+fn team(bencher: Bencher, robots: u16) {
+    let run = || {
+        let radio = Radio { noise_loss: 0.1, background: 0.2, ..Radio::default() };
+        let mut channel = Channel::new(radio, robots, &Seed::of_run(1));
+        let all: Arc<[u16]> = (0..robots).collect();
+        let mut arrived = Vec::new();
+        for step in 0..200 * u64::from(robots) {
+            let now = Time::ZERO + Span::from_nanos(step * 50_000_000 / u64::from(robots));
+            channel.wake(now, &mut arrived);
+            channel.offer(now, (step % u64::from(robots)) as u16, To::Many(Arc::clone(&all)), 300, ());
+            arrived.clear();
+        }
+        channel.counts(Time::ZERO).transmissions
+    };
+    bencher.counter(ItemsCount::new(run())).bench_local(|| black_box(run()));
+}
