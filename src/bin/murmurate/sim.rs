@@ -111,7 +111,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     radio: String,
     /// How far the links reach that carry latents [m]: a large team is simulated much faster if nobody gets what is out
-    /// of range anyway, and to the same end if this is a quarter of a metre more than robots hear [default: everywhere]
+    /// of range anyway; see docs/scale.md for how much more than robots hear it should be [default: everywhere]
     #[arg(long)]
     link_range_m: Option<f32>,
     /// How far a robot hears [m] ('inf' for everywhere) [default: as the policy's file says]
