@@ -40,6 +40,9 @@ use crate::world::{self, Clamp, Physics, Placement, kinematic};
 /// About how long an episode with its reset takes \[s\].
 const EPISODE_S: f64 = 10.0;
 
+/// No episode with its reset is over sooner.
+const LEAST_EPISODE: Span = Span::from_millis(1000);
+
 /// Everything that a trial depends on.
 #[derive(Clone)]
 pub struct Trial {
@@ -69,6 +72,8 @@ pub struct Trial {
     pub stops: Vec<(Time, Stop)>,
     /// What goes wrong.
     pub faults: FaultPlan,
+    /// When it ends, in the midst of an episode or not; `None` for after the last one.
+    pub until: Option<Time>,
     /// Whether the report keeps every step.
     pub steps: Steps,
 }
@@ -108,7 +113,12 @@ fn physics(plant: &str, scenario: &dyn Scenario) -> Physics {
 impl Trial {
     /// A trial of one episode in a preset mode, with the scripted policy, the scenario's own team and seed 0.
     pub fn preset(mode: &str, scenario: &str) -> Result<Trial, TrialError> {
-        let scenario = scenario::build(scenario, &Settings::default())?;
+        Trial::of_team(mode, scenario, None)
+    }
+
+    /// The same for a team of this size.
+    pub fn of_team(mode: &str, scenario: &str, robots: impl Into<Option<usize>>) -> Result<Trial, TrialError> {
+        let scenario = scenario::build(scenario, &Settings { robots: robots.into(), gap_m: None })?;
         let deployment = Deployment::preset(mode, scenario.robots());
         let deployment = deployment.ok_or_else(|| TrialError::Mode { name: mode.to_owned() })?;
         Ok(Trial::new(deployment, scenario, Model::Orca))
@@ -131,6 +141,7 @@ impl Trial {
             safety: Safety::emulated(),
             stops: Vec::new(),
             faults: FaultPlan::default(),
+            until: None,
             steps: Steps::Discarded,
         }
     }
@@ -178,6 +189,15 @@ impl Trial {
         self.faults(plan)
     }
 
+    /// For so long and no longer, and with as many episodes as that may take: what is said and carried in this time is
+    /// in the report's totals, and `Cost::of` gives it per robot and second.
+    pub fn lasting(mut self, lasts: Span) -> Trial {
+        let episodes = 1 + lasts.as_nanos() / LEAST_EPISODE.as_nanos();
+        // What happens at the last instant is part of it.
+        self.until = Some(Time::ZERO + lasts + Span::from_nanos(1));
+        self.episodes(u32::try_from(episodes).expect("a trial takes less than a century"))
+    }
+
     /// With every step kept in the report.
     pub fn keeping_steps(mut self) -> Trial {
         self.steps = Steps::Reported;
@@ -213,6 +233,7 @@ impl Trial {
                     }
                     Out::Step(step) => report.steps.push(step),
                     Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
+                    Out::Closed(totals) => report.totals = totals,
                 }
             }
         };
@@ -222,7 +243,8 @@ impl Trial {
             |_, now| {
                 let mut report = said.borrow_mut();
                 report.simulated = now.since(Time::ZERO);
-                report.finished || now >= deadline || proceed(&report.episodes) == Proceed::Stop
+                let closed = self.until.is_some_and(|until| now >= until);
+                report.finished || closed || now >= deadline || proceed(&report.episodes) == Proceed::Stop
             },
         );
         assert_eq!(end, End::Done, "a team that beats never falls idle");
@@ -295,6 +317,7 @@ impl Trial {
             repeat: self.repeat,
             seed: Seed::of_repeat(self.seed, self.repeat),
             faults: self.faults.clone(),
+            until: self.until,
             steps: self.steps,
         }
     }

@@ -70,8 +70,6 @@ fn wrong_flags_are_refused_in_one_line() {
     refuses(&["sim", "--handling", "forget"], &["--handling", "forget", "as-published"]);
     refuses(&["sim", "--safety", "none"], &["--safety", "none", "deployed"]);
     refuses(&["sim", "--placement", "fly"], &["--placement", "fly", "drive"]);
-    refuses(&["sim", "--radio", "wifi"], &["--radio", "'sim'"]);
-    refuses(&["sim", "--mode", "offboard", "--radio", "smoke"], &["--radio", "smoke", "wifi-n"]);
     refuses(&["sim", "--mode", "offboard", "--impair", "all"], &["--impair", "--loss"]);
     refuses(&["deployment", "offboard", "--robots", "70000"], &["--robots", "70000"]);
     refuses(&["fly"], &["fly"]);
@@ -87,9 +85,6 @@ fn wrong_files_are_refused_in_one_line_that_names_the_place() {
     refuses(&["sim", "--episodes-file", &missing], &["episodes file", &missing]);
     refuses(&["sim", "--faults", &missing], &["fault plan", &missing]);
     refuses(&["sim", "--deployment", &missing], &["deployment file", &missing]);
-    refuses(&["sim", "--mode", "offboard", "--radio", &missing], &["radio file", &missing]);
-    let radio = folder.file("room.toml", "noise_loss = 2\n");
-    refuses(&["sim", "--mode", "offboard", "--radio", &radio], &["room.toml", "noise_loss", "2"]);
     refuses(&["sim", "--trajectories", "/nowhere/at/all.csv"], &["/nowhere/at/all.csv"]);
     refuses(&["sim", "--trajectories", &folder.0.path().to_string_lossy()], &["folder"]);
 

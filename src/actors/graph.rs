@@ -27,6 +27,7 @@ use crate::net::fault::FaultPlan;
 use crate::net::link;
 use crate::net::medium::Medium;
 use crate::net::range::CommRange;
+use crate::net::reach::Reach;
 use crate::net::transport::air::Air;
 use crate::net::transport::ether::{self, Ether};
 use crate::net::transport::{self, Arrive, Transmit};
@@ -75,6 +76,8 @@ pub struct Plan {
     pub seed: Seed,
     /// What goes wrong.
     pub faults: FaultPlan,
+    /// When the run ends, if not with its last episode.
+    pub until: Option<Time>,
     /// Whether every step is told.
     pub steps: recorder::Steps,
 }
@@ -90,6 +93,10 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
     for fault in &plan.faults.actors {
         let (fault, graph) = (fault.clone(), Rc::clone(&graph));
         clock.call(fault.at, Box::new(move || graph.inject(fault)));
+    }
+    if let Some(until) = plan.until {
+        let record = graph.record();
+        clock.call(until, Box::new(move || record(recorder::In::Closing)));
     }
     for (at, stop) in plan.stops.iter().copied() {
         let network = graph.network_of(stop.by);
@@ -354,8 +361,8 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
 
 /// The emulated links on which it matters where robots are.
 fn ranged_ethers(plan: &Plan, graph: &Graph, process: &Process) -> Vec<Mailbox<transport::In>> {
-    let links = plan.deployment.links.iter().zip(&graph.transports).filter(|_| process.only.is_none());
-    let ranged = links.filter(|(link, _)| link.radio.as_ref().is_some_and(|radio| radio.range_m.is_some()));
+    let links = plan.deployment.links.iter().zip(graph.transports.iter()).filter(|_| process.only.is_none());
+    let ranged = links.filter(|(link, _)| link.range_m.or(link.radio.as_ref().and_then(|r| r.range_m)).is_some());
     ranged.map(|(_, ether)| ether.clone()).collect()
 }
 
@@ -367,13 +374,14 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
         let routes = graph.routes.clone();
         let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
         let (seed, name) = (plan.seed, link.name.clone());
-        let (radio, robots_of) = (link.radio.clone(), Rc::clone(&robots_of));
+        let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
         let make = move |life| {
             let stream = seed.stream(&format!("link/{name}/{life}"));
             let medium = Medium::new(impairment.clone(), faults.clone(), stream);
             let air = || seed.child(&format!("link/{name}/radio/{life}"));
             let air = radio.clone().map(|radio| Air::new(radio, &robots_of, &air()));
-            Ether::new(medium, air, |kind| routes.listeners(kind))
+            let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
+            Ether::new(medium, air, reach, |kind| routes.listeners(kind))
         };
         let (networks, record) = (graph.networks.clone(), graph.record());
         let observed = plan.steps == recorder::Steps::Reported && link.carries.contains(&Kind::Latent);

@@ -1,7 +1,7 @@
 //! The emulated medium of one link: when, and whether, a frame reaches each listener.
 //!
-//! Ideal but for a fixed delay and an independent loss per listener, and for the faults of a plan. What comes
-//! through a radio channel (`radio`) goes through here after it. Pure: time and randomness are handed in.
+//! Ideal but for a fixed delay and an independent loss per listener, and for the faults of a plan. The
+//! radio channel of 802.11 comes to stand here beside it. Pure: time and randomness are handed in.
 
 use rand::RngExt;
 

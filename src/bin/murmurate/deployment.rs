@@ -41,7 +41,7 @@ pub fn with_radio(deployment: Deployment, given: &str) -> Result<Deployment> {
     }
     let radio = match Radio::preset(given) {
         Some(radio) => radio,
-        None if !given.contains(['.', '/']) => {
+        None if Path::new(given).extension().is_none() => {
             let names = PRESETS.join(", ");
             let why = format!("--radio: there is no radio '{given}'; there are: none, {names}, or a file FILE.toml");
             return Err(BadInput(why).into());

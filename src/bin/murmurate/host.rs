@@ -227,6 +227,7 @@ impl Seen {
                 }
             }
             Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
+            Out::Closed(totals) => report.totals = totals,
         }
         report.simulated = report.totals.end.since(Time::ZERO);
     }

@@ -20,7 +20,7 @@ use std::sync::Arc;
 use serde::Deserialize;
 
 use self::layers::{Entry, Layers, Value, place};
-use super::{Deployment, MODES, Routes};
+use super::{Deployment, Link, MODES, Routes};
 use crate::actors::cache::Handling;
 use crate::config::{self, ConfigError};
 use crate::messages::ids::{HostId, RobotId};
@@ -246,8 +246,12 @@ fn deployment(inline: Option<Deployment>, layers: &Layers) -> Result<Deployment,
             return Err(ConfigError::field(place("plant", &entry.origin), why));
         }
         deployment.check().map_err(|error| error.within("deployment"))?;
-        if let Some(link) = deployment.links.iter().find(|link| link.delay_s > 0.0 || link.loss > 0.0) {
-            let why = format!("link '{}' is to be made slow or lossy, which only 'murmurate sim' can", link.name);
+        let worse = |link: &&Link| link.delay_s > 0.0 || link.loss > 0.0 || link.range_m.is_some();
+        if let Some(link) = deployment.links.iter().find(worse) {
+            let why = format!(
+                "link '{}' is to be made slow, lossy or short of range, which only 'murmurate sim' can",
+                link.name
+            );
             return Err(ConfigError::field("deployment.link", why));
         }
         return match robots.filter(|entry| whole(entry) != deployment.robots as u64) {

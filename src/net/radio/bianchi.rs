@@ -1,5 +1,5 @@
-//! Where a channel saturates: the model of G. Bianchi, "Performance analysis of the IEEE 802.11 distributed
-//! coordination function", IEEE JSAC 18(3), 2000. Closed form; no simulation.
+//! Where a channel saturates: the model of G. Bianchi, "Performance analysis of the IEEE 802.11 distributed coordination
+//! function", IEEE JSAC 18(3), 2000. Closed form; no simulation.
 
 use super::Radio;
 use crate::time::Span;

@@ -15,8 +15,8 @@ use crate::messages::geometry::Vec2;
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
-/// What foreign frames carry: a full Ethernet payload (IEEE 802.3, 3.2.7), less what `OVERHEAD_BYTES` counts of IP and
-/// UDP \[bytes\].
+/// What foreign frames carry: a full Ethernet payload (IEEE 802.3, 3.2.7), less what `OVERHEAD_BYTES` counts of IP and UDP
+/// \[bytes\].
 const FOREIGN_BYTES: usize = 1500 - 28;
 
 /// A frame that a station has received.

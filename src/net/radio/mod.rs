@@ -96,8 +96,8 @@ pub struct Radio {
     pub background: f64,
 }
 
-/// On the air beside a datagram: MAC header 24 (9.2.3) with QoS control 2 (9.2.4.5) and FCS 4, LLC and SNAP 8 (RFC
-/// 1042), IPv4 20 (RFC 791), UDP 8 (RFC 768) \[bytes\].
+/// On the air beside a datagram: MAC header 24 (9.2.3) with QoS control 2 (9.2.4.5) and FCS 4, LLC and SNAP 8 (RFC 1042),
+/// IPv4 20 (RFC 791), UDP 8 (RFC 768) \[bytes\].
 pub const OVERHEAD_BYTES: usize = 24 + 2 + 4 + 8 + 20 + 8;
 /// An acknowledgement (9.3.1.4) \[bytes\].
 pub const ACK_BYTES: usize = 14;

@@ -115,8 +115,8 @@ impl<T: Clone> Station<T> {
         }
     }
 
-    /// Its frame was not acknowledged: it goes out again from a window twice as large (10.3.3, 10.3.4.4), or comes back
-    /// as given up.
+    /// Its frame was not acknowledged: it goes out again from a window twice as large (10.3.3, 10.3.4.4), or comes back as
+    /// given up.
     pub fn failed(&mut self, job: Job<T>, radio: &Radio, stream: &mut Stream) -> Option<Job<T>> {
         if self.failures >= radio.retries {
             self.done(radio, stream);
