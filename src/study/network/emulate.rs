@@ -129,7 +129,13 @@ impl<E: Endpoint> Emulation<E> {
                     self.air.wake(now, &mut deliveries);
                     for delivery in deliveries.drain(..) {
                         self.ends[usize::from(delivery.to)].receive(delivery.at, &delivery.token, &mut said);
-                        Self::act(&mut self.air, &mut self.tally, (delivery.at, delivery.to), (&self.everyone, self.addressing), &mut said);
+                        Self::act(
+                            &mut self.air,
+                            &mut self.tally,
+                            (delivery.at, delivery.to),
+                            (&self.everyone, self.addressing),
+                            &mut said,
+                        );
                     }
                     continue;
                 }

@@ -112,7 +112,8 @@ mod tests {
     #[test]
     fn a_file_is_a_radio_or_shaped_links() {
         assert!(matches!(Medium::from_toml("retries = 3"), Ok(Medium::Radio(Radio { retries: 3, .. }))));
-        let shaped = Medium::from_toml("rate_bit_s = 1e6\nburst_bytes = 1600\nqueue_bytes = 9000\nloss = 0.16").unwrap();
+        let shaped =
+            Medium::from_toml("rate_bit_s = 1e6\nburst_bytes = 1600\nqueue_bytes = 9000\nloss = 0.16").unwrap();
         assert!(matches!(shaped, Medium::Shaped(Shaped { queue_bytes: 9000, overhead_bytes: 42, .. })));
         assert!(Medium::from_toml("rate_bit_s = -1.0\nburst_bytes = 1600\nqueue_bytes = 9000").is_err());
         assert!(Medium::named("shaped").is_some() && Medium::named("telepathy").is_none());

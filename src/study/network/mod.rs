@@ -9,8 +9,11 @@ pub mod emulate;
 pub mod linked;
 pub mod medium;
 pub mod outcome;
+pub mod pages;
 pub mod rtps;
+pub mod saturation;
 pub mod shaped;
+pub mod table;
 pub mod talk;
 
 pub use case::{Addressing, Assurance, Case, History, Network, Sweep};

@@ -134,7 +134,8 @@ impl Tally {
     pub fn step(&mut self, now: Time, station: u16) {
         for from in (0..self.stations).filter(|from| *from != usize::from(station)) {
             // Of whom nothing was ever heard, everything is too old.
-            let age = self.newest[usize::from(station) * self.stations + from].map_or(Span::from_secs(1e3), |at| now.since(at));
+            let age = self.newest[usize::from(station) * self.stations + from]
+                .map_or(Span::from_secs(1e3), |at| now.since(at));
             self.aged(age);
         }
     }
@@ -234,6 +235,18 @@ pub struct Row {
 }
 
 impl Row {
+    /// The case that it is of.
+    pub fn case(&self) -> Case {
+        let Row { network, addressing, reliability, retries, rate, .. } = *self;
+        Case { network, addressing, reliability, retries, rate }
+    }
+
+    /// What all rates of its combination have in common, in a few words.
+    pub fn combination(&self) -> String {
+        let name = self.case().combination();
+        if self.source == "emulated" { name } else { format!("{name}, {}", self.source) }
+    }
+
     /// The line of a case.
     pub fn of(source: &str, case: &Case, outcome: &Outcome) -> Row {
         let due = outcome.due.max(1) as f64;

@@ -239,7 +239,9 @@ mod tests {
     use super::*;
 
     fn heard(said: &[Said<Packet>]) -> Vec<u32> {
-        said.iter().filter_map(|said| if let Said::Hear { sequence, .. } = said { Some(*sequence) } else { None }).collect()
+        said.iter()
+            .filter_map(|said| if let Said::Hear { sequence, .. } = said { Some(*sequence) } else { None })
+            .collect()
     }
 
     fn sent(said: &mut Vec<Said<Packet>>) -> Vec<Packet> {

@@ -121,9 +121,30 @@ impl Args {
                 Err(_) => return bad(format!("--history: '{depth}' is neither a number nor 'all'")),
             },
         };
-        (sweep.stations, sweep.bytes, sweep.seconds, sweep.seed) =
-            (self.stations, self.bytes, self.seconds, self.seed);
+        (sweep.stations, sweep.bytes, sweep.seconds, sweep.seed) = (self.stations, self.bytes, self.seconds, self.seed);
         sweep.check().map_err(|e| BadInput(format!("--{e}")))?;
         Ok(sweep)
+    }
+
+    /// The command that makes the study, whatever it was typed as. Not in it: what makes no difference to the results.
+    pub fn command(&self) -> String {
+        let mut command = format!("murmurate study network --medium {}", self.medium);
+        let mut add = |flag: &str, values: Vec<String>| {
+            if !values.is_empty() {
+                command += &format!(" --{flag} {}", values.join(","));
+            }
+        };
+        let texts = |values: &[f64]| values.iter().map(f64::to_string).collect();
+        add("rates", texts(&self.rates));
+        add("networks", self.networks.clone());
+        add("addressing", self.addressing.clone());
+        add("reliability", self.reliability.clone());
+        add("retries", self.retries.iter().map(u32::to_string).collect());
+        add("stations", vec![self.stations.to_string()]);
+        add("bytes", vec![self.bytes.to_string()]);
+        add("history", vec![self.history.clone()]);
+        add("seconds", texts(&[self.seconds]));
+        add("seed", vec![self.seed.to_string()]);
+        command
     }
 }
