@@ -6,6 +6,7 @@
 
 pub mod case;
 pub mod emulate;
+pub mod fit;
 pub mod linked;
 pub mod medium;
 pub mod outcome;

@@ -217,32 +217,40 @@ impl Findings<'_> {
 }
 
 fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
-    let line = |addressing: Addressing, value: fn(&Load) -> f64, name: &str| Line {
-        name: format!("{addressing}: {name}"),
+    let line = |addressing: Addressing, name: &str, value: fn(&Load) -> Option<f64>| Line {
+        name: name.to_owned(),
         points: loads
             .iter()
             .filter(|load| load.addressing == addressing)
-            .map(|load| Some(value(load).log10()))
-            .map(|value| value.map(|value| Point { value, within: [value; 2] }))
+            .map(|load| value(load).map(|value| Point { value, within: [value; 2] }))
             .collect(),
     };
-    let wanted = |load: &Load| load.messages_per_s;
     let (multicast, unicast) = (Addressing::Multicast, Addressing::Unicast);
+    // Less than a message a second is none.
     let lines = vec![
-        line(multicast, wanted, "wanted (both)"),
-        line(multicast, |load| load.saturation_per_s, "saturation"),
-        line(unicast, |load| load.saturation_per_s, "saturation"),
+        line(multicast, "wanted: 20 messages a second and robot", |load| Some(load.messages_per_s.log10())),
+        line(multicast, "saturation by multicast", |load| Some(load.saturation_per_s.max(1.0).log10())),
+        line(unicast, "saturation by unicast to 4 neighbours", |load| Some(load.saturation_per_s.max(1.0).log10())),
+    ];
+    let collisions = vec![
+        line(multicast, "", |_| None),
+        line(multicast, "", |load| Some(100.0 * load.collision)),
+        line(unicast, "", |load| Some(100.0 * load.collision)),
+    ];
+    let panel = |title: &str, y: &str, most, lines| Panel { title: title.to_owned(), y: y.to_owned(), most, lines };
+    let panels = [
+        panel("messages that want and find room", "messages/s, power of ten", None, lines),
+        panel("frames that collide at saturation", "collisions [%]", Some(100.0), collisions),
     ];
     let title = "Where one channel is full";
-    let panel = Panel { title: title.to_owned(), y: "messages/s, power of ten".to_owned(), most: None, lines };
     let places: Vec<String> = saturation::SIZES.iter().map(u32::to_string).collect();
     Ok(Figure {
         name: "saturation".to_owned(),
         title: title.to_owned(),
-        caption: "What teams of growing size want to say on one channel, and what gets through when everybody always has \
-                  something to send (Bianchi's model): where the first line is above the second or third, the channel is \
-                  full."
+        caption: "What teams of growing size want to say on one channel, in one hop, and what gets through when everybody \
+                  always has something to send (Bianchi's model): where the first line is above another, the channel is \
+                  full. A multicast frame that collides is not sent again, so no window grows, and a large team drowns."
             .to_owned(),
-        svg: figures::sweep(title, "robots", &places, &[panel])?,
+        svg: figures::sweep(title, "robots", &places, &panels)?,
     })
 }

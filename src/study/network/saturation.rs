@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::case::Addressing;
 use crate::net::radio::bianchi::{Lengths, Saturation};
-use crate::net::radio::{Radio, Topology};
+use crate::net::radio::Radio;
 
 /// The sizes of teams.
 pub const SIZES: [u32; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];
@@ -28,7 +28,9 @@ pub struct Load {
     /// The share of time that their frames take, acknowledgements and the spaces between frames included; more than 1
     /// cannot be.
     pub airtime: f64,
-    /// Messages that get through if everybody always has one to send, by Bianchi's model \[1/s\].
+    /// The same through an access point.
+    pub airtime_relayed: f64,
+    /// Messages that get through in one hop if everybody always has one to send, by Bianchi's model \[1/s\].
     pub saturation_per_s: f64,
     /// The probability that a frame collides then.
     pub collision: f64,
@@ -38,20 +40,14 @@ impl Load {
     /// A team of so many robots with datagrams of so many bytes.
     pub fn of(radio: &Radio, addressing: Addressing, robots: u32, datagram_bytes: usize) -> Load {
         let times = radio.times();
-        let unicast = radio.frame_airtime(datagram_bytes) + times.acknowledged;
-        let relayed = radio.channel == Topology::Infrastructure;
-        // The access point sends everything a second time, and is a station more.
-        let stations = robots as usize + usize::from(relayed);
-        let (frames, taken) = match addressing {
-            Addressing::Unicast => {
-                let hops = if relayed { 2 } else { 1 };
-                (f64::from(hops * NEIGHBOURS), (unicast + times.space).as_secs() * f64::from(hops * NEIGHBOURS))
-            }
-            Addressing::Multicast => {
-                let spread = (radio.multicast_airtime(datagram_bytes) + times.space).as_secs();
-                let up = if relayed { (unicast + times.space).as_secs() } else { 0.0 };
-                (if relayed { 2.0 } else { 1.0 }, spread + up)
-            }
+        let unicast = (radio.frame_airtime(datagram_bytes) + times.acknowledged + times.space).as_secs();
+        let spread = (radio.multicast_airtime(datagram_bytes) + times.space).as_secs();
+        let stations = robots as usize;
+        let neighbours = f64::from(NEIGHBOURS);
+        // An access point sends everything a second time.
+        let (frames, taken, again) = match addressing {
+            Addressing::Unicast => (neighbours, neighbours * unicast, neighbours * unicast),
+            Addressing::Multicast => (1.0, spread, unicast),
         };
         let model = match addressing {
             Addressing::Unicast => Saturation::of_radio(radio, stations, datagram_bytes),
@@ -73,6 +69,7 @@ impl Load {
             addressing,
             messages_per_s,
             airtime: messages_per_s * taken,
+            airtime_relayed: messages_per_s * (taken + again),
             saturation_per_s: model.frames_per_s / frames,
             collision: model.collision,
         }
@@ -108,7 +105,7 @@ pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
         "first say less often or to fewer".to_owned()
     };
     format!(
-        "At {RATE} messages a second and robot this channel is full above {slow} robots by multicast and above \
+        "At {RATE} messages a second and robot this channel is full, in one hop, above {slow} robots by multicast and above \
          {by_unicast} by unicast to {NEIGHBOURS} neighbours: {change}; beyond that only more channels help, or less \
          transmit power, so that distant groups no longer share one."
     )
@@ -120,16 +117,15 @@ mod tests {
 
     #[test]
     fn a_channel_fills_with_the_team_and_an_access_point_halves_it() {
-        let radio = Radio { channel: Topology::AdHoc, ..Radio::default() };
-        let relayed = Radio::default();
+        let radio = Radio::default();
         let loads = table(&radio, 234);
         let multicast: Vec<&Load> = loads.iter().filter(|load| load.addressing == Addressing::Multicast).collect();
         assert!(multicast.windows(2).all(|pair| pair[0].airtime < pair[1].airtime));
         assert!(multicast.windows(2).all(|pair| pair[0].saturation_per_s > pair[1].saturation_per_s));
         // 300 bytes at 1 Mbit/s are 2.6 ms: 1000 robots are far too many, 5 are not.
         assert!(!multicast[0].is_full() && multicast[7].is_full());
-        let unicast = |radio: &Radio| Load::of(radio, Addressing::Unicast, 20, 234);
-        assert!(unicast(&relayed).airtime > 1.9 * unicast(&radio).airtime);
+        let unicast = Load::of(&radio, Addressing::Unicast, 20, 234);
+        assert!((unicast.airtime_relayed / unicast.airtime - 2.0).abs() < 1e-9);
         assert!(advice(&radio, 234).contains("mcast_rate"));
     }
 }

@@ -46,13 +46,14 @@ pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>>
 /// The loads of teams of growing size.
 pub fn of_loads(loads: &[Load]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let heads =
-        vec!["robots", "addressing", "messages/s", "airtime asked for", "saturation, messages/s", "collisions", ""];
+        vec!["robots", "addressing", "messages/s", "airtime", "through an access point", "saturation, messages/s", "collisions", ""];
     let line = |load: &Load| {
         vec![
             load.robots.to_string(),
             load.addressing.to_string(),
             format!("{:.0}", load.messages_per_s),
             format!("{:.0} %", 100.0 * load.airtime),
+            format!("{:.0} %", 100.0 * load.airtime_relayed),
             format!("{:.0}", load.saturation_per_s),
             format!("{:.0} %", 100.0 * load.collision),
             if load.is_full() { "full".to_owned() } else { String::new() },

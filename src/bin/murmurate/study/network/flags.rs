@@ -45,6 +45,13 @@ pub struct Args {
     /// How long messages are counted in each case [s]
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
+    /// Fits noise loss, background load and rate of a radio to the rows of --rows, or to those measured by --live, and
+    /// writes it as a radio file
+    #[arg(long, value_name = "FILE.toml")]
+    pub fit: Option<PathBuf>,
+    /// Rows to fit to: what --json printed, or rows.json of a report
+    #[arg(long, value_name = "FILE.json", requires = "fit")]
+    pub rows: Option<PathBuf>,
     /// The root of all randomness
     #[arg(long, default_value_t = 0)]
     pub seed: u64,

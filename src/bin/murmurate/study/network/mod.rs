@@ -1,6 +1,7 @@
 //! `murmurate study network`: flags, threads, clock and files of the network study. What is emulated lives in the
 //! library.
 
+mod fit;
 mod flags;
 mod folder;
 
@@ -36,6 +37,9 @@ pub fn run(args: &Args) -> Result<Ended> {
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+    if let (Some(file), Some(rows)) = (&args.fit, &args.rows) {
+        return fit::run(&sweep, fit::read(rows)?, (file, args), &stop);
+    }
     let began = Instant::now();
     let results = emulated(&sweep, folder.as_ref(), (args.jobs, args.quiet), &stop)?;
     let (done, all) = (results.len(), sweep.cases().len());
