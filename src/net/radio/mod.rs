@@ -184,7 +184,7 @@ impl Radio {
             // Fitted to two figures of the paper's network study: of 200 messages a second among five robots 44 % came
             // within 20 ms by reliable unicast with 7 retries, of 60 a second 84 % by best-effort multicast, the rest
             // lost (`docs/network-study.md` has the fit and its residual).
-            "paper" => Radio { rate: rate("ofdm-18"), noise_loss: 0.1, background: 0.5, ..Radio::default() },
+            "paper" => Radio { rate: rate("ofdm-18"), noise_loss: 0.085, background: 0.6, ..Radio::default() },
             _ => return None,
         })
     }

@@ -1,13 +1,11 @@
 //! One case of a network study, emulated: stations, their medium, and the control steps that look at what has come.
 
-use rand::RngExt;
-
 use super::case::{Addressing, Assurance, Case, Sweep};
 use super::linked::{self, Linked};
 use super::medium::Air;
 use super::outcome::{Outcome, Tally};
 use super::rtps::Rtps;
-use super::talk::Schedule;
+use super::talk::{self, Schedule};
 use crate::net::radio::To;
 use crate::random::Seed;
 use crate::time::{Span, Time};
@@ -18,6 +16,14 @@ pub const WARM: Span = Span::from_millis(3000);
 pub const DRAIN: Span = Span::from_millis(2000);
 /// The paper's control steps: 20 Hz.
 pub const STEP: Span = Span::from_millis(50);
+
+/// The age of what never came, at a control step.
+pub const NEVER: Span = Span::from_millis(1_000_000);
+
+/// The seed of a case. Cases of one rate share their schedules: what differs between them is not when stations speak.
+pub fn seed(seed: u64, case: &Case) -> Seed {
+    Seed::of_run(seed).child(&format!("network/{}", case.rate))
+}
 
 /// What a station does.
 #[derive(Clone, Debug)]
@@ -56,8 +62,7 @@ pub trait Endpoint {
 
 /// Runs a case. `goes_on` is asked now and then; `None` once it says no.
 pub fn run(sweep: &Sweep, case: &Case, goes_on: &dyn Fn() -> bool) -> Option<Outcome> {
-    // Cases of one rate share their schedules: what differs between them is not when stations speak.
-    let seed = Seed::of_run(sweep.seed).child(&format!("network/{}", case.rate));
+    let seed = seed(sweep.seed, case);
     match case.reliability {
         Assurance::Ack | Assurance::AckOff => {
             let end = |at| Rtps::new(at, sweep.stations, sweep.bytes, case.reliability, sweep.history);
@@ -97,15 +102,13 @@ impl<E: Endpoint> Emulation<E> {
     fn new(sweep: &Sweep, case: &Case, seed: &Seed, end: impl Fn(u16) -> E) -> Emulation<E> {
         let n = sweep.stations;
         let window = (Time::ZERO + WARM, Time::ZERO + WARM + Span::from_secs(sweep.seconds));
-        let mut phases = seed.stream("steps");
-        let mut phase = || Span::from_secs(STEP.as_secs() * phases.random_range(0.0..1.0));
         Emulation {
             addressing: case.addressing,
             stations: n,
             air: Air::new(sweep.medium_of(case), n, &seed.child("medium")),
             ends: (0..n).map(end).collect(),
             schedules: (0..n).map(|at| Schedule::new(Time::ZERO, at, (n, case.rate), seed)).collect(),
-            steps: (0..n).map(|_| window.0 + phase()).collect(),
+            steps: talk::phases(n, STEP, seed).into_iter().map(|phase| window.0 + phase).collect(),
             everyone: To::Many((0..n).collect()),
             tally: Tally::new(n, window),
             over: window.1 + DRAIN,

@@ -115,7 +115,11 @@ impl Fit<'_> {
                 && !matches!(observed.reliability, Assurance::Ack | Assurance::AckOff)
         };
         let mut radio = Radio { noise_loss: noise, background, ..self.base.clone() };
-        if self.observed.iter().all(one_hop) { radio.basic_rate = rate } else { radio.rate = rate }
+        if self.observed.iter().all(one_hop) {
+            radio.basic_rate = rate
+        } else {
+            radio.rate = rate
+        }
         radio
     }
 
@@ -170,8 +174,12 @@ impl Fit<'_> {
     fn result(&self, point: Point) -> Option<Fitted> {
         let runs = self.runs(point, (self.observed.len(), self.sweep.seconds));
         let outcomes: Vec<Outcome> = (self.runner)(&runs).into_iter().collect::<Option<_>>()?;
-        let rows: Vec<(Observed, Row)> =
-            self.observed.iter().zip(&outcomes).map(|(observed, outcome)| (observed.clone(), observed.row(outcome))).collect();
+        let rows: Vec<(Observed, Row)> = self
+            .observed
+            .iter()
+            .zip(&outcomes)
+            .map(|(observed, outcome)| (observed.clone(), observed.row(outcome)))
+            .collect();
         let rms = |at: usize, scale: f64| {
             let all: Vec<f64> = rows.iter().flat_map(|(observed, row)| observed.differences(row)[at].clone()).collect();
             scale * (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt()
@@ -193,11 +201,8 @@ impl Observed {
 
     /// In units of what counts as off: of shares, and of delays.
     fn differences(&self, row: &Row) -> [Vec<f64>; 2] {
-        let shares = [
-            (self.delivered, row.delivered),
-            (self.within_20ms, row.within_20ms),
-            (self.within_50ms, row.within_50ms),
-        ];
+        let shares =
+            [(self.delivered, row.delivered), (self.within_20ms, row.within_20ms), (self.within_50ms, row.within_50ms)];
         let shares = shares.into_iter().filter_map(|(seen, emulated)| Some((seen? - emulated) / SHARE)).collect();
         let delays = [(self.p50_ms, row.p50_ms), (self.p90_ms, row.p90_ms)];
         let delays = delays.into_iter().filter_map(|(seen, emulated)| {

@@ -11,6 +11,7 @@ pub mod linked;
 pub mod medium;
 pub mod outcome;
 pub mod pages;
+pub mod peer;
 pub mod rtps;
 pub mod saturation;
 pub mod shaped;

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use super::case::{Addressing, Assurance, Case, Network};
+use super::emulate::NEVER;
 use crate::report::ages::Ages;
 use crate::report::statistics::quantile;
 use crate::time::{Span, Time};
@@ -34,10 +35,10 @@ pub struct Outcome {
     pub age_quantiles_s: Option<[f64; 2]>,
     /// The share of control steps and other stations in which that was `USABLE`.
     pub usable: f64,
-    /// Datagrams of all stations, and their bytes, a second.
-    pub datagrams_per_s: f64,
-    /// See there.
-    pub bytes_per_s: f64,
+    /// Datagrams of all stations a second; unknown where it was measured between hosts.
+    pub datagrams_per_s: Option<f64>,
+    /// Their bytes a second, likewise.
+    pub bytes_per_s: Option<f64>,
     /// The share of time in which the medium was taken by them; unknown where it was measured between hosts.
     pub airtime: Option<f64>,
 }
@@ -134,8 +135,7 @@ impl Tally {
     pub fn step(&mut self, now: Time, station: u16) {
         for from in (0..self.stations).filter(|from| *from != usize::from(station)) {
             // Of whom nothing was ever heard, everything is too old.
-            let age = self.newest[usize::from(station) * self.stations + from]
-                .map_or(Span::from_secs(1e3), |at| now.since(at));
+            let age = self.newest[usize::from(station) * self.stations + from].map_or(NEVER, |at| now.since(at));
             self.aged(age);
         }
     }
@@ -172,7 +172,7 @@ impl Tally {
     /// What came of it.
     pub fn outcome(self) -> Outcome {
         let window_s = self.window.1.since(self.window.0).as_secs();
-        let arrived = self.delays_s.len() as u64;
+        let (arrived, seen) = (self.delays_s.len() as u64, self.sent.0 > 0);
         let delay = |q: f64| quantile(&self.delays_s, q);
         let age = |q: f64| quantile(&self.ages_s, q);
         let steps = self.ages_s.len().max(1) as f64;
@@ -186,8 +186,8 @@ impl Tally {
             ages: self.ages,
             age_quantiles_s: age(0.5).zip(age(0.9)).map(|(half, most)| [half, most]),
             usable: self.usable as f64 / steps,
-            datagrams_per_s: self.sent.0 as f64 / window_s,
-            bytes_per_s: self.sent.1 as f64 / window_s,
+            datagrams_per_s: seen.then_some(self.sent.0 as f64 / window_s),
+            bytes_per_s: seen.then_some(self.sent.1 as f64 / window_s),
             airtime: self.taken_s[0].zip(self.taken_s[1]).map(|(from, to)| (to - from) / window_s),
         }
     }
@@ -230,8 +230,8 @@ pub struct Row {
     pub age_p90_ms: Option<f64>,
     /// The share of control steps at which it was no older than 200 ms.
     pub usable: f64,
-    /// Datagrams a message, all that protocols add included.
-    pub datagrams_per_message: f64,
+    /// Datagrams a message, all that protocols add included; none where it was not counted.
+    pub datagrams_per_message: Option<f64>,
 }
 
 impl Row {
@@ -270,7 +270,7 @@ impl Row {
             age_p50_ms: age(0),
             age_p90_ms: age(1),
             usable: outcome.usable,
-            datagrams_per_message: outcome.datagrams_per_s / case.rate,
+            datagrams_per_message: outcome.datagrams_per_s.map(|datagrams| datagrams / case.rate),
         }
     }
 }

@@ -45,8 +45,16 @@ pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>>
 
 /// The loads of teams of growing size.
 pub fn of_loads(loads: &[Load]) -> (Vec<&'static str>, Vec<Vec<String>>) {
-    let heads =
-        vec!["robots", "addressing", "messages/s", "airtime", "through an access point", "saturation, messages/s", "collisions", ""];
+    let heads = vec![
+        "robots",
+        "addressing",
+        "messages/s",
+        "airtime",
+        "through an access point",
+        "saturation, messages/s",
+        "collisions",
+        "",
+    ];
     let line = |load: &Load| {
         vec![
             load.robots.to_string(),

@@ -33,6 +33,12 @@ pub fn stamp(latent: &Latent) -> Span {
     Span::from_nanos(1_000_000 * position.x as u64 + 1000 * position.y as u64)
 }
 
+/// When in every period each station takes its control step.
+pub fn phases(stations: u16, period: Span, seed: &Seed) -> Vec<Span> {
+    let mut stream = seed.stream("steps");
+    (0..stations).map(|_| Span::from_secs(period.as_secs() * stream.random_range(0.0..1.0))).collect()
+}
+
 /// When one station speaks: once in every period, at a moment of it that is drawn anew each time. So no two stations
 /// keep step, and no phase decides a whole case.
 #[derive(Clone, Debug)]

@@ -67,7 +67,12 @@ pub fn run(sweep: &Sweep, observed: Vec<Observed>, (file, args): (&Path, &Args),
     let command = format!("{} --fit {}", args.command(), file.display());
     out.writer().write_all(fitted.to_toml(&command).as_bytes()).context("cannot write the radio file")?;
     out.keep()?;
-    print(&told(&fitted, args.json)?)?;
+    // Beside the rows of a measurement, which are the data then.
+    if args.live.is_some() {
+        talk(&told(&fitted, false)?)
+    } else {
+        print(&told(&fitted, args.json)?)?
+    }
     if !args.quiet {
         talk(&format!("radio in '{0}': use it with 'sim --radio {0}' or 'train --radio {0}'", file.display()));
     }

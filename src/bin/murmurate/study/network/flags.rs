@@ -45,6 +45,19 @@ pub struct Args {
     /// How long messages are counted in each case [s]
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
+    /// Measures between the hosts of a team, on its link that carries latents, and draws both. Without --host this is
+    /// the coordinator, which says what is measured when and writes the report
+    #[arg(long, value_name = "TEAM.toml")]
+    pub live: Option<PathBuf>,
+    /// Takes part in a measurement as this host
+    #[arg(long, value_name = "NAME", requires = "live")]
+    pub host: Option<String>,
+    /// Where the coordinator of a measurement listens, and its participants find it
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7790", requires = "live")]
+    pub coordinator: std::net::SocketAddr,
+    /// Sets a field of the team file, such as link.ad-hoc.interface=wlan1; may be given several times
+    #[arg(long, value_name = "FIELD=VALUE", requires = "live")]
+    pub set: Vec<String>,
     /// Fits noise loss, background load and rate of a radio to the rows of --rows, or to those measured by --live, and
     /// writes it as a radio file
     #[arg(long, value_name = "FILE.toml")]

@@ -4,6 +4,8 @@
 mod fit;
 mod flags;
 mod folder;
+mod live;
+mod room;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,7 +34,14 @@ struct Report {
 
 /// Runs the study.
 pub fn run(args: &Args) -> Result<Ended> {
-    let sweep = args.sweep()?;
+    let mut sweep = args.sweep()?;
+    let team = args.live.as_ref().map(|file| room::Room::of(file, args)).transpose()?;
+    if let (Some(room), Some(name)) = (&team, &args.host) {
+        return live::participate(room.part(name)?, name, args.coordinator, args.quiet);
+    }
+    if let Some(room) = &team {
+        room.restrict(&mut sweep)?;
+    }
     let folder = args.out.as_deref().map(|path| Folder::open(path, &sweep)).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
@@ -41,15 +50,32 @@ pub fn run(args: &Args) -> Result<Ended> {
         return fit::run(&sweep, fit::read(rows)?, (file, args), &stop);
     }
     let began = Instant::now();
-    let results = emulated(&sweep, folder.as_ref(), (args.jobs, args.quiet), &stop)?;
-    let (done, all) = (results.len(), sweep.cases().len());
+    let (mut notes, mut measured) = (Vec::new(), Vec::new());
+    if let Some(room) = &team {
+        let live = live::measure(&sweep, &room.names(), args.coordinator, folder.as_ref(), (&stop, args.quiet))?;
+        notes.push(format!(
+            "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were compared \
+             before each case; they are this much off at the most: {:.3} ms.",
+            room.file().display(),
+            1000.0 * live.uncertainty_s
+        ));
+        measured = live.results;
+    }
+    let mut results = emulated(&sweep, folder.as_ref(), (args.jobs, args.quiet), &stop)?;
+    let (done, all) = (results.len() + measured.len(), sweep.cases().len() * if team.is_some() { 2 } else { 1 });
     let interrupted = done < all;
+    results.append(&mut measured);
     let command = args.command();
-    let findings = Findings { sweep: &sweep, results: &results, command: &command, notes: &[] };
+    let findings = Findings { sweep: &sweep, results: &results, command: &command, notes: &notes };
     if let (Some(folder), false) = (&folder, interrupted) {
         folder.write_report(&findings)?;
     }
     let rows = findings.rows();
+    if let (Some(file), Some(_), false) = (&args.fit, &team, interrupted) {
+        let live: Vec<&Row> = rows.iter().filter(|row| row.source == "live").collect();
+        let live = serde_json::to_value(live).and_then(serde_json::from_value).context("rows are plain data")?;
+        fit::run(&sweep, live, (file, args), &stop)?;
+    }
     let wall_s = began.elapsed().as_secs_f64();
     print(&if args.json {
         let report = Report { study: "network", rows, wall_s, seed: sweep.seed, interrupted };
@@ -57,7 +83,13 @@ pub fn run(args: &Args) -> Result<Ended> {
     } else {
         format!("{}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(&sweep, &rows))
     })?;
-    match (&folder, interrupted) {
+    farewell(folder.as_ref(), interrupted, (done, all), args.quiet);
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+/// Says where everything is.
+fn farewell(folder: Option<&Folder>, interrupted: bool, (done, all): (usize, usize), quiet: bool) {
+    match (folder, interrupted) {
         (Some(folder), true) => {
             let kept = folder.path().display();
             talk(&format!(
@@ -65,10 +97,9 @@ pub fn run(args: &Args) -> Result<Ended> {
             ));
         }
         (None, true) => talk(&format!("interrupted after {done} of {all} cases; with --out DIR they would be kept")),
-        (Some(folder), false) if !args.quiet => talk(&format!("report in '{}'", folder.page().display())),
+        (Some(folder), false) if !quiet => talk(&format!("report in '{}'", folder.page().display())),
         _ => {}
     }
-    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
 /// All cases, emulated: those that are kept, and the rest now. Fewer after a Ctrl-C.
