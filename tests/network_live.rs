@@ -9,8 +9,8 @@ use std::process::{Child, Command, Stdio};
 
 use serde_json::Value;
 
-/// Messages a second: below and above what five links of 1 Mbit/s carry.
-const RATES: [f64; 2] = [900.0, 1400.0];
+/// Messages a second, each to four readers by unicast: below and above the 263 that five links of 1 Mbit/s carry.
+const RATES: [f64; 2] = [240.0, 400.0];
 const STATIONS: usize = 5;
 /// Content of a message; with it a datagram of 552 bytes, 594 on the link.
 const BYTES: &str = "512";
@@ -48,8 +48,9 @@ impl Lab {
             let shape = ["netns", "exec", &space, "tc", "qdisc", "add", "dev", "eth0", "root", "tbf"];
             assert!(run("ip", &[&shape[..], &SHAPE[..]].concat()), "tbf");
             // What is measured is UDP; the coordinator's connection is spared.
-            let rules = "table netdev loss { chain in { type filter hook ingress device \"eth0\" priority 0; \
-                         ip protocol udp numgen random mod 100 < 16 drop; } }";
+            let rules = "table netdev loss {\nchain in {\n\
+                         type filter hook ingress device \"eth0\" priority 0;\n\
+                         ip protocol udp numgen random mod 100 < 16 drop\n}\n}\n";
             assert!(run("ip", &["netns", "exec", &space, "nft", rules]), "nft");
         }
         Some(lab)
@@ -100,17 +101,21 @@ fn what_is_measured_between_namespaces_is_what_is_emulated() {
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
     assert!(
         Command::new(env!("CARGO_BIN_EXE_murmurate"))
-            .args(["key", "new", &path("team.key")])
+            .args(["key", "new", "--out", &path("team.key")])
             .status()
             .unwrap()
             .success()
     );
-    let link =
-        |name: &str, group: u8| format!("[link.{name}]\ninterface = \"eth0\"\ngroup = \"239.255.81.{group}:41781\"\n");
-    let team = "team = 81\nkey_file = \"team.key\"\nmode = \"onboard-adhoc\"\n".to_owned()
-        + &link("ad-hoc", 1)
-        + &link("infra", 2)
-        + &link("wires", 3);
+    let peers = |port: u16| {
+        let peer = |station: usize| format!("robot-{station} = \"10.81.0.{}:{port}\"\n", 10 + station);
+        (0..STATIONS).map(peer).collect::<String>() + &format!("world = \"10.81.0.1:{port}\"\n")
+    };
+    let link = |name: &str, port: u16| {
+        let peers = peers(port);
+        format!("[link.{name}]\ninterface = \"eth0\"\ntransport = \"unicast\"\n[link.{name}.peers]\n{peers}")
+    };
+    let links = link("ad-hoc", 7711) + &link("infra", 7712) + &link("wires", 7713);
+    let team = "team = 81\nkey_file = \"team.key\"\nmode = \"onboard-adhoc\"\n".to_owned() + &links;
     fs::write(path("team.toml"), team).unwrap();
     fs::write(path("medium.toml"), MEDIUM).unwrap();
     let (team, medium) = (path("team.toml"), path("medium.toml"));
@@ -123,7 +128,7 @@ fn what_is_measured_between_namespaces_is_what_is_emulated() {
         .collect();
     let rates = RATES.map(|rate| rate.to_string()).join(",");
     let out = std::env::var("NETWORK_LIVE_OUT").unwrap_or_else(|_| path("out"));
-    let sweep = ["--medium", &medium, "--rates", &rates, "--reliability", "best-effort", "--addressing", "multicast"];
+    let sweep = ["--medium", &medium, "--rates", &rates, "--reliability", "best-effort", "--addressing", "unicast"];
     let more = ["--bytes", BYTES, "--seconds", "8", "--json", "--out", &out];
     let output = lab.program("hub", &[&base[..], &sweep, &more].concat()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

@@ -21,6 +21,7 @@ use crate::sim::{progress, watched};
 use crate::{Ended, jobs};
 use folder::Folder;
 use journal::Journal;
+pub use network::medium;
 
 /// The studies.
 #[derive(clap::Subcommand)]

@@ -19,7 +19,7 @@ use serde::Serialize;
 use crate::output::{print, talk};
 use crate::sim::progress;
 use crate::{Ended, jobs};
-pub use flags::Args;
+pub use flags::{Args, medium};
 use folder::Folder;
 
 /// What a study came to, for `--json`.
