@@ -8,6 +8,7 @@
 pub mod columns;
 pub mod conditions;
 pub mod handling;
+pub mod network;
 pub mod pages;
 pub mod published;
 pub mod record;

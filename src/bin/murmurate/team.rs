@@ -42,6 +42,11 @@ pub struct Which {
 }
 
 impl TeamArgs {
+    /// A team file that a command with flags of its own has named.
+    pub fn of(file: PathBuf, set: Vec<String>) -> TeamArgs {
+        TeamArgs { file, set, interface: None, key_file: None }
+    }
+
     /// Where the team file is.
     pub fn path(&self) -> &Path {
         &self.file

@@ -112,6 +112,11 @@ pub enum Band {
 #[serde(try_from = "String", into = "String")]
 pub struct Rate(u8);
 
+/// All rates.
+pub fn all() -> impl Iterator<Item = Rate> {
+    (0..CODINGS.len()).map(|at| Rate(at as u8))
+}
+
 impl Rate {
     fn coding(self) -> &'static Coding {
         &CODINGS[usize::from(self.0)]

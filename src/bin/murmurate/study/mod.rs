@@ -4,6 +4,7 @@
 mod flags;
 mod folder;
 mod journal;
+mod network;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,6 +21,7 @@ use crate::sim::{progress, watched};
 use crate::{Ended, jobs};
 use folder::Folder;
 use journal::Journal;
+pub use network::medium;
 
 /// The studies.
 #[derive(clap::Subcommand)]
@@ -30,6 +32,8 @@ pub enum Args {
     Delay(Box<flags::Delay>),
     /// Success over the communication radius (mode onboard-adhoc)
     Range(Box<flags::Range>),
+    /// Which addressing and which reliability carry a team's messages, at which rates
+    Network(Box<network::Args>),
 }
 
 /// What a study came to, for `--json`.
@@ -51,6 +55,7 @@ pub fn run(args: &Args) -> Result<Ended> {
         Args::Modes(flags) => (flags.study()?, &flags.shared),
         Args::Delay(flags) => (flags.study()?, &flags.shared),
         Args::Range(flags) => (flags.study()?, &flags.shared),
+        Args::Network(flags) => return network::run(flags),
     };
     let folder = shared.out.as_deref().map(|path| Folder::open(path, &study)).transpose()?;
     let journal = folder.as_ref().map(Folder::journal);

@@ -13,13 +13,14 @@ use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 use indicatif::{ProgressBar, ProgressStyle};
 use murmurate::scenario;
+use murmurate::study::network::conditions;
 use murmurate::train::config::{Config, PRESETS};
 use murmurate::train::evaluate::{Scores, quick};
 use murmurate::train::trainer::{Plan, Trainer};
 use serde::Serialize;
 
 use crate::output::{print, read_text, talk};
-use crate::{BadInput, Ended};
+use crate::{BadInput, Ended, study};
 use curve::{Curve, Row};
 use folder::Folder;
 
@@ -30,6 +31,8 @@ const EVALUATE_EVERY: f64 = 0.05;
 const EPISODES: u32 = 128;
 /// The preset unless the user names one.
 const PRESET: &str = "robust";
+/// How many talk on the medium of --radio where a configuration leaves the team to its scenario: the paper's team.
+const TEAM: usize = 5;
 
 /// Flags of `murmurate train`.
 #[derive(clap::Args)]
@@ -49,6 +52,10 @@ pub struct Args {
     /// A configuration of your own; every training writes its own as OUT/config.toml to start from
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
+    /// Trains with the delay and the loss of a medium, in place of the configuration's: a preset (paper, wifi, wifi-n,
+    /// wifi-slow) or a radio file, such as 'study network --fit' writes
+    #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "resume")]
+    radio: Option<String>,
     /// How long to train [min]; schedules follow the clock, so no two such runs are quite the same
     #[arg(long)]
     minutes: Option<f64>,
@@ -209,7 +216,7 @@ pub fn run(args: &Args) -> Result<Ended> {
 
 fn plan(args: &Args) -> Result<Plan> {
     let preset = args.preset.as_deref().unwrap_or(PRESET);
-    let (config, preset) = match &args.config {
+    let (mut config, preset) = match &args.config {
         Some(path) => {
             let text = read_text(path, "training configuration")?;
             let config = Config::from_toml(&text);
@@ -218,6 +225,11 @@ fn plan(args: &Args) -> Result<Plan> {
         }
         None => (Config::preset(preset).expect("the parser lets only presets through"), preset),
     };
+    if let Some(given) = &args.radio {
+        let medium = study::medium("--radio", given)?;
+        conditions::put(&medium, config.robots.unwrap_or(TEAM), &mut config.conditions)
+            .ok_or_else(|| BadInput(format!("--radio: nothing of what a team says arrives on '{given}'")))?;
+    }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
 }

@@ -1,0 +1,170 @@
+//! The flags of `murmurate study network`, and the sweep that they ask for.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use murmurate::study::network::case::{RATES, RETRIES};
+use murmurate::study::network::{Addressing, Assurance, History, Medium, Network, Sweep};
+use serde::de::DeserializeOwned;
+
+use crate::BadInput;
+use crate::output::read_text;
+
+/// Flags of `murmurate study network`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// What messages are sent over: a preset (paper, wifi, wifi-n, wifi-slow, shaped), a radio file, or shaped links as a
+    /// file
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "paper")]
+    pub medium: String,
+    /// Messages of all stations together [1/s], separated by commas [default: 10,20,60,100,200,300,400,500]
+    #[arg(long, value_delimiter = ',')]
+    rates: Vec<f64>,
+    /// Only 'infrastructure' or only 'ad-hoc' [default: both]
+    #[arg(long, value_delimiter = ',')]
+    networks: Vec<String>,
+    /// Only 'unicast' or only 'multicast' [default: both]
+    #[arg(long, value_delimiter = ',')]
+    addressing: Vec<String>,
+    /// Only these, separated by commas: best-effort, repeat, nack (the project's own), ack (as RTPS), ack-off (RTPS
+    /// without positive acknowledgements)
+    #[arg(long, value_delimiter = ',')]
+    reliability: Vec<String>,
+    /// How often the medium access sends a unicast frame again, separated by commas [default: 1,3,5,7]
+    #[arg(long, value_delimiter = ',')]
+    retries: Vec<u32>,
+    /// Stations
+    #[arg(long, default_value_t = 5)]
+    stations: u16,
+    /// Content of a message [bytes]
+    #[arg(long, default_value_t = 152)]
+    bytes: usize,
+    /// What an RTPS writer keeps for repairs: its newest so many samples, or 'all'
+    #[arg(long, value_name = "N|all", default_value = "1")]
+    history: String,
+    /// How long messages are counted in each case [s]
+    #[arg(long, default_value_t = 20.0)]
+    seconds: f64,
+    /// Measures between the hosts of a team, on its link that carries latents, and draws both. Without --host this is
+    /// the coordinator, which says what is measured when and writes the report
+    #[arg(long, value_name = "TEAM.toml")]
+    pub live: Option<PathBuf>,
+    /// Takes part in a measurement as this host
+    #[arg(long, value_name = "NAME", requires = "live")]
+    pub host: Option<String>,
+    /// Where the coordinator of a measurement listens, and its participants find it
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7790", requires = "live")]
+    pub coordinator: std::net::SocketAddr,
+    /// Sets a field of the team file, such as link.ad-hoc.interface=wlan1; may be given several times
+    #[arg(long, value_name = "FIELD=VALUE", requires = "live")]
+    pub set: Vec<String>,
+    /// Fits noise loss, background load and rate of a radio to the rows of --rows, or to those measured by --live, and
+    /// writes it as a radio file
+    #[arg(long, value_name = "FILE.toml")]
+    pub fit: Option<PathBuf>,
+    /// Rows to fit to: what --json printed, or rows.json of a report
+    #[arg(long, value_name = "FILE.json", requires = "fit")]
+    pub rows: Option<PathBuf>,
+    /// The root of all randomness
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+    /// Cases that run at the same time [default: one per core]; the numbers do not depend on it
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub jobs: Option<u16>,
+    /// Where report, figures and rows go. Finished cases are kept there, and the same command goes on from them
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Prints one JSON object in place of the table
+    #[arg(long)]
+    pub json: bool,
+    /// Says nothing on stderr but errors and what an interruption leaves
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+fn bad<T>(text: String) -> Result<T> {
+    Err(BadInput(text).into())
+}
+
+/// What was named, or all there is.
+fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], all: &[T]) -> Result<Vec<T>> {
+    let mut chosen = Vec::new();
+    for name in given {
+        match serde_json::from_value::<T>(name.as_str().into()) {
+            Ok(one) if all.contains(&one) && !chosen.contains(&one) => chosen.push(one),
+            Ok(one) if chosen.contains(&one) => return bad(format!("{flag}: {name} is there twice")),
+            _ => return bad(format!("{flag}: there is no '{name}' here; 'murmurate study network --help' has all")),
+        }
+    }
+    Ok(if chosen.is_empty() { all.to_vec() } else { chosen })
+}
+
+/// The medium of that name or file.
+pub fn medium(flag: &str, given: &str) -> Result<Medium> {
+    match Medium::named(given) {
+        Some(medium) => Ok(medium),
+        None if !given.contains(['.', '/']) => {
+            let names = Medium::names();
+            bad(format!("{flag}: there is no medium '{given}'; there are: {names}, or a file FILE.toml"))
+        }
+        None => Medium::from_toml(&read_text(Path::new(given), "medium file")?)
+            .map_err(|e| BadInput(format!("the medium file '{given}': {e}")).into()),
+    }
+}
+
+impl Args {
+    /// The sweep that is asked for.
+    pub fn sweep(&self) -> Result<Sweep> {
+        let mut sweep = Sweep::whole(medium("--medium", &self.medium)?);
+        sweep.networks = match &sweep.medium {
+            Medium::Radio(_) => named("--networks", &self.networks, &[Network::Infrastructure, Network::AdHoc])?,
+            Medium::Shaped(_) => named("--networks", &self.networks, &[Network::Shaped])?,
+        };
+        sweep.addressings = named("--addressing", &self.addressing, &[Addressing::Unicast, Addressing::Multicast])?;
+        sweep.reliabilities = named("--reliability", &self.reliability, &Assurance::ALL)?;
+        sweep.rates = if self.rates.is_empty() { RATES.to_vec() } else { self.rates.clone() };
+        sweep.retries = if self.retries.is_empty() { RETRIES.to_vec() } else { self.retries.clone() };
+        for at in 1..sweep.rates.len() {
+            if sweep.rates[..at].contains(&sweep.rates[at]) {
+                return bad(format!("--rates: {} is there twice", sweep.rates[at]));
+            }
+        }
+        for at in 1..sweep.retries.len() {
+            if sweep.retries[..at].contains(&sweep.retries[at]) {
+                return bad(format!("--retries: {} is there twice", sweep.retries[at]));
+            }
+        }
+        sweep.history = match self.history.as_str() {
+            "all" => History::All,
+            depth => match depth.parse() {
+                Ok(depth) => History::Last(depth),
+                Err(_) => return bad(format!("--history: '{depth}' is neither a number nor 'all'")),
+            },
+        };
+        (sweep.stations, sweep.bytes, sweep.seconds, sweep.seed) = (self.stations, self.bytes, self.seconds, self.seed);
+        sweep.check().map_err(|e| BadInput(format!("--{e}")))?;
+        Ok(sweep)
+    }
+
+    /// The command that makes the study, whatever it was typed as. Not in it: what makes no difference to the results.
+    pub fn command(&self) -> String {
+        let mut command = format!("murmurate study network --medium {}", self.medium);
+        let mut add = |flag: &str, values: Vec<String>| {
+            if !values.is_empty() {
+                command += &format!(" --{flag} {}", values.join(","));
+            }
+        };
+        let texts = |values: &[f64]| values.iter().map(f64::to_string).collect();
+        add("rates", texts(&self.rates));
+        add("networks", self.networks.clone());
+        add("addressing", self.addressing.clone());
+        add("reliability", self.reliability.clone());
+        add("retries", self.retries.iter().map(u32::to_string).collect());
+        add("stations", vec![self.stations.to_string()]);
+        add("bytes", vec![self.bytes.to_string()]);
+        add("history", vec![self.history.clone()]);
+        add("seconds", texts(&[self.seconds]));
+        add("seed", vec![self.seed.to_string()]);
+        command
+    }
+}

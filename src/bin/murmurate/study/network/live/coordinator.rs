@@ -1,0 +1,151 @@
+//! The coordinator of a measurement: waits for all hosts, compares clocks, has one case measured after the other.
+
+use std::collections::BTreeMap;
+use std::net::{SocketAddr, TcpListener};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow, bail};
+use murmurate::study::network::Sweep;
+use murmurate::study::network::pages::Found;
+use murmurate::study::network::peer::{Notes, Task};
+
+use super::super::folder::Folder;
+use super::{Answer, Instruction, Line};
+use crate::BadInput;
+use crate::output::talk;
+use crate::sim::progress;
+
+/// How often a clock is asked for, and how long an answer may take.
+const QUESTIONS: u32 = 16;
+const PATIENCE: Duration = Duration::from_secs(20);
+/// A case begins so long after everyone was told.
+const LEAD: Duration = Duration::from_millis(1500);
+/// How long a look at the connections waits.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// What was measured, and how far off the clocks may have been \[s\].
+pub struct Measured {
+    /// What came of the cases that are done.
+    pub results: Vec<Found>,
+    /// The largest uncertainty of a one-way delay: that of two clocks.
+    pub uncertainty_s: f64,
+}
+
+/// Measures all cases of a sweep between these hosts, in the order of their stations.
+pub fn measure(
+    sweep: &Sweep,
+    hosts: &[String],
+    address: SocketAddr,
+    folder: Option<&Folder>,
+    (stop, quiet): (&AtomicBool, bool),
+) -> Result<Measured> {
+    const SOURCE: &str = "live";
+    let origin = Instant::now();
+    let listener = TcpListener::bind(address).map_err(|e| BadInput(format!("--coordinator: {address}: {e}")))?;
+    let mut measured = Measured { results: Vec::new(), uncertainty_s: 0.0 };
+    let Some(mut lines) = gather(&listener, hosts, (stop, quiet))? else { return Ok(measured) };
+    let cases = sweep.cases();
+    let bar = progress(cases.len() as u64, quiet);
+    for (at, case) in cases.iter().enumerate() {
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+        let outcome = match folder.and_then(|folder| folder.read(SOURCE, at, case)) {
+            Some(outcome) => outcome,
+            None => {
+                let number = u32::try_from(at).context("so many cases there are not")?;
+                let (features, stations) = (sweep.features(), sweep.stations);
+                let task = Task { number, case: *case, stations, features, seconds: sweep.seconds, seed: sweep.seed };
+                let (notes, uncertainty_s) = one(&task, hosts, &mut lines, origin)?;
+                measured.uncertainty_s = measured.uncertainty_s.max(uncertainty_s);
+                let outcome = task.outcome(&notes);
+                if let Some(folder) = folder {
+                    folder.keep(SOURCE, at, case, &outcome)?;
+                }
+                outcome
+            }
+        };
+        measured.results.push((SOURCE.to_owned(), *case, outcome));
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    for line in &mut lines {
+        line.say(&Instruction::Done)?;
+    }
+    Ok(measured)
+}
+
+/// Waits until every host has come; `None` after a Ctrl-C.
+fn gather(listener: &TcpListener, hosts: &[String], (stop, quiet): (&AtomicBool, bool)) -> Result<Option<Vec<Line>>> {
+    listener.set_nonblocking(true).context("cannot wait for hosts")?;
+    let mut here: BTreeMap<usize, Line> = BTreeMap::new();
+    while here.len() < hosts.len() {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let Ok((stream, from)) = listener.accept() else {
+            std::thread::sleep(LOOK);
+            continue;
+        };
+        stream.set_nonblocking(false).context("cannot set up the connection")?;
+        let mut line = Line::new(stream)?;
+        match line.hear(Some(PATIENCE)) {
+            Ok(Answer::Host(name)) => match hosts.iter().position(|host| *host == name) {
+                Some(at) => drop(here.insert(at, line)),
+                None => talk(&format!("{from} says that it is '{name}', which runs no agent of this team; ignored")),
+            },
+            other => talk(&format!("{from} does not say which host it is ({other:?}); ignored")),
+        }
+        if !quiet {
+            let missing =
+                hosts.iter().enumerate().filter(|(at, _)| !here.contains_key(at)).map(|(_, host)| host.as_str());
+            let missing: Vec<&str> = missing.collect();
+            talk(&format!("{} of {} hosts are here; missing: {}", here.len(), hosts.len(), missing.join(", ")));
+        }
+    }
+    Ok(Some(here.into_values().collect()))
+}
+
+/// How far a participant's clock is ahead of ours, and how far off that may be \[ns\].
+fn offset(line: &mut Line, origin: Instant) -> Result<(i64, i64)> {
+    let now = || origin.elapsed().as_nanos() as i64;
+    let mut best: Option<(i64, i64)> = None;
+    for _ in 0..QUESTIONS {
+        let before = now();
+        line.say(&Instruction::Clock)?;
+        let Answer::Clock(theirs) = line.hear(Some(PATIENCE))? else { bail!("it did not say what its clock shows") };
+        let after = now();
+        let way = after - before;
+        if best.is_none_or(|(_, least)| way / 2 < least) {
+            best = Some((theirs as i64 - (before + way / 2), way / 2));
+        }
+    }
+    best.ok_or_else(|| anyhow!("nothing was asked"))
+}
+
+/// Has one case measured.
+fn one(task: &Task, hosts: &[String], lines: &mut [Line], origin: Instant) -> Result<(Vec<Notes>, f64)> {
+    let named = |at: usize| format!("host '{}'", hosts[at]);
+    let mut offsets = Vec::new();
+    for (at, line) in lines.iter_mut().enumerate() {
+        offsets.push(offset(line, origin).with_context(|| named(at))?);
+    }
+    let begin = (origin.elapsed() + LEAD).as_nanos() as i64;
+    for (at, (line, (ahead, _))) in lines.iter_mut().zip(&offsets).enumerate() {
+        let theirs = u64::try_from(begin + ahead).with_context(|| named(at))?;
+        line.say(&Instruction::Measure(*task, theirs)).with_context(|| named(at))?;
+    }
+    let lasts = LEAD + Duration::from_secs_f64(task.lasts().as_secs());
+    let mut notes = Vec::new();
+    for (at, line) in lines.iter_mut().enumerate() {
+        match line.hear(Some(lasts + PATIENCE)).with_context(|| named(at))? {
+            Answer::Found(found) => notes.push(found),
+            other => bail!("{} says {other:?} where it should say what it has found", named(at)),
+        }
+    }
+    let mut unsure: Vec<i64> = offsets.iter().map(|(_, unsure)| *unsure).collect();
+    unsure.sort_unstable();
+    let two: i64 = unsure.iter().rev().take(2).sum();
+    Ok((notes, two as f64 * 1e-9))
+}

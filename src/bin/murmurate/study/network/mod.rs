@@ -1,0 +1,137 @@
+//! `murmurate study network`: flags, threads, clock and files of the network study. What is emulated lives in the
+//! library.
+
+mod fit;
+mod flags;
+mod folder;
+mod live;
+mod room;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use murmurate::study::network::pages::{Findings, Found};
+use murmurate::study::network::{Row, Sweep, emulate, table};
+use serde::Serialize;
+
+use crate::output::{print, talk};
+use crate::sim::progress;
+use crate::{Ended, jobs};
+pub use flags::{Args, medium};
+use folder::Folder;
+
+/// What a study came to, for `--json`.
+#[derive(Serialize)]
+struct Report {
+    study: &'static str,
+    rows: Vec<Row>,
+    wall_s: f64,
+    seed: u64,
+    interrupted: bool,
+}
+
+/// Runs the study.
+pub fn run(args: &Args) -> Result<Ended> {
+    let mut sweep = args.sweep()?;
+    let team = args.live.as_ref().map(|file| room::Room::of(file, args)).transpose()?;
+    if let (Some(room), Some(name)) = (&team, &args.host) {
+        return live::participate(room.part(name)?, name, args.coordinator, args.quiet);
+    }
+    if let Some(room) = &team {
+        room.restrict(&mut sweep)?;
+    }
+    let folder = args.out.as_deref().map(|path| Folder::open(path, &sweep)).transpose()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let signal = Arc::clone(&stop);
+    ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+    if let (Some(file), Some(rows)) = (&args.fit, &args.rows) {
+        return fit::run(&sweep, fit::read(rows)?, (file, args), &stop);
+    }
+    let began = Instant::now();
+    let (mut notes, mut measured) = (Vec::new(), Vec::new());
+    if let Some(room) = &team {
+        let live = live::measure(&sweep, &room.names(), args.coordinator, folder.as_ref(), (&stop, args.quiet))?;
+        notes.push(format!(
+            "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were compared \
+             before each case; they are this much off at the most: {:.3} ms.",
+            room.file().display(),
+            1000.0 * live.uncertainty_s
+        ));
+        measured = live.results;
+    }
+    let mut results = emulated(&sweep, folder.as_ref(), (args.jobs, args.quiet), &stop)?;
+    let (done, all) = (results.len() + measured.len(), sweep.cases().len() * if team.is_some() { 2 } else { 1 });
+    let interrupted = done < all;
+    results.append(&mut measured);
+    let command = args.command();
+    let findings = Findings { sweep: &sweep, results: &results, command: &command, notes: &notes };
+    if let (Some(folder), false) = (&folder, interrupted) {
+        folder.write_report(&findings)?;
+    }
+    let rows = findings.rows();
+    if let (Some(file), Some(_), false) = (&args.fit, &team, interrupted) {
+        let live: Vec<&Row> = rows.iter().filter(|row| row.source == "live").collect();
+        let live = serde_json::to_value(live).and_then(serde_json::from_value).context("rows are plain data")?;
+        fit::run(&sweep, live, (file, args), &stop)?;
+    }
+    let wall_s = began.elapsed().as_secs_f64();
+    print(&if args.json {
+        let report = Report { study: "network", rows, wall_s, seed: sweep.seed, interrupted };
+        serde_json::to_string(&report).context("a report is JSON")?
+    } else {
+        format!("{}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(&sweep, &rows))
+    })?;
+    farewell(folder.as_ref(), interrupted, (done, all), args.quiet);
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+/// Says where everything is.
+fn farewell(folder: Option<&Folder>, interrupted: bool, (done, all): (usize, usize), quiet: bool) {
+    match (folder, interrupted) {
+        (Some(folder), true) => {
+            let kept = folder.path().display();
+            talk(&format!(
+                "interrupted; {done} of {all} cases are kept in '{kept}': the same command goes on from there"
+            ));
+        }
+        (None, true) => talk(&format!("interrupted after {done} of {all} cases; with --out DIR they would be kept")),
+        (Some(folder), false) if !quiet => talk(&format!("report in '{}'", folder.page().display())),
+        _ => {}
+    }
+}
+
+/// All cases, emulated: those that are kept, and the rest now. Fewer after a Ctrl-C.
+fn emulated(
+    sweep: &Sweep,
+    folder: Option<&Folder>,
+    (threads, quiet): (Option<u16>, bool),
+    stop: &AtomicBool,
+) -> Result<Vec<Found>> {
+    const SOURCE: &str = "emulated";
+    let cases = sweep.cases();
+    let bar = progress(cases.len() as u64, quiet);
+    let work = |at: usize| -> Result<Option<Found>> {
+        let kept = folder.and_then(|folder| folder.read(SOURCE, at, &cases[at]));
+        let outcome = match kept {
+            Some(outcome) => outcome,
+            None => {
+                let Some(outcome) = emulate::run(sweep, &cases[at], &|| !stop.load(Ordering::Relaxed)) else {
+                    return Ok(None);
+                };
+                if let Some(folder) = folder {
+                    // A disk that is full ends the study; what was written stays.
+                    let kept = folder.keep(SOURCE, at, &cases[at], &outcome);
+                    kept.inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
+                }
+                outcome
+            }
+        };
+        bar.inc(1);
+        Ok(Some((SOURCE.to_owned(), cases[at], outcome)))
+    };
+    let done = jobs::run(cases.len(), jobs::threads(threads, cases.len()), stop, work);
+    bar.finish_and_clear();
+    done.into_iter().filter_map(|(_, found)| found.transpose()).collect()
+}

@@ -1,0 +1,99 @@
+//! A station that speaks through the project's own link layer: best-effort, repeated, or repaired when missed.
+
+use super::case::{Addressing, Assurance};
+use super::emulate::{Endpoint, Said};
+use super::talk;
+use crate::messages::ids::{HostId, LinkId};
+use crate::messages::wire::{Kind, Wire};
+use crate::net::codec::{self, Content, Frame};
+use crate::net::key::Key;
+use crate::net::link::{Identity, LinkState};
+use crate::net::reliability::{Reliabilities, Reliability, Setup};
+use crate::net::router::Audience;
+use crate::random::{Seed, Stream};
+use crate::time::Time;
+
+/// A key like any other: what authentication takes does not depend on it.
+const KEY: [u8; 32] = *b"the key of the network study....";
+const LINK: LinkId = LinkId(0);
+
+/// One station.
+pub struct Linked {
+    station: u16,
+    features: usize,
+    state: LinkState,
+    stream: Stream,
+    leaving: Vec<(Audience, Frame)>,
+}
+
+/// How a link is set up for a reliability.
+pub fn setup(addressing: Addressing, reliability: Assurance) -> Setup {
+    let reliability = match reliability {
+        Assurance::BestEffort => Reliability::BestEffort,
+        Assurance::Repeat => Reliability::Repeat,
+        Assurance::Nack => Reliability::Nack,
+        Assurance::Ack | Assurance::AckOff => unreachable!("RTPS has stations of its own"),
+    };
+    let reliabilities = Reliabilities::from([(Kind::Latent, reliability)]);
+    match addressing {
+        Addressing::Unicast => Setup::unicast(reliabilities),
+        Addressing::Multicast => Setup::multicast(reliabilities),
+    }
+}
+
+impl Linked {
+    /// A station of a team with a key.
+    pub fn new(station: u16, setup: Setup, features: usize, seed: &Seed) -> Linked {
+        let mut stream = seed.stream(&format!("link/{station}"));
+        let me = Identity { host: HostId(station), team: 1, epoch: 1 };
+        let state = LinkState::new(me, LINK, Some(Key::new(KEY)), setup, &mut stream);
+        Linked { station, features, state, stream, leaving: Vec::new() }
+    }
+
+    fn leave(&mut self, out: &mut Vec<Said<Frame>>) {
+        for (audience, packet) in self.leaving.drain(..) {
+            let to = match audience {
+                Audience::All => None,
+                Audience::Host(host) => Some(host.0),
+            };
+            out.push(Said::Send { to, bytes: packet.len(), packet });
+        }
+    }
+}
+
+impl Endpoint for Linked {
+    type Packet = Frame;
+
+    fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Said<Frame>>) {
+        let latent = talk::message(self.station, 0, sequence, now.since(Time::ZERO), self.features);
+        self.state
+            .say(now, Audience::All, &Wire::Latent(latent), &mut self.leaving)
+            .expect("a checked sweep has messages that fit");
+        self.leave(out);
+    }
+
+    fn receive(&mut self, now: Time, frame: &Frame, out: &mut Vec<Said<Frame>>) {
+        let admitted = self.state.admit(now, frame, &mut self.stream, &mut self.leaving);
+        let mut heard = Vec::new();
+        if let Some((header, plain)) = admitted {
+            for (content, body) in codec::blocks(plain).flatten() {
+                let Content::Message(kind) = content else { continue };
+                let Ok(Wire::Latent(latent)) = codec::message(kind, body) else { continue };
+                if self.state.accept(&header, kind, latent.robot) {
+                    heard.push(Said::Hear { from: latent.robot.0, sequence: latent.round.episode });
+                }
+            }
+        }
+        self.leave(out);
+        out.append(&mut heard);
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        self.state.due()
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Said<Frame>>) {
+        self.state.wake(now, &mut self.stream, &mut self.leaving);
+        self.leave(out);
+    }
+}

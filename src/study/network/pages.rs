@@ -1,0 +1,256 @@
+//! The report of a network study: its figures and its page.
+
+use super::case::{Addressing, Assurance, Case, Network, Sweep};
+use super::medium::Medium;
+use super::outcome::{Outcome, Row};
+use super::saturation::{self, Load};
+use super::table::{self, SHOWN};
+use crate::report::figures::{self, Figure, FigureError, Heard, Line, Panel, Point};
+use crate::report::listening::Listening;
+use crate::report::page::{self, Part};
+
+/// A case with what came of it, and where: `emulated` or `live`.
+pub type Found = (String, Case, Outcome);
+
+/// The rates of the paper's two figures \[1/s\]; the nearest of a sweep are drawn.
+const DRAWN: [f64; 2] = [60.0, 200.0];
+
+/// Everything a study found.
+pub struct Findings<'a> {
+    /// What was varied.
+    pub sweep: &'a Sweep,
+    /// What came of it.
+    pub results: &'a [Found],
+    /// The command that makes it.
+    pub command: &'a str,
+    /// What else there is to say: of clocks, of fits.
+    pub notes: &'a [String],
+}
+
+/// One set of lines of a figure: cases that differ in one thing.
+struct Group {
+    name: String,
+    title: String,
+    /// A line's name, and whether a case is on it.
+    lines: Vec<(String, Box<dyn Fn(&Found) -> bool>)>,
+}
+
+impl Findings<'_> {
+    /// The rows.
+    pub fn rows(&self) -> Vec<Row> {
+        self.results.iter().map(|(source, case, outcome)| Row::of(source, case, outcome)).collect()
+    }
+
+    /// By network: reliabilities by multicast, by unicast, and RTPS over retry limits.
+    fn groups(&self) -> Vec<Group> {
+        let mut groups = Vec::new();
+        let most = self.sweep.retries.iter().copied().max().unwrap_or(0);
+        for &network in &self.sweep.networks {
+            for &addressing in &self.sweep.addressings {
+                let retried = addressing == Addressing::Unicast && network != Network::Shaped;
+                let with = if retried { format!(", {most} retries") } else { String::new() };
+                let mut lines = Vec::new();
+                for &reliability in &self.sweep.reliabilities {
+                    let is = move |case: &Case| {
+                        (case.network, case.addressing, case.reliability) == (network, addressing, reliability)
+                            && (!retried || case.retries == most)
+                    };
+                    self.sources(&mut lines, &reliability.to_string(), is);
+                }
+                let title = format!("{network}, {addressing}{with}");
+                groups.push(Group { name: format!("{network}-{addressing}"), title, lines });
+            }
+            let unicast = self.sweep.addressings.contains(&Addressing::Unicast);
+            let acks = self.sweep.reliabilities.contains(&Assurance::Ack);
+            if network != Network::Shaped && unicast && acks && self.sweep.retries.len() > 1 {
+                let mut lines = Vec::new();
+                for &retries in &self.sweep.retries {
+                    let is = move |case: &Case| {
+                        let Case { addressing, reliability, .. } = case;
+                        case.network == network
+                            && (*addressing, *reliability) == (Addressing::Unicast, Assurance::Ack)
+                            && case.retries == retries
+                    };
+                    self.sources(&mut lines, &format!("ack, retry limit {retries}"), is);
+                }
+                let title = format!("{network}, unicast, ack, by retry limit");
+                groups.push(Group { name: format!("{network}-retries"), title, lines });
+            }
+        }
+        groups.retain(|group| !group.lines.is_empty());
+        groups
+    }
+
+    /// A line for what was emulated and one for what was measured, as far as there are such.
+    fn sources(
+        &self,
+        lines: &mut Vec<(String, Box<dyn Fn(&Found) -> bool>)>,
+        name: &str,
+        is: impl Fn(&Case) -> bool + Copy + 'static,
+    ) {
+        let live = self.results.iter().any(|(source, ..)| source == "live");
+        for source in ["emulated", "live"] {
+            if self.results.iter().any(|(other, case, _)| other == source && is(case)) {
+                let name = if live { format!("{name}, {source}") } else { name.to_owned() };
+                lines.push((name, Box::new(move |(other, case, _): &Found| other == source && is(case))));
+            }
+        }
+    }
+
+    /// The figures.
+    pub fn figures(&self) -> Result<Vec<Figure>, FigureError> {
+        let mut all = Vec::new();
+        for group in self.groups() {
+            all.push(self.over_rates(&group)?);
+            let mut drawn: Vec<f64> = Vec::new();
+            for wanted in DRAWN {
+                let near = |rate: &&f64| (rate.ln() - wanted.ln()).abs();
+                let nearest = self.sweep.rates.iter().min_by(|a, b| near(a).total_cmp(&near(b)));
+                drawn.extend(nearest.filter(|rate| !drawn.contains(rate)));
+            }
+            for rate in drawn {
+                all.push(self.delays(&group, rate)?);
+            }
+        }
+        if let Medium::Radio(radio) = &self.sweep.medium {
+            all.push(loads(&saturation::table(radio, self.datagram_bytes()))?);
+        }
+        Ok(all)
+    }
+
+    /// How long one message is as a datagram: the shortest of the project's own, which bears no reports.
+    fn datagram_bytes(&self) -> usize {
+        self.sweep.bytes + super::talk::AROUND_BYTES
+    }
+
+    fn over_rates(&self, group: &Group) -> Result<Figure, FigureError> {
+        let panel = |(title, value): (&str, fn(&Row) -> Option<f64>)| {
+            let line = |(name, is): &(String, Box<dyn Fn(&Found) -> bool>)| {
+                let at = |rate: &f64| {
+                    let found = self.results.iter().find(|result| result.1.rate == *rate && is(result));
+                    let value = found.and_then(|(source, case, outcome)| value(&Row::of(source, case, outcome)))?;
+                    Some(Point { value, within: [value; 2] })
+                };
+                Line { name: name.clone(), points: self.sweep.rates.iter().map(at).collect() }
+            };
+            let ends = title.ends_with("[%]").then_some((0.0, 100.0));
+            Panel { title: title.to_owned(), y: title.to_owned(), ends, lines: group.lines.iter().map(line).collect() }
+        };
+        let shown = [SHOWN[0], SHOWN[1], SHOWN[3], SHOWN[4]];
+        let places: Vec<String> = self.sweep.rates.iter().map(f64::to_string).collect();
+        let panels: Vec<Panel> = shown.into_iter().map(panel).collect();
+        Ok(Figure {
+            name: format!("rates-{}", group.name),
+            title: format!("Over the rate: {}", group.title),
+            caption:
+                "Messages of all stations together along x. Above: the share that came within 20 ms, and at all, of \
+                      all messages at all readers. Below: the share of time in which the medium was taken; and how old \
+                      the newest message of another station was at the control steps, every 50 ms."
+                    .to_owned(),
+            svg: figures::sweep(&group.title, "messages/s", &places, &panels)?,
+        })
+    }
+
+    fn delays(&self, group: &Group, rate: f64) -> Result<Figure, FigureError> {
+        let listening = |outcome: &Outcome| Listening {
+            due: outcome.due,
+            arrived: outcome.arrived,
+            delay: outcome.delays,
+            steps: 1,
+            heard: outcome.ages.total(),
+            age: outcome.ages,
+        };
+        let lines: Vec<(&String, Listening)> = group
+            .lines
+            .iter()
+            .filter_map(|(name, is)| {
+                let found = self.results.iter().find(|result| result.1.rate == rate && is(result));
+                found.map(|(_, _, outcome)| (name, listening(outcome)))
+            })
+            .collect();
+        let heard: Vec<Heard> = lines.iter().map(|(name, listening)| Heard { name, listening }).collect();
+        let title = format!("{}, {rate} messages/s", group.title);
+        Ok(Figure {
+            name: format!("delay-{}-{rate}", group.name),
+            title: format!("Delays: {title}"),
+            caption:
+                "Left: from publication to arrival, as a share of all messages at all readers, so that a curve ends \
+                      at what was delivered. Right: from publication of the newest message of another station to each \
+                      control step. Dashed: 20 and 50 ms."
+                    .to_owned(),
+            svg: figures::delays(&title, &heard)?,
+        })
+    }
+
+    /// The page.
+    pub fn page(&self, figures: &[Figure]) -> String {
+        let Sweep { stations, bytes, seconds, history, seed, .. } = self.sweep;
+        let mut parts = vec![Part::Text(format!(
+            "{stations} stations, each to all others; messages of {bytes} bytes; {seconds} s a case; RTPS history \
+             {history}; seed {seed}."
+        ))];
+        parts.extend(self.notes.iter().cloned().map(Part::Text));
+        let rows = self.rows();
+        let heads: Vec<String> = table::heads(self.sweep);
+        let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
+        for source in ["emulated", "live"] {
+            let rows: Vec<Row> = rows.iter().filter(|row| row.source == source).cloned().collect();
+            for shown in SHOWN.into_iter().filter(|_| !rows.is_empty()) {
+                parts.push(Part::Heading(format!("{}, {source}", shown.0)));
+                parts.push(Part::Table(heads.clone(), table::lines(self.sweep, &rows, shown)));
+            }
+        }
+        if let Medium::Radio(radio) = &self.sweep.medium {
+            let bytes = self.datagram_bytes();
+            let (heads, lines) = table::of_loads(&saturation::table(radio, bytes));
+            parts.push(Part::Heading("Where one channel is full".to_owned()));
+            parts.push(Part::Text(saturation::advice(radio, bytes)));
+            parts.push(Part::Table(heads, lines));
+        }
+        parts.push(Part::Heading("Figures".to_owned()));
+        parts.extend(figures.iter().map(Part::Figure));
+        parts.push(Part::Heading("What was run".to_owned()));
+        parts.push(Part::Verbatim(self.command.to_owned()));
+        parts.push(Part::Verbatim(toml::to_string(&self.sweep.medium).expect("a medium is TOML").trim().to_owned()));
+        page::page("murmurate study network", &parts)
+    }
+}
+
+fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
+    let line = |addressing: Addressing, name: &str, value: fn(&Load) -> Option<f64>| Line {
+        name: name.to_owned(),
+        points: loads
+            .iter()
+            .filter(|load| load.addressing == addressing)
+            .map(|load| value(load).map(|value| Point { value, within: [value; 2] }))
+            .collect(),
+    };
+    let (multicast, unicast) = (Addressing::Multicast, Addressing::Unicast);
+    // Less than a message a second is none.
+    let lines = vec![
+        line(multicast, "wanted: 20 messages a second and robot", |load| Some(load.messages_per_s.log10())),
+        line(multicast, "saturation by multicast", |load| Some(load.saturation_per_s.max(1.0).log10())),
+        line(unicast, "saturation by unicast to 4 neighbours", |load| Some(load.saturation_per_s.max(1.0).log10())),
+    ];
+    let collisions = vec![
+        line(multicast, "", |_| None),
+        line(multicast, "", |load| Some(100.0 * load.collision)),
+        line(unicast, "", |load| Some(100.0 * load.collision)),
+    ];
+    let panel = |title: &str, y: &str, ends, lines| Panel { title: title.to_owned(), y: y.to_owned(), ends, lines };
+    let panels = [
+        panel("messages that want and find room", "messages/s, power of ten", None, lines),
+        panel("frames that collide at saturation", "collisions [%]", Some((0.0, 100.0)), collisions),
+    ];
+    let title = "Where one channel is full";
+    let places: Vec<String> = saturation::SIZES.iter().map(u32::to_string).collect();
+    Ok(Figure {
+        name: "saturation".to_owned(),
+        title: title.to_owned(),
+        caption: "What teams of growing size want to say on one channel, in one hop, and what gets through when everybody \
+                  always has something to send (Bianchi's model): where the first line is above another, the channel is \
+                  full. A multicast frame that collides is not sent again, so no window grows, and a large team drowns."
+            .to_owned(),
+        svg: figures::sweep(title, "robots", &places, &panels)?,
+    })
+}

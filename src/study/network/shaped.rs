@@ -1,0 +1,209 @@
+//! A wired network whose stations' links are shaped: a token bucket with a queue at each sender, and loss by chance at
+//! each receiver. What `tc tbf` and a random drop make of an Ethernet; no contention.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use crate::config::ConfigError;
+use crate::net::radio::{Delivery, To};
+use crate::random::{Seed, Stream};
+use crate::time::{Span, Time};
+
+/// What such a network is like.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shaped {
+    /// The rate of each station's link \[bit/s\].
+    pub rate_bit_s: f64,
+    /// What may leave at once after a silence \[bytes\].
+    pub burst_bytes: usize,
+    /// What waits for the link; frames that find no room are lost \[bytes\].
+    pub queue_bytes: usize,
+    /// The share of frames that each receiver loses by itself, 0 to 1.
+    #[serde(default)]
+    pub loss: f64,
+    /// What everything but the link takes: stack, bridge, wake-up of the receiver \[us\].
+    #[serde(default)]
+    pub latency_us: f64,
+    /// On the link beside a datagram \[bytes\]: Ethernet 14, IPv4 20, UDP 8.
+    #[serde(default = "headers")]
+    pub overhead_bytes: usize,
+}
+
+fn headers() -> usize {
+    14 + 20 + 8
+}
+
+impl Shaped {
+    /// The network of `tests/network_live.rs`: `tc tbf rate 1mbit`, 16 % loss.
+    pub fn megabit() -> Shaped {
+        Shaped {
+            rate_bit_s: 1e6,
+            burst_bytes: 1600,
+            queue_bytes: 20_000,
+            loss: 0.16,
+            latency_us: 0.0,
+            overhead_bytes: headers(),
+        }
+    }
+
+    /// Checks that there can be such a network.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
+        if !(1e3..=1e12).contains(&self.rate_bit_s) {
+            return wrong("rate_bit_s", format!("{} is not 1000 to 1e12", self.rate_bit_s));
+        }
+        if !(0.0..=1.0).contains(&self.loss) {
+            return wrong("loss", format!("{} is not a share of 0 to 1", self.loss));
+        }
+        if !(0.0..=1e6).contains(&self.latency_us) {
+            return wrong("latency_us", format!("{} is not 0 to 1000000", self.latency_us));
+        }
+        for (field, value) in [("burst_bytes", self.burst_bytes), ("queue_bytes", self.queue_bytes)] {
+            if !(100..=100_000_000).contains(&value) {
+                return wrong(field, format!("{value} is not 100 to 100000000"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The link of one station.
+#[derive(Clone, Debug)]
+struct Sender {
+    /// Tokens \[bytes\] as of the last departure.
+    tokens: f64,
+    at: Time,
+    /// Departures to come, with their lengths.
+    queue: VecDeque<(Time, usize)>,
+    waiting: usize,
+}
+
+/// Such a network at work.
+#[derive(Clone, Debug)]
+pub struct Links<T> {
+    shaped: Shaped,
+    senders: Vec<Sender>,
+    /// By arrival, in the order in which they were offered.
+    under_way: BTreeMap<(Time, u64), (u16, To, T)>,
+    offered: u64,
+    loss: Stream,
+    sent_bytes: f64,
+}
+
+impl<T: Clone> Links<T> {
+    /// A silent network of so many stations.
+    pub fn new(shaped: Shaped, stations: u16, seed: &Seed) -> Links<T> {
+        let tokens = shaped.burst_bytes as f64;
+        let sender = Sender { tokens, at: Time::ZERO, queue: VecDeque::new(), waiting: 0 };
+        Links {
+            shaped,
+            senders: vec![sender; usize::from(stations)],
+            under_way: BTreeMap::new(),
+            offered: 0,
+            loss: seed.stream("loss"),
+            sent_bytes: 0.0,
+        }
+    }
+
+    /// A station is given a datagram of so many bytes to send.
+    pub fn offer(&mut self, now: Time, from: u16, to: To, bytes: usize, token: T) {
+        let length = bytes + self.shaped.overhead_bytes;
+        let sender = &mut self.senders[usize::from(from)];
+        while let Some(&(left, length)) = sender.queue.front().filter(|(left, _)| *left <= now) {
+            debug_assert!(left <= now);
+            sender.waiting -= length;
+            sender.queue.pop_front();
+        }
+        if sender.waiting + length > self.shaped.queue_bytes || length > self.shaped.burst_bytes {
+            return;
+        }
+        let bytes_per_s = self.shaped.rate_bit_s / 8.0;
+        let from_when = now.max(sender.at);
+        let refilled = sender.tokens + from_when.since(sender.at).as_secs() * bytes_per_s;
+        let tokens = refilled.min(self.shaped.burst_bytes as f64) - length as f64;
+        let leaves = from_when + Span::from_secs((-tokens / bytes_per_s).max(0.0));
+        (sender.tokens, sender.at) = (tokens.max(0.0), leaves);
+        sender.queue.push_back((leaves, length));
+        sender.waiting += length;
+        self.sent_bytes += length as f64;
+        self.offered += 1;
+        let arrives = leaves + Span::from_secs(self.shaped.latency_us * 1e-6);
+        self.under_way.insert((arrives, self.offered), (from, to, token));
+    }
+
+    /// When anything arrives next.
+    pub fn wake_at(&self) -> Option<Time> {
+        self.under_way.first_key_value().map(|((at, _), _)| *at)
+    }
+
+    /// Puts what has arrived until `now` into `deliveries`.
+    pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<T>>) {
+        while let Some(first) = self.under_way.first_entry().filter(|first| first.key().0 <= now) {
+            let ((at, _), (from, to, token)) = first.remove_entry();
+            let one;
+            let listeners: &[u16] = match &to {
+                To::One(to) => {
+                    one = [*to];
+                    &one
+                }
+                To::Many(all) => all,
+            };
+            for &to in listeners.iter().filter(|to| **to != from) {
+                if self.shaped.loss == 0.0 || !self.loss.random_bool(self.shaped.loss) {
+                    deliveries.push(Delivery { at, from, to, token: token.clone() });
+                }
+            }
+        }
+    }
+
+    /// For how long the links were taken until now, on average over the stations \[s\].
+    pub fn taken_s(&self) -> f64 {
+        self.sent_bytes * 8.0 / self.shaped.rate_bit_s / self.senders.len() as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn links(queue_bytes: usize, loss: f64) -> Links<u8> {
+        let shaped = Shaped { burst_bytes: 1000, queue_bytes, loss, overhead_bytes: 0, ..Shaped::megabit() };
+        Links::new(shaped, 3, &Seed::of_run(1))
+    }
+
+    #[test]
+    fn a_burst_leaves_at_once_and_the_rest_at_the_rate() {
+        let mut links = links(10_000, 0.0);
+        let all: To = To::Many([0, 1, 2].into());
+        (0..3).for_each(|token| links.offer(Time::ZERO, 0, all.clone(), 500, token));
+        links.offer(Time::ZERO, 1, To::One(2), 500, 9);
+        let mut deliveries = Vec::new();
+        links.wake(Time::MAX, &mut deliveries);
+        let at = |token: u8| deliveries.iter().find(|d| d.token == token).unwrap().at.as_nanos();
+        assert_eq!([at(0), at(1), at(9)], [0; 3], "a bucket each");
+        assert_eq!(at(2), 4_000_000, "500 bytes at 125 a millisecond");
+        assert_eq!(deliveries.len(), 3 * 2 + 1);
+    }
+
+    #[test]
+    fn a_full_queue_loses_and_so_does_every_receiver_by_itself() {
+        let mut tight = links(1200, 0.0);
+        (0..5).for_each(|token| tight.offer(Time::ZERO, 0, To::One(1), 500, token));
+        let mut deliveries = Vec::new();
+        tight.wake(Time::MAX, &mut deliveries);
+        // Two leave with the tokens of the burst, two wait, one finds no room.
+        assert_eq!(deliveries.len(), 4);
+        let mut lossy = links(1 << 20, 0.16);
+        let all: To = To::Many([0, 1, 2].into());
+        deliveries.clear();
+        for ms in 0..5000 {
+            lossy.offer(Time::ZERO + Span::from_millis(10 * ms), 0, all.clone(), 100, 0);
+        }
+        lossy.wake(Time::MAX, &mut deliveries);
+        let share = deliveries.len() as f64 / 10_000.0;
+        assert!((share - 0.84).abs() < 0.012, "{share}");
+    }
+}

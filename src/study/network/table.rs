@@ -1,0 +1,101 @@
+//! The table of a network study, for a terminal and for its page.
+
+use std::fmt::Write as _;
+
+use super::case::Sweep;
+use super::outcome::Row;
+use super::saturation::Load;
+
+/// What a table shows of a row, and its name.
+type Shown = (&'static str, fn(&Row) -> Option<f64>);
+
+/// What is shown: of all messages that were due, in per cent; of those that came, in milliseconds.
+pub const SHOWN: [Shown; 5] = [
+    ("within 20 ms [%]", |row| Some(100.0 * row.within_20ms)),
+    ("delivered [%]", |row| Some(100.0 * row.delivered)),
+    ("median delay [ms]", |row| row.p50_ms),
+    ("airtime [%]", |row| row.airtime.map(|share| 100.0 * share)),
+    ("age at control steps, median [ms]", |row| row.age_p50_ms),
+];
+
+/// Heads: the rates.
+pub fn heads(sweep: &Sweep) -> Vec<String> {
+    ["messages/s".to_owned()].into_iter().chain(sweep.rates.iter().map(f64::to_string)).collect()
+}
+
+/// One line a combination, one column a rate.
+pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>> {
+    let mut names: Vec<String> = Vec::new();
+    for row in rows {
+        let name = row.combination();
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    let line = |name: String| {
+        let cell = |rate: &f64| {
+            let row = rows.iter().find(|row| row.rate == *rate && row.combination() == name);
+            row.and_then(value).map_or("-".to_owned(), |value| format!("{value:.1}"))
+        };
+        let cells: Vec<String> = sweep.rates.iter().map(cell).collect();
+        [name].into_iter().chain(cells).collect()
+    };
+    names.into_iter().map(line).collect()
+}
+
+/// The loads of teams of growing size.
+pub fn of_loads(loads: &[Load]) -> (Vec<&'static str>, Vec<Vec<String>>) {
+    let heads = vec![
+        "robots",
+        "addressing",
+        "messages/s",
+        "airtime",
+        "through an access point",
+        "saturation, messages/s",
+        "collisions",
+        "",
+    ];
+    let line = |load: &Load| {
+        vec![
+            load.robots.to_string(),
+            load.addressing.to_string(),
+            format!("{:.0}", load.messages_per_s),
+            format!("{:.0} %", 100.0 * load.airtime),
+            format!("{:.0} %", 100.0 * load.airtime_relayed),
+            format!("{:.0}", load.saturation_per_s),
+            format!("{:.0} %", 100.0 * load.collision),
+            if load.is_full() { "full".to_owned() } else { String::new() },
+        ]
+    };
+    (heads, loads.iter().map(line).collect())
+}
+
+/// Lines under heads, the first column to the left.
+fn aligned(heads: &[String], lines: &[Vec<String>]) -> String {
+    let width =
+        |at: usize| lines.iter().map(|line| &line[at]).chain([&heads[at]]).map(|cell| cell.chars().count()).max();
+    let widths: Vec<usize> = (0..heads.len()).map(|at| width(at).unwrap_or(0)).collect();
+    let mut text = String::new();
+    for line in [heads].into_iter().chain(lines.iter().map(Vec::as_slice)) {
+        let mut row = String::new();
+        for (at, (cell, width)) in line.iter().zip(&widths).enumerate() {
+            let _ = if at == 0 { write!(row, " {cell:<width$}") } else { write!(row, "  {cell:>width$}") };
+        }
+        text += row.trim_end();
+        text.push('\n');
+    }
+    text
+}
+
+/// All of it as a person reads it in a terminal: what arrives in time.
+pub fn text(sweep: &Sweep, rows: &[Row]) -> String {
+    let mut text = format!(
+        "study network: {} stations, messages of {} bytes, {} s a case, RTPS history {}, seed {}\n",
+        sweep.stations, sweep.bytes, sweep.seconds, sweep.history, sweep.seed
+    );
+    for shown in &SHOWN[..2] {
+        let lines = lines(sweep, rows, *shown);
+        let _ = write!(text, "\n{}, of all that were due\n{}", shown.0, aligned(&heads(sweep), &lines));
+    }
+    text.trim_end().to_owned()
+}

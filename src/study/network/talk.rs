@@ -1,0 +1,97 @@
+//! What stations say and when: the same in the emulation and between real hosts.
+
+use rand::RngExt;
+
+use crate::messages::geometry::{Motion, Vec2};
+use crate::messages::ids::RobotId;
+use crate::messages::wire::{Features, Latent, Phase, Round};
+use crate::random::{Seed, Stream};
+use crate::time::{Span, Time};
+
+/// What the wire format, a key's tag and IP, UDP and Ethernet do not carry of a message: so much longer than its content
+/// is its datagram. Header 14, block 3, tag 16, and what MessagePack needs.
+pub const AROUND_BYTES: usize = 40;
+
+/// A message: the number `sequence` of a station in case number `case`, said at `stamp` after the case began.
+pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: usize) -> Latent {
+    let own = 0.5 * f32::from(station + 1);
+    let us = stamp.as_nanos() / 1000;
+    // Both are whole numbers below 2^24, which a float holds exactly.
+    let (ms, us) = ((us / 1000) as f32, (us % 1000) as f32);
+    Latent {
+        robot: RobotId(station),
+        round: Round { epoch: case, episode: sequence },
+        phase: Phase::Running,
+        motion: Motion { position: Vec2::new(ms, us), velocity: Vec2::zeros() },
+        features: Features((0..features).map(|at| own + at as f32).collect()),
+    }
+}
+
+/// When a message says that it was said, after its case began.
+pub fn stamp(latent: &Latent) -> Span {
+    let position = latent.motion.position;
+    Span::from_nanos(1_000_000 * position.x as u64 + 1000 * position.y as u64)
+}
+
+/// When in every period each station takes its control step.
+pub fn phases(stations: u16, period: Span, seed: &Seed) -> Vec<Span> {
+    let mut stream = seed.stream("steps");
+    (0..stations).map(|_| Span::from_secs(period.as_secs() * stream.random_range(0.0..1.0))).collect()
+}
+
+/// When one station speaks: once in every period, at a moment of it that is drawn anew each time. So no two stations
+/// keep step, and no phase decides a whole case.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    begin: Time,
+    period: Span,
+    stream: Stream,
+    said: u32,
+    next: Time,
+}
+
+impl Schedule {
+    /// Of a station of `stations`, which say `rate` messages a second together.
+    pub fn new(begin: Time, station: u16, (stations, rate): (u16, f64), seed: &Seed) -> Schedule {
+        let period = Span::from_secs(f64::from(stations) / rate);
+        let stream = seed.stream(&format!("publish/{station}"));
+        let mut schedule = Schedule { begin, period, stream, said: 0, next: begin };
+        schedule.draw();
+        schedule
+    }
+
+    fn draw(&mut self) {
+        let within = Span::from_secs(self.period.as_secs() * self.stream.random_range(0.0..1.0));
+        self.next = self.begin + self.period * u64::from(self.said) + within;
+    }
+
+    /// When it speaks next.
+    pub fn next(&self) -> Time {
+        self.next
+    }
+
+    /// It speaks: the number of what it says.
+    pub fn say(&mut self) -> u32 {
+        self.said += 1;
+        self.draw();
+        self.said - 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_station_speaks_once_a_period_and_its_stamp_survives() {
+        let seed = Seed::of_run(1);
+        let mut schedule = Schedule::new(Time::ZERO, 3, (5, 100.0), &seed);
+        for k in 0..50 {
+            let (at, low) = (schedule.next(), Time::ZERO + Span::from_millis(50 * k));
+            assert!(at >= low && at <= low + Span::from_millis(50), "{k}: {at}");
+            assert_eq!(u64::from(schedule.say()), k);
+        }
+        let at = Span::from_nanos(61_234_567_000);
+        assert_eq!(stamp(&message(1, 0, 7, at, 32)), at);
+    }
+}

@@ -1,0 +1,152 @@
+//! The network study between five network namespaces on one bridge, each sender shaped by `tc tbf` and each receiver
+//! losing by nftables, held against the emulation of the same. Needs root, `ip`, `tc` and `nft`; skips, saying so, where
+//! it cannot run.
+#![cfg(target_os = "linux")]
+
+use std::fs;
+use std::io::Write as _;
+use std::process::{Child, Command, Stdio};
+
+use serde_json::Value;
+
+/// Messages a second, each to four readers by unicast: below and above the 263 that five links of 1 Mbit/s carry.
+const RATES: [f64; 2] = [240.0, 400.0];
+const STATIONS: usize = 5;
+/// Content of a message; with it a datagram of 552 bytes, 594 on the link.
+const BYTES: &str = "512";
+const MTU: &str = "760";
+const MEDIUM: &str = "rate_bit_s = 1e6\nburst_bytes = 774\nqueue_bytes = 12000\nloss = 0.16\n";
+const SHAPE: [&str; 6] = ["rate", "1mbit", "burst", "774", "limit", "12000"];
+
+/// Namespaces of this process, gone with it.
+struct Lab(String);
+
+impl Lab {
+    /// Builds it; `None` where that is not permitted.
+    fn build() -> Option<Lab> {
+        let lab = Lab(format!("mnet{}", std::process::id()));
+        let tools = ["tc", "nft"].iter().all(|tool| run(tool, &["-V"]) || run(tool, &["-v"]));
+        if !tools || !run("ip", &["netns", "add", &lab.space("hub")]) {
+            let _ = writeln!(std::io::stderr(), "skipped: it needs root and the programs 'ip', 'tc' and 'nft'");
+            return None;
+        }
+        let hub = lab.space("hub");
+        assert!(run("ip", &["-n", &hub, "link", "add", "bridge", "mtu", MTU, "type", "bridge", "mcast_snooping", "0"]));
+        assert!(run("ip", &["-n", &hub, "addr", "add", "10.81.0.1/24", "dev", "bridge"]));
+        assert!(run("ip", &["-n", &hub, "link", "set", "bridge", "up"]));
+        for station in 0..STATIONS {
+            let (space, port) = (lab.space(&format!("robot-{station}")), format!("port{station}"));
+            let address = format!("10.81.0.{}/24", 10 + station);
+            assert!(run("ip", &["netns", "add", &space]));
+            let pair = ["-n", &space, "link", "add", "eth0", "mtu", MTU, "type", "veth"];
+            let pair = [&pair[..], &["peer", "name", &port, "mtu", MTU, "netns", &hub]].concat();
+            assert!(run("ip", &pair));
+            assert!(run("ip", &["-n", &hub, "link", "set", &port, "master", "bridge", "up"]));
+            assert!(run("ip", &["-n", &space, "addr", "add", &address, "dev", "eth0"]));
+            assert!(run("ip", &["-n", &space, "link", "set", "lo", "up"]));
+            assert!(run("ip", &["-n", &space, "link", "set", "eth0", "up"]));
+            let shape = ["netns", "exec", &space, "tc", "qdisc", "add", "dev", "eth0", "root", "tbf"];
+            assert!(run("ip", &[&shape[..], &SHAPE[..]].concat()), "tbf");
+            // What is measured is UDP; the coordinator's connection is spared.
+            let rules = "table netdev loss {\nchain in {\n\
+                         type filter hook ingress device \"eth0\" priority 0;\n\
+                         ip protocol udp numgen random mod 100 < 16 drop\n}\n}\n";
+            assert!(run("ip", &["netns", "exec", &space, "nft", rules]), "nft");
+        }
+        Some(lab)
+    }
+
+    fn space(&self, name: &str) -> String {
+        format!("{}-{name}", self.0)
+    }
+
+    /// The program in a namespace.
+    fn program(&self, space: &str, args: &[&str]) -> Command {
+        let mut command = Command::new("ip");
+        command.args(["netns", "exec", &self.space(space), env!("CARGO_BIN_EXE_murmurate"), "study", "network"]);
+        command.args(args).stdin(Stdio::null());
+        command
+    }
+}
+
+impl Drop for Lab {
+    fn drop(&mut self) {
+        let stations = (0..STATIONS).map(|station| format!("robot-{station}"));
+        for name in stations.chain(["hub".to_owned()]) {
+            run("ip", &["netns", "del", &self.space(&name)]);
+        }
+    }
+}
+
+fn run(program: &str, args: &[&str]) -> bool {
+    let mut command = Command::new(program);
+    command.args(args).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command.status().is_ok_and(|status| status.success())
+}
+
+/// A process that does not outlive the test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn what_is_measured_between_namespaces_is_what_is_emulated() {
+    let Some(lab) = Lab::build() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    assert!(
+        Command::new(env!("CARGO_BIN_EXE_murmurate"))
+            .args(["key", "new", "--out", &path("team.key")])
+            .status()
+            .unwrap()
+            .success()
+    );
+    let peers = |port: u16| {
+        let peer = |station: usize| format!("robot-{station} = \"10.81.0.{}:{port}\"\n", 10 + station);
+        (0..STATIONS).map(peer).collect::<String>() + &format!("world = \"10.81.0.1:{port}\"\n")
+    };
+    let link = |name: &str, port: u16| {
+        let peers = peers(port);
+        format!("[link.{name}]\ninterface = \"eth0\"\ntransport = \"unicast\"\n[link.{name}.peers]\n{peers}")
+    };
+    let links = link("ad-hoc", 7711) + &link("infra", 7712) + &link("wires", 7713);
+    let team = "team = 81\nkey_file = \"team.key\"\nmode = \"onboard-adhoc\"\n".to_owned() + &links;
+    fs::write(path("team.toml"), team).unwrap();
+    fs::write(path("medium.toml"), MEDIUM).unwrap();
+    let (team, medium) = (path("team.toml"), path("medium.toml"));
+    let base = ["--live", &team, "--coordinator", "10.81.0.1:7790", "--quiet"];
+    let _stations: Vec<Process> = (0..STATIONS)
+        .map(|station| {
+            let name = format!("robot-{station}");
+            Process(lab.program(&name, &[&base[..], &["--host", &name]].concat()).spawn().unwrap())
+        })
+        .collect();
+    let rates = RATES.map(|rate| rate.to_string()).join(",");
+    let out = std::env::var("NETWORK_LIVE_OUT").unwrap_or_else(|_| path("out"));
+    let sweep = ["--medium", &medium, "--rates", &rates, "--reliability", "best-effort", "--addressing", "unicast"];
+    let more = ["--bytes", BYTES, "--seconds", "8", "--json", "--out", &out];
+    let output = lab.program("hub", &[&base[..], &sweep, &more].concat()).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let row = |source: &str, rate: f64| {
+        let rows = report["rows"].as_array().unwrap();
+        rows.iter().find(|row| row["source"] == source && row["rate"] == rate).unwrap().clone()
+    };
+    for rate in RATES {
+        let (live, emulated) = (row("live", rate), row("emulated", rate));
+        let pair = |field: &str| [&live, &emulated].map(|row| row[field].as_f64().unwrap());
+        let all = ["delivered", "p50_ms", "p90_ms", "p99_ms", "age_p50_ms"].map(|field| (field, pair(field)));
+        let _ = writeln!(std::io::stderr(), "{rate} messages/s, live and emulated: {all:?}");
+        let [measured, reckoned] = pair("delivered");
+        assert!((measured - reckoned).abs() < 0.02, "delivered at {rate}: {measured} and {reckoned}");
+        for field in ["p50_ms", "p90_ms"] {
+            let [measured, reckoned] = pair(field);
+            assert!((measured / reckoned - 1.0).abs() < 0.15, "{field} at {rate}: {measured} and {reckoned}");
+        }
+    }
+}

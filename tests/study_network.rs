@@ -1,0 +1,63 @@
+//! The network study as the program runs it: its rows, its folder, the medium fitted to the paper, and a fit.
+
+mod program;
+
+use std::fs;
+
+use program::{refuses, run, text};
+use serde_json::Value;
+
+fn rows(args: &[&str]) -> Vec<Value> {
+    let output = run(&[&["study", "network", "--json", "--quiet"][..], args].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    report["rows"].as_array().unwrap().clone()
+}
+
+fn number(row: &Value, field: &str) -> f64 {
+    row[field].as_f64().unwrap_or_else(|| panic!("{field} of {row}"))
+}
+
+#[test]
+fn the_paper_s_shape_comes_of_one_set_of_parameters() {
+    let adhoc = ["--medium", "paper", "--networks", "ad-hoc", "--seconds", "20"];
+    let unicast = ["--addressing", "unicast", "--reliability", "ack,ack-off", "--retries", "1,7", "--rates", "100,200"];
+    let all = rows(&[&adhoc[..], &unicast].concat());
+    let row = |reliability: &str, retries: u64, rate: f64| {
+        all.iter().find(|r| r["reliability"] == reliability && r["retries"] == retries && r["rate"] == rate).unwrap()
+    };
+    let seven = row("ack", 7, 200.0);
+    assert!((number(seven, "within_20ms") - 0.44).abs() < 0.1, "fitted: {seven}");
+    assert!(number(row("ack", 7, 100.0), "within_20ms") > 0.95, "it is saturation: half the rate is carried");
+    let faster = |one: &Value, other: &Value| {
+        number(one, "within_20ms") > number(other, "within_20ms") && number(one, "p50_ms") < number(other, "p50_ms")
+    };
+    assert!(faster(row("ack", 1, 200.0), seven), "predicted: one retry is faster than seven");
+    assert!(faster(row("ack-off", 7, 200.0), seven), "predicted: without positive acknowledgements delays are shorter");
+    let multicast = ["--addressing", "multicast", "--reliability", "best-effort", "--rates", "60"];
+    let all = rows(&[&adhoc[..], &multicast].concat());
+    let within = number(&all[0], "within_20ms");
+    assert!((within - 0.84).abs() < 0.05, "fitted: {}", all[0]);
+    assert!(number(&all[0], "delivered") - within < 0.01, "the rest is lost, not late: {}", all[0]);
+}
+
+#[test]
+fn a_report_does_not_depend_on_threads_and_is_gone_on_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let small = ["study", "network", "--rates", "20,60", "--seconds", "2", "--retries", "7", "--quiet"];
+    let report = |name: &str, jobs: &str| {
+        let out = folder.path().join(name);
+        let output = run(&[&small[..], &["--jobs", jobs, "--out", &out.to_string_lossy()]].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        fs::read(out.join("report.html")).unwrap()
+    };
+    let one = report("one", "1");
+    assert!(one == report("two", "2"), "the same bytes");
+    fs::remove_file(folder.path().join("one/cases/emulated-0003.json")).unwrap();
+    assert!(one == report("one", "2"), "what is missing is run again");
+    let out = folder.path().join("one");
+    refuses(&["study", "network", "--rates", "30", "--out", &out.to_string_lossy()], &["--out", "another study"]);
+    refuses(&["study", "network", "--medium", "telepathy"], &["--medium", "telepathy", "paper"]);
+    refuses(&["study", "network", "--reliability", "hope"], &["--reliability", "hope"]);
+    refuses(&["study", "network", "--bytes", "7"], &["--bytes", "7"]);
+}
