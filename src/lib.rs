@@ -30,6 +30,7 @@ pub mod random;
 pub mod report;
 pub mod safety;
 pub mod scenario;
+pub mod study;
 pub mod time;
 pub mod train;
 pub mod trial;

@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 
 /// The layer of a module; a module may use its own layer and those below.
 fn layer(module: &str) -> Option<u8> {
-    let layers: [(&str, u8); 29] = [
+    let layers: [(&str, u8); 30] = [
         ("config", 0),
         ("time", 0),
         ("random", 0),
@@ -82,7 +82,8 @@ fn layer(module: &str) -> Option<u8> {
         ("report", 1),
         ("deploy", 3),
         ("trial", 6),
-        ("lib", 7),
+        ("study", 7),
+        ("lib", 8),
     ];
     layers.iter().find(|(name, _)| module == *name || module.starts_with(&format!("{name}::"))).map(|(_, layer)| *layer)
 }

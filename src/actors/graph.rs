@@ -21,7 +21,8 @@ use super::world::{self, Ground, World};
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{Stop, Wire};
+use crate::messages::wire::{Kind, Stop, Wire};
+use crate::net::codec::Frame;
 use crate::net::fault::FaultPlan;
 use crate::net::link;
 use crate::net::medium::Medium;
@@ -126,6 +127,7 @@ pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: imp
         repeat: plan.repeat,
         rules: plan.scenario.rules(),
         steps: plan.steps,
+        hearers: plan.deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count() as u64 - 1,
     };
     let robots = plan.deployment.robots;
     let make = move |_| Recorder::new(config.clone(), robots);
@@ -166,8 +168,16 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
     let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
     let watched = plan.safety.own_state == Switch::On;
+    let (record, observed) = (graph.record(), plan.steps == recorder::Steps::Reported);
+    let host = graph.routes.agent_host(robot);
     start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |out| match out {
-        cache::Out::Percept(percept) => agent.send(agent::In::Percept(percept)),
+        cache::Out::Percept(percept) => {
+            if observed {
+                let heard = percept.heard.iter().map(|heard| (heard.robot, heard.age)).collect();
+                record(recorder::In::Perceived(host, heard));
+            }
+            agent.send(agent::In::Percept(percept));
+        }
         // Nobody waits for it where own state is not watched, and it would be a fifth of all that goes around.
         cache::Out::Fresh if watched => controller.send(controller::In::Fresh),
         cache::Out::Fresh => {}
@@ -364,9 +374,13 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
             let air = radio.clone().map(|radio| Air::new(radio, &robots_of, &air()));
             Ether::new(medium, air, |kind| routes.listeners(kind))
         };
+        let observed = plan.steps == recorder::Steps::Reported && link.carries.contains(&Kind::Latent);
         let (networks, record) = (graph.networks.clone(), graph.record());
         start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
             ether::Out::Arrive(Arrive { to, frame }) => {
+                if observed {
+                    record(recorder::In::Arrived(to, Frame::clone(&frame)));
+                }
                 networks[usize::from(to.0)].send(network::In::Frame(id, frame));
             }
             ether::Out::Counts(counts) => record(recorder::In::Radio(id, counts)),

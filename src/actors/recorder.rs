@@ -11,10 +11,11 @@ use super::Core;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::local::{Sample, Truth};
 use crate::messages::wire::{Kind, Phase, Round, Wire};
-use crate::net::codec::{self, Content, Frame};
+use crate::net::codec::{self, Content, Flags, Frame, Header};
 use crate::net::link::LinkCounts;
 use crate::net::radio::RadioCounts;
 use crate::report::episode::Episode;
+use crate::report::listening::{Datagram, Listener};
 use crate::report::trial::{Step, Totals};
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::Rules;
@@ -37,6 +38,10 @@ pub enum In {
     Radio(LinkId, Box<RadioCounts>),
     /// How often a robot's guard has stopped or slowed it since its Controller was started.
     Safety(RobotId, SafetyCounts),
+    /// A datagram has arrived at a host of this process.
+    Arrived(HostId, Frame),
+    /// A Cache has handed a percept on at a host: whom it has heard, and how long ago that arrived.
+    Perceived(HostId, Box<[(RobotId, Span)]>),
 }
 
 /// What a Recorder says.
@@ -61,6 +66,8 @@ pub struct Config {
     pub rules: Rules,
     /// Whether to tell of every step.
     pub steps: Steps,
+    /// At how many other hosts a message to neighbours is due.
+    pub hearers: u64,
 }
 
 /// What becomes of every step of a trial.
@@ -87,6 +94,7 @@ pub struct Recorder {
     /// The same of each robot's guard.
     safety: BTreeMap<RobotId, SafetyCounts>,
     oldest_command: Span,
+    listener: Listener,
     round: Round,
     phase: Phase,
     since: Time,
@@ -101,6 +109,7 @@ impl Recorder {
     /// A recorder of a trial with `robots` robots.
     pub fn new(config: Config, robots: usize) -> Recorder {
         Recorder {
+            listener: Listener::new(config.hearers),
             config,
             digest: Xxh3::new(),
             messages: 0,
@@ -126,10 +135,19 @@ impl Recorder {
         self.digest.update(&now.as_nanos().to_le_bytes());
         self.digest.update(frame);
         let content = codec::first(frame).expect("a Network publishes whole datagrams");
+        if content == Content::Message(Kind::Latent) && self.listens() {
+            let (header, message) = codec::decode(frame).expect("a Network publishes whole datagrams");
+            self.listener.published(now, datagram(&header), message.robot());
+        }
         if !matches!(content, Content::Message(Kind::Mode | Kind::MotorCommand)) {
             return;
         }
         self.hear(now, &codec::decode(frame).expect("a Network publishes whole datagrams").1, out);
+    }
+
+    /// Whether messages between robots are followed: it costs a little, and only who keeps steps looks at it.
+    fn listens(&self) -> bool {
+        self.config.steps == Steps::Reported && self.phase == Phase::Running
     }
 
     fn hear(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {
@@ -179,6 +197,7 @@ impl Recorder {
             links: self.counts.values().copied().sum(),
             radio: self.radio.values().copied().sum(),
             safety: self.safety.values().copied().sum(),
+            listening: self.listener.listening(),
         }
     }
 
@@ -244,6 +263,11 @@ impl Recorder {
     }
 }
 
+/// Which datagram this is; a copy is the same one.
+fn datagram(header: &Header) -> Datagram {
+    (header.sender, header.epoch, header.sequence, header.flags.has(Flags::DIRECT))
+}
+
 impl Core for Recorder {
     type In = In;
     type Out = Out;
@@ -261,6 +285,19 @@ impl Core for Recorder {
             }
             In::Safety(robot, counts) => {
                 self.safety.insert(robot, counts);
+            }
+            In::Arrived(to, frame) => {
+                // What was garbled on its way is no arrival.
+                if let Ok(header) = codec::peek(&frame)
+                    && self.listens()
+                {
+                    self.listener.arrived(now, to, datagram(&header));
+                }
+            }
+            In::Perceived(at, heard) => {
+                if self.listens() {
+                    self.listener.stepped(now, at, &heard);
+                }
             }
         }
     }
@@ -280,13 +317,12 @@ mod tests {
     use crate::messages::latch::Latch;
     use crate::messages::local::Contacts;
     use crate::messages::wire::Mode;
-    use crate::net::codec::{Flags, Header};
     use crate::scenario::{Settings, build};
 
     fn recorder() -> Recorder {
         let passage = build("passage", &Settings::of(2)).unwrap();
         let layouts = Layouts::of_scenario(&*passage, 1, 3);
-        Recorder::new(Config { layouts, repeat: 4, rules: passage.rules(), steps: Steps::Discarded }, 2)
+        Recorder::new(Config { layouts, repeat: 4, rules: passage.rules(), steps: Steps::Discarded, hearers: 1 }, 2)
     }
 
     fn at_ms(ms: u64) -> Time {

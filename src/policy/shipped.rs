@@ -7,3 +7,11 @@ pub fn shipped(scenario: &str) -> Option<&'static [u8]> {
         _ => None,
     }
 }
+
+/// The file of the policy for a scenario that was trained for the paper's own conditions: lock step, perfect messages.
+pub fn published(scenario: &str) -> Option<&'static [u8]> {
+    match scenario {
+        "passage" => Some(include_bytes!("../../policies/passage-published.safetensors")),
+        _ => None,
+    }
+}

@@ -1,7 +1,14 @@
 //! What came of a run: episodes, their summary, and the tables that a person reads.
 
+pub mod ages;
 pub mod episode;
 pub mod event;
+pub mod figures;
+pub mod grid;
+pub mod listening;
+pub mod page;
+#[cfg(feature = "png")]
+pub mod png;
 pub mod statistics;
 pub mod summary;
 pub mod trial;

@@ -1,6 +1,7 @@
 //! What came of one trial: its episodes, its totals, and its steps if they were kept.
 
 use super::episode::Episode;
+use super::listening::Listening;
 use crate::messages::local::Sample;
 use crate::messages::wire::Phase;
 use crate::net::link::LinkCounts;
@@ -63,4 +64,6 @@ pub struct Totals {
     pub radio: RadioCounts,
     /// What the robots' guards counted, up to their last heartbeats.
     pub safety: SafetyCounts,
+    /// What robots heard of each other while episodes ran; empty unless steps are kept.
+    pub listening: Listening,
 }

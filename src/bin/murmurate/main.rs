@@ -9,6 +9,7 @@ mod config;
 mod deployment;
 mod doctor;
 mod host;
+mod jobs;
 mod key;
 mod launch;
 mod links;
@@ -17,6 +18,7 @@ mod paths;
 mod policy;
 mod sim;
 mod stop;
+mod study;
 mod team;
 mod train;
 
@@ -45,6 +47,9 @@ enum Command {
     Sim(Box<sim::Args>),
     /// Prints a preset mode as a deployment file, to be changed and run with `sim --deployment`.
     Deployment(deployment::Args),
+    /// Runs a whole study: the same policies in several columns of conditions, with a report.
+    #[command(subcommand)]
+    Study(study::Args),
     /// Trains a policy.
     Train(Box<train::Args>),
     /// Runs one host of a team in real time: what is started on a robot.
@@ -97,6 +102,7 @@ fn main() -> ExitCode {
     let ended = match cli.command {
         Command::Sim(args) => sim::run(&args),
         Command::Deployment(args) => deployment::run(&args),
+        Command::Study(args) => study::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Host(args) => host::run(&args),
         Command::Launch(args) => launch::run(&args),

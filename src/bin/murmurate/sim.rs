@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
@@ -23,7 +23,7 @@ use murmurate::world::{Clamp, ContactRule, Placement};
 
 use crate::output::{WholeFile, print, read_text, talk};
 use crate::paths::Paths;
-use crate::{BadInput, Ended, deployment, policy};
+use crate::{BadInput, Ended, deployment, jobs, policy};
 
 /// Flags of `murmurate sim`.
 #[derive(clap::Args)]
@@ -123,7 +123,8 @@ pub struct Args {
     quiet: bool,
 }
 
-fn scenarios() -> PossibleValuesParser {
+/// A flag that takes a scenario.
+pub fn scenarios() -> PossibleValuesParser {
     PossibleValuesParser::new(scenario::REGISTRY.iter().map(|entry| entry.name))
 }
 
@@ -172,47 +173,35 @@ pub fn run(args: &Args) -> Result<Ended> {
 }
 
 fn run_all(args: &Args, trial: &Trial, stop: &AtomicBool) -> Result<Vec<TrialReport>> {
-    let bar = progress(args);
-    let next = AtomicU32::new(0);
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let jobs = args.jobs.map_or(cores, usize::from).min(args.repeats as usize);
-    let work = || {
-        let mut reports = Vec::new();
-        loop {
-            let repeat = next.fetch_add(1, Ordering::Relaxed);
-            if repeat >= args.repeats || stop.load(Ordering::Relaxed) {
-                return reports;
-            }
-            let mut shown = 0;
-            let proceed = |episodes: &[Episode]| {
-                if episodes.len() > shown {
-                    let new = (episodes.len() - shown) as u64;
-                    shown = episodes.len();
-                    bar.inc(new);
-                }
-                if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::On }
-            };
-            reports.push((repeat, Trial { repeat, ..trial.clone() }.run_while(proceed)));
-        }
+    let bar = progress(u64::from(args.episodes) * u64::from(args.repeats), args.quiet);
+    let repeats = args.repeats as usize;
+    let work = |repeat: usize| {
+        let repeat = u32::try_from(repeat).expect("repeats were counted in u32");
+        Trial { repeat, ..trial.clone() }.run_while(watched(&bar, stop))
     };
-    let mut reports: Vec<(u32, TrialReport)> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
-        threads
-            .into_iter()
-            .flat_map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-            .collect()
-    });
+    let reports = jobs::run(repeats, jobs::threads(args.jobs, repeats), stop, work);
     bar.finish_and_clear();
-    reports.sort_by_key(|(repeat, _)| *repeat);
     Ok(reports.into_iter().map(|(_, report)| report).collect())
 }
 
-fn progress(args: &Args) -> ProgressBar {
-    if args.quiet {
+/// Shows every episode on a bar as it ends, until the trial is to stop.
+pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -> Proceed {
+    let mut shown = 0;
+    move |episodes| {
+        if episodes.len() > shown {
+            bar.inc((episodes.len() - shown) as u64);
+            shown = episodes.len();
+        }
+        if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::On }
+    }
+}
+
+/// A bar over so many episodes, with the time that is left. On anything but a terminal it draws nothing.
+pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
+    if quiet {
         return ProgressBar::hidden();
     }
-    // On anything but a terminal it draws nothing.
-    let bar = ProgressBar::new(u64::from(args.episodes) * u64::from(args.repeats));
+    let bar = ProgressBar::new(episodes);
     let style =
         ProgressStyle::with_template("{bar:30} {pos}/{len} episodes, {eta} left").expect("the template is sound");
     bar.set_style(style);
@@ -256,7 +245,7 @@ fn trial(args: &Args) -> Result<(Trial, String)> {
     }
     deployment = deployment::with_radio(deployment, &args.radio)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
-    let policy::Loaded { model, name: policy, assumed } =
+    let policy::Loaded { model, name: policy, assumed, .. } =
         policy::load(args.policy.as_deref(), args.action.as_deref(), &*scenario)?;
     if let Some(assumed) = assumed.filter(|_| !args.quiet) {
         talk(&format!("warning: {assumed}"));

@@ -1,0 +1,141 @@
+//! `murmurate study`: whole studies, with a report. What a study is lives in the library; here are its flags, its
+//! threads, its clock and its files.
+
+mod flags;
+mod folder;
+mod journal;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use murmurate::study::record::Record;
+use murmurate::study::results::{Results, Row};
+use murmurate::study::{Job, Study, table};
+use serde::Serialize;
+
+use crate::output::{print, talk};
+use crate::sim::{progress, watched};
+use crate::{Ended, jobs};
+use folder::Folder;
+use journal::Journal;
+
+/// The studies.
+#[derive(clap::Subcommand)]
+pub enum Args {
+    /// The paper's Table I: four modes and two variations, against the conditions of training
+    Modes(Box<flags::Modes>),
+    /// Success over delay and loss of the messages between robots (mode onboard-adhoc)
+    Delay(Box<flags::Delay>),
+    /// Success over the communication radius (mode onboard-adhoc)
+    Range(Box<flags::Range>),
+}
+
+/// What a study came to, for `--json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    study: &'a str,
+    scenario: String,
+    columns: Vec<&'a Row>,
+    wall_s: f64,
+    seed: u64,
+    /// Trials that are done, and that there are.
+    trials: [usize; 2],
+    interrupted: bool,
+}
+
+/// Runs a study.
+pub fn run(args: &Args) -> Result<Ended> {
+    let (study, shared) = match args {
+        Args::Modes(flags) => (flags.study()?, &flags.shared),
+        Args::Delay(flags) => (flags.study()?, &flags.shared),
+        Args::Range(flags) => (flags.study()?, &flags.shared),
+    };
+    let folder = shared.out.as_deref().map(|path| Folder::open(path, &study)).transpose()?;
+    let journal = folder.as_ref().map(Folder::journal);
+    let stop = Arc::new(AtomicBool::new(false));
+    let signal = Arc::clone(&stop);
+    ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+
+    let began = Instant::now();
+    let records = run_all(&study, journal.as_ref(), &stop, (shared.jobs, shared.quiet))?;
+    let trials = [records.len(), study.jobs().len()];
+    let interrupted = trials[0] < trials[1];
+    let results = Results::of(&study, &records);
+    if let (Some(folder), false) = (&folder, interrupted) {
+        folder.write_report(&study, &results, &records)?;
+    }
+    let report = Report {
+        study: study.name,
+        scenario: study.place(),
+        columns: results.rows().collect(),
+        wall_s: began.elapsed().as_secs_f64(),
+        seed: study.seed,
+        trials,
+        interrupted,
+    };
+    let (wall_s, [done, all]) = (report.wall_s, trials);
+    print(&if shared.json {
+        serde_json::to_string(&report).context("a report is JSON")?
+    } else {
+        format!("{}\n\n{done} of {all} trials; {wall_s:.1} s", table::text(&study, &results))
+    })?;
+    match (&folder, interrupted) {
+        (Some(folder), true) => {
+            talk(&format!(
+                "interrupted; {done} of {all} trials are kept in '{}': the same command goes on from there",
+                folder.path().display()
+            ));
+        }
+        (None, true) => {
+            talk(&format!("interrupted after {done} of {all} trials; with --out DIR they would be kept"));
+        }
+        (Some(folder), false) if !shared.quiet => talk(&format!("report in '{}'", folder.page().display())),
+        _ => {}
+    }
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+/// The records of all trials, in their order: those of the journal, and the rest run now. Fewer after a Ctrl-C.
+fn run_all(
+    study: &Study,
+    journal: Option<&Journal>,
+    stop: &AtomicBool,
+    (threads, quiet): (Option<u16>, bool),
+) -> Result<Vec<(Job, Record)>> {
+    let all = study.jobs();
+    let mut records = Vec::new();
+    let mut open = Vec::new();
+    for &job in &all {
+        match journal.and_then(|journal| journal.read(study, job)) {
+            Some(record) => records.push((job, record)),
+            None => open.push(job),
+        }
+    }
+    let episodes = u64::from(study.layouts.len());
+    let bar = progress(episodes * open.len() as u64, quiet);
+    if !records.is_empty() && !quiet {
+        talk(&format!("{} of {} trials are there already", records.len(), all.len()));
+    }
+    let work = |at: usize| -> Result<Option<(Job, Record)>> {
+        let job = open[at];
+        let report = study.trial(job).run_while(watched(&bar, stop));
+        if !report.finished {
+            return Ok(None);
+        }
+        let record = Record::of(study, job, &report);
+        if let Some(journal) = journal {
+            // A disk that is full ends the study; what was written stays.
+            journal.write(study, job, &record).inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
+        }
+        Ok(Some((job, record)))
+    };
+    let done = jobs::run(open.len(), jobs::threads(threads, open.len()), stop, work);
+    bar.finish_and_clear();
+    for (_, record) in done {
+        records.extend(record?);
+    }
+    records.sort_by_key(|(job, _)| *job);
+    Ok(records)
+}

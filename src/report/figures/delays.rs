@@ -1,0 +1,85 @@
+//! Delays of messages as cumulative shares: from publication to arrival, and to the control steps that had them.
+
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, VPos};
+
+use super::{Area, Drawn, FigureError, GREY, TEXT, WIDTH, colour, dashes, style, svg};
+use crate::report::listening::Listening;
+
+/// What the robots of one column heard.
+#[derive(Clone, Debug)]
+pub struct Heard<'a> {
+    /// The column's name.
+    pub name: &'a str,
+    /// What they heard.
+    pub listening: &'a Listening,
+}
+
+const HEIGHT: u32 = 560;
+/// Pixels of the title.
+const HEAD: i32 = 52;
+/// The marks of the paper's network study \[s\].
+const MARKS_S: [f64; 2] = [0.02, 0.05];
+/// Where the axis begins and ends \[s\].
+const ENDS_S: (f64, f64) = (1e-4, 1.0);
+
+/// Draws both, for the columns in which messages cross a link.
+pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
+    let crossing: Vec<(usize, &Heard)> =
+        columns.iter().enumerate().filter(|(_, column)| column.listening.due > 0).collect();
+    let legend = 30 * crossing.len().div_ceil(3) as u32;
+    svg(HEIGHT + legend, |area| {
+        area.draw(&Text::new(title.to_owned(), (20, 14), style(TEXT + 3, BLACK, HPos::Left, VPos::Top)))?;
+        let half = (WIDTH / 2, HEIGHT - HEAD as u32);
+        let left = area.clone().shrink((0, HEAD), half);
+        let right = area.clone().shrink((half.0 as i32, HEAD), half);
+        let arrival = |heard: &Listening| {
+            let share = heard.delivered().unwrap_or(0.0);
+            heard.delay.cumulative().into_iter().map(|(edge, within)| (edge, share * within)).collect()
+        };
+        panel(&left, "publication to arrival", "share of messages due", &crossing, arrival)?;
+        let step = |heard: &Listening| heard.age.cumulative();
+        panel(&right, "publication to control step", "share of messages in use", &crossing, step)?;
+        for (place, (at, column)) in crossing.iter().enumerate() {
+            let (x, y) = (60 + 370 * (place % 3) as i32, HEIGHT as i32 + 30 * (place / 3) as i32 + 8);
+            area.draw(&PathElement::new(vec![(x, y), (x + 36, y)], colour(*at).stroke_width(4)))?;
+            let text = style(TEXT - 1, BLACK, HPos::Left, VPos::Center);
+            area.draw(&Text::new(column.name.to_owned(), (x + 46, y), text))?;
+        }
+        Ok(())
+    })
+}
+
+fn panel(
+    area: &Area,
+    title: &str,
+    what: &str,
+    columns: &[(usize, &Heard)],
+    line: impl Fn(&Listening) -> Vec<(f64, f64)>,
+) -> Drawn {
+    area.draw(&Text::new(title.to_owned(), (84, 4), style(TEXT, BLACK, HPos::Left, VPos::Top)))?;
+    let mut chart = ChartBuilder::on(area)
+        .margin_top(36)
+        .margin_right(24)
+        .x_label_area_size(66)
+        .y_label_area_size(80)
+        .build_cartesian_2d((1000.0 * ENDS_S.0..1000.0 * ENDS_S.1).log_scale(), 0.0..1.02)?;
+    let mut mesh = chart.configure_mesh();
+    mesh.light_line_style(WHITE).x_labels(5).y_labels(6).x_desc("delay [ms]").y_desc(what);
+    mesh.x_label_formatter(&|x| format!("{x}")).y_label_formatter(&|y| format!("{y:.1}"));
+    mesh.label_style(("sans-serif", TEXT - 2)).axis_desc_style(("sans-serif", TEXT - 1)).draw()?;
+    for mark in MARKS_S.map(|mark| 1000.0 * mark) {
+        let pieces = dashes((mark, 0.0), (mark, 1.0), 30);
+        chart.draw_series(pieces.map(|piece| PathElement::new(piece, GREY.stroke_width(1))))?;
+        let text = style(TEXT - 4, GREY, HPos::Right, VPos::Top);
+        chart.draw_series([Text::new(format!("{mark:.0} ms "), (mark, 0.08), text)])?;
+    }
+    for (at, column) in columns {
+        let points = line(column.listening).into_iter().filter(|(edge, _)| *edge <= ENDS_S.1);
+        let points: Vec<(f64, f64)> = points.map(|(edge, share)| (1000.0 * edge, share)).collect();
+        // Lines may lie on each other: the later ones are thinner, so that the earlier ones are seen.
+        let width = 7 - (*at as u32).min(5);
+        chart.draw_series([PathElement::new(points, colour(*at).stroke_width(width))])?;
+    }
+    Ok(())
+}

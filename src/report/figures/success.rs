@@ -1,0 +1,87 @@
+//! Success by column: one row a column, one mark an entrant with its interval, and what the paper reports.
+
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, VPos};
+
+use super::{Drawn, FigureError, TEXT, colour, mark, style, svg};
+
+/// A share with its 95 % interval, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Share {
+    /// The share.
+    pub rate: f64,
+    /// Its interval.
+    pub ci95: [f64; 2],
+}
+
+/// One column.
+#[derive(Clone, Debug)]
+pub struct Group {
+    /// Its name.
+    pub name: String,
+    /// By entrant; `None` where there is none.
+    pub shares: Vec<Option<Share>>,
+    /// What the paper reports, where it is known.
+    pub paper: Option<f64>,
+}
+
+/// Pixels of a row and of what is around all of them.
+const ROW: u32 = 74;
+const HEAD: u32 = 52;
+const FOOT: u32 = 72;
+
+/// Draws them; `entrants` by name.
+pub fn success(title: &str, entrants: &[String], groups: &[Group]) -> Result<String, FigureError> {
+    let legend = 32 * (entrants.len() as u32 + 1);
+    let count = groups.len() as f64;
+    let least = groups.iter().flat_map(|group| &group.shares).flatten().map(|share| share.ci95[0]);
+    let least = least.chain(groups.iter().filter_map(|group| group.paper)).fold(0.9, f64::min);
+    let first = ((100.0 * least - 2.0) / 10.0).floor().max(0.0) * 10.0;
+    svg(HEAD + legend + ROW * groups.len() as u32 + FOOT, |area| {
+        area.draw(&Text::new(title.to_owned(), (20, 14), style(TEXT + 3, BLACK, HPos::Left, VPos::Top)))?;
+        for (at, name) in entrants.iter().enumerate() {
+            let y = (HEAD + 32 * at as u32 + 12) as i32;
+            mark(area, (260, y), at, colour(at))?;
+            area.draw(&Text::new(name.clone(), (280, y), style(TEXT - 1, BLACK, HPos::Left, VPos::Center)))?;
+        }
+        let y = (HEAD + legend - 20) as i32;
+        cross(area, (260, y))?;
+        let told = "the paper's robots (Table I), where the figure is known";
+        area.draw(&Text::new(told, (280, y), style(TEXT - 1, BLACK, HPos::Left, VPos::Center)))?;
+        let mut chart = ChartBuilder::on(area)
+            .margin_top(HEAD + legend)
+            .margin_left(240)
+            .margin_right(40)
+            .x_label_area_size(FOOT - 6)
+            .build_cartesian_2d(first..100.5, 0.0..count)?;
+        let mut mesh = chart.configure_mesh();
+        mesh.disable_y_mesh().disable_y_axis().light_line_style(WHITE).x_desc("success [%]");
+        mesh.x_label_formatter(&|x| format!("{x:.0}")).x_labels(11);
+        mesh.label_style(("sans-serif", TEXT)).axis_desc_style(("sans-serif", TEXT)).draw()?;
+        for (row, group) in groups.iter().enumerate() {
+            let middle = count - 0.5 - row as f64;
+            let to_pixel = |share: f64, y: f64| chart.plotting_area().map_coordinate(&(100.0 * share, y));
+            let (_, y) = to_pixel(1.0, middle);
+            area.draw(&Text::new(group.name.clone(), (228, y), style(TEXT, BLACK, HPos::Right, VPos::Center)))?;
+            let slots = group.shares.len() as f64;
+            for (at, share) in group.shares.iter().enumerate() {
+                let Some(share) = share else { continue };
+                let place = middle + 0.7 * ((slots - 1.0) / 2.0 - at as f64) / slots.max(1.0);
+                let [low, high] = share.ci95.map(|end| to_pixel(end.max(first / 100.0), place));
+                area.draw(&PathElement::new(vec![low, high], colour(at).stroke_width(3)))?;
+                mark(area, to_pixel(share.rate.max(first / 100.0), place), at, colour(at))?;
+            }
+            if let Some(paper) = group.paper {
+                cross(area, to_pixel(paper, middle))?;
+            }
+        }
+        Drawn::Ok(())
+    })
+}
+
+fn cross(area: &super::Area, (x, y): (i32, i32)) -> Drawn {
+    for turn in [-1, 1] {
+        area.draw(&PathElement::new(vec![(x - 8, y - 8 * turn), (x + 8, y + 8 * turn)], BLACK.stroke_width(3)))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,140 @@
+//! Two-dimensional histograms: what stays of all the steps of a run.
+
+use serde::{Deserialize, Serialize};
+
+/// One axis of a grid, cut into equal bins.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Axis {
+    /// Where it begins.
+    pub low: f32,
+    /// Where it ends.
+    pub high: f32,
+    /// Into how many bins it is cut.
+    pub bins: usize,
+}
+
+impl Axis {
+    /// An axis of bins of about `width`, at most `most` of them.
+    pub fn new(low: f32, high: f32, width: f32, most: usize) -> Axis {
+        let bins = ((high - low) / width).round() as usize;
+        Axis { low, high, bins: bins.clamp(1, most) }
+    }
+
+    /// The width of a bin.
+    pub fn width(&self) -> f32 {
+        (self.high - self.low) / self.bins as f32
+    }
+
+    /// Where a bin begins.
+    pub fn at(&self, bin: usize) -> f32 {
+        self.low + self.width() * bin as f32
+    }
+
+    /// The bin of a value; what lies beyond an end counts there.
+    fn bin(&self, value: f32) -> usize {
+        (((value - self.low) / self.width()).max(0.0) as usize).min(self.bins - 1)
+    }
+}
+
+/// Counts over two axes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Sparse", into = "Sparse")]
+pub struct Grid {
+    /// The first axis.
+    pub x: Axis,
+    /// The second axis.
+    pub y: Axis,
+    counts: Vec<u64>,
+}
+
+/// A grid as it is written: without its empty bins.
+#[derive(Clone, Serialize, Deserialize)]
+struct Sparse {
+    x: Axis,
+    y: Axis,
+    counts: Vec<(usize, u64)>,
+}
+
+impl From<Grid> for Sparse {
+    fn from(grid: Grid) -> Sparse {
+        let counts = grid.counts.into_iter().enumerate().filter(|(_, count)| *count > 0).collect();
+        Sparse { x: grid.x, y: grid.y, counts }
+    }
+}
+
+impl From<Sparse> for Grid {
+    fn from(sparse: Sparse) -> Grid {
+        let mut grid = Grid::new(sparse.x, sparse.y);
+        for (at, count) in sparse.counts {
+            if let Some(place) = grid.counts.get_mut(at) {
+                *place = count;
+            }
+        }
+        grid
+    }
+}
+
+impl Grid {
+    /// An empty grid.
+    pub fn new(x: Axis, y: Axis) -> Grid {
+        Grid { x, y, counts: vec![0; x.bins.saturating_mul(y.bins).min(1 << 20)] }
+    }
+
+    /// Counts one pair.
+    pub fn add(&mut self, x: f32, y: f32) {
+        let at = self.y.bin(y) * self.x.bins + self.x.bin(x);
+        self.counts[at] += 1;
+    }
+
+    /// Counts all of another grid with the same axes.
+    pub fn merge(&mut self, other: &Grid) {
+        assert_eq!((self.x, self.y), (other.x, other.y), "grids of one study have the same axes");
+        self.counts.iter_mut().zip(&other.counts).for_each(|(mine, theirs)| *mine += theirs);
+    }
+
+    /// How many pairs were counted.
+    pub fn total(&self) -> u64 {
+        self.counts.iter().sum()
+    }
+
+    /// What was counted in a bin.
+    pub fn count(&self, x: usize, y: usize) -> u64 {
+        self.counts[y * self.x.bins + x]
+    }
+
+    /// The value of y that a share `q` of the pairs in a bin of x does not pass, interpolated within its bin; `None`
+    /// for fewer than `least` pairs.
+    pub fn quantile(&self, x: usize, q: f64, least: u64) -> Option<f32> {
+        let total: u64 = (0..self.y.bins).map(|y| self.count(x, y)).sum();
+        if total < least.max(1) {
+            return None;
+        }
+        let (wanted, mut before) = (q * total as f64, 0.0);
+        for y in 0..self.y.bins {
+            let here = self.count(x, y) as f64;
+            if here > 0.0 && before + here >= wanted {
+                return Some(self.y.at(y) + self.y.width() * ((wanted - before) / here).clamp(0.0, 1.0) as f32);
+            }
+            before += here;
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_grid_survives_its_text_and_has_quantiles() {
+        let mut grid = Grid::new(Axis::new(0.0, 1.0, 0.5, 10), Axis::new(0.0, 4.0, 1.0, 10));
+        for y in [0.5, 1.5, 2.5, 3.5, 9.0] {
+            grid.add(0.1, y);
+        }
+        assert_eq!((grid.total(), grid.count(0, 3)), (5, 2), "what is beyond the end counts in the last bin");
+        assert_eq!(grid.quantile(0, 0.4, 1), Some(2.0));
+        assert_eq!(grid.quantile(1, 0.4, 1), None);
+        let text = serde_json::to_string(&grid).unwrap();
+        assert_eq!(serde_json::from_str::<Grid>(&text).unwrap(), grid);
+    }
+}

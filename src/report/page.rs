@@ -1,0 +1,79 @@
+//! A report as one self-contained HTML page: text, tables, figures. It loads nothing and follows light and dark.
+
+use std::fmt::Write as _;
+
+use super::figures::Figure;
+
+/// A part of a page.
+#[derive(Clone, Debug)]
+pub enum Part<'a> {
+    /// A heading.
+    Heading(String),
+    /// A paragraph.
+    Text(String),
+    /// Something to be typed or looked at as it is.
+    Verbatim(String),
+    /// A table: its heads and its rows.
+    Table(Vec<&'a str>, Vec<Vec<String>>),
+    /// Names with what they mean.
+    Terms(Vec<(String, String)>),
+    /// A figure.
+    Figure(&'a Figure),
+}
+
+const STYLE: &str = "\
+:root{color-scheme:light dark}\
+body{font:16px/1.5 system-ui,sans-serif;max-width:1200px;margin:2em auto;padding:0 1em;\
+color:light-dark(#1a1a1a,#e8e8e8);background:light-dark(#fff,#16181a)}\
+h1,h2{line-height:1.2}h2{margin-top:2em}\
+.wide{overflow-x:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums}\
+th,td{padding:.3em .8em;text-align:right;border-bottom:1px solid light-dark(#ddd,#3a3d40);white-space:nowrap}\
+th:first-child,td:first-child{text-align:left}\
+pre{padding:.8em;overflow-x:auto;background:light-dark(#f3f3f3,#24272a)}\
+dt{font-weight:600}dd{margin:0 0 .4em 1.2em;overflow-wrap:anywhere}\
+figure{margin:1.5em 0;padding:8px;background:#fff;color:#1a1a1a;border:1px solid light-dark(#ddd,#3a3d40)}\
+figure svg{width:100%;height:auto;display:block}figcaption{padding:.5em 1em;max-width:75em}";
+
+/// Text that stands for itself in HTML.
+fn plain(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// The page.
+pub fn page(title: &str, parts: &[Part]) -> String {
+    let mut html = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <title>{0}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<h1>{0}</h1>\n",
+        plain(title)
+    );
+    for part in parts {
+        // Writing to a string cannot fail.
+        let _ = match part {
+            Part::Heading(text) => writeln!(html, "<h2>{}</h2>", plain(text)),
+            Part::Text(text) => writeln!(html, "<p>{}</p>", plain(text)),
+            Part::Verbatim(text) => writeln!(html, "<pre>{}</pre>", plain(text)),
+            Part::Table(heads, rows) => writeln!(html, "{}", table(heads, rows)),
+            Part::Terms(terms) => {
+                let term =
+                    |(name, text): &(String, String)| format!("<dt>{}</dt><dd>{}</dd>", plain(name), plain(text));
+                writeln!(html, "<dl>{}</dl>", terms.iter().map(term).collect::<String>())
+            }
+            Part::Figure(figure) => writeln!(
+                html,
+                "<figure role=\"img\" aria-label=\"{}\">\n{}\n<figcaption>{}</figcaption>\n</figure>",
+                plain(&figure.title),
+                figure.svg.trim(),
+                plain(&figure.caption)
+            ),
+        };
+    }
+    html + "</body>\n</html>\n"
+}
+
+fn table(heads: &[&str], rows: &[Vec<String>]) -> String {
+    let heads: String = heads.iter().map(|head| format!("<th>{}</th>", plain(head))).collect();
+    let cells = |row: &Vec<String>| row.iter().map(|cell| format!("<td>{}</td>", plain(cell))).collect::<String>();
+    let rows: String = rows.iter().map(|row| format!("<tr>{}</tr>\n", cells(row))).collect();
+    format!("<div class=\"wide\"><table>\n<thead><tr>{heads}</tr></thead>\n<tbody>\n{rows}</tbody>\n</table></div>")
+}

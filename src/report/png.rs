@@ -1,0 +1,52 @@
+//! An SVG figure as PNG, at its own size times two. Its text is set in a font that the program carries, so a machine
+//! without fonts draws the same.
+
+use std::sync::{Arc, LazyLock};
+
+use resvg::tiny_skia::{Pixmap, Transform};
+use resvg::usvg::{Options, Tree, fontdb};
+
+/// Roboto Regular (Apache License 2.0, see `assets/fonts`).
+static FONT: &[u8] = include_bytes!("../../assets/fonts/Roboto-Regular.ttf");
+/// Pixels of the picture for each of the figure.
+const SCALE: f32 = 2.0;
+
+static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
+    let mut fonts = fontdb::Database::new();
+    fonts.load_font_data(FONT.to_vec());
+    fonts.set_sans_serif_family("Roboto");
+    Arc::new(fonts)
+});
+
+/// A figure cannot be turned into pixels.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot draw a figure as PNG: {0}")]
+pub struct PngError(String);
+
+/// The picture's file.
+pub fn render(svg: &str) -> Result<Vec<u8>, PngError> {
+    let wrong = |what: String| PngError(what);
+    let options = Options { fontdb: Arc::clone(&FONTS), font_family: "Roboto".to_owned(), ..Options::default() };
+    let tree = Tree::from_str(svg, &options).map_err(|e| wrong(e.to_string()))?;
+    let size = tree.size().to_int_size().scale_by(SCALE).ok_or_else(|| wrong("it has no size".to_owned()))?;
+    let mut pixels = Pixmap::new(size.width(), size.height()).ok_or_else(|| wrong(format!("{size:?} is too large")))?;
+    resvg::render(&tree, Transform::from_scale(SCALE, SCALE), &mut pixels.as_mut());
+    pixels.encode_png().map_err(|e| wrong(e.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_leaves_ink() {
+        let text = |text: &str| {
+            format!(
+                "<svg xmlns='http://www.w3.org/2000/svg' width='60' height='20'><rect width='60' height='20' fill='#fff'/>\
+                 <text x='2' y='16' font-family='sans-serif' font-size='16'>{text}</text></svg>"
+            )
+        };
+        let (with, without) = (render(&text("d [m]")).unwrap(), render(&text("")).unwrap());
+        assert!(with.len() > without.len() + 100, "{} bytes with text, {} without", with.len(), without.len());
+    }
+}

@@ -1,0 +1,255 @@
+//! The report of a study: which figures it has, and its page.
+
+use super::columns::BASELINE;
+use super::conditions::Deployed;
+use super::handling::PRESETS;
+use super::results::{Cell, Results};
+use super::{Study, published, table};
+use crate::report::figures::{
+    self, Figure, FigureError, Group, Heard, Line, Makespans, Panel, Point, Positions, Share,
+};
+use crate::report::page::{self, Part};
+
+/// All figures of a study: over all entrants, and then of each.
+pub fn figures(study: &Study, results: &Results) -> Result<Vec<Figure>, FigureError> {
+    let mut all = vec![overview(study, results)?];
+    if study.name != "modes" {
+        return Ok(all);
+    }
+    for (at, entrant) in study.entrants.iter().enumerate() {
+        let cells = results.of_entrant(study, at);
+        let number = at + 1;
+        all.push(makespans(number, &entrant.name(), &cells)?);
+        all.push(positions(study, number, &entrant.name(), &cells)?);
+        all.push(separation(study, number, &entrant.name(), &cells)?);
+        if cells.iter().any(|cell| cell.listening.due > 0) {
+            all.push(delays(number, &entrant.name(), &cells)?);
+        }
+    }
+    Ok(all)
+}
+
+fn overview(study: &Study, results: &Results) -> Result<Figure, FigureError> {
+    let svg = match study.name {
+        "delay" => delay_sweep(study, results)?,
+        "range" => range_sweep(study, results)?,
+        _ => modes(study, results)?,
+    };
+    let caption = match study.name {
+        "delay" | "range" => {
+            "Each point: all episodes of a column, with the 95 % Wilson interval of the success rate, or \
+                              with the quartiles of the makespans of its successes."
+        }
+        _ => "Marks: the share of successes over all layouts and repeats; bars: its 95 % Wilson interval.",
+    };
+    let name = format!("success-{}", study.name);
+    Ok(Figure { name, title: "Success".to_owned(), caption: caption.to_owned(), svg })
+}
+
+fn names(study: &Study) -> Vec<String> {
+    study.entrants.iter().map(super::Entrant::name).collect()
+}
+
+/// By column, the cell of each entrant.
+fn by_column<'a>(study: &Study, results: &'a Results) -> Vec<Vec<Option<&'a Cell>>> {
+    let of = |column: &str, entrant: usize| {
+        let entrant = &study.entrants[entrant];
+        let is = |cell: &&Cell| {
+            let row = &cell.row;
+            row.name == column && row.policy == entrant.policy && row.handling == entrant.handling.name
+        };
+        results.cells.iter().find(is)
+    };
+    let entrants = |column: &str| (0..study.entrants.len()).map(|entrant| of(column, entrant)).collect();
+    study.columns.iter().map(|column| entrants(&column.name)).collect()
+}
+
+fn modes(study: &Study, results: &Results) -> Result<String, FigureError> {
+    let share = |cell: &Cell| Share { rate: cell.row.success_rate, ci95: cell.row.success_ci95 };
+    let groups = by_column(study, results).into_iter().zip(&study.columns).map(|(cells, column)| Group {
+        name: column.name.clone(),
+        shares: cells.into_iter().map(|cell| cell.map(share)).collect(),
+        paper: published::of(&column.name).success,
+    });
+    figures::success("Success by mode", &names(study), &groups.collect::<Vec<_>>())
+}
+
+fn success_of(cell: &Cell) -> Point {
+    Point { value: 100.0 * cell.row.success_rate, within: cell.row.success_ci95.map(|end| 100.0 * end) }
+}
+
+fn makespan_of(cell: &Cell) -> Option<Point> {
+    Some(Point { value: cell.row.makespan_median_s?, within: cell.row.makespan_quartiles_s? })
+}
+
+/// One panel an entrant, one line a loss, over the delays.
+fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> {
+    let mut delays: Vec<f64> = Vec::new();
+    let mut losses: Vec<f64> = Vec::new();
+    for column in &study.columns {
+        let (delay, loss) = (1000.0 * column.impairment.delay_s, column.impairment.loss);
+        if !delays.contains(&delay) {
+            delays.push(delay);
+        }
+        if !losses.contains(&loss) {
+            losses.push(loss);
+        }
+    }
+    let panels = study.entrants.iter().enumerate().map(|(at, entrant)| {
+        let cells = results.of_entrant(study, at);
+        let point = |loss: f64, delay: f64| {
+            let found = cells.iter().find(|cell| (cell.row.loss, cell.row.delay_ms) == (loss, delay));
+            found.map(|cell| success_of(cell))
+        };
+        let line = |&loss: &f64| Line {
+            name: format!("{:.0} % of messages lost", 100.0 * loss),
+            points: delays.iter().map(|&delay| point(loss, delay)).collect(),
+        };
+        let lines = losses.iter().map(line).collect();
+        Panel { title: entrant.name(), y: "success [%]".to_owned(), most: Some(100.0), lines }
+    });
+    let places: Vec<String> = delays.iter().map(|delay| format!("{delay:.0}")).collect();
+    let title = "Success over delay and loss of messages between robots";
+    figures::sweep(title, "delay [ms]", &places, &panels.collect::<Vec<_>>())
+}
+
+/// Success and makespan, one line an entrant, over the radii.
+fn range_sweep(study: &Study, results: &Results) -> Result<String, FigureError> {
+    let cells = by_column(study, results);
+    let line = |point: &dyn Fn(&Cell) -> Option<Point>, entrant: usize| Line {
+        name: study.entrants[entrant].name(),
+        points: cells.iter().map(|column| column[entrant].and_then(point)).collect(),
+    };
+    let panel = |title: &str, y: &str, most, point: &dyn Fn(&Cell) -> Option<Point>| Panel {
+        title: title.to_owned(),
+        y: y.to_owned(),
+        most,
+        lines: (0..study.entrants.len()).map(|entrant| line(point, entrant)).collect(),
+    };
+    let panels = [
+        panel("success", "success [%]", Some(100.0), &|cell| Some(success_of(cell))),
+        panel("makespan, median and quartiles", "makespan [s]", None, &makespan_of),
+    ];
+    let place = |column: &super::columns::Column| column.name.trim_end_matches('m').replace("everyone", "all");
+    let places: Vec<String> = study.columns.iter().map(place).collect();
+    let title = "Success and makespan over the communication radius";
+    figures::sweep(title, "communication radius [m]", &places, &panels)
+}
+
+fn makespans(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureError> {
+    let row = |cell: &&Cell| Makespans {
+        name: cell.row.name.clone(),
+        values_s: cell.makespans_s.clone(),
+        episodes: cell.row.episodes,
+    };
+    let rows: Vec<Makespans> = cells.iter().map(row).collect();
+    Ok(Figure {
+        name: format!("makespan-{number}"),
+        title: format!("Makespan densities: {name}"),
+        caption: "Makespans of the successes, smoothed with a Gaussian kernel; the area under a curve is the share of \
+                  successes. Dashed in a row's colour: its median; dashed in black: the median of 'sim'."
+            .to_owned(),
+        svg: figures::makespans(&format!("Makespan: {name}"), &rows, BASELINE)?,
+    })
+}
+
+fn positions(study: &Study, number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureError> {
+    let column = |cell: &&'_ Cell| (cell.row.name.clone(), cell.traces.position.clone());
+    let columns: Vec<(String, crate::report::grid::Grid)> = cells.iter().map(column).collect();
+    let columns: Vec<Positions> = columns.iter().map(|(name, grid)| Positions { name, grid }).collect();
+    Ok(Figure {
+        name: format!("position-{number}"),
+        title: format!("Position density: {name}"),
+        caption: "Where the robots' centres were while episodes ran, from the instruction to run to its end: the share of \
+                  their time for each square metre, all columns on one scale, which is linear in its square root. Grey: \
+                  the wall; between its parts, the passage."
+            .to_owned(),
+        svg: figures::positions(&format!("Position: {name}"), &columns, study.scenario.arena())?,
+    })
+}
+
+fn separation(study: &Study, number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureError> {
+    let columns: Vec<_> = cells.iter().map(|cell| (cell.row.name.as_str(), &cell.traces.separation)).collect();
+    let limit_m = study.scenario.rules().separation_m;
+    Ok(Figure {
+        name: format!("separation-{number}"),
+        title: format!("d_min against d_origin: {name}"),
+        caption: "For each robot and World step of running episodes: d_min, the distance between its centre and the \
+                  nearest other robot's, against d_origin, its own distance from the origin, which is the middle of the \
+                  passage. Bins of 0.1 m with at least 40 counts; distances of 2 m and more count as 2 m. Dashed: two \
+                  robots nearer than this have collided."
+            .to_owned(),
+        svg: figures::separation(&format!("Distance to the nearest robot: {name}"), &columns, limit_m)?,
+    })
+}
+
+fn delays(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureError> {
+    let columns: Vec<Heard> =
+        cells.iter().map(|cell| Heard { name: &cell.row.name, listening: &cell.listening }).collect();
+    Ok(Figure {
+        name: format!("delay-{number}"),
+        title: format!("Delays of messages: {name}"),
+        caption: "Messages between robots while episodes ran. Left: from publication to arrival at each other host, as a \
+                  share of all that were due there, so that a curve ends at what was delivered. Right: from publication \
+                  to each control step that had the message, within range and not yet dropped. Dashed: 20 and 50 ms. \
+                  Columns in which no message crosses a link (sim, centralized) have no curve."
+            .to_owned(),
+        svg: figures::delays(&format!("Delays of messages: {name}"), &columns)?,
+    })
+}
+
+/// The page of a study.
+pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
+    let mut parts = vec![Part::Text(format!(
+        "{}; {} layouts, each repeated {} times; seed {}.",
+        study.place(),
+        study.layouts.len(),
+        study.repeats,
+        study.seed
+    ))];
+    for (at, entrant) in study.entrants.iter().enumerate() {
+        let (heads, rows) = table::of_entrant(study, results, at);
+        parts.push(Part::Heading(format!("Policy {}, handling {}", entrant.policy, entrant.handling.name)));
+        parts.push(Part::Table(heads, rows));
+        let drop = Results::largest_drop_points(&results.of_entrant(study, at));
+        if let (Some(drop), "modes") = (drop, study.name) {
+            let most = published::LARGEST_DROP_POINTS;
+            let text = format!("Success falls by up to {drop:.1} points against sim; in the paper by up to {most}.");
+            parts.push(Part::Text(text));
+        }
+    }
+    parts.push(Part::Text(
+        "Success with its 95 % Wilson interval; median makespan of the successes with its quartiles; 'paper': Table I of \
+         Blumenkamp et al., ICRA 2022, on real robots, where the figure is known. Failures by what came first: robots \
+         nearer to each other than the rules allow, a wall touched, too late, given up. 'within 50 ms': messages \
+         between robots that arrived within 50 ms, of all that were due."
+            .to_owned(),
+    ));
+    parts.push(Part::Heading("Figures".to_owned()));
+    parts.extend(figures.iter().map(Part::Figure));
+    parts.push(Part::Heading("What was run".to_owned()));
+    parts.push(Part::Verbatim(study.command.clone()));
+    parts.push(Part::Terms(configuration(study)));
+    page::page(&format!("murmurate study {}", study.name), &parts)
+}
+
+fn configuration(study: &Study) -> Vec<(String, String)> {
+    let identity = study.identity();
+    let Deployed { plant, lag_s, wall_radius_m, radio } = Deployed::shared();
+    let mut terms = vec![
+        ("program".to_owned(), format!("murmurate {}", identity.version)),
+        ("scenario".to_owned(), identity.scenario),
+        ("layouts, with a digest".to_owned(), identity.layouts),
+        ("policies, with digests of their files".to_owned(), identity.entrants.join("; ")),
+        ("column sim".to_owned(), "the training world: lock step, exact placement, perfect messages".to_owned()),
+        (
+            "all other columns".to_owned(),
+            format!(
+                "world '{plant}', drivetrain lag {lag_s} s, contacts judged, walls touched at {wall_radius_m} m; radio: {radio}"
+            ),
+        ),
+    ];
+    let used = PRESETS.iter().filter(|preset| study.entrants.iter().any(|entrant| entrant.handling == *preset));
+    terms.extend(used.map(|preset| (format!("handling '{}'", preset.name), preset.about.to_owned())));
+    terms
+}

@@ -1,0 +1,76 @@
+//! The table of a study: one row a column and entrant, with the paper's figures beside.
+
+use std::fmt::Write as _;
+
+use super::results::{Results, Row};
+use super::{Study, published};
+
+/// The heads of its columns.
+const HEADS: [&str; 9] =
+    ["column", "success", "95 %", "paper", "makespan", "quartiles", "paper", "failures", "within 50 ms"];
+
+/// A row as text, by column of the table.
+fn cells(row: &Row) -> [String; 9] {
+    let percent = |share: f64| format!("{:.1} %", 100.0 * share);
+    let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
+    let failed = [
+        (row.collisions_robot, "near"),
+        (row.collisions_wall, "wall"),
+        (row.timeouts, "late"),
+        (row.aborts, "given up"),
+    ];
+    let failed: Vec<String> = failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
+    [
+        row.name.clone(),
+        percent(row.success_rate),
+        format!("{:.1} to {:.1}", 100.0 * row.success_ci95[0], 100.0 * row.success_ci95[1]),
+        or_dash(row.paper_success_rate.map(percent)),
+        or_dash(row.makespan_median_s.map(|median| format!("{median:.2} s"))),
+        or_dash(row.makespan_quartiles_s.map(|[first, third]| format!("{first:.2} to {third:.2}"))),
+        or_dash(row.paper_makespan_median_s.map(|median| format!("{median:.1} s"))),
+        if failed.is_empty() { "none".to_owned() } else { failed.join(", ") },
+        or_dash(row.delivered.zip(row.within_50ms).map(|(delivered, within)| percent(delivered * within))),
+    ]
+}
+
+/// The table of one entrant: its heads and its rows.
+pub fn of_entrant(study: &Study, results: &Results, entrant: usize) -> (Vec<&'static str>, Vec<Vec<String>>) {
+    let rows = results.of_entrant(study, entrant).into_iter().map(|cell| cells(&cell.row).to_vec()).collect();
+    (HEADS.to_vec(), rows)
+}
+
+/// The same as a person reads it in a terminal, for all entrants.
+pub fn text(study: &Study, results: &Results) -> String {
+    let mut text = format!(
+        "study {}: {}, {} layouts x {} repeats, seed {}\n",
+        study.name,
+        study.place(),
+        study.layouts.len(),
+        study.repeats,
+        study.seed
+    );
+    for (at, entrant) in study.entrants.iter().enumerate() {
+        let (heads, rows) = of_entrant(study, results, at);
+        let _ = writeln!(text, "\npolicy {}, handling {}", entrant.policy, entrant.handling.name);
+        let heads: Vec<String> = heads.into_iter().map(str::to_owned).collect();
+        let widths: Vec<usize> = (0..heads.len())
+            .map(|column| [&heads].into_iter().chain(&rows).map(|row| row[column].chars().count()).max().unwrap_or(0))
+            .collect();
+        for row in [&heads].into_iter().chain(&rows) {
+            let mut line = String::from(" ");
+            for (column, (cell, width)) in row.iter().zip(&widths).enumerate() {
+                // Names and lists to the left, numbers to the right.
+                let left = column == 0 || column == 7;
+                let _ = if left { write!(line, " {cell:<width$} ") } else { write!(line, " {cell:>width$} ") };
+            }
+            let _ = writeln!(text, "{}", line.trim_end());
+        }
+        let cells = results.of_entrant(study, at);
+        if let (Some(drop), "modes") = (Results::largest_drop_points(&cells), study.name) {
+            let most = published::LARGEST_DROP_POINTS;
+            let _ =
+                writeln!(text, "  success falls by up to {drop:.1} points against sim; in the paper by up to {most}");
+        }
+    }
+    text.trim_end().to_owned()
+}
