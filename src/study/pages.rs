@@ -106,7 +106,7 @@ fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> 
             points: delays.iter().map(|&delay| point(loss, delay)).collect(),
         };
         let lines = losses.iter().map(line).collect();
-        Panel { title: entrant.name(), y: "success [%]".to_owned(), most: Some(100.0), lines }
+        Panel { title: entrant.name(), y: "success [%]".to_owned(), ends: Some((0.0, 100.0)), lines }
     });
     let places: Vec<String> = delays.iter().map(|delay| format!("{delay:.0}")).collect();
     let title = "Success over delay and loss of messages between robots";
@@ -120,14 +120,14 @@ fn range_sweep(study: &Study, results: &Results) -> Result<String, FigureError> 
         name: study.entrants[entrant].name(),
         points: cells.iter().map(|column| column[entrant].and_then(point)).collect(),
     };
-    let panel = |title: &str, y: &str, most, point: &dyn Fn(&Cell) -> Option<Point>| Panel {
+    let panel = |title: &str, y: &str, ends, point: &dyn Fn(&Cell) -> Option<Point>| Panel {
         title: title.to_owned(),
         y: y.to_owned(),
-        most,
+        ends,
         lines: (0..study.entrants.len()).map(|entrant| line(point, entrant)).collect(),
     };
     let panels = [
-        panel("success", "success [%]", Some(100.0), &|cell| Some(success_of(cell))),
+        panel("success", "success [%]", Some((0.0, 100.0)), &|cell| Some(success_of(cell))),
         panel("makespan, median and quartiles", "makespan [s]", None, &makespan_of),
     ];
     let place = |column: &super::columns::Column| column.name.trim_end_matches('m').replace("everyone", "all");

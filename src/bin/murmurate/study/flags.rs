@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::builder::PossibleValuesParser;
 use murmurate::policy::Draw;
 use murmurate::scenario::layout::Layouts;
-use murmurate::scenario::{self, Scenario, Settings};
+use murmurate::scenario::{self, Scenario, ScenarioError, Settings};
 use murmurate::study::columns::{self, Column};
 use murmurate::study::handling::{self, Preset};
 use murmurate::study::{Entrant, Study};
@@ -165,7 +165,14 @@ fn list<T: ToString>(flag: &str, values: &[T]) -> String {
 impl Shared {
     fn study(&self, name: &'static str, columns: Vec<Column>, own: &str) -> Result<Study> {
         let settings = Settings { robots: self.robots, gap_m: self.gap_m };
-        let scenario = scenario::build(&self.scenario, &settings).map_err(|e| BadInput(format!("{e}")))?;
+        let scenario = scenario::build(&self.scenario, &settings).map_err(|error| {
+            let flag = match error {
+                ScenarioError::Robots { .. } => "--robots",
+                ScenarioError::Gap { .. } => "--gap-m",
+                ScenarioError::Unknown { .. } => "--scenario",
+            };
+            BadInput(format!("{flag}: {error}"))
+        })?;
         let layouts = match &self.episodes_file {
             None => Layouts::of_scenario(&*scenario, self.seed, self.layouts),
             Some(path) => {
@@ -185,6 +192,7 @@ impl Shared {
             seed: self.seed,
             command: self.command(name, own),
             scenario: Arc::clone(&scenario),
+            gap_m: self.gap_m,
         };
         study.check().map_err(|e| BadInput(format!("the study '{name}': {e}")))?;
         Ok(study)
