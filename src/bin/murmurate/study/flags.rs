@@ -18,8 +18,9 @@ use crate::{BadInput, policy, sim};
 /// Flags of every study.
 #[derive(clap::Args)]
 pub struct Shared {
-    /// Who is to be compared: 'shipped', 'published' (trained for the paper's conditions), 'orca' (scripted), or a policy
-    /// file; may be given several times. 'NAME@HANDLING' gives one policy a handling of its own [default: shipped]
+    /// Who is to be compared: 'shipped', 'published' (trained for the paper's conditions), 'orca' (scripted), or a
+    /// policy file; may be given several times. 'NAME@HANDLING' gives one policy a handling of its own
+    /// [default: shipped]
     #[arg(long = "policy", value_name = "NAME|FILE[@HANDLING]")]
     policies: Vec<String>,
     /// How policies are handled: 'default' (newest message held, mean actions) or 'as-published' (buffer cleared every
