@@ -11,7 +11,8 @@
 //! Each may use those before it, never those after:
 //! `time`, `random`, `config`, `messages`; then `scenario`, `world`, `policy`, `safety`, `net` (but for its
 //! transports), `report`; then the cores in `actors`, and beside them [`train`], which knows no actor; then
-//! `deploy`; then `actors::{shell, clock}` and `net::transport`; then `actors::graph`; then `trial`; then the program.
+//! `deploy`; then `actors::{shell, clock}` and `net::transport`; then `actors::graph`; then `trial`; then `study`;
+//! then the program.
 //! `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading

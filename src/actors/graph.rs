@@ -374,9 +374,8 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
             let air = radio.clone().map(|radio| Air::new(radio, &robots_of, &air()));
             Ether::new(medium, air, |kind| routes.listeners(kind))
         };
-        let networks = graph.networks.clone();
         let observed = plan.steps == recorder::Steps::Reported && link.carries.contains(&Kind::Latent);
-        let record = graph.record();
+        let (networks, record) = (graph.networks.clone(), graph.record());
         start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
             ether::Out::Arrive(Arrive { to, frame }) => {
                 if observed {

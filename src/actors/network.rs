@@ -8,7 +8,7 @@
 use super::Core;
 use crate::messages::ids::LinkId;
 use crate::messages::wire::Wire;
-use crate::net::codec::{self, Content, Frame, Header};
+use crate::net::codec::{self, Content, Flags, Frame, Header};
 use crate::net::key::Key;
 pub use crate::net::link::Identity;
 use crate::net::link::{LinkCounts, LinkState};
@@ -143,7 +143,8 @@ impl Network {
                 if state.accept(&header, kind, robot) {
                     out.push(Out::Deliver(message));
                 }
-            } else if self.shared[at] {
+            } else if self.shared[at] || !header.flags.has(Flags::DIRECT) {
+                // Said to everyone, or on a link where everyone hears everything.
                 state.counts().aside += 1;
             } else {
                 state.counts().misrouted += 1;

@@ -42,7 +42,8 @@ mod tests {
     fn text_leaves_ink() {
         let text = |text: &str| {
             format!(
-                "<svg xmlns='http://www.w3.org/2000/svg' width='60' height='20'><rect width='60' height='20' fill='#fff'/>\
+                "<svg xmlns='http://www.w3.org/2000/svg' width='60' height='20'>\
+                 <rect width='60' height='20' fill='#fff'/>\
                  <text x='2' y='16' font-family='sans-serif' font-size='16'>{text}</text></svg>"
             )
         };

@@ -19,8 +19,8 @@ use crate::world::{Clamp, ContactRule, Physics, Placement};
 pub struct Deployed {
     /// The plant.
     pub plant: String,
-    /// Time constant of the drivetrains \[s\]. Fitted: with the authors' weights 0.5 s comes near the makespans that the
-    /// paper measured on its robots.
+    /// Time constant of the drivetrains \[s\]. Fitted: with the authors' weights 0.5 s comes near the makespans that
+    /// the paper measured on its robots.
     pub lag_s: f32,
     /// How near to a wall a robot's centre touches it \[m\]: the hull of the published robots.
     pub wall_radius_m: f32,

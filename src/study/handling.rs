@@ -24,9 +24,9 @@ pub struct Preset {
 pub const PRESETS: [Preset; 2] = [
     Preset {
         name: "default",
-        about: "a neighbour's newest message is held for the policy's own window (0.2 s unless its file says otherwise), \
-                actions are the mean, and one limit holds for resets, episodes and the training of the shipped policy: \
-                commands within 0.25 m/s of the measured velocity along each axis",
+        about: "a neighbour's newest message is held for the policy's own window (0.2 s if its file says none), \
+                actions are the mean, and one limit holds for resets, episodes and the training of the shipped \
+                policy: commands within 0.25 m/s of the measured velocity along each axis",
         messages: Handling::Hold,
         draw: Draw::Mean,
         clamp: Clamp::Deployed,
@@ -34,7 +34,7 @@ pub const PRESETS: [Preset; 2] = [
     Preset {
         name: "as-published",
         about: "the message buffer is cleared at every step, actions are sampled, and only a controller limits \
-                acceleration, to 1 m/s^2 at a gain of 4 Hz, five times looser a step than the training of those policies",
+                acceleration, to 1 m/s^2 at a gain of 4 Hz, five times looser a step than those policies' training",
         messages: Handling::AsPublished,
         draw: Draw::Sample,
         clamp: Clamp::Deployed,

@@ -58,6 +58,8 @@ pub struct Study {
     pub entrants: Vec<Entrant>,
     /// What the team is to do.
     pub scenario: Arc<dyn Scenario>,
+    /// Width of its bottleneck \[m\], if it was chosen.
+    pub gap_m: Option<f32>,
     /// The episodes of every trial.
     pub layouts: Layouts,
     /// Trials of every entrant in every column.
@@ -105,6 +107,10 @@ pub struct Identity {
     pub command: String,
 }
 
+/// The fields that make it this study, those first that say most. How its command was typed does not.
+const FIELDS: [&str; 9] =
+    ["study", "scenario", "seed", "repeats", "entrants", "columns", "conditions", "layouts", "version"];
+
 impl Identity {
     /// The first field in which another one differs: its name, and the values here and there.
     pub fn difference(&self, other: &Identity) -> Option<(String, String, String)> {
@@ -113,10 +119,8 @@ impl Identity {
             _ => unreachable!("an identity is plain data"),
         };
         let (mine, theirs) = (fields(self), fields(other));
-        let differing = mine.iter().filter(|(name, _)| *name != "command");
-        let differing = differing.map(|(name, value)| (name, value, theirs.get(name)));
-        let mut differing = differing.filter(|(_, value, other)| Some(*value) != *other);
-        differing.next().map(|(name, value, other)| {
+        let mut differing = FIELDS.into_iter().filter(|field| mine.get(*field) != theirs.get(*field));
+        differing.next().map(|field| {
             let shown = |value: Option<&serde_json::Value>| {
                 let text = value.map_or("nothing".to_owned(), ToString::to_string);
                 if text.chars().count() > 60 {
@@ -125,7 +129,7 @@ impl Identity {
                     text
                 }
             };
-            (name.clone(), shown(Some(value)), shown(other))
+            (field.to_owned(), shown(mine.get(field)), shown(theirs.get(field)))
         })
     }
 }
@@ -173,10 +177,9 @@ impl Study {
         }
     }
 
-    /// The scenario, its team and its bottleneck, in words.
+    /// The scenario, its team, and its bottleneck if that was chosen, in words.
     pub fn place(&self) -> String {
-        let blocks = &self.scenario.arena().keep_outs;
-        let gap = blocks.first().map_or(String::new(), |block| format!(", gap {} m", 2.0 * block.min.x));
+        let gap = self.gap_m.map_or(String::new(), |gap_m| format!(", gap {gap_m} m"));
         format!("{}, {} robots{gap}", self.scenario.name(), self.scenario.robots())
     }
 

@@ -106,7 +106,7 @@ fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> 
             points: delays.iter().map(|&delay| point(loss, delay)).collect(),
         };
         let lines = losses.iter().map(line).collect();
-        Panel { title: entrant.name(), y: "success [%]".to_owned(), most: Some(100.0), lines }
+        Panel { title: entrant.name(), y: "success [%]".to_owned(), ends: Some((0.0, 100.0)), lines }
     });
     let places: Vec<String> = delays.iter().map(|delay| format!("{delay:.0}")).collect();
     let title = "Success over delay and loss of messages between robots";
@@ -120,14 +120,14 @@ fn range_sweep(study: &Study, results: &Results) -> Result<String, FigureError> 
         name: study.entrants[entrant].name(),
         points: cells.iter().map(|column| column[entrant].and_then(point)).collect(),
     };
-    let panel = |title: &str, y: &str, most, point: &dyn Fn(&Cell) -> Option<Point>| Panel {
+    let panel = |title: &str, y: &str, ends, point: &dyn Fn(&Cell) -> Option<Point>| Panel {
         title: title.to_owned(),
         y: y.to_owned(),
-        most,
+        ends,
         lines: (0..study.entrants.len()).map(|entrant| line(point, entrant)).collect(),
     };
     let panels = [
-        panel("success", "success [%]", Some(100.0), &|cell| Some(success_of(cell))),
+        panel("success", "success [%]", Some((0.0, 100.0)), &|cell| Some(success_of(cell))),
         panel("makespan, median and quartiles", "makespan [s]", None, &makespan_of),
     ];
     let place = |column: &super::columns::Column| column.name.trim_end_matches('m').replace("everyone", "all");
@@ -146,8 +146,8 @@ fn makespans(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, Figur
     Ok(Figure {
         name: format!("makespan-{number}"),
         title: format!("Makespan densities: {name}"),
-        caption: "Makespans of the successes, smoothed with a Gaussian kernel; the area under a curve is the share of \
-                  successes. Dashed in a row's colour: its median; dashed in black: the median of 'sim'."
+        caption: "Makespans of the successes, smoothed with a Gaussian kernel; the area under a curve is the share \
+                  of successes. Dashed in a row's colour: its median; dashed in black: the median of 'sim'."
             .to_owned(),
         svg: figures::makespans(&format!("Makespan: {name}"), &rows, BASELINE)?,
     })
@@ -160,9 +160,9 @@ fn positions(study: &Study, number: usize, name: &str, cells: &[&Cell]) -> Resul
     Ok(Figure {
         name: format!("position-{number}"),
         title: format!("Position density: {name}"),
-        caption: "Where the robots' centres were while episodes ran, from the instruction to run to its end: the share of \
-                  their time for each square metre, all columns on one scale, which is linear in its square root. Grey: \
-                  the wall; between its parts, the passage."
+        caption: "Where the robots' centres were while episodes ran, from the instruction to run to its end: the \
+                  share of their time for each square metre, all columns on one scale, which is linear in its square \
+                  root. Grey: the wall; between its parts, the passage."
             .to_owned(),
         svg: figures::positions(&format!("Position: {name}"), &columns, study.scenario.arena())?,
     })
@@ -175,9 +175,9 @@ fn separation(study: &Study, number: usize, name: &str, cells: &[&Cell]) -> Resu
         name: format!("separation-{number}"),
         title: format!("d_min against d_origin: {name}"),
         caption: "For each robot and World step of running episodes: d_min, the distance between its centre and the \
-                  nearest other robot's, against d_origin, its own distance from the origin, which is the middle of the \
-                  passage. Bins of 0.1 m with at least 40 counts; distances of 2 m and more count as 2 m. Dashed: two \
-                  robots nearer than this have collided."
+                  nearest other robot's, against d_origin, its own distance from the origin, which is the middle of \
+                  the passage. Bins of 0.1 m with at least 40 counts; distances of 2 m and more count as 2 m. \
+                  Dashed: two robots nearer than this have collided."
             .to_owned(),
         svg: figures::separation(&format!("Distance to the nearest robot: {name}"), &columns, limit_m)?,
     })
@@ -189,10 +189,10 @@ fn delays(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureEr
     Ok(Figure {
         name: format!("delay-{number}"),
         title: format!("Delays of messages: {name}"),
-        caption: "Messages between robots while episodes ran. Left: from publication to arrival at each other host, as a \
-                  share of all that were due there, so that a curve ends at what was delivered. Right: from publication \
-                  to each control step that had the message, within range and not yet dropped. Dashed: 20 and 50 ms. \
-                  Columns in which no message crosses a link (sim, centralized) have no curve."
+        caption: "Messages between robots while episodes ran. Left: from publication to arrival at each other host, \
+                  as a share of all that were due there, so that a curve ends at what was delivered. Right: from \
+                  publication to each control step that had the message, within range and not yet dropped. Dashed: \
+                  20 and 50 ms. Columns in which no message crosses a link (sim, centralized) have no curve."
             .to_owned(),
         svg: figures::delays(&format!("Delays of messages: {name}"), &columns)?,
     })
@@ -219,10 +219,10 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
         }
     }
     parts.push(Part::Text(
-        "Success with its 95 % Wilson interval; median makespan of the successes with its quartiles; 'paper': Table I of \
-         Blumenkamp et al., ICRA 2022, on real robots, where the figure is known. Failures by what came first: robots \
-         nearer to each other than the rules allow, a wall touched, too late, given up. 'within 50 ms': messages \
-         between robots that arrived within 50 ms, of all that were due."
+        "Success with its 95 % Wilson interval; median makespan of the successes with its quartiles; 'paper': Table \
+         I of Blumenkamp et al., ICRA 2022, on real robots, where the figure is known. Failures by what came first: \
+         robots nearer to each other than the rules allow, a wall touched, too late, given up. 'within 50 ms': \
+         messages between robots that arrived within 50 ms, of all that were due."
             .to_owned(),
     ));
     parts.push(Part::Heading("Figures".to_owned()));
@@ -245,7 +245,8 @@ fn configuration(study: &Study) -> Vec<(String, String)> {
         (
             "all other columns".to_owned(),
             format!(
-                "world '{plant}', drivetrain lag {lag_s} s, contacts judged, walls touched at {wall_radius_m} m; radio: {radio}"
+                "world '{plant}', drivetrain lag {lag_s} s, contacts judged, walls touched at {wall_radius_m} m; \
+                 radio: {radio}"
             ),
         ),
     ];

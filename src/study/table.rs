@@ -33,10 +33,21 @@ fn cells(row: &Row) -> [String; 9] {
     ]
 }
 
-/// The table of one entrant: its heads and its rows.
+/// The columns of the table that hold the paper's figures.
+const PAPER: [usize; 2] = [3, 6];
+/// The columns of the table that hold words.
+const WORDS: [&str; 2] = ["column", "failures"];
+
+/// The table of one entrant: its heads and its rows. The paper's figures are there where they could be.
 pub fn of_entrant(study: &Study, results: &Results, entrant: usize) -> (Vec<&'static str>, Vec<Vec<String>>) {
-    let rows = results.of_entrant(study, entrant).into_iter().map(|cell| cells(&cell.row).to_vec()).collect();
-    (HEADS.to_vec(), rows)
+    let compared = study.name == "modes";
+    let shown = |at: &usize| compared || !PAPER.contains(at);
+    let heads = (0..HEADS.len()).filter(shown).map(|at| HEADS[at]).collect();
+    let row = |row: &Row| {
+        let all = cells(row);
+        (0..all.len()).filter(shown).map(|at| all[at].clone()).collect()
+    };
+    (heads, results.of_entrant(study, entrant).into_iter().map(|cell| row(&cell.row)).collect())
 }
 
 /// The same as a person reads it in a terminal, for all entrants.
@@ -60,7 +71,7 @@ pub fn text(study: &Study, results: &Results) -> String {
             let mut line = String::from(" ");
             for (column, (cell, width)) in row.iter().zip(&widths).enumerate() {
                 // Names and lists to the left, numbers to the right.
-                let left = column == 0 || column == 7;
+                let left = WORDS.contains(&heads[column].as_str());
                 let _ = if left { write!(line, " {cell:<width$} ") } else { write!(line, " {cell:>width$} ") };
             }
             let _ = writeln!(text, "{}", line.trim_end());

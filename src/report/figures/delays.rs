@@ -27,7 +27,7 @@ const ENDS_S: (f64, f64) = (1e-4, 1.0);
 pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
     let crossing: Vec<(usize, &Heard)> =
         columns.iter().enumerate().filter(|(_, column)| column.listening.due > 0).collect();
-    let legend = 30 * crossing.len().div_ceil(3) as u32;
+    let legend = 16 + 30 * crossing.len().div_ceil(3) as u32;
     svg(HEIGHT + legend, |area| {
         area.draw(&Text::new(title.to_owned(), (20, 14), style(TEXT + 3, BLACK, HPos::Left, VPos::Top)))?;
         let half = (WIDTH / 2, HEIGHT - HEAD as u32);
@@ -41,7 +41,7 @@ pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
         let step = |heard: &Listening| heard.age.cumulative();
         panel(&right, "publication to control step", "share of messages in use", &crossing, step)?;
         for (place, (at, column)) in crossing.iter().enumerate() {
-            let (x, y) = (60 + 370 * (place % 3) as i32, HEIGHT as i32 + 30 * (place / 3) as i32 + 8);
+            let (x, y) = (60 + 370 * (place % 3) as i32, HEIGHT as i32 + 30 * (place / 3) as i32 + 14);
             area.draw(&PathElement::new(vec![(x, y), (x + 36, y)], colour(*at).stroke_width(4)))?;
             let text = style(TEXT - 1, BLACK, HPos::Left, VPos::Center);
             area.draw(&Text::new(column.name.to_owned(), (x + 46, y), text))?;
@@ -57,12 +57,14 @@ fn panel(
     columns: &[(usize, &Heard)],
     line: impl Fn(&Listening) -> Vec<(f64, f64)>,
 ) -> Drawn {
-    area.draw(&Text::new(title.to_owned(), (84, 4), style(TEXT, BLACK, HPos::Left, VPos::Top)))?;
+    area.draw(&Text::new(title.to_owned(), (86, 4), style(TEXT, BLACK, HPos::Left, VPos::Top)))?;
     let mut chart = ChartBuilder::on(area)
         .margin_top(36)
         .margin_right(24)
-        .x_label_area_size(66)
-        .y_label_area_size(80)
+        .margin_left(14)
+        .margin_bottom(14)
+        .x_label_area_size(56)
+        .y_label_area_size(72)
         .build_cartesian_2d((1000.0 * ENDS_S.0..1000.0 * ENDS_S.1).log_scale(), 0.0..1.02)?;
     let mut mesh = chart.configure_mesh();
     mesh.light_line_style(WHITE).x_labels(5).y_labels(6).x_desc("delay [ms]").y_desc(what);

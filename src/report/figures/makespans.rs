@@ -43,7 +43,7 @@ fn bandwidth(values: &[f64]) -> f64 {
 /// Draws them; the row called `baseline` is the one that the others are measured against.
 pub fn makespans(title: &str, rows: &[Makespans], baseline: &str) -> Result<String, FigureError> {
     let height = FRAME + 40 + ROW * rows.len() as u32;
-    let last = rows.iter().flat_map(|row| &row.values_s).copied().fold(10.0, f64::max) * 1.03;
+    let last = rows.iter().flat_map(|row| &row.values_s).copied().fold(10.0, f64::max) * 1.08;
     let line = |row: &Makespans| -> Vec<(f64, f64)> {
         let width = bandwidth(&row.values_s);
         let share = row.values_s.len() as f64 / row.episodes.max(1) as f64;
@@ -61,7 +61,8 @@ pub fn makespans(title: &str, rows: &[Makespans], baseline: &str) -> Result<Stri
             .margin_top(50)
             .margin_left(20)
             .margin_right(24)
-            .x_label_area_size(66)
+            .x_label_area_size(58)
+            .margin_bottom(8)
             .build_cartesian_2d(0.0..last, 0.0..count)?;
         let mut mesh = chart.configure_mesh();
         mesh.disable_y_mesh().disable_y_axis().x_labels(14).x_label_formatter(&|x| format!("{x:.0}"));

@@ -19,8 +19,8 @@ pub struct Positions<'a> {
 /// Pixels of the title, and of what a panel has above, below and beside its ground.
 const HEAD: u32 = 52;
 const ABOVE: u32 = 40;
-const BELOW: u32 = 64;
-const BESIDE: u32 = 62;
+const BELOW: u32 = 62;
+const BESIDE: u32 = 70;
 
 /// White for nothing, over blue to nearly black: one hue, so that it is a matter of lightness alone.
 fn shade(share: f64) -> RGBColor {
@@ -70,8 +70,10 @@ fn draw(area: &Area, column: &Positions, arena: &Arena, most: f64) -> Drawn {
     let mut chart = ChartBuilder::on(area)
         .margin_top(ABOVE)
         .margin_right(20)
-        .x_label_area_size(BELOW)
-        .y_label_area_size(BESIDE)
+        .margin_left(12)
+        .x_label_area_size(BELOW - 8)
+        .margin_bottom(8)
+        .y_label_area_size(BESIDE - 12)
         .build_cartesian_2d(-half.0..half.0, -half.1..half.1)?;
     let mut mesh = chart.configure_mesh();
     mesh.disable_mesh().x_labels(5).y_labels(7).x_desc("x [m]").y_desc("y [m]");

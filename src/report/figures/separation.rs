@@ -27,14 +27,16 @@ pub fn separation(title: &str, columns: &[(&str, &Grid)], limit_m: f32) -> Resul
 
 fn draw(area: &Area, name: &str, grid: &Grid, limit_m: f64) -> Drawn {
     let colour = COLOURS[0];
-    area.draw(&Text::new(name.to_owned(), (62, 8), style(TEXT, BLACK, HPos::Left, VPos::Top)))?;
+    area.draw(&Text::new(name.to_owned(), (72, 8), style(TEXT, BLACK, HPos::Left, VPos::Top)))?;
     let used = (0..grid.x.bins).rev().find(|&x| grid.quantile(x, 0.5, LEAST).is_some()).unwrap_or(grid.x.bins - 1);
     let (last, most) = (f64::from(grid.x.at(used + 1)), f64::from(grid.y.high));
     let mut chart = ChartBuilder::on(area)
         .margin_top(40)
         .margin_right(20)
-        .x_label_area_size(62)
-        .y_label_area_size(62)
+        .margin_left(12)
+        .margin_bottom(10)
+        .x_label_area_size(54)
+        .y_label_area_size(60)
         .build_cartesian_2d(0.0..last, 0.0..most)?;
     let mut mesh = chart.configure_mesh();
     mesh.light_line_style(WHITE).x_labels(5).y_labels(5).x_desc("d_origin [m]").y_desc("d_min [m]");

@@ -52,7 +52,8 @@ pub fn success(title: &str, entrants: &[String], groups: &[Group]) -> Result<Str
             .margin_top(HEAD + legend)
             .margin_left(240)
             .margin_right(40)
-            .x_label_area_size(FOOT - 6)
+            .margin_bottom(10)
+            .x_label_area_size(FOOT - 14)
             .build_cartesian_2d(first..100.5, 0.0..count)?;
         let mut mesh = chart.configure_mesh();
         mesh.disable_y_mesh().disable_y_axis().light_line_style(WHITE).x_desc("success [%]");

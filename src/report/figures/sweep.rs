@@ -12,8 +12,8 @@ pub struct Panel {
     pub title: String,
     /// What is along y, with its unit.
     pub y: String,
-    /// Where y ends; below all points it begins by itself.
-    pub most: Option<f64>,
+    /// Where y begins and ends; without, as its points do.
+    pub ends: Option<(f64, f64)>,
     /// Its lines.
     pub lines: Vec<Line>,
 }
@@ -63,19 +63,21 @@ pub fn sweep(title: &str, x: &str, places: &[String], panels: &[Panel]) -> Resul
 }
 
 fn draw(area: &Area, x: &str, places: &[String], panel: &Panel) -> Drawn {
-    area.draw(&Text::new(panel.title.clone(), (84, 10), style(TEXT, BLACK, HPos::Left, VPos::Top)))?;
+    area.draw(&Text::new(panel.title.clone(), (86, 10), style(TEXT, BLACK, HPos::Left, VPos::Top)))?;
     let points = || panel.lines.iter().flat_map(|line| &line.points).flatten();
     let (low, high) = points().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), point| {
         (low.min(point.within[0]), high.max(point.within[1]))
     });
-    let (low, high) = if low < high { (low, panel.most.unwrap_or(high)) } else { (0.0, panel.most.unwrap_or(1.0)) };
+    let (low, high) = panel.ends.unwrap_or(if low < high { (low, high) } else { (0.0, 1.0) });
     let room = 0.06 * (high - low).max(1e-6);
     let last = places.len() as f64 - 1.0;
     let mut chart = ChartBuilder::on(area)
         .margin_top(48)
         .margin_right(24)
-        .x_label_area_size(72)
-        .y_label_area_size(80)
+        .margin_left(14)
+        .margin_bottom(10)
+        .x_label_area_size(62)
+        .y_label_area_size(72)
         .build_cartesian_2d(-0.4..last + 0.4, (low - room).max(0.0)..high + room)?;
     let mut mesh = chart.configure_mesh();
     mesh.disable_x_mesh().x_labels(0).light_line_style(WHITE).x_desc(x).y_desc(panel.y.as_str());

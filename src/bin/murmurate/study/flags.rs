@@ -7,7 +7,7 @@ use anyhow::Result;
 use clap::builder::PossibleValuesParser;
 use murmurate::policy::Draw;
 use murmurate::scenario::layout::Layouts;
-use murmurate::scenario::{self, Scenario, Settings};
+use murmurate::scenario::{self, Scenario, ScenarioError, Settings};
 use murmurate::study::columns::{self, Column};
 use murmurate::study::handling::{self, Preset};
 use murmurate::study::{Entrant, Study};
@@ -18,8 +18,9 @@ use crate::{BadInput, policy, sim};
 /// Flags of every study.
 #[derive(clap::Args)]
 pub struct Shared {
-    /// Who is to be compared: 'shipped', 'published' (trained for the paper's conditions), 'orca' (scripted), or a policy
-    /// file; may be given several times. 'NAME@HANDLING' gives one policy a handling of its own [default: shipped]
+    /// Who is to be compared: 'shipped', 'published' (trained for the paper's conditions), 'orca' (scripted), or a
+    /// policy file; may be given several times. 'NAME@HANDLING' gives one policy a handling of its own
+    /// [default: shipped]
     #[arg(long = "policy", value_name = "NAME|FILE[@HANDLING]")]
     policies: Vec<String>,
     /// How policies are handled: 'default' (newest message held, mean actions) or 'as-published' (buffer cleared every
@@ -165,7 +166,14 @@ fn list<T: ToString>(flag: &str, values: &[T]) -> String {
 impl Shared {
     fn study(&self, name: &'static str, columns: Vec<Column>, own: &str) -> Result<Study> {
         let settings = Settings { robots: self.robots, gap_m: self.gap_m };
-        let scenario = scenario::build(&self.scenario, &settings).map_err(|e| BadInput(format!("{e}")))?;
+        let scenario = scenario::build(&self.scenario, &settings).map_err(|error| {
+            let flag = match error {
+                ScenarioError::Robots { .. } => "--robots",
+                ScenarioError::Gap { .. } => "--gap-m",
+                ScenarioError::Unknown { .. } => "--scenario",
+            };
+            BadInput(format!("{flag}: {error}"))
+        })?;
         let layouts = match &self.episodes_file {
             None => Layouts::of_scenario(&*scenario, self.seed, self.layouts),
             Some(path) => {
@@ -185,6 +193,7 @@ impl Shared {
             seed: self.seed,
             command: self.command(name, own),
             scenario: Arc::clone(&scenario),
+            gap_m: self.gap_m,
         };
         study.check().map_err(|e| BadInput(format!("the study '{name}': {e}")))?;
         Ok(study)

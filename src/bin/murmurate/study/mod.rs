@@ -133,6 +133,7 @@ fn run_all(
         if let Some(journal) = journal {
             // A disk that is full ends the study; what was written stays.
             journal.write(study, job, &record).inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
+            tracing::info!("kept repeat {} of '{}', {}", job.repeat, record.column, study.entrants[job.entrant].name());
         }
         Ok(Some((job, record)))
     };
