@@ -85,7 +85,9 @@ pub fn fit(base: &Radio, sweep: &Sweep, observed: &[Observed], runner: Runner) -
     assert!(!observed.is_empty(), "a fit needs rows");
     let fit = Fit { base, sweep, observed, runner };
     let mut grid = Vec::new();
-    for rate in rate::all().filter(|rate| rate.fits(base.width_mhz)) {
+    // Of another generation of 802.11 there is a rate as fast as almost any: rows cannot tell the two apart.
+    let own = family(base.rate);
+    for rate in rate::all().filter(|rate| rate.fits(base.width_mhz) && (fit.only_multicast() || family(*rate) == own)) {
         for noise in NOISES {
             grid.extend(BACKGROUNDS.map(|background| Point { rate, noise, background }));
         }
@@ -106,16 +108,25 @@ pub fn fit(base: &Radio, sweep: &Sweep, observed: &[Observed], runner: Runner) -
     fit.result(best.expect("a grid has points").1)
 }
 
+/// The generation of 802.11 that a rate is of: the first part of its name.
+fn family(rate: Rate) -> String {
+    rate.to_string().split('-').next().unwrap_or_default().to_owned()
+}
+
 impl Fit<'_> {
+    /// Whether nothing was ever sent by unicast.
+    fn only_multicast(&self) -> bool {
+        self.observed.iter().all(|observed| {
+            (observed.addressing, observed.network) == (Addressing::Multicast, Network::AdHoc)
+                && !matches!(observed.reliability, Assurance::Ack | Assurance::AckOff)
+        })
+    }
+
     /// Which rate of the radio the rows tell of: if nothing is ever unicast, the one of multicast.
     fn radio(&self, point: Point) -> Radio {
         let Point { rate, noise, background } = point;
-        let one_hop = |observed: &Observed| {
-            (observed.addressing, observed.network) == (Addressing::Multicast, Network::AdHoc)
-                && !matches!(observed.reliability, Assurance::Ack | Assurance::AckOff)
-        };
         let mut radio = Radio { noise_loss: noise, background, ..self.base.clone() };
-        if self.observed.iter().all(one_hop) {
+        if self.only_multicast() {
             radio.basic_rate = rate
         } else {
             radio.rate = rate

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener};
+use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -9,6 +10,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use murmurate::study::network::Sweep;
 use murmurate::study::network::pages::Found;
 use murmurate::study::network::peer::{Notes, Task};
+use nix::poll::{PollFd, PollFlags, poll};
 
 use super::super::folder::Folder;
 use super::{Answer, Instruction, Line};
@@ -21,8 +23,8 @@ const QUESTIONS: u32 = 16;
 const PATIENCE: Duration = Duration::from_secs(20);
 /// A case begins so long after everyone was told.
 const LEAD: Duration = Duration::from_millis(1500);
-/// How long a look at the connections waits.
-const LOOK: Duration = Duration::from_millis(20);
+/// How long one wait for a host lasts: then it is looked whether all is to end \[ms\].
+const LOOK: u16 = 200;
 
 /// What was measured, and how far off the clocks may have been \[s\].
 pub struct Measured {
@@ -84,10 +86,10 @@ fn gather(listener: &TcpListener, hosts: &[String], (stop, quiet): (&AtomicBool,
         if stop.load(Ordering::Relaxed) {
             return Ok(None);
         }
-        let Ok((stream, from)) = listener.accept() else {
-            std::thread::sleep(LOOK);
-            continue;
-        };
+        let mut waiting = [PollFd::new(listener.as_fd(), PollFlags::POLLIN)];
+        // An interruption is no mistake: it is looked at above.
+        let _ = poll(&mut waiting, LOOK);
+        let Ok((stream, from)) = listener.accept() else { continue };
         stream.set_nonblocking(false).context("cannot set up the connection")?;
         let mut line = Line::new(stream)?;
         match line.hear(Some(PATIENCE)) {

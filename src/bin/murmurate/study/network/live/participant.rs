@@ -23,6 +23,7 @@ use murmurate::random::Seed;
 use murmurate::study::network::linked;
 use murmurate::study::network::peer::{Notes, Peer, Task};
 use murmurate::time::Time;
+use nix::poll::poll;
 use tracing::info_span;
 
 use super::{Answer, Instruction, Line};
@@ -30,9 +31,9 @@ use crate::output::talk;
 use crate::{BadInput, Ended, links};
 
 const LINK: LinkId = LinkId(0);
-/// How long the coordinator is waited for, and how often it is tried.
+/// How long the coordinator is waited for, and how often it is tried \[ms\].
 const PATIENCE: Duration = Duration::from_secs(120);
-const TRY_EVERY: Duration = Duration::from_millis(250);
+const TRY_EVERY: u16 = 250;
 
 /// The part of a host in a measurement.
 pub struct Part {
@@ -78,7 +79,8 @@ fn connect(address: SocketAddr) -> Result<TcpStream> {
                 let why = format!("--coordinator: nobody answers at {address}: {error}; start the coordinator there");
                 return Err(BadInput(why).into());
             }
-            Err(_) => std::thread::sleep(TRY_EVERY),
+            // Waits on nothing at all.
+            Err(_) => drop(poll(&mut [], TRY_EVERY)),
         }
     }
 }
