@@ -9,7 +9,7 @@
 //!
 //! # Layers
 //! Each may use those before it, never those after:
-//! `time`, `random`, `config`, `messages`; then `scenario`, `world`, `policy`, `safety`, `net` (but for its
+//! `time`, `random`, `config`, `messages`, `cells`; then `scenario`, `world`, `policy`, `safety`, `net` (but for its
 //! transports), `report`; then the cores in `actors`, and beside them [`train`], which knows no actor; then
 //! `deploy`; then `actors::{shell, clock}` and `net::transport`; then `actors::graph`; then `trial`; then `study`;
 //! then the program.
@@ -22,6 +22,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod actors;
+pub mod cells;
 pub mod config;
 pub mod deploy;
 pub mod messages;

@@ -33,12 +33,15 @@ pub use crate::report::trial::TrialReport;
 use crate::safety::Safety;
 use crate::scenario::judge::Verdict;
 use crate::scenario::layout::Layouts;
-use crate::scenario::{self, Scenario, ScenarioError, Settings};
+use crate::scenario::{self, Arena, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
-use crate::world::{Clamp, Physics, Placement, kinematic};
+use crate::world::{self, Clamp, Physics, Placement, kinematic};
 
 /// About how long an episode with its reset takes \[s\].
 const EPISODE_S: f64 = 10.0;
+
+/// No episode with its reset is over sooner.
+const LEAST_EPISODE: Span = Span::from_millis(1000);
 
 /// Everything that a trial depends on.
 #[derive(Clone)]
@@ -69,6 +72,8 @@ pub struct Trial {
     pub stops: Vec<(Time, Stop)>,
     /// What goes wrong.
     pub faults: FaultPlan,
+    /// When it ends, in the midst of an episode or not; `None` for after the last one.
+    pub until: Option<Time>,
     /// Whether the report keeps every step.
     pub steps: Steps,
 }
@@ -99,10 +104,21 @@ pub enum Proceed {
     Stop,
 }
 
+/// What the robots of a plant are like; a plant that there is not is refused by `Trial::check`.
+fn physics(plant: &str, scenario: &dyn Scenario) -> Physics {
+    let entry = world::plant(plant);
+    entry.map_or(Physics::published as fn(&Arena) -> Physics, |entry| entry.physics)(scenario.arena())
+}
+
 impl Trial {
     /// A trial of one episode in a preset mode, with the scripted policy, the scenario's own team and seed 0.
     pub fn preset(mode: &str, scenario: &str) -> Result<Trial, TrialError> {
-        let scenario = scenario::build(scenario, &Settings::default())?;
+        Trial::of_team(mode, scenario, None)
+    }
+
+    /// The same for a team of this size.
+    pub fn of_team(mode: &str, scenario: &str, robots: impl Into<Option<usize>>) -> Result<Trial, TrialError> {
+        let scenario = scenario::build(scenario, &Settings { robots: robots.into(), gap_m: None })?;
         let deployment = Deployment::preset(mode, scenario.robots());
         let deployment = deployment.ok_or_else(|| TrialError::Mode { name: mode.to_owned() })?;
         Ok(Trial::new(deployment, scenario, Model::Orca))
@@ -113,7 +129,7 @@ impl Trial {
         assert_eq!(deployment.robots, scenario.robots(), "a deployment is made for the scenario's team");
         Trial {
             layouts: Layouts::of_scenario(&*scenario, 0, 1),
-            physics: Physics::published(scenario.arena()),
+            physics: physics(&deployment.plant, &*scenario),
             deployment,
             scenario,
             model,
@@ -125,8 +141,16 @@ impl Trial {
             safety: Safety::emulated(),
             stops: Vec::new(),
             faults: FaultPlan::default(),
+            until: None,
             steps: Steps::Discarded,
         }
+    }
+
+    /// In this plant, whose robots are as they are unless someone says otherwise.
+    pub fn plant(mut self, name: &str) -> Trial {
+        (self.physics, self.deployment.plant) = (physics(name, &*self.scenario), name.to_owned());
+        let clamp = self.clamp;
+        self.clamp(clamp)
     }
 
     /// With so many of the scenario's own episodes.
@@ -165,6 +189,15 @@ impl Trial {
         self.faults(plan)
     }
 
+    /// For so long and no longer, and with as many episodes as that may take: what is said and carried in this time is
+    /// in the report's totals, and `Cost::of` gives it per robot and second.
+    pub fn lasting(mut self, lasts: Span) -> Trial {
+        let episodes = 1 + lasts.as_nanos() / LEAST_EPISODE.as_nanos();
+        // What happens at the last instant is part of it.
+        self.until = Some(Time::ZERO + lasts + Span::from_nanos(1));
+        self.episodes(u32::try_from(episodes).expect("a trial takes less than a century"))
+    }
+
     /// With every step kept in the report.
     pub fn keeping_steps(mut self) -> Trial {
         self.steps = Steps::Reported;
@@ -200,6 +233,7 @@ impl Trial {
                     }
                     Out::Step(step) => report.steps.push(step),
                     Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
+                    Out::Closed(totals) => report.totals = totals,
                 }
             }
         };
@@ -209,7 +243,8 @@ impl Trial {
             |_, now| {
                 let mut report = said.borrow_mut();
                 report.simulated = now.since(Time::ZERO);
-                report.finished || now >= deadline || proceed(&report.episodes) == Proceed::Stop
+                let closed = self.until.is_some_and(|until| now >= until);
+                report.finished || closed || now >= deadline || proceed(&report.episodes) == Proceed::Stop
             },
         );
         assert_eq!(end, End::Done, "a team that beats never falls idle");
@@ -282,6 +317,7 @@ impl Trial {
             repeat: self.repeat,
             seed: Seed::of_repeat(self.seed, self.repeat),
             faults: self.faults.clone(),
+            until: self.until,
             steps: self.steps,
         }
     }

@@ -62,6 +62,10 @@ fn wrong_flags_are_refused_in_one_line() {
     refuses(&["sim", "--wall-radius-m", "0"], &["--wall-radius-m", "0"]);
     refuses(&["sim", "--wall-radius-m", "10.5"], &["--wall-radius-m", "10.5"]);
     refuses(&["sim", "--wall-radius-m", "NaN"], &["--wall-radius-m", "NaN"]);
+    refuses(&["sim", "--plant", "water"], &["--plant", "water", "rigid"]);
+    refuses(&["sim", "--plant", "rigid", "--contacts", "judge"], &["--contacts", "'rigid'", "leave it out"]);
+    refuses(&["sim", "--plant", "rigid", "--wall-radius-m", "0.2"], &["--wall-radius-m", "'rigid'", "0.16 m"]);
+    refuses(&["sim", "--sensor", "radar"], &["--sensor", "radar", "motion-capture"]);
     refuses(&["sim", "--clamp", "none"], &["--clamp", "none", "deployed"]);
     refuses(&["sim", "--handling", "forget"], &["--handling", "forget", "as-published"]);
     refuses(&["sim", "--safety", "none"], &["--safety", "none", "deployed"]);

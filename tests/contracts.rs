@@ -193,7 +193,8 @@ fn a_plant_obeys_and_repeats_itself() {
     let starts: Vec<Vec2> = scenario.tasks(1, 0).iter().map(|task| task.start).collect();
     for entry in world::REGISTRY {
         let run = || {
-            let mut plant = (entry.build)(scenario.arena(), &world::Physics::published(scenario.arena()), &starts);
+            let mut plant =
+                (entry.build)(scenario.arena(), &(entry.physics)(scenario.arena()), &starts, Seed::of_run(1));
             assert!(plant.period() > Span::ZERO);
             for (robot, start) in starts.iter().enumerate() {
                 assert_eq!(plant.states()[robot].motion, Motion::at_rest(*start), "{}: at rest at first", entry.name);

@@ -5,7 +5,7 @@ use murmurate::deploy::{Impair, MODES};
 use murmurate::report::trial::TrialReport;
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
-use murmurate::world::{Clamp, ContactRule, Placement};
+use murmurate::world::{Clamp, ContactRule, Placement, Sensor};
 
 fn trial(mode: &str) -> Trial {
     Trial::preset(mode, "passage").expect("a preset").seed(3)
@@ -86,4 +86,58 @@ fn robots_can_be_placed_in_a_mode_in_which_they_would_drive() {
             assert!(moved < 2e-3, "episode {episode}, {}: {moved} m from its start", sample.robot);
         }
     }
+}
+
+/// A trial among rigid bodies, with what limits the published robots.
+fn rigid(mode: &str) -> Trial {
+    trial(mode).plant("rigid").clamp(Clamp::Deployed)
+}
+
+#[test]
+fn resets_succeed_among_rigid_bodies_in_every_mode_and_repeat_themselves_bit_for_bit() {
+    for mode in MODES {
+        let trial = rigid(mode).episodes(4);
+        let report = trial.run();
+        assert_eq!((report.episodes.len(), report.refused), (4, 0), "{mode}");
+        assert!(report.episodes.iter().all(|found| found.verdict != Verdict::Aborted), "{mode}: {:?}", report.episodes);
+        assert!(report.episodes.iter().all(|found| found.reset_s < 20.0), "{mode}: {:?}", report.episodes);
+        let again = trial.run().totals.trace;
+        assert_eq!(report.totals.trace, again, "{mode}: the same seed, the same bytes");
+        assert_ne!(Trial { repeat: 1, ..trial }.run().totals.trace, again, "{mode}: slip and noise are drawn anew");
+    }
+}
+
+/// What robots of 0.16 m do in each other's way, whatever they want.
+#[test]
+fn rigid_robots_never_overlap_deeply_nor_enter_a_wall() {
+    for mode in ["centralized", "onboard-adhoc"] {
+        let report = rigid(mode).episodes(6).keeping_steps().run();
+        let trial = rigid(mode);
+        let arena = trial.scenario.arena();
+        for step in &report.steps {
+            for (robot, sample) in step.samples.iter().enumerate() {
+                let at = sample.motion.position;
+                assert!(arena.clearance(at) > 0.15, "{mode}, episode {}: {at}", step.episode);
+                assert_eq!(sample.contacts.wall, arena.clearance(at) <= 0.16);
+                for other in &step.samples[..robot] {
+                    let apart = (other.motion.position - at).norm();
+                    assert!(apart > 0.30, "{mode}: {apart} m");
+                    assert!(apart > 0.32 || sample.contacts.robot && other.contacts.robot, "a touch is flagged");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn motion_capture_makes_a_difference_and_an_exact_sensor_none() {
+    let trace = |plant: &str, sensor: Sensor| {
+        let mut trial = trial("offboard").plant(plant).episodes(2);
+        trial.physics.sensor = sensor;
+        trial.run().totals.trace
+    };
+    for plant in ["kinematic", "rigid"] {
+        assert_ne!(trace(plant, Sensor::EXACT), trace(plant, Sensor::MOTION_CAPTURE), "{plant}");
+    }
+    assert_eq!(trace("kinematic", Sensor::EXACT), trial("offboard").episodes(2).run().totals.trace);
 }

@@ -115,6 +115,13 @@ fn a_team_that_cannot_be_is_refused_in_one_line() {
     let twice = "[deployment]\nmode = \"x\"\nrobots = 2\nplacement = \"drive\"\nstepping = \"seeded\"\n\
                  [[deployment.host]]\nname = \"pc\"\nagents = [[0], [0]]\nworld = [0, 1]\nstate_server = true\n";
     refused(("mode = \"onboard-infra\"\n", twice), &["robot 0 has a second agent on host 'pc'"]);
+    refused(("mode = ", "plant = \"water\"\nmode = "), &["plant", "line 3", "rigid"]);
+    let hull = "plant = \"rigid\"\nwall_radius_m = 0.2\nmode = ";
+    refused(("mode = ", hull), &["wall_radius_m (line 4)", "'rigid'", "leave it out"]);
+    let plant = "plant = \"rigid\"\n[deployment]\nmode = \"x\"\nrobots = 1\nplacement = \"drive\"\n\
+                 stepping = \"seeded\"\n[[deployment.host]]\nname = \"pc\"\nagents = [[0]]\nworld = [0]\n\
+                 state_server = true\n";
+    refused(("mode = \"onboard-infra\"\n", plant), &["plant (line 3)", "[deployment]"]);
     refused(("mode = ", "policy = \"nowhere\"\nmode = "), &["policy file", "nowhere"]);
     refused(("\"onboard-infra\"", "onboard-infra"), &["line 3"]);
     write(&file, TEAM).expect("it can be written");
@@ -150,6 +157,14 @@ fn show_says_where_every_value_comes_from() {
     assert_eq!(line("link.infra.transport"), "link.infra.transport multicast default");
     assert_eq!(line("policy"), "policy shipped default");
     assert_eq!(line("safety.silence_s"), "safety.silence_s 1.0 default");
+    assert_eq!(line("plant"), "plant kinematic default");
+    assert_eq!(line("lag_s"), "lag_s 0 default");
+    let rigid = ["config", "show", &file, "--set", "plant=rigid", "--set", "sensor=exact"];
+    let shown = done(&run(&rigid));
+    for expected in ["plant rigid --set", "lag_s 0.5 default", "wall_radius_m 0.16 default", "sensor exact --set"] {
+        let found = shown.lines().any(|line| line.split_whitespace().collect::<Vec<_>>().join(" ") == expected);
+        assert!(found, "{expected} in {shown}");
+    }
     let json = run(&["config", "show", &file, "--json"]);
     let json: serde_json::Value = serde_json::from_str(&done(&json)).expect("one JSON object");
     assert_eq!(json["values"][0]["field"], "team");

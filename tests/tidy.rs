@@ -53,11 +53,12 @@ fn sources(folder: &str) -> Vec<Source> {
 
 /// The layer of a module; a module may use its own layer and those below.
 fn layer(module: &str) -> Option<u8> {
-    let layers: [(&str, u8); 30] = [
+    let layers: [(&str, u8); 32] = [
         ("config", 0),
         ("time", 0),
         ("random", 0),
         ("messages", 0),
+        ("cells", 0),
         ("net::transport", 4),
         ("actors::shell", 4),
         ("actors::clock", 4),
@@ -75,6 +76,7 @@ fn layer(module: &str) -> Option<u8> {
         ("policy", 1),
         ("safety", 1),
         ("net", 1),
+        ("report::cost", 1),
         ("report::episode", 1),
         ("report::event", 1),
         ("report::statistics", 1),

@@ -68,7 +68,7 @@ fn dynamics_and_reward_are_those_of_the_world() {
             let tasks = scenario.tasks(7, 1);
             let physics: Physics = episode.physics(scenario.arena());
             let starts: Vec<Vec2> = tasks.iter().map(|task| task.start).collect();
-            let mut plant = kinematic::build(scenario.arena(), &physics, &starts);
+            let mut plant = kinematic::build(scenario.arena(), &physics, &starts, Seed::of_run(0));
             let mut stages = vec![Stage(0); robots];
             let clamp = if episode.lag_s.is_some() { Clamp::Deployed } else { Clamp::Training };
             for step in 0..300 {

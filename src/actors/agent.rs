@@ -4,9 +4,11 @@
 //! several a joint, synchronous one. Robots of one Agent exchange latents within the step; all others are
 //! heard through their Caches.
 
+use std::cmp::Ordering;
 use std::sync::Arc;
 
 use super::Core;
+use crate::cells::{self, Cells};
 use crate::messages::geometry::{Task, Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Action, Heard, NEAR_M, Other, Percept, Progress};
@@ -91,16 +93,23 @@ pub struct Agent {
     /// When the round began here.
     began: Time,
     waiting_since: Option<Time>,
+    /// How many of its robots have not perceived yet.
+    missing: usize,
+    /// Its robots by where they are, for the step at hand; none where everyone counts or they are few.
+    whereabouts: Option<Cells>,
 }
 
 impl Agent {
     /// An agent for these robots, in the order of their ids.
     pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, patience: Span, pilots: Vec<Pilot>) -> Agent {
         assert!(pilots.is_sorted_by_key(|pilot| pilot.robot), "sums run in the order of ids");
+        assert!(pilots.is_sorted_by_key(|pilot| pilot.robot), "an agent has its robots in the order of their ids");
         Agent {
             scenario,
             range,
             patience,
+            missing: pilots.len(),
+            whereabouts: None,
             seats: pilots.into_iter().map(Seat::new).collect(),
             round: Round::default(),
             phase: Phase::NeedReset,
@@ -118,10 +127,10 @@ impl Agent {
             self.began = now;
         }
         (self.round, self.phase) = (mode.round, mode.phase);
-        for seat in &mut self.seats {
-            if let Some(task) = mode.task_of(seat.pilot.robot) {
-                seat.task = Some(task);
-            }
+        let block = mode.first.index()..mode.first.index() + mode.tasks.len();
+        let first = self.seats.partition_point(|seat| seat.pilot.robot.index() < block.start);
+        for seat in self.seats[first..].iter_mut().take_while(|seat| block.contains(&seat.pilot.robot.index())) {
+            seat.task = mode.task_of(seat.pilot.robot);
         }
     }
 
@@ -130,11 +139,24 @@ impl Agent {
         self.waiting_since = None;
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
             let latents: Vec<Latent> = (0..self.seats.len()).filter_map(|at| self.encode(at)).collect();
+            self.whereabouts = self.locate();
             // Actions go first: wheels before words, and what follows from both is sent in one go.
             out.extend((0..self.seats.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
             out.extend(latents.into_iter().map(Out::Latent));
         }
         self.seats.iter_mut().for_each(|seat| seat.percept = None);
+        self.missing = self.seats.len();
+    }
+
+    /// Where everyone is that has perceived, to look at those alone who can be heard or met. A range that is drawn for
+    /// every message has no bound.
+    fn locate(&self) -> Option<Cells> {
+        if self.seats.len() <= cells::FEW || self.range.std_m > 0.0 {
+            return None;
+        }
+        let nowhere = Vec2::repeat(f32::NAN);
+        let at = |seat: &Seat| seat.percept.as_ref().map_or(nowhere, |percept| percept.estimate.position);
+        Cells::new(self.range.mean_m.max(NEAR_M), self.seats.iter().map(at))
     }
 
     fn encode(&mut self, at: usize) -> Option<Latent> {
@@ -163,6 +185,12 @@ impl Agent {
     }
 
     fn act(&mut self, now: Time, at: usize) -> Option<Action> {
+        let position = self.seats[at].percept.as_ref()?.estimate.position;
+        let mut near = Vec::new();
+        match &self.whereabouts {
+            Some(grid) => grid.near(position, &mut near),
+            None => near.extend(0..self.seats.len()),
+        }
         let settled = now.since(self.began) >= SETTLING;
         let (phase, round) = (self.phase, self.round);
         // The robot's own seat is split off, so that its policy can look at all others.
@@ -182,8 +210,13 @@ impl Agent {
                 Neighbour { motion: frame.turn_motion(&heard.motion), features: &heard.features.0, age: heard.age },
             )
         });
+        let companions = near.iter().filter_map(|&other| match other.cmp(&at) {
+            Ordering::Less => Some(&before[other]),
+            Ordering::Equal => None,
+            Ordering::Greater => Some(&after[other - at - 1]),
+        });
         let (range, ranges) = (self.range, &mut seat.pilot.ranges);
-        let joint = before.iter().chain(after.iter()).filter_map(|other| {
+        let joint = companions.clone().filter_map(|other| {
             let theirs = other.percept.as_ref()?.estimate;
             other.task.filter(|_| other.sound)?;
             range.admits(own.position, theirs.position, ranges).then(|| {
@@ -208,7 +241,7 @@ impl Agent {
         };
         let known =
             percept.heard.iter().map(|heard| Other { robot: heard.robot, motion: heard.motion, age: heard.age });
-        let beside = before.iter().chain(after.iter()).filter_map(|other| {
+        let beside = companions.filter_map(|other| {
             let motion = other.percept.as_ref()?.estimate;
             Some(Other { robot: other.pilot.robot, motion, age: Span::ZERO })
         });
@@ -244,9 +277,12 @@ impl Core for Agent {
         match input {
             In::Mode(mode) => self.follow(now, &mode),
             In::Percept(percept) => {
-                let Some(seat) = self.seats.iter_mut().find(|seat| seat.pilot.robot == percept.robot) else { return };
-                seat.percept = Some(percept);
-                if self.seats.iter().all(|seat| seat.percept.is_some()) {
+                let place = self.seats.binary_search_by_key(&percept.robot, |seat| seat.pilot.robot);
+                let Some(seat) = place.ok().map(|place| &mut self.seats[place]) else { return };
+                if seat.percept.replace(percept).is_none() {
+                    self.missing -= 1;
+                }
+                if self.missing == 0 {
                     self.step(now, out);
                 } else {
                     self.waiting_since.get_or_insert(now);
@@ -341,6 +377,26 @@ mod tests {
         assert_eq!(speeds(&out), [(0, 1.5), (1, 1.0), (2, 1.0)], "two neighbours, limited to 1.5 m/s");
         assert_eq!(out.len(), 6, "and three latents");
         assert_eq!(agent.wake_at(), None);
+    }
+
+    #[test]
+    fn of_many_robots_those_near_are_heard_and_met_as_if_everyone_was_looked_at() {
+        let robots: Vec<u16> = (0..60).collect();
+        // A range that is drawn, if from next to nothing, has no bound: then everyone is looked at.
+        let out = [0.0, 1e-30].map(|std_m| {
+            let (mut agent, mut out) = (agent(&robots), Vec::new());
+            agent.range.std_m = std_m;
+            for &robot in &robots {
+                agent.seats[usize::from(robot)].task = agent.seats[0].task;
+                agent.handle(Time::ZERO, percept(robot, f32::from(robot * 37 % 60) * 0.7, Vec::new()), &mut out);
+            }
+            assert_eq!(agent.whereabouts.is_some(), std_m == 0.0);
+            out
+        });
+        assert_eq!(out.each_ref().map(Vec::len), [120; 2]);
+        for (by_cells, by_all) in out[0].iter().zip(&out[1]) {
+            assert_eq!(format!("{by_cells:?}"), format!("{by_all:?}"));
+        }
     }
 
     #[test]

@@ -83,10 +83,14 @@ impl Controller {
         // The stop counts whoever the instruction is for, and however old it is.
         let changed = self.guard.learn(mode.latch);
         self.latched(now, changed, out);
-        if mode.round < self.round || mode.task_of(self.config.robot).is_none() {
+        if mode.round < self.round {
             return;
         }
+        // Whoever the instruction is for, the server is alive. What it says to others may be older than what is known.
         self.guard.server_heard(now);
+        if mode.task_of(self.config.robot).is_none() {
+            return;
+        }
         if (mode.round, mode.phase) == (self.round, self.team) {
             return;
         }

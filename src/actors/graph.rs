@@ -27,6 +27,7 @@ use crate::net::fault::FaultPlan;
 use crate::net::link;
 use crate::net::medium::Medium;
 use crate::net::range::CommRange;
+use crate::net::reach::Reach;
 use crate::net::transport::air::Air;
 use crate::net::transport::ether::{self, Ether};
 use crate::net::transport::{self, Arrive, Transmit};
@@ -75,6 +76,8 @@ pub struct Plan {
     pub seed: Seed,
     /// What goes wrong.
     pub faults: FaultPlan,
+    /// When the run ends, if not with its last episode.
+    pub until: Option<Time>,
     /// Whether every step is told.
     pub steps: recorder::Steps,
 }
@@ -91,6 +94,10 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
         let (fault, graph) = (fault.clone(), Rc::clone(&graph));
         clock.call(fault.at, Box::new(move || graph.inject(fault)));
     }
+    if let Some(until) = plan.until {
+        let record = graph.record();
+        clock.call(until, Box::new(move || record(recorder::In::Closing)));
+    }
     for (at, stop) in plan.stops.iter().copied() {
         let network = graph.network_of(stop.by);
         clock.call(at, Box::new(move || network.send(network::In::Publish(Wire::Stop(stop)))));
@@ -106,7 +113,7 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
             wire_robot(clock, plan, graph, robot);
         }
         if here(graph.routes.world_host(robot)) {
-            wire_body(clock, graph, robot);
+            wire_body(clock, plan, graph, robot);
         }
     }
     for host in 0..plan.deployment.hosts.len() {
@@ -209,10 +216,11 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
 }
 
 /// Body of one robot.
-fn wire_body(clock: &Clock, graph: &Graph, robot: RobotId) {
+fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
     let network = graph.network_of(graph.routes.world_host(robot));
     let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
-    let make = move |_| Body::new(robot);
+    let (sensor, seed) = (plan.physics.sensor, plan.seed);
+    let make = move |life| Body::new(robot, sensor, seed.stream(&format!("body/{}/sensor/{life}", robot.0)));
     start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
         body::Out::Reading(reading) => network.send(network::In::Publish(Wire::Reading(reading))),
@@ -336,9 +344,9 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
         let ranged = ranged_ethers(plan, graph, process);
         // On the floor before anything starts, as people would put them there.
         let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
-        let plant = plants::REGISTRY.iter().find(|entry| entry.name == plan.deployment.plant);
-        let plant =
-            (plant.expect("a checked deployment names a plant").build)(plan.scenario.arena(), &plan.physics, &starts);
+        let plant = plants::plant(&plan.deployment.plant).expect("a checked deployment names a plant");
+        let seed = plan.seed.child(&format!("world/{}", host.0));
+        let plant = (plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
         let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
         let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
         start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {
@@ -353,8 +361,8 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
 
 /// The emulated links on which it matters where robots are.
 fn ranged_ethers(plan: &Plan, graph: &Graph, process: &Process) -> Vec<Mailbox<transport::In>> {
-    let links = plan.deployment.links.iter().zip(&graph.transports).filter(|_| process.only.is_none());
-    let ranged = links.filter(|(link, _)| link.radio.as_ref().is_some_and(|radio| radio.range_m.is_some()));
+    let links = plan.deployment.links.iter().zip(graph.transports.iter()).filter(|_| process.only.is_none());
+    let ranged = links.filter(|(link, _)| link.range_m.or(link.radio.as_ref().and_then(|r| r.range_m)).is_some());
     ranged.map(|(_, ether)| ether.clone()).collect()
 }
 
@@ -366,16 +374,17 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
         let routes = graph.routes.clone();
         let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
         let (seed, name) = (plan.seed, link.name.clone());
-        let (radio, robots_of) = (link.radio.clone(), Rc::clone(&robots_of));
+        let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
         let make = move |life| {
             let stream = seed.stream(&format!("link/{name}/{life}"));
             let medium = Medium::new(impairment.clone(), faults.clone(), stream);
             let air = || seed.child(&format!("link/{name}/radio/{life}"));
             let air = radio.clone().map(|radio| Air::new(radio, &robots_of, &air()));
-            Ether::new(medium, air, |kind| routes.listeners(kind))
+            let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
+            Ether::new(medium, air, reach, |kind| routes.listeners(kind))
         };
-        let observed = plan.steps == recorder::Steps::Reported && link.carries.contains(&Kind::Latent);
         let (networks, record) = (graph.networks.clone(), graph.record());
+        let observed = plan.steps == recorder::Steps::Reported && link.carries.contains(&Kind::Latent);
         start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
             ether::Out::Arrive(Arrive { to, frame }) => {
                 if observed {

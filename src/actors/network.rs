@@ -67,6 +67,8 @@ pub struct Config {
 pub struct Network {
     router: Router,
     links: Vec<LinkState>,
+    /// By link: when anything is next due there. It is asked for after every message, and links are large.
+    due: Vec<Option<Time>>,
     /// By link: whether every datagram reaches everyone.
     shared: Vec<bool>,
     /// The next datagram that is published but leaves on no link, and how many of those there were.
@@ -84,12 +86,13 @@ impl Network {
         let shared = links.iter().map(|setup| setup.ride == Ride::Any).collect();
         let ids = (0..=u16::MAX).map(LinkId);
         let state = |(id, setup)| LinkState::new(me, id, key.clone(), setup, &mut stream);
-        let links = ids.zip(links).map(state).collect();
+        let links: Vec<LinkState> = ids.zip(links).map(state).collect();
+        let due = links.iter().map(LinkState::due).collect();
         let Identity { host, team, epoch } = me;
         let indoors = Header { flags: codec::Flags::default(), team, sender: host, epoch, sequence: 0 };
         let indoor_counts = LinkCounts::default();
         let (leaving, next_counts) = (Vec::new(), Time::ZERO);
-        Network { router, links, shared, indoors, indoor_counts, stream, leaving, next_counts }
+        Network { router, links, due, shared, indoors, indoor_counts, stream, leaving, next_counts }
     }
 
     fn publish(&mut self, now: Time, message: Wire, out: &mut Vec<Out>) {
@@ -98,6 +101,7 @@ impl Network {
             Some((link, audience)) => {
                 let state = &mut self.links[usize::from(link.0)];
                 let encoded = state.say(now, audience, &message, &mut self.leaving);
+                self.due[usize::from(link.0)] = state.due();
                 transmit(link, &mut self.leaving, out);
                 encoded
             }
@@ -129,6 +133,7 @@ impl Network {
         let at = usize::from(link.0);
         let Some(state) = self.links.get_mut(at) else { return };
         let admitted = state.admit(now, frame, &mut self.stream, &mut self.leaving);
+        self.due[at] = state.due();
         transmit(link, &mut self.leaving, out);
         let Some((header, plain)) = admitted else { return };
         for (content, body) in codec::blocks(plain).flatten() {
@@ -174,13 +179,13 @@ impl Core for Network {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        let links = self.links.iter().filter_map(LinkState::due);
-        Some(links.fold(self.next_counts, Time::min))
+        Some(self.due.iter().flatten().copied().fold(self.next_counts, Time::min))
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         for (state, id) in self.links.iter_mut().zip((0..=u16::MAX).map(LinkId)) {
             state.wake(now, &mut self.stream, &mut self.leaving);
+            self.due[usize::from(id.0)] = state.due();
             transmit(id, &mut self.leaving, out);
         }
         if self.next_counts <= now {

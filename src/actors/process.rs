@@ -68,16 +68,16 @@ impl Process {
 /// The ways to all actors of a graph.
 pub struct Graph {
     pub(super) routes: Routes,
-    pub(super) caches: Vec<Mailbox<cache::In>>,
+    pub(super) caches: Rc<[Mailbox<cache::In>]>,
     /// By robot: the robots of one agent share a mailbox.
     pub(super) agents: Vec<Mailbox<agent::In>>,
-    pub(super) controllers: Vec<Mailbox<controller::In>>,
-    pub(super) bodies: Vec<Mailbox<body::In>>,
+    pub(super) controllers: Rc<[Mailbox<controller::In>]>,
+    pub(super) bodies: Rc<[Mailbox<body::In>]>,
     /// By robot, likewise.
     pub(super) worlds: Vec<Mailbox<world::In>>,
     pub(super) server: Mailbox<state_server::In>,
-    pub(super) networks: Vec<Mailbox<network::In>>,
-    pub(super) transports: Vec<Mailbox<transport::In>>,
+    pub(super) networks: Rc<[Mailbox<network::In>]>,
+    pub(super) transports: Rc<[Mailbox<transport::In>]>,
     /// Where there is one.
     pub(super) recorder: Option<Mailbox<recorder::In>>,
 }
@@ -90,13 +90,12 @@ impl Graph {
         let named = |what: &'static str| move |robot: RobotId| format!("{what} of {robot}");
         let mut agents: Vec<Mailbox<agent::In>> = Vec::new();
         let mut worlds: Vec<Mailbox<world::In>> = Vec::new();
+        let mut by_host: BTreeMap<HostId, Mailbox<world::In>> = BTreeMap::new();
         for robot in team() {
             let agent = agents.get(routes.companions(robot)[0].index());
             agents.push(agent.cloned().unwrap_or_else(|| Mailbox::new(named("agent")(robot))));
-            let host = routes.world_host(robot);
-            let world = team().take(robot.index()).find(|&other| routes.world_host(other) == host);
-            let world = world.and_then(|other| worlds.get(other.index()));
-            worlds.push(world.cloned().unwrap_or_else(|| Mailbox::new(named("world")(robot))));
+            let world = by_host.entry(routes.world_host(robot)).or_insert_with(|| Mailbox::new(named("world")(robot)));
+            worlds.push(world.clone());
         }
         let links = deployment.links.iter().map(|link| format!("transport of {}", link.name));
         Graph {

@@ -10,10 +10,11 @@ use xxhash_rust::xxh3::Xxh3;
 use super::Core;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::local::{Sample, Truth};
-use crate::messages::wire::{Kind, Phase, Round, Wire};
+use crate::messages::wire::{KINDS, Kind, Phase, Round, Wire};
 use crate::net::codec::{self, Content, Flags, Frame, Header};
 use crate::net::link::LinkCounts;
 use crate::net::radio::RadioCounts;
+use crate::report::cost::Said;
 use crate::report::episode::Episode;
 use crate::report::listening::{Datagram, Listener};
 use crate::report::trial::{Step, Totals};
@@ -38,6 +39,8 @@ pub enum In {
     Radio(LinkId, Box<RadioCounts>),
     /// How often a robot's guard has stopped or slowed it since its Controller was started.
     Safety(RobotId, SafetyCounts),
+    /// The run is about to end, in the midst of an episode or not.
+    Closing,
     /// A datagram has arrived at a host of this process.
     Arrived(HostId, Frame),
     /// A Cache has handed a percept on at a host: whom it has heard, and how long ago that arrived.
@@ -53,6 +56,8 @@ pub enum Out {
     Step(Step),
     /// All episodes are over.
     Finished(Totals),
+    /// The run ends here.
+    Closed(Totals),
 }
 
 /// How a Recorder is set up.
@@ -84,6 +89,7 @@ pub struct Recorder {
     config: Config,
     digest: Xxh3,
     messages: u64,
+    said: [Said; KINDS.len()],
     team: Vec<Option<Sample>>,
     /// Which robots were seen since the last time that all had been.
     seen: Vec<bool>,
@@ -113,6 +119,7 @@ impl Recorder {
             config,
             digest: Xxh3::new(),
             messages: 0,
+            said: [Said::default(); KINDS.len()],
             team: vec![None; robots],
             seen: vec![false; robots],
             commanded: vec![Time::ZERO; robots],
@@ -135,6 +142,10 @@ impl Recorder {
         self.digest.update(&now.as_nanos().to_le_bytes());
         self.digest.update(frame);
         let content = codec::first(frame).expect("a Network publishes whole datagrams");
+        if let Content::Message(kind) = content {
+            let said = &mut self.said[kind as usize];
+            (said.messages, said.bytes) = (said.messages + 1, said.bytes + frame.len() as u64);
+        }
         if content == Content::Message(Kind::Latent) && self.listens() {
             let (header, message) = codec::decode(frame).expect("a Network publishes whole datagrams");
             self.listener.published(now, datagram(&header), message.robot());
@@ -191,6 +202,7 @@ impl Recorder {
     fn totals(&self, now: Time) -> Totals {
         Totals {
             messages: self.messages,
+            said: self.said,
             end: now,
             trace: self.digest.digest128(),
             oldest_command: self.oldest_command,
@@ -286,6 +298,7 @@ impl Core for Recorder {
             In::Safety(robot, counts) => {
                 self.safety.insert(robot, counts);
             }
+            In::Closing => out.push(Out::Closed(self.totals(now))),
             In::Arrived(to, frame) => {
                 // What was garbled on its way is no arrival; what was published in time may arrive after the end.
                 if let Ok(header) = codec::peek(&frame) {

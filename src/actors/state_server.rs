@@ -16,8 +16,10 @@ use crate::world::Placement;
 
 /// How often it decides: once a World step.
 pub const TICK: Span = Span::from_millis(50);
-/// How often it repeats an unchanged instruction.
+/// How often it repeats an unchanged instruction; to a team of more than one block, a block at a time.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
+/// How often a new instruction is said to all blocks, before they take turns: of so many in a row hardly all get lost.
+pub const NEWS: u32 = 3;
 /// A robot that has been silent for longer is missing: five heartbeats.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
 /// How long it waits for missing robots before it goes on without them.
@@ -64,6 +66,9 @@ pub struct StateServer {
     /// When the phase began; before the first tick there is none.
     since: Option<Time>,
     said: Option<Time>,
+    /// How often the instruction was said, and which block of robots it is repeated to next.
+    told: u32,
+    turn: usize,
     next: Time,
 }
 
@@ -80,6 +85,8 @@ impl StateServer {
             phase: Phase::NeedReset,
             since: None,
             said: None,
+            told: 0,
+            turn: 0,
             next: Time::ZERO,
         }
     }
@@ -193,10 +200,16 @@ impl StateServer {
         }
     }
 
-    fn say(&self, out: &mut Vec<Mode>) {
+    /// What is new is said to everyone. What is repeated holds the tasks of one block, and all else for everyone: so
+    /// what a robot hears does not grow with the team.
+    fn say(&mut self, out: &mut Vec<Mode>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));
-        for (index, block) in tasks.chunks(MAX_BLOCK).enumerate() {
+        let blocks = tasks.len().div_ceil(MAX_BLOCK);
+        self.told = if self.said.is_none() { 1 } else { self.told.saturating_add(1) };
+        let turn = if self.told <= NEWS { 0..blocks } else { self.turn..self.turn + 1 };
+        self.turn = turn.end % blocks;
+        for (index, block) in tasks.chunks(MAX_BLOCK).enumerate().filter(|(index, _)| turn.contains(index)) {
             let first = u16::try_from(index * MAX_BLOCK).expect("a team has at most 65 535 robots");
             out.push(Mode {
                 round: self.round,
@@ -236,8 +249,8 @@ impl Core for StateServer {
         // Until it knows where the team is, it has nothing to say but that everyone is to stand.
         let speaks = self.round.epoch > 0 || self.latch.is_engaged();
         if speaks && self.said.is_none_or(|said| now.since(said) >= MODE_PERIOD) {
-            self.said = Some(now);
             self.say(out);
+            self.said = Some(now);
         }
         self.next = now.next_on_grid(Span::ZERO, TICK);
     }
@@ -293,6 +306,30 @@ mod tests {
         tick(&mut server, at_ms(250));
         beat(&mut server, at_ms(260), round(1, 1), [Phase::FinishedRunning; 2]);
         assert_eq!(tick(&mut server, at_ms(300)).1, Phase::EpisodesFinished);
+    }
+
+    #[test]
+    fn a_large_team_is_told_news_at_once_and_then_a_block_at_a_time() {
+        let swap = build("swap", &Settings::of(150)).unwrap();
+        let layouts = Layouts::of_scenario(&*swap, 1, 2);
+        let limit = Span::from_millis(60_000);
+        let config = Config { layouts, repeat: 0, placement: Placement::Exact, limit };
+        let mut server = StateServer::new(config, 150, 1);
+        let blocks = |server: &mut StateServer, ms: u64, phase: Phase| -> Vec<u16> {
+            for robot in RobotId::team(150) {
+                let beat = Heartbeat { robot, round: server.round, phase, latch: Latch::default() };
+                server.handle(at_ms(ms), In::Heartbeat(beat), &mut Vec::new());
+            }
+            let mut out = Vec::new();
+            server.wake(at_ms(ms), &mut out);
+            out.iter().map(|mode| mode.first.0).collect()
+        };
+        let all = [0, 64, 128];
+        let mut said: Vec<Vec<u16>> = Vec::new();
+        said.extend((0..9).map(|at| blocks(&mut server, 100 * at, Phase::Running)));
+        assert_eq!(said[..3], [all.to_vec(), all.to_vec(), all.to_vec()], "news");
+        assert_eq!(said[3..], [[0], [64], [128], [0], [64], [128]].map(Vec::from));
+        assert_eq!(blocks(&mut server, 900, Phase::FinishedRunning), all, "the next episode is news");
     }
 
     #[test]

@@ -71,8 +71,9 @@ struct Attached {
 }
 
 impl World {
-    /// A world of these robots, which the plant holds in the same order.
+    /// A world of these robots, in the order of their ids; the plant holds them in the same.
     pub fn new(ground: Rc<RefCell<Ground>>, placement: Placement, robots: &[RobotId]) -> World {
+        assert!(robots.is_sorted(), "a world holds its robots in the order of their ids");
         let attach = |&robot: &RobotId| Attached { robot, command: Vec2::zeros(), until: Time::ZERO };
         let period = ground.borrow().plant.period();
         let bodies = robots.iter().map(attach).collect();
@@ -126,7 +127,8 @@ impl Core for World {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Drive(drive) => {
-                if let Some(body) = self.bodies.iter_mut().find(|body| body.robot == drive.robot) {
+                if let Ok(at) = self.bodies.binary_search_by_key(&drive.robot, |body| body.robot) {
+                    let body = &mut self.bodies[at];
                     (body.command, body.until) = (drive.velocity, drive.until);
                 }
             }
@@ -169,13 +171,15 @@ mod tests {
     use super::*;
     use crate::messages::geometry::Task;
     use crate::messages::latch::Latch;
+    use crate::random::Seed;
     use crate::scenario::{Settings, build};
     use crate::world::{Physics, kinematic};
 
     fn world(placement: Placement) -> World {
         let passage = build("passage", &Settings::of(2)).unwrap();
         let starts = [Vec2::new(0.0, -1.0), Vec2::new(1.0, -1.0)];
-        let ground = Ground::new(kinematic::build(passage.arena(), &Physics::published(passage.arena()), &starts));
+        let physics = Physics::published(passage.arena());
+        let ground = Ground::new(kinematic::build(passage.arena(), &physics, &starts, Seed::of_run(0)));
         World::new(Rc::new(RefCell::new(ground)), placement, &[RobotId(0), RobotId(1)])
     }
 

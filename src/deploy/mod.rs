@@ -22,7 +22,7 @@ use crate::net::medium::Impairment;
 use crate::net::radio::{Radio, Topology};
 use crate::net::reliability::Reliabilities;
 use crate::time::Span;
-use crate::world::{self, Placement};
+use crate::world::{self, PLANTS, Placement};
 
 /// When agents step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -71,6 +71,9 @@ pub struct Link {
     /// How sure the kinds are to arrive; those not named are sent once.
     #[serde(default, skip_serializing_if = "Reliabilities::is_empty")]
     pub reliability: Reliabilities,
+    /// How far a robot's frames carry \[m\]; none for everywhere. With a radio, the range is the radio's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range_m: Option<f32>,
     /// The radio channel that its frames share; none for a link where they never meet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radio: Option<Radio>,
@@ -161,8 +164,8 @@ impl Deployment {
         if self.robots == 0 || self.robots > usize::from(u16::MAX) {
             return wrong("robots", format!("{} is not 1 to {}", self.robots, u16::MAX));
         }
-        if !world::REGISTRY.iter().any(|entry| entry.name == self.plant) {
-            return wrong("plant", format!("there is no plant '{}'", self.plant));
+        if world::plant(&self.plant).is_none() {
+            return wrong("plant", format!("there is no plant '{}'; there are {}", self.plant, PLANTS.join(", ")));
         }
         for (field, names) in [
             ("host", self.hosts.iter().map(|host| &host.name).collect::<Vec<_>>()),
@@ -199,6 +202,15 @@ impl Deployment {
             }
             if !(0.0..=60.0).contains(&link.delay_s) {
                 return wrong("link.delay_s", format!("{} on '{}' is not 0 to 60 s", link.delay_s, link.name));
+            }
+            if let Some(range_m) = link.range_m {
+                if !(0.0..f32::INFINITY).contains(&range_m) {
+                    return wrong("link.range_m", format!("{range_m} on '{}' is not a distance", link.name));
+                }
+                if link.radio.is_some() {
+                    let why = format!("'{}' is a radio, which has a range of its own: link.radio.range_m", link.name);
+                    return wrong("link.range_m", why);
+                }
             }
         }
         for (link, radio) in self.links.iter().filter_map(|link| Some((link, link.radio.as_ref()?))) {
@@ -255,6 +267,17 @@ impl Deployment {
             link.radio = Some(Radio { channel, range_m: radio.range_m.filter(|_| ad_hoc), ..radio.clone() });
         }
         self
+    }
+
+    /// Limits how far latents carry \[m\]: the range of every link that has them to carry.
+    pub fn ranged(mut self, range_m: f32) -> Result<Deployment, ImpairError> {
+        let crosses = Routes::of(&self).crosses(Kind::Latent);
+        let links = self.links.iter_mut().filter(|link| crosses && link.carries.contains(&Kind::Latent));
+        if links.map(|link| link.range_m = Some(range_m)).count() == 0 {
+            return Err(ImpairError::NothingCrosses { mode: self.mode, kinds: "latent" });
+        }
+        self.check()?;
+        Ok(self)
     }
 
     /// Makes links slow and lossy; what is not given stays as it is.
@@ -336,6 +359,8 @@ mod tests {
         assert!(
             error(|d| d.links[1].carries.push(Kind::Latent)).starts_with("link.carries: Latent is carried 2 times")
         );
+        assert!(error(|d| d.links[0].range_m = Some(-1.0)).starts_with("link.range_m"));
+        assert!(error(|d| d.links[0].range_m = Some(f32::INFINITY)).starts_with("link.range_m"));
         assert!(error(|d| d.links[0].loss = 2.0).starts_with("link.loss"));
         assert!(error(|d| d.hosts[1].name.clear()).starts_with("host.name"));
         assert!(error(|d| d.links[0].impairs.push(Kind::Mode)).starts_with("link.impairs"));
@@ -352,5 +377,11 @@ mod tests {
         let adhoc = impaired("onboard-adhoc", Impair::All).unwrap();
         let wires = adhoc.links.iter().find(|link| link.name == WIRES).unwrap();
         assert!(wires.impairs.is_empty(), "the wires are never impaired");
+        let ranges = |mode: &str| -> Vec<Option<f32>> {
+            let ranged = Deployment::preset(mode, 3).unwrap().ranged(4.5).unwrap();
+            ranged.links.iter().map(|link| link.range_m).collect()
+        };
+        assert_eq!(ranges("onboard-adhoc"), [Some(4.5), None, None]);
+        assert!(Deployment::preset("sim", 3).unwrap().ranged(4.5).is_err());
     }
 }

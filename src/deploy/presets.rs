@@ -20,6 +20,7 @@ impl Deployment {
             loss: 0.0,
             impairs: Vec::new(),
             reliability: Reliabilities::new(),
+            range_m: None,
             radio: None,
         };
         let one_each = |prefix: &str| -> Vec<Host> {

@@ -1,7 +1,8 @@
-//! The way of every message in a deployment: who publishes it, who takes it, which link lies between. Reckoned
-//! once for a whole deployment, since a large team has many ways.
+//! The way of every message in a deployment: who publishes it, who takes it, which link lies between. Nothing here
+//! grows faster than the team, but for what is asked of every host.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use super::Deployment;
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -12,16 +13,38 @@ use crate::net::router::{Audience, Route, Router};
 #[derive(Clone, Debug)]
 pub struct Routes {
     robots: usize,
-    hosts: usize,
     /// By robot: the host of its agent, the robots of that agent in the order of their ids, the host of its world.
     agent_host: Vec<HostId>,
-    companions: Vec<Vec<RobotId>>,
+    companions: Vec<Arc<[RobotId]>>,
     world_host: Vec<HostId>,
     server_host: HostId,
-    /// By kind, then by robot: the hosts that take a message, in order.
-    takers: Vec<Vec<HostId>>,
+    /// By host: the robots whose agent or world it runs.
+    robots_of: Vec<Vec<RobotId>>,
+    /// By host: how many robots' agents it runs.
+    decided: Vec<usize>,
+    /// The hosts that run an agent; those that run an agent or a world; those that run an agent or the state server.
+    deciders: Vec<HostId>,
+    told: Vec<HostId>,
+    stopped: Vec<HostId>,
     /// By kind: the link that carries it.
     links: Vec<Option<LinkId>>,
+}
+
+/// The hosts that take a message: all of these, in order, but for one.
+#[derive(Clone, Copy, Debug)]
+struct Takers<'a> {
+    hosts: &'a [HostId],
+    but: Option<HostId>,
+}
+
+impl Takers<'_> {
+    fn has(&self, host: HostId) -> bool {
+        self.but != Some(host) && self.hosts.binary_search(&host).is_ok()
+    }
+
+    fn iter(&self) -> impl Iterator<Item = HostId> {
+        self.hosts.iter().copied().filter(|host| self.but != Some(*host))
+    }
 }
 
 impl Routes {
@@ -30,62 +53,63 @@ impl Routes {
         let robots = deployment.robots;
         let number = |index: usize| u16::try_from(index).expect("a checked deployment has few hosts and links");
         let (mut agent_host, mut world_host) = (vec![None; robots], vec![None; robots]);
-        let mut companions = vec![Vec::new(); robots];
+        let mut companions: Vec<Arc<[RobotId]>> = vec![Arc::default(); robots];
+        let mut robots_of = Vec::new();
         for (index, host) in deployment.hosts.iter().enumerate() {
             for agent in &host.agents {
-                let mut ids: Vec<RobotId> = agent.iter().copied().map(RobotId).collect();
-                ids.sort();
-                for robot in &ids {
+                let ids: BTreeSet<RobotId> = agent.iter().copied().map(RobotId).collect();
+                let ids: Arc<[RobotId]> = ids.into_iter().collect();
+                for robot in ids.iter() {
                     agent_host[robot.index()] = Some(HostId(number(index)));
-                    companions[robot.index()] = ids.clone();
+                    companions[robot.index()] = Arc::clone(&ids);
                 }
             }
             for robot in &host.world {
                 world_host[usize::from(*robot)] = Some(HostId(number(index)));
             }
+            robots_of.push(host.agents.iter().flatten().chain(&host.world).copied().map(RobotId).collect());
         }
         let found = |hosts: Vec<Option<HostId>>| -> Vec<HostId> {
             hosts.into_iter().map(|host| host.expect("a checked deployment has a host for everything")).collect()
         };
         let server = deployment.hosts.iter().position(|host| host.state_server);
+        let server_host = HostId(number(server.expect("a checked deployment has a state server")));
         let link_of = |kind: Kind| deployment.links.iter().position(|link| link.carries.contains(&kind));
-        let mut routes = Routes {
-            robots,
-            hosts: deployment.hosts.len(),
-            agent_host: found(agent_host),
-            companions,
-            world_host: found(world_host),
-            server_host: HostId(number(server.expect("a checked deployment has a state server"))),
-            takers: Vec::new(),
-            links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
+        let (agent_host, world_host) = (found(agent_host), found(world_host));
+        let hosts = |some: &[HostId], more: &[HostId]| -> Vec<HostId> {
+            some.iter().chain(more).copied().collect::<BTreeSet<HostId>>().into_iter().collect()
         };
-        let told: BTreeSet<HostId> = routes.agent_host.iter().chain(&routes.world_host).copied().collect();
-        routes.takers = KINDS
-            .iter()
-            .flat_map(|&kind| RobotId::team(robots).map(move |robot| (kind, robot)))
-            .map(|(kind, robot)| routes.takers_of(kind, robot, &told))
-            .collect();
-        routes
+        Routes {
+            robots,
+            companions,
+            server_host,
+            robots_of,
+            decided: deployment.hosts.iter().map(|host| host.agents.iter().map(Vec::len).sum()).collect(),
+            deciders: hosts(&agent_host, &[]),
+            told: hosts(&agent_host, &world_host),
+            // Those who move, and the one who leads them.
+            stopped: hosts(&agent_host, &[server_host]),
+            links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
+            agent_host,
+            world_host,
+        }
     }
 
-    fn takers_of(&self, kind: Kind, robot: RobotId, told: &BTreeSet<HostId>) -> Vec<HostId> {
+    fn takers(&self, kind: Kind, robot: RobotId) -> Takers<'_> {
+        let (mut hosts, mut but) = (&self.deciders[..], None);
         match kind {
-            Kind::Reading => vec![self.agent_host(robot)],
+            Kind::Reading => hosts = std::slice::from_ref(&self.agent_host[robot.index()]),
+            Kind::MotorCommand => hosts = std::slice::from_ref(&self.world_host[robot.index()]),
+            Kind::Heartbeat => hosts = std::slice::from_ref(&self.server_host),
+            Kind::Mode => hosts = &self.told,
+            Kind::Stop => hosts = &self.stopped,
             Kind::Latent => {
                 // Robots of one agent hear each other within its step.
-                let own = self.companions(robot);
-                let others = RobotId::team(self.robots).filter(|other| own.binary_search(other).is_err());
-                others.map(|other| self.agent_host(other)).collect::<BTreeSet<_>>().into_iter().collect()
-            }
-            Kind::MotorCommand => vec![self.world_host(robot)],
-            Kind::Heartbeat => vec![self.server_host],
-            Kind::Mode => told.iter().copied().collect(),
-            // Those who move, and the one who leads them.
-            Kind::Stop => {
-                let hosts: BTreeSet<HostId> = self.agent_host.iter().chain([&self.server_host]).copied().collect();
-                hosts.into_iter().collect()
+                let host = self.agent_host(robot);
+                but = (self.companions(robot).len() == self.decided[usize::from(host.0)]).then_some(host);
             }
         }
+        Takers { hosts, but }
     }
 
     /// The host that runs the robot's agent.
@@ -108,10 +132,6 @@ impl Routes {
         &self.companions[robot.index()]
     }
 
-    fn takers(&self, kind: Kind, robot: RobotId) -> &[HostId] {
-        &self.takers[kind as usize * self.robots + robot.index()]
-    }
-
     /// The host that publishes messages of this kind about this robot; `None` if any may.
     fn publisher(&self, kind: Kind, robot: RobotId) -> Option<HostId> {
         match kind {
@@ -127,7 +147,7 @@ impl Routes {
         RobotId::team(self.robots).any(|robot| {
             let from = self.publisher(kind, robot);
             // What any host may say crosses as soon as there are two.
-            self.hosts > 1 && self.takers(kind, robot).iter().any(|&to| Some(to) != from)
+            self.robots_of.len() > 1 && self.takers(kind, robot).iter().any(|to| Some(to) != from)
         })
     }
 
@@ -135,26 +155,36 @@ impl Routes {
     pub fn exchanges(&self, host: HostId, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let (from, takers) = (self.publisher(kind, robot), self.takers(kind, robot));
-            let says = from.is_none_or(|from| from == host) && takers.iter().any(|&to| to != host);
-            says || (from != Some(host) && takers.binary_search(&host).is_ok())
+            let says = from.is_none_or(|from| from == host) && takers.iter().any(|to| to != host);
+            says || (from != Some(host) && takers.has(host))
         })
     }
 
     /// The hosts that take messages of this kind.
     pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
-        let all = RobotId::team(self.robots).flat_map(|robot| self.takers(kind, robot));
-        all.copied().collect::<BTreeSet<HostId>>().into_iter().collect()
+        let takers = |robot| self.takers(kind, robot);
+        // Of a list for the whole team, hardly anyone is left out by more than one robot.
+        let of_all = match kind {
+            Kind::Reading | Kind::MotorCommand | Kind::Heartbeat => {
+                RobotId::team(self.robots).flat_map(|robot| takers(robot).hosts).copied().collect()
+            }
+            Kind::Latent | Kind::Mode | Kind::Stop => {
+                let heard = |host: &HostId| RobotId::team(self.robots).any(|robot| takers(robot).has(*host));
+                takers(RobotId(0)).hosts.iter().copied().filter(heard).collect::<BTreeSet<HostId>>()
+            }
+        };
+        of_all.into_iter().collect()
     }
 
     /// The routing table of a host.
     pub fn router(&self, host: HostId) -> Router {
-        Router::new(self.robots, |kind, robot| {
+        Router::of(self.robots, self.robots_of[usize::from(host.0)].clone(), |kind, robot| {
             let takers = self.takers(kind, robot);
-            let local = takers.binary_search(&host).is_ok();
-            let mut others = takers.iter().filter(|&&taker| taker != host);
+            let local = takers.has(host);
+            let mut others = takers.iter().filter(|&taker| taker != host);
             let audience = match (others.next(), others.next()) {
                 (None, _) => None,
-                (Some(&only), None) => Some(Audience::Host(only)),
+                (Some(only), None) => Some(Audience::Host(only)),
                 _ => Some(Audience::All),
             };
             let publishes = self.publisher(kind, robot).is_none_or(|publisher| publisher == host);

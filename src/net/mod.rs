@@ -17,6 +17,7 @@ pub mod offset;
 pub mod outgoing;
 pub mod radio;
 pub mod range;
+pub mod reach;
 pub mod reliability;
 pub mod report;
 pub mod router;

@@ -27,15 +27,31 @@ pub struct Route {
 #[derive(Clone, Debug)]
 pub struct Router {
     robots: usize,
-    /// By kind, then by robot.
+    /// The robots that have ways of their own here, in order.
+    mine: Vec<RobotId>,
+    /// By kind: the ways of those robots, and last that of all others.
     routes: Vec<Route>,
 }
 
 impl Router {
     /// A table for `robots` robots, filled in by `route`.
-    pub fn new(robots: usize, mut route: impl FnMut(Kind, RobotId) -> Route) -> Router {
-        let routes = KINDS.iter().flat_map(|&kind| RobotId::team(robots).map(move |robot| (kind, robot)));
-        Router { robots, routes: routes.map(|(kind, robot)| route(kind, robot)).collect() }
+    pub fn new(robots: usize, route: impl FnMut(Kind, RobotId) -> Route) -> Router {
+        Router::of(robots, RobotId::team(robots).collect(), route)
+    }
+
+    /// A table for `robots` robots, filled in by `route`, which tells none of them from the others that is not `mine`.
+    pub fn of(robots: usize, mut mine: Vec<RobotId>, mut route: impl FnMut(Kind, RobotId) -> Route) -> Router {
+        mine.sort();
+        mine.dedup();
+        let other = RobotId::team(robots)
+            .zip(mine.iter().copied().map(Some).chain([None]))
+            .find_map(|(robot, mine)| Some(robot).filter(|_| mine != Some(robot)));
+        let mut routes = Vec::with_capacity(KINDS.len() * (mine.len() + 1));
+        for kind in KINDS {
+            routes.extend(mine.iter().map(|&robot| route(kind, robot)));
+            routes.push(other.map_or(Route::default(), |robot| route(kind, robot)));
+        }
+        Router { robots, mine, routes }
     }
 
     /// The way of a message of this kind about this robot; none if there is no such robot.
@@ -43,6 +59,30 @@ impl Router {
         if robot.index() >= self.robots {
             return Route::default();
         }
-        self.routes[kind as usize * self.robots + robot.index()]
+        let place = self.mine.binary_search(&robot).unwrap_or(self.mine.len());
+        self.routes[kind as usize * (self.mine.len() + 1) + place]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::ids::LinkId;
+
+    #[test]
+    fn a_table_of_some_robots_is_that_of_all() {
+        let leaves = |robot: RobotId| Some((LinkId(0), Audience::Host(HostId(robot.0))));
+        for mine in [vec![], vec![0, 1, 2], vec![4, 1], vec![0, 1, 2, 3, 4]] {
+            let mine: Vec<RobotId> = mine.into_iter().map(RobotId).collect();
+            let way = |kind: Kind, robot: RobotId| match (kind, mine.contains(&robot)) {
+                (Kind::Reading, true) => Route { local: true, leaves: leaves(robot) },
+                (Kind::Reading, false) => Route::default(),
+                (_, own) => Route { local: !own, leaves: None },
+            };
+            let (all, some) = (Router::new(5, way), Router::of(5, mine.clone(), way));
+            for (kind, robot) in KINDS.into_iter().flat_map(|kind| RobotId::team(7).map(move |robot| (kind, robot))) {
+                assert_eq!(all.route(kind, robot), some.route(kind, robot), "{kind:?} about {robot}");
+            }
+        }
     }
 }

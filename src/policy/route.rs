@@ -146,6 +146,7 @@ pub fn braked(arena: &Arena, own: &Motion, wanted: Vec2, period_s: f32) -> Vec2 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Seed;
     use crate::scenario::{Settings, build};
     use crate::world::{Physics, kinematic};
 
@@ -183,7 +184,7 @@ mod tests {
         let arena = passage.arena();
         // At corners, into the gap, along the wall and off the ground, from speed and at random angles.
         for (step, start) in [(0.3, Vec2::new(0.0, -1.5)), (0.7, Vec2::new(1.2, -0.6)), (1.1, Vec2::new(-1.9, 2.9))] {
-            let mut plant = kinematic::build(arena, &Physics::published(arena), &[start]);
+            let mut plant = kinematic::build(arena, &Physics::published(arena), &[start], Seed::of_run(0));
             for tick in 0..4000 {
                 let state = plant.states()[0];
                 assert!(!state.contacts.wall && outside(arena, state.motion.position) <= 1e-4);

@@ -1,9 +1,10 @@
 //! What came of one trial: its episodes, its totals, and its steps if they were kept.
 
+use super::cost::Said;
 use super::episode::Episode;
 use super::listening::Listening;
 use crate::messages::local::Sample;
-use crate::messages::wire::Phase;
+use crate::messages::wire::{KINDS, Phase};
 use crate::net::link::LinkCounts;
 use crate::net::radio::RadioCounts;
 use crate::safety::guard::SafetyCounts;
@@ -52,6 +53,8 @@ pub struct Step {
 pub struct Totals {
     /// Messages published.
     pub messages: u64,
+    /// The same by kind, in the order of `KINDS`, with their bytes.
+    pub said: [Said; KINDS.len()],
     /// When the last episode ended.
     pub end: Time,
     /// A digest of every message and every true state, with its time.

@@ -7,6 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Rules;
+use crate::cells::{self, Cells};
 use crate::messages::geometry::Vec2;
 use crate::messages::local::Contacts;
 use crate::time::Span;
@@ -66,7 +67,7 @@ impl Judge {
     /// Sees all robots, by id, `after` the start of the episode; the finding once there is one.
     pub fn see(&mut self, after: Span, robots: &[Seen]) -> Option<Finding> {
         assert_eq!(robots.len(), self.goals.len(), "the judge sees the whole team");
-        self.min_separation_m = self.min_separation_m.min(separation(robots));
+        self.min_separation_m = self.min_separation_m.min(separation(robots, self.min_separation_m));
         if self.failure.is_none() {
             if robots.iter().any(|robot| robot.contacts.wall) {
                 self.failure = Some(Verdict::WallCollision);
@@ -91,12 +92,21 @@ impl Judge {
     }
 }
 
-/// The smallest distance between two robots \[m\].
-fn separation(robots: &[Seen]) -> f32 {
+/// The smallest distance between two robots \[m\]; of a large team, if it is smaller than `bound_m`.
+fn separation(robots: &[Seen], bound_m: f32) -> f32 {
     let mut least = f32::INFINITY;
-    for (index, robot) in robots.iter().enumerate() {
-        for other in &robots[index + 1..] {
-            least = least.min((robot.position - other.position).norm_squared());
+    let mut between = |one: usize, other: usize| {
+        least = least.min((robots[one].position - robots[other].position).norm_squared());
+    };
+    let all = || robots.iter().map(|robot| robot.position);
+    match Cells::new(bound_m, all()).filter(|_| robots.len() > cells::FEW) {
+        None => (0..robots.len()).for_each(|one| (one + 1..robots.len()).for_each(|other| between(one, other))),
+        Some(grid) => {
+            let mut near = Vec::new();
+            for (one, at) in all().enumerate() {
+                grid.near(at, &mut near);
+                near.iter().filter(|&&other| other > one).for_each(|&other| between(one, other));
+            }
         }
     }
     least.sqrt()
@@ -133,6 +143,26 @@ mod tests {
         let finding = judge.see(Span::from_millis(150), &[seen(0.0), seen(5.0)]).unwrap();
         assert_eq!(finding.verdict, Verdict::WallCollision);
         assert!((finding.min_separation_m - 0.1).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_least_separation_of_a_large_team_is_that_of_any_pair() {
+        use rand::RngExt;
+        let mut stream = crate::random::Seed::of_run(3).stream("judge");
+        let mut judge = Judge::new(RULES, vec![Vec2::repeat(99.0); 100]);
+        let mut least = f32::INFINITY;
+        for step in 0..20 {
+            let mut point = || Vec2::new(stream.random_range(0.0..20.0), stream.random_range(0.0..20.0));
+            let robots: Vec<Seen> =
+                (0..100).map(|_| Seen { position: point(), contacts: Contacts::default() }).collect();
+            for (index, robot) in robots.iter().enumerate() {
+                for other in &robots[..index] {
+                    least = least.min((robot.position - other.position).norm());
+                }
+            }
+            judge.see(Span::from_millis(step), &robots);
+            assert_eq!(judge.min_separation_m, least);
+        }
     }
 
     #[test]

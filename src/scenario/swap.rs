@@ -1,7 +1,7 @@
-//! Robots trade places on an open square whose side grows with the team, so that density stays constant.
+//! Robots trade places on open ground, of which every robot has the same, however large the team.
 //!
-//! Places form a square grid; every episode deals them out anew, and no robot keeps its own. There are no walls
-//! and one policy frame.
+//! Places form a grid, about as wide as it is deep; every episode deals them out anew, and no robot keeps its own.
+//! There are no walls and one policy frame.
 
 use std::sync::Arc;
 
@@ -14,10 +14,11 @@ use crate::messages::local::Contacts;
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Ground per robot along each axis \[m\]: five robots get about the ground of the passage's arena.
+/// Every robot has the square of this of ground \[m\]: five robots have about that of the passage's arena. A row is
+/// this wide for each of its places, and less deep by what the last row is short of: by a quarter at the most.
 const PITCH_M: f32 = 2.0;
-/// How far a place may lie off its grid point along each axis \[m\]: neighbours stay 1.2 m apart.
-const JITTER_M: f32 = 0.4;
+/// How far a place may lie off its grid point along each axis, of what it has there: neighbours stay 0.9 m apart.
+const JITTER: f32 = 0.2;
 /// Radius of a robot \[m\], as in the passage.
 const ROBOT_RADIUS_M: f32 = 0.25;
 /// Speed that every robot can keep up across the square \[m/s\]: it sets the time limit.
@@ -32,6 +33,8 @@ const LAST_STAGE: Stage = Stage(2);
 pub struct Swap {
     robots: usize,
     per_row: usize,
+    /// How wide and deep a place is \[m\].
+    pitch: Vec2,
     arena: Arena,
 }
 
@@ -45,26 +48,26 @@ pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
         return Err(ScenarioError::Gap { scenario: "swap", gap_m, hint: "; it has no walls" });
     }
     let per_row = robots.isqrt() + usize::from(robots.isqrt().pow(2) < robots);
-    let half = per_row as f32 * PITCH_M / 2.0;
+    let rows = robots.div_ceil(per_row);
+    let pitch = Vec2::new(PITCH_M, PITCH_M * robots as f32 / (per_row * rows) as f32);
     let arena = Arena {
-        half_extent: Vec2::new(half, half),
+        half_extent: Vec2::new(per_row as f32 * pitch.x, rows as f32 * pitch.y) / 2.0,
         keep_outs: Vec::new(),
         portals: Vec::new(),
         robot_radius_m: ROBOT_RADIUS_M,
     };
-    Ok(Arc::new(Swap { robots, per_row, arena }))
+    Ok(Arc::new(Swap { robots, per_row, pitch, arena }))
 }
 
 impl Swap {
     /// The places of one run \[m\].
     fn places(&self, seed: u64) -> Vec<Vec2> {
         let mut stream = Seed::of_run(seed).stream("swap/places");
-        let corner = Vec2::repeat(PITCH_M / 2.0) - self.arena.half_extent;
+        let corner = self.pitch / 2.0 - self.arena.half_extent;
         let grid = (0..self.robots).map(|k| Vec2::new((k % self.per_row) as f32, (k / self.per_row) as f32));
         grid.map(|point| {
-            let jitter =
-                Vec2::new(stream.random_range(-JITTER_M..=JITTER_M), stream.random_range(-JITTER_M..=JITTER_M));
-            corner + point * PITCH_M + jitter
+            let off = Vec2::new(stream.random_range(-JITTER..=JITTER), stream.random_range(-JITTER..=JITTER));
+            corner + (point + off).component_mul(&self.pitch)
         })
         .collect()
     }
@@ -129,11 +132,31 @@ impl Scenario for Swap {
     }
 
     fn rules(&self) -> Rules {
-        let across = self.arena.half_extent.x * 2.0 * std::f32::consts::SQRT_2;
+        let across = self.arena.half_extent.norm() * 2.0;
         Rules {
             arrival_m: 0.25,
             separation_m: 0.32,
             limit: Span::from_secs(f64::from(across / SLOWEST_M_S)).max(Span::from_millis(25_000)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_robot_has_the_same_ground_however_many_there_are() {
+        for robots in (2..60).chain([200, 1000, 2000]) {
+            let swap = build(&Settings::of(robots)).unwrap();
+            let half = swap.arena().half_extent;
+            let each = 4.0 * half.x * half.y / robots as f32;
+            assert!((each - PITCH_M * PITCH_M).abs() < 1e-3, "{each} m^2 for each of {robots}");
+            let ways: Vec<Task> = swap.tasks(1, 0);
+            for (robot, way) in ways.iter().enumerate().take(100) {
+                let near = |other: &Task| (other.start - way.start).norm() < 0.89;
+                assert!(!ways[..robot].iter().any(near), "robot {robot} of {robots} starts beside another");
+            }
         }
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::Entrant;
-use super::conditions::{self, Impairment};
+use super::conditions::{self, Medium};
 use crate::net::range::CommRange;
 use crate::scenario::Scenario;
 use crate::trial::Trial;
@@ -20,8 +20,8 @@ pub struct Column {
     pub mode: String,
     /// Who is near enough to be heard.
     pub range: Range,
-    /// What messages between robots suffer.
-    pub impairment: Impairment,
+    /// What messages go through.
+    pub medium: Medium,
 }
 
 /// Who is near enough to be heard: the communication range R_COM of the paper.
@@ -85,18 +85,18 @@ impl Column {
             "onboard-adhoc-noise" => ("onboard-adhoc", NOISY),
             mode => (mode, Range::Own),
         };
-        Some(Column { name: name.to_owned(), mode: mode.to_owned(), range, impairment: Impairment::default() })
+        Some(Column { name: name.to_owned(), mode: mode.to_owned(), range, medium: Medium::Radio })
     }
 
-    fn adhoc(name: String, range: Range, impairment: Impairment) -> Column {
-        Column { name, mode: "onboard-adhoc".to_owned(), range, impairment }
+    fn adhoc(name: String, range: Range, medium: Medium) -> Column {
+        Column { name, mode: "onboard-adhoc".to_owned(), range, medium }
     }
 
     /// Every delay with every loss.
     pub fn delays(delays_s: &[f64], losses: &[f64]) -> Vec<Column> {
         let cell = |&delay_s: &f64, &loss: &f64| {
             let name = format!("{:.0}ms-{:.0}%", 1000.0 * delay_s, 100.0 * loss);
-            Column::adhoc(name, Range::Own, Impairment { delay_s, loss })
+            Column::adhoc(name, Range::Own, Medium::Impaired { delay_s, loss })
         };
         losses.iter().flat_map(|loss| delays_s.iter().map(move |delay| cell(delay, loss))).collect()
     }
@@ -105,10 +105,18 @@ impl Column {
     pub fn ranges(ranges_m: &[f32]) -> Vec<Column> {
         let within = |&mean_m: &f32| {
             let range = Range::Within { mean_m, std_m: 0.0 };
-            Column::adhoc(format!("{mean_m}m"), range, Impairment::default())
+            Column::adhoc(format!("{mean_m}m"), range, Medium::Radio)
         };
-        let everyone = Column::adhoc("everyone".to_owned(), Range::Everyone, Impairment::default());
+        let everyone = Column::adhoc("everyone".to_owned(), Range::Everyone, Medium::Radio);
         ranges_m.iter().map(within).chain([everyone]).collect()
+    }
+
+    /// The delay \[s\] and the loss of a column that has them in place of the radio.
+    pub fn impairment(&self) -> Option<(f64, f64)> {
+        match self.medium {
+            Medium::Radio => None,
+            Medium::Impaired { delay_s, loss } => Some((delay_s, loss)),
+        }
     }
 
     /// A trial of an entrant in this column, of one episode.
@@ -116,7 +124,7 @@ impl Column {
         if self.mode == BASELINE {
             return conditions::training(scenario, entrant);
         }
-        conditions::deployed(&self.mode, self.impairment, self.range.resolved(), scenario, entrant)
+        conditions::deployed(&self.mode, self.medium, self.range.resolved(), scenario, entrant)
     }
 }
 

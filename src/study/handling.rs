@@ -29,7 +29,7 @@ pub const PRESETS: [Preset; 2] = [
                 policy: commands within 0.25 m/s of the measured velocity along each axis",
         messages: Handling::Hold,
         draw: Draw::Mean,
-        clamp: Clamp::Deployed,
+        clamp: Clamp::Training,
     },
     Preset {
         name: "as-published",

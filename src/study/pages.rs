@@ -1,6 +1,6 @@
 //! The report of a study: which figures it has, and its page.
 
-use super::columns::BASELINE;
+use super::columns::{BASELINE, Column};
 use super::conditions::Deployed;
 use super::handling::PRESETS;
 use super::results::{Cell, Results};
@@ -86,8 +86,8 @@ fn makespan_of(cell: &Cell) -> Option<Point> {
 fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> {
     let mut delays: Vec<f64> = Vec::new();
     let mut losses: Vec<f64> = Vec::new();
-    for column in &study.columns {
-        let (delay, loss) = (1000.0 * column.impairment.delay_s, column.impairment.loss);
+    for (delay_s, loss) in study.columns.iter().filter_map(Column::impairment) {
+        let delay = 1000.0 * delay_s;
         if !delays.contains(&delay) {
             delays.push(delay);
         }
@@ -98,7 +98,7 @@ fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> 
     let panels = study.entrants.iter().enumerate().map(|(at, entrant)| {
         let cells = results.of_entrant(study, at);
         let point = |loss: f64, delay: f64| {
-            let found = cells.iter().find(|cell| (cell.row.loss, cell.row.delay_ms) == (loss, delay));
+            let found = cells.iter().find(|cell| (cell.row.loss, cell.row.delay_ms) == (Some(loss), Some(delay)));
             found.map(|cell| success_of(cell))
         };
         let line = |&loss: &f64| Line {
@@ -235,7 +235,12 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
 
 fn configuration(study: &Study) -> Vec<(String, String)> {
     let identity = study.identity();
-    let Deployed { plant, lag_s, wall_radius_m, radio } = Deployed::shared();
+    let Deployed { plant, radio } = Deployed::shared();
+    let radio = if study.columns.iter().all(|column| column.impairment().is_some()) {
+        "links as slow and as lossy as the column says".to_owned()
+    } else {
+        format!("radio '{radio}' (docs/radio.md)")
+    };
     let mut terms = vec![
         ("program".to_owned(), format!("murmurate {}", identity.version)),
         ("scenario".to_owned(), identity.scenario),
@@ -244,10 +249,7 @@ fn configuration(study: &Study) -> Vec<(String, String)> {
         ("column sim".to_owned(), "the training world: lock step, exact placement, perfect messages".to_owned()),
         (
             "all other columns".to_owned(),
-            format!(
-                "world '{plant}', drivetrain lag {lag_s} s, contacts judged, walls touched at {wall_radius_m} m; \
-                 radio: {radio}"
-            ),
+            format!("world '{plant}' (docs/world.md), motion capture, unattended resets; {radio}"),
         ),
     ];
     let used = PRESETS.iter().filter(|preset| study.entrants.iter().any(|entrant| entrant.handling == *preset));

@@ -44,10 +44,10 @@ pub struct Row {
     pub paper_success_rate: Option<f64>,
     /// The median makespan that the paper reports for the column, where it is known \[s\].
     pub paper_makespan_median_s: Option<f64>,
-    /// What messages between robots suffered beyond the shared radio: delay \[ms\].
-    pub delay_ms: f64,
+    /// What messages between robots suffered in place of the shared radio: delay \[ms\]; null where the radio is.
+    pub delay_ms: Option<f64>,
     /// And the share lost.
-    pub loss: f64,
+    pub loss: Option<f64>,
     /// The radius within which robots hear each other \[m\]; null for the policy's own, or none.
     pub range_m: Option<f32>,
     /// The share of messages between robots that arrived; null where none crosses a link.
@@ -143,8 +143,8 @@ impl Cell {
             aborts: tally.count(Verdict::Aborted),
             paper_success_rate: paper.success,
             paper_makespan_median_s: paper.makespan_s,
-            delay_ms: 1000.0 * column.impairment.delay_s,
-            loss: column.impairment.loss,
+            delay_ms: column.impairment().map(|(delay_s, _)| 1000.0 * delay_s),
+            loss: column.impairment().map(|(_, loss)| loss),
             range_m: match column.range {
                 Range::Within { mean_m, .. } => Some(mean_m),
                 Range::Own | Range::Everyone => None,

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::config::{Conditions, Range};
 use crate::random::Stream;
 use crate::scenario::Arena;
-use crate::world::kinematic::PERIOD;
-use crate::world::{ContactRule, Physics};
+use crate::world::kinematic::{MAX_ACCELERATION_M_S2, PERIOD};
+use crate::world::{Clamp, ContactRule, Physics};
 
 /// The conditions of one episode of one team.
 ///
@@ -32,6 +32,22 @@ pub struct Episode {
     pub phase_s: Vec<f32>,
     /// Delay \[s\] and loss of messages, by receiver and then by sender.
     pub edges: Vec<(f32, f32)>,
+    /// Who hears whom.
+    #[serde(default)]
+    pub reach: Reach,
+    /// What limits the acceleration of deployed robots.
+    #[serde(default)]
+    pub clamp: Clamp,
+}
+
+/// Who hears whom in an episode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Reach {
+    /// Those within the policy's communication radius.
+    #[default]
+    Radius,
+    /// Everyone hears everyone.
+    Everyone,
 }
 
 fn draw([low, high]: Range, stream: &mut Stream) -> f32 {
@@ -53,10 +69,17 @@ impl Episode {
     /// Draws the conditions of an episode.
     pub fn draw(conditions: &Conditions, robots: usize, stream: &mut Stream) -> Episode {
         let mut episode = Episode::perfect(robots);
+        // Nothing is drawn for what never happens: a configuration without it keeps its random numbers.
+        let happens = |share: f32, stream: &mut Stream| share > 0.0 && stream.random::<f32>() < share;
         episode.lockstep = stream.random::<f32>() < conditions.clean;
         if stream.random::<f32>() < conditions.deployed {
             episode.lag_s = Some(draw(conditions.lag_s, stream));
             episode.wall_radius_m = conditions.wall_radius_m;
+            let wheels = happens(conditions.wheels, stream);
+            episode.clamp = if wheels { Clamp::Training } else { Clamp::Deployed };
+        }
+        if happens(conditions.everyone, stream) {
+            episode.reach = Reach::Everyone;
         }
         if episode.lockstep {
             return episode;
@@ -83,8 +106,12 @@ impl Episode {
             Some(lag_s) => Physics {
                 contacts: ContactRule::Judge,
                 wall_radius_m: self.wall_radius_m,
-                acceleration_m_s2: f32::INFINITY,
+                acceleration_m_s2: match self.clamp {
+                    Clamp::Training => MAX_ACCELERATION_M_S2,
+                    Clamp::Deployed => f32::INFINITY,
+                },
                 lag_s,
+                ..Physics::published(arena)
             },
         }
     }

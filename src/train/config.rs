@@ -169,6 +169,12 @@ pub struct Conditions {
     pub position_noise_m: Range,
     /// Standard deviation of a measured velocity \[m/s\].
     pub velocity_noise_m_s: Range,
+    /// Share of all episodes in which everyone hears everyone, however far away.
+    #[serde(default)]
+    pub everyone: f32,
+    /// Share of the deployed episodes in which the wheels limit acceleration, as in training, and no controller does.
+    #[serde(default)]
+    pub wheels: f32,
 }
 
 /// A stretch of training.
@@ -275,6 +281,8 @@ impl Config {
         within("conditions.deployed", conditions.deployed, 0.0, 1.0)?;
         within("conditions.wall_radius_m", conditions.wall_radius_m, 1e-3, 10.0)?;
         within("conditions.edge_spread", conditions.edge_spread, 0.0, 1.0)?;
+        within("conditions.everyone", conditions.everyone, 0.0, 1.0)?;
+        within("conditions.wheels", conditions.wheels, 0.0, 1.0)?;
         let ranges = [
             ("conditions.lag_s", conditions.lag_s, 10.0),
             ("conditions.delay_s", conditions.delay_s, 0.5),

@@ -180,15 +180,11 @@ impl Crowd {
     /// Moves a team on by one step toward `actions` \[m/s\], world frame, one a robot of the crowd.
     pub fn step(&mut self, team: usize, actions: &[Vec2], weights: &Reward, limit_m_s: f32, stream: &mut Stream) {
         let range = self.teams[team].range();
-        let judged = self.is_judged(team);
+        let (judged, clamp) = (self.is_judged(team), self.teams[team].episode.clamp);
         for (robot, action) in range.clone().zip(&actions[range.clone()]) {
-            self.command[robot] = if judged {
-                let exact = self.teams[team].episode.lockstep;
-                let measured = if exact { self.velocity[robot] } else { self.estimate(team, robot).velocity };
-                Clamp::Deployed.limit(*action, measured, limit_m_s)
-            } else {
-                Clamp::Training.limit(*action, Vec2::zeros(), limit_m_s)
-            };
+            let exact = self.teams[team].episode.lockstep || clamp == Clamp::Training;
+            let measured = if exact { self.velocity[robot] } else { self.estimate(team, robot).velocity };
+            self.command[robot] = clamp.limit(*action, measured, limit_m_s);
         }
         let scenario = &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario");
         let mut world = kinematic::Team {

@@ -6,7 +6,7 @@
 
 use rand::RngExt;
 
-use super::conditions::Episode;
+use super::conditions::{Episode, Reach};
 use crate::messages::geometry::{Motion, Vec2};
 use crate::net::range::CommRange;
 use crate::random::Stream;
@@ -72,7 +72,10 @@ impl Radio {
         mut each: impl FnMut(&Radio, Heard),
     ) {
         let period = PERIOD.as_secs() as f32;
-        let range = CommRange { mean_m: radius_m, std_m: episode.range_std_m };
+        let range = match episode.reach {
+            Reach::Radius => CommRange { mean_m: radius_m, std_m: episode.range_std_m },
+            Reach::Everyone => CommRange::fixed(f32::INFINITY),
+        };
         for sender in (0..self.robots).filter(|&sender| sender != receiver) {
             if episode.lockstep {
                 if self.near(&range, (step, receiver), (step, sender), stream) {

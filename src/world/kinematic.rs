@@ -4,8 +4,10 @@
 //! `step` is the one definition of these dynamics; the World actor and the trainer both call it.
 
 use super::{ContactRule, Physics, Plant, PlantState};
+use crate::cells::{self, Cells};
 use crate::messages::geometry::Vec2;
 use crate::messages::local::Contacts;
+use crate::random::Seed;
 use crate::scenario::Arena;
 use crate::time::Span;
 
@@ -49,14 +51,8 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
         ContactRule::Block => (true, 2.0 * arena.robot_radius_m),
         ContactRule::Judge => (false, 2.0 * physics.wall_radius_m),
     };
-    // In the order of their ids, each against all others: those before it have moved already.
-    for robot in 0..team.position.len() {
-        let candidate = team.position[robot] + team.velocity[robot] * DT_S;
-        let touches = at_most(team.position.iter().map(|other| candidate - other), robot, apart);
-        team.contacts[robot] = Contacts { robot: touches, wall: false };
-        if !(touches && blocks) {
-            team.position[robot] = candidate;
-        }
+    if team.position.len() <= cells::FEW || !meet_by_cells(apart, blocks, team) {
+        meet_all(apart, blocks, team);
     }
     let half = arena.half_extent;
     for ((position, before), contacts) in team.position.iter_mut().zip(&*team.before).zip(&mut *team.contacts) {
@@ -75,6 +71,44 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
     }
 }
 
+/// A robot moves to where it wants to be, unless another that it touches blocks it.
+#[inline(always)]
+fn meet(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: &mut Team) {
+    team.contacts[robot] = Contacts { robot: touches, wall: false };
+    if !(touches && blocks) {
+        team.position[robot] = candidate;
+    }
+}
+
+/// In the order of their ids, each against all others: those before it have moved already.
+#[inline(always)]
+fn meet_all(apart: f32, blocks: bool, team: &mut Team) {
+    for robot in 0..team.position.len() {
+        let candidate = team.position[robot] + team.velocity[robot] * DT_S;
+        let touches = at_most(team.position.iter().map(|other| candidate - other), robot, apart);
+        meet(robot, candidate, touches, blocks, team);
+    }
+}
+
+/// The same as looking at all others, in the same order: whoever can be touched was not farther away before the step
+/// than the others may have come since. `false`, and nothing is done, if that is no distance.
+fn meet_by_cells(apart: f32, blocks: bool, team: &mut Team) -> bool {
+    let fastest = team.velocity.iter().fold(0.0, |most: f32, velocity| most.max(velocity.norm()));
+    // Twice: what rounding adds is far less than a step.
+    let Some(grid) = Cells::new(apart * SURELY + 2.0 * fastest * DT_S, team.before.iter().copied()) else {
+        return false;
+    };
+    let mut near = Vec::new();
+    for robot in 0..team.position.len() {
+        let candidate = team.position[robot] + team.velocity[robot] * DT_S;
+        grid.near(candidate, &mut near);
+        let own = near.binary_search(&robot).unwrap_or(NOBODY);
+        let touches = at_most(near.iter().map(|&other| candidate - team.position[other]), own, apart);
+        meet(robot, candidate, touches, blocks, team);
+    }
+    true
+}
+
 /// Within `most` of zero; what is no number stays so.
 #[inline(always)]
 fn limited(axis: f32, most: f32) -> f32 {
@@ -84,6 +118,8 @@ fn limited(axis: f32, most: f32) -> f32 {
 
 /// No place in a list.
 const NOBODY: usize = usize::MAX;
+/// A distance times this is beyond it, whatever rounding does.
+const SURELY: f32 = 1.01;
 
 /// Whether the shortest of some offsets but the one at `own` is at most `distance` long. Only that one's root is drawn,
 /// and only if its square leaves a doubt: a root never changes an order, and its rounding is part of the published
@@ -112,7 +148,7 @@ pub struct Kinematic {
 }
 
 /// Makes the plant.
-pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2]) -> Box<dyn Plant> {
+pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> Box<dyn Plant> {
     let zeros = vec![Vec2::zeros(); positions.len()];
     let mut plant = Kinematic {
         arena: arena.clone(),
@@ -130,11 +166,14 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2]) -> Box<dyn Pl
 
 impl Kinematic {
     fn show(&mut self) {
-        for (robot, state) in self.states.iter_mut().enumerate() {
-            state.motion.position = self.position[robot];
-            state.motion.velocity = self.velocity[robot];
-            state.contacts = self.contacts[robot];
-        }
+        (0..self.states.len()).for_each(|robot| self.show_one(robot));
+    }
+
+    fn show_one(&mut self, robot: usize) {
+        let state = &mut self.states[robot];
+        state.motion.position = self.position[robot];
+        state.motion.velocity = self.velocity[robot];
+        state.contacts = self.contacts[robot];
     }
 }
 
@@ -148,7 +187,7 @@ impl Plant for Kinematic {
         self.velocity[robot] = Vec2::zeros();
         self.contacts[robot] = Contacts::default();
         self.commands[robot] = Vec2::zeros();
-        self.show();
+        self.show_one(robot);
     }
 
     fn drive(&mut self, robot: usize, velocity: Vec2) {
@@ -183,7 +222,7 @@ mod tests {
 
     #[test]
     fn acceleration_and_speed_are_limited_and_a_wall_blocks() {
-        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros()]);
+        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros()], Seed::of_run(0));
         plant.drive(0, Vec2::new(9.0, 0.0));
         plant.advance();
         assert!((plant.states()[0].motion.velocity.x - 0.05).abs() < 1e-5);
@@ -197,7 +236,8 @@ mod tests {
     #[test]
     fn judged_contacts_are_flagged_and_block_nothing() {
         let physics = Physics { contacts: ContactRule::Judge, wall_radius_m: 0.16, ..Physics::published(&arena()) };
-        let mut plant = build(&arena(), &physics, &[Vec2::new(0.0, 0.335), Vec2::new(0.3, 0.335), Vec2::zeros()]);
+        let mut plant =
+            build(&arena(), &physics, &[Vec2::new(0.0, 0.335), Vec2::new(0.3, 0.335), Vec2::zeros()], Seed::of_run(0));
         (0..3).for_each(|robot| plant.drive(robot, Vec2::new(0.0, 1.0)));
         (0..4).for_each(|_| plant.advance());
         let states = plant.states();
@@ -208,7 +248,7 @@ mod tests {
     #[test]
     fn a_lagging_drivetrain_follows_as_a_first_order_system() {
         let free = Physics { acceleration_m_s2: f32::INFINITY, lag_s: 0.5, ..Physics::published(&arena()) };
-        let mut plant = build(&arena(), &free, &[Vec2::new(-1.0, -2.0)]);
+        let mut plant = build(&arena(), &free, &[Vec2::new(-1.0, -2.0)], Seed::of_run(0));
         plant.drive(0, Vec2::new(1.0, 0.0));
         (0..10).for_each(|_| plant.advance());
         // After one time constant, 1 - 1/e of the way.
@@ -216,8 +256,34 @@ mod tests {
     }
 
     #[test]
+    fn a_crowd_touches_whom_it_touches_by_cells_or_not() {
+        use rand::RngExt;
+        let mut stream = crate::random::Seed::of_run(2).stream("crowd");
+        let mut some = |most: f32| Vec2::new(stream.random_range(-most..=most), stream.random_range(-most..=most));
+        let before: Vec<Vec2> = (0..200).map(|_| some(8.0)).collect();
+        let mut velocity: Vec<Vec2> = (0..200).map(|_| some(1.5)).collect();
+        let step = |by_cells: bool, velocity: &mut [Vec2]| {
+            let (mut position, mut contacts) = (before.clone(), vec![Contacts::default(); 200]);
+            let (position_of, contacts_of) = (&mut position, &mut contacts);
+            let mut team = Team { position: position_of, velocity, contacts: contacts_of, before: &mut before.clone() };
+            if by_cells {
+                assert!(meet_by_cells(0.5, true, &mut team));
+            } else {
+                meet_all(0.5, true, &mut team);
+            }
+            (position, contacts)
+        };
+        assert_eq!(step(true, &mut velocity), step(false, &mut velocity));
+        let touching = step(true, &mut velocity).1.iter().filter(|contacts| contacts.robot).count();
+        assert!((20..180).contains(&touching), "{touching} of 200 touch somebody");
+        velocity[7] = Vec2::repeat(300.0);
+        assert_eq!(step(true, &mut velocity), step(false, &mut velocity), "whatever their speed");
+    }
+
+    #[test]
     fn a_robot_blocks_another() {
-        let mut plant = build(&arena(), &Physics::published(&arena()), &[Vec2::zeros(), Vec2::new(0.501, 0.0)]);
+        let mut plant =
+            build(&arena(), &Physics::published(&arena()), &[Vec2::zeros(), Vec2::new(0.501, 0.0)], Seed::of_run(0));
         plant.drive(0, Vec2::new(1.0, 0.0));
         plant.advance();
         assert!(plant.states()[0].contacts.robot && !plant.states()[1].contacts.robot);

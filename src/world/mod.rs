@@ -3,12 +3,19 @@
 //! Nothing here knows a task, a policy or a network.
 
 mod clamp;
+mod drivetrain;
 pub mod kinematic;
+mod physics;
+pub mod rigid;
+mod sensor;
 
 pub use clamp::Clamp;
+pub use physics::{ContactRule, Given, GivenError, Physics};
+pub use sensor::Sensor;
 
 use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::local::Contacts;
+use crate::random::Seed;
 use crate::scenario::Arena;
 use crate::time::Span;
 
@@ -29,46 +36,6 @@ pub enum Placement {
     Exact,
     /// They drive there during a reset.
     Drive,
-}
-
-/// What comes of a contact.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ContactRule {
-    /// The move is not made, as in training; robots are as wide as the arena says.
-    Block,
-    /// It is flagged for the judge and the move is made; robots are as wide as their hull.
-    Judge,
-}
-
-/// What the robots of a simulated world are like.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Physics {
-    /// What comes of a contact.
-    pub contacts: ContactRule,
-    /// How near to a wall is a contact \[m\].
-    pub wall_radius_m: f32,
-    /// Largest acceleration along each axis \[m/s^2\]; may be infinite.
-    pub acceleration_m_s2: f32,
-    /// Time constant of the drivetrain, a first-order lag from commanded to true velocity \[s\]; zero for none.
-    pub lag_s: f32,
-}
-
-impl Physics {
-    /// As in the published training environment.
-    pub fn published(arena: &Arena) -> Physics {
-        Physics {
-            contacts: ContactRule::Block,
-            wall_radius_m: arena.robot_radius_m,
-            acceleration_m_s2: kinematic::MAX_ACCELERATION_M_S2,
-            lag_s: 0.0,
-        }
-    }
-
-    /// The share of a change of velocity that a lagging drivetrain makes in a step: 1 - exp(-period / lag).
-    pub fn gain(&self, period: Span) -> f32 {
-        if self.lag_s > 0.0 { -(-period.as_secs() / f64::from(self.lag_s)).exp_m1() as f32 } else { 1.0 }
-    }
 }
 
 /// A physical, or simulated, world that holds some robots, counted from zero without gaps.
@@ -93,9 +60,32 @@ pub trait Plant {
 pub struct Entry {
     /// Its name in a deployment.
     pub name: &'static str,
-    /// Makes it, for robots at rest at these positions \[m\].
-    pub build: fn(&Arena, &Physics, &[Vec2]) -> Box<dyn Plant>,
+    /// What its robots are like unless someone says otherwise.
+    pub physics: fn(&Arena) -> Physics,
+    /// What nobody may say otherwise, by its field, and why.
+    pub fixed: &'static [(&'static str, &'static str)],
+    /// Makes it, for robots at rest at these positions \[m\]; it draws from streams of this seed alone.
+    pub build: fn(&Arena, &Physics, &[Vec2], Seed) -> Box<dyn Plant>,
 }
 
 /// All plants.
-pub const REGISTRY: &[Entry] = &[Entry { name: "kinematic", build: kinematic::build }];
+pub const REGISTRY: &[Entry] = &[
+    Entry { name: "kinematic", physics: Physics::published, fixed: &[], build: kinematic::build },
+    Entry { name: "rigid", physics: Physics::robomaster, fixed: rigid::FIXED, build: rigid::build },
+];
+
+/// The names of all plants.
+pub const PLANTS: [&str; REGISTRY.len()] = {
+    let mut names = [""; REGISTRY.len()];
+    let mut at = 0;
+    while at < names.len() {
+        names[at] = REGISTRY[at].name;
+        at += 1;
+    }
+    names
+};
+
+/// The plant of that name.
+pub fn plant(name: &str) -> Option<&'static Entry> {
+    REGISTRY.iter().find(|entry| entry.name == name)
+}

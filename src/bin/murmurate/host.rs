@@ -227,6 +227,7 @@ impl Seen {
                 }
             }
             Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
+            Out::Closed(totals) => report.totals = totals,
         }
         report.simulated = report.totals.end.since(Time::ZERO);
     }
@@ -272,13 +273,13 @@ fn trial(team: &Team, model: murmurate::policy::Model) -> Result<Trial> {
     let settings = Settings::of(team.deployment.robots);
     let scenario = scenario::build(&team.scenario, &settings)?;
     let simulated = team.simulated;
-    let mut trial = Trial::new(team.deployment.clone(), Arc::clone(&scenario), model).clamp(simulated.clamp);
+    let mut trial = Trial::new(team.deployment.clone(), Arc::clone(&scenario), model);
+    trial.physics = simulated.physics;
+    let mut trial = trial.clamp(simulated.clamp);
     trial.seed = team.seed;
     trial.layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
     trial.handling = simulated.handling;
     trial.safety = team.safety;
-    (trial.physics.lag_s, trial.physics.contacts) = (simulated.lag_s, simulated.contacts);
-    trial.physics.wall_radius_m = simulated.wall_radius_m;
     trial.check()?;
     Ok(trial)
 }

@@ -19,7 +19,7 @@ use murmurate::safety::Safety;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Settings};
 use murmurate::trial::{Proceed, Trial, TrialReport};
-use murmurate::world::{Clamp, ContactRule, Placement};
+use murmurate::world::{self, Clamp, ContactRule, Given, PLANTS, Placement, Sensor};
 
 use crate::output::{WholeFile, print, read_text, talk};
 use crate::paths::Paths;
@@ -59,16 +59,26 @@ pub struct Args {
     /// How robots come to their starts: put there exactly, or driven there [default: as the deployment says]
     #[arg(long, value_parser = choice([("exact", Placement::Exact), ("drive", Placement::Drive)]))]
     placement: Option<Placement>,
-    /// Time constant of simulated robots' drivetrains: their true velocity follows commands this slowly [s]
-    #[arg(long, default_value_t = 0.0)]
-    lag_s: f32,
-    /// What comes of a contact: the move is not made, as in training, or it is made and the judge is told
-    #[arg(long, default_value = "block",
-        value_parser = choice([("block", ContactRule::Block), ("judge", ContactRule::Judge)]))]
-    contacts: ContactRule,
-    /// How near to a wall a robot's centre touches it [m] [default: the scenario's robot radius, 0.25]
+    /// What simulated robots move in: the training world, or one of rigid bodies with mass, friction and slipping
+    /// wheels, seen by motion capture (docs/world.md) [default: as the deployment says, else kinematic]
+    #[arg(long, value_parser = PossibleValuesParser::new(PLANTS))]
+    plant: Option<String>,
+    /// Time constant of simulated robots' drivetrains: their true velocity follows commands this slowly [s] [default:
+    /// as the plant has it: kinematic 0, rigid 0.5]
+    #[arg(long)]
+    lag_s: Option<f32>,
+    /// What comes of a contact: the move is not made, as in training, or it is made and the judge is told [default:
+    /// block; not for plant rigid]
+    #[arg(long, value_parser = choice([("block", ContactRule::Block), ("judge", ContactRule::Judge)]))]
+    contacts: Option<ContactRule>,
+    /// How near to a wall a robot's centre touches it [m] [default: the scenario's robot radius, 0.25; not for plant
+    /// rigid]
     #[arg(long)]
     wall_radius_m: Option<f32>,
+    /// How robots' states are measured: exactly, or with noise and latency [default: as the plant has it: kinematic
+    /// exact, rigid motion-capture]
+    #[arg(long, value_parser = choice(Sensor::NAMED))]
+    sensor: Option<Sensor>,
     /// What limits acceleration: the world to 1 m/s^2, as in training, or only the robots' own controllers, to commands
     /// within 0.25 m/s of the measured velocity, as on the published robots
     #[arg(long, default_value = "training",
@@ -100,6 +110,10 @@ pub struct Args {
     /// wifi-slow), or a radio as a file (see docs/radio.md)
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     radio: String,
+    /// How far the links reach that carry latents [m]: a large team is simulated much faster if nobody gets what is out
+    /// of range anyway; see docs/scale.md for how much more than robots hear it should be [default: everywhere]
+    #[arg(long)]
+    link_range_m: Option<f32>,
     /// How far a robot hears [m] ('inf' for everywhere) [default: as the policy's file says]
     #[arg(long)]
     comm_range_m: Option<f32>,
@@ -243,8 +257,14 @@ fn trial(args: &Args) -> Result<(Trial, String)> {
             .impaired(given(args.delay_ms / 1000.0), given(args.loss), impair)
             .map_err(|e| bad(format!("{flag}: {e}")))?;
     }
+    if let Some(range_m) = args.link_range_m {
+        deployment = deployment.ranged(range_m).map_err(|e| bad(format!("--link-range-m: {e}")))?;
+    }
     deployment = deployment::with_radio(deployment, &args.radio)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
+    if let Some(plant) = &args.plant {
+        deployment.plant.clone_from(plant);
+    }
     let policy::Loaded { model, name: policy, assumed, .. } =
         policy::load(args.policy.as_deref(), args.action.as_deref(), &*scenario)?;
     if let Some(assumed) = assumed.filter(|_| !args.quiet) {
@@ -252,7 +272,7 @@ fn trial(args: &Args) -> Result<(Trial, String)> {
     }
     let mut trial = Trial::new(deployment, Arc::clone(&scenario), model).seed(args.seed).episodes(args.episodes);
     (trial.handling, trial.safety) = (args.handling, args.safety);
-    trial = physics(args, trial.clamp(args.clamp))?;
+    trial = physics(args, trial)?.clamp(args.clamp);
     if let Some(path) = &args.episodes_file {
         let text = read_text(path, "episodes file")?;
         trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes)
@@ -281,15 +301,22 @@ fn trial(args: &Args) -> Result<(Trial, String)> {
 
 /// The trial with robots as the flags say.
 fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
-    if !(0.0..=10.0).contains(&args.lag_s) {
-        return Err(BadInput(format!("--lag-s: {} is not 0 to 10", args.lag_s)).into());
+    let bad = |text: String| anyhow::Error::from(BadInput(text));
+    if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
+        return Err(bad(format!("--lag-s: {lag_s} is not 0 to 10")));
     }
-    let wall_radius_m = args.wall_radius_m.unwrap_or(trial.physics.wall_radius_m);
-    if !(wall_radius_m > 0.0 && wall_radius_m <= 10.0) {
-        return Err(BadInput(format!("--wall-radius-m: {wall_radius_m} is not above 0 and at most 10")).into());
+    if let Some(radius_m) = args.wall_radius_m.filter(|radius_m| !(*radius_m > 0.0 && *radius_m <= 10.0)) {
+        return Err(bad(format!("--wall-radius-m: {radius_m} is not above 0 and at most 10")));
     }
-    (trial.physics.lag_s, trial.physics.contacts) = (args.lag_s, args.contacts);
-    trial.physics.wall_radius_m = wall_radius_m;
+    let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
+    let given = Given { lag_s, contacts, wall_radius_m, sensor };
+    // A file with a plant that there is not is refused with its other faults, by its name.
+    if let Some(entry) = world::plant(&trial.deployment.plant) {
+        let flag = |field: &str| format!("--{}", field.replace('_', "-"));
+        trial.physics = given
+            .physics(entry, trial.scenario.arena())
+            .map_err(|error| bad(format!("{}: {error}", flag(error.field))))?;
+    }
     Ok(trial)
 }
 

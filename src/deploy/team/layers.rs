@@ -14,6 +14,7 @@ use toml::de::{DeTable, DeValue};
 use crate::config::{ConfigError, syntax};
 use crate::deploy::MODES;
 use crate::net::reliability::Reliability;
+use crate::world::{PLANTS, Sensor};
 
 /// Where a value comes from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -106,8 +107,14 @@ pub const RELIABILITIES: [&str; 4] = {
     [a, b, c, d]
 };
 
+/// How the states of simulated robots are measured.
+const SENSORS: [&str; 2] = {
+    let [(a, _), (b, _)] = Sensor::NAMED;
+    [a, b]
+};
+
 /// The fields of the whole team, in the order in which they are shown.
-const TEAM: [Field; 13] = [
+const TEAM: [Field; 15] = [
     ("team", Takes::Whole(0, 65_535), None),
     ("key_file", Takes::Text, None),
     ("mode", Takes::Choice(&MODES), None),
@@ -116,9 +123,11 @@ const TEAM: [Field; 13] = [
     ("policy", Takes::Text, None),
     ("episodes", Takes::Whole(1, 1_000_000), Some("16")),
     ("seed", Takes::Whole(0, u64::MAX), Some("0")),
-    ("lag_s", Takes::Number(0.0, 10.0), Some("0")),
-    ("contacts", Takes::Choice(&["block", "judge"]), Some("block")),
+    ("plant", Takes::Choice(&PLANTS), None),
+    ("lag_s", Takes::Number(0.0, 10.0), None),
+    ("contacts", Takes::Choice(&["block", "judge"]), None),
     ("wall_radius_m", Takes::Number(1e-3, 10.0), None),
+    ("sensor", Takes::Choice(&SENSORS), None),
     ("clamp", Takes::Choice(&["training", "deployed"]), Some("training")),
     ("handling", Takes::Choice(&["hold", "as-published"]), Some("hold")),
 ];

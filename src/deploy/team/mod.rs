@@ -20,14 +20,14 @@ use std::sync::Arc;
 use serde::Deserialize;
 
 use self::layers::{Entry, Layers, Value, place};
-use super::{Deployment, MODES, Routes};
+use super::{Deployment, Link, MODES, Routes};
 use crate::actors::cache::Handling;
 use crate::config::{self, ConfigError};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::safety::Safety;
 use crate::scenario::{self, Scenario, Settings};
-use crate::world::{Clamp, ContactRule, Physics};
+use crate::world::{self, Clamp, ContactRule, Given, Physics, Sensor};
 
 /// What a host needs to know of its team.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,12 +59,8 @@ pub struct Team {
 /// What simulated robots are like, and how messages and commands are handled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Simulated {
-    /// Time constant of their drivetrains \[s\].
-    pub lag_s: f32,
-    /// What comes of a contact.
-    pub contacts: ContactRule,
-    /// How near to a wall is a contact \[m\].
-    pub wall_radius_m: f32,
+    /// Their bodies and sensors, in the plant of the deployment.
+    pub physics: Physics,
     /// How Controllers limit what the policy wants; the world's own limit goes with it.
     pub clamp: Clamp,
     /// What becomes of neighbours' messages once a robot's agent has seen them.
@@ -185,7 +181,7 @@ impl TeamFile {
             policy,
             episodes: u32::try_from(whole("episodes")).expect("its range is smaller"),
             seed: whole("seed"),
-            simulated: self.simulated(&scopes, &*scenario),
+            simulated: self.simulated(&scopes, &*scenario)?,
             safety: self.safety,
             links,
         })
@@ -196,18 +192,29 @@ impl TeamFile {
         build(&entry, Some(self.deployment.robots))
     }
 
-    fn simulated(&self, scopes: &[String], scenario: &dyn Scenario) -> Simulated {
+    fn simulated(&self, scopes: &[String], scenario: &dyn Scenario) -> Result<Simulated, ConfigError> {
         let find = |key: &str| self.layers.find(scopes, key);
-        let is = |key: &str, name: &str| find(key).is_some_and(|entry| text(&entry) == name);
+        let name = |key: &str| find(key).map(|entry| text(&entry).to_owned());
+        let is = |key: &str, word: &str| name(key).is_some_and(|name| name == word);
         let number = |key: &str| find(key).map(|entry| number(&entry));
-        Simulated {
-            lag_s: number("lag_s").unwrap_or(0.0),
-            contacts: if is("contacts", "judge") { ContactRule::Judge } else { ContactRule::Block },
-            wall_radius_m: number("wall_radius_m")
-                .unwrap_or_else(|| Physics::published(scenario.arena()).wall_radius_m),
+        let sensor = |name: String| Sensor::NAMED.into_iter().find(|(other, _)| *other == name);
+        let given = Given {
+            lag_s: number("lag_s"),
+            contacts: name("contacts")
+                .map(|name| if name == "judge" { ContactRule::Judge } else { ContactRule::Block }),
+            wall_radius_m: number("wall_radius_m"),
+            sensor: name("sensor").and_then(sensor).map(|(_, sensor)| sensor),
+        };
+        let entry = world::plant(&self.deployment.plant).expect("a checked deployment names a plant");
+        let physics = given.physics(entry, scenario.arena()).map_err(|error| {
+            let origin = find(error.field).expect("it was given").origin;
+            ConfigError::field(place(error.field, &origin), error.to_string())
+        })?;
+        Ok(Simulated {
+            physics,
             clamp: if is("clamp", "deployed") { Clamp::Deployed } else { Clamp::Training },
             handling: if is("handling", "as-published") { Handling::AsPublished } else { Handling::Hold },
-        }
+        })
     }
 
     /// The prefixes under which a host finds its values, the narrowest first.
@@ -228,15 +235,23 @@ impl TeamFile {
 /// The deployment of the file: a preset, or written out.
 fn deployment(inline: Option<Deployment>, layers: &Layers) -> Result<Deployment, ConfigError> {
     let find = |key: &str| layers.find(&[String::new()], key);
-    let (mode, robots) = (find("mode"), find("robots"));
+    let (mode, robots, plant) = (find("mode"), find("robots"), find("plant"));
     if let Some(deployment) = inline {
         if let Some(entry) = mode {
             let why = "there is a [deployment] too; leave one of the two out";
             return Err(ConfigError::field(place("mode", &entry.origin), why));
         }
+        if let Some(entry) = plant {
+            let why = "there is a [deployment] too, which has a plant of its own; leave one of the two out";
+            return Err(ConfigError::field(place("plant", &entry.origin), why));
+        }
         deployment.check().map_err(|error| error.within("deployment"))?;
-        if let Some(link) = deployment.links.iter().find(|link| link.delay_s > 0.0 || link.loss > 0.0) {
-            let why = format!("link '{}' is to be made slow or lossy, which only 'murmurate sim' can", link.name);
+        let worse = |link: &&Link| link.delay_s > 0.0 || link.loss > 0.0 || link.range_m.is_some();
+        if let Some(link) = deployment.links.iter().find(worse) {
+            let why = format!(
+                "link '{}' is to be made slow, lossy or short of range, which only 'murmurate sim' can",
+                link.name
+            );
             return Err(ConfigError::field("deployment.link", why));
         }
         return match robots.filter(|entry| whole(entry) != deployment.robots as u64) {
@@ -255,7 +270,9 @@ fn deployment(inline: Option<Deployment>, layers: &Layers) -> Result<Deployment,
         Some(entry) => whole_u16(entry).into(),
         None => build(&scenario, None)?.robots(),
     };
-    Ok(Deployment::preset(text(&mode), robots).expect("the fields let only modes through"))
+    let preset = Deployment::preset(text(&mode), robots).expect("the fields let only modes through");
+    let plant = plant.map_or_else(|| preset.plant.clone(), |entry| text(&entry).to_owned());
+    Ok(Deployment { plant, ..preset })
 }
 
 /// The scenario, for a team of this size or of its own.

@@ -5,7 +5,7 @@ use super::sockets::default_group;
 use super::{TeamFile, kebab, text};
 use crate::messages::ids::HostId;
 use crate::policy::shipped::shipped;
-use crate::world::Physics;
+use crate::world::{self, ContactRule, Sensor};
 
 /// One line of `config show`.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,6 +19,20 @@ pub struct Shown {
 }
 
 impl TeamFile {
+    /// What simulated robots are like where nobody says otherwise.
+    fn usual(&self, key: &str) -> Option<String> {
+        let (plant, scenario) = (world::plant(&self.deployment.plant)?, self.scenario().ok()?);
+        let physics = (plant.physics)(scenario.arena());
+        let contacts = || if physics.contacts == ContactRule::Judge { "judge" } else { "block" };
+        let sensor = || Sensor::NAMED.iter().find(|(_, sensor)| *sensor == physics.sensor);
+        match key {
+            "lag_s" => Some(physics.lag_s.to_string()),
+            "contacts" => Some(contacts().to_owned()),
+            "wall_radius_m" => Some(physics.wall_radius_m.to_string()),
+            _ => sensor().map(|(name, _)| (*name).to_owned()),
+        }
+    }
+
     /// Every value in effect, for a host or for the team as a whole, with where it comes from.
     pub fn values(&self, host: Option<HostId>) -> Vec<Shown> {
         let scopes = self.scopes(host);
@@ -38,10 +52,8 @@ impl TeamFile {
                 "policy" => self.scenario().ok().map(|scenario| {
                     if shipped(scenario.name()).is_some() { "shipped".to_owned() } else { "orca".to_owned() }
                 }),
-                "wall_radius_m" => {
-                    let scenario = self.scenario().ok();
-                    scenario.map(|scenario| Physics::published(scenario.arena()).wall_radius_m.to_string())
-                }
+                "plant" => Some(self.deployment.plant.clone()),
+                "lag_s" | "contacts" | "wall_radius_m" | "sensor" => self.usual(key),
                 _ => None,
             };
             show(key.to_owned(), default);

@@ -13,6 +13,7 @@ use crate::messages::wire::{KINDS, Kind};
 use crate::net::codec::{Content, Frame, first};
 use crate::net::medium::Medium;
 use crate::net::radio::RadioCounts;
+use crate::net::reach::Reach;
 use crate::net::router::Audience;
 use crate::time::Time;
 
@@ -30,22 +31,26 @@ pub enum Out {
 pub struct Ether {
     medium: Medium,
     air: Option<Air>,
+    /// Who is near enough, if it is not everyone.
+    reach: Option<Reach>,
     /// By kind; and last, whoever listens to anything, for what the link layer says for itself.
     listeners: Vec<Arc<[u16]>>,
     /// Frames on their way, in order of arrival and, at one instant, of departure.
     flying: BTreeMap<(Time, u64), Arrive>,
     departures: u64,
     copies: Vec<(Time, Frame)>,
+    reached: Vec<HostId>,
 }
 
 impl Ether {
-    /// An ether on which `listens` says which hosts listen to a kind of message.
-    pub fn new(medium: Medium, air: Option<Air>, listens: impl Fn(Kind) -> Vec<HostId>) -> Ether {
+    /// An ether on which `listens` says which hosts listen to a kind of message. With a radio, the range is that one's.
+    pub fn new(medium: Medium, air: Option<Air>, reach: Option<Reach>, listens: impl Fn(Kind) -> Vec<HostId>) -> Ether {
         let of = |kind| listens(kind).into_iter().map(|host| host.0).collect::<BTreeSet<u16>>();
         let by_kind: Vec<BTreeSet<u16>> = KINDS.iter().map(|&kind| of(kind)).collect();
         let all = by_kind.iter().flatten().copied().collect();
         let listeners = by_kind.into_iter().chain([all]).map(|hosts| hosts.into_iter().collect()).collect();
-        Ether { medium, air, listeners, flying: BTreeMap::new(), departures: 0, copies: Vec::new() }
+        let (flying, copies, reached) = (BTreeMap::new(), Vec::new(), Vec::new());
+        Ether { medium, air, reach, listeners, flying, departures: 0, copies, reached }
     }
 
     fn transmit(&mut self, now: Time, transmit: &Transmit, out: &mut Vec<Out>) {
@@ -57,17 +62,19 @@ impl Ether {
         if let Some(air) = &mut self.air {
             return air.offer(now, transmit, kind, &self.listeners[heard_as]);
         }
-        match transmit.audience {
-            Audience::Host(to) => self.carry(now, kind, (transmit.from, to), &transmit.frame, out),
-            Audience::All => {
-                for at in 0..self.listeners[heard_as].len() {
-                    let to = HostId(self.listeners[heard_as][at]);
-                    if to != transmit.from {
-                        self.carry(now, kind, (transmit.from, to), &transmit.frame, out);
-                    }
-                }
-            }
+        let (from, listeners) = (transmit.from, &self.listeners[heard_as]);
+        let mut reached = std::mem::take(&mut self.reached);
+        reached.clear();
+        match (transmit.audience, &mut self.reach) {
+            (Audience::Host(to), Some(reach)) => reached.extend(Some(to).filter(|&to| reach.covers(from, to))),
+            (Audience::Host(to), None) => reached.push(to),
+            (Audience::All, Some(reach)) => reach.listeners(from, listeners, &mut reached),
+            (Audience::All, None) => reached.extend(listeners.iter().copied().map(HostId).filter(|&to| to != from)),
         }
+        for &to in &reached {
+            self.carry(now, kind, (from, to), &transmit.frame, out);
+        }
+        self.reached = reached;
     }
 
     fn carry(&mut self, now: Time, kind: Kind, (from, to): (HostId, HostId), frame: &Frame, out: &mut Vec<Out>) {
@@ -91,7 +98,10 @@ impl Core for Ether {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Transmit(transmit) => self.transmit(now, &transmit, out),
-            In::Truth(truth) => self.air.iter_mut().for_each(|air| air.locate(&truth)),
+            In::Truth(truth) => {
+                self.air.iter_mut().for_each(|air| air.locate(&truth));
+                self.reach.iter_mut().for_each(|reach| reach.locate(&truth));
+            }
             In::Readable => unreachable!("an ether has no socket"),
         }
     }

@@ -19,7 +19,7 @@ pub enum In {
     Transmit(Transmit),
     /// The transport's socket has something to read.
     Readable,
-    /// Where robots truly are: from a simulated World, for an ether whose radio has a range.
+    /// Where robots truly are: from a simulated World, for an ether with a range.
     Truth(Truth),
 }
 

@@ -1,0 +1,45 @@
+//! What a team costs as it grows, at constant density: scenario `swap`, scripted navigation, one thread.
+//!
+//! `cargo bench --bench growth`. Items are robots' seconds: the time of one is what a robot costs for each second of
+//! its own time, and a team runs in real time as long as it has fewer robots than there are items in a second. The
+//! start of the run is part of it.
+
+use divan::Bencher;
+use divan::counter::ItemsCount;
+use murmurate::policy::orca;
+use murmurate::time::Span;
+use murmurate::trial::Trial;
+
+fn main() {
+    divan::main();
+}
+
+/// How much is simulated \[s\].
+const LASTS_S: usize = 10;
+/// How far frames reach beyond whom they are listened to \[m\].
+const MARGIN_M: f32 = 0.25;
+
+fn team(mode: &str, robots: usize) -> Trial {
+    let trial = Trial::of_team(mode, "swap", robots).expect("there is room for them");
+    trial.lasting(Span::from_secs(LASTS_S as f64))
+}
+
+fn run(bencher: Bencher, trial: &Trial) {
+    let robots = trial.deployment.robots;
+    bencher.counter(ItemsCount::new(robots * LASTS_S)).bench_local(|| trial.run());
+}
+
+/// All robots of one agent on one host.
+#[divan::bench(args = [5, 50, 200, 1000], sample_count = 3, sample_size = 1)]
+fn sim(bencher: Bencher, robots: usize) {
+    run(bencher, &team("sim", robots));
+}
+
+/// A host for every robot; latents carry a little farther than they are listened to.
+#[divan::bench(args = [5, 50, 200, 1000], sample_count = 3, sample_size = 1)]
+fn onboard_adhoc(bencher: Bencher, robots: usize) {
+    let trial = team("onboard-adhoc", robots);
+    let range_m = orca::INTERFACE.radius_m + MARGIN_M;
+    let deployment = trial.deployment.clone().ranged(range_m).expect("latents cross a link");
+    run(bencher, &Trial { deployment, ..trial });
+}

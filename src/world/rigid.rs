@@ -1,0 +1,281 @@
+//! A world of rigid bodies: discs with mass and friction that push and block each other and the walls, driven by
+//! drivetrains that lag and slip. Contacts are flagged for the judge and do not end the physics.
+//!
+//! The solver is rapier, in its mode of equal results on all machines; its vectors are known here and nowhere else.
+
+use rapier2d::prelude::{
+    ColliderBuilder, IntegrationParameters, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, Vector,
+};
+
+use super::drivetrain::{Drivetrain, Gears};
+use super::kinematic::PERIOD;
+use super::{Physics, Plant, PlantState};
+use crate::messages::geometry::Vec2;
+use crate::messages::local::Contacts;
+use crate::random::Seed;
+use crate::scenario::Arena;
+use crate::time::Span;
+
+/// What is not for a user to say, and why.
+pub const FIXED: &[(&str, &str)] = &[
+    ("contacts", "in plant 'rigid' bodies touch and push each other, and the judge is told"),
+    ("wall_radius_m", "in plant 'rigid' robots are as wide as their hulls, 0.16 m in radius"),
+];
+
+/// How thick the rails about the ground are \[m\]: more than a robot moves in any step.
+const RAIL_M: f32 = 1.0;
+
+/// How far a robot that is pressed against a rail may sink into it \[m\].
+const SINK_M: f32 = 0.002;
+
+/// Rigid bodies as a plant.
+pub struct Rigid {
+    arena: Arena,
+    physics: Physics,
+    world: PhysicsWorld,
+    gears: Gears,
+    robots: Vec<(RigidBodyHandle, Drivetrain)>,
+    states: Vec<PlantState>,
+}
+
+/// Makes the plant.
+pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -> Box<dyn Plant> {
+    let period_s = PERIOD.as_secs() as f32;
+    let mut world = PhysicsWorld::new();
+    world.gravity = Vector::ZERO;
+    // One step a period, which the solver takes in four parts by itself; whatever two robots can meet within it is a
+    // contact from its beginning, also between those that a third pushes. So nothing is left for what would look for
+    // missed collisions afterwards, nor are last step's contacts of use.
+    world.integration_parameters = IntegrationParameters {
+        dt: period_s,
+        normalized_prediction_distance: 2.0 * physics.top_speed_m_s * period_s,
+        max_ccd_substeps: 0,
+        contact_recycling: false,
+        num_internal_pgs_iterations: 4,
+        ..IntegrationParameters::default()
+    };
+    let core_m = physics.wall_radius_m - physics.give_m;
+    let wall = |half: Vec2, centre: Vec2| {
+        let collider = ColliderBuilder::cuboid(half.x, half.y).translation(glam(centre));
+        collider.friction(physics.friction).restitution(physics.restitution)
+    };
+    for block in &arena.keep_outs {
+        world.insert_collider(wall((block.max - block.min) / 2.0, (block.max + block.min) / 2.0), None);
+    }
+    // Rails that a robot's solid core meets just before its centre leaves the ground.
+    let face = arena.half_extent.add_scalar(core_m - SINK_M);
+    let (half, reach) = (face.add_scalar(RAIL_M), face.add_scalar(RAIL_M / 2.0));
+    for side in [-1.0, 1.0] {
+        world.insert_collider(wall(Vec2::new(RAIL_M / 2.0, half.y), Vec2::new(side * reach.x, 0.0)), None);
+        world.insert_collider(wall(Vec2::new(half.x, RAIL_M / 2.0), Vec2::new(0.0, side * reach.y)), None);
+    }
+    let robots = positions.iter().enumerate().map(|(robot, position)| {
+        // Their headings are held by the robots themselves, and no part of their state.
+        let body = RigidBodyBuilder::dynamic().translation(glam(*position)).lock_rotations().can_sleep(false);
+        let disc = ColliderBuilder::ball(core_m).mass(physics.mass_kg);
+        let (handle, _) = world.insert(body, disc.friction(physics.friction).restitution(physics.restitution));
+        (handle, Drivetrain::new(seed.stream(&format!("slip/{robot}"))))
+    });
+    let robots = robots.collect();
+    let mut plant = Rigid {
+        arena: arena.clone(),
+        physics: *physics,
+        world,
+        gears: Gears::new(physics, PERIOD),
+        robots,
+        states: vec![PlantState::default(); positions.len()],
+    };
+    plant.show();
+    Box::new(plant)
+}
+
+impl Rigid {
+    fn show(&mut self) {
+        for ((handle, _), state) in self.robots.iter().zip(&mut self.states) {
+            let body = &self.world.bodies[*handle];
+            state.motion.position = ours(body.translation());
+            state.motion.velocity = ours(body.linvel());
+        }
+    }
+
+    /// Flags who touches what: hulls, as `ContactRule::Judge` has it. The rails are no walls to the judge.
+    fn flag(&mut self) {
+        let radius_m = self.physics.wall_radius_m;
+        for robot in 0..self.states.len() {
+            let at = self.states[robot].motion.position;
+            let near = |(other, state): (usize, &PlantState)| {
+                other != robot && (state.motion.position - at).norm() <= 2.0 * radius_m
+            };
+            let touches = self.states.iter().enumerate().any(near);
+            self.states[robot].contacts = Contacts { robot: touches, wall: self.arena.clearance(at) <= radius_m };
+        }
+    }
+}
+
+impl Plant for Rigid {
+    fn period(&self) -> Span {
+        PERIOD
+    }
+
+    fn place(&mut self, robot: usize, position: Vec2) {
+        let (handle, drivetrain) = &mut self.robots[robot];
+        drivetrain.command = Vec2::zeros();
+        let body = &mut self.world.bodies[*handle];
+        body.set_translation(glam(position), true);
+        body.set_linvel(Vector::ZERO, true);
+        self.states[robot].contacts = Contacts::default();
+        self.show();
+    }
+
+    fn drive(&mut self, robot: usize, velocity: Vec2) {
+        self.robots[robot].1.command = velocity;
+    }
+
+    fn advance(&mut self) {
+        let force = self.physics.mass_kg / PERIOD.as_secs() as f32;
+        for (handle, drivetrain) in &mut self.robots {
+            let body = &mut self.world.bodies[*handle];
+            let change = drivetrain.pull(&self.gears, ours(body.linvel()));
+            body.reset_forces(false);
+            // Spread over the step, so that a body moves as one that is pulled, not as one that is struck.
+            body.add_force(glam(change * force), false);
+        }
+        self.world.step();
+        self.show();
+        self.flag();
+    }
+
+    fn states(&self) -> &[PlantState] {
+        &self.states
+    }
+}
+
+fn glam(v: Vec2) -> Vector {
+    Vector::new(v.x, v.y)
+}
+
+fn ours(v: Vector) -> Vec2 {
+    Vec2::new(v.x, v.y)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::{Settings, build as scenario};
+
+    const HULL_M: f32 = 0.16;
+
+    fn arena() -> Arena {
+        scenario("passage", &Settings::default()).unwrap().arena().clone()
+    }
+
+    /// The robots of the data sheet, with prompt wheels that do not slip.
+    fn prompt() -> Physics {
+        Physics { slip: 0.0, lag_s: 0.0, acceleration_m_s2: f32::INFINITY, ..Physics::robomaster(&arena()) }
+    }
+
+    fn plant(physics: &Physics, positions: &[Vec2]) -> Box<dyn Plant> {
+        build(&arena(), physics, positions, Seed::of_run(7))
+    }
+
+    fn drive_all(plant: &mut dyn Plant, commands: &[Vec2], steps: usize, mut see: impl FnMut(&[PlantState])) {
+        for _ in 0..steps {
+            commands.iter().enumerate().for_each(|(robot, command)| plant.drive(robot, *command));
+            plant.advance();
+            see(plant.states());
+        }
+    }
+
+    #[test]
+    fn alone_a_robot_moves_as_its_drivetrain_says() {
+        let physics = Physics { lag_s: 0.5, ..prompt() };
+        let mut plant = plant(&physics, &[Vec2::new(-1.5, -2.5)]);
+        let mut step = 0;
+        drive_all(&mut *plant, &[Vec2::new(1.0, 0.5)], 40, |states| {
+            step += 1;
+            let (t, motion) = (step as f32 * 0.05, states[0].motion);
+            let share = 1.0 - (-t / 0.5).exp();
+            assert!((motion.velocity - Vec2::new(1.0, 0.5) * share).norm() < 1e-4, "{t} s: {motion:?}");
+            // The integral of that, to within what the solver's four parts of a step make of it.
+            let way = Vec2::new(1.0, 0.5) * (t - 0.5 * share);
+            assert!((motion.position - Vec2::new(-1.5, -2.5) - way).norm() < 0.012, "{t} s: {motion:?}");
+        });
+    }
+
+    #[test]
+    fn a_head_on_crash_is_flagged_does_not_overlap_and_keeps_momentum() {
+        for speed in [0.3, 1.0, 1.5, 2.5] {
+            let mut plant = plant(&prompt(), &[Vec2::new(-1.0, -1.5), Vec2::new(1.0, -1.5)]);
+            let commands = [Vec2::new(speed, 0.0), Vec2::new(-speed, 0.0)];
+            let (mut least, mut flagged) = (f32::INFINITY, false);
+            drive_all(&mut *plant, &commands, 200, |states| {
+                let apart = (states[0].motion.position - states[1].motion.position).norm();
+                least = least.min(apart);
+                flagged |= states[0].contacts.robot;
+                assert_eq!(states[0].contacts.robot, apart <= 2.0 * HULL_M);
+                assert_eq!(states[0].contacts, states[1].contacts);
+                let momentum = states[0].motion.velocity + states[1].motion.velocity;
+                assert!(momentum.norm() < 1e-3, "equal and opposite: {momentum}");
+            });
+            assert!(flagged && least < 0.32, "the judge sees it: {least}");
+            assert!(least > 0.30, "{speed} m/s: {least} m apart");
+        }
+    }
+
+    #[test]
+    fn walls_and_rails_hold_whatever_drives_against_them() {
+        let arena = arena();
+        for (start, command) in [
+            (Vec2::new(1.0, -1.0), Vec2::new(0.0, 2.5)),
+            (Vec2::new(0.3, -1.0), Vec2::new(0.3, 2.5)),
+            (Vec2::new(1.5, -2.0), Vec2::new(2.0, -2.0)),
+            (Vec2::new(1.9, -0.4), Vec2::new(1.5, 2.0)),
+        ] {
+            // A second robot pushes from behind.
+            let mut plant = plant(&prompt(), &[start, start - command.normalize() * 0.4]);
+            let mut least = f32::INFINITY;
+            drive_all(&mut *plant, &[command, command], 100, |states| {
+                for state in states {
+                    let at = state.motion.position;
+                    least = least.min(arena.clearance(at));
+                    assert_eq!(state.contacts.wall, arena.clearance(at) <= HULL_M);
+                    let outside = (at.abs() - arena.half_extent).max();
+                    assert!(outside <= 0.0, "{outside} m off the ground");
+                }
+            });
+            assert!(least > HULL_M - 0.01, "{start}: {least} m from a wall");
+        }
+    }
+
+    #[test]
+    fn a_crowd_that_is_driven_into_a_corner_never_overlaps_deeply() {
+        let starts: Vec<Vec2> =
+            (0..12).map(|k| Vec2::new((k % 4) as f32 * 0.5 - 1.0, (k / 4) as f32 * 0.5 - 2.5)).collect();
+        let physics = Physics { acceleration_m_s2: f32::INFINITY, ..Physics::robomaster(&arena()) };
+        for seed in 0..8 {
+            let mut plant = build(&arena(), &physics, &starts, Seed::of_run(seed));
+            let mut least = f32::INFINITY;
+            drive_all(&mut *plant, &[Vec2::new(1.5, -1.5); 12], 200, |states| {
+                for (index, state) in states.iter().enumerate() {
+                    for other in &states[..index] {
+                        least = least.min((state.motion.position - other.motion.position).norm());
+                    }
+                }
+            });
+            assert!(least > 0.30, "seed {seed}: {least} m");
+        }
+    }
+
+    #[test]
+    fn who_is_placed_stands_there_at_rest_and_may_go_on() {
+        let mut plant = plant(&prompt(), &[Vec2::new(-1.0, -1.5), Vec2::new(-1.0, -1.0)]);
+        drive_all(&mut *plant, &[Vec2::new(0.0, 1.0); 2], 30, |_| {});
+        plant.place(0, Vec2::new(0.5, 2.0));
+        let state = plant.states()[0];
+        assert_eq!((state.motion.position, state.motion.velocity), (Vec2::new(0.5, 2.0), Vec2::zeros()));
+        plant.advance();
+        assert_eq!(plant.states()[0].motion.position, Vec2::new(0.5, 2.0), "its command has gone, too");
+        drive_all(&mut *plant, &[Vec2::new(0.0, 0.5); 2], 20, |_| {});
+        assert!(plant.states()[0].motion.position.y > 2.3);
+    }
+}

@@ -1,0 +1,82 @@
+//! How a robot's state is measured: noise, rate and latency. A Body measures with it what its World samples.
+
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::messages::geometry::{Motion, Vec2};
+use crate::random::Stream;
+use crate::time::Span;
+
+/// What lies between a robot's true state and what is told of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensor {
+    /// Standard deviation of the position along each axis \[m\].
+    pub position_m: f32,
+    /// Standard deviation of the velocity along each axis \[m/s\].
+    pub velocity_m_s: f32,
+    /// The least time from one measurement to the next; a World's own period, if that is longer.
+    pub period: Span,
+    /// How long after its instant a measurement is told.
+    pub latency: Span,
+}
+
+impl Sensor {
+    /// Everything as it is, at once.
+    pub const EXACT: Sensor = Sensor { position_m: 0.0, velocity_m_s: 0.0, period: Span::ZERO, latency: Span::ZERO };
+
+    /// A motion capture system such as the paper's (section V: OptiTrack).
+    ///
+    /// Position: the +-0.2 mm that OptiTrack states for its PrimeX cameras. Rate: 100 Hz, a usual setting. Velocity:
+    /// what the difference of positions three frames apart makes of their noise, sqrt(2) * 0.2 mm / 30 ms. Latency:
+    /// 6 to 7 ms were measured to the end of such a chain (Qualisys at ETH Zurich, 200 Hz), and half a frame more at
+    /// 100 Hz.
+    pub const MOTION_CAPTURE: Sensor =
+        Sensor { position_m: 2e-4, velocity_m_s: 0.01, period: Span::from_millis(10), latency: Span::from_millis(10) };
+
+    /// All sensors by name.
+    pub const NAMED: [(&str, Sensor); 2] = [("exact", Sensor::EXACT), ("motion-capture", Sensor::MOTION_CAPTURE)];
+
+    /// A measurement of this motion. What is exact draws nothing.
+    pub fn measure(&self, motion: &Motion, stream: &mut Stream) -> Motion {
+        let mut noisy = |value: Vec2, deviation: f32| {
+            if deviation > 0.0 { value + drawn(stream) * deviation } else { value }
+        };
+        Motion {
+            position: noisy(motion.position, self.position_m),
+            velocity: noisy(motion.velocity, self.velocity_m_s),
+        }
+    }
+}
+
+/// Two numbers of the standard normal distribution.
+pub(super) fn drawn(stream: &mut Stream) -> Vec2 {
+    let x = StandardNormal.sample(stream);
+    Vec2::new(x, StandardNormal.sample(stream))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Seed;
+
+    #[test]
+    fn measurements_scatter_about_the_truth_and_an_exact_one_is_the_truth() {
+        let mut stream = Seed::of_run(1).stream("sensor");
+        let truth = Motion { position: Vec2::new(1.0, -2.0), velocity: Vec2::new(0.5, 0.25) };
+        assert_eq!(Sensor::EXACT.measure(&truth, &mut stream), truth);
+        let sensor = Sensor::MOTION_CAPTURE;
+        let all: Vec<Motion> = (0..4000).map(|_| sensor.measure(&truth, &mut stream)).collect();
+        let deviation = |off: &dyn Fn(&Motion) -> Vec2| {
+            let (sum, squares) = all.iter().map(off).fold((Vec2::zeros(), Vec2::zeros()), |(sum, squares), off| {
+                (sum + off, squares + off.component_mul(&off))
+            });
+            assert!(sum.amax() / 4000.0 < squares.amax(), "no bias");
+            (squares / 4000.0).map(f32::sqrt)
+        };
+        let position = deviation(&|seen| seen.position - truth.position);
+        let velocity = deviation(&|seen| seen.velocity - truth.velocity);
+        for axis in 0..2 {
+            assert!((position[axis] / sensor.position_m - 1.0).abs() < 0.05, "{position}");
+            assert!((velocity[axis] / sensor.velocity_m_s - 1.0).abs() < 0.05, "{velocity}");
+        }
+    }
+}
