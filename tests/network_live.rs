@@ -1,6 +1,6 @@
 //! The network study between five network namespaces on one bridge, each sender shaped by `tc tbf` and each receiver
-//! losing by nftables, held against the emulation of the same. Needs root, `ip`, `tc` and `nft`; skips, saying so, where
-//! it cannot run.
+//! losing by nftables, held against the emulation of the same. Needs root, `ip`, `tc` and `nft`; skips, saying so,
+//! where it cannot run.
 #![cfg(target_os = "linux")]
 
 use std::fs;

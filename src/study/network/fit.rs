@@ -237,8 +237,8 @@ impl Fitted {
         radio.channel = if adhoc { Topology::AdHoc } else { Topology::Infrastructure };
         format!(
             "# A radio fitted to {} rows of a network study: noise_loss, background and rate.\n\
-             # What is left between rows and emulation, as a root mean square: {:.1} points of the shares, {:.0} % of the \
-             delays.\n# {command}\n\n{}",
+             # What is left between rows and emulation, as a root mean square: {:.1} points of the shares, {:.0} % of \
+             the delays.\n# {command}\n\n{}",
             self.rows.len(),
             100.0 * self.shares,
             100.0 * (self.delays.exp() - 1.0),

@@ -60,7 +60,7 @@ pub enum Air<T> {
     /// A radio channel.
     Radio(Box<Channel<T>>),
     /// Shaped links.
-    Shaped(Links<T>),
+    Shaped(Box<Links<T>>),
 }
 
 impl<T: Clone> Air<T> {
@@ -68,7 +68,7 @@ impl<T: Clone> Air<T> {
     pub fn new(medium: Medium, stations: u16, seed: &Seed) -> Air<T> {
         match medium {
             Medium::Radio(radio) => Air::Radio(Box::new(Channel::new(radio, stations, seed))),
-            Medium::Shaped(shaped) => Air::Shaped(Links::new(shaped, stations, seed)),
+            Medium::Shaped(shaped) => Air::Shaped(Box::new(Links::new(shaped, stations, seed))),
         }
     }
 

@@ -12,6 +12,9 @@ use crate::report::page::{self, Part};
 /// A case with what came of it, and where: `emulated` or `live`.
 pub type Found = (String, Case, Outcome);
 
+/// A line's name, and whether a case is on it.
+type OnLine = (String, Box<dyn Fn(&Found) -> bool>);
+
 /// The rates of the paper's two figures \[1/s\]; the nearest of a sweep are drawn.
 const DRAWN: [f64; 2] = [60.0, 200.0];
 
@@ -31,8 +34,7 @@ pub struct Findings<'a> {
 struct Group {
     name: String,
     title: String,
-    /// A line's name, and whether a case is on it.
-    lines: Vec<(String, Box<dyn Fn(&Found) -> bool>)>,
+    lines: Vec<OnLine>,
 }
 
 impl Findings<'_> {
@@ -82,12 +84,7 @@ impl Findings<'_> {
     }
 
     /// A line for what was emulated and one for what was measured, as far as there are such.
-    fn sources(
-        &self,
-        lines: &mut Vec<(String, Box<dyn Fn(&Found) -> bool>)>,
-        name: &str,
-        is: impl Fn(&Case) -> bool + Copy + 'static,
-    ) {
+    fn sources(&self, lines: &mut Vec<OnLine>, name: &str, is: impl Fn(&Case) -> bool + Copy + 'static) {
         let live = self.results.iter().any(|(source, ..)| source == "live");
         for source in ["emulated", "live"] {
             if self.results.iter().any(|(other, case, _)| other == source && is(case)) {
@@ -125,7 +122,7 @@ impl Findings<'_> {
 
     fn over_rates(&self, group: &Group) -> Result<Figure, FigureError> {
         let panel = |(title, value): (&str, fn(&Row) -> Option<f64>)| {
-            let line = |(name, is): &(String, Box<dyn Fn(&Found) -> bool>)| {
+            let line = |(name, is): &OnLine| {
                 let at = |rate: &f64| {
                     let found = self.results.iter().find(|result| result.1.rate == *rate && is(result));
                     let value = found.and_then(|(source, case, outcome)| value(&Row::of(source, case, outcome)))?;
@@ -247,9 +244,10 @@ fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
     Ok(Figure {
         name: "saturation".to_owned(),
         title: title.to_owned(),
-        caption: "What teams of growing size want to say on one channel, in one hop, and what gets through when everybody \
-                  always has something to send (Bianchi's model): where the first line is above another, the channel is \
-                  full. A multicast frame that collides is not sent again, so no window grows, and a large team drowns."
+        caption: "What teams of growing size want to say on one channel, in one hop, and what gets through when \
+                  everybody always has something to send (Bianchi's model): where the first line is above another, the \
+                  channel is full. A multicast frame that collides is not sent again, so no window grows, and a large \
+                  team drowns."
             .to_owned(),
         svg: figures::sweep(title, "robots", &places, &panels)?,
     })

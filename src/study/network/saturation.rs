@@ -1,7 +1,7 @@
 //! Where one channel is full as a team grows, by the medium's own figures and by Bianchi's model: no simulation.
 //!
-//! All robots share one channel and speak at the same rate each. Density does not matter for multicast: one frame is for
-//! whoever is near. By unicast each message goes to so many neighbours, whatever the size of the team.
+//! All robots share one channel and speak at the same rate each. Density does not matter for multicast: one frame is
+//! for whoever is near. By unicast each message goes to so many neighbours, whatever the size of the team.
 
 use serde::{Deserialize, Serialize};
 
@@ -105,8 +105,8 @@ pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
         "first say less often or to fewer".to_owned()
     };
     format!(
-        "At {RATE} messages a second and robot this channel is full, in one hop, above {slow} robots by multicast and above \
-         {by_unicast} by unicast to {NEIGHBOURS} neighbours: {change}; beyond that only more channels help, or less \
+        "At {RATE} messages a second and robot this channel is full, in one hop, above {slow} robots by multicast and \
+         above {by_unicast} by unicast to {NEIGHBOURS} neighbours: {change}; beyond that only more channels help, or less \
          transmit power, so that distant groups no longer share one."
     )
 }

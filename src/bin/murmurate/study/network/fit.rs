@@ -94,8 +94,8 @@ fn told(fitted: &Fitted, json: bool) -> Result<String> {
         return serde_json::to_string(&report).context("a report is JSON");
     }
     Ok(format!(
-        "noise loss {:.3}, background {:.3}, rate {}, multicast rate {}\nleft: {:.1} points of the shares, {:.0} % of the \
-         delays (root mean square over {} rows)",
+        "noise loss {:.3}, background {:.3}, rate {}, multicast rate {}\nleft: {:.1} points of the shares, {:.0} % of \
+         the delays (root mean square over {} rows)",
         report.noise_loss,
         report.background,
         report.rate,

@@ -13,8 +13,8 @@ use crate::output::read_text;
 /// Flags of `murmurate study network`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// What messages are sent over: a preset (paper, wifi, wifi-n, wifi-slow, shaped), a radio file, or shaped links as a
-    /// file
+    /// What messages are sent over: a preset (paper, wifi, wifi-n, wifi-slow, shaped), a radio file, or shaped links as
+    /// a file
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "paper")]
     pub medium: String,
     /// Messages of all stations together [1/s], separated by commas [default: 10,20,60,100,200,300,400,500]

@@ -54,8 +54,8 @@ pub fn run(args: &Args) -> Result<Ended> {
     if let Some(room) = &team {
         let live = live::measure(&sweep, &room.names(), args.coordinator, folder.as_ref(), (&stop, args.quiet))?;
         notes.push(format!(
-            "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were compared \
-             before each case; they are this much off at the most: {:.3} ms.",
+            "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were \
+             compared before each case; they are this much off at the most: {:.3} ms.",
             room.file().display(),
             1000.0 * live.uncertainty_s
         ));

@@ -2,8 +2,8 @@
 //!
 //! They talk over TCP, one JSON object a line, while the network is otherwise idle: it carries no measured message, and
 //! nothing on it is timed but the clocks. The clock of each participant is compared before each case: of several
-//! questions and answers that with the shortest way there and back counts (RFC 5905, section 8), and half of that way is
-//! how far off it may be. One-way delays are then differences of two such clocks.
+//! questions and answers that with the shortest way there and back counts (RFC 5905, section 8), and half of that way
+//! is how far off it may be. One-way delays are then differences of two such clocks.
 
 mod coordinator;
 mod participant;
