@@ -1,4 +1,4 @@
-//! The folder of a network study: which sweep it is of, its finished cases, and the report. Each file is replaced whole.
+//! The folder of a network study: which sweep it is of, its finished cases, the report. Each file is replaced whole.
 
 use std::path::{Path, PathBuf};
 
