@@ -246,7 +246,8 @@ fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
         title: title.to_owned(),
         caption: "What teams of growing size want to say on one channel, in one hop, and what gets through when \
                   everybody always has something to send (Bianchi's model): where the first line is above another, the \
-                  channel is full. A multicast frame that collides is not sent again, so no window grows, and a large team drowns."
+                  channel is full. A multicast frame that collides is not sent again, so no window grows, and a large \
+                  team drowns."
             .to_owned(),
         svg: figures::sweep(title, "robots", &places, &panels)?,
     })
