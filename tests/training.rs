@@ -55,8 +55,9 @@ fn train(mut trainer: Trainer, iterations: std::ops::Range<u32>, stop: u32, thre
 fn dynamics_and_reward_are_those_of_the_world() {
     for (name, robots) in [("passage", 5), ("passage", 2), ("swap", 6)] {
         let scenario = scenario::build(name, &Settings::of(robots)).expect("it can be made");
-        let deployed = Episode { lag_s: Some(0.3), wall_radius_m: 0.16, ..Episode::perfect(robots) };
-        for episode in [Episode::perfect(robots), deployed] {
+        let wheels = Episode { lag_s: Some(0.3), wall_radius_m: 0.16, ..Episode::perfect(robots) };
+        let deployed = Episode { clamp: Clamp::Deployed, ..wheels.clone() };
+        for episode in [Episode::perfect(robots), wheels, deployed] {
             let none = Config::preset("published").expect("it is a preset").reward.with_penalties(0.0);
             let only =
                 Reward { scale: 1.0, scenario: 1.0, progress: 0.0, arrival: 0.0, time: 0.0, shared: 0.0, ..none };
@@ -70,7 +71,7 @@ fn dynamics_and_reward_are_those_of_the_world() {
             let starts: Vec<Vec2> = tasks.iter().map(|task| task.start).collect();
             let mut plant = kinematic::build(scenario.arena(), &physics, &starts, Seed::of_run(0));
             let mut stages = vec![Stage(0); robots];
-            let clamp = if episode.lag_s.is_some() { Clamp::Deployed } else { Clamp::Training };
+            let clamp = episode.clamp;
             for step in 0..300 {
                 let actions: Vec<Vec2> = (0..2 * robots)
                     .map(|_| Vec2::new(stream.random_range(-2.0..2.0), stream.random_range(-2.0..1.0)))
@@ -262,6 +263,7 @@ fn the_quick_evaluation_is_that_of_sim_when_messages_are_late_and_lost() {
         Episode {
             lockstep: false,
             lag_s: Some(0.5),
+            clamp: Clamp::Deployed,
             wall_radius_m: 0.16,
             hold_s,
             phase_s: (0..5).map(|_| stream.random_range(0.0..0.05)).collect(),

@@ -27,7 +27,7 @@ pub struct Deployed {
 impl Deployed {
     /// The world and the radio of all deployed columns.
     pub fn shared() -> Deployed {
-        Deployed { plant: "rigid".to_owned(), radio: "wifi".to_owned() }
+        Deployed { plant: "rigid".to_owned(), radio: "paper".to_owned() }
     }
 }
 
