@@ -106,9 +106,8 @@ pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
     };
     format!(
         "At {RATE} messages a second and robot this channel is full, in one hop, above {slow} robots by multicast and \
-         above {by_unicast} by unicast to {NEIGHBOURS} neighbours: {change}; beyond that only more channels help, \
-         or less \
-         transmit power, so that distant groups no longer share one."
+         above {by_unicast} by unicast to {NEIGHBOURS} neighbours: {change}; beyond that only more channels help, or \
+         less transmit power, so that distant groups no longer share one."
     )
 }
 
