@@ -96,9 +96,25 @@ impl Drop for Process {
     }
 }
 
+/// How often it is measured at most: a busy machine delays datagrams more than the links do, and seldom three times.
+const ATTEMPTS: usize = 3;
+
 #[test]
 fn what_is_measured_between_namespaces_is_what_is_emulated() {
-    let Some(lab) = Lab::build() else { return };
+    let mut found = Vec::new();
+    for _ in 0..ATTEMPTS {
+        match disagreements() {
+            Some(found) if found.is_empty() => return,
+            Some(more) => found.push(more),
+            None => return,
+        }
+    }
+    panic!("never alike: {found:#?}");
+}
+
+/// Where a measurement and the emulation of the same are apart; `None` where it cannot run.
+fn disagreements() -> Option<Vec<String>> {
+    let lab = Lab::build()?;
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
     assert!(
@@ -139,16 +155,22 @@ fn what_is_measured_between_namespaces_is_what_is_emulated() {
         let rows = report["rows"].as_array().unwrap();
         rows.iter().find(|row| row["source"] == source && row["rate"] == rate).unwrap().clone()
     };
+    let mut apart = Vec::new();
     for rate in RATES {
         let (live, emulated) = (row("live", rate), row("emulated", rate));
         let pair = |field: &str| [&live, &emulated].map(|row| row[field].as_f64().unwrap());
         let all = ["delivered", "p50_ms", "p90_ms", "p99_ms", "age_p50_ms"].map(|field| (field, pair(field)));
         let _ = writeln!(std::io::stderr(), "{rate} messages/s, live and emulated: {all:?}");
         let [measured, reckoned] = pair("delivered");
-        assert!((measured - reckoned).abs() < 0.02, "delivered at {rate}: {measured} and {reckoned}");
+        if (measured - reckoned).abs() >= 0.02 {
+            apart.push(format!("delivered at {rate}: {measured} and {reckoned}"));
+        }
         for field in ["p50_ms", "p90_ms"] {
             let [measured, reckoned] = pair(field);
-            assert!((measured / reckoned - 1.0).abs() < 0.15, "{field} at {rate}: {measured} and {reckoned}");
+            if (measured / reckoned - 1.0).abs() >= 0.15 {
+                apart.push(format!("{field} at {rate}: {measured} and {reckoned}"));
+            }
         }
     }
+    Some(apart)
 }
