@@ -13,8 +13,7 @@ use murmurate::messages::local::Contacts;
 use murmurate::policy::gnn::{Gnn, Network};
 use murmurate::policy::{Draw, Model, Neighbour, Policy, weights};
 use murmurate::report::episode::Episode;
-use murmurate::report::summary::Tally;
-use murmurate::scenario::judge::Verdict;
+use murmurate::report::outcomes::Outcomes;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Observation, Scenario, Settings, Stage};
 use murmurate::time::Span;
@@ -169,21 +168,21 @@ struct Row(&'static str, f64, usize, f64);
 
 fn compare(row: &Row, episodes: &[Episode]) {
     let Row(name, rate, tried, makespan) = *row;
-    let tally = Tally::of(episodes);
-    let (n, ours) = (episodes.len() as f64, tally.success_rate());
+    let found = Outcomes::of(episodes);
+    let (n, ours) = (episodes.len() as f64, found.success_rate);
     let pooled = (ours * n + rate * tried as f64) / (n + tried as f64);
     // Where nobody ever failed, there is no more to tell apart than one failure.
     let error = (pooled * (1.0 - pooled) * (1.0 / n + 1.0 / tried as f64)).sqrt().max(1.0 / n);
-    let [_, median, _] = tally.makespan_s.expect("some episodes succeed");
+    let median = found.makespan_median_s.expect("some episodes succeed");
     println!(
         "{name}: success {:.1} % (published {:.1} %, {:.1} standard errors), makespan {median:.2} s \
          (published {makespan:.2} s), {} walls, {} robots, {} late",
         100.0 * ours,
         100.0 * rate,
         (ours - rate).abs() / error,
-        tally.count(Verdict::WallCollision),
-        tally.count(Verdict::RobotCollision),
-        tally.count(Verdict::Timeout)
+        found.collisions_wall,
+        found.collisions_robot,
+        found.timeouts
     );
     assert!((ours - rate).abs() <= 2.6 * error, "{name}: success {ours}, published {rate}");
     assert!((median - makespan).abs() <= 0.2, "{name}: makespan {median} s, published {makespan} s");

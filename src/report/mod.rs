@@ -7,6 +7,7 @@ pub mod event;
 pub mod figures;
 pub mod grid;
 pub mod listening;
+pub mod outcomes;
 pub mod page;
 #[cfg(feature = "png")]
 pub mod png;

@@ -6,12 +6,11 @@ use serde::Serialize;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::episode::Episode;
-use super::statistics::{quantile, wilson_95};
+use super::outcomes::Outcomes;
 use super::trial::TrialReport;
 use crate::net::link::LinkCounts;
 use crate::net::radio::RadioCounts;
 use crate::safety::guard::SafetyCounts;
-use crate::scenario::judge::Verdict;
 
 /// The summary of a run. Fields are only ever added.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -24,26 +23,9 @@ pub struct Summary {
     pub policy: String,
     /// The size of the team.
     pub robots: usize,
-    /// Episodes that have a result.
-    pub episodes: usize,
-    /// Episodes that succeeded.
-    pub successes: usize,
-    /// Their share.
-    pub success_rate: f64,
-    /// The Wilson interval of the share, 95 %.
-    pub success_ci95: [f64; 2],
-    /// Median over the successes of when the last robot arrived \[s\].
-    pub makespan_median_s: Option<f64>,
-    /// Quartiles of the same \[s\].
-    pub makespan_quartiles_s: Option<[f64; 2]>,
-    /// Episodes that failed because two robots came too near to each other.
-    pub collisions_robot: usize,
-    /// Episodes that failed because a wall blocked a move.
-    pub collisions_wall: usize,
-    /// Episodes that failed because not all robots arrived in time.
-    pub timeouts: usize,
-    /// Episodes that the state server gave up.
-    pub aborts: usize,
+    /// What came of the episodes.
+    #[serde(flatten)]
+    pub outcomes: Outcomes,
     /// Simulated time of all trials together \[s\].
     pub virtual_s: f64,
     /// Wall-clock time of the run \[s\].
@@ -94,7 +76,6 @@ impl Summary {
     /// Sums up the trials of a run, in the order of their repeats.
     pub fn of(run: Run, trials: &[TrialReport]) -> Summary {
         let episodes: Vec<Episode> = trials.iter().flat_map(|trial| &trial.episodes).copied().collect();
-        let tally = Tally::of(&episodes);
         let totals = || trials.iter().map(|trial| trial.totals);
         let mut trace = Xxh3::new();
         totals().for_each(|totals| trace.update(&totals.trace.to_le_bytes()));
@@ -104,16 +85,7 @@ impl Summary {
             scenario,
             policy,
             robots,
-            episodes: tally.episodes,
-            successes: tally.count(Verdict::Success),
-            success_rate: tally.success_rate(),
-            success_ci95: tally.success_ci95(),
-            makespan_median_s: tally.makespan_s.map(|[_, median, _]| median),
-            makespan_quartiles_s: tally.makespan_s.map(|[first, _, third]| [first, third]),
-            collisions_robot: tally.count(Verdict::RobotCollision),
-            collisions_wall: tally.count(Verdict::WallCollision),
-            timeouts: tally.count(Verdict::Timeout),
-            aborts: tally.count(Verdict::Aborted),
+            outcomes: Outcomes::of(&episodes),
             virtual_s: trials.iter().map(|trial| trial.simulated.as_secs()).sum(),
             wall_s,
             messages: totals().map(|totals| totals.messages).sum(),
@@ -130,48 +102,10 @@ impl Summary {
     }
 }
 
-/// The counts and quantiles of some episodes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tally {
-    /// How many there are.
-    pub episodes: usize,
-    /// By verdict, in the order of `Verdict`.
-    counts: [usize; 5],
-    /// First quartile, median and third quartile of the successes' makespans \[s\].
-    pub makespan_s: Option<[f64; 3]>,
-}
-
-impl Tally {
-    /// Counts the episodes.
-    pub fn of(episodes: &[Episode]) -> Tally {
-        let mut counts = [0; 5];
-        episodes.iter().for_each(|episode| counts[episode.verdict as usize] += 1);
-        let makespans: Vec<f64> = episodes.iter().filter_map(|episode| episode.makespan_s).collect();
-        let at = |q| quantile(&makespans, q);
-        let makespan_s = at(0.25).zip(at(0.5)).zip(at(0.75)).map(|((low, middle), high)| [low, middle, high]);
-        Tally { episodes: episodes.len(), counts, makespan_s }
-    }
-
-    /// How many ended so.
-    pub fn count(&self, verdict: Verdict) -> usize {
-        self.counts[verdict as usize]
-    }
-
-    /// The share of successes; zero when there are no episodes.
-    pub fn success_rate(&self) -> f64 {
-        self.count(Verdict::Success) as f64 / self.episodes.max(1) as f64
-    }
-
-    /// The Wilson interval of that share, 95 %.
-    pub fn success_ci95(&self) -> [f64; 2] {
-        wilson_95(self.count(Verdict::Success), self.episodes)
-    }
-}
-
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let percent = |share: f64| format!("{:.1} %", 100.0 * share);
-        let [low, high] = self.success_ci95;
+        let Outcomes { episodes, successes, success_ci95: [low, high], .. } = self.outcomes;
         writeln!(
             f,
             "{} robots, scenario {}, mode {}, policy {}, seed {}",
@@ -180,31 +114,31 @@ impl fmt::Display for Summary {
         if self.interrupted {
             writeln!(f, "  interrupted: what follows counts the episodes until then")?;
         }
-        let share = percent(self.success_rate);
+        let share = percent(self.outcomes.success_rate);
         writeln!(
             f,
             "  success      {share:>8}   {} of {} (95 %: {} to {})",
-            self.successes,
-            self.episodes,
+            successes,
+            episodes,
             percent(low),
             percent(high)
         )?;
-        match (self.makespan_median_s, self.makespan_quartiles_s) {
+        match (self.outcomes.makespan_median_s, self.outcomes.makespan_quartiles_s) {
             (Some(median), Some([first, third])) => {
                 writeln!(f, "  makespan   {median:>8.2} s   median (quartiles {first:.2} and {third:.2} s)")?;
             }
             _ => writeln!(f, "  makespan            -   no episode succeeded")?,
         }
         let failed = [
-            (self.collisions_robot, "robots too near"),
-            (self.collisions_wall, "wall touched"),
-            (self.timeouts, "too late"),
-            (self.aborts, "given up"),
+            (self.outcomes.collisions_robot, "robots too near"),
+            (self.outcomes.collisions_wall, "wall touched"),
+            (self.outcomes.timeouts, "too late"),
+            (self.outcomes.aborts, "given up"),
         ];
         let failed: Vec<String> =
             failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
         let what = if failed.is_empty() { "none".to_owned() } else { failed.join(", ") };
-        writeln!(f, "  failures     {:>8}   {what}", self.episodes - self.successes)?;
+        writeln!(f, "  failures     {:>8}   {what}", episodes - successes)?;
         let held: Vec<String> = self.safety.reasons().map(|(n, what)| format!("{n} {what}")).collect();
         if !held.is_empty() {
             let times: u64 = self.safety.reasons().map(|(n, _)| n).sum();

@@ -65,7 +65,7 @@ fn by_column<'a>(study: &Study, results: &'a Results) -> Vec<Vec<Option<&'a Cell
 }
 
 fn modes(study: &Study, results: &Results) -> Result<String, FigureError> {
-    let share = |cell: &Cell| Share { rate: cell.row.success_rate, ci95: cell.row.success_ci95 };
+    let share = |cell: &Cell| Share { rate: cell.row.outcomes.success_rate, ci95: cell.row.outcomes.success_ci95 };
     let groups = by_column(study, results).into_iter().zip(&study.columns).map(|(cells, column)| Group {
         name: column.name.clone(),
         shares: cells.into_iter().map(|cell| cell.map(share)).collect(),
@@ -75,11 +75,14 @@ fn modes(study: &Study, results: &Results) -> Result<String, FigureError> {
 }
 
 fn success_of(cell: &Cell) -> Point {
-    Point { value: 100.0 * cell.row.success_rate, within: cell.row.success_ci95.map(|end| 100.0 * end) }
+    Point {
+        value: 100.0 * cell.row.outcomes.success_rate,
+        within: cell.row.outcomes.success_ci95.map(|end| 100.0 * end),
+    }
 }
 
 fn makespan_of(cell: &Cell) -> Option<Point> {
-    Some(Point { value: cell.row.makespan_median_s?, within: cell.row.makespan_quartiles_s? })
+    Some(Point { value: cell.row.outcomes.makespan_median_s?, within: cell.row.outcomes.makespan_quartiles_s? })
 }
 
 /// One panel an entrant, one line a loss, over the delays.
@@ -140,7 +143,7 @@ fn makespans(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, Figur
     let row = |cell: &&Cell| Makespans {
         name: cell.row.name.clone(),
         values_s: cell.makespans_s.clone(),
-        episodes: cell.row.episodes,
+        episodes: cell.row.outcomes.episodes,
     };
     let rows: Vec<Makespans> = cells.iter().map(row).collect();
     Ok(Figure {

@@ -7,8 +7,7 @@ use super::record::{Record, Traces};
 use super::{Job, Study, published};
 use crate::report::episode::Episode;
 use crate::report::listening::Listening;
-use crate::report::summary::Tally;
-use crate::scenario::judge::Verdict;
+use crate::report::outcomes::Outcomes;
 use crate::time::Span;
 
 /// Shares and times of one column and entrant, as `--json` prints them. Fields are only ever added.
@@ -20,26 +19,9 @@ pub struct Row {
     pub policy: String,
     /// Its handling.
     pub handling: String,
-    /// Episodes that have a result.
-    pub episodes: usize,
-    /// Episodes that succeeded.
-    pub successes: usize,
-    /// Their share.
-    pub success_rate: f64,
-    /// The Wilson interval of the share, 95 %.
-    pub success_ci95: [f64; 2],
-    /// Median over the successes of when the last robot arrived \[s\].
-    pub makespan_median_s: Option<f64>,
-    /// Quartiles of the same \[s\].
-    pub makespan_quartiles_s: Option<[f64; 2]>,
-    /// Episodes that failed because two robots came too near to each other.
-    pub collisions_robot: usize,
-    /// Episodes that failed because a wall was touched.
-    pub collisions_wall: usize,
-    /// Episodes that failed because not all robots arrived in time.
-    pub timeouts: usize,
-    /// Episodes that the state server gave up.
-    pub aborts: usize,
+    /// What came of its episodes.
+    #[serde(flatten)]
+    pub outcomes: Outcomes,
     /// The share that the paper reports for the column, where it is known.
     pub paper_success_rate: Option<f64>,
     /// The median makespan that the paper reports for the column, where it is known \[s\].
@@ -109,15 +91,14 @@ impl Results {
 
     /// The largest fall of success against the baseline, over the columns of an entrant \[percentage points\].
     pub fn largest_drop_points(cells: &[&Cell]) -> Option<f64> {
-        let baseline = cells.iter().find(|cell| cell.row.name == BASELINE)?.row.success_rate;
-        cells.iter().map(|cell| 100.0 * (baseline - cell.row.success_rate)).reduce(f64::max)
+        let baseline = cells.iter().find(|cell| cell.row.name == BASELINE)?.row.outcomes.success_rate;
+        cells.iter().map(|cell| 100.0 * (baseline - cell.row.outcomes.success_rate)).reduce(f64::max)
     }
 }
 
 impl Cell {
     fn of(study: &Study, (column, entrant): (usize, usize), records: &[&Record]) -> Cell {
         let episodes: Vec<Episode> = records.iter().flat_map(|record| &record.episodes).copied().collect();
-        let tally = Tally::of(&episodes);
         let mut listening = Listening::default();
         let mut traces = Traces::new(study.scenario.arena());
         for record in records {
@@ -131,16 +112,7 @@ impl Cell {
             name: column.name.clone(),
             policy: entrant.policy.clone(),
             handling: entrant.handling.name.to_owned(),
-            episodes: tally.episodes,
-            successes: tally.count(Verdict::Success),
-            success_rate: tally.success_rate(),
-            success_ci95: tally.success_ci95(),
-            makespan_median_s: tally.makespan_s.map(|[_, median, _]| median),
-            makespan_quartiles_s: tally.makespan_s.map(|[first, _, third]| [first, third]),
-            collisions_robot: tally.count(Verdict::RobotCollision),
-            collisions_wall: tally.count(Verdict::WallCollision),
-            timeouts: tally.count(Verdict::Timeout),
-            aborts: tally.count(Verdict::Aborted),
+            outcomes: Outcomes::of(&episodes),
             paper_success_rate: paper.success,
             paper_makespan_median_s: paper.makespan_s,
             delay_ms: column.impairment().map(|(delay_s, _)| 1000.0 * delay_s),

@@ -14,19 +14,19 @@ fn cells(row: &Row) -> [String; 9] {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
     let failed = [
-        (row.collisions_robot, "near"),
-        (row.collisions_wall, "wall"),
-        (row.timeouts, "late"),
-        (row.aborts, "given up"),
+        (row.outcomes.collisions_robot, "near"),
+        (row.outcomes.collisions_wall, "wall"),
+        (row.outcomes.timeouts, "late"),
+        (row.outcomes.aborts, "given up"),
     ];
     let failed: Vec<String> = failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
     [
         row.name.clone(),
-        percent(row.success_rate),
-        format!("{:.1} to {:.1}", 100.0 * row.success_ci95[0], 100.0 * row.success_ci95[1]),
+        percent(row.outcomes.success_rate),
+        format!("{:.1} to {:.1}", 100.0 * row.outcomes.success_ci95[0], 100.0 * row.outcomes.success_ci95[1]),
         or_dash(row.paper_success_rate.map(percent)),
-        or_dash(row.makespan_median_s.map(|median| format!("{median:.2} s"))),
-        or_dash(row.makespan_quartiles_s.map(|[first, third]| format!("{first:.2} to {third:.2}"))),
+        or_dash(row.outcomes.makespan_median_s.map(|median| format!("{median:.2} s"))),
+        or_dash(row.outcomes.makespan_quartiles_s.map(|[first, third]| format!("{first:.2} to {third:.2}"))),
         or_dash(row.paper_makespan_median_s.map(|median| format!("{median:.1} s"))),
         if failed.is_empty() { "none".to_owned() } else { failed.join(", ") },
         or_dash(row.delivered.zip(row.within_50ms).map(|(delivered, within)| percent(delivered * within))),

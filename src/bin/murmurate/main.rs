@@ -83,6 +83,11 @@ pub enum Ended {
 #[error("{0}")]
 pub struct BadInput(pub String);
 
+/// Refuses what was given.
+fn bad<T>(why: String) -> anyhow::Result<T> {
+    Err(BadInput(why).into())
+}
+
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,

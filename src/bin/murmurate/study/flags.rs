@@ -12,8 +12,9 @@ use murmurate::study::columns::{self, Column};
 use murmurate::study::handling::{self, Preset};
 use murmurate::study::{Entrant, Study};
 
+use super::run::{Run, Typed};
 use crate::output::{read_text, talk};
-use crate::{BadInput, policy, sim};
+use crate::{BadInput, bad, policy, sim};
 
 /// Flags of every study.
 #[derive(clap::Args)]
@@ -45,21 +46,8 @@ pub struct Shared {
     /// Trials in every column: the same layouts with other random numbers
     #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     repeats: u32,
-    /// The root of all randomness
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
-    /// Trials that run at the same time [default: one per core]; the numbers do not depend on it
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub jobs: Option<u16>,
-    /// Where report, figures and rows go. Finished trials are kept there, and the same command goes on from them
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Prints one JSON object in place of the table
-    #[arg(long)]
-    pub json: bool,
-    /// Says nothing on stderr but errors and what an interruption leaves
-    #[arg(long)]
-    pub quiet: bool,
+    #[command(flatten)]
+    pub run: Run,
 }
 
 /// Flags of `murmurate study modes`.
@@ -94,10 +82,6 @@ pub struct Range {
     ranges_m: Vec<f32>,
     #[command(flatten)]
     pub shared: Shared,
-}
-
-fn bad<T>(text: String) -> Result<T> {
-    Err(BadInput(text).into())
 }
 
 /// Each of these is there once.
@@ -175,7 +159,7 @@ impl Shared {
             BadInput(format!("{flag}: {error}"))
         })?;
         let layouts = match &self.episodes_file {
-            None => Layouts::of_scenario(&*scenario, self.seed, self.layouts),
+            None => Layouts::of_scenario(&*scenario, self.run.seed, self.layouts),
             Some(path) => {
                 let text = read_text(path, "episodes file")?;
                 Layouts::from_json(&text, &*scenario, self.layouts).map_err(|e| {
@@ -190,7 +174,7 @@ impl Shared {
             entrants: self.entrants(&*scenario)?,
             layouts,
             repeats: self.repeats,
-            seed: self.seed,
+            seed: self.run.seed,
             command: self.command(name, own),
             scenario: Arc::clone(&scenario),
             gap_m: self.gap_m,
@@ -229,7 +213,7 @@ impl Shared {
         };
         // Scripted navigation draws nothing, whatever the handling.
         let loaded = policy::load(Some(Path::new(policy)), (policy != "orca").then_some(draw), scenario)?;
-        if let Some(assumed) = loaded.assumed.filter(|_| !self.quiet) {
+        if let Some(assumed) = loaded.assumed.filter(|_| !self.run.quiet) {
             talk(&format!("warning: {assumed}"));
         }
         Ok(Entrant { policy: loaded.name, model: loaded.model, digest: loaded.digest, handling })
@@ -237,14 +221,8 @@ impl Shared {
 
     /// The command that makes the study, whatever it was typed as. Not in it: what makes no difference to the results.
     fn command(&self, name: &str, own: &str) -> String {
-        let mut command = format!("murmurate study {name}{own}");
-        let mut add = |flag: &str, value: Option<String>| {
-            if let Some(value) = value {
-                let plain = value.chars().all(|c| c.is_ascii_alphanumeric() || "-_./@,:".contains(c));
-                let value = if plain { value } else { format!("'{}'", value.replace('\'', r"'\''")) };
-                command += &format!(" --{flag} {value}");
-            }
-        };
+        let mut command = Typed(format!("murmurate study {name}{own}"));
+        let mut add = |flag: &str, value: Option<String>| command.add(flag, value);
         self.policies.iter().for_each(|policy| add("policy", Some(policy.clone())));
         self.handlings.iter().for_each(|handling| add("handling", Some(handling.clone())));
         add("scenario", Some(self.scenario.clone()));
@@ -253,8 +231,8 @@ impl Shared {
         add("episodes-file", self.episodes_file.as_ref().map(|path| path.display().to_string()));
         add("layouts", Some(self.layouts.to_string()));
         add("repeats", Some(self.repeats.to_string()));
-        add("seed", Some(self.seed.to_string()));
-        command
+        add("seed", Some(self.run.seed.to_string()));
+        command.0
     }
 }
 

@@ -3,8 +3,9 @@
 
 mod flags;
 mod folder;
-mod journal;
 mod network;
+mod run;
+mod trials;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,7 +21,6 @@ use crate::output::{print, talk};
 use crate::sim::{progress, watched};
 use crate::{Ended, jobs};
 use folder::Folder;
-use journal::Journal;
 pub use network::medium;
 
 /// The studies.
@@ -57,19 +57,18 @@ pub fn run(args: &Args) -> Result<Ended> {
         Args::Range(flags) => (flags.study()?, &flags.shared),
         Args::Network(flags) => return network::run(flags),
     };
-    let folder = shared.out.as_deref().map(|path| Folder::open(path, &study)).transpose()?;
-    let journal = folder.as_ref().map(Folder::journal);
+    let folder = shared.run.out.as_deref().map(|path| trials::open(path, &study)).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
 
     let began = Instant::now();
-    let records = run_all(&study, journal.as_ref(), &stop, (shared.jobs, shared.quiet))?;
+    let records = run_all(&study, folder.as_ref(), &stop, (shared.run.jobs, shared.run.quiet))?;
     let trials = [records.len(), study.jobs().len()];
     let interrupted = trials[0] < trials[1];
     let results = Results::of(&study, &records);
     if let (Some(folder), false) = (&folder, interrupted) {
-        folder.write_report(&study, &results, &records)?;
+        trials::write_report(folder, &study, &results, &records)?;
     }
     let report = Report {
         study: study.name,
@@ -81,31 +80,19 @@ pub fn run(args: &Args) -> Result<Ended> {
         interrupted,
     };
     let (wall_s, [done, all]) = (report.wall_s, trials);
-    print(&if shared.json {
+    print(&if shared.run.json {
         serde_json::to_string(&report).context("a report is JSON")?
     } else {
         format!("{}\n\n{done} of {all} trials; {wall_s:.1} s", table::text(&study, &results))
     })?;
-    match (&folder, interrupted) {
-        (Some(folder), true) => {
-            talk(&format!(
-                "interrupted; {done} of {all} trials are kept in '{}': the same command goes on from there",
-                folder.path().display()
-            ));
-        }
-        (None, true) => {
-            talk(&format!("interrupted after {done} of {all} trials; with --out DIR they would be kept"));
-        }
-        (Some(folder), false) if !shared.quiet => talk(&format!("report in '{}'", folder.page().display())),
-        _ => {}
-    }
+    shared.run.farewell(folder.as_ref(), "trials", done, all);
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
 /// The records of all trials, in their order: those of the journal, and the rest run now. Fewer after a Ctrl-C.
 fn run_all(
     study: &Study,
-    journal: Option<&Journal>,
+    folder: Option<&Folder>,
     stop: &AtomicBool,
     (threads, quiet): (Option<u16>, bool),
 ) -> Result<Vec<(Job, Record)>> {
@@ -113,7 +100,7 @@ fn run_all(
     let mut records = Vec::new();
     let mut open = Vec::new();
     for &job in &all {
-        match journal.and_then(|journal| journal.read(study, job)) {
+        match folder.and_then(|folder| trials::read(folder, study, job)) {
             Some(record) => records.push((job, record)),
             None => open.push(job),
         }
@@ -130,9 +117,9 @@ fn run_all(
             return Ok(None);
         }
         let record = Record::of(study, job, &report);
-        if let Some(journal) = journal {
+        if let Some(folder) = folder {
             // A disk that is full ends the study; what was written stays.
-            journal.write(study, job, &record).inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
+            trials::write(folder, study, job, &record).inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
             tracing::info!("kept repeat {} of '{}', {}", job.repeat, record.column, study.entrants[job.entrant].name());
         }
         Ok(Some((job, record)))

@@ -47,17 +47,15 @@ pub fn run(sweep: &Sweep, observed: Vec<Observed>, (file, args): (&Path, &Args),
     }
     // A wrong path is known before the work.
     let mut out = WholeFile::create(file)?;
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let threads = args.jobs.map_or(cores, usize::from);
     let runner = |runs: &[(Sweep, Case)]| -> Vec<Option<Outcome>> {
         let work = |at: usize| emulate::run(&runs[at].0, &runs[at].1, &|| !stop.load(Ordering::Relaxed));
         let mut outcomes = vec![None; runs.len()];
-        for (at, outcome) in jobs::run(runs.len(), threads, stop, work) {
+        for (at, outcome) in jobs::run(runs.len(), jobs::threads(args.run.jobs, runs.len()), stop, work) {
             outcomes[at] = outcome;
         }
         outcomes
     };
-    if !args.quiet {
+    if !args.run.quiet {
         talk(&format!("fitting to {} rows", observed.len()));
     }
     let Some(fitted) = fit(base, sweep, &observed, &runner) else {
@@ -71,9 +69,9 @@ pub fn run(sweep: &Sweep, observed: Vec<Observed>, (file, args): (&Path, &Args),
     if args.live.is_some() {
         talk(&told(&fitted, false)?)
     } else {
-        print(&told(&fitted, args.json)?)?
+        print(&told(&fitted, args.run.json)?)?
     }
-    if !args.quiet {
+    if !args.run.quiet {
         talk(&format!("radio in '{0}': use it with 'sim --radio {0}' or 'train --radio {0}'", file.display()));
     }
     Ok(Ended::Done)

@@ -7,8 +7,9 @@ use murmurate::study::network::case::{RATES, RETRIES};
 use murmurate::study::network::{Addressing, Assurance, History, Medium, Network, Sweep};
 use serde::de::DeserializeOwned;
 
-use crate::BadInput;
+use super::super::run::{Run, Typed};
 use crate::output::read_text;
+use crate::{BadInput, bad};
 
 /// Flags of `murmurate study network`.
 #[derive(clap::Args)]
@@ -65,25 +66,8 @@ pub struct Args {
     /// Rows to fit to: what --json printed, or rows.json of a report
     #[arg(long, value_name = "FILE.json", requires = "fit")]
     pub rows: Option<PathBuf>,
-    /// The root of all randomness
-    #[arg(long, default_value_t = 0)]
-    pub seed: u64,
-    /// Cases that run at the same time [default: one per core]; the numbers do not depend on it
-    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub jobs: Option<u16>,
-    /// Where report, figures and rows go. Finished cases are kept there, and the same command goes on from them
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Prints one JSON object in place of the table
-    #[arg(long)]
-    pub json: bool,
-    /// Says nothing on stderr but errors and what an interruption leaves
-    #[arg(long)]
-    pub quiet: bool,
-}
-
-fn bad<T>(text: String) -> Result<T> {
-    Err(BadInput(text).into())
+    #[command(flatten)]
+    pub run: Run,
 }
 
 /// What was named, or all there is.
@@ -141,30 +125,26 @@ impl Args {
                 Err(_) => return bad(format!("--history: '{depth}' is neither a number nor 'all'")),
             },
         };
-        (sweep.stations, sweep.bytes, sweep.seconds, sweep.seed) = (self.stations, self.bytes, self.seconds, self.seed);
+        (sweep.stations, sweep.bytes, sweep.seconds, sweep.seed) =
+            (self.stations, self.bytes, self.seconds, self.run.seed);
         sweep.check().map_err(|e| BadInput(format!("--{e}")))?;
         Ok(sweep)
     }
 
     /// The command that makes the study, whatever it was typed as. Not in it: what makes no difference to the results.
     pub fn command(&self) -> String {
-        let mut command = format!("murmurate study network --medium {}", self.medium);
-        let mut add = |flag: &str, values: Vec<String>| {
-            if !values.is_empty() {
-                command += &format!(" --{flag} {}", values.join(","));
-            }
-        };
-        let texts = |values: &[f64]| values.iter().map(f64::to_string).collect();
-        add("rates", texts(&self.rates));
-        add("networks", self.networks.clone());
-        add("addressing", self.addressing.clone());
-        add("reliability", self.reliability.clone());
-        add("retries", self.retries.iter().map(u32::to_string).collect());
-        add("stations", vec![self.stations.to_string()]);
-        add("bytes", vec![self.bytes.to_string()]);
-        add("history", vec![self.history.clone()]);
-        add("seconds", texts(&[self.seconds]));
-        add("seed", vec![self.seed.to_string()]);
-        command
+        let mut command = Typed("murmurate study network".to_owned());
+        command.add("medium", Some(self.medium.clone()));
+        command.add_all("rates", &self.rates);
+        command.add_all("networks", &self.networks);
+        command.add_all("addressing", &self.addressing);
+        command.add_all("reliability", &self.reliability);
+        command.add_all("retries", &self.retries);
+        command.add_all("stations", [self.stations]);
+        command.add_all("bytes", [self.bytes]);
+        command.add("history", Some(self.history.clone()));
+        command.add_all("seconds", [self.seconds]);
+        command.add_all("seed", [self.run.seed]);
+        command.0
     }
 }

@@ -1,9 +1,9 @@
 //! `murmurate study network`: flags, threads, clock and files of the network study. What is emulated lives in the
 //! library.
 
+mod cases;
 mod fit;
 mod flags;
-mod folder;
 mod live;
 mod room;
 
@@ -16,11 +16,11 @@ use murmurate::study::network::pages::{Findings, Found};
 use murmurate::study::network::{Row, Sweep, emulate, table};
 use serde::Serialize;
 
-use crate::output::{print, talk};
+use super::folder::Folder;
+use crate::output::print;
 use crate::sim::progress;
 use crate::{Ended, jobs};
 pub use flags::{Args, medium};
-use folder::Folder;
 
 /// What a study came to, for `--json`.
 #[derive(Serialize)]
@@ -37,12 +37,12 @@ pub fn run(args: &Args) -> Result<Ended> {
     let mut sweep = args.sweep()?;
     let team = args.live.as_ref().map(|file| room::Room::of(file, args)).transpose()?;
     if let (Some(room), Some(name)) = (&team, &args.host) {
-        return live::participate(room.part(name)?, name, args.coordinator, args.quiet);
+        return live::participate(room.part(name)?, name, args.coordinator, args.run.quiet);
     }
     if let Some(room) = &team {
         room.restrict(&mut sweep)?;
     }
-    let folder = args.out.as_deref().map(|path| Folder::open(path, &sweep)).transpose()?;
+    let folder = args.run.out.as_deref().map(|path| cases::open(path, &sweep)).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
@@ -52,7 +52,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     let began = Instant::now();
     let (mut notes, mut measured) = (Vec::new(), Vec::new());
     if let Some(room) = &team {
-        let live = live::measure(&sweep, &room.names(), args.coordinator, folder.as_ref(), (&stop, args.quiet))?;
+        let live = live::measure(&sweep, &room.names(), args.coordinator, folder.as_ref(), (&stop, args.run.quiet))?;
         notes.push(format!(
             "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were \
              compared before each case; they are this much off at the most: {:.3} ms.",
@@ -61,14 +61,14 @@ pub fn run(args: &Args) -> Result<Ended> {
         ));
         measured = live.results;
     }
-    let mut results = emulated(&sweep, folder.as_ref(), (args.jobs, args.quiet), &stop)?;
+    let mut results = emulated(&sweep, folder.as_ref(), (args.run.jobs, args.run.quiet), &stop)?;
     let (done, all) = (results.len() + measured.len(), sweep.cases().len() * if team.is_some() { 2 } else { 1 });
     let interrupted = done < all;
     results.append(&mut measured);
     let command = args.command();
     let findings = Findings { sweep: &sweep, results: &results, command: &command, notes: &notes };
     if let (Some(folder), false) = (&folder, interrupted) {
-        folder.write_report(&findings)?;
+        cases::write_report(folder, &findings)?;
     }
     let rows = findings.rows();
     if let (Some(file), Some(_), false) = (&args.fit, &team, interrupted) {
@@ -77,29 +77,14 @@ pub fn run(args: &Args) -> Result<Ended> {
         fit::run(&sweep, live, (file, args), &stop)?;
     }
     let wall_s = began.elapsed().as_secs_f64();
-    print(&if args.json {
+    print(&if args.run.json {
         let report = Report { study: "network", rows, wall_s, seed: sweep.seed, interrupted };
         serde_json::to_string(&report).context("a report is JSON")?
     } else {
         format!("{}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(&sweep, &rows))
     })?;
-    farewell(folder.as_ref(), interrupted, (done, all), args.quiet);
+    args.run.farewell(folder.as_ref(), "cases", done, all);
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
-}
-
-/// Says where everything is.
-fn farewell(folder: Option<&Folder>, interrupted: bool, (done, all): (usize, usize), quiet: bool) {
-    match (folder, interrupted) {
-        (Some(folder), true) => {
-            let kept = folder.path().display();
-            talk(&format!(
-                "interrupted; {done} of {all} cases are kept in '{kept}': the same command goes on from there"
-            ));
-        }
-        (None, true) => talk(&format!("interrupted after {done} of {all} cases; with --out DIR they would be kept")),
-        (Some(folder), false) if !quiet => talk(&format!("report in '{}'", folder.page().display())),
-        _ => {}
-    }
 }
 
 /// All cases, emulated: those that are kept, and the rest now. Fewer after a Ctrl-C.
@@ -113,7 +98,7 @@ fn emulated(
     let cases = sweep.cases();
     let bar = progress(cases.len() as u64, quiet);
     let work = |at: usize| -> Result<Option<Found>> {
-        let kept = folder.and_then(|folder| folder.read(SOURCE, at, &cases[at]));
+        let kept = folder.and_then(|folder| cases::read(folder, SOURCE, at, &cases[at]));
         let outcome = match kept {
             Some(outcome) => outcome,
             None => {
@@ -122,7 +107,7 @@ fn emulated(
                 };
                 if let Some(folder) = folder {
                     // A disk that is full ends the study; what was written stays.
-                    let kept = folder.keep(SOURCE, at, &cases[at], &outcome);
+                    let kept = cases::keep(folder, SOURCE, at, &cases[at], &outcome);
                     kept.inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
                 }
                 outcome

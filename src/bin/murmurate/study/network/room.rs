@@ -10,8 +10,8 @@ use murmurate::study::network::{Addressing, Assurance, Medium, Network, Sweep};
 
 use super::Args;
 use super::live::Part;
-use crate::BadInput;
 use crate::team::{self, TeamArgs};
+use crate::{BadInput, bad};
 
 /// A team whose hosts measure.
 pub struct Room {
@@ -21,10 +21,6 @@ pub struct Room {
     stations: Vec<HostId>,
     /// The link that carries latents.
     link: usize,
-}
-
-fn bad<T>(text: String) -> Result<T> {
-    Err(BadInput(text).into())
 }
 
 impl Room {

@@ -12,11 +12,12 @@ use murmurate::study::network::pages::Found;
 use murmurate::study::network::peer::{Notes, Task};
 use nix::poll::{PollFd, PollFlags, poll};
 
-use super::super::folder::Folder;
+use super::super::cases;
 use super::{Answer, Instruction, Line};
 use crate::BadInput;
 use crate::output::talk;
 use crate::sim::progress;
+use crate::study::folder::Folder;
 
 /// How often a clock is asked for, and how long an answer may take.
 const QUESTIONS: u32 = 16;
@@ -53,7 +54,7 @@ pub fn measure(
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        let outcome = match folder.and_then(|folder| folder.read(SOURCE, at, case)) {
+        let outcome = match folder.and_then(|folder| cases::read(folder, SOURCE, at, case)) {
             Some(outcome) => outcome,
             None => {
                 let number = u32::try_from(at).context("so many cases there are not")?;
@@ -63,7 +64,7 @@ pub fn measure(
                 measured.uncertainty_s = measured.uncertainty_s.max(uncertainty_s);
                 let outcome = task.outcome(&notes);
                 if let Some(folder) = folder {
-                    folder.keep(SOURCE, at, case, &outcome)?;
+                    cases::keep(folder, SOURCE, at, case, &outcome)?;
                 }
                 outcome
             }
