@@ -110,7 +110,8 @@ mod tests {
                 let within = (0..500).filter(|&other| (points[other] - at).norm() <= reach);
                 assert!(within.into_iter().all(|other| found.binary_search(&other).is_ok()), "{spread} m, {reach} m");
             }
-            let within: usize = points.iter().map(|at| points.iter().filter(|to| (*to - at).norm() <= reach).count()).sum();
+            let within: usize =
+                points.iter().map(|at| points.iter().filter(|to| (*to - at).norm() <= reach).count()).sum();
             assert!(named as f64 <= 1.01 * within as f64, "{named} for {within} at {spread} m, {reach} m");
         }
     }
