@@ -6,9 +6,14 @@
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
-use murmurate::policy::orca;
+use murmurate::study::network::growth;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
+
+// As the program has it.
+#[cfg(feature = "mimalloc")]
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() {
     divan::main();
@@ -16,12 +21,9 @@ fn main() {
 
 /// How much is simulated \[s\].
 const LASTS_S: usize = 10;
-/// How far frames reach beyond whom they are listened to \[m\].
-const MARGIN_M: f32 = 0.25;
 
 fn team(mode: &str, robots: usize) -> Trial {
-    let trial = Trial::of_team(mode, "swap", robots).expect("there is room for them");
-    trial.lasting(Span::from_secs(LASTS_S as f64))
+    growth::trial(mode, robots, Span::from_secs(LASTS_S as f64)).expect("there is room for them")
 }
 
 fn run(bencher: Bencher, trial: &Trial) {
@@ -38,8 +40,5 @@ fn sim(bencher: Bencher, robots: usize) {
 /// A host for every robot; latents carry a little farther than they are listened to.
 #[divan::bench(args = [5, 50, 200, 1000], sample_count = 3, sample_size = 1)]
 fn onboard_adhoc(bencher: Bencher, robots: usize) {
-    let trial = team("onboard-adhoc", robots);
-    let range_m = orca::INTERFACE.radius_m + MARGIN_M;
-    let deployment = trial.deployment.clone().ranged(range_m).expect("latents cross a link");
-    run(bencher, &Trial { deployment, ..trial });
+    run(bencher, &team("onboard-adhoc", robots));
 }

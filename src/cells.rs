@@ -82,10 +82,11 @@ fn cell(at: Vec2, cell_m: f64) -> (i32, i32) {
     (along(at.x), along(at.y))
 }
 
-/// The bucket of a cell, of a number that is a power of two: the upper half of a product mixes best.
+/// The bucket of a cell, of a number that is a power of two. Cells side by side have buckets side by side, and so has a
+/// robot's neighbourhood its entries; rows begin an odd number apart, so that they meet again only after all buckets.
 fn bucket((x, y): (i32, i32), buckets: usize) -> usize {
-    let mixed = (x as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ (y as u64).wrapping_mul(0xC2B2_AE3D_27D4_EB4F);
-    (mixed >> 32) as usize & (buckets - 1)
+    let row = (buckets.isqrt() | 1) as u32;
+    (x as u32).wrapping_add((y as u32).wrapping_mul(row)) as usize & (buckets - 1)
 }
 
 #[cfg(test)]

@@ -216,9 +216,12 @@ fn wrong_policy_files_are_refused_by_tensor_and_shape() {
 
 #[test]
 fn a_wrong_log_level_is_refused() {
-    let output = murmurate(&["sim", "--episodes", "1"]).env("MURMURATE_LOG", "[[[").output().expect("it starts");
-    assert_eq!(output.status.code(), Some(2));
-    assert!(text(&output.stderr).contains("MURMURATE_LOG"));
+    for (wanted, named) in [("[[[", "'[[['"), ("inof", "'inof'"), ("warn,murmurate=loud", "loud")] {
+        let output = murmurate(&["sim", "--episodes", "1"]).env("MURMURATE_LOG", wanted).output().expect("it starts");
+        assert_eq!(output.status.code(), Some(2), "{wanted}");
+        let said = text(&output.stderr);
+        assert!(said.contains("MURMURATE_LOG") && said.contains(named), "{said}");
+    }
 }
 
 #[cfg(unix)]

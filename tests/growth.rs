@@ -1,14 +1,11 @@
 //! What a team costs as it grows: counts, which are the same on every machine. `benches/growth.rs` has the times.
 
 use murmurate::messages::wire::{KINDS, Kind};
-use murmurate::policy::orca;
 use murmurate::report::cost::Cost;
 use murmurate::report::trial::TrialReport;
+use murmurate::study::network::growth;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
-
-/// What frames must reach beyond what is listened to \[m\]: how far two robots may have come since they were measured.
-const MARGIN_M: f32 = 0.25;
 
 fn team(mode: &str, robots: usize) -> Trial {
     Trial::of_team(mode, "swap", robots).expect("there is room for them")
@@ -16,8 +13,7 @@ fn team(mode: &str, robots: usize) -> Trial {
 
 /// With frames that carry a little farther than they are listened to.
 fn ranged(trial: Trial) -> Trial {
-    let deployment =
-        trial.deployment.clone().ranged(orca::INTERFACE.radius_m + MARGIN_M).expect("latents cross a link");
+    let deployment = trial.deployment.clone().ranged(growth::range_m()).expect("latents cross a link");
     Trial { deployment, ..trial }
 }
 

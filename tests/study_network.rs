@@ -8,7 +8,7 @@ use program::{refuses, run, text};
 use serde_json::Value;
 
 fn rows(args: &[&str]) -> Vec<Value> {
-    let output = run(&[&["study", "network", "--json", "--quiet"][..], args].concat());
+    let output = run(&[&["study", "network", "--teams", "none", "--json", "--quiet"][..], args].concat());
     assert!(output.status.success(), "{}", text(&output.stderr));
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     report["rows"].as_array().unwrap().clone()
@@ -44,7 +44,8 @@ fn the_paper_s_shape_comes_of_one_set_of_parameters() {
 #[test]
 fn a_report_does_not_depend_on_threads_and_is_gone_on_with() {
     let folder = tempfile::tempdir().unwrap();
-    let small = ["study", "network", "--rates", "20,60", "--seconds", "2", "--retries", "7", "--quiet"];
+    let small =
+        ["study", "network", "--rates", "20,60", "--seconds", "2", "--retries", "7", "--teams", "none", "--quiet"];
     let report = |name: &str, jobs: &str| {
         let out = folder.path().join(name);
         let output = run(&[&small[..], &["--jobs", jobs, "--out", &out.to_string_lossy()]].concat());
@@ -57,7 +58,39 @@ fn a_report_does_not_depend_on_threads_and_is_gone_on_with() {
     assert!(one == report("one", "2"), "what is missing is run again");
     let out = folder.path().join("one");
     refuses(&["study", "network", "--rates", "30", "--out", &out.to_string_lossy()], &["--out", "another study"]);
+    refuses(&["study", "network", "--teams", "5,many"], &["--teams", "many"]);
+    refuses(&["study", "network", "--teams", "5,5"], &["--teams", "5", "twice"]);
+    refuses(&["study", "network", "--teams", "1"], &["--teams", "1"]);
     refuses(&["study", "network", "--medium", "telepathy"], &["--medium", "telepathy", "paper"]);
     refuses(&["study", "network", "--reliability", "hope"], &["--reliability", "hope"]);
     refuses(&["study", "network", "--bytes", "7"], &["--bytes", "7"]);
+}
+
+#[test]
+fn what_a_robot_of_a_growing_team_costs_is_measured_once_and_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let small = ["study", "network", "--rates", "60", "--networks", "ad-hoc", "--addressing", "multicast"];
+    let study = || {
+        let more = ["--reliability", "repeat", "--seconds", "2", "--teams", "5,60", "--json", "--out"];
+        let output = run(&[&small[..], &more, &[&out.to_string_lossy()]].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        (report["growth"].as_array().unwrap().clone(), fs::read(out.join("report.html")).unwrap())
+    };
+    let (grown, page) = study();
+    let of = |mode: &str, robots: u64| grown.iter().find(|row| row["mode"] == mode && row["robots"] == robots).unwrap();
+    assert_eq!(grown.len(), 4);
+    for mode in ["sim", "onboard-adhoc"] {
+        let [small, large] = [5, 60].map(|robots| of(mode, robots));
+        assert!(number(large, "messages") < 1.02 * number(small, "messages"), "{small} {large}");
+        assert!(number(small, "cpu_us") > 0.0 && number(large, "cpu_us") > 0.0);
+    }
+    assert!(of("sim", 60)["airtime"].is_null());
+    let [small, large] = [5, 60].map(|robots| of("onboard-adhoc", robots));
+    assert!((number(small, "airtime") / number(large, "airtime") - 1.0).abs() < 0.05, "{small} {large}");
+    assert!(number(large, "airtime_around") > 2.0 * number(small, "airtime_around"), "{small} {large}");
+    // Processor time is another one each time; what is kept is not measured again.
+    assert!(study() == (grown, page));
+    assert!(text(&fs::read(out.join("table.txt")).unwrap()).contains("what a robot of a team costs"));
 }

@@ -4,12 +4,11 @@
 //! several a joint, synchronous one. Robots of one Agent exchange latents within the step; all others are
 //! heard through their Caches.
 
-use std::cmp::Ordering;
 use std::sync::Arc;
 
 use super::Core;
 use crate::cells::{self, Cells};
-use crate::messages::geometry::{Task, Vec2, is_finite};
+use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Action, Heard, NEAR_M, Other, Percept, Progress};
 use crate::messages::wire::{Features, Latent, MAX_FEATURES, Mode, Phase, Round, all_sound};
@@ -70,6 +69,16 @@ struct Seat {
     widths: [usize; 2],
 }
 
+/// What a robot shows the others of its Agent in the step at hand. Small and side by side: each robot looks at all that
+/// are near it.
+#[derive(Clone, Copy)]
+struct Shown {
+    robot: RobotId,
+    motion: Motion,
+    /// From where to where its features stand among all that was said; none if it says nothing.
+    said: Option<[u32; 2]>,
+}
+
 impl Seat {
     fn new(pilot: Pilot) -> Seat {
         let widths = [&pilot.run, &pilot.reset].map(|policy| policy.interface().features);
@@ -95,8 +104,12 @@ pub struct Agent {
     waiting_since: Option<Time>,
     /// How many of its robots have not perceived yet.
     missing: usize,
+    /// By seat: what is shown in the step at hand, by those that have perceived; and the features of all of them.
+    shown: Vec<Option<Shown>>,
+    said: Vec<f32>,
     /// Its robots by where they are, for the step at hand; none where everyone counts or they are few.
     whereabouts: Option<Cells>,
+    near: Vec<usize>,
 }
 
 impl Agent {
@@ -109,7 +122,10 @@ impl Agent {
             range,
             patience,
             missing: pilots.len(),
+            shown: Vec::new(),
+            said: Vec::new(),
             whereabouts: None,
+            near: Vec::new(),
             seats: pilots.into_iter().map(Seat::new).collect(),
             round: Round::default(),
             phase: Phase::NeedReset,
@@ -138,7 +154,9 @@ impl Agent {
     fn step(&mut self, now: Time, out: &mut Vec<Out>) {
         self.waiting_since = None;
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
-            let latents: Vec<Latent> = (0..self.seats.len()).filter_map(|at| self.encode(at)).collect();
+            self.shown.clear();
+            self.said.clear();
+            let latents: Vec<Latent> = (0..self.seats.len()).filter_map(|at| self.show(at)).collect();
             self.whereabouts = self.locate();
             // Actions go first: wheels before words, and what follows from both is sent in one go.
             out.extend((0..self.seats.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
@@ -155,8 +173,22 @@ impl Agent {
             return None;
         }
         let nowhere = Vec2::repeat(f32::NAN);
-        let at = |seat: &Seat| seat.percept.as_ref().map_or(nowhere, |percept| percept.estimate.position);
-        Cells::new(self.range.mean_m.max(NEAR_M), self.seats.iter().map(at))
+        let at = |shown: &Option<Shown>| shown.map_or(nowhere, |shown| shown.motion.position);
+        Cells::new(self.range.mean_m.max(NEAR_M), self.shown.iter().map(at))
+    }
+
+    /// What a robot broadcasts, if it does. Notes what it shows to the others here.
+    fn show(&mut self, at: usize) -> Option<Latent> {
+        let latent = self.encode(at);
+        let Seat { pilot, percept, features, .. } = &self.seats[at];
+        let place = |at: usize| u32::try_from(at).expect("a team says less than four gigabytes");
+        let said = latent.as_ref().map(|_| [self.said.len(), self.said.len() + features.len()].map(place));
+        let shown = percept.as_ref().map(|percept| Shown { robot: pilot.robot, motion: percept.estimate, said });
+        self.shown.push(shown);
+        if said.is_some() {
+            self.said.extend_from_slice(features);
+        }
+        latent
     }
 
     fn encode(&mut self, at: usize) -> Option<Latent> {
@@ -185,17 +217,17 @@ impl Agent {
     }
 
     fn act(&mut self, now: Time, at: usize) -> Option<Action> {
-        let position = self.seats[at].percept.as_ref()?.estimate.position;
-        let mut near = Vec::new();
+        let position = self.shown[at]?.motion.position;
         match &self.whereabouts {
-            Some(grid) => grid.near(position, &mut near),
-            None => near.extend(0..self.seats.len()),
+            Some(grid) => grid.near(position, &mut self.near),
+            None => {
+                self.near.clear();
+                self.near.extend(0..self.seats.len());
+            }
         }
         let settled = now.since(self.began) >= SETTLING;
         let (phase, round) = (self.phase, self.round);
-        // The robot's own seat is split off, so that its policy can look at all others.
-        let (before, rest) = self.seats.split_at_mut(at);
-        let (seat, after) = rest.split_first_mut().expect("the seat exists");
+        let seat = &mut self.seats[at];
         let width = seat.width(phase);
         let (percept, task) = (seat.percept.as_ref()?, seat.task.as_ref()?);
         let task = bound_for(phase, task);
@@ -210,18 +242,13 @@ impl Agent {
                 Neighbour { motion: frame.turn_motion(&heard.motion), features: &heard.features.0, age: heard.age },
             )
         });
-        let companions = near.iter().filter_map(|&other| match other.cmp(&at) {
-            Ordering::Less => Some(&before[other]),
-            Ordering::Equal => None,
-            Ordering::Greater => Some(&after[other - at - 1]),
-        });
-        let (range, ranges) = (self.range, &mut seat.pilot.ranges);
+        let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shown[other]);
+        let (range, ranges, said) = (self.range, &mut seat.pilot.ranges, &self.said);
         let joint = companions.clone().filter_map(|other| {
-            let theirs = other.percept.as_ref()?.estimate;
-            other.task.filter(|_| other.sound)?;
-            range.admits(own.position, theirs.position, ranges).then(|| {
-                let motion = frame.turn_motion(&theirs);
-                (other.pilot.robot, Neighbour { motion, features: &other.features, age: Span::ZERO })
+            let [begins, ends] = other.said?.map(|at| at as usize);
+            range.admits(own.position, other.motion.position, ranges).then(|| {
+                let motion = frame.turn_motion(&other.motion);
+                (other.robot, Neighbour { motion, features: &said[begins..ends], age: Span::ZERO })
             })
         });
         let mut neighbours: Vec<(RobotId, Neighbour)> = cached.chain(joint).collect();
@@ -241,10 +268,7 @@ impl Agent {
         };
         let known =
             percept.heard.iter().map(|heard| Other { robot: heard.robot, motion: heard.motion, age: heard.age });
-        let beside = companions.filter_map(|other| {
-            let motion = other.percept.as_ref()?.estimate;
-            Some(Other { robot: other.pilot.robot, motion, age: Span::ZERO })
-        });
+        let beside = companions.map(|other| Other { robot: other.robot, motion: other.motion, age: Span::ZERO });
         let near = |other: &Other| (other.motion.position - own.position).norm_squared() <= NEAR_M * NEAR_M;
         Some(Action {
             robot: seat.pilot.robot,

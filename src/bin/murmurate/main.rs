@@ -5,6 +5,10 @@
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+#[cfg(feature = "mimalloc")]
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 mod config;
 mod deployment;
 mod doctor;
@@ -25,7 +29,9 @@ mod train;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 /// Runs message-passing policies on teams of robots.
 #[derive(Parser)]
@@ -88,22 +94,28 @@ fn bad<T>(why: String) -> anyhow::Result<T> {
     Err(BadInput(why).into())
 }
 
+/// Logs to stderr what `wanted` names: a level, or levels of modules as in `warn,murmurate::net=debug`.
+fn log(wanted: &str) -> Result<(), String> {
+    // Left to itself, the parser takes a misspelt level for the name of a module.
+    let odd = wanted.split(',').find(|part| !part.contains('=') && part.trim().parse::<LevelFilter>().is_err());
+    if let Some(odd) = odd {
+        return Err(format!("'{odd}' is no level; there are off, error, warn, info, debug and trace"));
+    }
+    let targets: Targets = wanted.parse().map_err(|error| format!("'{wanted}': {error}"))?;
+    let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(output::colour());
+    tracing_subscriber::registry().with(targets).with(lines).init();
+    Ok(())
+}
+
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => return refuse(&error),
     };
-    let filter = match std::env::var("MURMURATE_LOG") {
-        Err(_) => EnvFilter::new("error"),
-        Ok(level) => match EnvFilter::try_new(&level) {
-            Ok(filter) => filter,
-            Err(error) => {
-                output::talk(&format!("error: MURMURATE_LOG: '{level}' is no level or filter: {error}"));
-                return ExitCode::from(2);
-            }
-        },
-    };
-    tracing_subscriber::fmt().with_writer(std::io::stderr).with_ansi(output::colour()).with_env_filter(filter).init();
+    if let Err(why) = log(std::env::var("MURMURATE_LOG").as_deref().unwrap_or("error")) {
+        output::talk(&format!("error: MURMURATE_LOG: {why}"));
+        return ExitCode::from(2);
+    }
     let ended = match cli.command {
         Command::Sim(args) => sim::run(&args),
         Command::Deployment(args) => deployment::run(&args),

@@ -1,10 +1,11 @@
 //! The report of a network study: its figures and its page.
 
 use super::case::{Addressing, Assurance, Case, Network, Sweep};
+use super::growth::Growth;
 use super::medium::Medium;
 use super::outcome::{Outcome, Row};
-use super::saturation::{self, Load};
 use super::table::{self, SHOWN};
+use super::{saturation, scale};
 use crate::report::figures::{self, Figure, FigureError, Heard, Line, Panel, Point};
 use crate::report::listening::Listening;
 use crate::report::page::{self, Part};
@@ -24,6 +25,8 @@ pub struct Findings<'a> {
     pub sweep: &'a Sweep,
     /// What came of it.
     pub results: &'a [Found],
+    /// What robots of growing teams cost.
+    pub grown: &'a [Growth],
     /// The command that makes it.
     pub command: &'a str,
     /// What else there is to say: of clocks, of fits.
@@ -110,7 +113,10 @@ impl Findings<'_> {
             }
         }
         if let Medium::Radio(radio) = &self.sweep.medium {
-            all.push(loads(&saturation::table(radio, self.datagram_bytes()))?);
+            all.push(scale::loads(&saturation::table(radio, self.datagram_bytes()))?);
+        }
+        if !self.grown.is_empty() {
+            all.push(scale::costs(self.grown)?);
         }
         Ok(all)
     }
@@ -197,9 +203,15 @@ impl Findings<'_> {
                 parts.push(Part::Table(heads.clone(), table::lines(self.sweep, &rows, shown)));
             }
         }
+        if !self.grown.is_empty() {
+            let (heads, lines) = scale::of_costs(self.grown);
+            parts.push(Part::Heading("What a robot of a growing team costs".to_owned()));
+            parts.extend(scale::remark(self.grown).map(Part::Text));
+            parts.push(Part::Table(heads, lines));
+        }
         if let Medium::Radio(radio) = &self.sweep.medium {
             let bytes = self.datagram_bytes();
-            let (heads, lines) = table::of_loads(&saturation::table(radio, bytes));
+            let (heads, lines) = scale::of_loads(&saturation::table(radio, bytes));
             parts.push(Part::Heading("Where one channel is full".to_owned()));
             parts.push(Part::Text(saturation::advice(radio, bytes)));
             parts.push(Part::Table(heads, lines));
@@ -211,44 +223,4 @@ impl Findings<'_> {
         parts.push(Part::Verbatim(toml::to_string(&self.sweep.medium).expect("a medium is TOML").trim().to_owned()));
         page::page("murmurate study network", &parts)
     }
-}
-
-fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
-    let line = |addressing: Addressing, name: &str, value: fn(&Load) -> Option<f64>| Line {
-        name: name.to_owned(),
-        points: loads
-            .iter()
-            .filter(|load| load.addressing == addressing)
-            .map(|load| value(load).map(|value| Point { value, within: [value; 2] }))
-            .collect(),
-    };
-    let (multicast, unicast) = (Addressing::Multicast, Addressing::Unicast);
-    // Less than a message a second is none.
-    let lines = vec![
-        line(multicast, "wanted: 20 messages a second and robot", |load| Some(load.messages_per_s.log10())),
-        line(multicast, "saturation by multicast", |load| Some(load.saturation_per_s.max(1.0).log10())),
-        line(unicast, "saturation by unicast to 4 neighbours", |load| Some(load.saturation_per_s.max(1.0).log10())),
-    ];
-    let collisions = vec![
-        line(multicast, "", |_| None),
-        line(multicast, "", |load| Some(100.0 * load.collision)),
-        line(unicast, "", |load| Some(100.0 * load.collision)),
-    ];
-    let panel = |title: &str, y: &str, ends, lines| Panel { title: title.to_owned(), y: y.to_owned(), ends, lines };
-    let panels = [
-        panel("messages that want and find room", "messages/s, power of ten", None, lines),
-        panel("frames that collide at saturation", "collisions [%]", Some((0.0, 100.0)), collisions),
-    ];
-    let title = "Where one channel is full";
-    let places: Vec<String> = saturation::SIZES.iter().map(u32::to_string).collect();
-    Ok(Figure {
-        name: "saturation".to_owned(),
-        title: title.to_owned(),
-        caption: "What teams of growing size want to say on one channel, in one hop, and what gets through when \
-                  everybody always has something to send (Bianchi's model): where the first line is above another, the \
-                  channel is full. A multicast frame that collides is not sent again, so no window grows, and a large \
-                  team drowns."
-            .to_owned(),
-        svg: figures::sweep(title, "robots", &places, &panels)?,
-    })
 }

@@ -3,8 +3,9 @@
 use std::fmt::Write as _;
 
 use super::case::Sweep;
+use super::growth::Growth;
 use super::outcome::Row;
-use super::saturation::Load;
+use super::scale;
 
 /// What a table shows of a row, and its name.
 type Shown = (&'static str, fn(&Row) -> Option<f64>);
@@ -43,33 +44,6 @@ pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>>
     names.into_iter().map(line).collect()
 }
 
-/// The loads of teams of growing size.
-pub fn of_loads(loads: &[Load]) -> (Vec<&'static str>, Vec<Vec<String>>) {
-    let heads = vec![
-        "robots",
-        "addressing",
-        "messages/s",
-        "airtime",
-        "through an access point",
-        "saturation, messages/s",
-        "collisions",
-        "",
-    ];
-    let line = |load: &Load| {
-        vec![
-            load.robots.to_string(),
-            load.addressing.to_string(),
-            format!("{:.0}", load.messages_per_s),
-            format!("{:.0} %", 100.0 * load.airtime),
-            format!("{:.0} %", 100.0 * load.airtime_relayed),
-            format!("{:.0}", load.saturation_per_s),
-            format!("{:.0} %", 100.0 * load.collision),
-            if load.is_full() { "full".to_owned() } else { String::new() },
-        ]
-    };
-    (heads, loads.iter().map(line).collect())
-}
-
 /// Lines under heads, the first column to the left.
 fn aligned(heads: &[String], lines: &[Vec<String>]) -> String {
     let width =
@@ -87,8 +61,8 @@ fn aligned(heads: &[String], lines: &[Vec<String>]) -> String {
     text
 }
 
-/// All of it as a person reads it in a terminal: what arrives in time.
-pub fn text(sweep: &Sweep, rows: &[Row]) -> String {
+/// All of it as a person reads it in a terminal: what arrives in time, and what robots of growing teams cost.
+pub fn text(sweep: &Sweep, rows: &[Row], grown: &[Growth]) -> String {
     let mut text = format!(
         "study network: {} stations, messages of {} bytes, {} s a case, RTPS history {}, seed {}\n",
         sweep.stations, sweep.bytes, sweep.seconds, sweep.history, sweep.seed
@@ -96,6 +70,11 @@ pub fn text(sweep: &Sweep, rows: &[Row]) -> String {
     for shown in &SHOWN[..2] {
         let lines = lines(sweep, rows, *shown);
         let _ = write!(text, "\n{}, of all that were due\n{}", shown.0, aligned(&heads(sweep), &lines));
+    }
+    if !grown.is_empty() {
+        let (heads, lines) = scale::of_costs(grown);
+        let heads: Vec<String> = heads.into_iter().map(str::to_owned).collect();
+        let _ = write!(text, "\nwhat a robot of a team costs\n{}", aligned(&heads, &lines));
     }
     text.trim_end().to_owned()
 }

@@ -7,7 +7,7 @@ use murmurate::study::network::pages::Findings;
 use murmurate::study::network::{Case, Outcome, Sweep, table};
 use serde::{Deserialize, Serialize};
 
-use super::super::folder::Folder;
+use crate::study::folder::Folder;
 
 /// The folder of finished cases.
 const CASES: &str = "cases";
@@ -40,6 +40,11 @@ fn name(source: &str, at: usize) -> String {
     format!("{CASES}/{source}-{at:04}.json")
 }
 
+/// The file of a team that was simulated.
+pub fn team(mode: &str, robots: usize) -> String {
+    format!("{CASES}/team-{mode}-{robots:04}.json")
+}
+
 /// What came of a case, if that is there and whole.
 pub fn read(folder: &Folder, source: &str, at: usize, case: &Case) -> Option<Outcome> {
     let record: Record = folder.kept(&name(source, at))?;
@@ -51,12 +56,13 @@ pub fn keep(folder: &Folder, source: &str, at: usize, case: &Case, outcome: &Out
     folder.keep(&name(source, at), &Record { case: *case, outcome: outcome.clone() })
 }
 
-/// Writes rows, figures, table and page.
+/// Writes rows, what teams cost, figures, table and page.
 pub fn write_report(folder: &Folder, findings: &Findings) -> Result<()> {
     let rows = findings.rows();
     folder.write_csv("rows.csv", &rows)?;
     folder.write_json("rows.json", &rows)?;
-    folder.write("table.txt", (table::text(findings.sweep, &rows) + "\n").as_bytes())?;
+    folder.write_json("growth.json", &findings.grown)?;
+    folder.write("table.txt", (table::text(findings.sweep, &rows, findings.grown) + "\n").as_bytes())?;
     let figures = findings.figures()?;
     folder.write_page(&figures, &findings.page(&figures))
 }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use murmurate::study::network::case::{RATES, RETRIES};
+use murmurate::study::network::growth;
 use murmurate::study::network::{Addressing, Assurance, History, Medium, Network, Sweep};
 use serde::de::DeserializeOwned;
 
@@ -46,6 +47,10 @@ pub struct Args {
     /// How long messages are counted in each case [s]
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
+    /// Sizes of teams of which is simulated and measured what a robot costs, separated by commas, or 'none' [default:
+    /// 5,10,20,50,100,200,500,1000; none with --live or --fit]
+    #[arg(long, value_name = "N,N|none", value_delimiter = ',')]
+    teams: Vec<String>,
     /// Measures between the hosts of a team, on its link that carries latents, and draws both. Without --host this is
     /// the coordinator, which says what is measured when and writes the report
     #[arg(long, value_name = "TEAM.toml")]
@@ -131,6 +136,27 @@ impl Args {
         Ok(sweep)
     }
 
+    /// The sizes of teams that are asked for.
+    pub fn teams(&self) -> Result<Vec<usize>> {
+        match self.teams.as_slice() {
+            [] if self.live.is_some() || self.fit.is_some() => Ok(Vec::new()),
+            [] => Ok(growth::SIZES.to_vec()),
+            [none] if none == "none" => Ok(Vec::new()),
+            sizes => {
+                let mut all = Vec::new();
+                for size in sizes {
+                    match size.parse() {
+                        Ok(size) if !all.contains(&size) => all.push(size),
+                        Ok(size) => return bad(format!("--teams: {size} is there twice")),
+                        Err(_) => return bad(format!("--teams: '{size}' is no number of robots, nor 'none'")),
+                    }
+                }
+                all.sort_unstable();
+                Ok(all)
+            }
+        }
+    }
+
     /// The command that makes the study, whatever it was typed as. Not in it: what makes no difference to the results.
     pub fn command(&self) -> String {
         let mut command = Typed("murmurate study network".to_owned());
@@ -144,6 +170,7 @@ impl Args {
         command.add_all("bytes", [self.bytes]);
         command.add("history", Some(self.history.clone()));
         command.add_all("seconds", [self.seconds]);
+        command.add_all("teams", &self.teams);
         command.add_all("seed", [self.run.seed]);
         command.0
     }

@@ -6,12 +6,14 @@ mod fit;
 mod flags;
 mod live;
 mod room;
+mod teams;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
+use murmurate::study::network::growth::Growth;
 use murmurate::study::network::pages::{Findings, Found};
 use murmurate::study::network::{Row, Sweep, emulate, table};
 use serde::Serialize;
@@ -27,6 +29,7 @@ pub use flags::{Args, medium};
 struct Report {
     study: &'static str,
     rows: Vec<Row>,
+    growth: Vec<Growth>,
     wall_s: f64,
     seed: u64,
     interrupted: bool,
@@ -35,6 +38,7 @@ struct Report {
 /// Runs the study.
 pub fn run(args: &Args) -> Result<Ended> {
     let mut sweep = args.sweep()?;
+    let sizes = teams::of_sizes(&args.teams()?, sweep.seed)?;
     let team = args.live.as_ref().map(|file| room::Room::of(file, args)).transpose()?;
     if let (Some(room), Some(name)) = (&team, &args.host) {
         return live::participate(room.part(name)?, name, args.coordinator, args.run.quiet);
@@ -62,11 +66,13 @@ pub fn run(args: &Args) -> Result<Ended> {
         measured = live.results;
     }
     let mut results = emulated(&sweep, folder.as_ref(), (args.run.jobs, args.run.quiet), &stop)?;
-    let (done, all) = (results.len() + measured.len(), sweep.cases().len() * if team.is_some() { 2 } else { 1 });
+    let grown = teams::run(&sizes, &sweep, folder.as_ref(), args.run.quiet, &stop)?;
+    let cases = sweep.cases().len() * if team.is_some() { 2 } else { 1 };
+    let (done, all) = (results.len() + measured.len() + grown.len(), cases + sizes.len());
     let interrupted = done < all;
     results.append(&mut measured);
     let command = args.command();
-    let findings = Findings { sweep: &sweep, results: &results, command: &command, notes: &notes };
+    let findings = Findings { sweep: &sweep, results: &results, grown: &grown, command: &command, notes: &notes };
     if let (Some(folder), false) = (&folder, interrupted) {
         cases::write_report(folder, &findings)?;
     }
@@ -78,10 +84,10 @@ pub fn run(args: &Args) -> Result<Ended> {
     }
     let wall_s = began.elapsed().as_secs_f64();
     print(&if args.run.json {
-        let report = Report { study: "network", rows, wall_s, seed: sweep.seed, interrupted };
+        let report = Report { study: "network", rows, growth: grown, wall_s, seed: sweep.seed, interrupted };
         serde_json::to_string(&report).context("a report is JSON")?
     } else {
-        format!("{}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(&sweep, &rows))
+        format!("{}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(&sweep, &rows, &grown))
     })?;
     args.run.farewell(folder.as_ref(), "cases", done, all);
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
