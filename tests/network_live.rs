@@ -1,13 +1,18 @@
-//! The network study between five network namespaces on one bridge, each sender shaped by `tc tbf` and each receiver
-//! losing by nftables, held against the emulation of the same. Needs root, `ip`, `tc` and `nft`; skips, saying so,
-//! where it cannot run.
+//! The network study between five network namespaces on one bridge. With each sender shaped by `tc tbf` and each
+//! receiver losing by nftables it is held against the emulation of the same; without, it is interrupted, gone on with,
+//! and a radio is fitted to it. Needs root, `ip`, `tc` and `nft`; skips, saying so, where it cannot run.
 #![cfg(target_os = "linux")]
 
 use std::fs;
-use std::io::Write as _;
-use std::process::{Child, Command, Stdio};
+use std::io::{BufRead as _, BufReader, Read, Write as _};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::Mutex;
 
 use serde_json::Value;
+use tempfile::TempDir;
+
+/// One measurement at a time: two would wait for each other's processors.
+static ALONE: Mutex<()> = Mutex::new(());
 
 /// Messages a second, each to four readers by unicast: below and above the 263 that five links of 1 Mbit/s carry.
 const RATES: [f64; 2] = [240.0, 400.0];
@@ -21,9 +26,16 @@ const SHAPE: [&str; 6] = ["rate", "1mbit", "burst", "774", "limit", "12000"];
 /// Namespaces of this process, gone with it.
 struct Lab(String);
 
+/// What the links of a lab are like.
+#[derive(Clone, Copy, PartialEq)]
+enum Links {
+    Plain,
+    Shaped,
+}
+
 impl Lab {
     /// Builds it; `None` where that is not permitted.
-    fn build() -> Option<Lab> {
+    fn build(links: Links) -> Option<Lab> {
         let lab = Lab(format!("mnet{}", std::process::id()));
         let tools = ["tc", "nft"].iter().all(|tool| run(tool, &["-V"]) || run(tool, &["-v"]));
         if !tools || !run("ip", &["netns", "add", &lab.space("hub")]) {
@@ -45,6 +57,9 @@ impl Lab {
             assert!(run("ip", &["-n", &space, "addr", "add", &address, "dev", "eth0"]));
             assert!(run("ip", &["-n", &space, "link", "set", "lo", "up"]));
             assert!(run("ip", &["-n", &space, "link", "set", "eth0", "up"]));
+            if links == Links::Plain {
+                continue;
+            }
             let shape = ["netns", "exec", &space, "tc", "qdisc", "add", "dev", "eth0", "root", "tbf"];
             assert!(run("ip", &[&shape[..], &SHAPE[..]].concat()), "tbf");
             // What is measured is UDP; the coordinator's connection is spared.
@@ -89,6 +104,20 @@ fn run(program: &str, args: &[&str]) -> bool {
 /// A process that does not outlive the test.
 struct Process(Child);
 
+impl Process {
+    /// Waits for its end.
+    fn end(mut self) -> Output {
+        let read = |pipe: Option<&mut dyn Read>| {
+            let mut bytes = Vec::new();
+            pipe.map(|pipe| pipe.read_to_end(&mut bytes).unwrap());
+            bytes
+        };
+        let stdout = read(self.0.stdout.as_mut().map(|pipe| pipe as &mut dyn Read));
+        let stderr = read(self.0.stderr.as_mut().map(|pipe| pipe as &mut dyn Read));
+        Output { status: self.0.wait().unwrap(), stdout, stderr }
+    }
+}
+
 impl Drop for Process {
     fn drop(&mut self) {
         let _ = self.0.kill();
@@ -99,8 +128,59 @@ impl Drop for Process {
 /// How often it is measured at most: a busy machine delays datagrams more than the links do, and seldom three times.
 const ATTEMPTS: usize = 3;
 
+/// A team of five in a folder of its own, and its participants.
+struct Team {
+    folder: TempDir,
+}
+
+impl Team {
+    fn new() -> Team {
+        let team = Team { folder: tempfile::tempdir().unwrap() };
+        let key = ["key", "new", "--out", &team.path("team.key")];
+        assert!(Command::new(env!("CARGO_BIN_EXE_murmurate")).args(key).status().unwrap().success());
+        let peers = |port: u16| {
+            let peer = |station: usize| format!("robot-{station} = \"10.81.0.{}:{port}\"\n", 10 + station);
+            (0..STATIONS).map(peer).collect::<String>() + &format!("world = \"10.81.0.1:{port}\"\n")
+        };
+        let link = |name: &str, port: u16| {
+            let peers = peers(port);
+            format!("[link.{name}]\ninterface = \"eth0\"\ntransport = \"unicast\"\n[link.{name}.peers]\n{peers}")
+        };
+        let links = link("ad-hoc", 7711) + &link("infra", 7712) + &link("wires", 7713);
+        let text = "team = 81\nkey_file = \"team.key\"\nmode = \"onboard-adhoc\"\n".to_owned() + &links;
+        fs::write(team.path("team.toml"), text).unwrap();
+        fs::write(team.path("medium.toml"), MEDIUM).unwrap();
+        team
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.folder.path().join(name).to_string_lossy().into_owned()
+    }
+
+    /// The program of one host, which says which case it measures.
+    fn participant(&self, lab: &Lab, station: usize) -> Process {
+        let name = format!("robot-{station}");
+        let args = ["--live", &self.path("team.toml"), "--coordinator", COORDINATOR, "--host", &name];
+        Process(lab.program(&name, &args).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
+    }
+
+    fn participants(&self, lab: &Lab) -> Vec<Process> {
+        (0..STATIONS).map(|station| self.participant(lab, station)).collect()
+    }
+
+    fn coordinator(&self, lab: &Lab, args: &[&str]) -> Command {
+        lab.program(
+            "hub",
+            &[&["--live", &self.path("team.toml"), "--coordinator", COORDINATOR, "--quiet"], args].concat(),
+        )
+    }
+}
+
+const COORDINATOR: &str = "10.81.0.1:7790";
+
 #[test]
 fn what_is_measured_between_namespaces_is_what_is_emulated() {
+    let _alone = ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     let mut found = Vec::new();
     for _ in 0..ATTEMPTS {
         match disagreements() {
@@ -112,43 +192,61 @@ fn what_is_measured_between_namespaces_is_what_is_emulated() {
     panic!("never alike: {found:#?}");
 }
 
+#[test]
+fn a_measurement_goes_on_after_an_interruption_and_a_radio_is_fitted_to_it() {
+    let _alone = ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let Some(lab) = Lab::build(Links::Plain) else { return };
+    let team = Team::new();
+    let (out, fitted) = (team.path("out"), team.path("room.toml"));
+    let sweep = ["--medium", "wifi", "--rates", "60,120,200", "--reliability", "repeat", "--addressing", "unicast"];
+    let args = [&sweep[..], &["--seconds", "2", "--fit", &fitted, "--out", &out, "--json"]].concat();
+
+    let mut hosts = team.participants(&lab);
+    let mut command = team.coordinator(&lab, &args);
+    let coordinator = Process(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
+    // The first case is kept when the second begins.
+    let mut told = BufReader::new(hosts[0].0.stderr.take().unwrap()).lines().map(Result::unwrap);
+    assert!(told.any(|line| line.starts_with("case 1:")), "the second case begins");
+    assert!(run("kill", &["-INT", &coordinator.0.id().to_string()]));
+    let output = coordinator.end();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{said}");
+    assert!(said.contains("2 of 6 cases are kept"), "{said}");
+    let kept = |at: usize| fs::read(team.folder.path().join(format!("out/cases/live-{at:04}.json")));
+    let first = kept(0).unwrap();
+    assert!(kept(1).is_ok() && kept(2).is_err());
+    assert!(fs::metadata(&fitted).is_err(), "nothing is fitted to a part");
+
+    let _hosts = team.participants(&lab);
+    let output = team.coordinator(&lab, &args).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let rows = report["rows"].as_array().unwrap();
+    let live: Vec<&Value> = rows.iter().filter(|row| row["source"] == "live").collect();
+    assert_eq!((rows.len(), live.len()), (6, 3));
+    assert!(live.iter().all(|row| row["delivered"].as_f64().unwrap() > 0.99), "{live:#?}");
+    assert!(kept(0).unwrap() == first, "what was measured is not measured again");
+    // A bridge is no radio, but what comes of it is one.
+    assert!(said.contains("noise loss") && said.contains("left:"), "{said}");
+    let radio = fs::read_to_string(&fitted).unwrap();
+    assert!(radio.starts_with('#') && radio.contains("noise_loss"), "{radio}");
+    let sim = ["sim", "--mode", "onboard-adhoc", "--radio", &fitted, "--episodes", "1", "--repeats", "1", "--json"];
+    let output = Command::new(env!("CARGO_BIN_EXE_murmurate")).args(sim).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
 /// Where a measurement and the emulation of the same are apart; `None` where it cannot run.
 fn disagreements() -> Option<Vec<String>> {
-    let lab = Lab::build()?;
-    let folder = tempfile::tempdir().unwrap();
-    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
-    assert!(
-        Command::new(env!("CARGO_BIN_EXE_murmurate"))
-            .args(["key", "new", "--out", &path("team.key")])
-            .status()
-            .unwrap()
-            .success()
-    );
-    let peers = |port: u16| {
-        let peer = |station: usize| format!("robot-{station} = \"10.81.0.{}:{port}\"\n", 10 + station);
-        (0..STATIONS).map(peer).collect::<String>() + &format!("world = \"10.81.0.1:{port}\"\n")
-    };
-    let link = |name: &str, port: u16| {
-        let peers = peers(port);
-        format!("[link.{name}]\ninterface = \"eth0\"\ntransport = \"unicast\"\n[link.{name}.peers]\n{peers}")
-    };
-    let links = link("ad-hoc", 7711) + &link("infra", 7712) + &link("wires", 7713);
-    let team = "team = 81\nkey_file = \"team.key\"\nmode = \"onboard-adhoc\"\n".to_owned() + &links;
-    fs::write(path("team.toml"), team).unwrap();
-    fs::write(path("medium.toml"), MEDIUM).unwrap();
-    let (team, medium) = (path("team.toml"), path("medium.toml"));
-    let base = ["--live", &team, "--coordinator", "10.81.0.1:7790", "--quiet"];
-    let _stations: Vec<Process> = (0..STATIONS)
-        .map(|station| {
-            let name = format!("robot-{station}");
-            Process(lab.program(&name, &[&base[..], &["--host", &name]].concat()).spawn().unwrap())
-        })
-        .collect();
+    let lab = Lab::build(Links::Shaped)?;
+    let team = Team::new();
+    let medium = team.path("medium.toml");
+    let _stations = team.participants(&lab);
     let rates = RATES.map(|rate| rate.to_string()).join(",");
-    let out = std::env::var("NETWORK_LIVE_OUT").unwrap_or_else(|_| path("out"));
+    let out = std::env::var("NETWORK_LIVE_OUT").unwrap_or_else(|_| team.path("out"));
     let sweep = ["--medium", &medium, "--rates", &rates, "--reliability", "best-effort", "--addressing", "unicast"];
     let more = ["--bytes", BYTES, "--seconds", "8", "--json", "--out", &out];
-    let output = lab.program("hub", &[&base[..], &sweep, &more].concat()).output().unwrap();
+    let output = team.coordinator(&lab, &[&sweep[..], &more].concat()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     let row = |source: &str, rate: f64| {

@@ -94,3 +94,25 @@ fn what_a_robot_of_a_growing_team_costs_is_measured_once_and_kept() {
     assert!(study() == (grown, page));
     assert!(text(&fs::read(out.join("table.txt")).unwrap()).contains("what a robot of a team costs"));
 }
+
+#[test]
+fn a_fit_recovers_the_radio_that_rows_were_made_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    fs::write(path("truth.toml"), "noise_loss = 0.12\nbackground = 0.24\nrate = \"ofdm-12\"\n").unwrap();
+    let sweep = ["--rates", "60,250", "--networks", "ad-hoc", "--reliability", "best-effort", "--retries", "1"];
+    let made = ["study", "network", "--medium", &path("truth.toml"), "--seconds", "10", "--seed", "5"];
+    let output = run(&[&made[..], &sweep, &["--teams", "none", "--json", "--quiet"]].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    fs::write(path("rows.json"), &output.stdout).unwrap();
+    // Started from another radio, and with other draws than those of the rows.
+    let fit = ["study", "network", "--rows", &path("rows.json"), "--fit", &path("fit.toml"), "--medium", "wifi"];
+    let output = run(&[&fit[..], &["--json", "--quiet"]].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let fitted: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(fitted["rate"], "ofdm-12", "{fitted}");
+    let off = |field: &str, truth: f64| (number(&fitted, field) / truth - 1.0).abs();
+    assert!(off("noise_loss", 0.12) < 0.1 && off("background", 0.24) < 0.1, "{fitted}");
+    assert!(number(&fitted, "residual_shares") < 0.02, "{fitted}");
+    assert!(fs::read_to_string(path("fit.toml")).unwrap().contains("ofdm-12"));
+}

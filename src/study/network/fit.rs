@@ -2,7 +2,8 @@
 //!
 //! The emulation is run at candidate parameters and held against every figure that a row has: shares within a mark,
 //! share delivered, median and 90 % delay. First on a grid over all rates, then finer around the best few. The seed
-//! differs from that of the rows, so that nothing is recovered by chance.
+//! differs from that of the rows, so that nothing is recovered by chance. In the end each figure counts by how little
+//! it varies from seed to seed: near saturation a delay says less than a share far from it.
 
 use serde::Deserialize;
 
@@ -20,6 +21,9 @@ pub struct Observed {
     retries: u32,
     network: Network,
     rate: f64,
+    /// Where it is not known, as long as the sweep.
+    #[serde(default)]
+    seconds: Option<f64>,
     #[serde(default)]
     delivered: Option<f64>,
     #[serde(default)]
@@ -48,20 +52,33 @@ pub struct Fitted {
 /// Runs cases, in any order and on any number of threads; `None` where it was told to stop.
 pub type Runner<'a> = &'a dyn Fn(&[(Sweep, Case)]) -> Vec<Option<Outcome>>;
 
-/// A share that is off by so much counts as much as a delay that is off by this factor.
-const SHARE: f64 = 0.03;
-const FACTOR: f64 = 0.15;
+/// What a figure has: three shares, and the logarithms of two delays.
+type Figures = [Option<f64>; 5];
+/// By how much each must be off to count, at first; and at least, when it is known how much it varies.
+const OFF: [f64; 5] = [0.03, 0.03, 0.03, 0.15, 0.15];
+const LEAST_OFF: [f64; 5] = [0.005, 0.005, 0.005, 0.02, 0.02];
+/// How many seeds tell how much a figure varies.
+const SEEDS: u64 = 5;
+/// No delay is told from a shorter one than this \[ms\]; and one that nothing has is so long.
+const DELAYS_MS: (f64, f64) = (0.05, 1e4);
 /// The grid.
 const NOISES: [f64; 5] = [0.0, 0.06, 0.12, 0.2, 0.35];
 const BACKGROUNDS: [f64; 5] = [0.0, 0.15, 0.3, 0.45, 0.6];
-/// How many rows, for how long, on the grid, and around its best points \[s\].
-const COARSE: (usize, f64) = (8, 4.0);
-const FINE: (usize, f64) = (20, 12.0);
-/// How many rates go on from the grid.
+/// How many rows, for how long at the most, on the grid, around its best points and around the best of those \[s\]. In
+/// the end for as long as they were observed: where a channel is full, queues and delays grow all the while.
+const COARSE: (usize, f64) = (16, 4.0);
+const MIDDLE: (usize, f64) = (16, 10.0);
+const FINE: (usize, f64) = (20, 60.0);
+/// A delay from which a queue may have grown \[ms\]: of a shorter run it is not the measure.
+const GROWS_MS: f64 = 50.0;
+/// How many rates go on from the grid, each from its best point there, and how many go on from these: those that are
+/// no more off than this many times the best, and this much.
+const STARTS: usize = 10;
 const BEST: usize = 4;
+const NEAR_BEST: (f64, f64) = (3.0, 3.0);
 /// The first steps around them, of noise and background, and how often they are halved.
 const STEPS: (f64, f64) = (0.04, 0.08);
-const HALVINGS: u32 = 6;
+const HALVINGS: u32 = 3;
 
 /// A point that is tried.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,6 +93,8 @@ struct Fit<'a> {
     sweep: &'a Sweep,
     observed: &'a [Observed],
     runner: Runner<'a>,
+    /// By row: how much its figures must be off to count.
+    off: Vec<[f64; 5]>,
 }
 
 /// Fits `base` to what was observed with the stations, messages and history of `sweep`. `None` once the runner stops.
@@ -83,7 +102,7 @@ struct Fit<'a> {
 /// Panics if nothing was observed.
 pub fn fit(base: &Radio, sweep: &Sweep, observed: &[Observed], runner: Runner) -> Option<Fitted> {
     assert!(!observed.is_empty(), "a fit needs rows");
-    let fit = Fit { base, sweep, observed, runner };
+    let mut fit = Fit { base, sweep, observed, runner, off: vec![OFF; observed.len()] };
     let mut grid = Vec::new();
     // Of another generation of 802.11 there is a rate as fast as almost any: rows cannot tell the two apart.
     let own = family(base.rate);
@@ -92,20 +111,25 @@ pub fn fit(base: &Radio, sweep: &Sweep, observed: &[Observed], runner: Runner) -
             grid.extend(BACKGROUNDS.map(|background| Point { rate, noise, background }));
         }
     }
-    let mut coarse: Vec<(f64, Point)> = fit.misfits(&grid, COARSE)?.into_iter().zip(grid).collect();
-    coarse.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut best: Option<(f64, Point)> = None;
-    let mut rates: Vec<Rate> = Vec::new();
-    for (_, point) in coarse {
-        if rates.len() < BEST && !rates.contains(&point.rate) {
-            rates.push(point.rate);
-            let found = fit.refine(point)?;
-            if best.is_none_or(|(misfit, _)| found.0 < misfit) {
-                best = Some(found);
-            }
+    let sorted = |mut found: Vec<(f64, Point)>| {
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        found
+    };
+    let mut refined: Vec<(f64, Point)> = Vec::new();
+    for (_, point) in sorted(fit.misfits(&grid, COARSE)?.into_iter().zip(grid).collect()) {
+        if refined.len() < STARTS && !refined.iter().any(|(_, other)| other.rate == point.rate) {
+            refined.push(fit.refine(point, MIDDLE, STEPS)?);
         }
     }
-    fit.result(best.expect("a grid has points").1)
+    let refined = sorted(refined);
+    fit.off = fit.spread(refined[0].1)?;
+    let mut best: Vec<(f64, Point)> = Vec::new();
+    let near = NEAR_BEST.0 * refined[0].0 + NEAR_BEST.1;
+    for (_, point) in refined.into_iter().take(BEST).take_while(|(misfit, _)| *misfit <= near) {
+        let scale = f64::from(1 << (HALVINGS - 1));
+        best.push(fit.refine(point, FINE, (STEPS.0 / scale, STEPS.1 / scale))?);
+    }
+    fit.result(sorted(best)[0].1)
 }
 
 /// The generation of 802.11 that a rate is of: the first part of its name.
@@ -134,12 +158,19 @@ impl Fit<'_> {
         radio
     }
 
-    fn runs(&self, point: Point, (rows, seconds): (usize, f64)) -> Vec<(Sweep, Case)> {
+    fn runs(&self, point: Point, effort: (usize, f64)) -> Vec<(Sweep, Case)> {
+        self.runs_of(0, point, effort)
+    }
+
+    fn runs_of(&self, number: u64, point: Point, (rows, longest): (usize, f64)) -> Vec<(Sweep, Case)> {
         let medium = Medium::Radio(self.radio(point));
-        let seed = self.sweep.seed.wrapping_add(0x5eed);
-        let sweep = Sweep { medium, seconds, seed, ..self.sweep.clone() };
+        let seed = self.sweep.seed.wrapping_add(0x5eed + number);
         let every = self.observed.len().div_ceil(rows);
-        self.observed.iter().step_by(every).map(|observed| (sweep.clone(), observed.case())).collect()
+        let run = |observed: &Observed| {
+            let seconds = observed.seconds.unwrap_or(self.sweep.seconds).min(longest);
+            (Sweep { medium: medium.clone(), seconds, seed, ..self.sweep.clone() }, observed.case())
+        };
+        self.observed.iter().step_by(every).map(run).collect()
     }
 
     /// How far each point is from what was observed.
@@ -149,18 +180,38 @@ impl Fit<'_> {
         let outcomes: Vec<Outcome> = (self.runner)(&runs).into_iter().collect::<Option<_>>()?;
         let every = self.observed.len().div_ceil(effort.0);
         let misfit = |outcomes: &[Outcome]| {
-            let pairs = self.observed.iter().step_by(every).zip(outcomes);
+            let rows = self.observed.iter().zip(&self.off).step_by(every).zip(outcomes);
+            let terms = rows.flat_map(|((observed, off), outcome)| {
+                let apart = observed.for_so_long(outcome.seconds).apart(outcome);
+                apart.into_iter().zip(off).filter_map(|(apart, off)| Some(apart? / off))
+            });
             // What is far off counts little more than what is off, so that one odd row does not rule.
-            let terms = pairs.flat_map(|(observed, outcome)| observed.differences(&observed.row(outcome)).concat());
             terms.map(|term| (term * term).ln_1p()).sum()
         };
         Some(outcomes.chunks(each).map(misfit).collect())
     }
 
-    /// Goes downhill from a point of the grid, at its rate.
-    fn refine(&self, from: Point) -> Option<(f64, Point)> {
-        let mut best = (self.misfits(&[from], FINE)?[0], from);
-        let mut steps = STEPS;
+    /// How much each figure of each row varies from seed to seed, near a point.
+    fn spread(&self, point: Point) -> Option<Vec<[f64; 5]>> {
+        let all = (self.observed.len(), FINE.1);
+        let runs: Vec<(Sweep, Case)> = (1..=SEEDS).flat_map(|number| self.runs_of(number, point, all)).collect();
+        let outcomes: Vec<Outcome> = (self.runner)(&runs).into_iter().collect::<Option<_>>()?;
+        let of_row = |(at, observed): (usize, &Observed)| {
+            let seeds: Vec<Figures> =
+                outcomes.iter().skip(at).step_by(all.0).map(|outcome| observed.apart(outcome)).collect();
+            std::array::from_fn(|figure| {
+                let values: Vec<f64> = seeds.iter().filter_map(|figures| figures[figure]).collect();
+                let mean = values.iter().sum::<f64>() / SEEDS as f64;
+                let variance = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (SEEDS - 1) as f64;
+                LEAST_OFF[figure].hypot(2.0 * variance.sqrt())
+            })
+        };
+        Some(self.observed.iter().enumerate().map(of_row).collect())
+    }
+
+    /// Goes downhill from a point, at its rate.
+    fn refine(&self, from: Point, effort: (usize, f64), mut steps: (f64, f64)) -> Option<(f64, Point)> {
+        let mut best = (self.misfits(&[from], effort)?[0], from);
         for _ in 0..HALVINGS {
             loop {
                 let around = |&(noise, background): &(f64, f64)| Point {
@@ -170,7 +221,7 @@ impl Fit<'_> {
                 };
                 let ways = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, -1.0), (-1.0, 1.0)];
                 let points: Vec<Point> = ways.iter().map(around).filter(|point| *point != best.1).collect();
-                let misfits = self.misfits(&points, FINE)?;
+                let misfits = self.misfits(&points, effort)?;
                 let found = misfits.into_iter().zip(points).min_by(|a, b| a.0.total_cmp(&b.0)).expect("there are ways");
                 if found.0 >= best.0 {
                     break;
@@ -179,11 +230,13 @@ impl Fit<'_> {
             }
             steps = (steps.0 / 2.0, steps.1 / 2.0);
         }
+        let (misfit, Point { rate, noise, background }) = best;
+        tracing::info!("misfit {misfit:.2} at {rate}, noise loss {noise:.3}, background {background:.3}");
         Some(best)
     }
 
     fn result(&self, point: Point) -> Option<Fitted> {
-        let runs = self.runs(point, (self.observed.len(), self.sweep.seconds));
+        let runs = self.runs(point, (self.observed.len(), FINE.1));
         let outcomes: Vec<Outcome> = (self.runner)(&runs).into_iter().collect::<Option<_>>()?;
         let rows: Vec<(Observed, Row)> = self
             .observed
@@ -191,11 +244,15 @@ impl Fit<'_> {
             .zip(&outcomes)
             .map(|(observed, outcome)| (observed.clone(), observed.row(outcome)))
             .collect();
-        let rms = |at: usize, scale: f64| {
-            let all: Vec<f64> = rows.iter().flat_map(|(observed, row)| observed.differences(row)[at].clone()).collect();
-            scale * (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt()
+        let rms = |figures: std::ops::Range<usize>| {
+            let pairs = self.observed.iter().zip(&outcomes);
+            let all: Vec<f64> = pairs
+                .flat_map(|(observed, outcome)| observed.apart(outcome)[figures.clone()].to_vec())
+                .flatten()
+                .collect();
+            (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt()
         };
-        Some(Fitted { radio: self.radio(point), shares: rms(0, SHARE), delays: rms(1, FACTOR), rows })
+        Some(Fitted { radio: self.radio(point), shares: rms(0..3), delays: rms(3..5), rows })
     }
 }
 
@@ -206,21 +263,35 @@ impl Observed {
         Case { network, addressing, reliability, retries, rate }
     }
 
+    /// What can be held against a run of `seconds`: of a shorter one, no delays that may have grown.
+    fn for_so_long(&self, seconds: f64) -> Observed {
+        let mut known = self.clone();
+        let shorter = self.seconds.is_some_and(|observed| seconds < 0.99 * observed);
+        if shorter && self.p90_ms.or(self.p50_ms).is_some_and(|delay_ms| delay_ms > GROWS_MS) {
+            (known.p50_ms, known.p90_ms) = (None, None);
+        }
+        known
+    }
+
     fn row(&self, outcome: &Outcome) -> Row {
         Row::of("emulated", &self.case(), outcome)
     }
 
-    /// In units of what counts as off: of shares, and of delays.
-    fn differences(&self, row: &Row) -> [Vec<f64>; 2] {
-        let shares =
-            [(self.delivered, row.delivered), (self.within_20ms, row.within_20ms), (self.within_50ms, row.within_50ms)];
-        let shares = shares.into_iter().filter_map(|(seen, emulated)| Some((seen? - emulated) / SHARE)).collect();
-        let delays = [(self.p50_ms, row.p50_ms), (self.p90_ms, row.p90_ms)];
-        let delays = delays.into_iter().filter_map(|(seen, emulated)| {
-            let (seen, emulated) = (seen?, emulated.unwrap_or(1e4));
-            Some((seen.max(0.05) / emulated.max(0.05)).ln() / FACTOR)
-        });
-        [shares, delays.collect()]
+    /// How far its figures are from those of a run: differences of shares, and of the logarithms of delays.
+    fn apart(&self, outcome: &Outcome) -> Figures {
+        let row = self.row(outcome);
+        let share = |seen: Option<f64>, emulated: f64| Some(seen? - emulated);
+        let delay = |seen: Option<f64>, emulated: Option<f64>| {
+            let (least, none) = DELAYS_MS;
+            Some((seen?.max(least) / emulated.unwrap_or(none).max(least)).ln())
+        };
+        [
+            share(self.delivered, row.delivered),
+            share(self.within_20ms, row.within_20ms),
+            share(self.within_50ms, row.within_50ms),
+            delay(self.p50_ms, row.p50_ms),
+            delay(self.p90_ms, row.p90_ms),
+        ]
     }
 
     /// Whether it is of a radio.

@@ -19,6 +19,8 @@ pub const MARKS: [Span; 2] = [Span::from_millis(20), Span::from_millis(50)];
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outcome {
+    /// How long messages were counted \[s\].
+    pub seconds: f64,
     /// Copies that there would be if nothing was lost: every message of the window at every other station.
     pub due: u64,
     /// Those that there were.
@@ -178,6 +180,7 @@ impl Tally {
         let steps = self.ages_s.len().max(1) as f64;
         let all = |qs: [f64; 4]| Some([delay(qs[0])?, delay(qs[1])?, delay(qs[2])?, delay(qs[3])?]);
         Outcome {
+            seconds: window_s,
             due: self.due,
             arrived,
             within: self.within,
@@ -208,6 +211,8 @@ pub struct Row {
     pub network: Network,
     /// Messages of all stations together \[1/s\].
     pub rate: f64,
+    /// How long they were counted \[s\].
+    pub seconds: f64,
     /// The share of messages that came, over all readers.
     pub delivered: f64,
     /// The share that came within 20 ms, of all that were due.
@@ -259,6 +264,7 @@ impl Row {
             retries: case.retries,
             network: case.network,
             rate: case.rate,
+            seconds: outcome.seconds,
             delivered: outcome.arrived as f64 / due,
             within_20ms: outcome.within[0] as f64 / due,
             within_50ms: outcome.within[1] as f64 / due,

@@ -24,9 +24,12 @@ struct Identity {
 /// A finished case.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Record {
+pub struct Record {
     case: Case,
-    outcome: Outcome,
+    /// What came of it.
+    pub outcome: Outcome,
+    /// How far off its delays may be \[s\]: zero where nothing was measured.
+    pub uncertainty_s: f64,
 }
 
 /// The folder of this sweep.
@@ -46,14 +49,21 @@ pub fn team(mode: &str, robots: usize) -> String {
 }
 
 /// What came of a case, if that is there and whole.
-pub fn read(folder: &Folder, source: &str, at: usize, case: &Case) -> Option<Outcome> {
-    let record: Record = folder.kept(&name(source, at))?;
-    (record.case == *case).then_some(record.outcome)
+pub fn read(folder: &Folder, source: &str, at: usize, case: &Case) -> Option<Record> {
+    folder.kept(&name(source, at)).filter(|record: &Record| record.case == *case)
 }
 
-/// Keeps what came of a case.
-pub fn keep(folder: &Folder, source: &str, at: usize, case: &Case, outcome: &Outcome) -> Result<()> {
-    folder.keep(&name(source, at), &Record { case: *case, outcome: outcome.clone() })
+/// Keeps what came of a case, if there is a folder.
+pub fn keep(
+    folder: Option<&Folder>,
+    source: &str,
+    (at, case): (usize, &Case),
+    outcome: Outcome,
+    uncertainty_s: f64,
+) -> Result<Record> {
+    let record = Record { case: *case, outcome, uncertainty_s };
+    folder.map_or(Ok(()), |folder| folder.keep(&name(source, at), &record))?;
+    Ok(record)
 }
 
 /// Writes rows, what teams cost, figures, table and page.

@@ -19,7 +19,7 @@ use murmurate::study::network::{Row, Sweep, emulate, table};
 use serde::Serialize;
 
 use super::folder::Folder;
-use crate::output::print;
+use crate::output::{print, talk};
 use crate::sim::progress;
 use crate::{Ended, jobs};
 pub use flags::{Args, medium};
@@ -48,8 +48,13 @@ pub fn run(args: &Args) -> Result<Ended> {
     }
     let folder = args.run.out.as_deref().map(|path| cases::open(path, &sweep)).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
-    let signal = Arc::clone(&stop);
-    ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+    let (signal, measuring) = (Arc::clone(&stop), team.is_some());
+    let told = move || {
+        if !signal.swap(true, Ordering::Relaxed) && measuring {
+            talk("stopping: the case under way is measured to its end");
+        }
+    };
+    ctrlc::set_handler(told).context("cannot listen for Ctrl-C")?;
     if let (Some(file), Some(rows)) = (&args.fit, &args.rows) {
         return fit::run(&sweep, fit::read(rows)?, (file, args), &stop);
     }
@@ -105,22 +110,19 @@ fn emulated(
     let bar = progress(cases.len() as u64, quiet);
     let work = |at: usize| -> Result<Option<Found>> {
         let kept = folder.and_then(|folder| cases::read(folder, SOURCE, at, &cases[at]));
-        let outcome = match kept {
-            Some(outcome) => outcome,
+        let record = match kept {
+            Some(record) => record,
             None => {
                 let Some(outcome) = emulate::run(sweep, &cases[at], &|| !stop.load(Ordering::Relaxed)) else {
                     return Ok(None);
                 };
-                if let Some(folder) = folder {
-                    // A disk that is full ends the study; what was written stays.
-                    let kept = cases::keep(folder, SOURCE, at, &cases[at], &outcome);
-                    kept.inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
-                }
-                outcome
+                // A disk that is full ends the study; what was written stays.
+                cases::keep(folder, SOURCE, (at, &cases[at]), outcome, 0.0)
+                    .inspect_err(|_| stop.store(true, Ordering::Relaxed))?
             }
         };
         bar.inc(1);
-        Ok(Some((SOURCE.to_owned(), cases[at], outcome)))
+        Ok(Some((SOURCE.to_owned(), cases[at], record.outcome)))
     };
     let done = jobs::run(cases.len(), jobs::threads(threads, cases.len()), stop, work);
     bar.finish_and_clear();

@@ -54,22 +54,18 @@ pub fn measure(
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        let outcome = match folder.and_then(|folder| cases::read(folder, SOURCE, at, case)) {
-            Some(outcome) => outcome,
+        let record = match folder.and_then(|folder| cases::read(folder, SOURCE, at, case)) {
+            Some(record) => record,
             None => {
                 let number = u32::try_from(at).context("so many cases there are not")?;
                 let (features, stations) = (sweep.features(), sweep.stations);
                 let task = Task { number, case: *case, stations, features, seconds: sweep.seconds, seed: sweep.seed };
                 let (notes, uncertainty_s) = one(&task, hosts, &mut lines, origin)?;
-                measured.uncertainty_s = measured.uncertainty_s.max(uncertainty_s);
-                let outcome = task.outcome(&notes);
-                if let Some(folder) = folder {
-                    cases::keep(folder, SOURCE, at, case, &outcome)?;
-                }
-                outcome
+                cases::keep(folder, SOURCE, (at, case), task.outcome(&notes), uncertainty_s)?
             }
         };
-        measured.results.push((SOURCE.to_owned(), *case, outcome));
+        measured.uncertainty_s = measured.uncertainty_s.max(record.uncertainty_s);
+        measured.results.push((SOURCE.to_owned(), *case, record.outcome));
         bar.inc(1);
     }
     bar.finish_and_clear();
