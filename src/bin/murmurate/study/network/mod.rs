@@ -70,8 +70,9 @@ pub fn run(args: &Args) -> Result<Ended> {
         ));
         measured = live.results;
     }
-    let mut results = emulated(&sweep, folder.as_ref(), (args.run.jobs, args.run.quiet), &stop)?;
+    // Before there is anything else in memory to slow them down.
     let grown = teams::run(&sizes, &sweep, folder.as_ref(), args.run.quiet, &stop)?;
+    let mut results = emulated(&sweep, folder.as_ref(), (args.run.jobs, args.run.quiet), &stop)?;
     let cases = sweep.cases().len() * if team.is_some() { 2 } else { 1 };
     let (done, all) = (results.len() + measured.len() + grown.len(), cases + sizes.len());
     let interrupted = done < all;
