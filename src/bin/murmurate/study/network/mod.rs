@@ -61,7 +61,8 @@ pub fn run(args: &Args) -> Result<Ended> {
     let began = Instant::now();
     let (mut notes, mut measured) = (Vec::new(), Vec::new());
     if let Some(room) = &team {
-        let live = live::measure(&sweep, &room.names(), args.coordinator, folder.as_ref(), (&stop, args.run.quiet))?;
+        let line = (args.coordinator, room.key()?);
+        let live = live::measure(&sweep, &room.names(), line, folder.as_ref(), (&stop, args.run.quiet))?;
         notes.push(format!(
             "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were \
              compared before each case; they are this much off at the most: {:.3} ms.",

@@ -52,6 +52,11 @@ impl Room {
         self.stations.iter().map(|host| hosts[usize::from(host.0)].name.clone()).collect()
     }
 
+    /// The team's key.
+    pub fn key(&self) -> Result<Option<[u8; 32]>> {
+        team::key(&self.args.for_host(&self.file, self.stations[0])?)
+    }
+
     /// What one host needs to take part.
     pub fn part(&self, name: &str) -> Result<Part> {
         let host = self.file.host_named(name).map_err(|e| BadInput(format!("--{e}")))?;

@@ -13,7 +13,8 @@ use murmurate::study::network::peer::{Notes, Task};
 use nix::poll::{PollFd, PollFlags, poll};
 
 use super::super::cases;
-use super::{Answer, Instruction, Line};
+use super::line::{End, Line};
+use super::{Answer, Instruction};
 use crate::BadInput;
 use crate::output::talk;
 use crate::sim::progress;
@@ -39,7 +40,7 @@ pub struct Measured {
 pub fn measure(
     sweep: &Sweep,
     hosts: &[String],
-    address: SocketAddr,
+    (address, key): (SocketAddr, Option<[u8; 32]>),
     folder: Option<&Folder>,
     (stop, quiet): (&AtomicBool, bool),
 ) -> Result<Measured> {
@@ -47,7 +48,7 @@ pub fn measure(
     let origin = Instant::now();
     let listener = TcpListener::bind(address).map_err(|e| BadInput(format!("--coordinator: {address}: {e}")))?;
     let mut measured = Measured { results: Vec::new(), uncertainty_s: 0.0 };
-    let Some(mut lines) = gather(&listener, hosts, (stop, quiet))? else { return Ok(measured) };
+    let Some(mut lines) = gather((&listener, key), hosts, (stop, quiet))? else { return Ok(measured) };
     let cases = sweep.cases();
     let bar = progress(cases.len() as u64, quiet);
     for (at, case) in cases.iter().enumerate() {
@@ -76,7 +77,11 @@ pub fn measure(
 }
 
 /// Waits until every host has come; `None` after a Ctrl-C.
-fn gather(listener: &TcpListener, hosts: &[String], (stop, quiet): (&AtomicBool, bool)) -> Result<Option<Vec<Line>>> {
+fn gather(
+    (listener, key): (&TcpListener, Option<[u8; 32]>),
+    hosts: &[String],
+    (stop, quiet): (&AtomicBool, bool),
+) -> Result<Option<Vec<Line>>> {
     listener.set_nonblocking(true).context("cannot wait for hosts")?;
     let mut here: BTreeMap<usize, Line> = BTreeMap::new();
     while here.len() < hosts.len() {
@@ -88,13 +93,14 @@ fn gather(listener: &TcpListener, hosts: &[String], (stop, quiet): (&AtomicBool,
         let _ = poll(&mut waiting, LOOK);
         let Ok((stream, from)) = listener.accept() else { continue };
         stream.set_nonblocking(false).context("cannot set up the connection")?;
-        let mut line = Line::new(stream)?;
-        match line.hear(Some(PATIENCE)) {
-            Ok(Answer::Host(name)) => match hosts.iter().position(|host| *host == name) {
+        let line = Line::open(stream, End::Coordinator, key.as_ref());
+        match line.and_then(|mut line| Ok((line.hear(Some(PATIENCE))?, line))) {
+            Ok((Answer::Host(name), line)) => match hosts.iter().position(|host| *host == name) {
                 Some(at) => drop(here.insert(at, line)),
                 None => talk(&format!("{from} says that it is '{name}', which runs no agent of this team; ignored")),
             },
-            other => talk(&format!("{from} does not say which host it is ({other:?}); ignored")),
+            Ok((other, _)) => talk(&format!("{from} says {other:?} where it should say who it is; ignored")),
+            Err(error) => talk(&format!("{from} is ignored: {error:#}")),
         }
         if !quiet {
             let missing =

@@ -26,7 +26,8 @@ use murmurate::time::Time;
 use nix::poll::poll;
 use tracing::info_span;
 
-use super::{Answer, Instruction, Line};
+use super::line::{End, Line};
+use super::{Answer, Instruction};
 use crate::output::talk;
 use crate::{BadInput, Ended, links};
 
@@ -53,7 +54,7 @@ pub fn participate(mut part: Part, name: &str, address: SocketAddr, quiet: bool)
         peers.retain(|host, _| part.stations.contains(host));
     }
     let origin = Instant::now();
-    let mut line = Line::new(connect(address)?)?;
+    let mut line = Line::open(connect(address)?, End::Participant, part.key.as_ref())?;
     line.say(&Answer::Host(name.to_owned()))?;
     loop {
         match line.hear(None)? {
