@@ -1,8 +1,8 @@
 //! One end of the connection between a coordinator and a participant: one JSON object a line, each with a tag where the
 //! team has a key. What is said is known in `mod.rs`.
 //!
-//! Each end first says a number that it has drawn. Tags are of both, of who speaks, of how many lines there were before,
-//! and of the line itself: nobody without the key is believed, and nothing that was recorded.
+//! Each end first says a number that it has drawn. Tags are of both, of who speaks, of how many lines there were
+//! before, and of the line itself: nobody without the key is believed, and nothing that was recorded.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
