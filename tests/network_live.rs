@@ -228,7 +228,9 @@ fn a_measurement_goes_on_after_an_interruption_and_a_radio_is_fitted_to_it() {
     assert!(live.iter().all(|row| row["delivered"].as_f64().unwrap() > 0.99), "{live:#?}");
     assert!(kept(0).unwrap() == first, "what was measured is not measured again");
     // A bridge is no radio, but what comes of it is one.
-    assert!(said.contains("noise loss") && said.contains("left:"), "{said}");
+    let fit = &report["fit"];
+    assert!(fit["rows"] == 3 && fit["rate"].is_string() && fit["residual_shares"].is_number(), "{fit}");
+    assert!(report["uncertainty_s"].as_f64().is_some_and(|off| off > 0.0 && off < 0.01), "{report}");
     let radio = fs::read_to_string(&fitted).unwrap();
     assert!(radio.starts_with('#') && radio.contains("noise_loss"), "{radio}");
     let sim = ["sim", "--mode", "onboard-adhoc", "--radio", &fitted, "--episodes", "1", "--repeats", "1", "--json"];

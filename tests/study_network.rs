@@ -61,6 +61,8 @@ fn a_report_does_not_depend_on_threads_and_is_gone_on_with() {
     refuses(&["study", "network", "--teams", "5,many"], &["--teams", "many"]);
     refuses(&["study", "network", "--teams", "5,5"], &["--teams", "5", "twice"]);
     refuses(&["study", "network", "--teams", "1"], &["--teams", "1"]);
+    refuses(&["study", "network", "--teams", "none,5"], &["--teams", "alone"]);
+    refuses(&["study", "network", "--medium", "shaped", "--retries", "3"], &["--retries", "shaped"]);
     refuses(&["study", "network", "--medium", "telepathy"], &["--medium", "telepathy", "paper"]);
     refuses(&["study", "network", "--reliability", "hope"], &["--reliability", "hope"]);
     refuses(&["study", "network", "--bytes", "7"], &["--bytes", "7"]);
@@ -115,4 +117,27 @@ fn a_fit_recovers_the_radio_that_rows_were_made_of() {
     assert!(off("noise_loss", 0.12) < 0.1 && off("background", 0.24) < 0.1, "{fitted}");
     assert!(number(&fitted, "residual_shares") < 0.02, "{fitted}");
     assert!(fs::read_to_string(path("fit.toml")).unwrap().contains("ofdm-12"));
+
+    // Of a file with measured rows those count alone; a row that cannot be is named.
+    let mut rows: Value = serde_json::from_slice(&fs::read(path("rows.json")).unwrap()).unwrap();
+    let refused = |name: &str, change: &dyn Fn(&mut Value), named: &[&str]| {
+        let mut changed = rows["rows"].clone();
+        change(&mut changed[1]);
+        fs::write(path(name), changed.to_string()).unwrap();
+        let fit = ["study", "network", "--rows", &path(name), "--fit", &path("no.toml"), "--medium", "wifi"];
+        refuses(&fit, &[&["--rows"], named].concat());
+    };
+    refused("rate.json", &|row| row["rate"] = 0.into(), &["row 2", "rate 0"]);
+    refused("share.json", &|row| row["delivered"] = 2.into(), &["row 2", "share"]);
+    refused("links.json", &|row| row["network"] = "shaped".into(), &["row 2", "shaped"]);
+    rows["rows"][0]["source"] = "live".into();
+    fs::write(path("mixed.json"), rows.to_string()).unwrap();
+    let fit = ["study", "network", "--rows", &path("mixed.json"), "--fit", &path("mixed.toml"), "--medium", "wifi"];
+    let output = run(&[&fit[..], &["--json"]].concat());
+    let fitted: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(fitted["rows"] == 1 && text(&output.stderr).contains("1 measured rows"), "{fitted}");
+    refuses(&["study", "network", "--fit", &path("no.toml")], &["--fit", "--rows", "--live"]);
+    let shaped = ["--medium", "shaped", "--rows", &path("rows.json"), "--fit", &path("no.toml")];
+    refuses(&[&["study", "network"][..], &shaped].concat(), &["--fit", "radio"]);
+    assert!(fs::metadata(path("no.toml")).is_err());
 }

@@ -16,6 +16,8 @@ use crate::net::radio::{Radio, Topology};
 /// What is known of a case: the rows of a study, or less.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Observed {
+    #[serde(default)]
+    source: Option<String>,
     addressing: Addressing,
     reliability: Assurance,
     retries: u32,
@@ -65,10 +67,11 @@ const DELAYS_MS: (f64, f64) = (0.05, 1e4);
 const NOISES: [f64; 5] = [0.0, 0.06, 0.12, 0.2, 0.35];
 const BACKGROUNDS: [f64; 5] = [0.0, 0.15, 0.3, 0.45, 0.6];
 /// How many rows, for how long at the most, on the grid, around its best points and around the best of those \[s\]. In
-/// the end for as long as they were observed: where a channel is full, queues and delays grow all the while.
+/// the end for as long as they were observed, up to a minute: where a channel is full, queues and delays grow all the
+/// while.
 const COARSE: (usize, f64) = (16, 4.0);
 const MIDDLE: (usize, f64) = (16, 10.0);
-const FINE: (usize, f64) = (20, 60.0);
+const FINE: (usize, f64) = (64, 60.0);
 /// A delay from which a queue may have grown \[ms\]: of a shorter run it is not the measure.
 const GROWS_MS: f64 = 50.0;
 /// How many rates go on from the grid, each from its best point there, and how many go on from these: those that are
@@ -162,15 +165,25 @@ impl Fit<'_> {
         self.runs_of(0, point, effort)
     }
 
+    /// Which rows are taken, if there are more than so many: evenly, and whatever order rates and retries stand in.
+    fn taken(&self, rows: usize) -> Vec<usize> {
+        let all = self.observed.len();
+        let mut order: Vec<usize> = (0..all).collect();
+        order.sort_by_key(|at| (*at as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        order.truncate(rows);
+        order.sort_unstable();
+        order
+    }
+
     fn runs_of(&self, number: u64, point: Point, (rows, longest): (usize, f64)) -> Vec<(Sweep, Case)> {
         let medium = Medium::Radio(self.radio(point));
         let seed = self.sweep.seed.wrapping_add(0x5eed + number);
-        let every = self.observed.len().div_ceil(rows);
-        let run = |observed: &Observed| {
+        let run = |at: usize| {
+            let observed = &self.observed[at];
             let seconds = observed.seconds.unwrap_or(self.sweep.seconds).min(longest);
             (Sweep { medium: medium.clone(), seconds, seed, ..self.sweep.clone() }, observed.case())
         };
-        self.observed.iter().step_by(every).map(run).collect()
+        self.taken(rows).into_iter().map(run).collect()
     }
 
     /// How far each point is from what was observed.
@@ -178,12 +191,11 @@ impl Fit<'_> {
         let runs: Vec<(Sweep, Case)> = points.iter().flat_map(|point| self.runs(*point, effort)).collect();
         let each = runs.len() / points.len();
         let outcomes: Vec<Outcome> = (self.runner)(&runs).into_iter().collect::<Option<_>>()?;
-        let every = self.observed.len().div_ceil(effort.0);
+        let taken = self.taken(effort.0);
         let misfit = |outcomes: &[Outcome]| {
-            let rows = self.observed.iter().zip(&self.off).step_by(every).zip(outcomes);
-            let terms = rows.flat_map(|((observed, off), outcome)| {
-                let apart = observed.for_so_long(outcome.seconds).apart(outcome);
-                apart.into_iter().zip(off).filter_map(|(apart, off)| Some(apart? / off))
+            let terms = taken.iter().zip(outcomes).flat_map(|(&at, outcome)| {
+                let apart = self.observed[at].for_so_long(outcome.seconds).apart(outcome);
+                apart.into_iter().zip(&self.off[at]).filter_map(|(apart, off)| Some(apart? / off))
             });
             // What is far off counts little more than what is off, so that one odd row does not rule.
             terms.map(|term| (term * term).ln_1p()).sum()
@@ -197,8 +209,12 @@ impl Fit<'_> {
         let runs: Vec<(Sweep, Case)> = (1..=SEEDS).flat_map(|number| self.runs_of(number, point, all)).collect();
         let outcomes: Vec<Outcome> = (self.runner)(&runs).into_iter().collect::<Option<_>>()?;
         let of_row = |(at, observed): (usize, &Observed)| {
-            let seeds: Vec<Figures> =
-                outcomes.iter().skip(at).step_by(all.0).map(|outcome| observed.apart(outcome)).collect();
+            let seeds: Vec<Figures> = outcomes
+                .iter()
+                .skip(at)
+                .step_by(all.0)
+                .map(|outcome| observed.for_so_long(outcome.seconds).apart(outcome))
+                .collect();
             std::array::from_fn(|figure| {
                 let values: Vec<f64> = seeds.iter().filter_map(|figures| figures[figure]).collect();
                 let mean = values.iter().sum::<f64>() / SEEDS as f64;
@@ -247,7 +263,9 @@ impl Fit<'_> {
         let rms = |figures: std::ops::Range<usize>| {
             let pairs = self.observed.iter().zip(&outcomes);
             let all: Vec<f64> = pairs
-                .flat_map(|(observed, outcome)| observed.apart(outcome)[figures.clone()].to_vec())
+                .flat_map(|(observed, outcome)| {
+                    observed.for_so_long(outcome.seconds).apart(outcome)[figures.clone()].to_vec()
+                })
                 .flatten()
                 .collect();
             (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt()
@@ -292,6 +310,31 @@ impl Observed {
             delay(self.p50_ms, row.p50_ms),
             delay(self.p90_ms, row.p90_ms),
         ]
+    }
+
+    /// Whether it was measured, and not emulated.
+    pub fn is_live(&self) -> bool {
+        self.source.as_deref() == Some("live")
+    }
+
+    /// Checks that it is a row that can be.
+    pub fn check(&self) -> Result<(), String> {
+        let share = |value: &Option<f64>| value.is_none_or(|value| (0.0..=1.0).contains(&value));
+        let delay = |value: &Option<f64>| value.is_none_or(|value| value > 0.0 && value.is_finite());
+        let figures = [self.delivered, self.within_20ms, self.within_50ms, self.p50_ms, self.p90_ms];
+        if !self.is_of_radio() {
+            Err("it is of shaped links, and only a radio can be fitted".to_owned())
+        } else if !(0.1..=100_000.0).contains(&self.rate) {
+            Err(format!("rate {} is not 0.1 to 100000 messages a second", self.rate))
+        } else if self.seconds.is_some_and(|seconds| !(0.1..=3600.0).contains(&seconds)) {
+            Err("seconds is not 0.1 to 3600".to_owned())
+        } else if !figures[..3].iter().all(share) || !figures[3..].iter().all(delay) {
+            Err("a share is not 0 to 1, or a delay is no positive number".to_owned())
+        } else if figures.iter().all(Option::is_none) {
+            Err("it has none of delivered, within_20ms, within_50ms, p50_ms and p90_ms".to_owned())
+        } else {
+            Ok(())
+        }
     }
 
     /// Whether it is of a radio.

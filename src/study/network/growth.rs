@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::messages::wire::Kind;
+use crate::net::key::TAG_BYTES;
 use crate::net::radio::Radio;
 use crate::policy::orca;
 use crate::report::cost::Cost;
@@ -46,7 +47,7 @@ pub struct Growth {
     pub messages: f64,
     /// Their bytes \[1/s\].
     pub bytes: f64,
-    /// Datagrams that its hosts take in \[1/s\]; none where all is one host.
+    /// Datagrams that its hosts take in \[1/s\]: 0 where all is one host.
     pub deliveries: f64,
     /// The share of time that its own latents are on the air, by multicast; none without a radio.
     pub airtime: Option<f64>,
@@ -61,7 +62,7 @@ impl Growth {
     pub fn of(mode: &str, cost: &Cost, cpu_s: f64, radio: Option<&Radio>) -> Growth {
         let latents = cost.kinds.iter().find(|kind| kind.kind == Kind::Latent).expect("all kinds are counted");
         let on_air = |radio: &Radio| {
-            let datagram_bytes = (latents.bytes / latents.messages.max(f64::MIN_POSITIVE)).round() as usize;
+            let datagram_bytes = (latents.bytes / latents.messages.max(f64::MIN_POSITIVE)).round() as usize + TAG_BYTES;
             latents.messages * (radio.multicast_airtime(datagram_bytes) + radio.times().space).as_secs()
         };
         let airtime = radio.filter(|_| cost.deliveries > 0.0).map(on_air);

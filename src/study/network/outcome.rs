@@ -176,7 +176,8 @@ impl Tally {
         let window_s = self.window.1.since(self.window.0).as_secs();
         let (arrived, seen) = (self.delays_s.len() as u64, self.sent.0 > 0);
         let delay = |q: f64| quantile(&self.delays_s, q);
-        let age = |q: f64| quantile(&self.ages_s, q);
+        // Where that many were never heard there is no such age.
+        let age = |q: f64| quantile(&self.ages_s, q).filter(|age| *age < NEVER.as_secs());
         let steps = self.ages_s.len().max(1) as f64;
         let all = |qs: [f64; 4]| Some([delay(qs[0])?, delay(qs[1])?, delay(qs[2])?, delay(qs[3])?]);
         Outcome {

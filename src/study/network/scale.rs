@@ -1,5 +1,5 @@
 //! How a network study shows growing teams: what a robot costs (`growth`), and where one channel is full
-//! (`saturation`). Figures and tables; nothing is reckoned here but averages.
+//! (`saturation`). Figures and tables; nothing is reckoned here.
 
 use super::case::Addressing;
 use super::growth::{self, Growth};

@@ -37,7 +37,7 @@ fn headers() -> usize {
 }
 
 impl Shaped {
-    /// The network of `tests/network_live.rs`: `tc tbf rate 1mbit`, 16 % loss.
+    /// Links as `tc tbf rate 1mbit` with 16 % loss makes them.
     pub fn megabit() -> Shaped {
         Shaped {
             rate_bit_s: 1e6,

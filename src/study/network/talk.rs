@@ -8,8 +8,8 @@ use crate::messages::wire::{Features, Latent, Phase, Round};
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
-/// What the wire format, a key's tag and IP, UDP and Ethernet do not carry of a message: so much longer than its
-/// content is its datagram. Header 14, block 3, tag 16, and what MessagePack needs.
+/// By how much a message's datagram is longer than its content: header 14, block 3, tag 16, and what MessagePack needs.
+/// Not in it: UDP, IP and what is below.
 pub const AROUND_BYTES: usize = 40;
 
 /// A message: the number `sequence` of a station in case number `case`, said at `stamp` after the case began.

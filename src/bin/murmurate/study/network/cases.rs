@@ -19,6 +19,8 @@ struct Identity {
     study: String,
     version: String,
     sweep: Sweep,
+    /// What was measured on, if anything is: who takes part, and a digest of their link.
+    link: Option<String>,
 }
 
 /// A finished case.
@@ -33,10 +35,12 @@ pub struct Record {
 }
 
 /// The folder of this sweep.
-pub fn open(path: &Path, sweep: &Sweep) -> Result<Folder> {
+pub fn open(path: &Path, sweep: &Sweep, link: Option<String>) -> Result<Folder> {
     let version = env!("CARGO_PKG_VERSION").to_owned();
-    let ours = Identity { study: "network".to_owned(), version, sweep: sweep.clone() };
-    Folder::open(path, CASES, &ours, |theirs| (*theirs != ours).then(|| "another sweep, medium or version".to_owned()))
+    let ours = Identity { study: "network".to_owned(), version, sweep: sweep.clone(), link };
+    Folder::open(path, CASES, &ours, |theirs| {
+        (*theirs != ours).then(|| "another sweep, medium, team or version".to_owned())
+    })
 }
 
 fn name(source: &str, at: usize) -> String {

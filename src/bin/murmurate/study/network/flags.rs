@@ -9,7 +9,7 @@ use murmurate::study::network::{Addressing, Assurance, History, Medium, Network,
 use serde::de::DeserializeOwned;
 
 use super::super::run::{Run, Typed};
-use crate::output::read_text;
+use crate::output::{read_text, talk};
 use crate::{BadInput, bad};
 
 /// Flags of `murmurate study network`.
@@ -34,10 +34,10 @@ pub struct Args {
     reliability: Vec<String>,
     /// How often the medium access sends a unicast frame again, separated by commas [default: 1,3,5,7]
     #[arg(long, value_delimiter = ',')]
-    retries: Vec<u32>,
-    /// Stations
-    #[arg(long, default_value_t = 5)]
-    stations: u16,
+    pub retries: Vec<u32>,
+    /// Stations [default: 5, or the hosts of --live]
+    #[arg(long)]
+    pub stations: Option<u16>,
     /// Content of a message [bytes]
     #[arg(long, default_value_t = 152)]
     bytes: usize,
@@ -55,8 +55,8 @@ pub struct Args {
     /// the coordinator, which says what is measured when and writes the report
     #[arg(long, value_name = "TEAM.toml")]
     pub live: Option<PathBuf>,
-    /// Takes part in a measurement as this host
-    #[arg(long, value_name = "NAME", requires = "live")]
+    /// Takes part in a measurement as this host; what is measured, the coordinator says
+    #[arg(long, value_name = "NAME", requires = "live", conflicts_with_all = ["fit", "out", "json"])]
     pub host: Option<String>,
     /// Where the coordinator of a measurement listens, and its participants find it
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7790", requires = "live")]
@@ -68,8 +68,8 @@ pub struct Args {
     /// writes it as a radio file
     #[arg(long, value_name = "FILE.toml")]
     pub fit: Option<PathBuf>,
-    /// Rows to fit to: what --json printed, or rows.json of a report
-    #[arg(long, value_name = "FILE.json", requires = "fit")]
+    /// Rows to fit to: what --json printed, or rows.json of a report. Where some were measured, those alone
+    #[arg(long, value_name = "FILE.json", requires = "fit", conflicts_with_all = ["live", "out", "teams"])]
     pub rows: Option<PathBuf>,
     #[command(flatten)]
     pub run: Run,
@@ -101,13 +101,29 @@ pub fn medium(flag: &str, given: &str) -> Result<Medium> {
     }
 }
 
+/// Stations where nobody says how many.
+const STATIONS: u16 = 5;
+
 impl Args {
+    /// Says where the radio is that was fitted.
+    pub fn farewell(&self) {
+        if let (Some(file), false) = (&self.fit, self.run.quiet) {
+            talk(&format!("radio in '{0}': use it with 'sim --radio {0}' or 'train --radio {0}'", file.display()));
+        }
+    }
+
     /// The sweep that is asked for.
     pub fn sweep(&self) -> Result<Sweep> {
+        if self.fit.is_some() && self.rows.is_none() && self.live.is_none() {
+            return bad("--fit: to what? Give --rows FILE.json, or measure with --live TEAM.toml".to_owned());
+        }
         let mut sweep = Sweep::whole(medium("--medium", &self.medium)?);
         sweep.networks = match &sweep.medium {
             Medium::Radio(_) => named("--networks", &self.networks, &[Network::Infrastructure, Network::AdHoc])?,
-            Medium::Shaped(_) => named("--networks", &self.networks, &[Network::Shaped])?,
+            Medium::Shaped(_) if !self.networks.is_empty() || !self.retries.is_empty() => {
+                return bad("--networks, --retries: shaped links have neither; leave both out".to_owned());
+            }
+            Medium::Shaped(_) => vec![Network::Shaped],
         };
         sweep.addressings = named("--addressing", &self.addressing, &[Addressing::Unicast, Addressing::Multicast])?;
         sweep.reliabilities = named("--reliability", &self.reliability, &Assurance::ALL)?;
@@ -131,7 +147,7 @@ impl Args {
             },
         };
         (sweep.stations, sweep.bytes, sweep.seconds, sweep.seed) =
-            (self.stations, self.bytes, self.seconds, self.run.seed);
+            (self.stations.unwrap_or(STATIONS), self.bytes, self.seconds, self.run.seed);
         sweep.check().map_err(|e| BadInput(format!("--{e}")))?;
         Ok(sweep)
     }
@@ -142,13 +158,16 @@ impl Args {
             [] if self.live.is_some() || self.fit.is_some() => Ok(Vec::new()),
             [] => Ok(growth::SIZES.to_vec()),
             [none] if none == "none" => Ok(Vec::new()),
+            sizes if sizes.iter().any(|size| size == "none") => {
+                bad("--teams: 'none' stands alone; give it or sizes".to_owned())
+            }
             sizes => {
                 let mut all = Vec::new();
                 for size in sizes {
                     match size.parse() {
                         Ok(size) if !all.contains(&size) => all.push(size),
                         Ok(size) => return bad(format!("--teams: {size} is there twice")),
-                        Err(_) => return bad(format!("--teams: '{size}' is no number of robots, nor 'none'")),
+                        Err(_) => return bad(format!("--teams: '{size}' is no number of robots")),
                     }
                 }
                 all.sort_unstable();
@@ -166,11 +185,19 @@ impl Args {
         command.add_all("addressing", &self.addressing);
         command.add_all("reliability", &self.reliability);
         command.add_all("retries", &self.retries);
-        command.add_all("stations", [self.stations]);
+        command.add_all("stations", self.stations);
         command.add_all("bytes", [self.bytes]);
         command.add("history", Some(self.history.clone()));
         command.add_all("seconds", [self.seconds]);
         command.add_all("teams", &self.teams);
+        let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+        command.add("live", path(&self.live));
+        command.add("coordinator", self.live.as_ref().map(|_| self.coordinator.to_string()));
+        for set in &self.set {
+            command.add("set", Some(set.clone()));
+        }
+        command.add("rows", path(&self.rows));
+        command.add("fit", path(&self.fit));
         command.add_all("seed", [self.run.seed]);
         command.0
     }

@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, Result};
+use murmurate::study::network::fit::Observed;
 use murmurate::study::network::growth::Growth;
 use murmurate::study::network::pages::{Findings, Found};
 use murmurate::study::network::{Row, Sweep, emulate, table};
@@ -26,10 +27,14 @@ pub use flags::{Args, medium};
 
 /// What a study came to, for `--json`.
 #[derive(Serialize)]
-struct Report {
+struct Report<'a> {
     study: &'static str,
     rows: Vec<Row>,
-    growth: Vec<Growth>,
+    growth: &'a [Growth],
+    /// How far off one-way delays may be that were measured \[s\]; null where none were.
+    uncertainty_s: Option<f64>,
+    /// The radio that was fitted to what was measured, if that was asked for.
+    fit: Option<&'a fit::Report>,
     wall_s: f64,
     seed: u64,
     interrupted: bool,
@@ -44,22 +49,29 @@ pub fn run(args: &Args) -> Result<Ended> {
         return live::participate(room.part(name)?, name, args.coordinator, args.run.quiet);
     }
     if let Some(room) = &team {
-        room.restrict(&mut sweep)?;
+        room.restrict(&mut sweep, args)?;
     }
-    let folder = args.run.out.as_deref().map(|path| cases::open(path, &sweep)).transpose()?;
+    let link = team.as_ref().map(room::Room::link).transpose()?;
+    let folder = args.run.out.as_deref().map(|path| cases::open(path, &sweep, link)).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     let (signal, measuring) = (Arc::clone(&stop), team.is_some());
     let told = move || {
         if !signal.swap(true, Ordering::Relaxed) && measuring {
-            talk("stopping: the case under way is measured to its end");
+            talk("stopping; a case that is under way is measured to its end");
         }
     };
     ctrlc::set_handler(told).context("cannot listen for Ctrl-C")?;
-    if let (Some(file), Some(rows)) = (&args.fit, &args.rows) {
-        return fit::run(&sweep, fit::read(rows)?, (file, args), &stop);
+    let mut radio_file = args.fit.as_deref().map(|file| fit::prepare(file, &sweep)).transpose()?;
+    if let (Some(rows), Some(out)) = (&args.rows, radio_file.take_if(|_| args.rows.is_some())) {
+        let Some(fitted) = fit::run(&sweep, &fit::read(rows)?, out, args, &stop)? else {
+            return Ok(Ended::Interrupted);
+        };
+        print(&if args.run.json { json(&fitted)? } else { fitted.to_string() })?;
+        args.farewell();
+        return Ok(Ended::Done);
     }
     let began = Instant::now();
-    let (mut notes, mut measured) = (Vec::new(), Vec::new());
+    let (mut notes, mut measured, mut uncertainty_s) = (Vec::new(), Vec::new(), 0.0);
     if let Some(room) = &team {
         let line = (args.coordinator, room.key()?);
         let live = live::measure(&sweep, &room.names(), line, folder.as_ref(), (&stop, args.run.quiet))?;
@@ -69,9 +81,10 @@ pub fn run(args: &Args) -> Result<Ended> {
             room.file().display(),
             1000.0 * live.uncertainty_s
         ));
+        uncertainty_s = live.uncertainty_s;
         measured = live.results;
     }
-    // Before there is anything else in memory to slow them down.
+    // Ahead of the sweep, which leaves memory in pieces.
     let grown = teams::run(&sizes, &sweep, folder.as_ref(), args.run.quiet, &stop)?;
     let mut results = emulated(&sweep, folder.as_ref(), (args.run.jobs, args.run.quiet), &stop)?;
     let cases = sweep.cases().len() * if team.is_some() { 2 } else { 1 };
@@ -84,20 +97,42 @@ pub fn run(args: &Args) -> Result<Ended> {
         cases::write_report(folder, &findings)?;
     }
     let rows = findings.rows();
-    if let (Some(file), Some(_), false) = (&args.fit, &team, interrupted) {
-        let live: Vec<&Row> = rows.iter().filter(|row| row.source == "live").collect();
-        let live = serde_json::to_value(live).and_then(serde_json::from_value).context("rows are plain data")?;
-        fit::run(&sweep, live, (file, args), &stop)?;
-    }
-    let wall_s = began.elapsed().as_secs_f64();
+    // Whatever comes of the fit, what was measured is printed first.
+    let wanted = radio_file.filter(|_| !interrupted);
+    let fits = wanted.is_some();
+    let fitted = wanted.map_or(Ok(None), |out| {
+        let live = results.iter().filter(|(source, ..)| source == "live");
+        let live: Vec<Row> = live.map(|(source, case, outcome)| Row::of(source, case, outcome)).collect();
+        let live = serde_json::to_value(live).and_then(serde_json::from_value::<Vec<Observed>>);
+        fit::run(&sweep, &live.context("rows are plain data")?, out, args, &stop)
+    });
+    let (wall_s, fit) = (began.elapsed().as_secs_f64(), fitted.as_ref().ok().and_then(Option::as_ref));
     print(&if args.run.json {
-        let report = Report { study: "network", rows, growth: grown, wall_s, seed: sweep.seed, interrupted };
-        serde_json::to_string(&report).context("a report is JSON")?
+        let uncertainty_s = team.is_some().then_some(uncertainty_s);
+        json(&Report {
+            study: "network",
+            rows,
+            growth: &grown,
+            uncertainty_s,
+            fit,
+            wall_s,
+            seed: sweep.seed,
+            interrupted,
+        })?
     } else {
-        format!("{}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(&sweep, &rows, &grown))
+        let fit = fit.map_or(String::new(), |fit| format!("\n\n{fit}"));
+        format!("{}{fit}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(&sweep, &rows, &grown))
     })?;
     args.run.farewell(folder.as_ref(), "cases", done, all);
-    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+    let unfitted = fits && fitted?.is_none();
+    if fits && !unfitted {
+        args.farewell();
+    }
+    Ok(if interrupted || unfitted { Ended::Interrupted } else { Ended::Done })
+}
+
+fn json(value: &impl Serialize) -> Result<String> {
+    serde_json::to_string(value).context("a report is JSON")
 }
 
 /// All cases, emulated: those that are kept, and the rest now. Fewer after a Ctrl-C.

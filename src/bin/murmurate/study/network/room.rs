@@ -52,6 +52,13 @@ impl Room {
         self.stations.iter().map(|host| hosts[usize::from(host.0)].name.clone()).collect()
     }
 
+    /// What it is that is measured: who takes part, and a digest of the link as the first of them has it.
+    pub fn link(&self) -> Result<String> {
+        let team = self.args.for_host(&self.file, self.stations[0])?;
+        let socket = format!("{:?}", team.links[self.link]);
+        Ok(format!("{}: {}", self.names().join(", "), blake3::hash(socket.as_bytes()).to_hex()))
+    }
+
     /// The team's key.
     pub fn key(&self) -> Result<Option<[u8; 32]>> {
         team::key(&self.args.for_host(&self.file, self.stations[0])?)
@@ -75,7 +82,7 @@ impl Room {
     }
 
     /// Leaves of a sweep what can be measured on this link, so that both are of the same cases.
-    pub fn restrict(&self, sweep: &mut Sweep) -> Result<()> {
+    pub fn restrict(&self, sweep: &mut Sweep, args: &Args) -> Result<()> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
         let name = &team.deployment.links[self.link].name;
         let socket = team.links[self.link].as_ref();
@@ -88,6 +95,9 @@ impl Room {
         }
         sweep.addressings = vec![addressing];
         sweep.stations = u16::try_from(self.stations.len()).expect("hosts are counted in u16");
+        if args.stations.is_some_and(|stations| stations != sweep.stations) {
+            return bad(format!("--stations: {} hosts of the team file take part; leave it out", sweep.stations));
+        }
         sweep.reliabilities.retain(|one| !matches!(one, Assurance::Ack | Assurance::AckOff));
         if sweep.reliabilities.is_empty() {
             return bad(
@@ -97,8 +107,17 @@ impl Room {
         match &sweep.medium {
             Medium::Shaped(_) => {}
             Medium::Radio(radio) => {
-                sweep.retries = vec![radio.retries];
-                sweep.networks = vec![if name == "ad-hoc" { Network::AdHoc } else { Network::Infrastructure }];
+                let network = if name == "ad-hoc" { Network::AdHoc } else { Network::Infrastructure };
+                if !args.retries.is_empty() && args.retries != [radio.retries] {
+                    return bad(format!(
+                        "--retries: what is measured has the retries of its own hardware; the medium says {}",
+                        radio.retries
+                    ));
+                }
+                if !sweep.networks.contains(&network) {
+                    return bad(format!("--networks: link '{name}' of the team file is {network}"));
+                }
+                (sweep.retries, sweep.networks) = (vec![radio.retries], vec![network]);
             }
         }
         sweep.check().map_err(|e| BadInput(format!("--{e}")).into())

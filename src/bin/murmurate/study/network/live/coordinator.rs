@@ -46,16 +46,26 @@ pub fn measure(
 ) -> Result<Measured> {
     const SOURCE: &str = "live";
     let origin = Instant::now();
-    let listener = TcpListener::bind(address).map_err(|e| BadInput(format!("--coordinator: {address}: {e}")))?;
-    let mut measured = Measured { results: Vec::new(), uncertainty_s: 0.0 };
-    let Some(mut lines) = gather((&listener, key), hosts, (stop, quiet))? else { return Ok(measured) };
     let cases = sweep.cases();
+    let kept = |at: usize| folder.and_then(|folder| cases::read(folder, SOURCE, at, &cases[at]));
+    let mut measured = Measured { results: Vec::new(), uncertainty_s: 0.0 };
+    let mut lines = Vec::new();
+    // Nobody is needed for what is there already.
+    if (0..cases.len()).any(|at| kept(at).is_none()) {
+        let listener = TcpListener::bind(address).map_err(|e| {
+            BadInput(format!("--coordinator: cannot listen at {address}: {e}; give an address of this machine"))
+        })?;
+        match gather((&listener, key), hosts, (stop, quiet))? {
+            Some(all) => lines = all,
+            None => return Ok(measured),
+        }
+    }
     let bar = progress(cases.len() as u64, quiet);
     for (at, case) in cases.iter().enumerate() {
         if stop.load(Ordering::Relaxed) {
             break;
         }
-        let record = match folder.and_then(|folder| cases::read(folder, SOURCE, at, case)) {
+        let record = match kept(at) {
             Some(record) => record,
             None => {
                 let number = u32::try_from(at).context("so many cases there are not")?;
@@ -83,9 +93,15 @@ fn gather(
     (stop, quiet): (&AtomicBool, bool),
 ) -> Result<Option<Vec<Line>>> {
     listener.set_nonblocking(true).context("cannot wait for hosts")?;
+    if !quiet {
+        talk(&format!("waiting for: {}; start the same command there with --host NAME", hosts.join(", ")));
+    }
     let mut here: BTreeMap<usize, Line> = BTreeMap::new();
     while here.len() < hosts.len() {
         if stop.load(Ordering::Relaxed) {
+            for line in here.values_mut() {
+                line.say(&Instruction::Done)?;
+            }
             return Ok(None);
         }
         let mut waiting = [PollFd::new(listener.as_fd(), PollFlags::POLLIN)];
@@ -106,7 +122,8 @@ fn gather(
             let missing =
                 hosts.iter().enumerate().filter(|(at, _)| !here.contains_key(at)).map(|(_, host)| host.as_str());
             let missing: Vec<&str> = missing.collect();
-            talk(&format!("{} of {} hosts are here; missing: {}", here.len(), hosts.len(), missing.join(", ")));
+            let missing = if missing.is_empty() { String::new() } else { format!("; missing: {}", missing.join(", ")) };
+            talk(&format!("{} of {} hosts are here{missing}", here.len(), hosts.len()));
         }
     }
     Ok(Some(here.into_values().collect()))
@@ -131,7 +148,12 @@ fn offset(line: &mut Line, origin: Instant) -> Result<(i64, i64)> {
 
 /// Has one case measured.
 fn one(task: &Task, hosts: &[String], lines: &mut [Line], origin: Instant) -> Result<(Vec<Notes>, f64)> {
-    let named = |at: usize| format!("host '{}'", hosts[at]);
+    let named = |at: usize| {
+        format!(
+            "host '{}' is lost; start its program and the same command again: with --out what was measured is kept",
+            hosts[at]
+        )
+    };
     let mut offsets = Vec::new();
     for (at, line) in lines.iter_mut().enumerate() {
         offsets.push(offset(line, origin).with_context(|| named(at))?);
@@ -149,7 +171,12 @@ fn one(task: &Task, hosts: &[String], lines: &mut [Line], origin: Instant) -> Re
             other => bail!("{} says {other:?} where it should say what it has found", named(at)),
         }
     }
-    let mut unsure: Vec<i64> = offsets.iter().map(|(_, unsure)| *unsure).collect();
+    // How far a clock has run away meanwhile is how far off it may have been.
+    let mut unsure = Vec::new();
+    for (at, (line, (before, least))) in lines.iter_mut().zip(&offsets).enumerate() {
+        let (after, most) = offset(line, origin).with_context(|| named(at))?;
+        unsure.push((after - before).abs() + most.max(*least));
+    }
     unsure.sort_unstable();
     let two: i64 = unsure.iter().rev().take(2).sum();
     Ok((notes, two as f64 * 1e-9))
