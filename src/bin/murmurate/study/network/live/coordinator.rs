@@ -94,7 +94,11 @@ fn gather(
 ) -> Result<Option<Vec<Line>>> {
     listener.set_nonblocking(true).context("cannot wait for hosts")?;
     if !quiet {
-        talk(&format!("waiting for: {}; start the same command there with --host NAME", hosts.join(", ")));
+        let at = listener.local_addr().map_or("ADDRESS:PORT".to_owned(), |at| at.to_string());
+        talk(&format!(
+            "waiting for: {}; on each of them: murmurate study network --live TEAM.toml --coordinator {at} --host NAME",
+            hosts.join(", ")
+        ));
     }
     let mut here: BTreeMap<usize, Line> = BTreeMap::new();
     while here.len() < hosts.len() {
