@@ -116,6 +116,7 @@ fn a_fit_recovers_the_radio_that_rows_were_made_of() {
     let off = |field: &str, truth: f64| (number(&fitted, field) / truth - 1.0).abs();
     assert!(off("noise_loss", 0.12) < 0.1 && off("background", 0.24) < 0.1, "{fitted}");
     assert!(number(&fitted, "residual_shares") < 0.02, "{fitted}");
+    assert!(fitted["rivals"].as_array().is_some_and(Vec::is_empty), "{fitted}");
     assert!(fs::read_to_string(path("fit.toml")).unwrap().contains("ofdm-12"));
 
     // Of a file with measured rows those count alone; a row that cannot be is named.

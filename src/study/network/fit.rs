@@ -47,6 +47,8 @@ pub struct Fitted {
     pub shares: f64,
     /// The same over the logarithms of delays.
     pub delays: f64,
+    /// Other rates that fit almost as well: the rows do not tell them apart.
+    pub rivals: Vec<Rate>,
     /// The rows, with the emulation at the fitted parameters beside.
     pub rows: Vec<(Observed, Row)>,
 }
@@ -79,6 +81,8 @@ const GROWS_MS: f64 = 50.0;
 const STARTS: usize = 10;
 const BEST: usize = 4;
 const NEAR_BEST: (f64, f64) = (3.0, 3.0);
+/// A rate whose misfit is less than this many times the best fits almost as well.
+const RIVAL: f64 = 2.0;
 /// The first steps around them, of noise and background, and how often they are halved.
 const STEPS: (f64, f64) = (0.04, 0.08);
 const HALVINGS: u32 = 3;
@@ -132,7 +136,9 @@ pub fn fit(base: &Radio, sweep: &Sweep, observed: &[Observed], runner: Runner) -
         let scale = f64::from(1 << (HALVINGS - 1));
         best.push(fit.refine(point, FINE, (STEPS.0 / scale, STEPS.1 / scale))?);
     }
-    fit.result(sorted(best)[0].1)
+    let best = sorted(best);
+    let rivals = best[1..].iter().filter(|(misfit, _)| *misfit < RIVAL * best[0].0);
+    fit.result(best[0].1, rivals.map(|(_, point)| point.rate).collect())
 }
 
 /// The generation of 802.11 that a rate is of: the first part of its name.
@@ -251,7 +257,7 @@ impl Fit<'_> {
         Some(best)
     }
 
-    fn result(&self, point: Point) -> Option<Fitted> {
+    fn result(&self, point: Point, rivals: Vec<Rate>) -> Option<Fitted> {
         let runs = self.runs(point, (self.observed.len(), FINE.1));
         let outcomes: Vec<Outcome> = (self.runner)(&runs).into_iter().collect::<Option<_>>()?;
         let rows: Vec<(Observed, Row)> = self
@@ -270,7 +276,7 @@ impl Fit<'_> {
                 .collect();
             (all.iter().map(|x| x * x).sum::<f64>() / all.len().max(1) as f64).sqrt()
         };
-        Some(Fitted { radio: self.radio(point), shares: rms(0..3), delays: rms(3..5), rows })
+        Some(Fitted { radio: self.radio(point), shares: rms(0..3), delays: rms(3..5), rivals, rows })
     }
 }
 

@@ -23,6 +23,8 @@ pub struct Report {
     /// Root mean square of what is left: of shares, and of the logarithms of delays.
     residual_shares: f64,
     residual_log_delays: f64,
+    /// Other rates that fit almost as well.
+    rivals: Vec<String>,
     rows: usize,
 }
 
@@ -90,6 +92,7 @@ pub fn run(
         basic_rate: radio.basic_rate.to_string(),
         residual_shares: fitted.shares,
         residual_log_delays: fitted.delays,
+        rivals: fitted.rivals.iter().map(ToString::to_string).collect(),
         rows: fitted.rows.len(),
     }))
 }
@@ -107,6 +110,14 @@ impl fmt::Display for Report {
             100.0 * self.residual_shares,
             100.0 * (self.residual_log_delays.exp() - 1.0),
             self.rows
-        )
+        )?;
+        if !self.rivals.is_empty() {
+            let rivals = self.rivals.join(", ");
+            write!(
+                f,
+                "\nnot certain: {rivals} fit almost as well; rows by multicast, and of more rates, tell them apart"
+            )?;
+        }
+        Ok(())
     }
 }
