@@ -26,8 +26,8 @@ fn lasting(trial: &Trial, seconds: f64) -> (TrialReport, Cost) {
 #[test]
 fn a_robot_of_a_large_team_says_and_hears_no_more_than_one_of_a_small_team() {
     for mode in ["sim", "onboard-adhoc", "onboard-infra"] {
-        let trial = |robots| if mode == "sim" { team(mode, robots) } else { ranged(team(mode, robots)) };
-        let [small, large] = [50, 200].map(|robots| lasting(&trial(robots), 6.0).1);
+        let cost = |robots| Cost::of(robots, &growth::trial(mode, robots, Span::from_secs(6.0)).unwrap().run());
+        let [small, large] = [50, 200].map(cost);
         assert!(large.messages < 1.02 * small.messages, "{mode}: {small:?}, {large:?}");
         assert!(large.bytes < 1.1 * small.bytes, "{mode}: {small:?}, {large:?}");
         // There are fewer at the edge of a larger ground, where half of the neighbours are missing.

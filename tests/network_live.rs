@@ -4,7 +4,7 @@
 #![cfg(target_os = "linux")]
 
 use std::fs;
-use std::io::{BufRead as _, BufReader, Read, Write as _};
+use std::io::{BufRead as _, BufReader, Write as _};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::Mutex;
 
@@ -102,26 +102,29 @@ fn run(program: &str, args: &[&str]) -> bool {
 }
 
 /// A process that does not outlive the test.
-struct Process(Child);
+struct Process(Option<Child>);
 
 impl Process {
+    fn start(command: &mut Command) -> Process {
+        Process(Some(command.spawn().expect("it starts")))
+    }
+
+    fn child(&mut self) -> &mut Child {
+        self.0.as_mut().expect("it has not ended")
+    }
+
     /// Waits for its end.
     fn end(mut self) -> Output {
-        let read = |pipe: Option<&mut dyn Read>| {
-            let mut bytes = Vec::new();
-            pipe.map(|pipe| pipe.read_to_end(&mut bytes).unwrap());
-            bytes
-        };
-        let stdout = read(self.0.stdout.as_mut().map(|pipe| pipe as &mut dyn Read));
-        let stderr = read(self.0.stderr.as_mut().map(|pipe| pipe as &mut dyn Read));
-        Output { status: self.0.wait().unwrap(), stdout, stderr }
+        self.0.take().expect("it has not ended").wait_with_output().expect("it ends")
     }
 }
 
 impl Drop for Process {
     fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        if let Some(child) = &mut self.0 {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
     }
 }
 
@@ -161,7 +164,7 @@ impl Team {
     fn participant(&self, lab: &Lab, station: usize) -> Process {
         let name = format!("robot-{station}");
         let args = ["--live", &self.path("team.toml"), "--coordinator", COORDINATOR, "--host", &name];
-        Process(lab.program(&name, &args).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
+        Process::start(lab.program(&name, &args).stdout(Stdio::null()).stderr(Stdio::piped()))
     }
 
     fn participants(&self, lab: &Lab) -> Vec<Process> {
@@ -203,11 +206,11 @@ fn a_measurement_goes_on_after_an_interruption_and_a_radio_is_fitted_to_it() {
 
     let mut hosts = team.participants(&lab);
     let mut command = team.coordinator(&lab, &args);
-    let coordinator = Process(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
+    let mut coordinator = Process::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()));
     // The first case is kept when the second begins.
-    let mut told = BufReader::new(hosts[0].0.stderr.take().unwrap()).lines().map(Result::unwrap);
+    let mut told = BufReader::new(hosts[0].child().stderr.take().unwrap()).lines().map(Result::unwrap);
     assert!(told.any(|line| line.starts_with("case 1:")), "the second case begins");
-    assert!(run("kill", &["-INT", &coordinator.0.id().to_string()]));
+    assert!(run("kill", &["-INT", &coordinator.child().id().to_string()]));
     let output = coordinator.end();
     let said = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(130), "{said}");

@@ -63,6 +63,10 @@ fn a_report_does_not_depend_on_threads_and_is_gone_on_with() {
     refuses(&["study", "network", "--teams", "1"], &["--teams", "1"]);
     refuses(&["study", "network", "--teams", "none,5"], &["--teams", "alone"]);
     refuses(&["study", "network", "--medium", "shaped", "--retries", "3"], &["--retries", "shaped"]);
+    refuses(&["study", "network", "--rates", "1", "--seconds", "2"], &["--seconds", "too short", "5 at least"]);
+    let narrow = folder.path().join("narrow.toml");
+    fs::write(&narrow, "rate_bit_s = 1e6\nburst_bytes = 200\nqueue_bytes = 9000\n").unwrap();
+    refuses(&["study", "network", "--medium", &narrow.to_string_lossy()], &["--medium", "burst_bytes", "234"]);
     refuses(&["study", "network", "--medium", "telepathy"], &["--medium", "telepathy", "paper"]);
     refuses(&["study", "network", "--reliability", "hope"], &["--reliability", "hope"]);
     refuses(&["study", "network", "--bytes", "7"], &["--bytes", "7"]);
@@ -128,7 +132,7 @@ fn a_fit_recovers_the_radio_that_rows_were_made_of() {
         let fit = ["study", "network", "--rows", &path(name), "--fit", &path("no.toml"), "--medium", "wifi"];
         refuses(&fit, &[&["--rows"], named].concat());
     };
-    refused("rate.json", &|row| row["rate"] = 0.into(), &["row 2", "rate 0"]);
+    refused("rate.json", &|row| row["rate"] = 0.into(), &["row 2", "rates", "0 is not"]);
     refused("share.json", &|row| row["delivered"] = 2.into(), &["row 2", "share"]);
     refused("links.json", &|row| row["network"] = "shaped".into(), &["row 2", "shaped"]);
     rows["rows"][0]["source"] = "live".into();

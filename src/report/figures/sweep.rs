@@ -36,6 +36,20 @@ pub struct Point {
     pub within: [f64; 2],
 }
 
+impl Point {
+    /// A value that is nowhere else.
+    pub fn exactly(value: f64) -> Point {
+        Point { value, within: [value; 2] }
+    }
+}
+
+impl Panel {
+    /// A panel of these lines.
+    pub fn new(title: &str, y: &str, ends: Option<(f64, f64)>, lines: Vec<Line>) -> Panel {
+        Panel { title: title.to_owned(), y: y.to_owned(), ends, lines }
+    }
+}
+
 const PANEL: u32 = 480;
 const HEAD: u32 = 52;
 

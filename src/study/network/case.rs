@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::medium::Medium;
+use super::talk::AROUND_BYTES;
 use crate::config::ConfigError;
 use crate::messages::wire::MAX_FEATURES;
 use crate::net::radio::Topology;
@@ -59,6 +60,21 @@ pub enum History {
     Last(u32),
     /// Everything that not all readers have acknowledged (KEEP_ALL).
     All,
+}
+
+/// How it was found what becomes of a case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Source {
+    /// On an emulated medium.
+    Emulated,
+    /// Between hosts.
+    Live,
+}
+
+impl Source {
+    /// Both.
+    pub const ALL: [Source; 2] = [Source::Emulated, Source::Live];
 }
 
 /// One case: everything that decides what becomes of the messages.
@@ -159,10 +175,26 @@ impl Sweep {
         if let Some(retries) = self.retries.iter().find(|retries| **retries > 255) {
             return wrong("retries", format!("{retries} is not 0 to 255"));
         }
+        let stations = f64::from(self.stations);
+        if let Some(rate) = self.rates.iter().find(|rate| *rate * self.seconds < stations) {
+            let least = stations / rate;
+            return wrong(
+                "seconds",
+                format!("{} is too short for {rate} messages a second: {least} at least", self.seconds),
+            );
+        }
         if self.history == History::Last(0) {
             return wrong("history", "a writer keeps at least 1 sample".to_owned());
         }
-        self.medium.check()
+        self.medium.check()?;
+        let Medium::Shaped(shaped) = &self.medium else { return Ok(()) };
+        let frame = self.bytes + AROUND_BYTES + shaped.overhead_bytes;
+        for (field, bytes) in [("burst_bytes", shaped.burst_bytes), ("queue_bytes", shaped.queue_bytes)] {
+            if bytes < frame {
+                return wrong("medium", format!("{field} is {bytes}, and a message is {frame} bytes on the link"));
+            }
+        }
+        Ok(())
     }
 
     /// All cases, by combination and then by rate.
@@ -220,7 +252,7 @@ macro_rules! named {
     )* };
 }
 
-named!(Addressing, Assurance, Network);
+named!(Addressing, Assurance, Network, Source);
 
 impl std::fmt::Display for History {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {

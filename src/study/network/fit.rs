@@ -7,7 +7,7 @@
 
 use serde::Deserialize;
 
-use super::case::{Addressing, Assurance, Case, Network, Sweep};
+use super::case::{Addressing, Assurance, Case, Network, Source, Sweep};
 use super::medium::Medium;
 use super::outcome::{Outcome, Row};
 use crate::net::radio::rate::{self, Rate};
@@ -17,7 +17,7 @@ use crate::net::radio::{Radio, Topology};
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Observed {
     #[serde(default)]
-    source: Option<String>,
+    source: Option<Source>,
     addressing: Addressing,
     reliability: Assurance,
     retries: u32,
@@ -298,7 +298,7 @@ impl Observed {
     }
 
     fn row(&self, outcome: &Outcome) -> Row {
-        Row::of("emulated", &self.case(), outcome)
+        Row::of(Source::Emulated, &self.case(), outcome)
     }
 
     /// How far its figures are from those of a run: differences of shares, and of the logarithms of delays.
@@ -320,20 +320,19 @@ impl Observed {
 
     /// Whether it was measured, and not emulated.
     pub fn is_live(&self) -> bool {
-        self.source.as_deref() == Some("live")
+        self.source == Some(Source::Live)
     }
 
-    /// Checks that it is a row that can be.
-    pub fn check(&self) -> Result<(), String> {
+    /// Checks that it is a row that such a sweep can have.
+    pub fn check(&self, sweep: &Sweep) -> Result<(), String> {
+        let seconds = self.seconds.unwrap_or(sweep.seconds);
+        let (rates, retries) = (vec![self.rate], vec![self.retries]);
+        Sweep { rates, retries, seconds, ..sweep.clone() }.check().map_err(|error| error.to_string())?;
         let share = |value: &Option<f64>| value.is_none_or(|value| (0.0..=1.0).contains(&value));
         let delay = |value: &Option<f64>| value.is_none_or(|value| value > 0.0 && value.is_finite());
         let figures = [self.delivered, self.within_20ms, self.within_50ms, self.p50_ms, self.p90_ms];
-        if !self.is_of_radio() {
+        if self.network == Network::Shaped {
             Err("it is of shaped links, and only a radio can be fitted".to_owned())
-        } else if !(0.1..=100_000.0).contains(&self.rate) {
-            Err(format!("rate {} is not 0.1 to 100000 messages a second", self.rate))
-        } else if self.seconds.is_some_and(|seconds| !(0.1..=3600.0).contains(&seconds)) {
-            Err("seconds is not 0.1 to 3600".to_owned())
         } else if !figures[..3].iter().all(share) || !figures[3..].iter().all(delay) {
             Err("a share is not 0 to 1, or a delay is no positive number".to_owned())
         } else if figures.iter().all(Option::is_none) {
@@ -342,10 +341,25 @@ impl Observed {
             Ok(())
         }
     }
+}
 
-    /// Whether it is of a radio.
-    pub fn is_of_radio(&self) -> bool {
-        self.network != Network::Shaped
+impl From<&Row> for Observed {
+    fn from(row: &Row) -> Observed {
+        let Case { network, addressing, reliability, retries, rate } = row.case();
+        Observed {
+            source: Some(row.source),
+            addressing,
+            reliability,
+            retries,
+            network,
+            rate,
+            seconds: Some(row.seconds),
+            delivered: Some(row.delivered),
+            within_20ms: Some(row.within_20ms),
+            within_50ms: Some(row.within_50ms),
+            p50_ms: row.p50_ms,
+            p90_ms: row.p90_ms,
+        }
     }
 }
 

@@ -11,8 +11,6 @@ use crate::report::cost::Cost;
 use crate::time::Span;
 use crate::trial::{Trial, TrialError};
 
-/// The sizes of teams.
-pub const SIZES: [usize; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];
 /// The deployments: one agent for all in lock step, and a host for each robot.
 pub const MODES: [&str; 2] = ["sim", "onboard-adhoc"];
 /// How much of a team's time is simulated \[s\].
@@ -31,8 +29,10 @@ pub fn range_m() -> f32 {
 /// A team of so many robots for so long. Between hosts latents carry a little farther than they are listened to.
 pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError> {
     let trial = Trial::of_team(mode, "swap", robots)?.lasting(lasts);
-    // With one host for all there is no link that has latents to carry.
-    let deployment = trial.deployment.clone().ranged(range_m()).unwrap_or_else(|_| trial.deployment.clone());
+    if trial.deployment.hosts.len() == 1 {
+        return Ok(trial);
+    }
+    let deployment = trial.deployment.clone().ranged(range_m()).expect("between hosts latents cross a link");
     Ok(Trial { deployment, ..trial })
 }
 

@@ -21,6 +21,6 @@ pub mod shaped;
 pub mod table;
 pub mod talk;
 
-pub use case::{Addressing, Assurance, Case, History, Network, Sweep};
+pub use case::{Addressing, Assurance, Case, History, Network, Source, Sweep};
 pub use medium::Medium;
 pub use outcome::{Outcome, Row};

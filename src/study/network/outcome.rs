@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
-use super::case::{Addressing, Assurance, Case, Network};
+use super::case::{Addressing, Assurance, Case, Network, Source};
 use super::emulate::NEVER;
 use crate::report::ages::Ages;
 use crate::report::statistics::quantile;
@@ -200,8 +200,8 @@ impl Tally {
 /// One line of the results, as `--json` prints it. Fields are only ever added.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// `emulated` or `live`.
-    pub source: String,
+    /// How it was found.
+    pub source: Source,
     /// See `Case`.
     pub addressing: Addressing,
     /// See `Case`.
@@ -250,16 +250,16 @@ impl Row {
     /// What all rates of its combination have in common, in a few words.
     pub fn combination(&self) -> String {
         let name = self.case().combination();
-        if self.source == "emulated" { name } else { format!("{name}, {}", self.source) }
+        if self.source == Source::Emulated { name } else { format!("{name}, {}", self.source) }
     }
 
     /// The line of a case.
-    pub fn of(source: &str, case: &Case, outcome: &Outcome) -> Row {
+    pub fn of(source: Source, case: &Case, outcome: &Outcome) -> Row {
         let due = outcome.due.max(1) as f64;
         let delay = |at: usize| outcome.quantiles_s.map(|all| 1000.0 * all[at]);
         let age = |at: usize| outcome.age_quantiles_s.map(|all| 1000.0 * all[at]);
         Row {
-            source: source.to_owned(),
+            source,
             addressing: case.addressing,
             reliability: case.reliability,
             retries: case.retries,

@@ -1,6 +1,6 @@
 //! The report of a network study: its figures and its page.
 
-use super::case::{Addressing, Assurance, Case, Network, Sweep};
+use super::case::{Addressing, Assurance, Case, Network, Source, Sweep};
 use super::growth::Growth;
 use super::medium::Medium;
 use super::outcome::{Outcome, Row};
@@ -10,8 +10,8 @@ use crate::report::figures::{self, Figure, FigureError, Heard, Line, Panel, Poin
 use crate::report::listening::Listening;
 use crate::report::page::{self, Part};
 
-/// A case with what came of it, and where: `emulated` or `live`.
-pub type Found = (String, Case, Outcome);
+/// A case with what came of it.
+pub type Found = (Source, Case, Outcome);
 
 /// A line's name, and whether a case is on it.
 type OnLine = (String, Box<dyn Fn(&Found) -> bool>);
@@ -43,7 +43,7 @@ struct Group {
 impl Findings<'_> {
     /// The rows.
     pub fn rows(&self) -> Vec<Row> {
-        self.results.iter().map(|(source, case, outcome)| Row::of(source, case, outcome)).collect()
+        self.results.iter().map(|(source, case, outcome)| Row::of(*source, case, outcome)).collect()
     }
 
     /// By network: reliabilities by multicast, by unicast, and RTPS over retry limits.
@@ -88,11 +88,11 @@ impl Findings<'_> {
 
     /// A line for what was emulated and one for what was measured, as far as there are such.
     fn sources(&self, lines: &mut Vec<OnLine>, name: &str, is: impl Fn(&Case) -> bool + Copy + 'static) {
-        let live = self.results.iter().any(|(source, ..)| source == "live");
-        for source in ["emulated", "live"] {
-            if self.results.iter().any(|(other, case, _)| other == source && is(case)) {
+        let live = self.results.iter().any(|(source, ..)| *source == Source::Live);
+        for source in Source::ALL {
+            if self.results.iter().any(|(other, case, _)| *other == source && is(case)) {
                 let name = if live { format!("{name}, {source}") } else { name.to_owned() };
-                lines.push((name, Box::new(move |(other, case, _): &Found| other == source && is(case))));
+                lines.push((name, Box::new(move |(other, case, _): &Found| *other == source && is(case))));
             }
         }
     }
@@ -131,8 +131,8 @@ impl Findings<'_> {
             let line = |(name, is): &OnLine| {
                 let at = |rate: &f64| {
                     let found = self.results.iter().find(|result| result.1.rate == *rate && is(result));
-                    let value = found.and_then(|(source, case, outcome)| value(&Row::of(source, case, outcome)))?;
-                    Some(Point { value, within: [value; 2] })
+                    let value = found.and_then(|(source, case, outcome)| value(&Row::of(*source, case, outcome)))?;
+                    Some(Point::exactly(value))
                 };
                 Line { name: name.clone(), points: self.sweep.rates.iter().map(at).collect() }
             };
@@ -196,7 +196,7 @@ impl Findings<'_> {
         let rows = self.rows();
         let heads: Vec<String> = table::heads(self.sweep);
         let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
-        for source in ["emulated", "live"] {
+        for source in Source::ALL {
             let rows: Vec<Row> = rows.iter().filter(|row| row.source == source).cloned().collect();
             for shown in SHOWN.into_iter().filter(|_| !rows.is_empty()) {
                 parts.push(Part::Heading(format!("{}, {source}", shown.0)));

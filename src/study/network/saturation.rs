@@ -10,7 +10,7 @@ use crate::net::radio::Radio;
 use crate::net::radio::bianchi::{Lengths, Saturation};
 
 /// The sizes of teams.
-pub const SIZES: [u32; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];
+pub const SIZES: [usize; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];
 /// What each robot says: a message a control step \[1/s\].
 pub const RATE: f64 = 20.0;
 /// Whom it says it to by unicast, at constant density: as many as in a team of five.
@@ -20,7 +20,7 @@ pub const NEIGHBOURS: u32 = 4;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Load {
     /// Robots.
-    pub robots: u32,
+    pub robots: usize,
     /// How messages find their readers.
     pub addressing: Addressing,
     /// Messages of all robots together \[1/s\].
@@ -38,11 +38,10 @@ pub struct Load {
 
 impl Load {
     /// A team of so many robots with datagrams of so many bytes.
-    pub fn of(radio: &Radio, addressing: Addressing, robots: u32, datagram_bytes: usize) -> Load {
+    pub fn of(radio: &Radio, addressing: Addressing, robots: usize, datagram_bytes: usize) -> Load {
         let times = radio.times();
         let unicast = (radio.frame_airtime(datagram_bytes) + times.acknowledged + times.space).as_secs();
         let spread = (radio.multicast_airtime(datagram_bytes) + times.space).as_secs();
-        let stations = robots as usize;
         let neighbours = f64::from(NEIGHBOURS);
         // An access point sends everything a second time.
         let (frames, taken, again) = match addressing {
@@ -50,7 +49,7 @@ impl Load {
             Addressing::Multicast => (1.0, spread, unicast),
         };
         let model = match addressing {
-            Addressing::Unicast => Saturation::of_radio(radio, stations, datagram_bytes),
+            Addressing::Unicast => Saturation::of_radio(radio, robots, datagram_bytes),
             Addressing::Multicast => {
                 let frame = radio.multicast_airtime(datagram_bytes);
                 // Nobody acknowledges, so no window grows.
@@ -60,10 +59,10 @@ impl Load {
                     collision: frame + times.propagation + times.recovery,
                     payload: radio.payload_airtime(datagram_bytes),
                 };
-                Saturation::of(stations, radio.cw_min + 1, 0, &lengths)
+                Saturation::of(robots, radio.cw_min + 1, 0, &lengths)
             }
         };
-        let messages_per_s = RATE * f64::from(robots);
+        let messages_per_s = RATE * robots as f64;
         Load {
             robots,
             addressing,
@@ -90,7 +89,7 @@ pub fn table(radio: &Radio, datagram_bytes: usize) -> Vec<Load> {
 /// What to change, in one sentence.
 pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
     let last = |radio: &Radio, addressing| {
-        let fits = |robots: &u32| !Load::of(radio, addressing, *robots, datagram_bytes).is_full();
+        let fits = |robots: &usize| !Load::of(radio, addressing, *robots, datagram_bytes).is_full();
         (2..=5000).take_while(fits).last().unwrap_or(0)
     };
     let slow = last(radio, Addressing::Multicast);

@@ -6,10 +6,6 @@ use super::growth::{self, Growth};
 use super::saturation::{self, Load};
 use crate::report::figures::{self, Figure, FigureError, Line, Panel, Point};
 
-fn exactly(value: f64) -> Option<Point> {
-    Some(Point { value, within: [value; 2] })
-}
-
 /// The figure of what a robot costs.
 pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
     let mut sizes: Vec<usize> = grown.iter().map(|growth| growth.robots).collect();
@@ -23,13 +19,13 @@ pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
         points: sizes
             .iter()
             .map(|size| grown.iter().find(|growth| growth.mode == mode && growth.robots == *size))
-            .map(|growth| growth.and_then(|growth| exactly(value(growth))))
+            .map(|growth| growth.map(|growth| Point::exactly(value(growth))))
             .collect(),
     };
     let panel = |title: &str, y: &str, value: fn(&Growth) -> f64| {
         let most = grown.iter().map(value).fold(1.0, f64::max);
         let lines = growth::MODES.iter().map(|mode| line(mode, value)).collect();
-        Panel { title: title.to_owned(), y: y.to_owned(), ends: Some((0.0, 1.1 * most)), lines }
+        Panel::new(title, y, Some((0.0, 1.1 * most)), lines)
     };
     let panels = [
         panel("messages that it says", "messages/s", |growth| growth.messages),
@@ -106,28 +102,31 @@ pub fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
         points: loads
             .iter()
             .filter(|load| load.addressing == addressing)
-            .map(|load| value(load).and_then(exactly))
+            .map(|load| value(load).map(Point::exactly))
             .collect(),
     };
     let (multicast, unicast) = (Addressing::Multicast, Addressing::Unicast);
     // Less than a message a second is none.
     let lines = vec![
-        line(multicast, "wanted: 20 messages a second and robot", |load| Some(load.messages_per_s.log10())),
+        line(multicast, &format!("wanted: {} messages a second and robot", saturation::RATE), |load| {
+            Some(load.messages_per_s.log10())
+        }),
         line(multicast, "saturation by multicast", |load| Some(load.saturation_per_s.max(1.0).log10())),
-        line(unicast, "saturation by unicast to 4 neighbours", |load| Some(load.saturation_per_s.max(1.0).log10())),
+        line(unicast, &format!("saturation by unicast to {} neighbours", saturation::NEIGHBOURS), |load| {
+            Some(load.saturation_per_s.max(1.0).log10())
+        }),
     ];
     let collisions = vec![
         line(multicast, "", |_| None),
         line(multicast, "", |load| Some(100.0 * load.collision)),
         line(unicast, "", |load| Some(100.0 * load.collision)),
     ];
-    let panel = |title: &str, y: &str, ends, lines| Panel { title: title.to_owned(), y: y.to_owned(), ends, lines };
     let panels = [
-        panel("messages that want and find room", "messages/s, power of ten", None, lines),
-        panel("frames that collide at saturation", "collisions [%]", Some((0.0, 100.0)), collisions),
+        Panel::new("messages that want and find room", "messages/s, power of ten", None, lines),
+        Panel::new("frames that collide at saturation", "collisions [%]", Some((0.0, 100.0)), collisions),
     ];
     let title = "Where one channel is full";
-    let places: Vec<String> = saturation::SIZES.iter().map(u32::to_string).collect();
+    let places: Vec<String> = saturation::SIZES.iter().map(usize::to_string).collect();
     Ok(Figure {
         name: "saturation".to_owned(),
         title: title.to_owned(),

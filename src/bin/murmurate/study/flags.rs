@@ -12,7 +12,7 @@ use murmurate::study::columns::{self, Column};
 use murmurate::study::handling::{self, Preset};
 use murmurate::study::{Entrant, Study};
 
-use super::run::{Run, Typed};
+use super::run::{Run, Typed, once};
 use crate::output::{read_text, talk};
 use crate::{BadInput, bad, policy, sim};
 
@@ -82,14 +82,6 @@ pub struct Range {
     ranges_m: Vec<f32>,
     #[command(flatten)]
     pub shared: Shared,
-}
-
-/// Each of these is there once.
-fn once<T: PartialEq + std::fmt::Display>(flag: &str, values: &[T]) -> Result<()> {
-    match values.iter().enumerate().find(|(at, value)| values[..*at].contains(value)) {
-        Some((_, twice)) => bad(format!("{flag}: {twice} is there twice")),
-        None => Ok(()),
-    }
 }
 
 impl Modes {

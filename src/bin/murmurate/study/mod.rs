@@ -97,38 +97,27 @@ fn run_all(
     (threads, quiet): (Option<u16>, bool),
 ) -> Result<Vec<(Job, Record)>> {
     let all = study.jobs();
-    let mut records = Vec::new();
-    let mut open = Vec::new();
-    for &job in &all {
-        match folder.and_then(|folder| trials::read(folder, study, job)) {
-            Some(record) => records.push((job, record)),
-            None => open.push(job),
-        }
+    let found: Vec<Option<Record>> =
+        all.iter().map(|job| folder.and_then(|folder| trials::read(folder, study, *job))).collect();
+    let there = found.iter().flatten().count();
+    let bar = progress(u64::from(study.layouts.len()) * (all.len() - there) as u64, quiet);
+    if there > 0 && !quiet {
+        talk(&format!("{there} of {} trials are there already", all.len()));
     }
-    let episodes = u64::from(study.layouts.len());
-    let bar = progress(episodes * open.len() as u64, quiet);
-    if !records.is_empty() && !quiet {
-        talk(&format!("{} of {} trials are there already", records.len(), all.len()));
-    }
-    let work = |at: usize| -> Result<Option<(Job, Record)>> {
-        let job = open[at];
+    let work = |at: usize| -> Result<Option<Record>> {
+        let job = all[at];
         let report = study.trial(job).run_while(watched(&bar, stop));
         if !report.finished {
             return Ok(None);
         }
         let record = Record::of(study, job, &report);
         if let Some(folder) = folder {
-            // A disk that is full ends the study; what was written stays.
-            trials::write(folder, study, job, &record).inspect_err(|_| stop.store(true, Ordering::Relaxed))?;
+            trials::write(folder, study, job, &record)?;
             tracing::info!("kept repeat {} of '{}', {}", job.repeat, record.column, study.entrants[job.entrant].name());
         }
-        Ok(Some((job, record)))
+        Ok(Some(record))
     };
-    let done = jobs::run(open.len(), jobs::threads(threads, open.len()), stop, work);
+    let records = jobs::finish(found, threads, stop, work)?;
     bar.finish_and_clear();
-    for (_, record) in done {
-        records.extend(record?);
-    }
-    records.sort_by_key(|(job, _)| *job);
-    Ok(records)
+    Ok(all.into_iter().zip(records).filter_map(|(job, record)| Some((job, record?))).collect())
 }

@@ -1,8 +1,12 @@
 //! What every study is told on the command line of how it runs, and what it says when it ends.
 
+use std::fmt::Display;
 use std::path::PathBuf;
 
+use anyhow::Result;
+
 use super::folder::Folder;
+use crate::bad;
 use crate::output::talk;
 
 /// Flags of all studies.
@@ -42,6 +46,14 @@ impl Typed {
     pub fn add_all(&mut self, flag: &str, values: impl IntoIterator<Item = impl ToString>) {
         let values: Vec<String> = values.into_iter().map(|value| value.to_string()).collect();
         self.add(flag, (!values.is_empty()).then(|| values.join(",")));
+    }
+}
+
+/// Each of these is there once.
+pub fn once<T: PartialEq + Display>(flag: &str, values: &[T]) -> Result<()> {
+    match values.iter().enumerate().find(|(at, value)| values[..*at].contains(value)) {
+        Some((_, twice)) => bad(format!("{flag}: {twice} is there twice")),
+        None => Ok(()),
     }
 }
 

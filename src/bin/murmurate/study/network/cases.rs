@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use murmurate::study::network::pages::Findings;
-use murmurate::study::network::{Case, Outcome, Sweep, table};
+use murmurate::study::network::{Case, Outcome, Source, Sweep, table};
 use serde::{Deserialize, Serialize};
 
 use crate::study::folder::Folder;
@@ -43,7 +43,7 @@ pub fn open(path: &Path, sweep: &Sweep, link: Option<String>) -> Result<Folder> 
     })
 }
 
-fn name(source: &str, at: usize) -> String {
+fn name(source: Source, at: usize) -> String {
     format!("{CASES}/{source}-{at:04}.json")
 }
 
@@ -53,14 +53,20 @@ pub fn team(mode: &str, robots: usize) -> String {
 }
 
 /// What came of a case, if that is there and whole.
-pub fn read(folder: &Folder, source: &str, at: usize, case: &Case) -> Option<Record> {
+fn read(folder: &Folder, source: Source, at: usize, case: &Case) -> Option<Record> {
     folder.kept(&name(source, at)).filter(|record: &Record| record.case == *case)
+}
+
+/// What came of each case of a sweep, as far as it is there.
+pub fn kept(folder: Option<&Folder>, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
+    let one = |(at, case)| folder.and_then(|folder| read(folder, source, at, case));
+    cases.iter().enumerate().map(one).collect()
 }
 
 /// Keeps what came of a case, if there is a folder.
 pub fn keep(
     folder: Option<&Folder>,
-    source: &str,
+    source: Source,
     (at, case): (usize, &Case),
     outcome: Outcome,
     uncertainty_s: f64,

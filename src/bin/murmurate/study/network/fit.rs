@@ -29,7 +29,7 @@ pub struct Report {
 }
 
 /// Reads rows: a list of them, or an object that has one. Where some were measured, those alone.
-pub fn read(path: &Path) -> Result<Vec<Observed>> {
+pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     let wrong = |why: String| {
         let expected = "it has to be what 'murmurate study network --json' printed, or rows.json of its report";
         BadInput(format!("--rows: '{}': {why}; {expected}", path.display()))
@@ -41,7 +41,7 @@ pub fn read(path: &Path) -> Result<Vec<Observed>> {
     }
     let mut rows: Vec<Observed> = serde_json::from_value(value).map_err(|e| wrong(e.to_string()))?;
     for (at, row) in rows.iter().enumerate() {
-        row.check().map_err(|why| wrong(format!("row {}: {why}", at + 1)))?;
+        row.check(sweep).map_err(|why| wrong(format!("row {}: {why}", at + 1)))?;
     }
     if rows.iter().any(Observed::is_live) {
         rows.retain(Observed::is_live);

@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use murmurate::study::network::case::{RATES, RETRIES};
-use murmurate::study::network::growth;
+use murmurate::study::network::saturation::SIZES;
 use murmurate::study::network::{Addressing, Assurance, History, Medium, Network, Sweep};
 use serde::de::DeserializeOwned;
 
-use super::super::run::{Run, Typed};
 use crate::output::{read_text, talk};
+use crate::study::run::{Run, Typed, once};
 use crate::{BadInput, bad};
 
 /// Flags of `murmurate study network`.
@@ -77,11 +77,11 @@ pub struct Args {
 
 /// What was named, or all there is.
 fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], all: &[T]) -> Result<Vec<T>> {
+    once(flag, given)?;
     let mut chosen = Vec::new();
     for name in given {
         match serde_json::from_value::<T>(name.as_str().into()) {
-            Ok(one) if all.contains(&one) && !chosen.contains(&one) => chosen.push(one),
-            Ok(one) if chosen.contains(&one) => return bad(format!("{flag}: {name} is there twice")),
+            Ok(one) if all.contains(&one) => chosen.push(one),
             _ => return bad(format!("{flag}: there is no '{name}' here; 'murmurate study network --help' has all")),
         }
     }
@@ -129,16 +129,8 @@ impl Args {
         sweep.reliabilities = named("--reliability", &self.reliability, &Assurance::ALL)?;
         sweep.rates = if self.rates.is_empty() { RATES.to_vec() } else { self.rates.clone() };
         sweep.retries = if self.retries.is_empty() { RETRIES.to_vec() } else { self.retries.clone() };
-        for at in 1..sweep.rates.len() {
-            if sweep.rates[..at].contains(&sweep.rates[at]) {
-                return bad(format!("--rates: {} is there twice", sweep.rates[at]));
-            }
-        }
-        for at in 1..sweep.retries.len() {
-            if sweep.retries[..at].contains(&sweep.retries[at]) {
-                return bad(format!("--retries: {} is there twice", sweep.retries[at]));
-            }
-        }
+        once("--rates", &sweep.rates)?;
+        once("--retries", &sweep.retries)?;
         sweep.history = match self.history.as_str() {
             "all" => History::All,
             depth => match depth.parse() {
@@ -156,22 +148,20 @@ impl Args {
     pub fn teams(&self) -> Result<Vec<usize>> {
         match self.teams.as_slice() {
             [] if self.live.is_some() || self.fit.is_some() => Ok(Vec::new()),
-            [] => Ok(growth::SIZES.to_vec()),
+            [] => Ok(SIZES.to_vec()),
             [none] if none == "none" => Ok(Vec::new()),
             sizes if sizes.iter().any(|size| size == "none") => {
                 bad("--teams: 'none' stands alone; give it or sizes".to_owned())
             }
-            sizes => {
-                let mut all = Vec::new();
-                for size in sizes {
-                    match size.parse() {
-                        Ok(size) if !all.contains(&size) => all.push(size),
-                        Ok(size) => return bad(format!("--teams: {size} is there twice")),
-                        Err(_) => return bad(format!("--teams: '{size}' is no number of robots")),
-                    }
-                }
-                all.sort_unstable();
-                Ok(all)
+            given => {
+                let size = |given: &String| match given.parse::<usize>() {
+                    Ok(size) => Ok(size),
+                    Err(_) => bad(format!("--teams: '{given}' is no number of robots")),
+                };
+                let mut sizes = given.iter().map(size).collect::<Result<Vec<usize>>>()?;
+                once("--teams", &sizes)?;
+                sizes.sort_unstable();
+                Ok(sizes)
             }
         }
     }

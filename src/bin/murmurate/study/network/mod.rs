@@ -8,6 +8,7 @@ mod live;
 mod room;
 mod teams;
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -16,14 +17,17 @@ use anyhow::{Context, Result};
 use murmurate::study::network::fit::Observed;
 use murmurate::study::network::growth::Growth;
 use murmurate::study::network::pages::{Findings, Found};
-use murmurate::study::network::{Row, Sweep, emulate, table};
+use murmurate::study::network::{Row, Source, Sweep, emulate, table};
 use serde::Serialize;
 
 use super::folder::Folder;
-use crate::output::{print, talk};
+use crate::output::{WholeFile, print, talk};
 use crate::sim::progress;
 use crate::{Ended, jobs};
 pub use flags::{Args, medium};
+use live::Measured;
+use room::Room;
+use teams::Team;
 
 /// What a study came to, for `--json`.
 #[derive(Serialize)]
@@ -40,128 +44,140 @@ struct Report<'a> {
     interrupted: bool,
 }
 
+/// A study that is asked for.
+struct Study<'a> {
+    args: &'a Args,
+    sweep: Sweep,
+    /// The team that measures, if one does.
+    room: Option<Room>,
+    /// The teams of which it is found what a robot costs.
+    teams: Vec<Team>,
+    folder: Option<Folder>,
+    stop: Arc<AtomicBool>,
+}
+
 /// Runs the study.
 pub fn run(args: &Args) -> Result<Ended> {
     let mut sweep = args.sweep()?;
-    let sizes = teams::of_sizes(&args.teams()?, sweep.seed)?;
-    let team = args.live.as_ref().map(|file| room::Room::of(file, args)).transpose()?;
-    if let (Some(room), Some(name)) = (&team, &args.host) {
+    let teams = teams::of_sizes(&args.teams()?, sweep.seed)?;
+    let room = args.live.as_ref().map(|file| Room::of(file, args)).transpose()?;
+    if let (Some(room), Some(name)) = (&room, &args.host) {
         return live::participate(room.part(name)?, name, args.coordinator, args.run.quiet);
     }
-    if let Some(room) = &team {
+    if let Some(room) = &room {
         room.restrict(&mut sweep, args)?;
     }
-    let link = team.as_ref().map(room::Room::link).transpose()?;
+    let link = room.as_ref().map(Room::link).transpose()?;
     let folder = args.run.out.as_deref().map(|path| cases::open(path, &sweep, link)).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
-    let (signal, measuring) = (Arc::clone(&stop), team.is_some());
+    let (signal, measuring) = (Arc::clone(&stop), room.is_some());
     let told = move || {
         if !signal.swap(true, Ordering::Relaxed) && measuring {
             talk("stopping; a case that is under way is measured to its end");
         }
     };
     ctrlc::set_handler(told).context("cannot listen for Ctrl-C")?;
-    let mut radio_file = args.fit.as_deref().map(|file| fit::prepare(file, &sweep)).transpose()?;
-    if let (Some(rows), Some(out)) = (&args.rows, radio_file.take_if(|_| args.rows.is_some())) {
-        let Some(fitted) = fit::run(&sweep, &fit::read(rows)?, out, args, &stop)? else {
+    let radio_file = args.fit.as_deref().map(|file| fit::prepare(file, &sweep)).transpose()?;
+    let study = Study { args, sweep, room, teams, folder, stop };
+    match (radio_file, &args.rows) {
+        (Some(file), Some(rows)) => study.fit_rows(rows, file),
+        (file, _) => study.sweep(file),
+    }
+}
+
+impl Study<'_> {
+    /// Fits a radio to the rows of a file.
+    fn fit_rows(&self, rows: &Path, file: WholeFile) -> Result<Ended> {
+        let observed = fit::read(rows, &self.sweep)?;
+        let Some(fitted) = fit::run(&self.sweep, &observed, file, self.args, &self.stop)? else {
             return Ok(Ended::Interrupted);
         };
-        print(&if args.run.json { json(&fitted)? } else { fitted.to_string() })?;
-        args.farewell();
-        return Ok(Ended::Done);
+        print(&if self.args.run.json { json(&fitted)? } else { fitted.to_string() })?;
+        self.args.farewell();
+        Ok(Ended::Done)
     }
-    let began = Instant::now();
-    let (mut notes, mut measured, mut uncertainty_s) = (Vec::new(), Vec::new(), 0.0);
-    if let Some(room) = &team {
-        let line = (args.coordinator, room.key()?);
-        let live = live::measure(&sweep, &room.names(), line, folder.as_ref(), (&stop, args.run.quiet))?;
-        notes.push(format!(
-            "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were \
-             compared before each case; they are this much off at the most: {:.3} ms.",
-            room.file().display(),
-            1000.0 * live.uncertainty_s
-        ));
-        uncertainty_s = live.uncertainty_s;
-        measured = live.results;
+
+    /// Measures and emulates, and fits a radio to what was measured if there is a file for it.
+    fn sweep(&self, file: Option<WholeFile>) -> Result<Ended> {
+        let Study { args, sweep, room, teams, folder, stop } = self;
+        let began = Instant::now();
+        let measured = room.as_ref().map(|room| self.measured(room)).transpose()?;
+        // Ahead of the sweep, which leaves memory in pieces.
+        let grown = teams::run(teams, sweep, folder.as_ref(), args.run.quiet, stop)?;
+        let mut results = self.emulated()?;
+        let observed: Vec<Observed> = measured.iter().flat_map(|measured| &measured.results).map(observed).collect();
+        let uncertainty_s = measured.as_ref().map(|measured| measured.uncertainty_s);
+        results.extend(measured.into_iter().flat_map(|measured| measured.results));
+        let done = results.len() + grown.len();
+        let all = sweep.cases().len() * if room.is_some() { 2 } else { 1 } + teams.len();
+        let interrupted = done < all;
+
+        let notes: Vec<String> = room.iter().zip(uncertainty_s).map(|(room, off)| clocks(room, off)).collect();
+        let command = args.command();
+        let findings = Findings { sweep, results: &results, grown: &grown, command: &command, notes: &notes };
+        if let (Some(folder), false) = (folder, interrupted) {
+            cases::write_report(folder, &findings)?;
+        }
+        let rows = findings.rows();
+        // Whatever comes of the fit, what was measured is printed first.
+        let fitted = file.filter(|_| !interrupted).map(|file| fit::run(sweep, &observed, file, args, stop));
+        let fit = fitted.as_ref().and_then(|fitted| fitted.as_ref().ok()?.as_ref());
+        let wall_s = began.elapsed().as_secs_f64();
+        print(&if args.run.json {
+            let (study, growth, seed) = ("network", &grown[..], sweep.seed);
+            json(&Report { study, rows, growth, uncertainty_s, fit, wall_s, seed, interrupted })?
+        } else {
+            let fit = fit.map_or(String::new(), |fit| format!("\n\n{fit}"));
+            format!("{}{fit}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(sweep, &rows, &grown))
+        })?;
+        args.run.farewell(folder.as_ref(), "cases", done, all);
+        match fitted.transpose()? {
+            Some(None) => Ok(Ended::Interrupted),
+            Some(Some(_)) => {
+                args.farewell();
+                Ok(Ended::Done)
+            }
+            None => Ok(if interrupted { Ended::Interrupted } else { Ended::Done }),
+        }
     }
-    // Ahead of the sweep, which leaves memory in pieces.
-    let grown = teams::run(&sizes, &sweep, folder.as_ref(), args.run.quiet, &stop)?;
-    let mut results = emulated(&sweep, folder.as_ref(), (args.run.jobs, args.run.quiet), &stop)?;
-    let cases = sweep.cases().len() * if team.is_some() { 2 } else { 1 };
-    let (done, all) = (results.len() + measured.len() + grown.len(), cases + sizes.len());
-    let interrupted = done < all;
-    results.append(&mut measured);
-    let command = args.command();
-    let findings = Findings { sweep: &sweep, results: &results, grown: &grown, command: &command, notes: &notes };
-    if let (Some(folder), false) = (&folder, interrupted) {
-        cases::write_report(folder, &findings)?;
+
+    fn measured(&self, room: &Room) -> Result<Measured> {
+        let line = (self.args.coordinator, room.key()?);
+        live::measure(&self.sweep, &room.names(), line, self.folder.as_ref(), (&self.stop, self.args.run.quiet))
     }
-    let rows = findings.rows();
-    // Whatever comes of the fit, what was measured is printed first.
-    let wanted = radio_file.filter(|_| !interrupted);
-    let fits = wanted.is_some();
-    let fitted = wanted.map_or(Ok(None), |out| {
-        let live = results.iter().filter(|(source, ..)| source == "live");
-        let live: Vec<Row> = live.map(|(source, case, outcome)| Row::of(source, case, outcome)).collect();
-        let live = serde_json::to_value(live).and_then(serde_json::from_value::<Vec<Observed>>);
-        fit::run(&sweep, &live.context("rows are plain data")?, out, args, &stop)
-    });
-    let (wall_s, fit) = (began.elapsed().as_secs_f64(), fitted.as_ref().ok().and_then(Option::as_ref));
-    print(&if args.run.json {
-        let uncertainty_s = team.is_some().then_some(uncertainty_s);
-        json(&Report {
-            study: "network",
-            rows,
-            growth: &grown,
-            uncertainty_s,
-            fit,
-            wall_s,
-            seed: sweep.seed,
-            interrupted,
-        })?
-    } else {
-        let fit = fit.map_or(String::new(), |fit| format!("\n\n{fit}"));
-        format!("{}{fit}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(&sweep, &rows, &grown))
-    })?;
-    args.run.farewell(folder.as_ref(), "cases", done, all);
-    let unfitted = fits && fitted?.is_none();
-    if fits && !unfitted {
-        args.farewell();
+
+    /// All cases, emulated: those that are kept, and the rest now. Fewer after a Ctrl-C.
+    fn emulated(&self) -> Result<Vec<Found>> {
+        let Study { args, sweep, folder, stop, .. } = self;
+        let (source, folder, cases) = (Source::Emulated, folder.as_ref(), sweep.cases());
+        let found = cases::kept(folder, source, &cases);
+        let bar = progress(found.iter().filter(|found| found.is_none()).count() as u64, args.run.quiet);
+        let work = |at: usize| -> Result<Option<cases::Record>> {
+            let case = &cases[at];
+            let Some(outcome) = emulate::run(sweep, case, &|| !stop.load(Ordering::Relaxed)) else { return Ok(None) };
+            bar.inc(1);
+            cases::keep(folder, source, (at, case), outcome, 0.0).map(Some)
+        };
+        let found = jobs::finish(found, args.run.jobs, stop, work)?;
+        bar.finish_and_clear();
+        Ok(cases.into_iter().zip(found).filter_map(|(case, found)| Some((source, case, found?.outcome))).collect())
     }
-    Ok(if interrupted || unfitted { Ended::Interrupted } else { Ended::Done })
+}
+
+fn observed((source, case, outcome): &Found) -> Observed {
+    Observed::from(&Row::of(*source, case, outcome))
+}
+
+/// What a report has to say of clocks.
+fn clocks(room: &Room, uncertainty_s: f64) -> String {
+    format!(
+        "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were compared \
+         before and after each case; they are this much off at the most: {:.3} ms.",
+        room.file().display(),
+        1000.0 * uncertainty_s
+    )
 }
 
 fn json(value: &impl Serialize) -> Result<String> {
     serde_json::to_string(value).context("a report is JSON")
-}
-
-/// All cases, emulated: those that are kept, and the rest now. Fewer after a Ctrl-C.
-fn emulated(
-    sweep: &Sweep,
-    folder: Option<&Folder>,
-    (threads, quiet): (Option<u16>, bool),
-    stop: &AtomicBool,
-) -> Result<Vec<Found>> {
-    const SOURCE: &str = "emulated";
-    let cases = sweep.cases();
-    let bar = progress(cases.len() as u64, quiet);
-    let work = |at: usize| -> Result<Option<Found>> {
-        let kept = folder.and_then(|folder| cases::read(folder, SOURCE, at, &cases[at]));
-        let record = match kept {
-            Some(record) => record,
-            None => {
-                let Some(outcome) = emulate::run(sweep, &cases[at], &|| !stop.load(Ordering::Relaxed)) else {
-                    return Ok(None);
-                };
-                // A disk that is full ends the study; what was written stays.
-                cases::keep(folder, SOURCE, (at, &cases[at]), outcome, 0.0)
-                    .inspect_err(|_| stop.store(true, Ordering::Relaxed))?
-            }
-        };
-        bar.inc(1);
-        Ok(Some((SOURCE.to_owned(), cases[at], record.outcome)))
-    };
-    let done = jobs::run(cases.len(), jobs::threads(threads, cases.len()), stop, work);
-    bar.finish_and_clear();
-    done.into_iter().filter_map(|(_, found)| found.transpose()).collect()
 }

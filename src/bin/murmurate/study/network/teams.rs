@@ -68,10 +68,11 @@ pub fn run(
         let kept: Option<Record> = folder.and_then(|folder| folder.kept(&name));
         let record = match kept.filter(|kept| (kept.mode.as_str(), kept.cost.robots) == (team.mode, team.robots)) {
             Some(kept) => kept,
+            None if stop.load(Ordering::Relaxed) => continue,
             None => {
                 // On a thread of its own, and so in memory that no team before it has left in pieces.
                 let thread = std::thread::scope(|scope| scope.spawn(|| measured(team, stop)).join());
-                let Some(record) = thread.unwrap_or_else(|panic| std::panic::resume_unwind(panic))? else { break };
+                let Some(record) = thread.unwrap_or_else(|panic| std::panic::resume_unwind(panic))? else { continue };
                 folder.map_or(Ok(()), |folder| folder.keep(&name, &record))?;
                 record
             }

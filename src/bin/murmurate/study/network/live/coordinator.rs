@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
-use murmurate::study::network::Sweep;
 use murmurate::study::network::pages::Found;
 use murmurate::study::network::peer::{Notes, Task};
+use murmurate::study::network::{Source, Sweep};
 use nix::poll::{PollFd, PollFlags, poll};
 
 use super::super::cases;
@@ -44,54 +44,43 @@ pub fn measure(
     folder: Option<&Folder>,
     (stop, quiet): (&AtomicBool, bool),
 ) -> Result<Measured> {
-    const SOURCE: &str = "live";
     let origin = Instant::now();
     let cases = sweep.cases();
-    let kept = |at: usize| folder.and_then(|folder| cases::read(folder, SOURCE, at, &cases[at]));
-    let mut measured = Measured { results: Vec::new(), uncertainty_s: 0.0 };
+    let mut found = cases::kept(folder, Source::Live, &cases);
     let mut lines = Vec::new();
     // Nobody is needed for what is there already.
-    if (0..cases.len()).any(|at| kept(at).is_none()) {
+    if found.iter().any(Option::is_none) {
         let listener = TcpListener::bind(address).map_err(|e| {
             BadInput(format!("--coordinator: cannot listen at {address}: {e}; give an address of this machine"))
         })?;
-        match gather((&listener, key), hosts, (stop, quiet))? {
-            Some(all) => lines = all,
-            None => return Ok(measured),
-        }
+        lines = gather((&listener, key), hosts, (stop, quiet))?;
     }
     let bar = progress(cases.len() as u64, quiet);
-    for (at, case) in cases.iter().enumerate() {
-        if stop.load(Ordering::Relaxed) {
-            break;
+    for ((at, case), found) in cases.iter().enumerate().zip(&mut found) {
+        if found.is_none() && !stop.load(Ordering::Relaxed) {
+            let number = u32::try_from(at).context("so many cases there are not")?;
+            let (features, stations) = (sweep.features(), sweep.stations);
+            let task = Task { number, case: *case, stations, features, seconds: sweep.seconds, seed: sweep.seed };
+            let (notes, uncertainty_s) = one(&task, hosts, &mut lines, origin)?;
+            *found = Some(cases::keep(folder, Source::Live, (at, case), task.outcome(&notes), uncertainty_s)?);
         }
-        let record = match kept(at) {
-            Some(record) => record,
-            None => {
-                let number = u32::try_from(at).context("so many cases there are not")?;
-                let (features, stations) = (sweep.features(), sweep.stations);
-                let task = Task { number, case: *case, stations, features, seconds: sweep.seconds, seed: sweep.seed };
-                let (notes, uncertainty_s) = one(&task, hosts, &mut lines, origin)?;
-                cases::keep(folder, SOURCE, (at, case), task.outcome(&notes), uncertainty_s)?
-            }
-        };
-        measured.uncertainty_s = measured.uncertainty_s.max(record.uncertainty_s);
-        measured.results.push((SOURCE.to_owned(), *case, record.outcome));
         bar.inc(1);
     }
     bar.finish_and_clear();
     for line in &mut lines {
         line.say(&Instruction::Done)?;
     }
-    Ok(measured)
+    let uncertainty_s = found.iter().flatten().map(|record| record.uncertainty_s).fold(0.0, f64::max);
+    let results = cases.into_iter().zip(found).filter_map(|(case, found)| Some((Source::Live, case, found?.outcome)));
+    Ok(Measured { results: results.collect(), uncertainty_s })
 }
 
-/// Waits until every host has come; `None` after a Ctrl-C.
+/// Waits until every host has come; nobody is there after a Ctrl-C.
 fn gather(
     (listener, key): (&TcpListener, Option<[u8; 32]>),
     hosts: &[String],
     (stop, quiet): (&AtomicBool, bool),
-) -> Result<Option<Vec<Line>>> {
+) -> Result<Vec<Line>> {
     listener.set_nonblocking(true).context("cannot wait for hosts")?;
     if !quiet {
         let at = listener.local_addr().map_or("ADDRESS:PORT".to_owned(), |at| at.to_string());
@@ -106,7 +95,7 @@ fn gather(
             for line in here.values_mut() {
                 line.say(&Instruction::Done)?;
             }
-            return Ok(None);
+            return Ok(Vec::new());
         }
         let mut waiting = [PollFd::new(listener.as_fd(), PollFlags::POLLIN)];
         // An interruption is no mistake: it is looked at above.
@@ -130,7 +119,7 @@ fn gather(
             talk(&format!("{} of {} hosts are here{missing}", here.len(), hosts.len()));
         }
     }
-    Ok(Some(here.into_values().collect()))
+    Ok(here.into_values().collect())
 }
 
 /// How far a participant's clock is ahead of ours, and how far off that may be \[ns\].

@@ -11,6 +11,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use socket2::{SockRef, TcpKeepalive};
 
 /// What the key is used for here, and nowhere else.
 const CONTEXT: &str = "murmurate, study network, coordinator and participant, 1";
@@ -21,6 +22,8 @@ const GREETING_BYTES: u64 = 256;
 const LINE_BYTES: u64 = 1 << 26;
 /// How long the other end has to say its number.
 const GREETING: Duration = Duration::from_secs(5);
+/// How long an idle end is believed to be alive, and how often it is asked from then on.
+const ALIVE: Duration = Duration::from_secs(10);
 
 /// Whose end it is.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -53,6 +56,9 @@ impl Line {
     /// Opens this end of a connection of a team with this key.
     pub fn open(stream: TcpStream, end: End, team: Option<&[u8; 32]>) -> Result<Line> {
         stream.set_nodelay(true).context("cannot set up the connection")?;
+        // An end whose machine has died says no more, and nobody is to wait for it for ever.
+        let alive = TcpKeepalive::new().with_time(ALIVE).with_interval(ALIVE);
+        SockRef::from(&stream).set_tcp_keepalive(&alive).context("cannot set up the connection")?;
         let mut writer = stream.try_clone().context("cannot set up the connection")?;
         let mut reader = BufReader::new(stream);
         let mut drawn = [0; DRAWN_BYTES];

@@ -1,15 +1,16 @@
 //! The network study measured between hosts: a coordinator says what is measured when, each participant measures.
 //!
-//! They talk over TCP (`line`), while the network is otherwise idle: it carries no measured message, and
-//! nothing on it is timed but the clocks. The clock of each participant is compared before each case: of several
-//! questions and answers that with the shortest way there and back counts (RFC 5905, section 8), and half of that way
-//! is how far off it may be. One-way delays are then differences of two such clocks.
+//! They talk over TCP (`line`), while the network is otherwise idle: it carries no measured message, and nothing on it
+//! is timed but the clocks. The clock of each participant is compared before and after each case: of several questions
+//! and answers that with the shortest way there and back counts (RFC 5905, section 8), and half of that way, with what
+//! the clock has run away between the two, is how far off it may be. One-way delays are then differences of two such
+//! clocks.
 
 mod coordinator;
 mod line;
 mod participant;
 
-pub use coordinator::measure;
+pub use coordinator::{Measured, measure};
 pub use participant::{Part, participate};
 
 use murmurate::study::network::peer::{Notes, Task};
