@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 #[serde(transparent)]
 pub struct RobotId(pub u16);
 
-/// A host: one process with one Network. Its number is its place in the deployment.
+/// A host: one process with one Network. Its number is its place in the deployment, or an operator's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct HostId(pub u16);
@@ -18,6 +18,25 @@ pub struct HostId(pub u16);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct LinkId(pub u16);
+
+/// The first number of an operator; hosts of a deployment have smaller ones.
+const FIRST_OPERATOR: u16 = 0xc000;
+
+impl HostId {
+    /// How many numbers there are for operators.
+    pub const OPERATORS: u16 = u16::MAX - FIRST_OPERATOR;
+
+    /// The operator with this number, modulo how many there are. An operator is in no deployment; every process
+    /// that acts as one draws its number anew.
+    pub const fn operator(number: u16) -> HostId {
+        HostId(FIRST_OPERATOR + number % HostId::OPERATORS)
+    }
+
+    /// Whether this is an operator and no host of a deployment.
+    pub const fn is_operator(self) -> bool {
+        self.0 >= FIRST_OPERATOR
+    }
+}
 
 impl RobotId {
     /// The robot's place in per-robot tables.
