@@ -187,21 +187,23 @@ fn a_silent_state_server_stops_everyone() {
 }
 
 #[test]
-fn an_emergency_stop_stops_everyone_within_100_ms_and_holds_until_a_later_re_arm() {
+fn an_emergency_stop_stops_everyone_within_100_ms_and_holds_until_a_later_re_arm_and_a_resume() {
     for mode in MODES {
         for safety in [Safety::deployed(), Safety::emulated()] {
             let trial = Trial { safety, ..trial(mode, 6) };
             let (at, by) = (midst(&trial), HostId(0));
-            let rearmed = at + ms(5000);
+            let resumed = at + ms(6000);
             let stops = vec![
                 (at, Stop::engage(by, Latch::default())),
                 (at + ms(2000), Stop::rearm(by, Latch::default())),
-                (rearmed, Stop::rearm(by, Latch::engaged(1))),
+                (at + ms(4000), Stop::rearm(by, Latch::engaged(1))),
+                (at + ms(5000), Stop::resume(by, Latch::held(1))),
+                (resumed, Stop::resume(by, Latch::held(2))),
             ];
             // Whoever is started afresh while it holds has to learn of it.
             let crashed = actor(Role::Controller, 1, ActorFaultKind::Crash, at + ms(1000), ms(500));
             let report = Trial { stops, ..trial }.faults(crashed).run();
-            assert_eq!(driven(&report, at + ms(100), rearmed), [], "{mode}");
+            assert_eq!(driven(&report, at + ms(100), resumed), [], "{mode}");
             let verdicts: Vec<Verdict> = report.episodes.iter().map(|episode| episode.verdict).collect();
             assert_eq!(verdicts[0], Verdict::Aborted, "{mode}");
             assert_eq!(verdicts[1..], [Verdict::Success; 2], "{mode}: the next episodes run");
@@ -214,12 +216,17 @@ fn who_misses_the_stop_or_the_re_arm_hears_of_it_from_the_state_server() {
     let trial = trial("onboard-infra", 7);
     let (at, by) = (midst(&trial), HostId(3));
     let rearmed = at + ms(2000);
-    let stops = vec![(at, Stop::engage(by, Latch::default())), (rearmed, Stop::rearm(by, Latch::engaged(1)))];
+    let server = Trial::preset("onboard-infra", "passage").expect("a preset").deployment.hosts.len() as u16 - 1;
+    let stops = vec![
+        (at, Stop::engage(by, Latch::default())),
+        (rearmed, Stop::rearm(by, Latch::engaged(1))),
+        (rearmed + ms(500), Stop::resume(HostId(server), Latch::held(2))),
+    ];
     // No stop gets through to anyone: only the host that says it knows.
     let links = vec![LinkFault { kinds: vec![Kind::Stop], ..LinkFault::always("infra") }];
     let report = Trial { stops, ..trial }.faults(FaultPlan { actors: Vec::new(), links }).run();
     // A heartbeat at once, the state server's next decision, and a World step.
-    assert_eq!(driven(&report, at + ms(50) + kinematic::PERIOD, rearmed), []);
+    assert_eq!(driven(&report, at + ms(50) + kinematic::PERIOD, rearmed + ms(500)), []);
     assert_eq!(report.totals.safety.stop, 5);
     assert_eq!(report.successes(), 2, "{:?}", report.episodes);
 }

@@ -6,8 +6,8 @@ use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{
-    Features, Heartbeat, Latent, MAX_BLOCK, MAX_FEATURES, MAX_VALIDITY, Mode, MotorCommand, Phase, Reading, Round,
-    Stop, Wire,
+    Features, Following, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK, MAX_FEATURES, MAX_HINDRANCES, MAX_VALIDITY,
+    Mode, MotorCommand, Phase, Reading, Round, Status, Stop, Wire,
 };
 use murmurate::net::codec::{
     BLOCK_BYTES, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, MAX_PLAIN_BYTES,
@@ -30,16 +30,16 @@ fn motion() -> impl Strategy<Value = Motion> {
 }
 
 fn phase() -> impl Strategy<Value = Phase> {
-    (0u8..7).prop_map(|number| Phase::try_from(number).expect("there are seven phases"))
+    (0u8..8).prop_map(|number| Phase::try_from(number).expect("there are eight phases"))
 }
 
 fn round() -> impl Strategy<Value = Round> {
-    (any::<u32>(), any::<u32>()).prop_map(|(epoch, episode)| Round { epoch, episode })
+    (0..=1u32 << 30, any::<u32>()).prop_map(|(epoch, episode)| Round { epoch, episode })
 }
 
 fn latch() -> impl Strategy<Value = Latch> {
-    let latch = |(number, engaged)| if engaged { Latch::engaged(number) } else { Latch::armed(number) };
-    (any::<u32>(), any::<bool>()).prop_map(latch)
+    let latch = |(number, state): (u64, usize)| [Latch::clear, Latch::held, Latch::engaged][state](number);
+    (0..=1u64 << 52, 0usize..3).prop_map(latch)
 }
 
 fn robot() -> impl Strategy<Value = RobotId> {
@@ -66,13 +66,23 @@ fn message() -> impl Strategy<Value = Wire> {
         Wire::Mode(Mode { round, repeat, phase, first: RobotId(first), tasks, latch })
     });
     let stop = (any::<u16>(), latch()).prop_map(|(by, latch)| Wire::Stop(Stop { by: HostId(by), latch }));
-    prop_oneof![reading, latent, command, beat, mode, stop]
+    let following = (robot(), prop::option::of(latch()), prop::option::of(latch()))
+        .prop_map(|(robot, controller, body)| Following { robot, controller, body });
+    let hindrance = (robot(), 0u8..3).prop_map(|(robot, n)| (robot, Hindrance::try_from(n).expect("there are three")));
+    let leading = (latch(), prop::collection::vec(hindrance, 0..=MAX_HINDRANCES));
+    let leading = leading.prop_map(|(latch, hindrances)| Leading { latch, hindrances });
+    let robots = prop::collection::vec(following, 0..=MAX_BLOCK);
+    let status =
+        (any::<u16>(), any::<bool>(), robots, prop::option::of(leading)).prop_map(|(host, leaves, robots, leading)| {
+            Wire::Status(Status { host: HostId(host), leaves, robots, leading })
+        });
+    prop_oneof![reading, latent, command, beat, mode, stop, status]
 }
 
 fn latent(features: Vec<f32>) -> Wire {
     Wire::Latent(Latent {
         robot: RobotId(u16::MAX),
-        round: Round { epoch: u32::MAX, episode: u32::MAX },
+        round: Round { epoch: 1 << 30, episode: u32::MAX },
         phase: Phase::Running,
         motion: Motion { position: Vec2::new(1.25, -2.5), velocity: Vec2::new(0.5, 1.5) },
         features: Features(Arc::from(features)),

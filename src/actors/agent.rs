@@ -11,6 +11,7 @@ use crate::cells::{self, Cells};
 use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Action, Heard, NEAR_M, Other, Percept, Progress};
+use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Features, Latent, MAX_FEATURES, Mode, Phase, Round, all_sound};
 use crate::net::range::CommRange;
 use crate::policy::{Neighbour, Policy};
@@ -97,6 +98,8 @@ pub struct Agent {
     /// How long a joint step waits for the last percept.
     patience: Span,
     seats: Vec<Seat>,
+    rounds: RoundFollower,
+    /// The round that it follows.
     round: Round,
     phase: Phase,
     /// When the round began here.
@@ -127,6 +130,7 @@ impl Agent {
             whereabouts: None,
             near: Vec::new(),
             seats: pilots.into_iter().map(Seat::new).collect(),
+            rounds: RoundFollower::default(),
             round: Round::default(),
             phase: Phase::NeedReset,
             began: Time::ZERO,
@@ -135,9 +139,10 @@ impl Agent {
     }
 
     fn follow(&mut self, now: Time, mode: &Mode) {
-        if mode.round < self.round {
+        if !self.rounds.admits(mode.round) {
             return;
         }
+        self.rounds.follow(mode.round);
         if mode.round > self.round {
             self.seats.iter_mut().for_each(|seat| seat.task = None);
             self.began = now;

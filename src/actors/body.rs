@@ -1,19 +1,23 @@
 //! Body: one robot's actuator and sensor. It lives where the actuator is: on the robot, or beside the World
 //! that simulates it. What its sensor is like is in `world`; its noise, rate and latency come about here.
 //!
-//! A Body stops its motors when the last command's validity lapses, whoever died upstream. Nothing
-//! bypasses it.
+//! A Body stops its motors when the last command's validity lapses, whichever actor has died upstream, and follows the
+//! emergency stop by itself: a command that is released late drives nobody. Nothing bypasses it.
 
 use std::collections::VecDeque;
 
 use super::Core;
 use crate::messages::geometry::Vec2;
-use crate::messages::ids::RobotId;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::{Drive, Sample};
-use crate::messages::wire::{MotorCommand, Reading};
+use crate::messages::wire::{MotorCommand, Reading, Stop};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 use crate::world::Sensor;
+
+/// How often a Body tells a state server that knows less of the emergency stop than it does.
+const CORRECTION_PERIOD: Span = Span::from_millis(200);
 
 /// What a Body accepts.
 #[derive(Clone, Debug)]
@@ -22,6 +26,12 @@ pub enum In {
     MotorCommand(MotorCommand),
     /// Its true state.
     Sample(Sample),
+    /// The emergency stop, engaged or taken back.
+    Stop(Stop),
+    /// What the state server repeats of it.
+    Latch(Latch),
+    /// Its host is told to end.
+    Leave,
 }
 
 /// What a Body says.
@@ -31,12 +41,18 @@ pub enum Out {
     Drive(Drive),
     /// To its Cache.
     Reading(Reading),
+    /// To the host's Status: the latch that it follows.
+    Follows(Latch),
+    /// To everyone: the state server has forgotten a stop.
+    Stop(Stop),
 }
 
 /// One robot's body.
 #[derive(Debug)]
 pub struct Body {
     robot: RobotId,
+    /// The host that it lives on.
+    host: HostId,
     sensor: Sensor,
     stream: Stream,
     /// When the sensor has measured, and when it does next, at the earliest.
@@ -46,13 +62,62 @@ pub struct Body {
     pending: VecDeque<(Time, Reading)>,
     /// When the command in force lapses.
     lapses: Option<Time>,
+    latch: LatchFollower,
+    /// When a state server was last corrected.
+    corrected: Option<Time>,
+    /// Whether its host is about to end.
+    leaves: bool,
 }
 
 impl Body {
     /// A body at rest, measured by this sensor; draws its noise from `stream`.
-    pub fn new(robot: RobotId, sensor: Sensor, stream: Stream) -> Body {
-        let (measured, ready, pending) = (None, Time::ZERO, VecDeque::new());
-        Body { robot, sensor, stream, measured, ready, pending, lapses: None }
+    pub fn new((host, robot): (HostId, RobotId), sensor: Sensor, stream: Stream) -> Body {
+        Body {
+            robot,
+            host,
+            sensor,
+            stream,
+            measured: None,
+            ready: Time::ZERO,
+            pending: VecDeque::new(),
+            lapses: None,
+            latch: LatchFollower::default(),
+            corrected: None,
+            leaves: false,
+        }
+    }
+
+    /// Whether its motors may turn: the state server was heard, no stop is engaged or held, and its host stays.
+    fn may_move(&self) -> bool {
+        self.latch.is_informed() && self.latch.latch().is_clear() && !self.leaves
+    }
+
+    fn obey(&mut self, now: Time, command: &MotorCommand, out: &mut Vec<Out>) {
+        let velocity = if self.may_move() { command.velocity } else { Vec2::zeros() };
+        let until = now + command.valid_for;
+        self.lapses = Some(until);
+        out.push(Out::Drive(Drive { robot: self.robot, velocity, until }));
+    }
+
+    fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
+        self.lapses = None;
+        out.push(Out::Drive(Drive { robot: self.robot, velocity: Vec2::zeros(), until: now }));
+    }
+
+    fn latched(&mut self, now: Time, changed: bool, out: &mut Vec<Out>) {
+        if changed && !self.may_move() {
+            self.stand(now, out);
+        }
+    }
+
+    /// A state server that was started afresh may know less than this body; a hold that only bodies remember holds.
+    fn correct(&mut self, now: Time, said: Latch, out: &mut Vec<Out>) {
+        let own = self.latch.latch();
+        let due = self.corrected.is_none_or(|at| now.since(at) >= CORRECTION_PERIOD);
+        if !own.is_clear() && own > said && due {
+            self.corrected = Some(now);
+            out.push(Out::Stop(Stop { by: self.host, latch: own }));
+        }
     }
 
     fn measure(&mut self, now: Time, sample: &Sample, out: &mut Vec<Out>) {
@@ -77,12 +142,25 @@ impl Core for Body {
 
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
-            In::MotorCommand(command) => {
-                let until = now + command.valid_for;
-                self.lapses = Some(until);
-                out.push(Out::Drive(Drive { robot: self.robot, velocity: command.velocity, until }));
-            }
+            In::MotorCommand(command) => self.obey(now, &command, out),
             In::Sample(sample) => self.measure(now, &sample, out),
+            In::Stop(stop) => {
+                let changed = self.latch.told(stop.latch);
+                self.latched(now, changed, out);
+                out.push(Out::Follows(self.latch.latch()));
+            }
+            In::Latch(said) => {
+                let changed = self.latch.learned(said);
+                self.latched(now, changed, out);
+                self.correct(now, said, out);
+                if changed {
+                    out.push(Out::Follows(self.latch.latch()));
+                }
+            }
+            In::Leave => {
+                self.leaves = true;
+                self.stand(now, out);
+            }
         }
     }
 
@@ -93,8 +171,7 @@ impl Core for Body {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.lapses.is_some_and(|lapses| lapses <= now) {
-            self.lapses = None;
-            out.push(Out::Drive(Drive { robot: self.robot, velocity: Vec2::zeros(), until: now }));
+            self.stand(now, out);
         }
         while self.pending.front().is_some_and(|(due, _)| *due <= now) {
             out.extend(self.pending.pop_front().map(|(_, reading)| Out::Reading(reading)));
@@ -110,7 +187,62 @@ mod tests {
     use crate::random::Seed;
 
     fn body(sensor: Sensor) -> Body {
-        Body::new(RobotId(0), sensor, Seed::of_run(0).stream("sensor"))
+        let mut body = Body::new((HostId(3), RobotId(0)), sensor, Seed::of_run(0).stream("sensor"));
+        body.handle(Time::ZERO, In::Latch(Latch::default()), &mut Vec::new());
+        body
+    }
+
+    fn command(x: f32) -> In {
+        let velocity = Vec2::new(x, 0.0);
+        In::MotorCommand(MotorCommand { robot: RobotId(0), velocity, valid_for: Span::from_millis(200) })
+    }
+
+    fn handle(body: &mut Body, ms: u64, input: In) -> Vec<Out> {
+        let mut out = Vec::new();
+        body.handle(Time::ZERO + Span::from_millis(ms), input, &mut out);
+        out
+    }
+
+    /// How fast it is driven by a command of 1 m/s.
+    fn driven(body: &mut Body, ms: u64) -> f32 {
+        let out = handle(body, ms, command(1.0));
+        let [Out::Drive(drive)] = &out[..] else { panic!("{out:?}") };
+        drive.velocity.x
+    }
+
+    #[test]
+    fn a_command_that_is_released_after_a_stop_drives_nobody_until_a_resume() {
+        let mut body = body(Sensor::EXACT);
+        assert_eq!(driven(&mut body, 0), 1.0);
+        let out = handle(&mut body, 10, In::Stop(Stop::engage(HostId(9), Latch::default())));
+        assert!(matches!(&out[0], Out::Drive(drive) if drive.velocity == Vec2::zeros()), "at once");
+        assert!(matches!(&out[1], Out::Follows(latch) if latch.is_engaged()));
+        assert_eq!(driven(&mut body, 45_000), 0.0);
+        handle(&mut body, 45_010, In::Stop(Stop::rearm(HostId(9), Latch::engaged(1))));
+        assert_eq!(driven(&mut body, 45_020), 0.0, "held");
+        handle(&mut body, 45_030, In::Latch(Latch::clear(3)));
+        assert_eq!(driven(&mut body, 45_040), 1.0);
+    }
+
+    #[test]
+    fn a_fresh_body_moves_nothing_before_the_state_server_is_heard() {
+        let mut body = Body::new((HostId(3), RobotId(0)), Sensor::EXACT, Seed::of_run(0).stream("sensor"));
+        assert_eq!(driven(&mut body, 0), 0.0);
+        handle(&mut body, 10, In::Latch(Latch::default()));
+        assert_eq!(driven(&mut body, 20), 1.0);
+        handle(&mut body, 30, In::Leave);
+        assert_eq!(driven(&mut body, 40), 0.0, "its host is about to end");
+    }
+
+    #[test]
+    fn a_state_server_that_has_forgotten_a_hold_is_told() {
+        let mut body = body(Sensor::EXACT);
+        handle(&mut body, 0, In::Latch(Latch::held(2)));
+        let told = |out: &[Out]| out.iter().any(|said| matches!(said, Out::Stop(s) if s.latch == Latch::held(2)));
+        assert!(told(&handle(&mut body, 100, In::Latch(Latch::default()))));
+        assert!(!told(&handle(&mut body, 200, In::Latch(Latch::default()))), "not with every instruction");
+        assert!(told(&handle(&mut body, 300, In::Latch(Latch::default()))));
+        assert!(!told(&handle(&mut body, 600, In::Latch(Latch::held(2)))), "it knows");
     }
 
     fn sample(ms: u64) -> In {
@@ -153,10 +285,6 @@ mod tests {
     fn the_motors_stop_when_the_command_lapses() {
         let mut body = body(Sensor::EXACT);
         let mut out = Vec::new();
-        let command = |x| {
-            let velocity = Vec2::new(x, 0.0);
-            In::MotorCommand(MotorCommand { robot: RobotId(0), velocity, valid_for: Span::from_millis(200) })
-        };
         body.handle(Time::ZERO, command(1.0), &mut out);
         body.handle(Time::ZERO + Span::from_millis(50), command(0.5), &mut out);
         let lapse = Time::ZERO + Span::from_millis(250);

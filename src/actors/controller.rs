@@ -1,12 +1,15 @@
 //! Controller: the last say over one robot's velocity, and its place in the episode.
 //!
 //! Its guard (`safety::guard`) rules on every action and alone grants motor commands; the Controller follows the state
-//! server's instructions, and tells it how far the robot has come and what is known of the emergency stop.
+//! server's instructions, and tells it how far the robot has come and what is known of the emergency stop. When its host
+//! is told to end, it stands for good.
 
 use super::Core;
 use crate::messages::ids::RobotId;
+use crate::messages::latch::Latch;
 use crate::messages::local::{Action, Progress};
-use crate::messages::wire::{Heartbeat, Mode, MotorCommand, Phase, Round, Stop};
+use crate::messages::round::RoundFollower;
+use crate::messages::wire::{Heartbeat, Mode, MotorCommand, Phase, Stop};
 use crate::safety::guard::{self, Granted, Guard, Ruling, SafetyCounts};
 use crate::time::{Span, Time};
 
@@ -24,6 +27,8 @@ pub enum In {
     Mode(Mode),
     /// The emergency stop, engaged or taken back.
     Stop(Stop),
+    /// Its host is told to end.
+    Leave,
 }
 
 /// What a Controller says.
@@ -33,6 +38,8 @@ pub enum Out {
     MotorCommand(MotorCommand),
     /// To the StateServer.
     Heartbeat(Heartbeat),
+    /// To the host's Status: the latch that it follows.
+    Follows(Latch),
     /// To the Recorder: how often the guard has stopped or slowed the robot, if that is news.
     Counts(SafetyCounts),
 }
@@ -55,11 +62,13 @@ pub struct Config {
 pub struct Controller {
     config: Config,
     guard: Guard,
-    round: Round,
+    round: RoundFollower,
     /// What the team does.
     team: Phase,
     /// How far this robot has come in it.
     own: Phase,
+    /// Whether its host is about to end.
+    leaves: bool,
     /// What was last told of the guard.
     told: SafetyCounts,
     next_beat: Time,
@@ -71,9 +80,10 @@ impl Controller {
         Controller {
             config,
             guard: Guard::new(config.guard),
-            round: Round::default(),
+            round: RoundFollower::default(),
             team: Phase::NeedReset,
             own: Phase::NeedReset,
+            leaves: false,
             told: SafetyCounts::default(),
             next_beat: Time::ZERO + config.phase,
         }
@@ -83,7 +93,7 @@ impl Controller {
         // The stop counts whoever the instruction is for, and however old it is.
         let changed = self.guard.learn(mode.latch);
         self.latched(now, changed, out);
-        if mode.round < self.round {
+        if !self.round.admits(mode.round) {
             return;
         }
         // Whoever the instruction is for, the server is alive. What it says to others may be older than what is known.
@@ -91,13 +101,14 @@ impl Controller {
         if mode.task_of(self.config.robot).is_none() {
             return;
         }
-        if (mode.round, mode.phase) == (self.round, self.team) {
+        if (mode.round, mode.phase) == (self.round.round(), self.team) {
             return;
         }
         self.guard.instructed();
-        (self.round, self.team) = (mode.round, mode.phase);
+        self.round.follow(mode.round);
+        self.team = mode.phase;
         self.own = match mode.phase {
-            Phase::Resetting | Phase::Running | Phase::EpisodesFinished => mode.phase,
+            Phase::Resetting | Phase::Running | Phase::EpisodesFinished | Phase::Waiting => mode.phase,
             _ => Phase::NeedReset,
         };
         if !matches!(self.team, Phase::Resetting | Phase::Running) {
@@ -107,10 +118,13 @@ impl Controller {
 
     fn obey(&mut self, now: Time, action: &Action, out: &mut Vec<Out>) {
         let moving = matches!(self.team, Phase::Resetting | Phase::Running) && self.own != Phase::AbortRunning;
-        let meant = (action.round, action.phase) == (self.round, self.team);
-        // Who is latched says again and again that the wheels are to stand, should one such command be lost.
-        let latched = self.guard.latch().is_engaged();
-        if !(latched || moving && meant) {
+        let meant = (action.round, action.phase) == (self.round.round(), self.team);
+        let stands = self.leaves || !self.guard.latch().is_clear();
+        if stands {
+            // Zeros are repeated, should one such command be lost.
+            return self.give_up(out);
+        }
+        if !(moving && meant) {
             return;
         }
         match self.guard.rule(now, action) {
@@ -133,7 +147,7 @@ impl Controller {
     fn latched(&mut self, now: Time, changed: bool, out: &mut Vec<Out>) {
         if changed {
             self.next_beat = now;
-            if self.guard.latch().is_engaged() {
+            if !self.guard.latch().is_clear() {
                 self.give_up(out);
             }
         }
@@ -170,6 +184,11 @@ impl Core for Controller {
             In::Stop(stop) => {
                 let changed = self.guard.told(&stop);
                 self.latched(now, changed, out);
+                out.push(Out::Follows(self.guard.latch()));
+            }
+            In::Leave => {
+                self.leaves = true;
+                self.give_up(out);
             }
         }
     }
@@ -186,7 +205,8 @@ impl Core for Controller {
         }
         if self.next_beat <= now {
             let (robot, latch) = (self.config.robot, self.guard.latch());
-            out.push(Out::Heartbeat(Heartbeat { robot, round: self.round, phase: self.own, latch }));
+            out.push(Out::Heartbeat(Heartbeat { robot, round: self.round.round(), phase: self.own, latch }));
+            out.push(Out::Follows(latch));
             let counts = self.guard.counts();
             if counts != self.told {
                 self.told = counts;
@@ -202,7 +222,7 @@ mod tests {
     use super::*;
     use crate::messages::geometry::{Motion, Task, Vec2};
     use crate::messages::ids::HostId;
-    use crate::messages::latch::Latch;
+    use crate::messages::wire::Round;
     use crate::safety::Safety;
     use crate::world::Clamp;
 
@@ -246,7 +266,7 @@ mod tests {
         controller.handle(Time::ZERO, input, &mut out);
         out.iter().find_map(|said| match said {
             Out::MotorCommand(command) => Some(command.velocity.x),
-            Out::Heartbeat(_) | Out::Counts(_) => None,
+            Out::Heartbeat(_) | Out::Follows(_) | Out::Counts(_) => None,
         })
     }
 
@@ -298,18 +318,20 @@ mod tests {
         controller.wake(Time::ZERO + Span::from_secs(Safety::emulated().silence_s), &mut out);
         assert!(matches!(&out[0], Out::MotorCommand(command) if command.velocity == Vec2::zeros()));
         assert!(matches!(&out[1], Out::Heartbeat(beat) if beat.phase == Phase::AbortRunning));
-        assert!(matches!(&out[2], Out::Counts(counts) if counts.silence == 1));
+        assert!(matches!(&out[3], Out::Counts(counts) if counts.silence == 1));
         assert_eq!(commanded(&mut controller, action(0, Phase::Running, 1.0, Progress::Underway)), None);
     }
 
     #[test]
-    fn an_engaged_stop_stops_the_robot_at_once_is_told_at_once_and_holds() {
+    fn an_engaged_stop_stops_the_robot_at_once_is_told_at_once_and_holds_until_a_resume() {
         let mut controller = controller();
         commanded(&mut controller, mode(0, Phase::Running));
         let (mut out, half) = (Vec::new(), Time::ZERO + Span::from_millis(50));
         controller.wake(Time::ZERO, &mut out);
+        out.clear();
         controller.handle(half, In::Stop(Stop::engage(HostId(9), Latch::default())), &mut out);
-        assert!(matches!(&out[1], Out::MotorCommand(command) if command.velocity == Vec2::zeros()));
+        assert!(matches!(&out[0], Out::MotorCommand(command) if command.velocity == Vec2::zeros()));
+        assert!(matches!(&out[1], Out::Follows(latch) if latch.is_engaged()), "operators can be told at once");
         assert_eq!(controller.wake_at(), Some(half), "its heartbeat does not wait for its turn");
         controller.wake(half, &mut out);
         let told = |beat: &Heartbeat| beat.latch == Latch::engaged(1) && beat.phase == Phase::AbortRunning;
@@ -317,19 +339,37 @@ mod tests {
         let go = || action(1, Phase::Running, 1.0, Progress::Underway);
         assert_eq!(commanded(&mut controller, mode(1, Phase::Running)), None, "a server that has not heard of it");
         assert_eq!(commanded(&mut controller, go()), Some(0.0));
-        commanded(&mut controller, In::Stop(Stop { by: HostId(9), latch: Latch::armed(1) }));
+        commanded(&mut controller, In::Stop(Stop { by: HostId(9), latch: Latch::held(1) }));
         assert_eq!(commanded(&mut controller, go()), Some(0.0), "that re-arm is not later");
         commanded(&mut controller, In::Stop(Stop::rearm(HostId(9), Latch::engaged(1))));
+        assert_eq!(commanded(&mut controller, go()), Some(0.0), "a re-arm alone moves nobody");
+        commanded(&mut controller, In::Stop(Stop::resume(HostId(9), Latch::held(2))));
+        assert_eq!(commanded(&mut controller, go()), Some(0.0), "nor does a resume that the server has not granted");
+        commanded(&mut controller, knowing(Latch::clear(3), mode(1, Phase::Running)));
         assert_eq!(commanded(&mut controller, go()), None, "the episode was given up");
         commanded(&mut controller, mode(2, Phase::Running));
         assert_eq!(commanded(&mut controller, action(2, Phase::Running, 1.0, Progress::Underway)), Some(1.0));
     }
 
     #[test]
+    fn a_host_that_leaves_stops_its_robot_for_good() {
+        let mut controller = controller();
+        commanded(&mut controller, mode(0, Phase::Running));
+        assert_eq!(commanded(&mut controller, In::Leave), Some(0.0));
+        commanded(&mut controller, mode(1, Phase::Running));
+        assert_eq!(commanded(&mut controller, action(1, Phase::Running, 1.0, Progress::Underway)), Some(0.0));
+    }
+
+    /// The same instruction of a state server that knows this latch.
+    fn knowing(latch: Latch, mode: In) -> In {
+        let In::Mode(mode) = mode else { panic!("it is one") };
+        In::Mode(Mode { latch, ..mode })
+    }
+
+    #[test]
     fn a_fresh_controller_learns_of_the_stop_from_the_first_instruction() {
         let mut controller = controller();
-        let In::Mode(told) = mode(0, Phase::Running) else { panic!("it is one") };
-        commanded(&mut controller, In::Mode(Mode { latch: Latch::engaged(4), ..told }));
+        commanded(&mut controller, knowing(Latch::engaged(4), mode(0, Phase::Running)));
         assert_eq!(commanded(&mut controller, action(0, Phase::Running, 1.0, Progress::Underway)), Some(0.0));
     }
 

@@ -17,11 +17,12 @@ use super::process::{Graph, Heard, Process};
 use super::recorder::{self, Recorder};
 use super::shell::{Mailbox, start};
 use super::state_server::{self, StateServer};
+use super::status::{self, Status};
 use super::world::{self, Ground, World};
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{Kind, Stop, Wire};
+use crate::messages::wire::{Kind, Mode, Stop, Wire};
 use crate::net::codec::Frame;
 use crate::net::fault::FaultPlan;
 use crate::net::link;
@@ -206,24 +207,28 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
         valid_for: COMMAND_VALIDITY,
         phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
     };
-    let (network, record) = (home, graph.record());
+    let (network, status, record) = (home, graph.status_of(host), graph.record());
     let make = move |_| Controller::new(config);
     start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
         controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
         controller::Out::Heartbeat(m) => network.send(network::In::Publish(Wire::Heartbeat(m))),
+        controller::Out::Follows(latch) => status.send(status::In::Controller(robot, latch)),
         controller::Out::Counts(counts) => record(recorder::In::Safety(robot, counts)),
     });
 }
 
 /// Body of one robot.
 fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
-    let network = graph.network_of(graph.routes.world_host(robot));
+    let host = graph.routes.world_host(robot);
+    let (network, status) = (graph.network_of(host), graph.status_of(host));
     let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
     let (sensor, seed) = (plan.physics.sensor, plan.seed);
-    let make = move |life| Body::new(robot, sensor, seed.stream(&format!("body/{}/sensor/{life}", robot.0)));
+    let make = move |life| Body::new((host, robot), sensor, seed.stream(&format!("body/{}/sensor/{life}", robot.0)));
     start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
         body::Out::Reading(reading) => network.send(network::In::Publish(Wire::Reading(reading))),
+        body::Out::Follows(latch) => status.send(status::In::Body(robot, latch)),
+        body::Out::Stop(stop) => network.send(network::In::Publish(Wire::Stop(stop))),
     });
 }
 
@@ -252,7 +257,7 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     });
 }
 
-/// Network and World of one host.
+/// Network, Status and World of one host.
 fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &Process) {
     let entry = &plan.deployment.hosts[usize::from(host.0)];
     // In the order of ids, however the deployment lists them: a plant moves its robots in this order.
@@ -281,11 +286,14 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
         firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();
     let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone());
     let leads = entry.state_server;
-    let told_modes = (
-        firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect::<Vec<_>>(),
-        agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect::<Vec<_>>(),
-        simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
-    );
+    let team = Led {
+        agents: firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect(),
+        controllers: agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect(),
+        bodies: simulated.iter().map(|robot| graph.bodies[robot.index()].clone()).collect(),
+        world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
+        status: graph.status_of(host),
+    };
+    wire_status(clock, graph, host, status::Config { host, controllers: agents, bodies: simulated.clone() });
     let (transports, record) = (graph.transports.clone(), graph.record());
     let name = entry.name.clone();
     let deliver = move |message: Wire| match message {
@@ -297,17 +305,14 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
                 caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
             }
         }
-        Wire::Mode(m) => {
-            told_modes.2.iter().for_each(|world| world.send(world::In::Mode(m.clone())));
-            told_modes.0.iter().for_each(|agent| agent.send(agent::In::Mode(m.clone())));
-            told_modes.1.iter().for_each(|controller| controller.send(controller::In::Mode(m.clone())));
-        }
+        Wire::Mode(m) => team.follow(&m),
         Wire::Stop(m) => {
-            told_modes.1.iter().for_each(|controller| controller.send(controller::In::Stop(m)));
+            team.stop(m);
             if leads {
                 by_robot.2.send(state_server::In::Stop(m));
             }
         }
+        Wire::Status(m) => by_robot.2.send(state_server::In::Status(m)),
     };
     start(
         clock,
@@ -359,6 +364,40 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
     }
 }
 
+/// The actors of one host that follow the state server and the emergency stop.
+struct Led {
+    agents: Vec<Mailbox<agent::In>>,
+    controllers: Vec<Mailbox<controller::In>>,
+    bodies: Vec<Mailbox<body::In>>,
+    world: Option<Mailbox<world::In>>,
+    status: Mailbox<status::In>,
+}
+
+impl Led {
+    fn follow(&self, mode: &Mode) {
+        self.world.iter().for_each(|world| world.send(world::In::Mode(mode.clone())));
+        self.agents.iter().for_each(|agent| agent.send(agent::In::Mode(mode.clone())));
+        self.controllers.iter().for_each(|controller| controller.send(controller::In::Mode(mode.clone())));
+        self.bodies.iter().for_each(|body| body.send(body::In::Latch(mode.latch)));
+        self.status.send(status::In::Mode(mode.phase));
+    }
+
+    fn stop(&self, stop: Stop) {
+        self.controllers.iter().for_each(|controller| controller.send(controller::In::Stop(stop)));
+        self.bodies.iter().for_each(|body| body.send(body::In::Stop(stop)));
+        self.status.send(status::In::Stop(stop));
+    }
+}
+
+/// The voice of one host.
+fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: status::Config) {
+    let network = graph.network_of(host);
+    let make = move |_| Status::new(&config);
+    start(clock, &graph.statuses[usize::from(host.0)], info_span!("status"), make, move |status| {
+        network.send(network::In::Publish(Wire::Status(status)));
+    });
+}
+
 /// The emulated links on which it matters where robots are.
 fn ranged_ethers(plan: &Plan, graph: &Graph, process: &Process) -> Vec<Mailbox<transport::In>> {
     let links = plan.deployment.links.iter().zip(graph.transports.iter()).filter(|_| process.only.is_none());
@@ -404,9 +443,11 @@ fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
         placement: plan.deployment.placement,
         limit: plan.scenario.rules().limit,
     };
-    let (network, robots) = (graph.network_of(graph.routes.server_host()), plan.deployment.robots);
+    let (host, robots) = (graph.routes.server_host(), plan.deployment.robots);
+    let (network, status) = (graph.network_of(host), graph.status_of(host));
     let make = move |life| StateServer::new(config.clone(), robots, life);
-    start(clock, &graph.server, info_span!("state server"), make, move |mode| {
-        network.send(network::In::Publish(Wire::Mode(mode)));
+    start(clock, &graph.server, info_span!("state server"), make, move |out| match out {
+        state_server::Out::Mode(mode) => network.send(network::In::Publish(Wire::Mode(mode))),
+        state_server::Out::Leading(leading) => status.send(status::In::Leading(leading)),
     });
 }

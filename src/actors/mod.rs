@@ -20,6 +20,7 @@ pub mod recorder;
 pub mod shell;
 pub mod sockets;
 pub mod state_server;
+pub mod status;
 pub mod world;
 
 use crate::time::Time;

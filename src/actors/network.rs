@@ -5,9 +5,11 @@
 //! arrives is checked, decoded and handed in, or counted and dropped. What is sent when and again, and who is
 //! believed, is decided in `net::link`.
 
+use std::collections::BTreeMap;
+
 use super::Core;
 use crate::messages::ids::LinkId;
-use crate::messages::wire::Wire;
+use crate::messages::wire::{Kind, Wire};
 use crate::net::codec::{self, Content, Flags, Frame, Header};
 use crate::net::key::Key;
 pub use crate::net::link::Identity;
@@ -77,6 +79,30 @@ pub struct Network {
     stream: Stream,
     leaving: Vec<Leaving>,
     next_counts: Time,
+    impostors: Impostors,
+}
+
+/// Members of the team that said what others are to say, and how often, by kind.
+#[derive(Debug, Default)]
+struct Impostors(BTreeMap<(String, Kind), u64>);
+
+impl Impostors {
+    /// The most that are told apart.
+    const MOST: usize = 256;
+
+    /// Counts one and names it, less and less often.
+    fn note(&mut self, name: &str, message: &Wire) {
+        let (key, full) = ((name.to_owned(), message.kind()), self.0.len() >= Impostors::MOST);
+        if full && !self.0.contains_key(&key) {
+            return;
+        }
+        let times = self.0.entry(key).or_default();
+        *times += 1;
+        if times.is_power_of_two() {
+            let (kind, robot) = (message.kind(), message.robot());
+            tracing::error!("{name} said {kind:?} about {robot}, which is not its to say: refused ({times} times)");
+        }
+    }
 }
 
 impl Network {
@@ -92,7 +118,8 @@ impl Network {
         let indoors = Header { flags: codec::Flags::default(), team, sender: host, epoch, sequence: 0 };
         let indoor_counts = LinkCounts::default();
         let (leaving, next_counts) = (Vec::new(), Time::ZERO);
-        Network { router, links, due, shared, indoors, indoor_counts, stream, leaving, next_counts }
+        let impostors = Impostors::default();
+        Network { router, links, due, shared, indoors, indoor_counts, stream, leaving, next_counts, impostors }
     }
 
     fn publish(&mut self, now: Time, message: Wire, out: &mut Vec<Out>) {
@@ -143,6 +170,11 @@ impl Network {
                 // Whoever garbles one message is not believed the rest.
                 Err(error) => return state.refuse(&error),
             };
+            if let Some(name) = self.router.forbids(header.sender, &message) {
+                state.counts().misrouted += 1;
+                self.impostors.note(&name, &message);
+                continue;
+            }
             let robot = message.robot();
             if self.router.route(kind, robot).local {
                 if state.accept(&header, kind, robot) {
@@ -205,7 +237,7 @@ mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
     use crate::messages::ids::{HostId, RobotId};
-    use crate::messages::wire::{Kind, Reading};
+    use crate::messages::wire::Reading;
     use crate::net::reliability::Reliabilities;
     use crate::net::router::Route;
     use crate::random::Seed;

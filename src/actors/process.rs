@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use super::graph::Plan;
 use super::shell::Mailbox;
-use super::{agent, body, cache, controller, network, recorder, state_server, world};
+use super::{agent, body, cache, controller, network, recorder, state_server, status, world};
 use crate::deploy::{Deployment, Routes};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
@@ -76,6 +76,8 @@ pub struct Graph {
     /// By robot, likewise.
     pub(super) worlds: Vec<Mailbox<world::In>>,
     pub(super) server: Mailbox<state_server::In>,
+    /// By host.
+    pub(super) statuses: Rc<[Mailbox<status::In>]>,
     pub(super) networks: Rc<[Mailbox<network::In>]>,
     pub(super) transports: Rc<[Mailbox<transport::In>]>,
     /// Where there is one.
@@ -105,6 +107,7 @@ impl Graph {
             bodies: team().map(named("body")).map(Mailbox::new).collect(),
             worlds,
             server: Mailbox::new("state server"),
+            statuses: deployment.hosts.iter().map(|host| Mailbox::new(format!("status of {}", host.name))).collect(),
             networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
             transports: links.map(Mailbox::new).collect(),
             recorder: process.records.then(|| Mailbox::new("recorder")),
@@ -114,6 +117,10 @@ impl Graph {
 
     pub(super) fn network_of(&self, host: HostId) -> Mailbox<network::In> {
         self.networks[usize::from(host.0)].clone()
+    }
+
+    pub(super) fn status_of(&self, host: HostId) -> Mailbox<status::In> {
+        self.statuses[usize::from(host.0)].clone()
     }
 
     /// The way to the Recorder, which leads nowhere where there is none.
@@ -137,6 +144,7 @@ impl Graph {
             .chain(of(&self.controllers))
             .chain(of(&self.bodies))
             .chain(of(&self.worlds))
+            .chain(of(&self.statuses))
             .chain(of(&self.networks))
             .chain(of(&self.transports))
             .chain(of(std::slice::from_ref(&self.server)))
@@ -149,6 +157,22 @@ impl Graph {
     pub fn stop(&self, by: HostId) {
         let stop = Stop::engage(by, Latch::default());
         self.networks[usize::from(by.0)].send(network::In::Publish(Wire::Stop(stop)));
+    }
+
+    /// Lets a host that runs here leave the team: what it drives stands, and then it says so.
+    pub fn leave(&self, host: HostId) {
+        for robot in RobotId::team(self.bodies.len()) {
+            if self.routes.world_host(robot) == host {
+                self.bodies[robot.index()].send(body::In::Leave);
+            }
+            if self.routes.agent_host(robot) == host {
+                self.controllers[robot.index()].send(controller::In::Leave);
+            }
+        }
+        if self.routes.server_host() == host {
+            self.server.send(state_server::In::Leave);
+        }
+        self.statuses[usize::from(host.0)].send(status::In::Leave);
     }
 
     pub(super) fn inject(&self, fault: ActorFault) {

@@ -183,6 +183,10 @@ impl Recorder {
             };
             self.close(now, finding, out);
         }
+        if phase == Phase::Waiting {
+            // A host has left: this episode will be run again, and is judged then.
+            self.judge = None;
+        }
         let goes_on = (phase, round.episode) == (self.phase, self.round.episode);
         if phase == Phase::Running && self.judge.is_none() && round.episode == self.open {
             let goals = self.config.layouts.episode(round.episode).iter().map(|task| task.goal).collect();

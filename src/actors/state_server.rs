@@ -1,15 +1,19 @@
 //! StateServer: leads the team through its episodes, unattended (paper, section IV).
 //!
 //! It hears heartbeats and says, several times a second, what everyone is to do: reset, run, or stop. It
-//! asks nothing and is answered by nothing. While the emergency stop is engaged it holds the team. A restarted
-//! one learns from the heartbeats where the team is, gives up an episode that was running, and goes on with the
-//! next.
+//! asks nothing and is answered by nothing. While the emergency stop is engaged, and after it until a resume, it holds
+//! the team; while a host is away that has said that it leaves, the team stands and waits for it. A restarted server
+//! learns from the heartbeats where the team is, gives up an episode that was running, and goes on with the next.
+
+use std::collections::BTreeMap;
 
 use super::Core;
 use crate::messages::geometry::Task;
-use crate::messages::ids::RobotId;
-use crate::messages::latch::Latch;
-use crate::messages::wire::{Heartbeat, MAX_BLOCK, Mode, Phase, Round, Stop};
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::latch::{self, Latch};
+use crate::messages::wire::{
+    Heartbeat, Hindrance, Leading, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, Round, Status, Stop,
+};
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::Placement;
@@ -34,8 +38,21 @@ pub const GRACE: Span = Span::from_millis(500);
 pub enum In {
     /// Where a robot stands.
     Heartbeat(Heartbeat),
-    /// The emergency stop, engaged or taken back.
+    /// The emergency stop, engaged or taken back, or a resume.
     Stop(Stop),
+    /// A host leaves or is here.
+    Status(Status),
+    /// The host of the state server is told to end.
+    Leave,
+}
+
+/// What a StateServer says.
+#[derive(Clone, Debug)]
+pub enum Out {
+    /// To everyone: what is to be done.
+    Mode(Mode),
+    /// To the host's Status, for operators.
+    Leading(Leading),
 }
 
 /// How a StateServer is set up.
@@ -61,6 +78,12 @@ pub struct StateServer {
     /// Whether it has taken up its work without hearing anyone.
     blind: bool,
     latch: Latch,
+    /// The hosts that have left and are not back, and their robots.
+    left: BTreeMap<HostId, Vec<RobotId>>,
+    /// Whether its own host is about to end.
+    leaves: bool,
+    /// How many heartbeats claimed what cannot be.
+    overshot: u64,
     round: Round,
     phase: Phase,
     /// When the phase began; before the first tick there is none.
@@ -81,6 +104,9 @@ impl StateServer {
             life,
             blind: false,
             latch: Latch::default(),
+            left: BTreeMap::new(),
+            leaves: false,
+            overshot: 0,
             round: Round::default(),
             phase: Phase::NeedReset,
             since: None,
@@ -121,16 +147,19 @@ impl StateServer {
     /// Takes up where the team is: at the beginning, or wherever a former incarnation has left it.
     fn take_up(&mut self, now: Time) {
         let heard: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
-        let last = heard.iter().map(|beat| beat.round).max().unwrap_or_default();
+        let last = self.latest_round(now);
         let epoch = last.epoch.saturating_add(1).max(self.life);
         self.round = Round { epoch, episode: last.episode.min(self.config.layouts.len()) };
         self.blind = heard.is_empty();
+        let waits = heard.iter().any(|beat| beat.round == last && beat.phase == Phase::Waiting);
         let in_the_midst = |beat: &Heartbeat| {
             let phases = [Phase::Running, Phase::FinishedRunning, Phase::AbortRunning, Phase::NeedReset];
             beat.round == last && phases.contains(&beat.phase)
         };
         if heard.iter().any(|beat| beat.round == last && beat.phase == Phase::EpisodesFinished) {
             self.enter(now, Phase::EpisodesFinished);
+        } else if waits {
+            self.begin(now, last.episode);
         } else if last.epoch > 0 && heard.iter().any(in_the_midst) {
             tracing::warn!(episode = last.episode, "a running episode is given up: the state server was restarted");
             self.enter(now, Phase::AbortRunning);
@@ -142,7 +171,7 @@ impl StateServer {
     /// A robot follows a later round than this: one of a former incarnation, or one that was garbled on its way.
     /// It would refuse everything that is said here, so the epoch has to overtake it.
     fn overtake(&mut self, now: Time) {
-        let latest = self.present(now).flatten().map(|beat| beat.round).max().unwrap_or_default();
+        let latest = self.latest_round(now);
         if self.round.epoch == 0 || latest <= self.round {
             return;
         }
@@ -151,6 +180,84 @@ impl StateServer {
         } else {
             self.round.epoch = latest.epoch.saturating_add(1);
             self.said = None;
+        }
+    }
+
+    /// The latest round that a present robot follows, without what no honest one can.
+    fn latest_round(&self, now: Time) -> Round {
+        let rounds = || self.present(now).flatten().map(|beat| beat.round);
+        let base = baseline(self.round.epoch.into(), rounds().map(|round| round.epoch.into()));
+        let credible = |round: &Round| u64::from(round.epoch) <= base + u64::from(Round::JUMP);
+        rounds().filter(credible).max().unwrap_or_default()
+    }
+
+    /// Takes up what robots know of the emergency stop, without what no honest one can.
+    fn join_latches(&mut self, now: Time) {
+        let latches = || self.present(now).flatten().map(|beat| beat.latch);
+        let base = baseline(self.latch.number(), latches().map(Latch::number));
+        let credible = |latch: &Latch| latch.number() <= base + latch::JUMP;
+        let latest = latches().filter(credible).max().unwrap_or_default();
+        self.latched(self.latch.max(latest));
+    }
+
+    /// Counts a heartbeat that claims what no honest robot can, and names the robot, less and less often.
+    fn doubt(&mut self, beat: &Heartbeat) {
+        self.overshot += 1;
+        if self.overshot.is_power_of_two() {
+            let (robot, times) = (beat.robot, self.overshot);
+            let (epoch, number) = (beat.round.epoch, beat.latch.number());
+            tracing::error!(
+                "{robot} claims epoch {epoch} and stop number {number}, which are out of reach: ignored ({times} times)"
+            );
+        }
+    }
+
+    /// The robots that stand in the way of a resume.
+    fn hindrances(&self, now: Time) -> Vec<(RobotId, Hindrance)> {
+        let of = |(robot, beat): (RobotId, Option<&Heartbeat>)| {
+            let hindrance = match beat {
+                _ if self.left.values().flatten().any(|left| *left == robot) => Hindrance::Left,
+                None => Hindrance::Missing,
+                Some(beat) if beat.latch != self.latch => Hindrance::Latched,
+                Some(_) => return None,
+            };
+            Some((robot, hindrance))
+        };
+        RobotId::team(self.robots.len()).zip(self.present(now)).filter_map(of).take(MAX_HINDRANCES).collect()
+    }
+
+    fn told(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
+        let hindrances = self.hindrances(now);
+        match self.latch.resumed(stop.latch) {
+            Some(clear) if hindrances.is_empty() => self.latched(clear),
+            Some(_) => {}
+            None => self.latched(self.latch.told(stop.latch)),
+        }
+        if stop.by.is_operator() {
+            out.push(Out::Leading(Leading { latch: self.latch, hindrances }));
+        }
+    }
+
+    fn attend(&mut self, status: Status) {
+        let Status { host, leaves, robots, .. } = status;
+        if leaves {
+            let robots: Vec<RobotId> = robots.into_iter().map(|following| following.robot).collect();
+            let left = self.left.entry(host).or_default();
+            if !robots.iter().all(|robot| left.contains(robot)) {
+                left.extend(robots);
+                tracing::warn!(host = host.0, robots = ?left, "a host has left; the team waits for it");
+            }
+        } else if self.left.remove(&host).is_some() {
+            tracing::warn!(host = host.0, "the host is back");
+        }
+    }
+
+    /// Everyone stands until those are back who have left; the episode that was running is run again then.
+    fn wait(&mut self, now: Time) {
+        match self.phase {
+            Phase::EpisodesFinished => {}
+            Phase::Resetting | Phase::Running | Phase::AbortRunning => self.enter(now, Phase::Waiting),
+            _ => self.since = Some(now),
         }
     }
 
@@ -165,16 +272,23 @@ impl StateServer {
     /// It knows more of the emergency stop than before, and says so at once.
     fn latched(&mut self, latch: Latch) {
         if latch != self.latch {
-            tracing::warn!(engaged = latch.is_engaged(), number = latch.number(), "emergency stop");
+            tracing::warn!(state = latch.word(), number = latch.number(), "emergency stop");
             (self.latch, self.said) = (latch, None);
         }
     }
 
     /// Decides what comes next.
     fn decide(&mut self, now: Time) {
+        if self.leaves {
+            return self.wait(now);
+        }
+        self.join_latches(now);
         self.overtake(now);
-        if self.latch.is_engaged() {
+        if !self.latch.is_clear() {
             return self.hold(now);
+        }
+        if !self.left.is_empty() {
+            return self.wait(now);
         }
         let since = *self.since.get_or_insert(now);
         let lasted = now.since(since);
@@ -182,6 +296,9 @@ impl StateServer {
         let gives_up = |beat: &Heartbeat| beat.round == self.round && beat.phase == Phase::AbortRunning;
         match self.phase {
             Phase::NeedReset if everyone || lasted >= MUSTER_LIMIT => self.take_up(now),
+            Phase::Waiting if self.all_are(now, Phase::Waiting) || lasted >= MUSTER_LIMIT => {
+                self.begin(now, self.round.episode);
+            }
             Phase::Resetting if self.all_are(now, Phase::FinishedResetting) => self.enter(now, Phase::Running),
             Phase::Resetting if lasted >= RESET_LIMIT => {
                 tracing::warn!(episode = self.round.episode, "the reset takes too long; the episode is given up");
@@ -202,7 +319,7 @@ impl StateServer {
 
     /// What is new is said to everyone. What is repeated holds the tasks of one block, and all else for everyone: so
     /// what a robot hears does not grow with the team.
-    fn say(&mut self, out: &mut Vec<Mode>) {
+    fn say(&mut self, out: &mut Vec<Out>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));
         let blocks = tasks.len().div_ceil(MAX_BLOCK);
@@ -211,32 +328,53 @@ impl StateServer {
         self.turn = turn.end % blocks;
         for (index, block) in tasks.chunks(MAX_BLOCK).enumerate().filter(|(index, _)| turn.contains(index)) {
             let first = u16::try_from(index * MAX_BLOCK).expect("a team has at most 65 535 robots");
-            out.push(Mode {
+            out.push(Out::Mode(Mode {
                 round: self.round,
                 repeat: self.config.repeat,
                 phase: self.phase,
                 first: RobotId(first),
                 tasks: block.iter().copied().collect::<std::sync::Arc<[Task]>>(),
                 latch: self.latch,
-            });
+            }));
         }
     }
 }
 
+/// What is known for certain of a number that only grows: the own one, or the second largest that is heard; or the only
+/// one. A single robot that claims more may be wrong or lie.
+fn baseline(own: u64, heard: impl Iterator<Item = u64>) -> u64 {
+    let (mut largest, mut second, mut count) = (0, 0, 0);
+    for number in heard {
+        (largest, second) = if number > largest { (number, largest) } else { (largest, second.max(number)) };
+        count += 1;
+    }
+    own.max(if count == 1 { largest } else { second })
+}
+
 impl Core for StateServer {
     type In = In;
-    type Out = Mode;
+    type Out = Out;
 
-    fn handle(&mut self, now: Time, input: In, _: &mut Vec<Mode>) {
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Heartbeat(beat) => {
                 let latch = self.latch.joined(beat.latch);
+                let fresh = self.round.epoch == 0;
+                let overshoots = self.latch.is_overshot_by(beat.latch) || self.round.is_overshot_by(beat.round);
+                if overshoots && !fresh {
+                    self.doubt(&beat);
+                }
                 if let Some(heard) = self.robots.get_mut(beat.robot.index()) {
                     *heard = Some((now, beat));
                     self.latched(latch);
                 }
             }
-            In::Stop(stop) => self.latched(self.latch.told(stop.latch)),
+            In::Stop(stop) => self.told(now, &stop, out),
+            In::Status(status) => self.attend(status),
+            In::Leave => {
+                self.leaves = true;
+                self.next = now;
+            }
         }
     }
 
@@ -244,11 +382,13 @@ impl Core for StateServer {
         Some(self.next)
     }
 
-    fn wake(&mut self, now: Time, out: &mut Vec<Mode>) {
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.decide(now);
         // Until it knows where the team is, it has nothing to say but that everyone is to stand.
-        let speaks = self.round.epoch > 0 || self.latch.is_engaged();
-        if speaks && self.said.is_none_or(|said| now.since(said) >= MODE_PERIOD) {
+        let speaks = self.round.epoch > 0 || !self.latch.is_clear() || self.leaves;
+        // A server that is about to end says so at every step.
+        let period = if self.leaves { Span::ZERO } else { MODE_PERIOD };
+        if speaks && self.said.is_none_or(|said| now.since(said) >= period) {
             self.say(out);
             self.said = Some(now);
         }
@@ -259,7 +399,7 @@ impl Core for StateServer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::ids::HostId;
+    use crate::messages::wire;
     use crate::scenario::{Settings, build};
 
     fn server() -> StateServer {
@@ -322,7 +462,7 @@ mod tests {
             }
             let mut out = Vec::new();
             server.wake(at_ms(ms), &mut out);
-            out.iter().map(|mode| mode.first.0).collect()
+            modes(&out).iter().map(|mode| mode.first.0).collect()
         };
         let all = [0, 64, 128];
         let mut said: Vec<Vec<u16>> = Vec::new();
@@ -386,16 +526,138 @@ mod tests {
         server.handle(at_ms(60), In::Heartbeat(stopped), &mut Vec::new());
         let mut out = Vec::new();
         server.wake(at_ms(100), &mut out);
-        assert_eq!((out[0].phase, out[0].latch), (Phase::AbortRunning, Latch::engaged(3)), "it repeats the stop");
+        let told = modes(&out)[0];
+        assert_eq!((told.phase, told.latch), (Phase::AbortRunning, Latch::engaged(3)), "it repeats the stop");
         for ms in (150..30_000).step_by(50) {
             beat(&mut server, at_ms(ms), round(1, 0), [Phase::NeedReset; 2]);
             assert_eq!(tick(&mut server, at_ms(ms)).1, Phase::AbortRunning, "whatever the robots say, and for ever");
         }
-        let rearm = |number| In::Stop(Stop { by: HostId(9), latch: Latch::armed(number) });
-        server.handle(at_ms(30_000), rearm(3), &mut Vec::new());
-        assert_eq!(tick(&mut server, at_ms(30_000)).1, Phase::AbortRunning, "not later than the stop");
-        server.handle(at_ms(30_010), rearm(4), &mut Vec::new());
-        assert_eq!(tick(&mut server, at_ms(30_050)), (round(1, 1), Phase::Resetting), "the next episode");
+        let say = |server: &mut StateServer, ms: u64, latch: Latch| {
+            server.handle(at_ms(ms), In::Stop(Stop { by: HostId(9), latch }), &mut Vec::new());
+            tick(server, at_ms(ms));
+            server.latch
+        };
+        assert_eq!(say(&mut server, 30_000, Latch::held(3)), Latch::engaged(3), "not later than the stop");
+        assert_eq!(say(&mut server, 30_010, Latch::clear(4)), Latch::engaged(3), "a stop cannot be resumed from");
+        assert_eq!(say(&mut server, 30_020, Latch::held(4)), Latch::held(4));
+        for ms in (30_050..40_000).step_by(50) {
+            follow(&mut server, at_ms(ms), Latch::held(4), Phase::NeedReset);
+            assert_eq!(tick(&mut server, at_ms(ms)).1, Phase::AbortRunning, "a re-arm alone begins nothing");
+        }
+        for stale in [Latch::clear(0), Latch::clear(4), Latch::clear(6)] {
+            assert_eq!(say(&mut server, 40_000, stale), Latch::held(4), "another resume than that of this hold");
+        }
+        assert_eq!(say(&mut server, 40_010, Latch::clear(5)), Latch::clear(5));
+        assert_eq!(tick(&mut server, at_ms(40_050)), (round(1, 1), Phase::Resetting), "the next episode");
+        assert_eq!(say(&mut server, 40_060, Latch::clear(5)), Latch::clear(5), "a resume counts once");
+    }
+
+    /// Both robots follow the round, with this latch and phase.
+    fn follow(server: &mut StateServer, now: Time, latch: Latch, phase: Phase) {
+        for robot in RobotId::team(2) {
+            let round = server.round;
+            server.handle(now, In::Heartbeat(Heartbeat { robot, round, phase, latch }), &mut Vec::new());
+        }
+    }
+
+    fn modes(out: &[Out]) -> Vec<&Mode> {
+        out.iter().filter_map(|said| if let Out::Mode(mode) = said { Some(mode) } else { None }).collect()
+    }
+
+    /// What an operator learns that asks for a resume.
+    fn resume(server: &mut StateServer, ms: u64) -> Leading {
+        let (by, mut out) = (HostId::operator(1), Vec::new());
+        server.handle(at_ms(ms), In::Stop(Stop::resume(by, server.latch)), &mut out);
+        out.into_iter().find_map(|said| if let Out::Leading(leading) = said { Some(leading) } else { None }).unwrap()
+    }
+
+    #[test]
+    fn a_resume_is_refused_by_name_while_a_robot_is_missing_latched_or_has_left() {
+        let mut server = server();
+        tick(&mut server, at_ms(0));
+        follow(&mut server, at_ms(10), Latch::held(2), Phase::NeedReset);
+        tick(&mut server, at_ms(50));
+        let (robot, phase, round) = (RobotId(1), Phase::NeedReset, server.round);
+        let latched = Heartbeat { robot, round, phase, latch: Latch::engaged(1) };
+        server.handle(at_ms(60), In::Heartbeat(latched), &mut Vec::new());
+        assert_eq!(resume(&mut server, 70).hindrances, [(RobotId(1), Hindrance::Latched)]);
+        assert_eq!(server.latch, Latch::held(2));
+        server.handle(at_ms(80), In::Status(status(7, true, 0)), &mut Vec::new());
+        follow(&mut server, at_ms(90), Latch::held(2), Phase::NeedReset);
+        assert_eq!(resume(&mut server, 95).hindrances, [(RobotId(0), Hindrance::Left)]);
+        server.handle(at_ms(100), In::Status(status(7, false, 0)), &mut Vec::new());
+        let missing = [(RobotId(0), Hindrance::Missing), (RobotId(1), Hindrance::Missing)];
+        assert_eq!(resume(&mut server, 2000).hindrances, missing);
+        follow(&mut server, at_ms(2010), Latch::held(2), Phase::NeedReset);
+        assert_eq!(resume(&mut server, 2020), Leading { latch: Latch::clear(3), hindrances: Vec::new() });
+    }
+
+    /// A host that runs one robot and leaves or is here.
+    fn status(host: u16, leaves: bool, robot: u16) -> Status {
+        let following = wire::Following { robot: RobotId(robot), controller: None, body: None };
+        Status { host: HostId(host), leaves, robots: vec![following], leading: None }
+    }
+
+    fn running() -> StateServer {
+        let mut server = server();
+        tick(&mut server, at_ms(0));
+        follow(&mut server, at_ms(10), Latch::default(), Phase::NeedReset);
+        tick(&mut server, at_ms(50));
+        follow(&mut server, at_ms(60), Latch::default(), Phase::FinishedResetting);
+        assert_eq!(tick(&mut server, at_ms(100)), (round(1, 0), Phase::Running));
+        server
+    }
+
+    #[test]
+    fn the_team_waits_for_a_host_that_leaves_for_as_long_as_it_takes_and_uses_up_no_episode() {
+        let mut server = running();
+        server.handle(at_ms(110), In::Status(status(1, true, 1)), &mut Vec::new());
+        for ms in (150..60_000).step_by(50) {
+            assert_eq!(tick(&mut server, at_ms(ms)), (round(1, 0), Phase::Waiting));
+        }
+        server.handle(at_ms(60_000), In::Status(status(1, false, 1)), &mut Vec::new());
+        follow(&mut server, at_ms(60_010), Latch::default(), Phase::NeedReset);
+        assert_eq!(tick(&mut server, at_ms(60_050)).1, Phase::Waiting, "until all follow");
+        follow(&mut server, at_ms(60_060), Latch::default(), Phase::Waiting);
+        assert_eq!(tick(&mut server, at_ms(60_100)), (round(1, 0), Phase::Resetting), "the same episode");
+    }
+
+    #[test]
+    fn a_server_whose_host_leaves_says_so_at_once_and_its_successor_uses_up_no_episode() {
+        let mut server = running();
+        server.handle(at_ms(110), In::Leave, &mut Vec::new());
+        assert_eq!(server.wake_at(), Some(at_ms(110)));
+        let mut out = Vec::new();
+        server.wake(at_ms(110), &mut out);
+        assert_eq!((modes(&out)[0].phase, server.wake_at()), (Phase::Waiting, Some(at_ms(150))));
+        out.clear();
+        server.wake(at_ms(150), &mut out);
+        assert_eq!(modes(&out).len(), 1, "and repeats it at every step");
+        let mut next = super::tests::server();
+        beat(&mut next, at_ms(10), round(1, 0), [Phase::Waiting; 2]);
+        assert_eq!(tick(&mut next, at_ms(50)), (round(2, 0), Phase::Resetting), "the same episode");
+    }
+
+    #[test]
+    fn one_robot_that_claims_the_largest_numbers_is_not_followed() {
+        let mut server = running();
+        let (robot, phase) = (RobotId(1), Phase::Running);
+        let far = Heartbeat { robot, round: round(1 << 30, 0), phase, latch: Latch::engaged(1 << 50) };
+        for ms in (110..900).step_by(50) {
+            server.handle(at_ms(ms), In::Heartbeat(far.clone()), &mut Vec::new());
+            tick(&mut server, at_ms(ms));
+        }
+        assert_eq!((server.round.epoch, server.latch), (1, Latch::default()));
+        assert_eq!(server.overshot, 16);
+        let mut fresh = super::tests::server();
+        beat(&mut fresh, at_ms(0), round(40, 0), [Phase::NeedReset, Phase::NeedReset]);
+        tick(&mut fresh, at_ms(0));
+        assert_eq!(fresh.round.epoch, 41, "what two say is taken up, however far");
+        let mut fresh = super::tests::server();
+        beat(&mut fresh, at_ms(0), round(40, 0), [Phase::NeedReset; 2]);
+        fresh.handle(at_ms(1), In::Heartbeat(far), &mut Vec::new());
+        tick(&mut fresh, at_ms(10));
+        assert_eq!((fresh.round.epoch, fresh.latch), (41, Latch::default()), "what one says against the other is not");
     }
 
     #[test]
@@ -404,7 +666,7 @@ mod tests {
         server.handle(at_ms(0), In::Stop(Stop::engage(HostId(9), Latch::default())), &mut Vec::new());
         let mut out = Vec::new();
         server.wake(at_ms(0), &mut out);
-        assert!(out[0].latch.is_engaged());
+        assert!(modes(&out)[0].latch.is_engaged());
         beat(&mut server, at_ms(10), round(0, 0), [Phase::NeedReset; 2]);
         assert_eq!(tick(&mut server, at_ms(50)), (round(0, 0), Phase::NeedReset));
     }

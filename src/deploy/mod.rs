@@ -221,6 +221,13 @@ impl Deployment {
         }
         let routes = Routes::of(self);
         for kind in KINDS {
+            if kind == Kind::Status {
+                if let Some(link) = self.links.iter().find(|link| link.carries.contains(&kind)) {
+                    let why = format!("'{}' carries status: leave it out, it goes where 'stop' goes", link.name);
+                    return wrong("link.carries", why);
+                }
+                continue;
+            }
             let carriers = self.links.iter().flat_map(|link| &link.carries).filter(|carried| **carried == kind).count();
             if carriers > 1 {
                 return wrong("link.carries", format!("{kind:?} is carried {carriers} times; once is the most"));
@@ -335,12 +342,13 @@ mod tests {
     fn what_crosses_a_link_is_what_the_design_says() {
         let crossing = |mode: &str| -> Vec<Kind> {
             let preset = Deployment::preset(mode, 3).unwrap();
-            KINDS.into_iter().filter(|&kind| Routes::of(&preset).crosses(kind)).collect()
+            let said = KINDS.into_iter().filter(|&kind| kind != Kind::Status);
+            said.filter(|&kind| Routes::of(&preset).crosses(kind)).collect()
         };
         assert_eq!(crossing("sim"), []);
         assert_eq!(crossing("centralized"), [Kind::Reading, Kind::MotorCommand, Kind::Mode, Kind::Stop]);
         for mode in ["offboard", "onboard-infra", "onboard-adhoc"] {
-            assert_eq!(crossing(mode), KINDS, "{mode}");
+            assert_eq!(crossing(mode), KINDS[..6], "{mode}");
         }
     }
 
@@ -363,6 +371,7 @@ mod tests {
         assert!(error(|d| d.links[0].range_m = Some(f32::INFINITY)).starts_with("link.range_m"));
         assert!(error(|d| d.links[0].loss = 2.0).starts_with("link.loss"));
         assert!(error(|d| d.hosts[1].name.clear()).starts_with("host.name"));
+        assert!(error(|d| d.links[1].carries.push(Kind::Status)).contains("goes where 'stop' goes"));
         assert!(error(|d| d.links[0].impairs.push(Kind::Mode)).starts_with("link.impairs"));
         assert!(error(|d| d.plant = "water".to_owned()).starts_with("plant"));
     }

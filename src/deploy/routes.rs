@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::Deployment;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
-use crate::net::router::{Audience, Route, Router};
+use crate::net::router::{Audience, Publishers, Route, Router};
 
 /// Who runs what in a checked deployment, and the ways of all messages.
 #[derive(Clone, Debug)]
@@ -22,10 +22,11 @@ pub struct Routes {
     robots_of: Vec<Vec<RobotId>>,
     /// By host: how many robots' agents it runs.
     decided: Vec<usize>,
-    /// The hosts that run an agent; those that run an agent or a world; those that run an agent or the state server.
+    /// The hosts that run an agent; those that run an agent or a world; those, and the state server's.
     deciders: Vec<HostId>,
     told: Vec<HostId>,
     stopped: Vec<HostId>,
+    publishers: Arc<Publishers>,
     /// By kind: the link that carries it.
     links: Vec<Option<LinkId>>,
 }
@@ -74,7 +75,9 @@ impl Routes {
         };
         let server = deployment.hosts.iter().position(|host| host.state_server);
         let server_host = HostId(number(server.expect("a checked deployment has a state server")));
-        let link_of = |kind: Kind| deployment.links.iter().position(|link| link.carries.contains(&kind));
+        // A status goes where the stop goes that it answers.
+        let carried = |kind: Kind| if kind == Kind::Status { Kind::Stop } else { kind };
+        let link_of = |kind: Kind| deployment.links.iter().position(|link| link.carries.contains(&carried(kind)));
         let (agent_host, world_host) = (found(agent_host), found(world_host));
         let hosts = |some: &[HostId], more: &[HostId]| -> Vec<HostId> {
             some.iter().chain(more).copied().collect::<BTreeSet<HostId>>().into_iter().collect()
@@ -87,8 +90,14 @@ impl Routes {
             decided: deployment.hosts.iter().map(|host| host.agents.iter().map(Vec::len).sum()).collect(),
             deciders: hosts(&agent_host, &[]),
             told: hosts(&agent_host, &world_host),
-            // Those who move, and the one who leads them.
-            stopped: hosts(&agent_host, &[server_host]),
+            // Whatever moves, and the one who leads.
+            stopped: hosts(&hosts(&agent_host, &world_host), &[server_host]),
+            publishers: Arc::new(Publishers {
+                names: deployment.hosts.iter().map(|host| host.name.clone()).collect(),
+                agents: agent_host.clone(),
+                bodies: world_host.clone(),
+                server: server_host,
+            }),
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
             agent_host,
             world_host,
@@ -100,7 +109,7 @@ impl Routes {
         match kind {
             Kind::Reading => hosts = std::slice::from_ref(&self.agent_host[robot.index()]),
             Kind::MotorCommand => hosts = std::slice::from_ref(&self.world_host[robot.index()]),
-            Kind::Heartbeat => hosts = std::slice::from_ref(&self.server_host),
+            Kind::Heartbeat | Kind::Status => hosts = std::slice::from_ref(&self.server_host),
             Kind::Mode => hosts = &self.told,
             Kind::Stop => hosts = &self.stopped,
             Kind::Latent => {
@@ -138,7 +147,7 @@ impl Routes {
             Kind::Reading => Some(self.world_host(robot)),
             Kind::Latent | Kind::MotorCommand | Kind::Heartbeat => Some(self.agent_host(robot)),
             Kind::Mode => Some(self.server_host),
-            Kind::Stop => None,
+            Kind::Stop | Kind::Status => None,
         }
     }
 
@@ -165,7 +174,7 @@ impl Routes {
         let takers = |robot| self.takers(kind, robot);
         // Of a list for the whole team, hardly anyone is left out by more than one robot.
         let of_all = match kind {
-            Kind::Reading | Kind::MotorCommand | Kind::Heartbeat => {
+            Kind::Reading | Kind::MotorCommand | Kind::Heartbeat | Kind::Status => {
                 RobotId::team(self.robots).flat_map(|robot| takers(robot).hosts).copied().collect()
             }
             Kind::Latent | Kind::Mode | Kind::Stop => {
@@ -178,11 +187,13 @@ impl Routes {
 
     /// The routing table of a host.
     pub fn router(&self, host: HostId) -> Router {
-        Router::of(self.robots, self.robots_of[usize::from(host.0)].clone(), |kind, robot| {
+        let router = Router::of(self.robots, self.robots_of[usize::from(host.0)].clone(), |kind, robot| {
             let takers = self.takers(kind, robot);
             let local = takers.has(host);
             let mut others = takers.iter().filter(|&taker| taker != host);
             let audience = match (others.next(), others.next()) {
+                // Operators take it too, wherever they are.
+                _ if kind == Kind::Status => self.links[kind as usize].map(|_| Audience::All),
                 (None, _) => None,
                 (Some(only), None) => Some(Audience::Host(only)),
                 _ => Some(Audience::All),
@@ -190,6 +201,7 @@ impl Routes {
             let publishes = self.publisher(kind, robot).is_none_or(|publisher| publisher == host);
             let link = || self.links[kind as usize].expect("a checked deployment has a link for all that crosses");
             Route { local, leaves: audience.filter(|_| publishes).map(|audience| (link(), audience)) }
-        })
+        });
+        router.with_publishers(Arc::clone(&self.publishers))
     }
 }

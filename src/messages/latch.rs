@@ -1,70 +1,154 @@
-//! Latch: whether the team's emergency stop is engaged. Soft state: robots and state server repeat it, and whoever
-//! hears two takes the later.
+//! Latch: whether the team may move. Soft state: robots and state server repeat it, and of two the later one holds.
 //!
-//! A stop is never refused; a re-arm counts only if it is later than the stop that it takes back.
+//! An emergency stop engages it. A re-arm takes the stop back and leaves the team held; a resume lets it move again.
+//! A stop is never refused; a re-arm and a resume count only if they are later than what they take back.
 
 use serde::{Deserialize, Serialize};
 
-/// Every latch on the wire is a multiple of this: a single turned bit makes none of another.
+/// Every latch on the wire is a multiple of this, so that no single bit error turns one latch into another.
 const WIRE_FACTOR: u64 = 251;
+/// The largest number on the wire. At `JUMP` for each of 8000 messages a second it is reached after 17 years.
+const MAX_NUMBER: u64 = 1 << 52;
+/// The furthest that a number may be ahead of what is known: nobody has missed so many changes. Without a bound, one
+/// message with the largest number would keep a team stopped for good.
+pub const JUMP: u64 = 1024;
 
-/// Whether motors may turn.
+/// Whether motors may turn; a later one is the more restrictive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum State {
     #[default]
-    Armed,
+    Clear,
+    Held,
     Engaged,
 }
 
-/// The state of the emergency stop, and how often it has changed: a later number outranks, and of two with the same
-/// number the engaged one.
+/// The state of the emergency stop, and how often it has changed: the larger number outranks, and of two with the same
+/// number the more restrictive state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "u64", try_from = "u64")]
 pub struct Latch {
-    number: u32,
+    number: u64,
     state: State,
 }
 
 impl Latch {
-    /// Engaged, as the change with this number.
-    pub const fn engaged(number: u32) -> Latch {
+    /// Robots may move, as the change with this number; zero is how a team starts.
+    pub const fn clear(number: u64) -> Latch {
+        Latch { number, state: State::Clear }
+    }
+
+    /// The stop is taken back and the team waits for a resume, as the change with this number.
+    pub const fn held(number: u64) -> Latch {
+        Latch { number, state: State::Held }
+    }
+
+    /// Everyone is to stand, as the change with this number.
+    pub const fn engaged(number: u64) -> Latch {
         Latch { number, state: State::Engaged }
     }
 
-    /// Armed, as the change with this number; zero is how a team starts.
-    pub const fn armed(number: u32) -> Latch {
-        Latch { number, state: State::Armed }
+    /// Whether robots may move.
+    pub fn is_clear(self) -> bool {
+        self.state == State::Clear
     }
 
-    /// Whether everyone is to stand.
+    /// Whether the team waits for a resume.
+    pub fn is_held(self) -> bool {
+        self.state == State::Held
+    }
+
+    /// Whether the emergency stop is engaged.
     pub fn is_engaged(self) -> bool {
         self.state == State::Engaged
     }
 
     /// Which change it is.
-    pub fn number(self) -> u32 {
+    pub fn number(self) -> u64 {
         self.number
     }
 
-    /// What holds for one who knows this and has heard what another knows.
-    pub fn joined(self, other: Latch) -> Latch {
-        self.max(other)
+    /// The state as a word for people and JSON.
+    pub fn word(self) -> &'static str {
+        match self.state {
+            State::Clear => "clear",
+            State::Held => "held",
+            State::Engaged => "stopped",
+        }
     }
 
-    /// What holds for one who knows this and is told to stop or to go on. Whoever says stop need not know how often
-    /// that was said before, so a stop counts whatever its number; a re-arm has to be later than the stop.
+    /// Whether another latch is so far ahead of this one that it cannot be an honest one.
+    pub fn is_overshot_by(self, other: Latch) -> bool {
+        other.number > self.number + JUMP
+    }
+
+    /// The later of this latch and one that another host repeats; one that overshoots is ignored.
+    pub fn joined(self, other: Latch) -> Latch {
+        if self.is_overshot_by(other) { self } else { self.max(other) }
+    }
+
+    /// The latch after a message of an operator or a host. A stop counts whatever its number, since who says it need
+    /// not know how often that was said before; a re-arm has to be later than the stop. A resume changes nothing here:
+    /// it is the state server's to grant ([`Latch::resumed`]), and everyone else learns of it from there.
     pub fn told(self, said: Latch) -> Latch {
-        if said.is_engaged() && !self.is_engaged() {
-            Latch::engaged(said.number.max(self.number.saturating_add(1)))
-        } else {
-            self.joined(said)
+        match said.state {
+            State::Clear => self,
+            State::Held => self.joined(said),
+            State::Engaged if self.is_engaged() => self.joined(said),
+            State::Engaged if self.is_overshot_by(said) => Latch::engaged(self.number + 1),
+            State::Engaged => Latch::engaged(said.number.max(self.number + 1)),
         }
+    }
+
+    /// The latch after a resume, if this one is held and the resume is meant for exactly this hold.
+    pub fn resumed(self, said: Latch) -> Option<Latch> {
+        (self.is_held() && said.is_clear() && said.number == self.number + 1).then_some(said)
+    }
+}
+
+/// The latch that one actor on a robot's side follows: guard or body.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LatchFollower {
+    latch: Latch,
+    /// Whether the state server was heard.
+    informed: bool,
+}
+
+impl LatchFollower {
+    /// The latch that it follows.
+    pub fn latch(&self) -> Latch {
+        self.latch
+    }
+
+    /// Whether it has heard from the state server how the latch stands; before, nothing may move.
+    pub fn is_informed(&self) -> bool {
+        self.informed
+    }
+
+    /// Takes a message of an operator or a host; whether that has changed anything.
+    pub fn told(&mut self, said: Latch) -> bool {
+        self.set(self.latch.told(said))
+    }
+
+    /// Takes what the state server repeats; whether that has changed anything. The first time its number counts,
+    /// however large: a robot that was started afresh cannot know.
+    pub fn learned(&mut self, said: Latch) -> bool {
+        let later = match (self.informed, self.latch.is_engaged()) {
+            (true, _) => self.latch.joined(said),
+            (false, true) => said.told(self.latch),
+            (false, false) => self.latch.max(said),
+        };
+        self.informed = true;
+        self.set(later)
+    }
+
+    fn set(&mut self, latch: Latch) -> bool {
+        std::mem::replace(&mut self.latch, latch) != latch
     }
 }
 
 impl From<Latch> for u64 {
     fn from(latch: Latch) -> u64 {
-        (2 * u64::from(latch.number) + u64::from(latch.is_engaged())) * WIRE_FACTOR
+        (3 * latch.number + latch.state as u64) * WIRE_FACTOR
     }
 }
 
@@ -72,9 +156,12 @@ impl TryFrom<u64> for Latch {
     type Error = String;
     fn try_from(word: u64) -> Result<Latch, String> {
         let code = word / WIRE_FACTOR;
-        let number = u32::try_from(code / 2).ok().filter(|_| word.is_multiple_of(WIRE_FACTOR));
-        let number = number.ok_or_else(|| format!("{word} is no latch"))?;
-        Ok(if code.is_multiple_of(2) { Latch::armed(number) } else { Latch::engaged(number) })
+        let number = code / 3;
+        if !word.is_multiple_of(WIRE_FACTOR) || number > MAX_NUMBER {
+            return Err(format!("{word} is no latch"));
+        }
+        let state = [State::Clear, State::Held, State::Engaged][(code % 3) as usize];
+        Ok(Latch { number, state })
     }
 }
 
@@ -85,22 +172,60 @@ mod tests {
     #[test]
     fn a_stop_always_counts_and_a_re_arm_only_if_it_is_later() {
         let stopped = Latch::default().told(Latch::engaged(0));
-        assert_eq!(stopped, Latch::engaged(1), "whoever says it need not know the number");
+        assert_eq!(stopped, Latch::engaged(1), "who says it need not know the number");
         assert_eq!(stopped.told(Latch::engaged(1)), stopped, "again");
-        assert_eq!(stopped.told(Latch::armed(1)), stopped, "no later than the stop");
-        let armed = stopped.told(Latch::armed(2));
-        assert_eq!(armed, Latch::armed(2));
-        assert_eq!(armed.told(Latch::engaged(1)), Latch::engaged(3), "a stop is never too old");
-        assert_eq!(armed.joined(Latch::engaged(1)), armed, "what others knew before is");
-        assert_eq!(armed.joined(Latch::engaged(2)), Latch::engaged(2), "in doubt everyone stands");
+        assert_eq!(stopped.told(Latch::held(1)), stopped, "no later than the stop");
+        let held = stopped.told(Latch::held(2));
+        assert_eq!(held, Latch::held(2));
+        assert_eq!(held.told(Latch::engaged(1)), Latch::engaged(3), "a stop is never too old");
+        assert_eq!(held.joined(Latch::engaged(1)), held, "what others knew before is");
+        assert_eq!(held.joined(Latch::engaged(2)), Latch::engaged(2), "in doubt everyone stands");
     }
 
     #[test]
-    fn no_turned_bit_makes_another_latch() {
-        for latch in [Latch::armed(0), Latch::engaged(1), Latch::armed(77), Latch::engaged(u32::MAX)] {
+    fn only_the_resume_for_this_very_hold_clears_it_and_nobody_but_the_state_server_takes_it() {
+        let held = Latch::held(2);
+        assert_eq!(held.told(Latch::clear(3)), held, "robots do not take it from an operator");
+        assert_eq!(held.resumed(Latch::clear(3)), Some(Latch::clear(3)));
+        for wrong in [Latch::clear(2), Latch::clear(4), Latch::held(3), Latch::engaged(3)] {
+            assert_eq!(held.resumed(wrong), None, "{wrong:?}");
+        }
+        for not_held in [Latch::engaged(2), Latch::clear(2)] {
+            assert_eq!(not_held.resumed(Latch::clear(3)), None, "{not_held:?}");
+        }
+    }
+
+    #[test]
+    fn a_number_that_overshoots_stops_the_team_and_can_be_taken_back() {
+        let far = MAX_NUMBER;
+        for known in [Latch::clear(4), Latch::held(4), Latch::engaged(4)] {
+            for said in [Latch::clear(far), Latch::held(far), Latch::engaged(far)] {
+                assert_eq!(known.joined(said), known, "what others repeat");
+            }
+            let stopped = known.told(Latch::engaged(far));
+            assert!(stopped.is_engaged() && stopped.number() <= 5);
+            assert!(stopped.told(Latch::held(stopped.number() + 1)).is_held());
+        }
+    }
+
+    #[test]
+    fn a_fresh_follower_learns_any_number_from_the_state_server_and_forgets_no_stop() {
+        let mut fresh = LatchFollower::default();
+        assert!(!fresh.is_informed() && fresh.learned(Latch::held(9 * JUMP)) && fresh.is_informed());
+        assert_eq!(fresh.latch(), Latch::held(9 * JUMP));
+        assert!(!fresh.learned(Latch::clear(99 * JUMP)), "from then on nothing overshoots");
+        let mut stopped = LatchFollower::default();
+        assert!(stopped.told(Latch::engaged(0)) && stopped.learned(Latch::clear(9 * JUMP)));
+        assert_eq!(stopped.latch(), Latch::engaged(9 * JUMP + 1), "the state server has not heard of the stop yet");
+    }
+
+    #[test]
+    fn no_single_bit_error_makes_another_latch() {
+        for latch in [Latch::clear(0), Latch::engaged(1), Latch::held(77), Latch::engaged(MAX_NUMBER)] {
             let word = u64::from(latch);
             assert_eq!(Latch::try_from(word), Ok(latch));
             assert!((0..64).all(|bit| Latch::try_from(word ^ (1 << bit)).is_err()), "{latch:?}");
         }
+        assert!(Latch::try_from(u64::from(Latch::clear(MAX_NUMBER)) + 3 * WIRE_FACTOR).is_err(), "none is larger");
     }
 }

@@ -12,6 +12,9 @@ pub use super::floats::{Features, MAX_FEATURES};
 use super::geometry::{Motion, Task, Vec2, is_sound};
 use super::ids::{HostId, RobotId};
 use super::latch::Latch;
+use super::round::MAX_EPOCH;
+pub use super::round::Round;
+pub use super::status::{Following, Hindrance, Leading, MAX_HINDRANCES, Status};
 use crate::time::Span;
 
 /// The largest feature: a policy that says more has come apart.
@@ -39,9 +42,11 @@ pub enum Phase {
     AbortRunning,
     /// All episodes are done; the whole team stops for good.
     EpisodesFinished,
+    /// A host has left; the whole team stands until it is back, and then runs the episode that was given up again.
+    Waiting,
 }
 
-const PHASES: [Phase; 7] = [
+const PHASES: [Phase; 8] = [
     Phase::NeedReset,
     Phase::Resetting,
     Phase::FinishedResetting,
@@ -49,6 +54,7 @@ const PHASES: [Phase; 7] = [
     Phase::FinishedRunning,
     Phase::AbortRunning,
     Phase::EpisodesFinished,
+    Phase::Waiting,
 ];
 
 impl From<Phase> for u8 {
@@ -62,15 +68,6 @@ impl TryFrom<u8> for Phase {
     fn try_from(byte: u8) -> Result<Phase, String> {
         PHASES.get(usize::from(byte)).copied().ok_or_else(|| format!("no phase has the number {byte}"))
     }
-}
-
-/// Which instruction of the state server is meant: later epochs outrank, then later episodes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
-pub struct Round {
-    /// Incarnation of the state server, counted from one; zero before any was heard.
-    pub epoch: u32,
-    /// Episode, counted from zero over the whole trial.
-    pub episode: u32,
 }
 
 /// What a robot's sensors say of it.
@@ -149,25 +146,36 @@ impl Mode {
     }
 }
 
-/// The emergency stop, engaged or taken back: of an operator or a host, to everyone. It is no soft state; who hears it
-/// repeats it in `Heartbeat` and `Mode`.
+/// The emergency stop, engaged or taken back, or the hold after it lifted: of an operator or a host, to everyone. It is
+/// no soft state; hosts that hear it repeat its latch in `Heartbeat` and `Mode`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stop {
     /// The host that says so.
     pub by: HostId,
-    /// What is to hold.
+    /// The latch that is to hold.
     pub latch: Latch,
 }
 
 impl Stop {
     /// Everyone is to stand. `seen` is the latest latch that `by` has heard of; none is needed.
     pub fn engage(by: HostId, seen: Latch) -> Stop {
-        Stop { by, latch: Latch::engaged(seen.number().saturating_add(1)) }
+        Stop { by, latch: Latch::engaged(seen.number() + 1) }
     }
 
-    /// Everyone may move again. `seen` is the latest latch that `by` has heard of: a later stop stays engaged.
+    /// The stop is taken back; the team is held. `seen` is the latest latch that `by` has heard of: a later stop stays
+    /// engaged.
     pub fn rearm(by: HostId, seen: Latch) -> Stop {
-        Stop { by, latch: Latch::armed(seen.number().saturating_add(1)) }
+        Stop { by, latch: Latch::held(seen.number() + 1) }
+    }
+
+    /// The hold ends and the next episode begins, if the state server agrees. `seen` is the hold that is meant.
+    pub fn resume(by: HostId, seen: Latch) -> Stop {
+        Stop { by, latch: Latch::clear(seen.number() + 1) }
+    }
+
+    /// A question to everyone for their `Status`; it changes nothing.
+    pub fn ask(by: HostId) -> Stop {
+        Stop { by, latch: Latch::default() }
     }
 }
 
@@ -186,6 +194,8 @@ pub enum Wire {
     Mode(Mode),
     /// Anyone to everyone.
     Stop(Stop),
+    /// A host to operators and to the StateServer.
+    Status(Status),
 }
 
 /// The kinds of wire messages, as the deployment's table names them.
@@ -204,10 +214,13 @@ pub enum Kind {
     Mode,
     /// A [`Stop`].
     Stop,
+    /// A [`Status`]; it travels on the link of the stop.
+    Status,
 }
 
 /// All kinds, in the order of their numbers on the wire.
-pub const KINDS: [Kind; 6] = [Kind::Reading, Kind::Latent, Kind::MotorCommand, Kind::Heartbeat, Kind::Mode, Kind::Stop];
+pub const KINDS: [Kind; 7] =
+    [Kind::Reading, Kind::Latent, Kind::MotorCommand, Kind::Heartbeat, Kind::Mode, Kind::Stop, Kind::Status];
 
 /// Why a message has no place on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -224,6 +237,9 @@ pub enum Unfit {
     /// A `Mode` block runs past the last possible robot.
     #[error("a block of robots runs past the last possible one")]
     Block,
+    /// The epoch of a round is larger than any.
+    #[error("the epoch of a round is larger than any")]
+    Epoch,
 }
 
 /// Whether no number is NaN, infinite or larger than `MAX_FEATURE`. Without a way out at the first: so it is a
@@ -242,11 +258,12 @@ impl Wire {
             Wire::Heartbeat(_) => Kind::Heartbeat,
             Wire::Mode(_) => Kind::Mode,
             Wire::Stop(_) => Kind::Stop,
+            Wire::Status(_) => Kind::Status,
         }
     }
 
-    /// The robot that the message is about: sender or target, for `Mode` the first of its block, for `Stop` the first
-    /// of the team.
+    /// The robot that the message is about: sender or target, for `Mode` and `Status` the first of its block, for `Stop`
+    /// the first of the team.
     pub fn robot(&self) -> RobotId {
         match self {
             Wire::Reading(m) => m.robot,
@@ -255,6 +272,7 @@ impl Wire {
             Wire::Heartbeat(m) => m.robot,
             Wire::Mode(m) => m.first,
             Wire::Stop(_) => RobotId(0),
+            Wire::Status(m) => m.robots.first().map_or(RobotId(0), |following| following.robot),
         }
     }
 
@@ -264,17 +282,30 @@ impl Wire {
             Wire::Reading(m) => m.motion.is_sound(),
             Wire::Latent(m) => m.motion.is_sound() && all_sound(&m.features.0),
             Wire::MotorCommand(m) => is_sound(m.velocity),
-            Wire::Heartbeat(_) | Wire::Stop(_) => true,
+            Wire::Heartbeat(_) | Wire::Stop(_) | Wire::Status(_) => true,
             Wire::Mode(m) => m.tasks.iter().all(|task| is_sound(task.start) && is_sound(task.goal)),
         };
         if !sound {
             return Err(Unfit::Number);
+        }
+        let round = match self {
+            Wire::Latent(m) => m.round,
+            Wire::Heartbeat(m) => m.round,
+            Wire::Mode(m) => m.round,
+            _ => Round::default(),
+        };
+        if round.epoch > MAX_EPOCH {
+            return Err(Unfit::Epoch);
         }
         match self {
             Wire::Latent(m) if m.features.0.len() > MAX_FEATURES => Err(Unfit::Length),
             Wire::MotorCommand(m) if m.valid_for > MAX_VALIDITY => Err(Unfit::Validity),
             Wire::Mode(m) if m.tasks.is_empty() || m.tasks.len() > MAX_BLOCK => Err(Unfit::Length),
             Wire::Mode(m) if usize::from(m.first.0) + m.tasks.len() > 1 + usize::from(u16::MAX) => Err(Unfit::Block),
+            Wire::Status(m) if m.robots.len() > MAX_BLOCK => Err(Unfit::Length),
+            Wire::Status(m) if m.leading.as_ref().is_some_and(|l| l.hindrances.len() > MAX_HINDRANCES) => {
+                Err(Unfit::Length)
+            }
             _ => Ok(()),
         }
     }

@@ -193,6 +193,7 @@ pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
             Wire::Heartbeat(body) => rmp_serde::encode::write(bytes, body),
             Wire::Mode(body) => rmp_serde::encode::write(bytes, body),
             Wire::Stop(body) => rmp_serde::encode::write(bytes, body),
+            Wire::Status(body) => rmp_serde::encode::write(bytes, body),
         }
         .expect("plain data is always MessagePack");
     });
@@ -253,6 +254,7 @@ pub fn message(kind: Kind, bytes: &[u8]) -> Result<Wire, DecodeError> {
         Kind::Heartbeat => Wire::Heartbeat(body(kind, bytes)?),
         Kind::Mode => Wire::Mode(body(kind, bytes)?),
         Kind::Stop => Wire::Stop(body(kind, bytes)?),
+        Kind::Status => Wire::Status(body(kind, bytes)?),
     };
     message.check().map_err(|unfit| DecodeError::Unfit(kind, unfit))?;
     Ok(message)

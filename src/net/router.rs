@@ -2,8 +2,10 @@
 //!
 //! The table is data, made from the deployment; nothing here knows a deployment mode.
 
+use std::sync::Arc;
+
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{KINDS, Kind};
+use crate::messages::wire::{KINDS, Kind, Wire};
 
 /// Whom a frame is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +25,49 @@ pub struct Route {
     pub leaves: Option<(LinkId, Audience)>,
 }
 
+/// The hosts of a team and what each may say: the same on all of them.
+#[derive(Clone, Debug)]
+pub struct Publishers {
+    /// By host: its name.
+    pub names: Vec<String>,
+    /// By robot: the host that runs its agent, which says `Latent`, `MotorCommand` and `Heartbeat`.
+    pub agents: Vec<HostId>,
+    /// By robot: the host of its body, which says `Reading`.
+    pub bodies: Vec<HostId>,
+    /// The host of the state server, which says `Mode`.
+    pub server: HostId,
+}
+
+impl Publishers {
+    /// Whether `sender` may say this.
+    pub fn permit(&self, sender: HostId, message: &Wire) -> bool {
+        let of = |hosts: &[HostId]| hosts.get(message.robot().index()) == Some(&sender);
+        match message {
+            Wire::Reading(_) => of(&self.bodies),
+            Wire::Latent(_) | Wire::MotorCommand(_) | Wire::Heartbeat(_) => of(&self.agents),
+            Wire::Mode(_) => sender == self.server,
+            // A stop is never refused; only an operator or a host of the team takes one back.
+            Wire::Stop(stop) => {
+                stop.latch.is_engaged() || stop.by == sender && (self.knows(sender) || sender.is_operator())
+            }
+            Wire::Status(status) => status.host == sender && self.knows(sender),
+        }
+    }
+
+    fn knows(&self, host: HostId) -> bool {
+        usize::from(host.0) < self.names.len()
+    }
+
+    /// A host as people know it.
+    pub fn name(&self, host: HostId) -> String {
+        match self.names.get(usize::from(host.0)) {
+            Some(name) => format!("'{name}' (host {})", host.0),
+            None if host.is_operator() => format!("operator {}", host.0),
+            None => format!("host {}, which is in no team file,", host.0),
+        }
+    }
+}
+
 /// The ways of all messages that this host publishes or receives.
 #[derive(Clone, Debug)]
 pub struct Router {
@@ -31,6 +76,8 @@ pub struct Router {
     mine: Vec<RobotId>,
     /// By kind: the ways of those robots, and last that of all others.
     routes: Vec<Route>,
+    /// The hosts that may say what; none where everyone may say everything.
+    publishers: Option<Arc<Publishers>>,
 }
 
 impl Router {
@@ -51,7 +98,18 @@ impl Router {
             routes.extend(mine.iter().map(|&robot| route(kind, robot)));
             routes.push(other.map_or(Route::default(), |robot| route(kind, robot)));
         }
-        Router { robots, mine, routes }
+        Router { robots, mine, routes, publishers: None }
+    }
+
+    /// The same table, which also knows who may say what.
+    pub fn with_publishers(self, publishers: Arc<Publishers>) -> Router {
+        Router { publishers: Some(publishers), ..self }
+    }
+
+    /// The name of a sender that may not say this; none if it may.
+    pub fn forbids(&self, sender: HostId, message: &Wire) -> Option<String> {
+        let publishers = self.publishers.as_ref()?;
+        (!publishers.permit(sender, message)).then(|| publishers.name(sender))
     }
 
     /// The way of a message of this kind about this robot; none if there is no such robot.

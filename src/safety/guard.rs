@@ -14,7 +14,7 @@ use super::filter::{self, Limit};
 use super::{Safety, Switch};
 use crate::messages::geometry::{Motion, Vec2, is_finite};
 use crate::messages::ids::RobotId;
-use crate::messages::latch::Latch;
+use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::Action;
 use crate::messages::wire::Stop;
 use crate::time::{Span, Time};
@@ -23,7 +23,7 @@ use crate::world::Clamp;
 /// Why a robot is stopped or slowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigger {
-    /// The emergency stop is engaged: it stands until a later re-arm.
+    /// The emergency stop is engaged, or the team is held after it: it stands until a resume.
     Stop,
     /// The state server is silent: it stands until that is heard again, and a running episode is given up.
     Silence,
@@ -160,7 +160,7 @@ pub struct Config {
 #[derive(Debug)]
 pub struct Guard {
     config: Config,
-    latch: Latch,
+    latch: LatchFollower,
     /// When the state server was last heard; `None` before, and after it fell silent.
     server: Option<Time>,
     /// When the newest reading of the robot has arrived.
@@ -181,7 +181,7 @@ impl Guard {
     pub fn new(config: Config) -> Guard {
         Guard {
             config,
-            latch: Latch::default(),
+            latch: LatchFollower::default(),
             server: None,
             own: None,
             driving: None,
@@ -194,7 +194,7 @@ impl Guard {
 
     /// What it knows of the emergency stop.
     pub fn latch(&self) -> Latch {
-        self.latch
+        self.latch.latch()
     }
 
     /// How often each trigger has begun to act.
@@ -204,25 +204,29 @@ impl Guard {
 
     /// The emergency stop was engaged or taken back by someone; whether that has changed anything.
     pub fn told(&mut self, stop: &Stop) -> bool {
-        self.hold(self.latch.told(stop.latch))
+        let before = self.latch();
+        self.latch.told(stop.latch) && self.changed(before)
     }
 
     /// The state server repeats what it knows of the emergency stop; whether that has changed anything.
     pub fn learn(&mut self, latch: Latch) -> bool {
-        self.hold(self.latch.joined(latch))
+        let before = self.latch();
+        self.latch.learned(latch) && self.changed(before)
     }
 
-    fn hold(&mut self, latch: Latch) -> bool {
-        if latch == self.latch {
-            return false;
-        }
-        self.latch = latch;
-        if latch.is_engaged() {
+    fn changed(&mut self, before: Latch) -> bool {
+        let latch = self.latch();
+        if latch.is_clear() {
+            if !before.is_clear() {
+                tracing::warn!(number = latch.number(), "resumed: the robot may move again");
+            }
+            self.end(Trigger::Stop);
+        } else {
             self.begin(Trigger::Stop);
             self.driving = None;
-        } else {
-            tracing::warn!(number = latch.number(), "re-armed: the robot may move again");
-            self.end(Trigger::Stop);
+            if latch.is_held() {
+                tracing::warn!(number = latch.number(), "re-armed: the robot stands until a resume");
+            }
         }
         true
     }
@@ -275,7 +279,7 @@ impl Guard {
         let old = self.own.is_none_or(|at| now.since(at) > Span::from_secs(safety.own_state_s));
         let beyond = filter::beyond(half_extent, action.estimate.position) > safety.geofence_stop_m;
         [
-            (Trigger::Stop, self.latch.is_engaged()),
+            (Trigger::Stop, !self.latch().is_clear()),
             (Trigger::Silence, self.server.is_none()),
             (Trigger::Output, self.unsound),
             (Trigger::LateTick, safety.late_tick == Switch::On && late),
@@ -329,7 +333,7 @@ impl Guard {
         self.acting.push(trigger);
         *self.counts.of(trigger) += 1;
         match trigger {
-            Trigger::Stop => tracing::error!(number = self.latch.number(), "emergency stop: it holds until a re-arm"),
+            Trigger::Stop => tracing::error!(number = self.latch().number(), "emergency stop: it holds until a resume"),
             Trigger::Silence => tracing::warn!("the state server has fallen silent; the robot stops"),
             Trigger::Output => tracing::error!("the policy's output is no velocity; the robot stops for the episode"),
             Trigger::LateTick => tracing::warn!("a control tick is late; the robot stops until one is in time"),
@@ -465,20 +469,23 @@ mod tests {
     }
 
     #[test]
-    fn the_emergency_stop_is_latched_until_a_later_re_arm() {
+    fn the_emergency_stop_is_latched_until_a_later_re_arm_and_a_resume() {
         let mut guard = guard(Safety::emulated());
         assert_eq!(guard.rule(at_ms(0), &action(0, EAST)), DRIVE);
         assert!(guard.told(&Stop::engage(HostId(1), Latch::default())));
         assert!(!guard.told(&Stop::engage(HostId(2), Latch::default())), "again");
-        assert!(!guard.learn(Latch::armed(0)), "a state server that does not know yet");
         assert!(!guard.told(&Stop::rearm(HostId(1), Latch::default())), "no later than the stop");
         assert_eq!(guard.rule(at_ms(50), &action(50, EAST)), Ruling::GiveUp);
         guard.instructed();
         assert_eq!(guard.rule(at_ms(100), &action(100, EAST)), Ruling::GiveUp, "no instruction takes it back");
         assert!(guard.told(&Stop::rearm(HostId(1), guard.latch())));
-        assert_eq!(guard.rule(at_ms(150), &action(150, EAST)), DRIVE);
+        assert_eq!(guard.latch(), Latch::held(2));
+        assert_eq!(guard.rule(at_ms(150), &action(150, EAST)), Ruling::GiveUp, "a re-arm alone moves nothing");
+        assert!(!guard.told(&Stop::resume(HostId(1), guard.latch())), "the state server grants it");
+        assert!(guard.learn(Latch::clear(3)));
+        assert_eq!(guard.rule(at_ms(200), &action(200, EAST)), DRIVE);
         assert!(!guard.learn(Latch::engaged(1)), "what was known before the re-arm");
-        assert!(guard.learn(Latch::engaged(3)), "a later stop, heard of others");
+        assert!(guard.learn(Latch::engaged(4)), "a later stop, heard of others");
         assert_eq!(guard.counts().stop, 2);
     }
 

@@ -296,6 +296,7 @@ fn kebab(kind: Kind) -> String {
         Kind::Heartbeat => "heartbeat",
         Kind::Mode => "mode",
         Kind::Stop => "stop",
+        Kind::Status => "status",
     }
     .to_owned()
 }
