@@ -20,6 +20,11 @@ impl Seed {
         Seed(Sha256::digest(seed.to_le_bytes()).into())
     }
 
+    /// A seed of these bytes, for a process that draws what nobody else may know.
+    pub fn of_bytes(bytes: [u8; 32]) -> Seed {
+        Seed(bytes)
+    }
+
     /// The seed of one repeat of the run.
     pub fn of_repeat(seed: u64, repeat: u32) -> Seed {
         Seed::of_run(seed).child(&format!("repeat/{repeat}"))

@@ -272,10 +272,10 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
         links: process.setups(&plan.deployment),
         router: graph.routes.router(host),
     };
-    let (seed, incarnation) = (plan.seed, process.incarnation);
+    let (seed, incarnation) = (process.secret.unwrap_or(plan.seed), process.incarnation);
     let (hear, alone) = (Rc::clone(&process.hear), process.only.is_some());
     let make = move |life: u32| {
-        let me = link::Identity { epoch: incarnation + life, ..config.me };
+        let me = link::Identity { epoch: incarnation.wrapping_add(life), ..config.me };
         let stream = seed.stream(&format!("network/{}/{life}", host.0));
         Network::new(network::Config { me, ..config.clone() }, stream)
     };

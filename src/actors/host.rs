@@ -13,6 +13,7 @@ use crate::messages::ids::{HostId, LinkId};
 use crate::net::key::Key;
 use crate::net::reliability::Setup;
 use crate::net::transport::udp::Udp;
+use crate::random::Seed;
 
 /// A host: which one it is, and its links.
 pub struct Host {
@@ -20,8 +21,10 @@ pub struct Host {
     pub id: HostId,
     /// The team's number.
     pub team: u16,
-    /// Which of its lives this is.
+    /// What tells this process from former ones of the same host: a random number.
     pub incarnation: u32,
+    /// The root of what its link layer draws, from the operating system.
+    pub secret: Seed,
     /// The team's key; none on a machine that keeps to itself.
     pub key: Option<Key>,
     /// How its links are set up, in the order of the deployment.
@@ -44,6 +47,7 @@ pub fn wire(
         only: Some(host.id),
         team: host.team,
         incarnation: host.incarnation,
+        secret: Some(host.secret),
         key: host.key,
         links: Some(host.links),
         records: plan.deployment.hosts[usize::from(host.id.0)].world.len() == plan.deployment.robots,

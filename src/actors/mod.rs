@@ -14,6 +14,7 @@ pub mod graph;
 pub mod host;
 pub mod network;
 pub mod operator;
+pub mod order;
 pub mod process;
 pub mod real;
 pub mod recorder;

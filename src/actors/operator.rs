@@ -1,43 +1,46 @@
-//! An operator: a host that is in no deployment. It hears a team's heartbeats and modes, and may stop it. It has a
-//! Network and its links, and no robot; what it shows a person never lives here.
+//! An operator: a host that is in no deployment. It has a Network on one or more links of a team and no robot. It may
+//! give orders (`order`) or only listen. Every process that acts as one has a number of its own, so that any number of
+//! operators act at once; what a person is shown never lives here.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::Arc;
 
 use tracing::info_span;
 
 use super::clock::Clock;
 use super::network::{self, Identity, Network};
+use super::order::Order;
 use super::process::Heard;
 use super::real::Readers;
 use super::shell::{Mailbox, start};
-use super::sockets;
-use crate::messages::ids::{HostId, LinkId};
-use crate::messages::wire::Kind;
+use super::sockets::{self, Shared};
+use crate::messages::ids::LinkId;
+use crate::messages::wire::{Kind, Status, Wire};
 use crate::net::key::Key;
 use crate::net::reliability::Setup;
-use crate::net::router::{Audience, Route, Router};
+use crate::net::router::{Audience, Publishers, Route, Router};
 use crate::net::transport::udp::Udp;
 use crate::net::transport::{self, Transmit};
 use crate::random::Seed;
 
-/// The number of an operator: no deployment has so many hosts.
-pub const OPERATOR: HostId = HostId(u16::MAX - 1);
-
 /// An operator and its links.
 pub struct Operator {
-    /// Its number, from `OPERATOR` downward.
-    pub id: HostId,
-    /// The team's number.
-    pub team: u16,
+    /// Who it is: a number drawn for this process, the team's number, a random incarnation.
+    pub me: Identity,
+    /// The root of its randomness, from the operating system.
+    pub seed: Seed,
     /// How many robots the team has.
     pub robots: usize,
-    /// Which of its lives this is.
-    pub incarnation: u32,
+    /// The hosts of the team, and what each may say.
+    pub publishers: Arc<Publishers>,
     /// The team's key.
     pub key: Option<Key>,
     /// How the links are set up, in the order of the deployment.
     pub links: Vec<Setup>,
-    /// The sockets by link.
+    /// The sockets by link; several for one link where it is joined on several interfaces.
     pub sockets: Vec<(LinkId, Udp)>,
-    /// The link that carries the emergency stop, if any does.
+    /// The link that carries the emergency stop, if it is to speak on it.
     pub stop: Option<LinkId>,
 }
 
@@ -47,33 +50,56 @@ pub fn wire(
     operator: Operator,
     heard: impl Fn(Heard) + 'static,
 ) -> Mailbox<network::In> {
-    let Operator { id, team, robots, incarnation, key, links, sockets: open, stop } = operator;
+    let Operator { me, seed, robots, publishers, key, links, sockets, stop } = operator;
     let router = Router::new(robots, |kind, _| match kind {
-        Kind::Stop => Route { local: true, leaves: stop.map(|link| (link, Audience::All)) },
-        Kind::Heartbeat | Kind::Mode => Route { local: true, leaves: None },
+        Kind::Stop => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
+        Kind::Heartbeat | Kind::Mode | Kind::Status => Route { local: true, leaves: None },
         _ => Route::default(),
     });
-    let transports: Vec<Mailbox<transport::In>> = links.iter().map(|_| Mailbox::new("udp of the operator")).collect();
-    let config = network::Config { me: Identity { host: id, team, epoch: incarnation }, key, links, router };
+    let router = router.with_publishers(publishers);
+    let config = network::Config { me, key, links, router };
     let make = move |life: u32| {
-        let me = Identity { epoch: incarnation + life, ..config.me };
-        let stream = Seed::of_run(u64::from(incarnation)).stream(&format!("operator/{}/{life}", id.0));
-        Network::new(network::Config { me, ..config.clone() }, stream)
+        let me = Identity { epoch: me.epoch.wrapping_add(life), ..me };
+        Network::new(network::Config { me, ..config.clone() }, seed.stream(&format!("operator/{life}")))
     };
     let network = Mailbox::new("network of the operator");
-    let outward = transports.clone();
+    let transports: Vec<(LinkId, Mailbox<transport::In>)> =
+        sockets.iter().map(|(link, _)| (*link, Mailbox::new("udp of the operator"))).collect();
+    for ((link, udp), (_, mailbox)) in sockets.into_iter().zip(&transports) {
+        sockets::wire((clock, readers), (link, udp), mailbox, &network);
+    }
     start(clock, &network, info_span!("network"), make, move |out| match out {
         network::Out::Deliver(message) => heard(Heard::Message(&message)),
         network::Out::Counts(counts) => heard(Heard::Counts(&counts)),
         network::Out::Peers(peers) => heard(Heard::Peers(&peers)),
         network::Out::Tap(_) => heard(Heard::Published),
         network::Out::Transmit(link, audience, frame) => {
-            let transmit = Transmit { from: id, audience, frame };
-            outward[usize::from(link.0)].send(transport::In::Transmit(transmit));
+            for (_, transport) in transports.iter().filter(|(of, _)| *of == link) {
+                let transmit = Transmit { from: me.host, audience, frame: frame.clone() };
+                transport.send(transport::In::Transmit(transmit));
+            }
         }
     });
-    for (link, udp) in open {
-        sockets::wire((clock, readers), (link, udp), &transports[usize::from(link.0)], &network);
-    }
     network
+}
+
+/// Starts an operator that gives an order, which can be looked at while it is carried out.
+pub fn command((clock, readers): (&Clock, &mut Readers), operator: Operator, order: &Rc<RefCell<Order>>) {
+    let answers: Mailbox<Status> = Mailbox::new("order");
+    let hear = answers.clone();
+    let network = wire((clock, readers), operator, move |heard| {
+        if let Heard::Message(Wire::Status(status)) = heard {
+            hear.send(status.clone());
+        }
+    });
+    let order = Rc::clone(order);
+    start(
+        clock,
+        &answers,
+        info_span!("order"),
+        move |_| Shared(Rc::clone(&order)),
+        move |stop| {
+            network.send(network::In::Publish(Wire::Stop(stop)));
+        },
+    );
 }

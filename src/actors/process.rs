@@ -16,6 +16,7 @@ use crate::net::link::LinkCounts;
 use crate::net::reliability::Setup;
 use crate::net::sender::Peer;
 use crate::net::transport;
+use crate::random::Seed;
 
 /// The team number of one-process runs, where there is no other team.
 const TEAM: u16 = 0;
@@ -27,8 +28,10 @@ pub struct Process {
     pub only: Option<HostId>,
     /// The team's number on every link.
     pub team: u16,
-    /// Which life of the process this is: one that is started again has a later one.
+    /// What tells this process from former ones of the same host: a random number.
     pub incarnation: u32,
+    /// The root of what the link layer draws, which nobody else may know; `None` for that of the run.
+    pub secret: Option<Seed>,
     /// What the team's datagrams are sealed with, if they are.
     pub key: Option<Key>,
     /// How its links are set up; `None` for those of the emulated ether.
@@ -56,7 +59,7 @@ impl Process {
     /// Every host of a deployment.
     pub(super) fn whole() -> Process {
         let hear = Rc::new(|_: Heard| {});
-        Process { only: None, team: TEAM, incarnation: 0, key: None, links: None, records: true, hear }
+        Process { only: None, team: TEAM, incarnation: 0, secret: None, key: None, links: None, records: true, hear }
     }
 
     pub(super) fn setups(&self, deployment: &Deployment) -> Vec<Setup> {

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use super::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::latch::{self, Latch};
+use crate::messages::latch::{self, Latch, baseline};
 use crate::messages::wire::{
     Heartbeat, Hindrance, Leading, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, Round, Status, Stop,
 };
@@ -338,17 +338,6 @@ impl StateServer {
             }));
         }
     }
-}
-
-/// What is known for certain of a number that only grows: the own one, or the second largest that is heard; or the only
-/// one. A single robot that claims more may be wrong or lie.
-fn baseline(own: u64, heard: impl Iterator<Item = u64>) -> u64 {
-    let (mut largest, mut second, mut count) = (0, 0, 0);
-    for number in heard {
-        (largest, second) = if number > largest { (number, largest) } else { (largest, second.max(number)) };
-        count += 1;
-    }
-    own.max(if count == 1 { largest } else { second })
 }
 
 impl Core for StateServer {

@@ -121,6 +121,11 @@ impl Routes {
         Takers { hosts, but }
     }
 
+    /// The hosts and what each may say.
+    pub fn publishers(&self) -> Arc<Publishers> {
+        Arc::clone(&self.publishers)
+    }
+
     /// The host that runs the robot's agent.
     pub fn agent_host(&self, robot: RobotId) -> HostId {
         self.agent_host[robot.index()]

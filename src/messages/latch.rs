@@ -146,6 +146,17 @@ impl LatchFollower {
     }
 }
 
+/// What is known for certain of a number that only grows: the own one, or the second largest that is heard; or the only
+/// one. A single robot that claims more may be wrong or lie.
+pub fn baseline(own: u64, heard: impl Iterator<Item = u64>) -> u64 {
+    let (mut largest, mut second, mut count) = (0, 0, 0);
+    for number in heard {
+        (largest, second) = if number > largest { (number, largest) } else { (largest, second.max(number)) };
+        count += 1;
+    }
+    own.max(if count == 1 { largest } else { second })
+}
+
 impl From<Latch> for u64 {
     fn from(latch: Latch) -> u64 {
         (3 * latch.number + latch.state as u64) * WIRE_FACTOR

@@ -39,8 +39,8 @@ use crate::{BadInput, Ended, links, team};
 const GRACE: Span = Span::from_millis(500);
 /// The same for the host of the state server, which tells the news.
 const SERVER_GRACE: Span = Span::from_millis(2000);
-/// How long a host that is told to stop goes on, for its last commands to get out.
-const STOPPING: Span = Span::from_millis(150);
+/// How long a host that is told to end goes on, for its last commands and its farewell to get out.
+const STOPPING: Span = Span::from_millis(200);
 
 /// What a host is for, where a team has one of the kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -109,7 +109,7 @@ pub fn run(args: &Args) -> Result<Ended> {
             .and_then(|_| signal_hook::low_level::pipe::register(number, bell.try_clone()?))
             .context("cannot listen for signals")?;
     }
-    let incarnation = links::incarnation();
+    let links::Fresh { incarnation, seed: secret, .. } = links::Fresh::draw()?;
 
     let tell = |event: &HostEvent| -> Result<()> { if args.json { print(&event.to_line()) } else { Ok(()) } };
     tracing::info!(host = name, robots = team.deployment.robots, "starts");
@@ -121,7 +121,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     let graph = run_real(
         began,
         |clock, readers| {
-            let host = Host { id, team: team.number, incarnation, key, links, sockets };
+            let host = Host { id, team: team.number, incarnation, secret, key, links, sockets };
             let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
             let graph = host::wire((clock, readers), trial.plan(), host, move |h| heard.hear(h), move |o| said.say(o));
             let _ = sd_notify::notify(&[NotifyState::Ready]);
@@ -154,7 +154,11 @@ pub fn run(args: &Args) -> Result<Ended> {
             if (signal.load(Ordering::Relaxed) != 0 || abandoned.get()) && stopping.is_none() {
                 stopping = Some(now);
                 let _ = sd_notify::notify(&[NotifyState::Stopping]);
-                graph.stop(id);
+                graph.leave(id);
+                if abandoned.get() {
+                    // The one that looked after the whole team has died.
+                    graph.stop(id);
+                }
             }
             let serves = team.deployment.hosts[usize::from(id.0)].state_server;
             let grace = if serves { SERVER_GRACE } else { GRACE };

@@ -1,39 +1,68 @@
-//! A host's links, from what the team file says to open sockets. What is said on them never matters here.
-
-use std::time::{SystemTime, UNIX_EPOCH};
+//! A process's links, from what the team file says to open sockets, and who the process is on them. What is said on them
+//! never matters here.
 
 use anyhow::{Result, anyhow};
-use murmurate::deploy::Link;
-use murmurate::deploy::team::{SocketConfig, Team, Transport};
+use murmurate::actors::network::Identity;
+use murmurate::deploy::team::{Post, SocketConfig, Team, Transport};
+use murmurate::deploy::{Deployment, Link};
 use murmurate::messages::ids::{HostId, LinkId};
-use murmurate::net::reliability::Setup;
-use murmurate::net::transport::interface::InterfaceError;
+use murmurate::net::reliability::{Reliabilities, Setup};
+use murmurate::net::transport::interface::{self, Interface, InterfaceError};
 use murmurate::net::transport::udp::{OpenError, Udp};
+use murmurate::random::Seed;
 
 use crate::BadInput;
 
-/// Lives of a process that can be told apart in a second.
-const LIVES_PER_S: u128 = 8;
+/// Random numbers of the operating system that make a process itself and no other.
+pub struct Fresh {
+    /// Its incarnation on every link. No clock is asked: many robots have none that survives a restart.
+    pub incarnation: u32,
+    /// The root of what its link layer draws; nobody else can know it.
+    pub seed: Seed,
+    /// The number that it has as an operator.
+    pub operator: HostId,
+}
 
-/// Which life of a process this is: later ones have later numbers, as far as the machine's clock goes forward. Eighths
-/// of a second, so that one that is killed and started again at once is not taken for its former self. They begin anew
-/// every 17 years, next in 2038; then a team that runs on is to be started again as a whole.
-pub fn incarnation() -> u32 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    (since.as_millis() * LIVES_PER_S / 1000) as u32
+impl Fresh {
+    /// Draws them.
+    pub fn draw() -> Result<Fresh> {
+        let no_random = |e| anyhow!("the operating system gives no random bytes: {e}");
+        let (mut seed, mut numbers) = ([0; 32], [0; 8]);
+        getrandom::fill(&mut seed).and_then(|()| getrandom::fill(&mut numbers)).map_err(no_random)?;
+        let [a, b, c, d, e, f, ..] = numbers;
+        Ok(Fresh {
+            incarnation: u32::from_le_bytes([a, b, c, d]),
+            seed: Seed::of_bytes(seed),
+            operator: HostId::operator(u16::from_le_bytes([e, f])),
+        })
+    }
+
+    /// An operator of this team.
+    pub fn operator_of(&self, team: u16) -> Identity {
+        Identity { host: self.operator, team, epoch: self.incarnation }
+    }
 }
 
 /// How the links are set up: as the deployment has them, and as the team file has it otherwise.
 pub fn setups(team: &Team) -> Vec<Setup> {
-    let setup = |(link, config): (&Link, &Option<SocketConfig>)| {
-        let mut reliability = link.reliability.clone();
-        reliability.extend(config.iter().flat_map(|config| config.reliability.clone()));
-        match config.as_ref().map(|config| &config.transport) {
-            Some(Transport::Unicast { .. }) => Setup::unicast(reliability),
-            _ => Setup::multicast(reliability),
-        }
-    };
+    let setup = |(link, config): (&Link, &Option<SocketConfig>)| setup(link, config.as_ref());
     team.deployment.links.iter().zip(&team.links).map(setup).collect()
+}
+
+/// How the links are set up for an operator, which has a part in that of the stop alone.
+pub fn of_operator(post: &Post, deployment: &Deployment) -> Vec<Setup> {
+    let config = |at: usize| (at == usize::from(post.link.0)).then(|| &post.sockets[0]);
+    deployment.links.iter().enumerate().map(|(at, link)| setup(link, config(at))).collect()
+}
+
+/// How one link is set up.
+pub fn setup(link: &Link, config: Option<&SocketConfig>) -> Setup {
+    let mut reliability: Reliabilities = link.reliability.clone();
+    reliability.extend(config.iter().flat_map(|config| config.reliability.clone()));
+    match config.map(|config| &config.transport) {
+        Some(Transport::Unicast { .. }) => Setup::unicast(reliability),
+        _ => Setup::multicast(reliability),
+    }
 }
 
 /// The sockets of the links that the team's host uses, opened for `me`.
@@ -41,16 +70,53 @@ pub fn open(team: &Team, me: HostId) -> Result<Vec<(LinkId, Udp)>> {
     let mut sockets = Vec::new();
     for (at, (link, config)) in team.deployment.links.iter().zip(&team.links).enumerate() {
         let Some(config) = config else { continue };
-        let udp = Udp::open(me, config).map_err(|error| {
-            let what = format!("link '{}': {error}", link.name);
-            match error {
-                // It may come up yet; a wrong name stays wrong.
-                OpenError::Interface(InterfaceError::Down { .. }) => anyhow!(what),
-                _ => BadInput(what).into(),
-            }
-        })?;
+        let udp = Udp::open(me, config).map_err(|error| failed(&link.name, error))?;
         tracing::info!(link = link.name, receive_buffer_bytes = udp.granted_bytes(), "open");
         sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
     }
     Ok(sockets)
+}
+
+fn failed(link: &str, error: OpenError) -> anyhow::Error {
+    let what = format!("link '{link}': {error}");
+    match error {
+        // It may come up yet; a wrong name stays wrong.
+        OpenError::Interface(InterfaceError::Down { .. }) => anyhow!(what),
+        _ => BadInput(what).into(),
+    }
+}
+
+/// The sockets of an operator: on every interface of this machine that the team file names for the link of the stop; or,
+/// where it has none of those, on all that are up.
+pub fn join(post: &Post, link: &Link, me: HostId) -> Result<Vec<(LinkId, Udp)>> {
+    let interfaces = interface::interfaces().map_err(|error| failed(&link.name, error.into()))?;
+    let here = |config: &&SocketConfig| interfaces.iter().any(|i| i.up && i.name == config.interface);
+    let addressed = |config: &&SocketConfig| matches!(config.transport, Transport::Unicast { .. });
+    let mut ways: Vec<SocketConfig> = post.sockets.iter().filter(|c| addressed(c) || here(c)).cloned().collect();
+    if ways.is_empty() {
+        ways = everywhere(&interfaces, &post.sockets[0]);
+    }
+    let mut sockets = Vec::new();
+    let mut refused = None;
+    for way in &ways {
+        match Udp::open(me, way) {
+            Ok(udp) => sockets.push((post.link, udp)),
+            Err(error) => refused = Some(error),
+        }
+    }
+    match refused {
+        Some(error) if sockets.is_empty() => Err(failed(&link.name, error)),
+        _ if sockets.is_empty() => {
+            let named: Vec<&str> = post.sockets.iter().map(|config| config.interface.as_str()).collect();
+            let why = format!("link '{}': no interface of this machine is up; the file names {named:?}", link.name);
+            Err(anyhow!(why))
+        }
+        _ => Ok(sockets),
+    }
+}
+
+/// The same way on every interface that is up and leads out of this machine.
+fn everywhere(interfaces: &[Interface], config: &SocketConfig) -> Vec<SocketConfig> {
+    let outward = interfaces.iter().filter(|interface| interface.up && !interface.loopback);
+    outward.map(|interface| SocketConfig { interface: interface.name.clone(), ..config.clone() }).collect()
 }

@@ -66,6 +66,8 @@ enum Command {
     Doctor(Box<doctor::Args>),
     /// Engages a team's emergency stop, or takes it back with --rearm.
     Stop(stop::Args),
+    /// Lets a team go on that was stopped and re-armed: the next episode begins.
+    Resume(stop::ResumeArgs),
     /// Makes the key that a team's messages are authenticated with.
     #[command(subcommand)]
     Key(key::Args),
@@ -125,6 +127,7 @@ fn main() -> ExitCode {
         Command::Launch(args) => launch::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Stop(args) => stop::run(&args),
+        Command::Resume(args) => stop::resume(&args),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args),
     };

@@ -1,42 +1,38 @@
-//! `murmurate stop`: the team's emergency stop, engaged or taken back, and who has confirmed it.
+//! `murmurate stop` and `murmurate resume`: the team's emergency stop, engaged, taken back, and the hold after it lifted;
+//! and which robots have confirmed it.
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::time::Instant;
 
 use anyhow::{Result, anyhow};
-use murmurate::actors::network;
-use murmurate::actors::operator::{OPERATOR, Operator, wire};
-use murmurate::actors::process::Heard;
+use murmurate::actors::operator::{self, Operator};
+use murmurate::actors::order::{Lack, Order, PERIOD, Wish};
 use murmurate::actors::real::run_real;
-use murmurate::deploy::team::{Team, TeamFile, Transport};
-use murmurate::messages::ids::{HostId, LinkId, RobotId};
-use murmurate::messages::latch::Latch;
-use murmurate::messages::wire::{Kind, Stop, Wire};
+use murmurate::deploy::Routes;
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::wire::Hindrance;
 use murmurate::net::key::Key;
 use murmurate::time::{Span, Time};
 
+use crate::links::Fresh;
 use crate::output::print;
-use crate::{BadInput, Ended, links, team};
+use crate::{Ended, links, team};
 
-/// How often it is said.
-const PERIOD: Span = Span::from_millis(20);
-/// How long it is said at least: whoever comes late or has missed it hears it, too.
+/// How long it is said at least: hosts that come late or have missed it hear it, too.
 const AT_LEAST: Span = Span::from_millis(500);
 /// How long robots have to confirm it.
 const PATIENCE: Span = Span::from_millis(3000);
 
 /// Flags of `murmurate stop`.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Exit codes: 0 every robot has confirmed it; 1 some have not, and are named; 2 a flag, the team \
-    file or the key is wrong."
-)]
+#[command(after_help = "Runs on any machine that reaches the link which carries 'stop'; no other link is opened.\n\
+    Exit codes: 0 every robot has confirmed it; 1 some have not, and are named; 2 a flag, the team file or the key is \
+    wrong.")]
 pub struct Args {
     #[command(flatten)]
     team: team::TeamArgs,
-    /// Takes the emergency stop back: robots may move again
+    /// Takes the emergency stop back; robots stand until 'murmurate resume'
     #[arg(long)]
     rearm: bool,
     /// Prints one JSON object
@@ -44,123 +40,153 @@ pub struct Args {
     json: bool,
 }
 
-/// What the robots have said of the stop.
-#[derive(Default)]
-struct Said {
-    robots: BTreeMap<RobotId, Latch>,
-    latest: Latch,
+/// Flags of `murmurate resume`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Exit codes: 0 the team goes on; 1 it does not, and why; 2 a flag, the team file or the key is \
+    wrong."
+)]
+pub struct ResumeArgs {
+    #[command(flatten)]
+    team: team::TeamArgs,
+    /// Prints one JSON object
+    #[arg(long)]
+    json: bool,
 }
 
-impl Said {
-    fn hear(&mut self, message: &Wire) {
-        match message {
-            Wire::Heartbeat(beat) => {
-                self.robots.insert(beat.robot, beat.latch);
-                self.latest = self.latest.joined(beat.latch);
-            }
-            Wire::Mode(mode) => self.latest = self.latest.joined(mode.latch),
-            _ => {}
-        }
-    }
-}
-
-/// Says it until every robot has confirmed it.
+/// Engages the emergency stop, or takes it back.
 pub fn run(args: &Args) -> Result<Ended> {
-    let file = args.team.read()?;
-    let (team, link) = listening_post(args, &file)?;
-    let key = team::key(&team)?.map(Key::new);
-    let sockets = links::open(&team, OPERATOR)?.into_iter().filter(|(id, _)| *id == link).collect();
-    let robots = team.deployment.robots;
-    let operator = Operator {
-        id: OPERATOR,
-        team: team.number,
-        robots,
-        incarnation: links::incarnation(),
-        key,
-        links: links::setups(&team),
-        sockets,
-        stop: Some(link),
-    };
-    let said = Rc::new(RefCell::new(Said::default()));
-    let confirmed = |said: &Said| said.robots.values().filter(|latch| latch.is_engaged() != args.rearm).count();
-    let (mut next, mut took) = (Time::ZERO, None);
-    run_real(
-        Instant::now(),
-        |clock, readers| {
-            let hear = Rc::clone(&said);
-            let network = wire((clock, readers), operator, move |heard| {
-                if let Heard::Message(message) = heard {
-                    hear.borrow_mut().hear(message);
-                }
-            });
-            // A turn at least so often, whatever arrives.
-            for beat in 0..=PATIENCE.as_nanos() / PERIOD.as_nanos() {
-                clock.call(Time::ZERO + PERIOD * beat, Box::new(|| {}));
-            }
-            network
-        },
-        |network, now| {
-            let said = said.borrow();
-            if confirmed(&said) == robots && took.is_none() {
-                took = Some(now);
-            }
-            if now >= next && (took.is_none() || now.since(Time::ZERO) < AT_LEAST) {
-                next = now + PERIOD;
-                // A re-arm has to be later than the stop that it takes back, so that has to be known first.
-                if !args.rearm {
-                    network.send(network::In::Publish(Wire::Stop(Stop::engage(OPERATOR, Latch::default()))));
-                } else if said.latest.is_engaged() {
-                    network.send(network::In::Publish(Wire::Stop(Stop::rearm(OPERATOR, said.latest))));
-                }
-            }
-            let waited = now.since(Time::ZERO);
-            waited >= PATIENCE || (took.is_some() && waited >= AT_LEAST)
-        },
-    );
-    let said = said.borrow();
-    let missing: Vec<u16> = RobotId::team(robots)
-        .filter(|robot| said.robots.get(robot).is_none_or(|latch| latch.is_engaged() == args.rearm))
-        .map(|robot| robot.0)
-        .collect();
-    let what = if args.rearm { "are armed" } else { "stand" };
-    if args.json {
-        let took_s = took.map(Time::as_secs);
-        let state = if args.rearm { "armed" } else { "stopped" };
-        print(
-            &serde_json::json!({"state": state, "robots": robots, "missing": missing, "took_s": took_s}).to_string(),
-        )?;
-    } else {
-        print(&format!("{} of {robots} robots {what}", robots - missing.len()))?;
-    }
-    if missing.is_empty() {
-        return Ok(Ended::Done);
-    }
-    let names: Vec<String> = missing.iter().map(u16::to_string).collect();
-    Err(anyhow!("no word from robot {}: go and look at them", names.join(", ")))
+    let wish = if args.rearm { Wish::Rearm } else { Wish::Stop };
+    Asked { team: &args.team, wish, json: args.json }.run()
 }
 
-/// A host whose link carries the stop, as this machine would be it, and the link.
-fn listening_post(args: &Args, file: &TeamFile) -> Result<(Team, LinkId)> {
-    let carries = |link: &murmurate::deploy::Link| link.carries.contains(&Kind::Stop);
-    let at = file.deployment().links.iter().position(carries);
-    let at = at.ok_or_else(|| BadInput("no link of this team carries 'stop'; it runs in one process".to_owned()))?;
-    let hosts: Vec<HostId> = file.hosts().collect();
-    for host in hosts {
-        let team = args.team.for_host(file, host)?;
-        match team.links[at].as_ref().map(|socket| &socket.transport) {
-            Some(Transport::Multicast { .. }) => {
-                return Ok((team, LinkId(u16::try_from(at).expect("links are counted in u16"))));
+/// Lets a held team go on.
+pub fn resume(args: &ResumeArgs) -> Result<Ended> {
+    Asked { team: &args.team, wish: Wish::Resume, json: args.json }.run()
+}
+
+/// What the user has asked for.
+struct Asked<'a> {
+    team: &'a team::TeamArgs,
+    wish: Wish,
+    json: bool,
+}
+
+impl Asked<'_> {
+    fn run(&self) -> Result<Ended> {
+        let file = self.team.read()?;
+        let post = file.post().map_err(|error| self.team.wrong(&error))?;
+        let (deployment, fresh) = (file.deployment(), Fresh::draw()?);
+        let key = team::key_of(post.key_file.as_deref())?.map(Key::new);
+        let me = fresh.operator_of(post.number);
+        let link = &deployment.links[usize::from(post.link.0)];
+        let operator = Operator {
+            me,
+            seed: fresh.seed,
+            robots: deployment.robots,
+            publishers: Routes::of(deployment).publishers(),
+            key,
+            links: links::of_operator(&post, deployment),
+            sockets: links::join(&post, link, me.host)?,
+            stop: Some(post.link),
+        };
+        let order = Rc::new(RefCell::new(Order::new(me.host, self.wish, deployment.robots)));
+        run_real(
+            Instant::now(),
+            |clock, readers| {
+                operator::command((clock, readers), operator, &order);
+                // A turn at least so often, whatever arrives.
+                for beat in 0..=PATIENCE.as_nanos() / PERIOD.as_nanos() {
+                    clock.call(Time::ZERO + PERIOD * beat, Box::new(|| {}));
+                }
+            },
+            |(), now| {
+                let waited = now.since(Time::ZERO);
+                waited >= PATIENCE || (order.borrow().met().is_some() && waited >= AT_LEAST)
+            },
+        );
+        let order = order.borrow();
+        self.tell(&order, deployment.robots)
+    }
+
+    /// Prints what came of it.
+    fn tell(&self, order: &Order, robots: usize) -> Result<Ended> {
+        let lacking = order.lacking();
+        let took_s = order.met().map(Time::as_secs);
+        let state = order.latch().map_or("unknown", |latch| latch.word());
+        if self.json {
+            let missing: Vec<u16> = lacking.iter().map(|(robot, _)| robot.0).collect();
+            let said = serde_json::json!({
+                "state": state, "robots": robots, "missing": missing, "took_s": took_s, "why": self.why(order),
+            });
+            print(&said.to_string())?;
+        } else {
+            let what = match self.wish {
+                Wish::Stop => "stand",
+                Wish::Rearm => "are re-armed",
+                Wish::Resume => "may move",
+            };
+            let took = took_s.map_or_else(String::new, |s| format!(", confirmed after {s:.3} s"));
+            print(&format!("{} of {robots} robots {what}{took}", robots - lacking.len()))?;
+            if self.wish == Wish::Rearm && took_s.is_some() && state == "held" {
+                let file = self.team.path().display();
+                print(&format!("the team is held: 'murmurate resume {file}' starts the next episode"))?;
             }
-            Some(Transport::Unicast { .. }) => {
-                let name = &file.deployment().links[at].name;
-                let why = format!(
-                    "link '{name}' is unicast: its hosts hear nobody else; send SIGTERM to any 'murmurate host' of \
-                     the team instead"
-                );
-                return Err(BadInput(why).into());
-            }
-            None => {}
+        }
+        match self.why(order) {
+            None => Ok(Ended::Done),
+            Some(why) => Err(anyhow!(why)),
         }
     }
-    Err(BadInput("no host of this team listens where 'stop' is said".to_owned()).into())
+
+    /// Why it is not as it was asked for; `None` if it is.
+    fn why(&self, order: &Order) -> Option<String> {
+        if order.met().is_some() {
+            return None;
+        }
+        let names = |all: &[(RobotId, Lack)], of: &[Lack]| -> String {
+            let robots = all.iter().filter(|(_, lack)| of.contains(lack)).map(|(robot, _)| robot.0.to_string());
+            robots.collect::<Vec<_>>().join(", ")
+        };
+        let lacking = order.lacking();
+        let silent = names(&lacking, &[Lack::Silent]);
+        let mut why = Vec::new();
+        if self.wish == Wish::Resume {
+            match order.latch() {
+                Some(latch) if latch.is_engaged() => {
+                    why.push("refused: the team is stopped; 'murmurate stop --rearm' takes that back first".to_owned());
+                }
+                _ if !order.hindrances().is_empty() => {
+                    let of = |(robot, hindrance): &(RobotId, Hindrance)| match hindrance {
+                        Hindrance::Missing => format!("{robot} is missing"),
+                        Hindrance::Left => format!("the host of {robot} has left"),
+                        Hindrance::Latched => format!("{robot} is still latched"),
+                    };
+                    let all: Vec<String> = order.hindrances().iter().map(of).collect();
+                    why.push(format!("refused: {}", all.join(", ")));
+                }
+                _ => {}
+            }
+        }
+        if !silent.is_empty() {
+            why.push(format!("no word from robot {silent}: go and look at them"));
+        }
+        let (bodies, controllers) = (names(&lacking, &[Lack::Body, Lack::Unmet]), names(&lacking, &[Lack::Controller]));
+        if !bodies.is_empty() && self.wish == Wish::Stop {
+            why.push(format!("the motors of robot {bodies} have not confirmed: go and look at them"));
+        }
+        if !controllers.is_empty() && self.wish == Wish::Stop {
+            why.push(format!("robot {controllers} stands, but its controller has not confirmed"));
+        }
+        if self.wish != Wish::Stop && order.leading().is_none() {
+            why.push("no word from the state server: is its host running?".to_owned());
+        }
+        if why.is_empty() {
+            why.push(format!(
+                "robot {} has not followed yet: try again",
+                names(&lacking, &[Lack::Unmet, Lack::Body, Lack::Controller])
+            ));
+        }
+        Some(why.join("; "))
+    }
 }

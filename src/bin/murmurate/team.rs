@@ -111,18 +111,21 @@ impl Which {
 
 /// The team's key. A team that keeps to its own machine may be without one, and hears what that means.
 pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
-    match &team.key_file {
-        Some(path) => key::read(path).map(Some),
-        None => {
-            if team.links.iter().any(Option::is_some) {
-                talk(
-                    "warning: NO KEY: every program on this machine can command these robots; for anything but \
-                     development make a key with 'murmurate key new' and name it as key_file",
-                );
-            }
-            Ok(None)
-        }
+    if team.key_file.is_none() && team.links.iter().all(Option::is_none) {
+        return Ok(None);
     }
+    key_of(team.key_file.as_deref())
+}
+
+/// The key in this file; without a file a warning of what that means.
+pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
+    if file.is_none() {
+        talk(
+            "warning: NO KEY: every program on this machine can command these robots; for anything but development make \
+             a key with 'murmurate key new' and name it as key_file",
+        );
+    }
+    file.map(key::read).transpose()
 }
 
 /// The team's policy.

@@ -11,7 +11,7 @@ mod sockets;
 
 pub use layers::{Flag, Origin};
 pub use show::Shown;
-pub use sockets::{SocketConfig, Transport};
+pub use sockets::{Post, SocketConfig, Transport};
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};

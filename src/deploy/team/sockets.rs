@@ -1,14 +1,16 @@
 //! How a host's socket on each link is set up, and the mistakes that can be seen without opening one.
 
 use std::collections::BTreeMap;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::path::PathBuf;
 
 use super::layers::{Origin, place};
-use super::{TeamFile, address, kebab, text, whole};
+use super::{TeamFile, address, kebab, text, whole, whole_u16};
 use crate::config::ConfigError;
 use crate::deploy::Link;
-use crate::messages::ids::HostId;
-use crate::messages::wire::KINDS;
+use crate::deploy::Routes;
+use crate::messages::ids::{HostId, LinkId};
+use crate::messages::wire::{KINDS, Kind};
 use crate::net::reliability::{Reliabilities, Reliability};
 
 /// The socket of a host on a link.
@@ -51,6 +53,19 @@ impl SocketConfig {
             }
         }
     }
+}
+
+/// The link of the emergency stop, as an operator joins it from whatever machine it runs on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Post {
+    /// The link.
+    pub link: LinkId,
+    /// The team's number on the wire.
+    pub number: u16,
+    /// Where its key is; `None` for a team without one.
+    pub key_file: Option<PathBuf>,
+    /// The ways onto the link: one for each interface that a host has on it, or a single one that addresses each host.
+    pub sockets: Vec<SocketConfig>,
 }
 
 /// The name of the loopback interface.
@@ -134,6 +149,45 @@ impl TeamFile {
             return Err(ConfigError::field(format!("link.{}.peers", link.name), why));
         }
         Ok(Transport::Unicast { listen, peers })
+    }
+
+    /// Where an operator joins the team: on the link that carries the emergency stop, and on no other.
+    pub fn post(&self) -> Result<Post, ConfigError> {
+        let carries = |link: &Link| link.carries.contains(&Kind::Stop);
+        let at = self.deployment.links.iter().position(carries).ok_or_else(|| {
+            ConfigError::field("deployment.link.carries", "no link carries 'stop': this team runs in one process")
+        })?;
+        let routes = Routes::of(&self.deployment);
+        let hosts: Vec<HostId> = self.hosts().filter(|&host| routes.exchanges(host, Kind::Stop)).collect();
+        let mut sockets: Vec<SocketConfig> = Vec::new();
+        for &host in &hosts {
+            let mut socket = self.socket(host, at)?;
+            if let Transport::Unicast { listen, peers } = &mut socket.transport {
+                // An operator is no peer: it speaks from a port of its own, and hosts answer there.
+                peers.insert(host, *listen);
+                let any = if listen.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
+                *listen = SocketAddr::new(any, 0);
+            }
+            let twin = |other: &SocketConfig| match socket.transport {
+                Transport::Multicast { .. } => {
+                    (&other.transport, &other.interface) == (&socket.transport, &socket.interface)
+                }
+                Transport::Unicast { .. } => other.transport == socket.transport,
+            };
+            if !sockets.iter().any(twin) {
+                sockets.push(socket);
+            }
+        }
+        let number = self.layers.find(&self.scopes(None), "team");
+        let number = number.ok_or_else(|| ConfigError::field("team", "missing; give the team a number"))?;
+        let mut scopes = std::iter::once(None).chain(hosts.into_iter().map(Some));
+        let key_file = scopes.find_map(|host| self.layers.find(&self.scopes(host), "key_file"));
+        Ok(Post {
+            link: LinkId(u16::try_from(at).expect("links are counted in u16")),
+            number: whole_u16(&number),
+            key_file: key_file.map(|entry| self.path(&entry)),
+            sockets,
+        })
     }
 
     /// Two links of a host that hear each other's frames are a mistake.

@@ -7,11 +7,12 @@ use std::rc::Rc;
 use std::time::Instant;
 
 use anyhow::{Result, anyhow};
-use murmurate::actors::operator::{OPERATOR, Operator, wire};
+use murmurate::actors::operator::{Operator, wire};
 use murmurate::actors::process::Heard;
 use murmurate::actors::real::run_real;
+use murmurate::deploy::Routes;
 use murmurate::deploy::team::{SocketConfig, Team, Transport};
-use murmurate::messages::ids::{HostId, LinkId};
+use murmurate::messages::ids::LinkId;
 use murmurate::net::key::Key;
 use murmurate::net::link::LinkCounts;
 use murmurate::net::sender::Peer;
@@ -21,8 +22,6 @@ use murmurate::time::{Span, Time};
 use super::{Found, Status};
 use crate::{key, links};
 
-/// Who answers: an operator, too.
-const ECHO: HostId = HostId(OPERATOR.0 - 1);
 /// A loss that is worth a word: where `repeat` begins (docs/wire.md).
 const LOSSY: f64 = 2.0 / 64.0;
 
@@ -31,6 +30,8 @@ const LOSSY: f64 = 2.0 / 64.0;
 struct Ears {
     peers: BTreeMap<(u16, u16), Peer>,
     counts: LinkCounts,
+    /// The number of the operator that answers.
+    echo: u16,
 }
 
 /// Listens for so long on the multicast links of `teams`, which are the hosts of this machine, to `all` hosts.
@@ -55,7 +56,7 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> 
     let ears = hear(first, &places, seconds)?;
     for (at, name) in names.iter().enumerate().filter(|(at, _)| places[*at].is_some()) {
         let link = u16::try_from(at).expect("links are counted in u16");
-        found.push(loop_back(name, ears.peers.get(&(link, ECHO.0))));
+        found.push(loop_back(name, ears.peers.get(&(link, ears.echo))));
         for (number, host) in first.deployment.hosts.iter().enumerate() {
             let uses = all.iter().any(|team| usize::from(team.host.0) == number && team.links[at].is_some());
             let peer = ears.peers.get(&(link, u16::try_from(number).expect("hosts are counted in u16")));
@@ -70,18 +71,27 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> 
 
 fn hear(team: &Team, places: &[Option<&SocketConfig>], seconds: f64) -> Result<Ears> {
     let key = team.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
-    let incarnation = links::incarnation();
-    let operator = |id: HostId| -> Result<Operator> {
+    let operator = || -> Result<Operator> {
+        let fresh = links::Fresh::draw()?;
         let mut sockets = Vec::new();
         for (at, place) in places.iter().enumerate() {
             let Some(place) = place else { continue };
-            let udp = Udp::open(id, place).map_err(|e| anyhow!("link {at}: {e}"))?;
+            let udp = Udp::open(fresh.operator, place).map_err(|e| anyhow!("link {at}: {e}"))?;
             sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
         }
-        let (links, key, robots) = (links::setups(team), key.clone(), team.deployment.robots);
-        Ok(Operator { id, team: team.number, robots, incarnation, key, links, sockets, stop: None })
+        Ok(Operator {
+            me: fresh.operator_of(team.number),
+            seed: fresh.seed,
+            robots: team.deployment.robots,
+            publishers: Routes::of(&team.deployment).publishers(),
+            key: key.clone(),
+            links: links::setups(team),
+            sockets,
+            stop: None,
+        })
     };
-    let (listener, echo) = (operator(OPERATOR)?, operator(ECHO)?);
+    let (listener, echo) = (operator()?, operator()?);
+    let answers = echo.me.host.0;
     let ears = Rc::new(RefCell::new(Ears::default()));
     let until = Time::ZERO + Span::from_secs(seconds);
     run_real(
@@ -101,7 +111,7 @@ fn hear(team: &Team, places: &[Option<&SocketConfig>], seconds: f64) -> Result<E
         },
         |_, now| now >= until,
     );
-    Ok(ears.take())
+    Ok(Ears { echo: answers, ..ears.take() })
 }
 
 fn loop_back(link: &str, echo: Option<&Peer>) -> Found {

@@ -19,7 +19,6 @@ use murmurate::net::key::Key;
 use murmurate::net::router::{Audience, Route, Router};
 use murmurate::net::transport::udp::Udp;
 use murmurate::net::transport::{self, Transmit};
-use murmurate::random::Seed;
 use murmurate::study::network::linked;
 use murmurate::study::network::peer::{Notes, Peer, Task};
 use murmurate::time::Time;
@@ -117,13 +116,14 @@ fn wire(
         Route { local: latent && !own, leaves: (latent && own).then_some((LINK, Audience::All)) }
     });
     let host = part.team.host;
+    let fresh = links::Fresh::draw().expect("the operating system gives random bytes");
     let config = network::Config {
-        me: network::Identity { host, team: part.team.number, epoch: links::incarnation() },
+        me: network::Identity { host, team: part.team.number, epoch: fresh.incarnation },
         key: part.key.map(Key::new),
         links: vec![linked::setup(task.case.addressing, task.case.reliability)],
         router,
     };
-    let seed = Seed::of_run(task.seed);
+    let seed = fresh.seed;
     let make = move |life| Network::new(config.clone(), seed.stream(&format!("network/{}/{life}", host.0)));
     let (outward, inward) = (to_udp.clone(), to_peer.clone());
     start(clock, &to_network, info_span!("network"), make, move |said| match said {

@@ -1,0 +1,219 @@
+//! Order: what one operator wants of a team, a stop, a re-arm or a resume, from its first word to the last confirmation.
+//!
+//! It repeats what it wants, hears what hosts answer, and knows which robots have confirmed. It asks first where it has to
+//! know how the latch stands; a stop waits for nothing.
+
+use std::collections::BTreeMap;
+
+use super::Core;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::latch::{Latch, baseline};
+use crate::messages::wire::{Following, Hindrance, Leading, Status, Stop};
+use crate::time::{Span, Time};
+
+/// How often it is repeated.
+pub const PERIOD: Span = Span::from_millis(20);
+
+/// What an operator wants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wish {
+    /// Everyone stands.
+    Stop,
+    /// The stop is taken back; the team stays held.
+    Rearm,
+    /// The hold ends and the next episode begins.
+    Resume,
+}
+
+impl Wish {
+    /// Whether an actor that follows this latch does what is wanted.
+    fn is_met_by(self, latch: Latch) -> bool {
+        match self {
+            Wish::Stop => latch.is_engaged(),
+            Wish::Rearm => !latch.is_engaged(),
+            Wish::Resume => latch.is_clear(),
+        }
+    }
+}
+
+/// Why a robot has not confirmed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lack {
+    /// Neither its controller nor its body was heard.
+    Silent,
+    /// Its body has confirmed; its controller has not.
+    Controller,
+    /// Its controller has confirmed; its body has not.
+    Body,
+    /// Both were heard, and neither has confirmed.
+    Unmet,
+}
+
+/// One order of one operator.
+#[derive(Debug)]
+pub struct Order {
+    me: HostId,
+    wish: Wish,
+    robots: usize,
+    controllers: BTreeMap<RobotId, Latch>,
+    bodies: BTreeMap<RobotId, Latch>,
+    leading: Option<Leading>,
+    next: Time,
+    met: Option<Time>,
+}
+
+impl Order {
+    /// An order of which nothing was said yet.
+    pub fn new(me: HostId, wish: Wish, robots: usize) -> Order {
+        let (controllers, bodies) = (BTreeMap::new(), BTreeMap::new());
+        Order { me, wish, robots, controllers, bodies, leading: None, next: Time::ZERO, met: None }
+    }
+
+    /// When everyone had confirmed.
+    pub fn met(&self) -> Option<Time> {
+        self.met
+    }
+
+    /// What the state server has said of the latch.
+    pub fn leading(&self) -> Option<&Leading> {
+        self.leading.as_ref()
+    }
+
+    /// The latch as it stands in the team: as the state server has it; without one, as robots have it, but for one that
+    /// alone claims more than all others.
+    pub fn latch(&self) -> Option<Latch> {
+        if let Some(leading) = &self.leading {
+            return Some(leading.latch);
+        }
+        let latches = || self.controllers.values().chain(self.bodies.values()).copied();
+        let base = baseline(0, latches().map(Latch::number));
+        latches().filter(|latch| latch.number() <= base).max()
+    }
+
+    /// The robots that have not confirmed, and why.
+    pub fn lacking(&self) -> Vec<(RobotId, Lack)> {
+        let lack = |robot: RobotId| {
+            let met = |parts: &BTreeMap<RobotId, Latch>| parts.get(&robot).map(|latch| self.wish.is_met_by(*latch));
+            match (met(&self.controllers), met(&self.bodies)) {
+                (Some(true), Some(true)) => None,
+                (None, None) => Some(Lack::Silent),
+                (_, Some(true)) => Some(Lack::Controller),
+                (Some(true), _) => Some(Lack::Body),
+                _ => Some(Lack::Unmet),
+            }
+        };
+        RobotId::team(self.robots).filter_map(|robot| Some((robot, lack(robot)?))).collect()
+    }
+
+    /// The robots for which the state server refuses a resume.
+    pub fn hindrances(&self) -> &[(RobotId, Hindrance)] {
+        self.leading.as_ref().map_or(&[], |leading| &leading.hindrances)
+    }
+
+    fn hear(&mut self, now: Time, status: Status) {
+        for Following { robot, controller, body } in status.robots {
+            self.controllers.extend(controller.map(|latch| (robot, latch)));
+            self.bodies.extend(body.map(|latch| (robot, latch)));
+        }
+        self.leading = status.leading.or(self.leading.take());
+        // A stop is a stop without a state server; nobody else can say that a team goes on.
+        let led = self.wish == Wish::Stop || self.leading.as_ref().is_some_and(|l| self.wish.is_met_by(l.latch));
+        if self.met.is_none() && led && self.lacking().is_empty() {
+            self.met = Some(now);
+        }
+    }
+
+    /// What is to be said now.
+    fn word(&self) -> Stop {
+        let (me, known) = (self.me, self.latch());
+        match (self.wish, known) {
+            (Wish::Stop, known) => Stop::engage(me, known.unwrap_or_default()),
+            (Wish::Rearm, Some(latch)) if latch.is_engaged() => Stop::rearm(me, latch),
+            (Wish::Resume, Some(latch)) if latch.is_held() => Stop::resume(me, latch),
+            _ => Stop::ask(me),
+        }
+    }
+}
+
+impl Core for Order {
+    type In = Status;
+    type Out = Stop;
+
+    fn handle(&mut self, now: Time, status: Status, _: &mut Vec<Stop>) {
+        self.hear(now, status);
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        Some(self.next)
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Stop>) {
+        out.push(self.word());
+        self.next = now + PERIOD;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ME: HostId = HostId::operator(3);
+
+    fn word(order: &mut Order) -> Stop {
+        let (now, mut out) = (order.wake_at().unwrap(), Vec::new());
+        order.wake(now, &mut out);
+        out[0]
+    }
+
+    fn hear(order: &mut Order, robots: &[(u16, Option<Latch>, Option<Latch>)], leading: Option<Leading>) {
+        let following = |&(robot, controller, body)| Following { robot: RobotId(robot), controller, body };
+        let robots = robots.iter().map(following).collect();
+        let status = Status { host: HostId(0), leaves: false, robots, leading };
+        order.handle(order.next, status, &mut Vec::new());
+    }
+
+    fn leading(latch: Latch) -> Option<Leading> {
+        Some(Leading { latch, hindrances: Vec::new() })
+    }
+
+    #[test]
+    fn a_stop_is_said_at_once_and_met_when_controllers_and_bodies_say_so() {
+        let mut order = Order::new(ME, Wish::Stop, 2);
+        assert!(word(&mut order).latch.is_engaged());
+        let (stopped, free) = (Some(Latch::engaged(1)), Some(Latch::clear(0)));
+        assert_eq!(order.lacking(), [(RobotId(0), Lack::Silent), (RobotId(1), Lack::Silent)]);
+        hear(&mut order, &[(0, stopped, None), (1, stopped, stopped)], None);
+        assert_eq!((order.met(), order.lacking()), (None, vec![(RobotId(0), Lack::Body)]));
+        hear(&mut order, &[(0, None, free)], None);
+        assert_eq!(order.lacking(), [(RobotId(0), Lack::Body)]);
+        hear(&mut order, &[(0, None, stopped)], None);
+        assert!(order.met().is_some(), "no state server is needed for a stop");
+    }
+
+    #[test]
+    fn a_re_arm_asks_first_and_takes_back_what_the_state_server_knows() {
+        let mut order = Order::new(ME, Wish::Rearm, 1);
+        assert_eq!(word(&mut order), Stop::ask(ME));
+        let far = Some(Latch::engaged(1 << 50));
+        hear(&mut order, &[(0, far, Some(Latch::engaged(5)))], leading(Latch::engaged(5)));
+        assert_eq!(word(&mut order), Stop::rearm(ME, Latch::engaged(5)), "whatever one robot claims");
+        let held = Some(Latch::held(6));
+        hear(&mut order, &[(0, held, held)], None);
+        assert_eq!(order.met(), None, "the state server has not confirmed");
+        hear(&mut order, &[], leading(Latch::held(6)));
+        assert!(order.met().is_some());
+    }
+
+    #[test]
+    fn a_resume_is_said_to_the_hold_that_is_there_and_to_no_stop() {
+        let mut order = Order::new(ME, Wish::Resume, 1);
+        assert_eq!(word(&mut order), Stop::ask(ME));
+        hear(&mut order, &[], leading(Latch::engaged(5)));
+        assert_eq!(word(&mut order), Stop::ask(ME), "a stop has to be taken back first");
+        hear(&mut order, &[], leading(Latch::held(6)));
+        assert_eq!(word(&mut order), Stop::resume(ME, Latch::held(6)));
+        let clear = Latch::clear(7);
+        hear(&mut order, &[(0, Some(clear), Some(clear))], leading(clear));
+        assert!(order.met().is_some());
+    }
+}
