@@ -3,18 +3,19 @@
 #![cfg(target_os = "linux")]
 
 mod crew;
+mod lab;
 mod program;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::os::fd::{AsFd, AsRawFd};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
 
 use crew::{Crew, Said, folder, report};
+use lab::Lab;
 use murmurate::messages::wire::Kind;
 use murmurate::net::codec::{self, Content};
 use murmurate::net::key::TAG_BYTES;
@@ -26,7 +27,7 @@ use nix::sys::signal::Signal;
 use nix::sys::socket::{AddressFamily, LinkAddr, SockFlag, SockProtocol, SockType, recvfrom, socket};
 
 const ROBOTS: [u16; 5] = [0, 1, 2, 3, 4];
-/// The networks: a bridge each, in a namespace of its own.
+/// The networks.
 const NETWORKS: [&str; 2] = ["adhoc", "infra"];
 const GROUPS: [&str; 3] = ["239.255.80.1:41790", "239.255.80.2:41790", "239.255.80.3:41790"];
 
@@ -34,78 +35,6 @@ const GROUPS: [&str; 3] = ["239.255.80.1:41790", "239.255.80.2:41790", "239.255.
 fn hosts() -> Vec<(String, &'static [&'static str])> {
     let robots = ROBOTS.iter().map(|robot| (format!("robot-{robot}"), &NETWORKS[..]));
     robots.chain([("world".to_owned(), &NETWORKS[1..])]).collect()
-}
-
-/// Namespaces of this process, gone with it.
-struct Lab(String);
-
-impl Lab {
-    /// Builds it; `None` where that is not permitted.
-    fn build() -> Option<Lab> {
-        let lab = Lab(format!("murm{}", std::process::id()));
-        if !lab.ip(&["netns", "add", &lab.space("adhoc")]) {
-            report("skipped: network namespaces need root and the program 'ip'");
-            return None;
-        }
-        assert!(lab.ip(&["netns", "add", &lab.space("infra")]));
-        for network in NETWORKS {
-            let hub = lab.space(network);
-            // Without snooping every frame is seen on every port.
-            assert!(lab.ip(&["-n", &hub, "link", "add", "bridge", "type", "bridge", "mcast_snooping", "0"]));
-            assert!(lab.ip(&["-n", &hub, "link", "set", "bridge", "up"]));
-        }
-        for (number, (host, networks)) in hosts().into_iter().enumerate() {
-            let space = lab.space(&host);
-            assert!(lab.ip(&["netns", "add", &space]));
-            for network in networks {
-                let (hub, port) = (lab.space(network), format!("port{number}"));
-                let subnet = if *network == "adhoc" { 1 } else { 2 };
-                let address = format!("10.80.{subnet}.{}/24", 10 + number);
-                let peer = ["peer", "name", &port, "netns", &hub];
-                let pair = ["-n", &space, "link", "add", network, "type", "veth"];
-                assert!(lab.ip(&[&pair[..], &peer].concat()));
-                assert!(lab.ip(&["-n", &hub, "link", "set", &port, "master", "bridge", "up"]));
-                assert!(lab.ip(&["-n", &space, "addr", "add", &address, "dev", network]));
-                assert!(lab.ip(&["-n", &space, "link", "set", network, "up"]));
-            }
-        }
-        lab.settle();
-        Some(lab)
-    }
-
-    /// Waits until every interface has its carrier: the kernel tells it up to a second late.
-    fn settle(&self) {
-        let deadline = Instant::now() + Duration::from_secs(10);
-        for (host, networks) in hosts() {
-            for network in networks {
-                let up = || {
-                    let output = Command::new("ip").args(["-n", &self.space(&host), "link", "show", network]).output();
-                    String::from_utf8_lossy(&output.expect("it was there before").stdout).contains("state UP")
-                };
-                while !up() {
-                    assert!(Instant::now() < deadline, "{host} has no carrier on {network}");
-                }
-            }
-        }
-    }
-
-    fn space(&self, name: &str) -> String {
-        format!("{}-{name}", self.0)
-    }
-
-    fn ip(&self, args: &[&str]) -> bool {
-        let status = Command::new("ip").args(args).stdin(Stdio::null()).stderr(Stdio::null()).status();
-        status.is_ok_and(|status| status.success())
-    }
-}
-
-impl Drop for Lab {
-    fn drop(&mut self) {
-        let all = hosts().into_iter().map(|(host, _)| host).chain(NETWORKS.map(str::to_owned));
-        for name in all {
-            self.ip(&["netns", "del", &self.space(&name)]);
-        }
-    }
 }
 
 /// What was seen on a network: UDP ports that were sent to, blocks by what they hold, and datagrams.
@@ -182,7 +111,9 @@ fn result_from(crew: &Crew, first: u32) -> u32 {
 
 #[test]
 fn six_machines_on_two_networks_run_and_survive_partition_leave_and_rejoin() {
-    let Some(lab) = Lab::build() else { return };
+    let on = |networks: &[&str]| networks.iter().map(|to| ((*to).to_owned(), (*to).to_owned())).collect();
+    let machines = hosts().into_iter().map(|(host, networks)| (host, on(networks))).collect();
+    let Some(lab) = Lab::build("murm", machines) else { return };
     let links = ["ad-hoc", "infra", "wires"].iter().zip(["adhoc", "infra", "infra"]).zip(GROUPS);
     let links: String = links
         .map(|((link, interface), group)| format!("[link.{link}]\ninterface = \"{interface}\"\ngroup = \"{group}\"\n"))
@@ -191,10 +122,10 @@ fn six_machines_on_two_networks_run_and_survive_partition_leave_and_rejoin() {
     let (_folder, file) = folder(&(head.to_owned() + &links));
     let stop = Arc::new(AtomicBool::new(false));
     let captures = NETWORKS.map(|network| capture(&lab.space(network), &stop));
-    let prefix = lab.0.clone();
+    let spaces: BTreeMap<String, String> =
+        hosts().into_iter().map(|(host, _)| (host.clone(), lab.space(&host))).collect();
     let mut crew = Crew::new(move |host| {
-        let mut command = Command::new("ip");
-        command.args(["netns", "exec", &format!("{prefix}-{host}"), env!("CARGO_BIN_EXE_murmurate")]);
+        let mut command = lab::on(&spaces[host], env!("CARGO_BIN_EXE_murmurate"));
         command.args(["host", &file, "--host", host, "--json"]).stdin(Stdio::null());
         if host == "world" {
             command.args(["--trajectories", "/dev/stdout"]);
