@@ -5,13 +5,15 @@
 mod crew;
 mod program;
 
+use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read};
 use std::os::fd::AsFd;
 use std::process::Stdio;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
-use crew::{Crew, folder, report};
+use crew::{Crew, Said, folder, report};
+use murmurate::report::event::HostEvent;
 use nix::fcntl::{FcntlArg, FdFlag, fcntl};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::sys::signal::Signal;
@@ -195,6 +197,61 @@ fn motors_stop_in_time_whatever_is_struck_and_the_next_episode_runs() {
         let like = strokes.iter().filter(|stroke| (&*stroke.victim, stroke.signal) == (victim, signal));
         let latest = like.clone().map(|stroke| stroke.stood_s).fold(0.0, f64::max);
         report(&format!("{signal} of {victim}: {} times, robots stood within {:.0} ms", like.count(), latest * 1e3));
+    }
+}
+
+/// Ends a host in the midst of a running episode; that episode.
+fn told_to_end(crew: &mut Crew, victim: &str, team_stands: Duration) -> u32 {
+    let (mut waiting, mut now) = (ROBOTS.to_vec(), None);
+    let episode = crew.row("all are driven in a running episode", |row, _| {
+        if now != Some(row.episode) || row.phase != "Running" {
+            (now, waiting) = (Some(row.episode), ROBOTS.to_vec());
+        }
+        if row.phase == "Running" && row.is_driven() {
+            waiting.retain(|robot| *robot != row.robot);
+        }
+        waiting.is_empty().then_some(row.episode)
+    });
+    let struck = crew.signal(victim, Signal::SIGTERM);
+    assert_eq!(crew.ended(victim), Some(0), "{victim} ends cleanly");
+    let until = struck + Duration::from_millis(2500);
+    let mut last = BTreeMap::new();
+    crew.until("it is waited for", |heard| {
+        match &heard.said {
+            Said::Row(row) if row.is_driven() => {
+                last.insert(row.robot, heard.at.saturating_duration_since(struck));
+            }
+            Said::Event(HostEvent::Episode(ended)) => assert!(ended.episode < episode, "it is used up: {ended:?}"),
+            Said::Log(line) => assert!(!line.contains("emergency stop"), "leaving is not stopping: {line}"),
+            _ => {}
+        }
+        (Instant::now() >= until).then_some(())
+    });
+    report(&format!("SIGTERM of {victim} in episode {episode}: last driven after {last:.0?}"));
+    for (robot, after) in last {
+        let own = victim == "world" || victim == format!("agent-{robot}");
+        let bar = if own { Duration::from_millis(200) } else { team_stands };
+        assert!(after <= bar + Duration::from_secs_f64(STEP_S + SLACK_S), "robot {robot} stands {after:?} after");
+    }
+    episode
+}
+
+#[test]
+fn the_team_stands_and_waits_for_a_host_that_is_told_to_end_and_runs_the_episode_again() {
+    let _alone = ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let (_folder, file) = folder(&team(783));
+    let (mut crew, _) = launched(&file);
+    for victim in ["agent-1", "server", "world"] {
+        // A state server's last word takes half of its silence at the most.
+        let episode = told_to_end(&mut crew, victim, Duration::from_millis(500));
+        crew.start(victim);
+        crew.ready(&[victim]);
+        let next = crew.row("all run again", |row, _| (row.phase == "Running").then_some(row.episode));
+        assert_eq!(next, episode, "the same episode, after {victim}");
+        crew.until("it has its result", |heard| match &heard.said {
+            Said::Event(HostEvent::Episode(ended)) => (ended.episode == episode).then_some(()),
+            _ => None,
+        });
     }
 }
 
