@@ -264,13 +264,13 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
     let config = network::Config {
         me: link::Identity { host, team: process.team, epoch: 0 },
         key: process.key.clone(),
-        links: process.setups(&plan.deployment),
+        links: process.setups(&plan.deployment, &graph.routes, host),
         router: graph.routes.router(host),
     };
     let (seed, incarnation) = (plan.seed, process.incarnation);
     let (hear, alone) = (Rc::clone(&process.hear), process.only.is_some());
     let make = move |life: u32| {
-        let me = link::Identity { epoch: incarnation + life, ..config.me };
+        let me = link::Identity { epoch: incarnation.wrapping_add(life), ..config.me };
         let stream = seed.stream(&format!("network/{}/{life}", host.0));
         Network::new(network::Config { me, ..config.clone() }, stream)
     };
@@ -332,6 +332,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
                 record(recorder::In::Counts(host, counts));
             }
             network::Out::Peers(peers) => hear(Heard::Peers(&peers)),
+            network::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
             network::Out::Transmit(link, audience, frame) => {
                 let transmit = Transmit { from: host, audience, frame };
                 transports[usize::from(link.0)].send(transport::In::Transmit(transmit));

@@ -33,8 +33,8 @@ pub struct Operator {
     pub incarnation: u32,
     /// The team's key.
     pub key: Option<Key>,
-    /// How the links are set up, in the order of the deployment.
-    pub links: Vec<Setup>,
+    /// How the links are set up, in the order of the deployment; none where it has no part in one.
+    pub links: Vec<Option<Setup>>,
     /// The sockets by link.
     pub sockets: Vec<(LinkId, Udp)>,
     /// The link that carries the emergency stop, if any does.
@@ -56,7 +56,7 @@ pub fn wire(
     let transports: Vec<Mailbox<transport::In>> = links.iter().map(|_| Mailbox::new("udp of the operator")).collect();
     let config = network::Config { me: Identity { host: id, team, epoch: incarnation }, key, links, router };
     let make = move |life: u32| {
-        let me = Identity { epoch: incarnation + life, ..config.me };
+        let me = Identity { epoch: incarnation.wrapping_add(life), ..config.me };
         let stream = Seed::of_run(u64::from(incarnation)).stream(&format!("operator/{}/{life}", id.0));
         Network::new(network::Config { me, ..config.clone() }, stream)
     };
@@ -66,6 +66,7 @@ pub fn wire(
         network::Out::Deliver(message) => heard(Heard::Message(&message)),
         network::Out::Counts(counts) => heard(Heard::Counts(&counts)),
         network::Out::Peers(peers) => heard(Heard::Peers(&peers)),
+        network::Out::Duplicate(duplicate) => heard(Heard::Duplicate(duplicate)),
         network::Out::Tap(_) => heard(Heard::Published),
         network::Out::Transmit(link, audience, frame) => {
             let transmit = Transmit { from: id, audience, frame };

@@ -14,8 +14,9 @@ use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Phase, Round, Wire};
 use murmurate::net::codec::{self, Content, Frame};
 use murmurate::net::key::Key;
-use murmurate::net::link::LinkCounts;
+use murmurate::net::link::{Duplicate, LinkCounts};
 use murmurate::net::reliability::{Reliabilities, Setup};
+use murmurate::net::report::Report;
 use murmurate::net::router::{Audience, Route, Router};
 use murmurate::net::sender::Peer;
 use murmurate::random::{Seed, Stream};
@@ -40,12 +41,25 @@ pub fn config(host: u16, robots: usize, epoch: u32, key: Option<Key>, setup: Set
             _ => Route { local: !own, leaves: own.then_some((LINK, Audience::All)) },
         }
     });
-    Config { me: Identity { host: HostId(host), team: TEAM, epoch }, key, links: vec![setup], router }
+    Config { me: Identity { host: HostId(host), team: TEAM, epoch }, key, links: vec![Some(setup)], router }
 }
 
 pub fn network(config: Config) -> Network {
-    let stream = Seed::of_run(u64::from(config.me.host.0)).stream("network");
+    network_of_run(config, 0)
+}
+
+/// Another run draws other numbers, also where it has the same incarnation.
+fn network_of_run(config: Config, run: u64) -> Network {
+    let stream = Seed::of_run(u64::from(config.me.host.0)).stream(&format!("network/{run}"));
     Network::new(config, stream)
+}
+
+/// The link report of a datagram, if there is one.
+pub fn report(frame: &[u8], tag: usize) -> Option<Report> {
+    codec::blocks(&frame[..frame.len() - tag]).flatten().find_map(|(content, body)| match content {
+        Content::Report | Content::NumberedReport => Report::read(content, body).ok(),
+        _ => None,
+    })
 }
 
 pub fn multicast(kinds: Reliabilities) -> Setup {
@@ -72,6 +86,7 @@ pub fn heartbeat(robot: u16, episode: u32) -> Wire {
 pub struct Flight {
     pub from: usize,
     pub at: Time,
+    pub audience: Audience,
     pub frame: Frame,
     pub bytes: usize,
 }
@@ -83,24 +98,36 @@ pub struct Rig {
     pub delivered: Vec<Vec<(Time, Wire)>>,
     pub peers: Vec<Vec<Peer>>,
     pub counts: Vec<LinkCounts>,
+    /// The host that each was found to duplicate.
+    pub duplicates: Vec<Option<Duplicate>>,
+    /// The number of each host: its place, unless set otherwise.
+    pub ids: Vec<HostId>,
     /// Everything that was sent.
     pub sent: Vec<Flight>,
     pub loss: f64,
     pub delay: Span,
     flying: BTreeMap<(Time, u64), (usize, Frame)>,
     count: u64,
+    runs: u64,
     stream: Stream,
 }
 
 impl Rig {
     pub fn new(configs: impl IntoIterator<Item = Config>) -> Rig {
-        let networks: Vec<Network> = configs.into_iter().map(network).collect();
+        let (mut ids, mut networks) = (Vec::new(), Vec::new());
+        for config in configs {
+            ids.push(config.me.host);
+            networks.push(network_of_run(config, networks.len() as u64));
+        }
         let count = networks.len();
         Rig {
             now: Time::ZERO,
             delivered: vec![Vec::new(); count],
             peers: vec![Vec::new(); count],
             counts: vec![LinkCounts::default(); count],
+            duplicates: vec![None; count],
+            ids,
+            runs: count as u64,
             networks,
             sent: Vec::new(),
             loss: 0.0,
@@ -124,12 +151,13 @@ impl Rig {
                 Out::Deliver(message) => self.delivered[host].push((self.now, message)),
                 Out::Counts(counts) => self.counts[host] = *counts,
                 Out::Peers(peers) => self.peers[host] = peers,
+                Out::Duplicate(duplicate) => self.duplicates[host] = Some(duplicate),
                 Out::Tap(_) => {}
                 Out::Transmit(_, audience, frame) => {
                     let bytes = frame.len();
-                    self.sent.push(Flight { from: host, at: self.now, frame: frame.clone(), bytes });
+                    self.sent.push(Flight { from: host, at: self.now, audience, frame: frame.clone(), bytes });
                     for to in 0..self.networks.len() {
-                        let meant = audience == Audience::All || audience == Audience::Host(HostId(to as u16));
+                        let meant = audience == Audience::All || audience == Audience::Host(self.ids[to]);
                         if to != host && meant && !self.stream.random_bool(self.loss) {
                             self.flying.insert((self.now + self.delay, self.count), (to, frame.clone()));
                             self.count += 1;
@@ -146,6 +174,12 @@ impl Rig {
 
     pub fn arrive(&mut self, host: usize, frame: &[u8]) {
         self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into()), out));
+    }
+
+    /// Lets so many milliseconds pass.
+    pub fn run_ms(&mut self, ms: u64) {
+        let end = self.now + Span::from_millis(ms);
+        self.run_to(end);
     }
 
     /// Lets the time pass until `end`.
@@ -188,7 +222,9 @@ impl Rig {
 
     /// A host starts again under the same id.
     pub fn restart(&mut self, host: usize, config: Config) {
-        self.networks[host] = network(config);
+        self.runs += 1;
+        self.ids[host] = config.me.host;
+        self.networks[host] = network_of_run(config, self.runs);
     }
 
     /// The newest datagram of a host with data.

@@ -23,17 +23,18 @@ pub fn incarnation() -> u32 {
     (since.as_millis() * LIVES_PER_S / 1000) as u32
 }
 
-/// How the links are set up: as the deployment has them, and as the team file has it otherwise.
-pub fn setups(team: &Team) -> Vec<Setup> {
-    let setup = |(link, config): (&Link, &Option<SocketConfig>)| {
+/// How the links are set up that have a place here: as the deployment has them, and as the team file has it otherwise.
+pub fn setups<'a>(team: &Team, places: impl IntoIterator<Item = Option<&'a SocketConfig>>) -> Vec<Option<Setup>> {
+    let setup = |(link, place): (&Link, Option<&SocketConfig>)| {
+        let config = place?;
         let mut reliability = link.reliability.clone();
-        reliability.extend(config.iter().flat_map(|config| config.reliability.clone()));
-        match config.as_ref().map(|config| &config.transport) {
-            Some(Transport::Unicast { .. }) => Setup::unicast(reliability),
-            _ => Setup::multicast(reliability),
-        }
+        reliability.extend(config.reliability.clone());
+        Some(match config.transport {
+            Transport::Unicast { .. } => Setup::unicast(reliability),
+            Transport::Multicast { .. } => Setup::multicast(reliability),
+        })
     };
-    team.deployment.links.iter().zip(&team.links).map(setup).collect()
+    team.deployment.links.iter().zip(places).map(setup).collect()
 }
 
 /// The sockets of the links that the team's host uses, opened for `me`.

@@ -71,13 +71,14 @@ pub fn run(args: &Args) -> Result<Ended> {
     let key = team::key(&team)?.map(Key::new);
     let sockets = links::open(&team, OPERATOR)?.into_iter().filter(|(id, _)| *id == link).collect();
     let robots = team.deployment.robots;
+    let only = team.links.iter().enumerate().map(|(at, place)| place.as_ref().filter(|_| at == usize::from(link.0)));
     let operator = Operator {
         id: OPERATOR,
         team: team.number,
         robots,
         incarnation: links::incarnation(),
         key,
-        links: links::setups(&team),
+        links: links::setups(&team, only),
         sockets,
         stop: Some(link),
     };

@@ -78,7 +78,8 @@ fn hear(team: &Team, places: &[Option<&SocketConfig>], seconds: f64) -> Result<E
             let udp = Udp::open(id, place).map_err(|e| anyhow!("link {at}: {e}"))?;
             sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
         }
-        let (links, key, robots) = (links::setups(team), key.clone(), team.deployment.robots);
+        let places = places.iter().copied();
+        let (links, key, robots) = (links::setups(team, places), key.clone(), team.deployment.robots);
         Ok(Operator { id, team: team.number, robots, incarnation, key, links, sockets, stop: None })
     };
     let (listener, echo) = (operator(OPERATOR)?, operator(ECHO)?);
@@ -93,7 +94,7 @@ fn hear(team: &Team, places: &[Option<&SocketConfig>], seconds: f64) -> Result<E
                     heard.borrow_mut().peers = peers.iter().map(|p| ((p.link, p.host), p.clone())).collect();
                 }
                 Heard::Counts(counts) => heard.borrow_mut().counts = *counts,
-                Heard::Message(_) | Heard::Published => {}
+                Heard::Message(_) | Heard::Published | Heard::Duplicate(_) => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
             clock.call(until, Box::new(|| {}));
@@ -126,9 +127,9 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
         let advice = "is it started, on this network, with this group and this key? run doctor there, too";
         return (Status::Warn, what, "not heard".to_owned(), advice.to_owned());
     };
-    let clock = match (peer.ahead_s, peer.uncertainty_s) {
-        (Some(ahead_s), Some(uncertainty_s)) => {
-            format!("its clock, which began when it was started, is {ahead_s:.4} s ahead, \u{b1} {uncertainty_s:.4} s")
+    let clock = match (peer.round_trip_s, peer.uncertainty_s) {
+        (Some(round_trip_s), Some(uncertainty_s)) => {
+            format!("there and back in {:.2} ms, \u{b1} {:.2} ms", round_trip_s * 1e3, uncertainty_s * 1e3)
         }
         _ => "it has not answered yet".to_owned(),
     };
