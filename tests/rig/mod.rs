@@ -3,7 +3,7 @@
 // Each test file uses a part of it.
 #![allow(dead_code)]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use murmurate::actors::Core;
@@ -104,9 +104,14 @@ pub struct Rig {
     pub ids: Vec<HostId>,
     /// Everything that was sent.
     pub sent: Vec<Flight>,
+    /// What of it has arrived, and where, if that is to be remembered.
+    pub arrived: Option<Vec<(Time, usize, Frame)>>,
     pub loss: f64,
     pub delay: Span,
     flying: BTreeMap<(Time, u64), (usize, Frame)>,
+    /// When each host wants to be woken.
+    wakes: BTreeSet<(Time, usize)>,
+    wake_of: Vec<Option<Time>>,
     count: u64,
     runs: u64,
     stream: Stream,
@@ -120,7 +125,7 @@ impl Rig {
             networks.push(network_of_run(config, networks.len() as u64));
         }
         let count = networks.len();
-        Rig {
+        let mut rig = Rig {
             now: Time::ZERO,
             delivered: vec![Vec::new(); count],
             peers: vec![Vec::new(); count],
@@ -130,12 +135,17 @@ impl Rig {
             runs: count as u64,
             networks,
             sent: Vec::new(),
+            arrived: None,
+            wakes: BTreeSet::new(),
+            wake_of: vec![None; count],
             loss: 0.0,
             delay: Span::from_nanos(300_000),
             flying: BTreeMap::new(),
             count: 0,
             stream: Seed::of_run(5).stream("pipe"),
-        }
+        };
+        (0..count).for_each(|host| rig.plan(host));
+        rig
     }
 
     /// `count` hosts with a key on a multicast link.
@@ -146,6 +156,7 @@ impl Rig {
     fn act(&mut self, host: usize, act: impl FnOnce(&mut Network, Time, &mut Vec<Out>)) {
         let mut out = Vec::new();
         act(&mut self.networks[host], self.now, &mut out);
+        self.plan(host);
         for said in out {
             match said {
                 Out::Deliver(message) => self.delivered[host].push((self.now, message)),
@@ -168,6 +179,14 @@ impl Rig {
         }
     }
 
+    fn plan(&mut self, host: usize) {
+        let wake = self.networks[host].wake_at();
+        if let Some(before) = std::mem::replace(&mut self.wake_of[host], wake) {
+            self.wakes.remove(&(before, host));
+        }
+        self.wakes.extend(wake.map(|at| (at, host)));
+    }
+
     pub fn publish(&mut self, host: usize, message: Wire) {
         self.act(host, |network, now, out| network.handle(now, In::Publish(message), out));
     }
@@ -185,13 +204,16 @@ impl Rig {
     /// Lets the time pass until `end`.
     pub fn run_to(&mut self, end: Time) {
         loop {
-            let wake = (0..self.networks.len()).filter_map(|at| Some((self.networks[at].wake_at()?, at))).min();
+            let wake = self.wakes.first().copied();
             let flight = self.flying.keys().next().copied();
             let next = [wake.map(|(at, _)| at), flight.map(|(at, _)| at)].into_iter().flatten().min();
             let Some(next) = next.filter(|next| *next <= end) else { break };
             self.now = self.now.max(next);
             if let Some(flight) = flight.filter(|(at, _)| *at <= next) {
                 let (to, frame) = self.flying.remove(&flight).expect("it flies");
+                if let Some(arrived) = &mut self.arrived {
+                    arrived.push((self.now, to, frame.clone()));
+                }
                 self.arrive(to, &frame);
             } else if let Some((_, host)) = wake {
                 self.act(host, |network, now, out| network.wake(now, out));
@@ -225,6 +247,7 @@ impl Rig {
         self.runs += 1;
         self.ids[host] = config.me.host;
         self.networks[host] = network_of_run(config, self.runs);
+        self.plan(host);
     }
 
     /// The newest datagram of a host with data.
