@@ -364,7 +364,7 @@ fn wire(
     let config = network::Config {
         me: network::Identity { host: HostId(id), team: 1, epoch: 1 },
         key: Some(Key::new(KEY)),
-        links: vec![Setup::multicast(reliability)],
+        links: vec![Some(Setup::multicast(reliability))],
         router,
     };
     let make = move |life| {

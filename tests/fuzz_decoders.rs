@@ -70,11 +70,13 @@ fn no_mutation_of_the_corpus_gets_past_a_decoder_unsound() {
                 Ok((Content::Message(kind), body)) => {
                     codec::message(kind, body).map(|message| assert!(message.check().is_ok()))
                 }
-                Ok((Content::Report, body)) => Report::read(body).map(|report| {
-                    let mut again = Vec::new();
-                    report.write(&mut again);
-                    assert_eq!(again, body, "what was read is what was written");
-                }),
+                Ok((content @ (Content::Report | Content::NumberedReport), body)) => {
+                    Report::read(content, body).map(|report| {
+                        let mut again = Vec::new();
+                        report.write(&mut again);
+                        assert_eq!(again, body, "what was read is what was written");
+                    })
+                }
                 Ok((Content::Held, body)) => read_held(body).map(drop),
                 Ok((content, body)) => read_names(content, body).map(drop),
                 Err(error) => Err(error),

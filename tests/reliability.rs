@@ -164,7 +164,7 @@ fn soft_state_rides_on_data_and_costs_little_alone() {
 }
 
 #[test]
-fn hosts_know_loss_and_clocks_of_each_other() {
+fn hosts_know_loss_and_the_way_to_each_other() {
     let mut rig = Rig::team(3, Reliabilities::new());
     rig.loss = 0.1;
     rig.meet();
@@ -172,8 +172,8 @@ fn hosts_know_loss_and_clocks_of_each_other() {
     rig.counted(0);
     assert_eq!(rig.peers[0].len(), 2);
     for peer in &rig.peers[0] {
-        let (ahead, uncertainty) = (peer.ahead_s.unwrap(), peer.uncertainty_s.unwrap());
-        assert!(ahead.abs() <= uncertainty && uncertainty < 1e-3, "{peer:?}");
+        let (round_trip, uncertainty) = (peer.round_trip_s.unwrap(), peer.uncertainty_s.unwrap());
+        assert!((round_trip - 600e-6).abs() < 10e-6 && uncertainty < 1e-3, "{peer:?}");
         assert!(peer.proven && peer.missing > 0, "{peer:?}");
         assert_ne!(HostId(peer.host), HostId(0));
     }

@@ -15,7 +15,7 @@ fuzz_target!(|bytes: &[u8]| {
                     assert!(message.check().is_ok());
                 }
             }
-            (Content::Report, body) => drop(Report::read(body)),
+            (content @ (Content::Report | Content::NumberedReport), body) => drop(Report::read(content, body)),
             (Content::Held, body) => drop(read_held(body)),
             (content, body) => drop(read_names(content, body)),
         }

@@ -269,7 +269,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
     let config = network::Config {
         me: link::Identity { host, team: process.team, epoch: 0 },
         key: process.key.clone(),
-        links: process.setups(&plan.deployment),
+        links: process.setups(&plan.deployment, &graph.routes, host),
         router: graph.routes.router(host),
     };
     let (seed, incarnation) = (process.secret.unwrap_or(plan.seed), process.incarnation);
@@ -337,6 +337,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
                 record(recorder::In::Counts(host, counts));
             }
             network::Out::Peers(peers) => hear(Heard::Peers(&peers)),
+            network::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
             network::Out::Transmit(link, audience, frame) => {
                 let transmit = Transmit { from: host, audience, frame };
                 transports[usize::from(link.0)].send(transport::In::Transmit(transmit));

@@ -27,8 +27,8 @@ pub struct Host {
     pub secret: Seed,
     /// The team's key; none on a machine that keeps to itself.
     pub key: Option<Key>,
-    /// How its links are set up, in the order of the deployment.
-    pub links: Vec<Setup>,
+    /// How its links are set up, in the order of the deployment; none where it has no part in one.
+    pub links: Vec<Option<Setup>>,
     /// Its sockets by link, for the links that it uses.
     pub sockets: Vec<(LinkId, Udp)>,
 }

@@ -13,7 +13,7 @@ use crate::messages::wire::{Kind, Wire};
 use crate::net::codec::{self, Content, Flags, Frame, Header};
 use crate::net::key::Key;
 pub use crate::net::link::Identity;
-use crate::net::link::{LinkCounts, LinkState};
+use crate::net::link::{Duplicate, LinkCounts, LinkState};
 use crate::net::outgoing::Leaving;
 use crate::net::reliability::{Ride, Setup};
 use crate::net::router::{Audience, Router};
@@ -46,6 +46,8 @@ pub enum Out {
     Counts(Box<LinkCounts>),
     /// To whoever shows it: what is known of the other hosts, on links with reports.
     Peers(Vec<Peer>),
+    /// Another live host has the id of this one and was started before it. Said once.
+    Duplicate(Duplicate),
 }
 
 /// How often a Network tells its counts.
@@ -58,8 +60,8 @@ pub struct Config {
     pub me: Identity,
     /// The team's key; none where everyone is believed.
     pub key: Option<Key>,
-    /// Its links, in the order of the deployment.
-    pub links: Vec<Setup>,
+    /// Its links, in the order of the deployment; none where this host has no part in one.
+    pub links: Vec<Option<Setup>>,
     /// The way of every message.
     pub router: Router,
 }
@@ -68,7 +70,7 @@ pub struct Config {
 #[derive(Debug)]
 pub struct Network {
     router: Router,
-    links: Vec<LinkState>,
+    links: Vec<Option<LinkState>>,
     /// By link: when anything is next due there. It is asked for after every message, and links are large.
     due: Vec<Option<Time>>,
     /// By link: whether every datagram reaches everyone.
@@ -79,6 +81,8 @@ pub struct Network {
     stream: Stream,
     leaving: Vec<Leaving>,
     next_counts: Time,
+    /// Whether it has said that it duplicates another host.
+    duplicates: bool,
     impostors: Impostors,
 }
 
@@ -109,24 +113,41 @@ impl Network {
     /// A network at the start of its epoch. It draws from `stream` when to ask and when to answer.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
-        let shared = links.iter().map(|setup| setup.ride == Ride::Any).collect();
+        let shared = links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.ride == Ride::Any)).collect();
         let ids = (0..=u16::MAX).map(LinkId);
-        let state = |(id, setup)| LinkState::new(me, id, key.clone(), setup, &mut stream);
-        let links: Vec<LinkState> = ids.zip(links).map(state).collect();
-        let due = links.iter().map(LinkState::due).collect();
+        let mut state = |id, setup| LinkState::new(me, id, key.clone(), setup, &mut stream);
+        let links: Vec<Option<LinkState>> =
+            ids.zip(links).map(|(id, setup)| setup.map(|setup| state(id, setup))).collect();
+        let due = links.iter().map(|link| link.as_ref().and_then(LinkState::due)).collect();
         let Identity { host, team, epoch } = me;
         let indoors = Header { flags: codec::Flags::default(), team, sender: host, epoch, sequence: 0 };
         let indoor_counts = LinkCounts::default();
-        let (leaving, next_counts) = (Vec::new(), Time::ZERO);
-        let impostors = Impostors::default();
-        Network { router, links, due, shared, indoors, indoor_counts, stream, leaving, next_counts, impostors }
+        let (leaving, next_counts, duplicates) = (Vec::new(), Time::ZERO, false);
+        Network {
+            router,
+            links,
+            due,
+            shared,
+            indoors,
+            indoor_counts,
+            stream,
+            leaving,
+            next_counts,
+            duplicates,
+            impostors: Impostors::default(),
+        }
+    }
+
+    fn link(&mut self, link: LinkId) -> Option<&mut LinkState> {
+        self.links.get_mut(usize::from(link.0))?.as_mut()
     }
 
     fn publish(&mut self, now: Time, message: Wire, out: &mut Vec<Out>) {
         let route = self.router.route(message.kind(), message.robot());
-        let encoded = match route.leaves {
+        let leaves = route.leaves.filter(|(link, _)| self.link(*link).is_some());
+        let encoded = match leaves {
             Some((link, audience)) => {
-                let state = &mut self.links[usize::from(link.0)];
+                let state = self.links[usize::from(link.0)].as_mut().expect("this host has a part in it");
                 let encoded = state.say(now, audience, &message, &mut self.leaving);
                 self.due[usize::from(link.0)] = state.due();
                 transmit(link, &mut self.leaving, out);
@@ -140,10 +161,8 @@ impl Network {
         match encoded {
             Ok(frame) => out.push(Out::Tap(frame)),
             Err(error) => {
-                let counts = match route.leaves {
-                    Some((link, _)) => self.links[usize::from(link.0)].counts(),
-                    None => &mut self.indoor_counts,
-                };
+                let state = leaves.and_then(|(link, _)| self.links[usize::from(link.0)].as_mut());
+                let counts = state.map_or(&mut self.indoor_counts, LinkState::counts);
                 counts.unfit += 1;
                 if counts.unfit == 1 {
                     tracing::error!(robot = message.robot().0, "not sent: {error}; what follows is only counted");
@@ -158,9 +177,13 @@ impl Network {
 
     fn receive(&mut self, now: Time, link: LinkId, frame: &[u8], out: &mut Vec<Out>) {
         let at = usize::from(link.0);
-        let Some(state) = self.links.get_mut(at) else { return };
+        let Some(state) = self.links.get_mut(at).and_then(Option::as_mut) else { return };
         let admitted = state.admit(now, frame, &mut self.stream, &mut self.leaving);
         self.due[at] = state.due();
+        if let Some(duplicate) = state.duplicate().filter(|_| !self.duplicates) {
+            self.duplicates = true;
+            out.push(Out::Duplicate(duplicate));
+        }
         transmit(link, &mut self.leaving, out);
         let Some((header, plain)) = admitted else { return };
         for (content, body) in codec::blocks(plain).flatten() {
@@ -203,7 +226,7 @@ impl Core for Network {
             In::Publish(message) => self.publish(now, message, out),
             In::Frame(link, frame) => self.receive(now, link, &frame, out),
             In::Dropped(link, count) => {
-                if let Some(state) = self.links.get_mut(usize::from(link.0)) {
+                if let Some(state) = self.link(link) {
                     state.counts().queue += count;
                 }
             }
@@ -216,14 +239,15 @@ impl Core for Network {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         for (state, id) in self.links.iter_mut().zip((0..=u16::MAX).map(LinkId)) {
+            let Some(state) = state else { continue };
             state.wake(now, &mut self.stream, &mut self.leaving);
             self.due[usize::from(id.0)] = state.due();
             transmit(id, &mut self.leaving, out);
         }
         if self.next_counts <= now {
-            let counts = self.links.iter().map(LinkState::counted).chain([self.indoor_counts]).sum();
+            let counts = self.links.iter().flatten().map(LinkState::counted).chain([self.indoor_counts]).sum();
             out.push(Out::Counts(Box::new(counts)));
-            let peers: Vec<Peer> = self.links.iter().flat_map(|link| link.peers(now)).collect();
+            let peers: Vec<Peer> = self.links.iter().flatten().flat_map(|link| link.peers(now)).collect();
             if !peers.is_empty() {
                 out.push(Out::Peers(peers));
             }
@@ -251,7 +275,7 @@ mod tests {
             leaves: (robot == RobotId(1)).then_some((LINK, Audience::Host(HostId(9)))),
         });
         let me = Identity { host: HostId(host), team, epoch: 1 };
-        let links = vec![Setup::emulated(Reliabilities::new())];
+        let links = vec![Some(Setup::emulated(Reliabilities::new()))];
         Network::new(Config { me, key: None, links, router }, Seed::of_run(1).stream("network"))
     }
 

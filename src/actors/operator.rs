@@ -36,8 +36,8 @@ pub struct Operator {
     pub publishers: Arc<Publishers>,
     /// The team's key.
     pub key: Option<Key>,
-    /// How the links are set up, in the order of the deployment.
-    pub links: Vec<Setup>,
+    /// How the links are set up, in the order of the deployment; none where it has no part in one.
+    pub links: Vec<Option<Setup>>,
     /// The sockets by link; several for one link where it is joined on several interfaces.
     pub sockets: Vec<(LinkId, Udp)>,
     /// The link that carries the emergency stop, if it is to speak on it.
@@ -72,6 +72,7 @@ pub fn wire(
         network::Out::Deliver(message) => heard(Heard::Message(&message)),
         network::Out::Counts(counts) => heard(Heard::Counts(&counts)),
         network::Out::Peers(peers) => heard(Heard::Peers(&peers)),
+        network::Out::Duplicate(duplicate) => heard(Heard::Duplicate(duplicate)),
         network::Out::Tap(_) => heard(Heard::Published),
         network::Out::Transmit(link, audience, frame) => {
             for (_, transport) in transports.iter().filter(|(of, _)| *of == link) {

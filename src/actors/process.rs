@@ -6,13 +6,13 @@ use std::rc::Rc;
 use super::graph::Plan;
 use super::shell::Mailbox;
 use super::{agent, body, cache, controller, network, recorder, state_server, status, world};
-use crate::deploy::{Deployment, Routes};
+use crate::deploy::{Deployment, Link, Routes};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
 use crate::messages::wire::{Stop, Wire};
 use crate::net::fault::{ActorFault, Role};
 use crate::net::key::Key;
-use crate::net::link::LinkCounts;
+use crate::net::link::{Duplicate, LinkCounts};
 use crate::net::reliability::Setup;
 use crate::net::sender::Peer;
 use crate::net::transport;
@@ -34,8 +34,8 @@ pub struct Process {
     pub secret: Option<Seed>,
     /// What the team's datagrams are sealed with, if they are.
     pub key: Option<Key>,
-    /// How its links are set up; `None` for those of the emulated ether.
-    pub links: Option<Vec<Setup>>,
+    /// How its links are set up, none where it has no part in one; `None` for those of the emulated ether.
+    pub links: Option<Vec<Option<Setup>>>,
     /// Whether a Recorder runs here.
     pub records: bool,
     /// Is told what reaches the actors and what the Networks count.
@@ -53,6 +53,8 @@ pub enum Heard<'a> {
     Peers(&'a [Peer]),
     /// What it has counted on its links since it was started.
     Counts(&'a LinkCounts),
+    /// Another live host has the id of this one and was started before it.
+    Duplicate(Duplicate),
 }
 
 impl Process {
@@ -62,9 +64,13 @@ impl Process {
         Process { only: None, team: TEAM, incarnation: 0, secret: None, key: None, links: None, records: true, hear }
     }
 
-    pub(super) fn setups(&self, deployment: &Deployment) -> Vec<Setup> {
-        let emulated = || deployment.links.iter().map(|link| Setup::emulated(link.reliability.clone())).collect();
-        self.links.clone().unwrap_or_else(emulated)
+    /// How the links of a host are set up; none where it neither sends nor takes anything.
+    pub(super) fn setups(&self, deployment: &Deployment, routes: &Routes, host: HostId) -> Vec<Option<Setup>> {
+        let emulated = |link: &Link| {
+            let partakes = link.carries.iter().any(|kind| routes.exchanges(host, *kind));
+            partakes.then(|| Setup::emulated(link.reliability.clone()))
+        };
+        self.links.clone().unwrap_or_else(|| deployment.links.iter().map(emulated).collect())
     }
 }
 

@@ -41,6 +41,8 @@ struct Kept {
     /// How often it has been, and how often it may be sent again.
     again: u8,
     most: u8,
+    /// When it was last offered to be asked for: counted in offers.
+    offered: u64,
     acked: BTreeSet<HostId>,
 }
 
@@ -49,8 +51,10 @@ struct Kept {
 pub struct Again {
     kept: BTreeMap<Stream, Kept>,
     dues: BTreeSet<(Time, Stream)>,
-    /// Who has acknowledged anything, and when last.
+    /// The hosts that have acknowledged anything, and when last.
     ackers: BTreeMap<HostId, Time>,
+    /// How many offers there were.
+    offers: u64,
 }
 
 impl Again {
@@ -86,8 +90,9 @@ impl Again {
             Reliability::Ack => (Some(RETRY_AFTER), RETRIES),
         };
         let due = after.map(|after| now + after);
-        let (left, again, acked) = (now, 0, BTreeSet::new());
-        self.kept.insert(stream, Kept { audience, sequence, plain, reliability, left, due, again, most, acked });
+        let (left, again, acked, offered) = (now, 0, BTreeSet::new(), 0);
+        let kept = Kept { audience, sequence, plain, reliability, left, due, again, most, offered, acked };
+        self.kept.insert(stream, kept);
         self.dues.extend(due.map(|due| (due, stream)));
     }
 
@@ -116,7 +121,7 @@ impl Again {
         self.ackers.insert(from, now);
         self.ackers.retain(|_, at| now.since(*at) < FRESH);
         for name in names {
-            let Some(stream) = self.find(name, Reliability::Ack) else { continue };
+            let Some(stream) = self.find(from, name, Reliability::Ack) else { continue };
             let kept = self.kept.get_mut(&stream).expect("it was found");
             kept.acked.insert(from);
             if kept.audience != Audience::All || self.ackers.keys().all(|host| kept.acked.contains(host)) {
@@ -125,16 +130,18 @@ impl Again {
         }
     }
 
-    fn find(&self, name: &Name, reliability: Reliability) -> Option<Stream> {
-        let named = |kept: &Kept| kept.sequence == name.sequence && name.direct == (kept.audience != Audience::All);
+    /// The stream of the datagram that `from` names: numbers are counted to all, or to `from` alone.
+    fn find(&self, from: HostId, name: &Name, reliability: Reliability) -> Option<Stream> {
+        let audience = if name.direct { Audience::Host(from) } else { Audience::All };
+        let named = |kept: &Kept| kept.sequence == name.sequence && kept.audience == audience;
         let found = self.kept.iter().find(|(_, kept)| kept.reliability == reliability && named(kept));
         found.map(|(stream, _)| *stream)
     }
 
-    /// Somebody asks for these again; what has been overtaken by newer state is not worth it.
-    pub fn asked(&mut self, now: Time, names: &[Name]) -> Vec<Once> {
+    /// `from` asks for these again; what has been overtaken by newer state is not worth it.
+    pub fn asked(&mut self, now: Time, from: HostId, names: &[Name]) -> Vec<Once> {
         let mut wanted = |name: &Name| {
-            let stream = self.find(name, Reliability::Nack)?;
+            let stream = self.find(from, name, Reliability::Nack)?;
             let kept = &self.kept[&stream];
             let rested = kept.again == 0 || now.since(kept.left) >= ONCE_WITHIN;
             if rested { self.once_more(now, stream) } else { None }
@@ -142,10 +149,20 @@ impl Again {
         names.iter().filter_map(&mut wanted).collect()
     }
 
-    /// What the receivers of this audience may ask for: the newest of the streams that are repaired.
-    pub fn held(&self, audience: Audience) -> Vec<u32> {
-        let repaired = |kept: &&Kept| kept.reliability == Reliability::Nack && kept.audience == audience;
-        self.kept.values().filter(repaired).map(|kept| kept.sequence).take(MAX_HELD).collect()
+    /// What the receivers of this audience may ask for: of the streams that are repaired those that were offered
+    /// longest ago, so that each has its turn.
+    pub fn held(&mut self, audience: Audience) -> Vec<u32> {
+        let repaired = |kept: &&mut Kept| kept.reliability == Reliability::Nack && kept.audience == audience;
+        let mut all: Vec<&mut Kept> = self.kept.values_mut().filter(repaired).collect();
+        if all.len() > MAX_HELD {
+            all.sort_by_key(|kept| kept.offered);
+            all.truncate(MAX_HELD);
+        }
+        self.offers += 1;
+        for kept in &mut all {
+            kept.offered = self.offers;
+        }
+        all.iter().map(|kept| kept.sequence).collect()
     }
 
     /// When anything is next due.

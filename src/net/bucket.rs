@@ -24,11 +24,21 @@ impl Bucket {
         Bucket { tokens: rate.burst, at: now }
     }
 
-    /// Takes one token, if there is one.
-    pub fn take(&mut self, now: Time, rate: &Rate) -> bool {
+    fn fill(&mut self, now: Time, rate: &Rate) {
         let passed: Span = now.since(self.at);
         self.tokens = (self.tokens + passed.as_secs() * rate.per_s).min(rate.burst);
         self.at = self.at.max(now);
+    }
+
+    /// How many tokens there are.
+    pub fn left(&mut self, now: Time, rate: &Rate) -> usize {
+        self.fill(now, rate);
+        self.tokens as usize
+    }
+
+    /// Takes one token, if there is one.
+    pub fn take(&mut self, now: Time, rate: &Rate) -> bool {
+        self.fill(now, rate);
         let left = self.tokens >= 1.0;
         if left {
             self.tokens -= 1.0;

@@ -8,7 +8,7 @@
 //! | 1 | flags |
 //! | 2..4 | team |
 //! | 4..6 | sending host |
-//! | 6..10 | epoch: the sender's incarnation |
+//! | 6..10 | epoch: the sender's incarnation, a random number |
 //! | 10..14 | sequence number, counted on this link for all hosts, or for the one that it is for |
 //!
 //! A block is what it holds (1 byte), how long it is (2) and its body: a message as one MessagePack array, or what the
@@ -24,7 +24,7 @@ use crate::messages::ids::HostId;
 use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
 
 /// Version of the wire format; a receiver refuses every other.
-pub const VERSION: u8 = 2;
+pub const VERSION: u8 = 3;
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 14;
 /// Where its flags are.
@@ -69,7 +69,7 @@ pub struct Header {
     pub team: u16,
     /// The host that sent it.
     pub sender: HostId,
-    /// The sender's incarnation; a restarted host has a later one.
+    /// The sender's incarnation; a restarted host has another one.
     pub epoch: u32,
     /// Counts the sender's datagrams to all or to one on this link within an epoch.
     pub sequence: u32,
@@ -82,6 +82,8 @@ pub enum Content {
     Message(Kind),
     /// A link report.
     Report,
+    /// A link report of a link on which datagrams are addressed: it says of each host what is next for it alone.
+    NumberedReport,
     /// Acknowledgements.
     Ack,
     /// Requests to send again.
@@ -95,11 +97,13 @@ impl Content {
     const ACK: u8 = 0x81;
     const NACK: u8 = 0x82;
     const HELD: u8 = 0x83;
+    const NUMBERED_REPORT: u8 = 0x84;
 
     fn byte(self) -> u8 {
         match self {
             Content::Message(kind) => kind as u8,
             Content::Report => Content::REPORT,
+            Content::NumberedReport => Content::NUMBERED_REPORT,
             Content::Ack => Content::ACK,
             Content::Nack => Content::NACK,
             Content::Held => Content::HELD,
@@ -109,6 +113,7 @@ impl Content {
     fn of(byte: u8) -> Option<Content> {
         match byte {
             Content::REPORT => Some(Content::Report),
+            Content::NUMBERED_REPORT => Some(Content::NumberedReport),
             Content::ACK => Some(Content::Ack),
             Content::NACK => Some(Content::Nack),
             Content::HELD => Some(Content::Held),

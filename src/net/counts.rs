@@ -42,8 +42,10 @@ counts! {
     own,
     /// Refused: the tag is missing or wrong, or there is one and no key to check it.
     auth,
-    /// Refused: too old to tell whether it is new, or of an earlier epoch, on a link with authentication.
+    /// Refused: too old to tell whether it is new, or of a former incarnation, on a link with authentication.
     replay,
+    /// Refused: a report that was sent after it had come long before it, or it was a report itself and long under way.
+    late,
     /// Refused: the sender has not shown yet that it is alive now.
     unproven,
     /// Refused: a second live host under one id.
@@ -56,7 +58,7 @@ counts! {
     range,
     /// Refused: the same datagram again.
     duplicate,
-    /// Refused: older than what is already here, or of an earlier epoch.
+    /// Refused: older than what is already here.
     stale,
     /// Refused: the sender says more than it may.
     rate,
@@ -74,7 +76,7 @@ impl LinkCounts {
     /// Everything that was refused or dropped on arrival, whatever the cause.
     pub fn refused(&self) -> u64 {
         let forged = self.own + self.auth + self.replay + self.unproven + self.twin + self.team + self.version;
-        let late = self.duplicate + self.stale + self.rate + self.crowd + self.queue;
+        let late = self.duplicate + self.stale + self.late + self.rate + self.crowd + self.queue;
         forged + late + self.range + self.malformed + self.misrouted
     }
 }

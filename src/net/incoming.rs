@@ -1,104 +1,147 @@
-//! What arrives on a link: who is believed, what is new, what is missing. Decides; sends nothing.
+//! What arrives on a link: which incarnations are believed, what is new, what is missing. Decides; sends nothing.
 //!
 //! On a link with a key a sender is let in only once it has shown that it is alive now: it echoes a stamp of this host
-//! that is no older than `FRESH`. So a recording proves nothing, not even to a host that has just been restarted.
-
-use std::collections::BTreeMap;
+//! that is no older than `FRESH`. So a recording proves nothing, not even to a host that has just been restarted. Of a
+//! host of the deployment one incarnation is believed; another one takes its place when it has fallen silent. Operators
+//! are told apart by their incarnations, any number of them side by side.
 
 use super::bucket::Rate;
+use super::candidates::Candidates;
 use super::codec::{Flags, Header};
 use super::counts::LinkCounts;
-use super::report::{ENTRY_BYTES, Entry, Name, REPORT_BYTES, Report, Stamp};
+use super::gaps::Gaps;
+use super::report::{Entry, Name, REPORT_BYTES, Report, Stamps};
+use super::router::Audience;
 use super::sender::{Peer, Sender};
-use super::window::{LOSS_SPAN, Place, Window};
+use super::telling::{Occasion, Senders, Telling};
+use super::twins::Twins;
+use super::window::{Place, Window};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::Kind;
-use crate::net::router::Audience;
 use crate::time::{Span, Time};
 
-/// The most senders that are remembered on a link.
+/// The most senders that are believed on a link, and the most candidates beside them.
 pub const MAX_SENDERS: usize = 1024;
 /// How old an echo may be and still show that its sender is alive; and how long a stamp is echoed.
 pub const FRESH: Span = Span::from_millis(2000);
-/// How long after showing that it is alive a sender is believed: what was held back for longer is worth nothing.
-pub const PROOF_HOLDS: Span = Span::from_millis(5000);
+/// How long after showing that it is alive a sender is believed: in a team of 200 reports list each host every 3 s, and
+/// with a loss of 30 % some of those that list this one do not arrive.
+pub const PROOF_HOLDS: Span = Span::from_millis(15_000);
+/// How long after its last report a sender is believed: what was held back for longer is worth nothing. Reports leave
+/// every 250 ms.
+pub const REPORT_HOLDS: Span = Span::from_millis(3000);
+/// A host without a report for so long is silent: another incarnation of it may take its place.
+pub const SILENT: Span = Span::from_millis(400);
+/// Without a key: a host of which nothing has come for so long is silent.
+pub const UNHEARD: Span = Span::from_millis(300);
 /// Reported loss from which a message is repeated: 2 of 64, about 3 %.
 pub const LOSS_TO_REPEAT: u8 = 2;
 /// Reported loss from which it is repeated twice: 40 %.
 pub const LOSS_TO_REPEAT_TWICE: u8 = 26;
-/// How long a report asks for repeats.
-const ASKS_FOR: Span = Span::from_millis(2000);
 /// How long a sender is remembered in silence, once there are too many.
-const FORGET: Span = Span::from_millis(10_000);
-/// The most datagrams that are known to be missing.
-const MAX_GAPS: usize = 256;
-/// How often a missing datagram is asked for.
-const ASKS: u32 = 3;
-/// The longest random wait before asking, so that one asks for all (RFC 5401, section 3.2).
-pub const BACKOFF: Span = Span::from_millis(10);
+const FORGET: Span = Span::from_millis(20_000);
+/// Datagrams of a second live host from which it is logged: a host that is restarted within `SILENT` is none.
+const TWINS_TO_LOG: u64 = 8;
+
+/// How soon another host should hear from this one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Prompt {
+    /// No sooner than usual.
+    #[default]
+    No,
+    /// With the next datagram.
+    Soon,
+    /// At once.
+    Now,
+}
 
 /// What becomes of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// It is new.
-    New,
-    /// It was here; whoever wants acknowledgements has missed one.
+    New(Prompt),
+    /// It was here; a sender that wants acknowledgements has missed one.
     Again,
     /// It is not let in.
-    Refused {
-        /// Its sender should hear from us soon, so that it can prove itself.
-        prompt: bool,
-    },
+    Refused(Prompt),
 }
 
-/// A datagram that is missing.
+const REFUSED: Verdict = Verdict::Refused(Prompt::No);
+
+/// This host as one link knows it.
 #[derive(Clone, Copy, Debug)]
-struct Gap {
-    due: Time,
-    asked: u32,
+pub struct Here {
+    /// The host.
+    pub host: HostId,
+    /// Its incarnation.
+    pub epoch: u32,
+    /// The link.
+    pub link: LinkId,
+    /// Whether senders have to show that they are alive: on a link with a key.
+    pub guarded: bool,
+    /// Bytes of an entry of its reports.
+    pub entry_bytes: usize,
+    /// The clock of its stamps.
+    pub stamps: Stamps,
+}
+
+/// An entry about this host that can only have been written just now.
+#[derive(Clone, Copy, Debug)]
+struct Proof {
+    entry: Entry,
+    /// How old the stamp is that it echoes.
+    age: Span,
 }
 
 /// Everything that has arrived on one link.
 #[derive(Clone, Debug)]
 pub struct Incoming {
-    host: HostId,
-    epoch: u32,
-    /// Whether senders have to prove themselves.
-    guarded: bool,
+    here: Here,
     rate: Option<Rate>,
-    senders: BTreeMap<HostId, Sender>,
+    senders: Senders,
+    candidates: Candidates,
     forgot: Time,
-    gaps: BTreeMap<Name, Gap>,
-    /// Whether somebody is believed who has had no echo of ours yet, and so cannot believe us.
-    owes: bool,
-    /// Where the next report goes on, when there are more hosts than one report holds.
-    turn: usize,
+    /// What is missing.
+    pub gaps: Gaps,
+    telling: Telling,
+    /// Others with the id of this host.
+    pub twins: Twins,
 }
 
 impl Incoming {
     /// Nothing yet.
-    pub fn new(host: HostId, epoch: u32, guarded: bool, rate: Option<Rate>) -> Incoming {
-        let (senders, gaps) = (BTreeMap::new(), BTreeMap::new());
-        Incoming { host, epoch, guarded, rate, senders, forgot: Time::ZERO, gaps, owes: false, turn: 0 }
+    pub fn new(here: Here, rate: Option<Rate>) -> Incoming {
+        let telling = Telling::new(here.host, here.guarded, here.entry_bytes);
+        let twins = Twins::new(here.link, here.host, here.epoch);
+        let (senders, candidates, gaps) = (Senders::new(), Candidates::default(), Gaps::default());
+        Incoming { here, rate, senders, candidates, forgot: Time::ZERO, gaps, telling, twins }
     }
 
     /// Takes up a datagram of this team whose tag is right.
     pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
-        if let Err(verdict) = self.known(now, header, report, counts) {
+        let proof = report.and_then(|report| self.about_us(now, report));
+        let known = match self.here.guarded {
+            true => self.known(now, header, report, proof, counts),
+            false => self.known_openly(now, header, counts),
+        };
+        if let Err(verdict) = known {
             return verdict;
         }
-        let sender = self.senders.get_mut(&header.sender).expect("it is known by now");
-        let direct = header.flags.has(Flags::DIRECT);
-        let copy = header.flags.has(Flags::COPY);
-        match sender.lanes[usize::from(direct)].window.place(header.sequence, copy) {
+        let sender = self.senders.get_mut(&(header.sender, header.epoch)).expect("it is known by now");
+        let lane = usize::from(header.flags.has(Flags::DIRECT));
+        if self.here.guarded && sender.order.is_late(now, lane, header.sequence) && !self.gaps.awaits(header) {
+            counts.late += 1;
+            return REFUSED;
+        }
+        match sender.lanes[lane].window.place(header.sequence, header.flags.has(Flags::COPY)) {
             Place::New => {}
             Place::Seen => {
                 counts.duplicate += 1;
                 return Verdict::Again;
             }
-            Place::Behind if self.guarded => {
+            Place::Behind if self.here.guarded => {
                 counts.replay += 1;
-                return Verdict::Refused { prompt: false };
+                return REFUSED;
             }
             // Without a key there is no replay to fear, and newest wins all the same.
             Place::Behind => {}
@@ -107,111 +150,186 @@ impl Incoming {
             && !sender.bucket.take(now, rate)
         {
             counts.rate += 1;
-            return Verdict::Refused { prompt: false };
+            return REFUSED;
         }
         sender.heard(now);
-        if let Some(report) = report {
-            self.owes |= sender.stamp.is_none();
-            sender.stamp = Some((report.stamp, now));
-            if let Some(entry) = self.about_us(now, report) {
-                let sender = self.senders.get_mut(&header.sender).expect("it is known");
-                sender.proved = now;
-                sender.offsets.measure(now, report.stamp, entry);
-                sender.told_lost = entry.lost.min(LOSS_SPAN as u8);
-                for (asks, from) in sender.asks.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
-                    if entry.lost >= from {
-                        *asks = now + ASKS_FOR;
-                    }
-                }
-            }
+        let Some(report) = report else { return Verdict::New(Prompt::No) };
+        let asked = sender.wants || (sender.listed.is_none() && sender.stamp.is_some());
+        sender.stamped(now, report.stamp);
+        if lane == 0 {
+            let direct = proof.and_then(|proof| proof.entry.direct);
+            sender.order.reported(now, [Some(header.sequence), direct]);
         }
-        Verdict::New
+        if let Some(Proof { entry, .. }) = proof {
+            sender.proved = now;
+            sender.offsets.measure(now, self.here.stamps.of(now), report.stamp, &entry);
+            sender.wants |= entry.asks;
+            sender.told_of_loss(now, entry.lost);
+        }
+        let asks = !asked && (sender.wants || sender.listed.is_none());
+        Verdict::New(match asks {
+            true if header.sender.is_operator() => Prompt::Now,
+            true => Prompt::Soon,
+            false => Prompt::No,
+        })
     }
 
-    /// Whether this incarnation of the sender is the one that is believed.
+    /// Whether this incarnation is believed, on a link with a key; takes it up if it proves to be alive.
     fn known(
         &mut self,
         now: Time,
         header: &Header,
         report: Option<&Report>,
+        proof: Option<Proof>,
         counts: &mut LinkCounts,
     ) -> Result<(), Verdict> {
-        const REFUSED: Verdict = Verdict::Refused { prompt: false };
+        let id = (header.sender, header.epoch);
         // A report to one host alone would not show where the datagrams to all stand.
-        let proof = report.filter(|_| !header.flags.has(Flags::DIRECT)).and_then(|report| self.about_us(now, report));
-        let proof = proof.copied();
-        let taken_up = |rate: Option<&Rate>, guarded: bool| {
-            let mut sender = Sender::new(now, header.epoch, !guarded || proof.is_some(), rate);
-            if let Some(entry) = proof.filter(|_| guarded) {
-                sender.lanes[0].window = Window::starting(header.sequence);
-                sender.lanes[1].window = Window::starting(entry.direct);
-            }
-            sender.stamp = report.map(|report| (report.stamp, now));
-            sender
-        };
-        let Some(sender) = self.senders.get_mut(&header.sender) else {
-            if !self.room(now) {
-                counts.crowd += 1;
+        let proof = proof.filter(|_| !header.flags.has(Flags::DIRECT));
+        let believed = self.senders.get_mut(&id).filter(|sender| now.since(sender.proved) <= PROOF_HOLDS);
+        if let (Some(sender), Some(report)) = (believed, report) {
+            let delay_s = sender.offsets.delay_s(now, self.here.stamps.of(now), report.stamp);
+            return match (proof, delay_s) {
+                (None, Some(delay_s)) if delay_s > FRESH.as_secs() => {
+                    counts.late += 1;
+                    Err(REFUSED)
+                }
+                // Written now by what comes back, long ago by its own clock: that clock has stood still.
+                (Some(_), Some(delay_s)) if delay_s > FRESH.as_secs() => {
+                    sender.offsets = Default::default();
+                    Ok(())
+                }
+                _ => Ok(()),
+            };
+        }
+        if let Some(sender) = self.senders.get(&id)
+            && now.since(sender.proved) <= PROOF_HOLDS
+            && now.since(sender.reported) <= REPORT_HOLDS
+        {
+            return Ok(());
+        }
+        match (report, proof) {
+            (Some(report), Some(proof)) => self.taken_up(now, header, report, proof, counts),
+            _ => Err(self.noted(now, header, report, counts)),
+        }
+    }
+
+    /// An incarnation has said something without showing that it is alive: it has to hear from this host, to do so.
+    fn noted(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
+        let rival = self.rival(header.sender, header.epoch).map(|id| &self.senders[&id]);
+        if rival.is_some_and(|rival| rival.former == Some(header.epoch)) {
+            counts.replay += 1;
+            return REFUSED;
+        }
+        if let Some(report) = report
+            && !self.candidates.note(now, header.sender, header.epoch, report.stamp)
+        {
+            counts.crowd += 1;
+            return REFUSED;
+        }
+        counts.unproven += 1;
+        Verdict::Refused(if header.sender.is_operator() { Prompt::Now } else { Prompt::Soon })
+    }
+
+    /// An incarnation shows that it is alive.
+    fn taken_up(
+        &mut self,
+        now: Time,
+        header: &Header,
+        report: &Report,
+        proof: Proof,
+        counts: &mut LinkCounts,
+    ) -> Result<(), Verdict> {
+        let id = (header.sender, header.epoch);
+        let mut sender = Sender::new(now, self.rate.as_ref());
+        if let Some(rival) = self.rival(header.sender, header.epoch) {
+            let other = self.senders.get_mut(&rival).expect("it was found");
+            if proof.age >= now.since(other.since) {
+                // Proof of having been alive before the other one was: a recording.
+                counts.replay += 1;
                 return Err(REFUSED);
             }
-            let sender = taken_up(self.rate.as_ref(), self.guarded);
-            let proven = sender.proven;
-            self.owes |= proven && report.is_some();
-            self.senders.insert(header.sender, sender);
-            return if proven { Ok(()) } else { Err(unproven(counts)) };
-        };
-        if header.epoch < sender.epoch {
-            // Whoever echoes what we said after its successor had come is alive beside it.
-            if proof.is_some_and(|entry| entry.echo > sender.since) {
+            if now.since(other.reported) < SILENT {
                 counts.twin += 1;
-                sender.twins += 1;
-                if sender.twins.is_power_of_two() {
-                    let (id, times) = (header.sender.0, sender.twins);
+                other.twins += 1;
+                if other.twins >= TWINS_TO_LOG && other.twins.is_power_of_two() {
+                    let (id, times) = (header.sender.0, other.twins);
                     tracing::error!("two live hosts have the id {id} (noticed {times} times): stop one of them");
                 }
-            } else if self.guarded {
-                counts.replay += 1;
-            } else {
-                counts.stale += 1;
+                self.candidates.note(now, header.sender, header.epoch, report.stamp);
+                return Err(REFUSED);
             }
+            (sender.twins, sender.former) = (other.twins, Some(rival.1));
+            self.senders.remove(&rival);
+        } else if let Some(before) = self.senders.get(&id) {
+            (sender.twins, sender.former) = (before.twins, before.former);
+        } else if !self.room(now) {
+            counts.crowd += 1;
             return Err(REFUSED);
         }
-        let later = header.epoch > sender.epoch;
-        if self.guarded && now.since(sender.proved) > PROOF_HOLDS {
-            sender.proven = false;
+        sender.lanes[0].window = Window::starting(header.sequence);
+        if let Some(direct) = proof.entry.direct {
+            sender.lanes[1].window = Window::starting(direct);
         }
-        if !later && sender.proven {
+        if self.candidates.forget(header.sender, header.epoch).is_some_and(|candidate| candidate.echoed > 0) {
+            sender.listed = Some(now);
+        }
+        self.senders.insert(id, sender);
+        Ok(())
+    }
+
+    /// The incarnation of this host that is known, if it is another one than this. An operator's is no rival.
+    fn rival(&self, host: HostId, epoch: u32) -> Option<(HostId, u32)> {
+        let mut all = self.senders.range((host, 0)..=(host, u32::MAX)).map(|(id, _)| *id);
+        all.find(|id| id.1 != epoch).filter(|_| !host.is_operator())
+    }
+
+    /// The same on a link without a key: everyone is believed, one incarnation of a host at a time.
+    fn known_openly(&mut self, now: Time, header: &Header, counts: &mut LinkCounts) -> Result<(), Verdict> {
+        let id = (header.sender, header.epoch);
+        if self.senders.contains_key(&id) {
             return Ok(());
         }
-        if !self.guarded || proof.is_some() {
-            let twins = sender.twins;
-            *sender = taken_up(self.rate.as_ref(), self.guarded);
-            sender.twins = twins;
-            self.owes |= report.is_some();
-            return Ok(());
-        }
-        if let Some(report) = report {
-            if later {
-                sender.challenger = Some((header.epoch, report.stamp, now));
-            } else {
-                sender.stamp = Some((report.stamp, now));
+        let mut sender = Sender::new(now, self.rate.as_ref());
+        if let Some(rival) = self.rival(header.sender, header.epoch) {
+            let other = self.senders.get_mut(&rival).expect("it was found");
+            if other.age(now).is_some_and(|age| age < UNHEARD) {
+                counts.twin += 1;
+                other.twins += 1;
+                return Err(REFUSED);
             }
+            sender.twins = other.twins;
+            self.senders.remove(&rival);
+        } else if !self.room(now) {
+            counts.crowd += 1;
+            return Err(REFUSED);
         }
-        Err(unproven(counts))
+        self.senders.insert(id, sender);
+        Ok(())
+    }
+
+    /// Another incarnation of this very host has said this: a live one, or a recording of a former run.
+    pub fn rival_of_us(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
+        self.candidates.note(now, header.sender, header.epoch, report.stamp);
+        match self.about_us(now, report) {
+            Some(proof) => {
+                counts.twin += 1;
+                self.twins.claim(now, header.epoch, proof.entry.held);
+            }
+            None => counts.replay += 1,
+        }
     }
 
     /// What a report says of this host, if it can only have been written just now.
-    fn about_us<'a>(&self, now: Time, report: &'a Report) -> Option<&'a Entry> {
-        let oldest = now.as_nanos().saturating_sub(FRESH.as_nanos());
-        let fresh = Stamp::of(Time::from_nanos(oldest))..=Stamp::of(now);
-        report
-            .heard
-            .iter()
-            .find(|entry| entry.host == self.host && entry.epoch == self.epoch && fresh.contains(&entry.echo))
+    fn about_us(&self, now: Time, report: &Report) -> Option<Proof> {
+        let about_us = report.heard.iter().filter(|entry| entry.host == self.here.host);
+        about_us
+            .filter_map(|entry| Some(Proof { entry: *entry, age: self.here.stamps.age(now, entry.echo)? }))
+            .find(|proof| proof.age <= FRESH)
     }
 
     fn room(&mut self, now: Time) -> bool {
-        // Not for every datagram: whoever makes up senders must not make us search.
+        // Not for every datagram: one who makes up senders must not make this host search.
         if self.senders.len() >= MAX_SENDERS && now.since(self.forgot) >= FORGET {
             self.forgot = now;
             self.senders.retain(|_, sender| sender.age(now).is_some_and(|age| age < FORGET));
@@ -222,7 +340,7 @@ impl Incoming {
     /// Whether a message about `robot` is the newest of its stream; all kinds are state, so an older one is worth
     /// nothing.
     pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
-        let Some(sender) = self.senders.get_mut(&header.sender) else { return false };
+        let Some(sender) = self.senders.get_mut(&(header.sender, header.epoch)) else { return false };
         let newest = &mut sender.lanes[usize::from(header.flags.has(Flags::DIRECT))].newest;
         let newest = newest.entry((kind, robot)).or_insert(header.sequence.wrapping_sub(1));
         let ahead = header.sequence.wrapping_sub(*newest);
@@ -240,104 +358,53 @@ impl Incoming {
         true
     }
 
-    /// A new datagram says what its sender still holds: whatever of it has not been here is missing. `backoff` draws
-    /// how long to wait before asking. Only what is held is asked for, so requests never breed requests.
-    pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], mut backoff: impl FnMut() -> Span) {
+    /// A new datagram says what its sender still holds: what of it has not been here is missing.
+    pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], backoff: impl FnMut() -> Span) {
         if held.is_empty() && self.gaps.is_empty() {
             return;
         }
-        let (host, epoch, direct) = (header.sender, header.epoch, header.flags.has(Flags::DIRECT));
-        let name = |sequence| Name { host, epoch, direct, sequence };
-        self.gaps.remove(&name(header.sequence));
-        let Some(sender) = self.senders.get(&host) else { return };
-        let window = &sender.lanes[usize::from(direct)].window;
-        for &sequence in held.iter().filter(|sequence| window.misses(**sequence)) {
-            if self.gaps.len() < MAX_GAPS {
-                self.gaps.entry(name(sequence)).or_insert_with(|| Gap { due: now + backoff(), asked: 0 });
-            }
-        }
+        let Some(sender) = self.senders.get(&(header.sender, header.epoch)) else { return };
+        let lane = &sender.lanes[usize::from(header.flags.has(Flags::DIRECT))];
+        self.gaps.note(now, header, held, &lane.window, backoff);
     }
 
-    /// Another host has asked for these: whoever asks a second time is late.
+    /// Another host has asked for these.
     pub fn asked_by_others(&mut self, now: Time, names: &[Name]) {
-        for name in names {
-            if let Some(gap) = self.gaps.get_mut(name) {
-                gap.due = gap.due.max(now + BACKOFF * 2);
-            }
-        }
+        self.gaps.asked_by_others(now, names);
     }
 
-    /// When something is to be asked for.
-    pub fn gaps_due(&self) -> Option<Time> {
-        self.gaps.values().map(|gap| gap.due).min()
-    }
-
-    /// What is to be asked for now, at most `room` datagrams.
-    pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<Name> {
-        let mut names = Vec::new();
-        for (name, gap) in &mut self.gaps {
-            if gap.due <= now && names.len() < room {
-                names.push(*name);
-                gap.asked += 1;
-                gap.due = now + BACKOFF * (1 << gap.asked) + backoff();
-            }
-        }
-        self.gaps.retain(|_, gap| gap.asked < ASKS);
-        names
-    }
-
-    /// Whether the others should hear from this host soon: somebody waits for an echo.
-    pub fn owes(&self) -> bool {
-        self.owes
-    }
-
-    /// What to tell the others, in at most `room` bytes; whoever waits for it to prove itself comes first.
-    pub fn report(&mut self, now: Time, room: usize) -> Option<Report> {
-        let places = room.checked_sub(REPORT_BYTES)? / ENTRY_BYTES;
-        let echo = |stamp: Option<(Stamp, Time)>| {
-            let fresh = stamp.filter(|(_, at)| now.since(*at) < FRESH);
-            fresh.map_or((Stamp::default(), Span::ZERO), |(stamp, at)| (stamp, now.since(at)))
-        };
-        let (mut waiting, mut others) = (Vec::new(), Vec::new());
-        for (&host, sender) in &self.senders {
-            let entry = |epoch, (echo, held), lost| Entry { host, epoch, echo, held, lost, direct: 0 };
-            if let Some((epoch, stamp, at)) = sender.challenger.filter(|(.., at)| now.since(*at) < FRESH) {
-                waiting.push(entry(epoch, echo(Some((stamp, at))), 0));
-            }
-            let stamped = sender.stamp.is_some_and(|(_, at)| now.since(at) < FRESH);
-            let heard = sender.age(now).is_some_and(|age| age < FRESH);
-            match sender.proven {
-                true if heard => others.push(entry(sender.epoch, echo(sender.stamp), sender.lost())),
-                false if stamped => waiting.push(entry(sender.epoch, echo(sender.stamp), 0)),
-                _ => {}
-            }
-        }
-        let turn = self.turn.checked_rem(others.len()).unwrap_or(0);
-        others.rotate_left(turn);
-        waiting.extend(others);
-        // All of them had their turn, or the next report goes on where this one ends.
-        self.turn = if waiting.len() > places { self.turn.wrapping_add(places.max(1)) } else { 0 };
-        waiting.truncate(places);
-        self.owes = false;
-        Some(Report { stamp: Stamp::of(now), heard: waiting })
+    /// What to tell the others, in at most `room` bytes.
+    pub fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
+        let places = room.checked_sub(REPORT_BYTES)? / self.here.entry_bytes;
+        let uptime = self.twins.uptime(now);
+        let (candidates, senders) = (&mut self.candidates, &mut self.senders);
+        let heard = self.telling.entries((now, uptime), places, occasion, candidates, senders);
+        Some(Report { stamp: self.here.stamps.of(now), heard })
     }
 
     /// How many times a message to these hosts is to be repeated, by what they report.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         let asked = |sender: &Sender| sender.asks.iter().filter(|until| **until > now).count() as u8;
+        let most = |(from, to): (HostId, HostId)| {
+            self.senders.range((from, 0)..=(to, u32::MAX)).map(|(_, sender)| asked(sender)).max().unwrap_or(0)
+        };
         match audience {
-            Audience::Host(host) => self.senders.get(&host).map_or(0, asked),
-            Audience::All => self.senders.values().map(asked).max().unwrap_or(0),
+            Audience::Host(host) => most((host, host)),
+            Audience::All => most((HostId(0), HostId(u16::MAX))),
         }
     }
 
-    /// All that is known of the others.
-    pub fn peers(&self, now: Time, link: LinkId) -> impl Iterator<Item = Peer> {
-        self.senders.iter().map(move |(&host, sender)| sender.peer(now, link, host))
+    /// All that is known of the others: of a host that nobody is believed to be, the newest candidate.
+    pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
+        let link = self.here.link;
+        let believed = self.senders.iter().map(move |(&id, sender)| {
+            let proven = !self.here.guarded
+                || (now.since(sender.proved) <= PROOF_HOLDS && now.since(sender.reported) <= REPORT_HOLDS);
+            sender.peer(now, link, id, proven)
+        });
+        let unknown = move |host: HostId| self.senders.range((host, 0)..=(host, u32::MAX)).next().is_none();
+        let us = self.here.host;
+        let candidates = self.candidates.newest().filter(move |(host, _)| *host != us && unknown(*host));
+        candidates.map(move |(host, candidate)| Peer::candidate(now, link, host, &candidate)).chain(believed)
     }
-}
-
-fn unproven(counts: &mut LinkCounts) -> Verdict {
-    counts.unproven += 1;
-    Verdict::Refused { prompt: true }
 }

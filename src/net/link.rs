@@ -5,13 +5,15 @@ use rand::RngExt;
 
 use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
 pub use super::counts::LinkCounts;
-use super::incoming::{BACKOFF, Incoming, Verdict};
+use super::gaps::BACKOFF;
+use super::incoming::{Here, Incoming, Verdict};
 use super::key::{Key, TAG_BYTES};
 use super::outgoing::{Leaving, Outgoing, REPORT_PERIOD};
 use super::reliability::{Reports, Setup};
-use super::report::{MAX_NAMES, Name, Report, read_held, read_names};
+use super::report::{ENTRY_BYTES, MAX_NAMES, NUMBERED_ENTRY_BYTES, Name, Report, Stamps, read_held, read_names};
 use super::router::Audience;
 use super::sender::Peer;
+pub use super::twins::Duplicate;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Wire};
 use crate::random::Stream;
@@ -24,7 +26,7 @@ pub struct Identity {
     pub host: HostId,
     /// Its team.
     pub team: u16,
-    /// Its incarnation: a host that is started again must choose a later one.
+    /// Its incarnation: a random number for each start of the host.
     pub epoch: u32,
 }
 
@@ -43,19 +45,24 @@ pub struct LinkState {
 }
 
 impl LinkState {
-    /// The state at the start of an epoch. With a key there are always reports: they show who is alive.
+    /// The state at the start of an incarnation. With a key there are always reports: they show who is alive. Draws
+    /// from `stream` where its stamps begin, so on a real host nobody may be able to foretell that.
     pub fn new(me: Identity, id: LinkId, key: Option<Key>, mut setup: Setup, stream: &mut Stream) -> LinkState {
         if key.is_some() {
             setup.reports = Reports::On;
         }
         let Identity { host, team, epoch } = me;
-        let first = REPORT_PERIOD + Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
+        let jitter = Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
+        let first = if setup.report_rides == Span::ZERO { Span::ZERO } else { REPORT_PERIOD + jitter };
         let header = Header { flags: Flags::default(), team, sender: host, epoch, sequence: 0 };
+        let guarded = key.is_some();
+        let entry_bytes = if guarded && setup.is_addressed() { NUMBERED_ENTRY_BYTES } else { ENTRY_BYTES };
+        let here = Here { host, epoch, link: id, guarded, entry_bytes, stamps: Stamps::random(stream) };
         let mut state = LinkState {
             me,
             id,
             reports: setup.reports,
-            incoming: Incoming::new(host, epoch, key.is_some(), setup.rate),
+            incoming: Incoming::new(here, setup.rate),
             outgoing: Outgoing::new(header, id, key.clone(), setup, first),
             key,
             counts: LinkCounts::default(),
@@ -66,7 +73,7 @@ impl LinkState {
     }
 
     fn plan(&mut self) {
-        self.due = [self.outgoing.due(), self.incoming.gaps_due()].into_iter().flatten().min();
+        self.due = [self.outgoing.due(), self.incoming.gaps.due()].into_iter().flatten().min();
     }
 
     /// A message leaves for these hosts. Gives what was encoded.
@@ -77,6 +84,7 @@ impl LinkState {
         message: &Wire,
         out: &mut Vec<Leaving>,
     ) -> Result<Frame, EncodeError> {
+        self.incoming.twins.uptime(now);
         let encoded = self.outgoing.say(now, audience, message, &mut self.incoming, &mut self.counts, out);
         self.plan();
         encoded
@@ -90,6 +98,7 @@ impl LinkState {
         stream: &mut Stream,
         out: &mut Vec<Leaving>,
     ) -> Option<(Header, &'a [u8])> {
+        self.incoming.twins.uptime(now);
         let read = self.read(now, frame, stream, out);
         self.plan();
         match read {
@@ -121,73 +130,58 @@ impl LinkState {
             return Ok(None);
         };
         let header = codec::peek(plain)?;
-        if !self.ours(&header) {
+        if header.team != self.me.team {
+            self.counts.team += 1;
             return Ok(None);
         }
-        let (mut report, mut held, mut acks, mut asks) = (None, Vec::new(), Vec::new(), Vec::new());
-        let mut empty = true;
-        for block in codec::blocks(plain) {
-            empty = false;
-            match block? {
-                (Content::Message(_), _) => {}
-                (Content::Report, body) => report = Some(Report::read(body)?),
-                (Content::Held, body) => held.extend(read_held(body)?),
-                (content @ Content::Ack, body) => acks.extend(read_names(content, body)?),
-                (content @ Content::Nack, body) => asks.extend(read_names(content, body)?),
-            }
+        if (header.sender, header.epoch) == (self.me.host, self.me.epoch) {
+            self.counts.own += 1;
+            return Ok(None);
         }
-        if empty {
-            return Err(DecodeError::Blocks);
-        }
-        let verdict = self.incoming.admit(now, &header, report.as_ref(), &mut self.counts);
-        if let Verdict::Refused { prompt } = verdict {
-            if prompt {
-                self.outgoing.prompt(now, stream.random_range(0.0..1.0));
+        let said = Said::read(plain)?;
+        // An operator's number is drawn at random, and two may have drawn the same.
+        if header.sender == self.me.host && !header.sender.is_operator() {
+            match &said.report {
+                Some(report) if self.key.is_some() => {
+                    self.incoming.rival_of_us(now, &header, report, &mut self.counts);
+                }
+                // Without a key and without a report nothing tells the living from a recording.
+                _ => self.counts.twin += 1,
             }
             return Ok(None);
         }
-        if self.incoming.owes() {
-            self.outgoing.prompt(now, stream.random_range(0.0..1.0));
+        let verdict = self.incoming.admit(now, &header, said.report.as_ref(), &mut self.counts);
+        match verdict {
+            Verdict::New(prompt) | Verdict::Refused(prompt) => self.outgoing.prompt(now, prompt),
+            Verdict::Again => {}
+        }
+        if let Verdict::Refused(_) = verdict {
+            return Ok(None);
         }
         if header.flags.has(Flags::ACK) {
-            let Header { sender: host, epoch, sequence, flags, .. } = header;
-            self.outgoing.acknowledge(now, Name { host, epoch, direct: flags.has(Flags::DIRECT), sequence });
+            self.outgoing.acknowledge(now, Name::of(&header));
         }
         if verdict == Verdict::Again {
             return Ok(None);
         }
-        self.incoming.note_gaps(now, &header, &held, || backoff(stream));
+        self.incoming.note_gaps(now, &header, &said.held, || backoff(stream));
         let mine = |names: Vec<Name>| -> (Vec<Name>, Vec<Name>) {
             names.into_iter().partition(|name| (name.host, name.epoch) == (self.me.host, self.me.epoch))
         };
-        if !acks.is_empty() {
-            self.outgoing.acknowledged(now, header.sender, &mine(acks).0);
+        if !said.acks.is_empty() {
+            self.outgoing.acknowledged(now, header.sender, &mine(said.acks).0);
         }
-        if !asks.is_empty() {
-            let (mine, others) = mine(asks);
+        if !said.asks.is_empty() {
+            let (mine, others) = mine(said.asks);
             self.incoming.asked_by_others(now, &others);
-            self.outgoing.asked(now, &mine, &mut self.counts, out);
+            self.outgoing.asked(now, header.sender, &mine, &mut self.counts, out);
         }
         Ok(Some((header, plain)))
     }
 
-    /// Whether it is from another host of this team.
-    fn ours(&mut self, header: &Header) -> bool {
-        let cause = if header.team != self.me.team {
-            &mut self.counts.team
-        } else if header.sender != self.me.host {
-            return true;
-        } else if header.epoch > self.me.epoch {
-            // Not a former self of this host: epochs grow.
-            if self.counts.twin.is_power_of_two() || self.counts.twin == 0 {
-                tracing::error!("a second live host has the id {} of this one: stop one of them", self.me.host.0);
-            }
-            &mut self.counts.twin
-        } else {
-            &mut self.counts.own
-        };
-        *cause += 1;
-        false
+    /// The process that this one duplicates, if another live host with this id was started before it.
+    pub fn duplicate(&self) -> Option<Duplicate> {
+        self.incoming.twins.duplicate()
     }
 
     /// Whether a decoded message about `robot` is the newest of its stream.
@@ -217,7 +211,7 @@ impl LinkState {
     /// What is known of the others; none on a link without reports.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let told = self.reports == Reports::On;
-        self.incoming.peers(now, self.id).filter(move |_| told)
+        self.incoming.peers(now).filter(move |_| told)
     }
 
     /// When anything is next due.
@@ -227,14 +221,43 @@ impl LinkState {
 
     /// Does what is due.
     pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Leaving>) {
+        self.incoming.twins.uptime(now);
         self.outgoing.wake(now, &mut self.incoming, &mut self.counts, out);
-        if self.incoming.gaps_due().is_some_and(|due| due <= now) {
-            let names = self.incoming.ask(now, MAX_NAMES, || backoff(stream));
+        if self.incoming.gaps.due().is_some_and(|due| due <= now) {
+            let names = self.incoming.gaps.ask(now, MAX_NAMES, || backoff(stream));
             if !names.is_empty() {
                 self.outgoing.ask(&names, &mut self.counts, out);
             }
         }
         self.plan();
+    }
+}
+
+/// The blocks of a datagram that are for the link layer.
+#[derive(Default)]
+struct Said {
+    report: Option<Report>,
+    held: Vec<u32>,
+    acks: Vec<Name>,
+    asks: Vec<Name>,
+}
+
+impl Said {
+    fn read(plain: &[u8]) -> Result<Said, DecodeError> {
+        let (mut said, mut empty) = (Said::default(), true);
+        for block in codec::blocks(plain) {
+            empty = false;
+            match block? {
+                (Content::Message(_), _) => {}
+                (content @ (Content::Report | Content::NumberedReport), body) => {
+                    said.report = Some(Report::read(content, body)?);
+                }
+                (Content::Held, body) => said.held.extend(read_held(body)?),
+                (content @ Content::Ack, body) => said.acks.extend(read_names(content, body)?),
+                (content @ Content::Nack, body) => said.asks.extend(read_names(content, body)?),
+            }
+        }
+        if empty { Err(DecodeError::Blocks) } else { Ok(said) }
     }
 }
 

@@ -5,15 +5,18 @@
 
 pub mod again;
 pub mod bucket;
+pub mod candidates;
 pub mod codec;
 pub mod counts;
 pub mod fault;
 mod fault_file;
+pub mod gaps;
 pub mod incoming;
 pub mod key;
 pub mod link;
 pub mod medium;
 pub mod offset;
+pub mod order;
 pub mod outgoing;
 pub mod radio;
 pub mod range;
@@ -22,5 +25,7 @@ pub mod reliability;
 pub mod report;
 pub mod router;
 pub mod sender;
+pub mod telling;
 pub mod transport;
+pub mod twins;
 pub mod window;

@@ -1,6 +1,6 @@
-//! How far the clock of another host lies from this one's, from stamps that came back (RFC 5905, section 8).
+//! How far the stamps of another host lie from this one's, from stamps that came back (RFC 5905, section 8).
 //!
-//! Only for people and logs: no age and no order is ever reckoned from it.
+//! Stamps begin at random, so the difference itself means nothing; it shows how long a report was under way.
 
 use std::collections::VecDeque;
 
@@ -12,10 +12,10 @@ const KEPT: usize = 8;
 /// How fast two clocks may drift apart (RFC 5905: 15 ppm for one).
 const DRIFT: f64 = 30e-6;
 
-/// How far another clock is ahead.
+/// How far the stamps of another host are ahead.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Offset {
-    /// The other clock less this one \[s\].
+    /// Its stamps less those of this host \[s\].
     pub ahead_s: f64,
     /// It is this much less or more at the most \[s\]: half the way there and back, and drift since.
     pub uncertainty_s: f64,
@@ -28,19 +28,24 @@ pub struct Offset {
 pub struct Offsets(VecDeque<(Time, f64, f64)>);
 
 impl Offsets {
-    /// Takes up what came back: an entry about this host in a report written at `theirs` on the other clock.
-    pub fn measure(&mut self, now: Time, theirs: Stamp, entry: &Entry) {
-        let here = now.as_nanos() as f64 * 1e-9;
-        let (sent, written) = (entry.echo.micros() as f64 * 1e-6, theirs.micros() as f64 * 1e-6);
-        let round_trip = here - sent - entry.held.as_secs();
-        // A sender that has held it for longer than it was under way tells tales.
+    /// Takes up what came back: an entry about this host in a report written at `theirs` on the other clock; `here` is
+    /// the stamp of `now` on this one.
+    pub fn measure(&mut self, now: Time, here: Stamp, theirs: Stamp, entry: &Entry) {
+        let round_trip = here.ahead_us(entry.echo) as f64 * 1e-6 - entry.held.as_secs();
+        // A sender that has held it for longer than it was under way does not tell the truth.
         if round_trip >= -1e-5 {
             let round_trip = round_trip.max(0.0);
             if self.0.len() == KEPT {
                 self.0.pop_front();
             }
-            self.0.push_back((now, written + 0.5 * round_trip - here, round_trip));
+            self.0.push_back((now, theirs.ahead_us(here) as f64 * 1e-6 + 0.5 * round_trip, round_trip));
         }
+    }
+
+    /// How long a report was under way that was written at `theirs`, at the least \[s\]; none without a measurement.
+    pub fn delay_s(&self, now: Time, here: Stamp, theirs: Stamp) -> Option<f64> {
+        let offset = self.estimate(now)?;
+        Some(offset.ahead_s - theirs.ahead_us(here) as f64 * 1e-6 - offset.uncertainty_s)
     }
 
     /// The best estimate: that of the shortest way there and back.
@@ -55,6 +60,7 @@ impl Offsets {
 
 #[cfg(test)]
 mod tests {
+    use super::super::report::Stamps;
     use super::*;
     use crate::messages::ids::HostId;
     use crate::time::Span;
@@ -62,16 +68,21 @@ mod tests {
     #[test]
     fn the_true_offset_lies_within_the_uncertainty() {
         let mut offsets = Offsets::default();
+        let (here, there) = (Stamps::beginning_at(1 << 47), Stamps::beginning_at((1 << 47) + 3_000_000));
         let at_us = |us: u64| Time::ZERO + Span::from_nanos(us * 1000);
-        // The other clock is 3 s ahead; 200 us there, 5 ms held, 600 us and then 100 us back.
+        // The other one's stamps are 3 s ahead; 200 us there, 5 ms held, 600 us and then 100 us back.
         for (start, back) in [(1_000_000, 600), (2_000_000, 100)] {
-            let theirs = Stamp::of(at_us(start + 200 + 5000 + 3_000_000));
-            let (host, held) = (HostId(0), Span::from_millis(5));
-            let entry = Entry { host, epoch: 1, echo: Stamp::of(at_us(start)), held, lost: 0, direct: 0 };
-            offsets.measure(at_us(start + 5200 + back), theirs, &entry);
+            let theirs = there.of(at_us(start + 200 + 5000));
+            let (host, held, echo) = (HostId(0), Span::from_millis(5), here.of(at_us(start)));
+            let entry = Entry { host, echo, held, lost: 0, asks: false, direct: None };
+            let now = at_us(start + 5200 + back);
+            offsets.measure(now, here.of(now), theirs, &entry);
         }
-        let offset = offsets.estimate(at_us(2_100_000)).unwrap();
+        let now = at_us(2_100_000);
+        let offset = offsets.estimate(now).unwrap();
         assert!((offset.ahead_s - 3.0).abs() <= offset.uncertainty_s, "{offset:?}");
         assert!((offset.round_trip_s - 300e-6).abs() < 2e-6 && offset.uncertainty_s < 160e-6, "{offset:?}");
+        let delay_s = offsets.delay_s(now, here.of(now), there.of(at_us(100_000))).unwrap();
+        assert!((1.999..=2.0).contains(&delay_s), "written 2 s ago, {delay_s} s");
     }
 }

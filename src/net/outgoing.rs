@@ -7,11 +7,12 @@ use super::again::{Again, Once, Stream};
 use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Frame, HEADER_BYTES, Header};
 use super::codec::{MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
-use super::incoming::Incoming;
+use super::incoming::{Incoming, Prompt};
 use super::key::Key;
 use super::reliability::{Reliability, Reports, Ride, Setup};
-use super::report::{MAX_NAMES, Name, write_held, write_names};
+use super::report::{MAX_NAMES, NAME_BYTES, Name, write_held, write_names};
 use super::router::Audience;
+use super::telling::Occasion;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
@@ -21,14 +22,14 @@ use crate::time::{Span, Time};
 pub const HOLD: Span = Span::from_millis(100);
 /// Soft state leaves by itself no more often than this; half of it where there are modes among it.
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
-/// A report rides as soon as the last one is this old.
-pub const REPORT_RIDES: Span = Span::from_millis(150);
 /// A report leaves by itself when the last one is this old.
 pub const REPORT_PERIOD: Span = Span::from_millis(250);
-/// Where no data flows, whoever has to prove itself is answered after half to one and a half of this.
-const ANSWER: Span = Span::from_millis(100);
-/// Without data for so long none is expected.
-const QUIET: Span = Span::from_millis(500);
+/// A report for which another host waits rides as soon as the last one is this old.
+const PROMPTED_RIDES: Span = Span::from_millis(10);
+/// Reports that must leave at once do so no more often than this: a flood of recordings makes no flood of answers.
+const URGENT_PERIOD: Span = Span::from_millis(20);
+/// The same for an operator, which has to be believed soon by a whole team.
+const EAGER_PERIOD: Span = Span::from_millis(5);
 /// How long acknowledgements wait for each other.
 const ACK_WITHIN: Span = Span::from_millis(2);
 
@@ -57,6 +58,11 @@ pub struct Outgoing {
     report_due: Option<Time>,
     /// A host waits for a report.
     prompted: bool,
+    /// When a report that must leave at once does, and when the last one did.
+    urgent_due: Option<Time>,
+    urgent_left: Option<Time>,
+    /// Whether reports say of each host what is next for it alone.
+    numbered: bool,
     acks: BTreeMap<HostId, Vec<Name>>,
     acks_due: Option<Time>,
 }
@@ -65,6 +71,7 @@ impl Outgoing {
     /// Nothing yet. `first_report` is when the first report leaves at the latest.
     pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
+        let numbered = key.is_some() && setup.is_addressed();
         Outgoing {
             me,
             link,
@@ -81,6 +88,9 @@ impl Outgoing {
             report_left: None,
             report_due,
             prompted: false,
+            urgent_due: None,
+            urgent_left: None,
+            numbered,
             acks: BTreeMap::new(),
             acks_due: None,
         }
@@ -196,51 +206,83 @@ impl Outgoing {
         if self.soft.is_empty() {
             (self.soft_due, self.soft_since) = (None, None);
         }
-        if any && !self.acks.is_empty() {
-            for names in std::mem::take(&mut self.acks).into_values() {
-                add(bytes, Content::Ack, |bytes| write_names(&names, bytes));
-            }
-            self.acks_due = None;
+        if any {
+            self.board_acks(bytes);
         }
         if audience == Audience::All && self.report_rides(now) {
-            self.report(now, bytes, incoming);
+            self.report(now, bytes, incoming, Occasion::Regular);
         }
+    }
+
+    /// Puts acknowledgements on a datagram, as many as find room.
+    fn board_acks(&mut self, bytes: &mut Vec<u8>) {
+        while let Some(mut waiting) = self.acks.first_entry() {
+            let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / NAME_BYTES;
+            if room == 0 {
+                return;
+            }
+            let most = waiting.get().len().min(room);
+            let names: Vec<Name> = waiting.get_mut().drain(..most).collect();
+            add(bytes, Content::Ack, |bytes| write_names(&names, bytes));
+            if waiting.get().is_empty() {
+                waiting.remove();
+            }
+        }
+        self.acks_due = None;
+    }
+
+    fn leave_acks(&mut self, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+        while let Some((&host, _)) = self.acks.first_key_value() {
+            let audience = if self.setup.ride == Ride::Any { Audience::All } else { Audience::Host(host) };
+            let mut bytes = codec::start(&self.header(audience, 0));
+            if audience == Audience::All {
+                self.board_acks(&mut bytes);
+            } else if let Some(names) = self.acks.remove(&host) {
+                add(&mut bytes, Content::Ack, |bytes| write_names(&names, bytes));
+            }
+            self.leave_alone(audience, bytes, counts, out);
+        }
+        self.acks_due = None;
     }
 
     fn report_rides(&self, now: Time) -> bool {
+        let rides = if self.prompted { PROMPTED_RIDES.min(self.setup.report_rides) } else { self.setup.report_rides };
         self.setup.reports == Reports::On
             && self.setup.ride != Ride::Never
-            && self.report_left.is_none_or(|left| self.prompted || now.since(left) >= REPORT_RIDES)
+            && self.report_left.is_none_or(|left| now.since(left) >= rides)
     }
 
-    fn report(&mut self, now: Time, bytes: &mut Vec<u8>, incoming: &mut Incoming) {
+    fn report(&mut self, now: Time, bytes: &mut Vec<u8>, incoming: &mut Incoming, occasion: Occasion) {
         let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES);
-        let Some(mut report) = incoming.report(now, room) else { return };
-        for entry in &mut report.heard {
-            entry.direct = self.direct.get(&entry.host).copied().unwrap_or(0);
+        let Some(mut report) = incoming.report(now, room, occasion) else { return };
+        for entry in report.heard.iter_mut().filter(|_| self.numbered) {
+            entry.direct = Some(self.direct.get(&entry.host).copied().unwrap_or(0));
         }
-        add(bytes, Content::Report, |bytes| report.write(bytes));
+        add(bytes, report.content(), |bytes| report.write(bytes));
+        self.urgent_due = None;
+        if occasion == Occasion::Urgent {
+            self.urgent_left = Some(now);
+            return;
+        }
+        self.prompted = false;
+        (self.report_left, self.report_due) = (Some(now), Some(now + REPORT_PERIOD));
         let held = self.again.held(Audience::All);
         if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= MAX_PLAIN_BYTES {
             add(bytes, Content::Held, |bytes| write_held(&held, bytes));
         }
-        (self.report_left, self.report_due) = (Some(now), Some(now + REPORT_PERIOD));
-        self.prompted = false;
     }
 
-    /// A sender has to prove itself and needs our stamp for it.
-    pub fn prompt(&mut self, now: Time, share: f64) {
-        if self.prompted || self.setup.reports == Reports::Off {
+    /// Another host waits for a report of this one, to prove itself or to believe this one.
+    pub fn prompt(&mut self, now: Time, prompt: Prompt) {
+        if prompt == Prompt::No || self.setup.reports == Reports::Off {
             return;
         }
         self.prompted = true;
-        // Whatever leaves soon anyway takes the report along, and nobody is told twice within a period.
-        let quiet = |left: Option<Time>| left.is_none_or(|left| now.since(left) > QUIET);
-        if quiet(self.data_left) && quiet(self.soft_said) {
-            // Before the first report of all, that one answers everyone.
-            let Some(left) = self.report_left else { return };
-            let due = (now + Span::from_secs(ANSWER.as_secs() * (0.5 + share))).max(left + REPORT_PERIOD);
-            self.report_due = self.report_due.map(|before| before.min(due));
+        let eager = self.setup.report_rides == Span::ZERO;
+        if eager || prompt == Prompt::Now {
+            let period = if eager { EAGER_PERIOD } else { URGENT_PERIOD };
+            let due = self.urgent_left.map_or(now, |left| now.max(left + period));
+            self.urgent_due = Some(self.urgent_due.map_or(due, |before| before.min(due)));
         }
     }
 
@@ -298,9 +340,9 @@ impl Outgoing {
         self.again.acknowledged(now, from, names);
     }
 
-    /// Somebody asks for these again.
-    pub fn asked(&mut self, now: Time, names: &[Name], counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
-        for once in self.again.asked(now, names) {
+    /// `from` asks for these again.
+    pub fn asked(&mut self, now: Time, from: HostId, names: &[Name], counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+        for once in self.again.asked(now, from, names) {
             self.leave_again(once, counts, out);
         }
     }
@@ -314,7 +356,8 @@ impl Outgoing {
 
     /// When anything is next due.
     pub fn due(&self) -> Option<Time> {
-        [self.again.due(), self.soft_due, self.report_due, self.acks_due].into_iter().flatten().min()
+        let reports = [self.report_due, self.urgent_due];
+        [self.again.due(), self.soft_due, self.acks_due].into_iter().chain(reports).flatten().min()
     }
 
     /// Does what is due.
@@ -324,18 +367,15 @@ impl Outgoing {
         }
         self.leave_soft(now, incoming, counts, out);
         if self.acks_due.is_some_and(|due| due <= now) {
-            self.acks_due = None;
-            for (host, names) in std::mem::take(&mut self.acks) {
-                let audience = if self.setup.ride == Ride::Any { Audience::All } else { Audience::Host(host) };
-                let mut bytes = codec::start(&self.header(audience, 0));
-                add(&mut bytes, Content::Ack, |bytes| write_names(&names, bytes));
-                self.leave_alone(audience, bytes, counts, out);
-            }
+            self.leave_acks(counts, out);
         }
-        if self.report_due.is_some_and(|due| due <= now) {
-            let mut bytes = codec::start(&self.header(Audience::All, 0));
-            self.report(now, &mut bytes, incoming);
-            self.leave_alone(Audience::All, bytes, counts, out);
+        // A regular report lists those who wait as well.
+        for (due, occasion) in [(self.report_due, Occasion::Regular), (self.urgent_due, Occasion::Urgent)] {
+            if due.is_some_and(|due| due <= now) && (occasion == Occasion::Regular || self.urgent_due.is_some()) {
+                let mut bytes = codec::start(&self.header(Audience::All, 0));
+                self.report(now, &mut bytes, incoming, occasion);
+                self.leave_alone(Audience::All, bytes, counts, out);
+            }
         }
     }
 }

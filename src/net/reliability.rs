@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::bucket::Rate;
 use crate::messages::wire::Kind;
+use crate::time::Span;
 
 /// What is done so that a message arrives. Nothing here makes a fresh message wait for an old one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,7 +56,10 @@ pub enum Reports {
     On,
 }
 
-/// How a link is set up, the same on all hosts.
+/// A report rides as soon as the last one is this old.
+pub const REPORT_RIDES: Span = Span::from_millis(150);
+
+/// How a link is set up; but for `report_rides`, the same on all hosts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
     /// The reliability of what travels on it.
@@ -64,6 +68,9 @@ pub struct Setup {
     pub ride: Ride,
     /// Whether there are link reports.
     pub reports: Reports,
+    /// How old the last report is when the next one rides. Zero for an operator, which is to be believed at once: a
+    /// report goes with every datagram, the first one at time zero, and a host that waits for one is answered at once.
+    pub report_rides: Span,
     /// How much one sender may say; none for no limit.
     pub rate: Option<Rate>,
 }
@@ -76,17 +83,23 @@ impl Setup {
     pub fn emulated(reliability: Reliabilities) -> Setup {
         let plain = reliability.values().all(|one| *one == Reliability::BestEffort);
         let reports = if plain { Reports::Off } else { Reports::On };
-        Setup { reliability, ride: Ride::Never, reports, rate: None }
+        Setup { reliability, ride: Ride::Never, reports, report_rides: REPORT_RIDES, rate: None }
     }
 
     /// A link on which every datagram reaches everyone.
     pub fn multicast(reliability: Reliabilities) -> Setup {
-        Setup { reliability, ride: Ride::Any, reports: Reports::On, rate: Some(RATE) }
+        let (ride, reports, report_rides) = (Ride::Any, Reports::On, REPORT_RIDES);
+        Setup { reliability, ride, reports, report_rides, rate: Some(RATE) }
     }
 
     /// A link on which a datagram reaches whom it is addressed to.
     pub fn unicast(reliability: Reliabilities) -> Setup {
         Setup { ride: Ride::SameAudience, ..Setup::multicast(reliability) }
+    }
+
+    /// Whether some datagrams go to one host alone.
+    pub fn is_addressed(&self) -> bool {
+        self.ride != Ride::Any
     }
 
     /// The reliability of a kind.

@@ -3,7 +3,7 @@
 // Each test file uses a part of it.
 #![allow(dead_code)]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use murmurate::actors::Core;
@@ -14,8 +14,9 @@ use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Phase, Round, Wire};
 use murmurate::net::codec::{self, Content, Frame};
 use murmurate::net::key::Key;
-use murmurate::net::link::LinkCounts;
+use murmurate::net::link::{Duplicate, LinkCounts};
 use murmurate::net::reliability::{Reliabilities, Setup};
+use murmurate::net::report::Report;
 use murmurate::net::router::{Audience, Route, Router};
 use murmurate::net::sender::Peer;
 use murmurate::random::{Seed, Stream};
@@ -40,12 +41,25 @@ pub fn config(host: u16, robots: usize, epoch: u32, key: Option<Key>, setup: Set
             _ => Route { local: !own, leaves: own.then_some((LINK, Audience::All)) },
         }
     });
-    Config { me: Identity { host: HostId(host), team: TEAM, epoch }, key, links: vec![setup], router }
+    Config { me: Identity { host: HostId(host), team: TEAM, epoch }, key, links: vec![Some(setup)], router }
 }
 
 pub fn network(config: Config) -> Network {
-    let stream = Seed::of_run(u64::from(config.me.host.0)).stream("network");
+    network_of_run(config, 0)
+}
+
+/// Another run draws other numbers, also where it has the same incarnation.
+fn network_of_run(config: Config, run: u64) -> Network {
+    let stream = Seed::of_run(u64::from(config.me.host.0)).stream(&format!("network/{run}"));
     Network::new(config, stream)
+}
+
+/// The link report of a datagram, if there is one.
+pub fn report(frame: &[u8], tag: usize) -> Option<Report> {
+    codec::blocks(&frame[..frame.len() - tag]).flatten().find_map(|(content, body)| match content {
+        Content::Report | Content::NumberedReport => Report::read(content, body).ok(),
+        _ => None,
+    })
 }
 
 pub fn multicast(kinds: Reliabilities) -> Setup {
@@ -72,6 +86,7 @@ pub fn heartbeat(robot: u16, episode: u32) -> Wire {
 pub struct Flight {
     pub from: usize,
     pub at: Time,
+    pub audience: Audience,
     pub frame: Frame,
     pub bytes: usize,
 }
@@ -83,32 +98,54 @@ pub struct Rig {
     pub delivered: Vec<Vec<(Time, Wire)>>,
     pub peers: Vec<Vec<Peer>>,
     pub counts: Vec<LinkCounts>,
+    /// The host that each was found to duplicate.
+    pub duplicates: Vec<Option<Duplicate>>,
+    /// The number of each host: its place, unless set otherwise.
+    pub ids: Vec<HostId>,
     /// Everything that was sent.
     pub sent: Vec<Flight>,
+    /// What of it has arrived, and where, if that is to be remembered.
+    pub arrived: Option<Vec<(Time, usize, Frame)>>,
     pub loss: f64,
     pub delay: Span,
     flying: BTreeMap<(Time, u64), (usize, Frame)>,
+    /// When each host wants to be woken.
+    wakes: BTreeSet<(Time, usize)>,
+    wake_of: Vec<Option<Time>>,
     count: u64,
+    runs: u64,
     stream: Stream,
 }
 
 impl Rig {
     pub fn new(configs: impl IntoIterator<Item = Config>) -> Rig {
-        let networks: Vec<Network> = configs.into_iter().map(network).collect();
+        let (mut ids, mut networks) = (Vec::new(), Vec::new());
+        for config in configs {
+            ids.push(config.me.host);
+            networks.push(network_of_run(config, networks.len() as u64));
+        }
         let count = networks.len();
-        Rig {
+        let mut rig = Rig {
             now: Time::ZERO,
             delivered: vec![Vec::new(); count],
             peers: vec![Vec::new(); count],
             counts: vec![LinkCounts::default(); count],
+            duplicates: vec![None; count],
+            ids,
+            runs: count as u64,
             networks,
             sent: Vec::new(),
+            arrived: None,
+            wakes: BTreeSet::new(),
+            wake_of: vec![None; count],
             loss: 0.0,
             delay: Span::from_nanos(300_000),
             flying: BTreeMap::new(),
             count: 0,
             stream: Seed::of_run(5).stream("pipe"),
-        }
+        };
+        (0..count).for_each(|host| rig.plan(host));
+        rig
     }
 
     /// `count` hosts with a key on a multicast link.
@@ -119,17 +156,19 @@ impl Rig {
     fn act(&mut self, host: usize, act: impl FnOnce(&mut Network, Time, &mut Vec<Out>)) {
         let mut out = Vec::new();
         act(&mut self.networks[host], self.now, &mut out);
+        self.plan(host);
         for said in out {
             match said {
                 Out::Deliver(message) => self.delivered[host].push((self.now, message)),
                 Out::Counts(counts) => self.counts[host] = *counts,
                 Out::Peers(peers) => self.peers[host] = peers,
+                Out::Duplicate(duplicate) => self.duplicates[host] = Some(duplicate),
                 Out::Tap(_) => {}
                 Out::Transmit(_, audience, frame) => {
                     let bytes = frame.len();
-                    self.sent.push(Flight { from: host, at: self.now, frame: frame.clone(), bytes });
+                    self.sent.push(Flight { from: host, at: self.now, audience, frame: frame.clone(), bytes });
                     for to in 0..self.networks.len() {
-                        let meant = audience == Audience::All || audience == Audience::Host(HostId(to as u16));
+                        let meant = audience == Audience::All || audience == Audience::Host(self.ids[to]);
                         if to != host && meant && !self.stream.random_bool(self.loss) {
                             self.flying.insert((self.now + self.delay, self.count), (to, frame.clone()));
                             self.count += 1;
@@ -140,6 +179,14 @@ impl Rig {
         }
     }
 
+    fn plan(&mut self, host: usize) {
+        let wake = self.networks[host].wake_at();
+        if let Some(before) = std::mem::replace(&mut self.wake_of[host], wake) {
+            self.wakes.remove(&(before, host));
+        }
+        self.wakes.extend(wake.map(|at| (at, host)));
+    }
+
     pub fn publish(&mut self, host: usize, message: Wire) {
         self.act(host, |network, now, out| network.handle(now, In::Publish(message), out));
     }
@@ -148,16 +195,25 @@ impl Rig {
         self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into()), out));
     }
 
+    /// Lets so many milliseconds pass.
+    pub fn run_ms(&mut self, ms: u64) {
+        let end = self.now + Span::from_millis(ms);
+        self.run_to(end);
+    }
+
     /// Lets the time pass until `end`.
     pub fn run_to(&mut self, end: Time) {
         loop {
-            let wake = (0..self.networks.len()).filter_map(|at| Some((self.networks[at].wake_at()?, at))).min();
+            let wake = self.wakes.first().copied();
             let flight = self.flying.keys().next().copied();
             let next = [wake.map(|(at, _)| at), flight.map(|(at, _)| at)].into_iter().flatten().min();
             let Some(next) = next.filter(|next| *next <= end) else { break };
             self.now = self.now.max(next);
             if let Some(flight) = flight.filter(|(at, _)| *at <= next) {
                 let (to, frame) = self.flying.remove(&flight).expect("it flies");
+                if let Some(arrived) = &mut self.arrived {
+                    arrived.push((self.now, to, frame.clone()));
+                }
                 self.arrive(to, &frame);
             } else if let Some((_, host)) = wake {
                 self.act(host, |network, now, out| network.wake(now, out));
@@ -188,7 +244,10 @@ impl Rig {
 
     /// A host starts again under the same id.
     pub fn restart(&mut self, host: usize, config: Config) {
-        self.networks[host] = network(config);
+        self.runs += 1;
+        self.ids[host] = config.me.host;
+        self.networks[host] = network_of_run(config, self.runs);
+        self.plan(host);
     }
 
     /// The newest datagram of a host with data.

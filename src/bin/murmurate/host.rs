@@ -20,7 +20,7 @@ use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::messages::ids::HostId;
 use murmurate::messages::wire::{Phase, Wire};
 use murmurate::net::key::Key;
-use murmurate::net::link::LinkCounts;
+use murmurate::net::link::{Duplicate, LinkCounts};
 use murmurate::report::event::{Counted, HostEvent};
 use murmurate::report::summary::{Run, Summary};
 use murmurate::report::trial::TrialReport;
@@ -80,7 +80,7 @@ struct Seen {
     messages: Cell<u64>,
     counts: Cell<LinkCounts>,
     paths: RefCell<Option<Paths<File>>>,
-    /// What was to be written and could not be: there is nobody left to run for.
+    /// Why it cannot go on: what was to be written could not be, or another live host has its id.
     lost: RefCell<Option<anyhow::Error>>,
 }
 
@@ -99,7 +99,8 @@ pub fn run(args: &Args) -> Result<Ended> {
         trial.steps = Steps::Reported;
         seen.paths.replace(Some(trajectories(path, &team)?));
     }
-    let (links, sockets) = (links::setups(&team), links::open(&team, team.host)?);
+    let places = team.links.iter().map(Option::as_ref);
+    let (links, sockets) = (links::setups(&team.deployment, places), links::open(&team, team.host)?);
     let (signal, (rings, bell)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
     let rings = Rc::new(rings);
     rings.set_nonblocking(true).context("cannot make a pipe")?;
@@ -208,6 +209,11 @@ impl Seen {
             Heard::Message(_) | Heard::Peers(_) => {}
             Heard::Counts(counts) => self.counts.set(*counts),
             Heard::Published => self.messages.set(self.messages.get() + 1),
+            Heard::Duplicate(Duplicate { host, .. }) => self.lose(Err(anyhow!(
+                "another live host is number {} of this team and was started before this one: stop it, or correct \
+                 --host or --robot here",
+                host.0
+            ))),
         }
     }
 

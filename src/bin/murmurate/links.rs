@@ -6,10 +6,11 @@ use murmurate::actors::network::Identity;
 use murmurate::deploy::team::{Post, SocketConfig, Team, Transport};
 use murmurate::deploy::{Deployment, Link};
 use murmurate::messages::ids::{HostId, LinkId};
-use murmurate::net::reliability::{Reliabilities, Setup};
+use murmurate::net::reliability::Setup;
 use murmurate::net::transport::interface::{self, Interface, InterfaceError};
 use murmurate::net::transport::udp::{OpenError, Udp};
 use murmurate::random::Seed;
+use murmurate::time::Span;
 
 use crate::BadInput;
 
@@ -43,26 +44,36 @@ impl Fresh {
     }
 }
 
-/// How the links are set up: as the deployment has them, and as the team file has it otherwise.
-pub fn setups(team: &Team) -> Vec<Setup> {
-    let setup = |(link, config): (&Link, &Option<SocketConfig>)| setup(link, config.as_ref());
-    team.deployment.links.iter().zip(&team.links).map(setup).collect()
+/// How the links are set up that have a place here: as the deployment has them, and as the team file has it otherwise.
+pub fn setups<'a>(
+    deployment: &Deployment,
+    places: impl IntoIterator<Item = Option<&'a SocketConfig>>,
+) -> Vec<Option<Setup>> {
+    let setup = |(link, place): (&Link, Option<&SocketConfig>)| {
+        let config = place?;
+        let mut reliability = link.reliability.clone();
+        reliability.extend(config.reliability.clone());
+        Some(match config.transport {
+            Transport::Unicast { .. } => Setup::unicast(reliability),
+            Transport::Multicast { .. } => Setup::multicast(reliability),
+        })
+    };
+    deployment.links.iter().zip(places).map(setup).collect()
 }
 
-/// How the links are set up for an operator, which has a part in that of the stop alone.
-pub fn of_operator(post: &Post, deployment: &Deployment) -> Vec<Setup> {
-    let config = |at: usize| (at == usize::from(post.link.0)).then(|| &post.sockets[0]);
-    deployment.links.iter().enumerate().map(|(at, link)| setup(link, config(at))).collect()
+/// How they are set up for an operator, which is to be believed at once: a report goes with every datagram.
+pub fn of_operator<'a>(
+    deployment: &Deployment,
+    places: impl IntoIterator<Item = Option<&'a SocketConfig>>,
+) -> Vec<Option<Setup>> {
+    let setups = setups(deployment, places).into_iter();
+    setups.map(|setup| setup.map(|setup| Setup { report_rides: Span::ZERO, ..setup })).collect()
 }
 
-/// How one link is set up.
-pub fn setup(link: &Link, config: Option<&SocketConfig>) -> Setup {
-    let mut reliability: Reliabilities = link.reliability.clone();
-    reliability.extend(config.iter().flat_map(|config| config.reliability.clone()));
-    match config.map(|config| &config.transport) {
-        Some(Transport::Unicast { .. }) => Setup::unicast(reliability),
-        _ => Setup::multicast(reliability),
-    }
+/// The place of an operator that has a part in the link of the stop alone.
+pub fn at_post<'a>(post: &'a Post, deployment: &Deployment) -> impl Iterator<Item = Option<&'a SocketConfig>> {
+    let at = usize::from(post.link.0);
+    (0..deployment.links.len()).map(move |link| (link == at).then(|| &post.sockets[0]))
 }
 
 /// The sockets of the links that the team's host uses, opened for `me`.

@@ -86,7 +86,7 @@ impl Asked<'_> {
             robots: deployment.robots,
             publishers: Routes::of(deployment).publishers(),
             key,
-            links: links::of_operator(&post, deployment),
+            links: links::of_operator(deployment, links::at_post(&post, deployment)),
             sockets: links::join(&post, link, me.host)?,
             stop: Some(post.link),
         };

@@ -85,7 +85,7 @@ fn hear(team: &Team, places: &[Option<&SocketConfig>], seconds: f64) -> Result<E
             robots: team.deployment.robots,
             publishers: Routes::of(&team.deployment).publishers(),
             key: key.clone(),
-            links: links::setups(team),
+            links: links::of_operator(&team.deployment, places.iter().copied()),
             sockets,
             stop: None,
         })
@@ -103,7 +103,7 @@ fn hear(team: &Team, places: &[Option<&SocketConfig>], seconds: f64) -> Result<E
                     heard.borrow_mut().peers = peers.iter().map(|p| ((p.link, p.host), p.clone())).collect();
                 }
                 Heard::Counts(counts) => heard.borrow_mut().counts = *counts,
-                Heard::Message(_) | Heard::Published => {}
+                Heard::Message(_) | Heard::Published | Heard::Duplicate(_) => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
             clock.call(until, Box::new(|| {}));
@@ -136,9 +136,9 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
         let advice = "is it started, on this network, with this group and this key? run doctor there, too";
         return (Status::Warn, what, "not heard".to_owned(), advice.to_owned());
     };
-    let clock = match (peer.ahead_s, peer.uncertainty_s) {
-        (Some(ahead_s), Some(uncertainty_s)) => {
-            format!("its clock, which began when it was started, is {ahead_s:.4} s ahead, \u{b1} {uncertainty_s:.4} s")
+    let clock = match (peer.round_trip_s, peer.uncertainty_s) {
+        (Some(round_trip_s), Some(uncertainty_s)) => {
+            format!("there and back in {:.2} ms, \u{b1} {:.2} ms", round_trip_s * 1e3, uncertainty_s * 1e3)
         }
         _ => "it has not answered yet".to_owned(),
     };

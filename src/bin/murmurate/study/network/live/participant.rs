@@ -120,7 +120,7 @@ fn wire(
     let config = network::Config {
         me: network::Identity { host, team: part.team.number, epoch: fresh.incarnation },
         key: part.key.map(Key::new),
-        links: vec![linked::setup(task.case.addressing, task.case.reliability)],
+        links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
         router,
     };
     let seed = fresh.seed;
