@@ -200,14 +200,14 @@ fn motors_stop_in_time_whatever_is_struck_and_the_next_episode_runs() {
     }
 }
 
-/// Ends a host in the midst of a running episode; that episode.
-fn told_to_end(crew: &mut Crew, victim: &str, team_stands: Duration) -> u32 {
+/// Ends a host in the midst of a running episode after this one; that episode.
+fn told_to_end(crew: &mut Crew, after: Option<u32>, victim: &str, team_stands: Duration) -> u32 {
     let (mut waiting, mut now) = (ROBOTS.to_vec(), None);
     let episode = crew.row("all are driven in a running episode", |row, _| {
         if now != Some(row.episode) || row.phase != "Running" {
             (now, waiting) = (Some(row.episode), ROBOTS.to_vec());
         }
-        if row.phase == "Running" && row.is_driven() {
+        if row.phase == "Running" && row.is_driven() && after.is_none_or(|after| row.episode > after) {
             waiting.retain(|robot| *robot != row.robot);
         }
         waiting.is_empty().then_some(row.episode)
@@ -225,8 +225,11 @@ fn told_to_end(crew: &mut Crew, victim: &str, team_stands: Duration) -> u32 {
             Said::Log(line) => assert!(!line.contains("emergency stop"), "leaving is not stopping: {line}"),
             _ => {}
         }
-        (Instant::now() >= until).then_some(())
+        // The World's host says no more once it has ended.
+        let closed = victim == "world" && heard.host == victim && matches!(heard.said, Said::Closed);
+        (closed || Instant::now() >= until).then_some(())
     });
+    crew.pass(until.saturating_duration_since(Instant::now()));
     report(&format!("SIGTERM of {victim} in episode {episode}: last driven after {last:.0?}"));
     for (robot, after) in last {
         let own = victim == "world" || victim == format!("agent-{robot}");
@@ -241,9 +244,11 @@ fn the_team_stands_and_waits_for_a_host_that_is_told_to_end_and_runs_the_episode
     let _alone = ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     let (_folder, file) = folder(&team(783));
     let (mut crew, _) = launched(&file);
+    let mut last = None;
     for victim in ["agent-1", "server", "world"] {
         // A state server's last word takes half of its silence at the most.
-        let episode = told_to_end(&mut crew, victim, Duration::from_millis(500));
+        let episode = told_to_end(&mut crew, last, victim, Duration::from_millis(500));
+        last = Some(episode);
         crew.start(victim);
         crew.ready(&[victim]);
         let next = crew.row("all run again", |row, _| (row.phase == "Running").then_some(row.episode));

@@ -177,9 +177,12 @@ impl Running {
         });
     }
 
-    /// One stop, re-arm and resume; with the state server killed and started again while the team is held, if wished.
-    fn cycle(&mut self, kill: bool) -> Stopped {
+    /// One stop, re-arm and resume; every second time the state server is killed and started again while the team is held.
+    fn cycle(&mut self, number: usize) -> Stopped {
+        let kill = number % 2 == 1;
         self.driven();
+        // Anywhere within a step of the World.
+        self.crew.pass(Duration::from_millis(17 * number as u64 % 50));
         let stopped = self.stop();
         let (said, _) = self.succeeds(&["stop", "--rearm"]);
         assert_eq!(said["state"], "held");
@@ -212,7 +215,7 @@ fn stops() -> usize {
 fn stops_in_time(case: &Case) -> Option<Vec<Stopped>> {
     let _alone = ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     let mut team = case.start()?;
-    let all: Vec<Stopped> = (0..stops()).map(|number| team.cycle(number % 2 == 1)).collect();
+    let all: Vec<Stopped> = (0..stops()).map(|number| team.cycle(number)).collect();
     let late = all.iter().filter(|stopped| stopped.stood > STANDS + STEP || stopped.took_s > CONFIRMED_S).count();
     let worst_s = all.iter().map(|stopped| stopped.took_s).fold(0.0, f64::max);
     let stood = all.iter().map(|stopped| stopped.stood).max().unwrap_or_default();
