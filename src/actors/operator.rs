@@ -72,8 +72,7 @@ pub fn wire(
             outward[usize::from(link.0)].send(transport::In::Transmit(transmit));
         }
     });
-    for (link, udp) in open {
-        sockets::wire((clock, readers), (link, udp), &transports[usize::from(link.0)], &network);
-    }
+    let mailbox_of = |link: LinkId| transports[usize::from(link.0)].clone();
+    sockets::wire_all((clock, readers), open, mailbox_of, &network);
     network
 }

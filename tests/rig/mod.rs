@@ -145,7 +145,7 @@ impl Rig {
     }
 
     pub fn arrive(&mut self, host: usize, frame: &[u8]) {
-        self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into()), out));
+        self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into(), None), out));
     }
 
     /// Lets the time pass until `end`.

@@ -8,7 +8,7 @@ use murmurate::deploy::team::{SocketConfig, Team, Transport};
 use murmurate::messages::ids::{HostId, LinkId};
 use murmurate::net::reliability::Setup;
 use murmurate::net::transport::interface::InterfaceError;
-use murmurate::net::transport::udp::{OpenError, Udp};
+use murmurate::net::transport::udp::{Filter, OpenError, Udp};
 
 use crate::BadInput;
 
@@ -36,12 +36,17 @@ pub fn setups(team: &Team) -> Vec<Setup> {
     team.deployment.links.iter().zip(&team.links).map(setup).collect()
 }
 
+/// What of all that arrives is let through to a host of the team.
+pub fn filter(team: &Team) -> Filter {
+    Filter::Team { number: team.number, tagged: team.key_file.is_some() }
+}
+
 /// The sockets of the links that the team's host uses, opened for `me`.
 pub fn open(team: &Team, me: HostId) -> Result<Vec<(LinkId, Udp)>> {
     let mut sockets = Vec::new();
     for (at, (link, config)) in team.deployment.links.iter().zip(&team.links).enumerate() {
         let Some(config) = config else { continue };
-        let udp = Udp::open(me, config).map_err(|error| {
+        let udp = Udp::open(me, config, filter(team)).map_err(|error| {
             let what = format!("link '{}': {error}", link.name);
             match error {
                 // It may come up yet; a wrong name stays wrong.

@@ -15,7 +15,7 @@ use murmurate::messages::ids::{HostId, LinkId};
 use murmurate::net::key::Key;
 use murmurate::net::link::LinkCounts;
 use murmurate::net::sender::Peer;
-use murmurate::net::transport::udp::Udp;
+use murmurate::net::transport::udp::{Filter, Udp};
 use murmurate::time::{Span, Time};
 
 use super::{Found, Status};
@@ -75,7 +75,7 @@ fn hear(team: &Team, places: &[Option<&SocketConfig>], seconds: f64) -> Result<E
         let mut sockets = Vec::new();
         for (at, place) in places.iter().enumerate() {
             let Some(place) = place else { continue };
-            let udp = Udp::open(id, place).map_err(|e| anyhow!("link {at}: {e}"))?;
+            let udp = Udp::open(id, place, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
             sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
         }
         let (links, key, robots) = (links::setups(team), key.clone(), team.deployment.robots);
