@@ -7,7 +7,6 @@
 //! stamp its epoch and velocity, the position its position.
 
 use std::cell::RefCell;
-use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -30,13 +29,18 @@ use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Mode, Phase, 
 use murmurate::net::key::Key;
 use murmurate::net::reliability::{Reliabilities, Reliability, Setup};
 use murmurate::net::router::{Audience, Route, Router};
-use murmurate::net::transport::udp::Udp;
+use murmurate::net::transport::udp::{Filter, Udp};
 use murmurate::net::transport::{self, Transmit};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
 use nix::sys::resource::{UsageWho, getrusage};
 use nix::time::{ClockId, clock_gettime};
 use tracing::info_span;
+
+/// The program's allocator.
+#[cfg(feature = "mimalloc")]
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Marks the sequence number of a hello.
 const HELLO: u32 = 0x8000_0000;
@@ -64,6 +68,18 @@ fn cpu() -> [f64; 2] {
     [usage.user_time(), usage.system_time()].map(|time| time.tv_sec() as f64 + time.tv_usec() as f64 * 1e-6)
 }
 
+/// The step of a histogram that a delay \[ns\] is in: sixty-four steps an octave.
+fn step(delay: u64) -> usize {
+    let octave = (63 - (delay | 64).leading_zeros() as usize) - 6;
+    octave * 64 + (delay >> octave) as usize
+}
+
+/// The least delay \[ns\] of a step.
+fn begin_of(step: usize) -> u64 {
+    let octave = (step / 64).saturating_sub(1);
+    ((step - octave * 64) as u64) << octave
+}
+
 fn variable<T: FromStr>(name: &str, default: T) -> T {
     let given = std::env::var(name).ok().filter(|text| !text.is_empty());
     given.map_or(default, |text| {
@@ -75,7 +91,9 @@ fn variable<T: FromStr>(name: &str, default: T) -> T {
 #[derive(Clone, Default)]
 struct Sender {
     heard: bool,
-    seen: BTreeSet<u32>,
+    /// One bit for each sequence number.
+    seen: Vec<u64>,
+    unique: u64,
     duplicates: u64,
     out_of_order: u64,
     last: Option<u32>,
@@ -102,7 +120,8 @@ struct Peer {
     send_ns: u64,
     mesh_ns: u64,
     senders: Vec<Sender>,
-    delays: BTreeMap<u64, u64>,
+    /// A histogram, by `step`.
+    delays: Vec<u64>,
     max_ns: u64,
     last_arrival_ns: u64,
 }
@@ -136,7 +155,7 @@ impl Peer {
             send_ns: 0,
             mesh_ns: 0,
             senders: vec![Sender::default(); participants],
-            delays: BTreeMap::new(),
+            delays: vec![0; step(u64::MAX) + 1],
             max_ns: 0,
             last_arrival_ns: 0,
         }
@@ -171,10 +190,16 @@ impl Peer {
             return;
         }
         let sender = &mut self.senders[latent.robot.index()];
-        if !sender.seen.insert(sequence) {
+        let (word, bit) = ((sequence / 64) as usize, 1 << (sequence % 64));
+        if word >= sender.seen.len() {
+            sender.seen.resize((word + 1).next_power_of_two().max(1024), 0);
+        }
+        if sender.seen[word] & bit != 0 {
             sender.duplicates += 1;
             return;
         }
+        sender.seen[word] |= bit;
+        sender.unique += 1;
         if sender.last.is_some_and(|last| sequence < last) {
             sender.out_of_order += 1;
         }
@@ -182,9 +207,7 @@ impl Peer {
         let velocity = latent.motion.velocity;
         let stamp = u64::from(latent.round.epoch) * 1_000_000 + velocity.x as u64 * 1000 + velocity.y as u64;
         let delay = now.saturating_sub(stamp + self.start_ns.min(self.zero_ns));
-        // Sixty-four steps an octave.
-        let grain = 1 << (63 - (delay | 64).leading_zeros()).saturating_sub(6);
-        *self.delays.entry(delay / grain * grain).or_default() += 1;
+        self.delays[step(delay)] += 1;
         self.max_ns = self.max_ns.max(delay);
         self.last_arrival_ns = now;
     }
@@ -245,11 +268,11 @@ impl Peer {
             self.last_arrival_ns.saturating_sub(begin_ns)
         );
         for (id, sender) in self.senders.iter().enumerate().filter(|(id, _)| *id != usize::from(self.id)) {
-            writeln!(text, "from {id} {} {} {}", sender.seen.len(), sender.duplicates, sender.out_of_order)
+            writeln!(text, "from {id} {} {} {}", sender.unique, sender.duplicates, sender.out_of_order)
                 .expect("text grows");
         }
-        for (delay, count) in &self.delays {
-            writeln!(text, "h {delay} {count}").expect("text grows");
+        for (step, count) in self.delays.iter().enumerate().filter(|(_, count)| **count > 0) {
+            writeln!(text, "h {} {count}", begin_of(step)).expect("text grows");
         }
         text + "end\n"
     }
@@ -272,6 +295,12 @@ impl Core for Peer {
 
     fn wake_at(&self) -> Option<Time> {
         Some(self.next.min(self.next_heartbeat).min(self.next_mode))
+    }
+
+    fn tolerance(&self, ahead: Span) -> Span {
+        // A message leaves in time; a heartbeat or a mode may wait for something else to be done.
+        let soft = self.next > self.next_heartbeat.min(self.next_mode);
+        if soft { Span::from_nanos(ahead.as_nanos() / 8) } else { Span::ZERO }
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Wire>) {
@@ -304,7 +333,8 @@ fn main() {
         receive_buffer_bytes: 4 << 20,
         reliability: Reliabilities::new(),
     };
-    let udp = Udp::open(HostId(id), &socket).unwrap_or_else(|error| panic!("{error}"));
+    let udp = Udp::open(HostId(id), &socket, Filter::Team { number: 1, tagged: true })
+        .unwrap_or_else(|error| panic!("{error}"));
     let (origin, zero_ns) = (Instant::now(), monotonic_ns());
     let peer = Rc::new(RefCell::new(Peer::new(id, participants, zero_ns)));
     let (mut ready, mut told) = (false, false);

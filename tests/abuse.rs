@@ -269,7 +269,7 @@ fn made_up_senders_find_no_room() {
     let mut out = Vec::new();
     for sender in 1..=20_000 {
         let frame = codec::encode(&header(sender, 1, 1), &latent(1, 1)).unwrap();
-        network.handle(Time::ZERO, In::Frame(LINK, frame), &mut out);
+        network.handle(Time::ZERO, In::Frame(LINK, frame, None), &mut out);
         out.clear();
     }
     network.wake(Time::ZERO + Span::from_millis(1000), &mut out);
@@ -297,7 +297,7 @@ proptest! {
                     key.seal(&mut deep, LINK, None);
                 }
                 for frame in [bytes.clone(), deep] {
-                    network.handle(Time::ZERO, In::Frame(LINK, frame.into()), &mut Vec::new());
+                    network.handle(Time::ZERO, In::Frame(LINK, frame.into(), None), &mut Vec::new());
                 }
             }
             network.wake(Time::ZERO, &mut Vec::new());

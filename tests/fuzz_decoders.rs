@@ -84,7 +84,7 @@ fn no_mutation_of_the_corpus_gets_past_a_decoder_unsound() {
             *(if sound.is_ok() { &mut decoded } else { &mut refused }) += 1;
         }
         let _ = codec::decode(bytes.get(..bytes.len().min(HEADER_BYTES + 300)).unwrap_or_default());
-        target.handle(Time::from_nanos(round as u64 * 1000), In::Frame(LINK, bytes.into()), &mut out);
+        target.handle(Time::from_nanos(round as u64 * 1000), In::Frame(LINK, bytes.into(), None), &mut out);
         out.clear();
     }
     assert!(decoded > 1000 && refused > 1000, "{decoded} decoded, {refused} refused: the mutations bite");

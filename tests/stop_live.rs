@@ -237,7 +237,7 @@ fn a_stop_of_the_onboard_team_on_its_own_radios_is_confirmed_and_holds_until_a_r
 
 #[test]
 fn a_stop_of_the_centralized_team_with_unicast_links_is_confirmed_and_holds_until_a_resume() {
-    stops_in_time(&Case { mode: "centralized", file: "centralized", unicast: false });
+    stops_in_time(&Case { mode: "centralized", file: "centralized", unicast: true });
 }
 
 #[test]

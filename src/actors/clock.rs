@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 use std::collections::{BinaryHeap, VecDeque};
 use std::rc::Rc;
 
-use crate::time::Time;
+use crate::time::{Span, Time};
 
 /// What the actors of one virtual world share: the time, and the queue of what is due.
 #[derive(Clone, Default)]
@@ -36,6 +36,8 @@ pub struct Sleeper(usize);
 
 struct Event {
     at: Time,
+    /// When it is to happen at the latest, in real time.
+    latest: Time,
     sequence: u64,
     what: What,
 }
@@ -104,21 +106,22 @@ impl Clock {
         Some(Rc::clone(&registered.attend))
     }
 
-    /// Rings `sleeper` at `at`.
-    pub fn arm(&self, at: Time, sleeper: Sleeper) {
-        self.push(at, What::Wake(sleeper));
+    /// Rings `sleeper` at `at`, in real time up to `tolerance` later.
+    pub fn arm(&self, at: Time, tolerance: Span, sleeper: Sleeper) {
+        self.push(at, tolerance, What::Wake(sleeper));
     }
 
     /// Calls `call` at `at`.
     pub fn call(&self, at: Time, call: Box<dyn FnOnce()>) {
-        self.push(at, What::Call(call));
+        self.push(at, Span::ZERO, What::Call(call));
     }
 
-    fn push(&self, at: Time, what: What) {
+    fn push(&self, at: Time, tolerance: Span, what: What) {
         let mut queue = self.queue.borrow_mut();
         let sequence = queue.sequence;
         queue.sequence += 1;
-        queue.events.push(Event { at: at.max(self.now()), sequence, what });
+        let at = at.max(self.now());
+        queue.events.push(Event { at, latest: at + tolerance, sequence, what });
     }
 
     /// Goes to the earliest event and lets it happen; `false` if there is none.
@@ -131,8 +134,14 @@ impl Clock {
     }
 
     /// When the earliest event is due.
-    pub(super) fn next(&self) -> Option<Time> {
+    fn next(&self) -> Option<Time> {
         self.queue.borrow().events.peek().map(|event| event.at)
+    }
+
+    /// When a driver of real time has to be awake at the latest. It looks at all events, of which a host has few: one or
+    /// two an actor.
+    pub(super) fn latest(&self) -> Option<Time> {
+        self.queue.borrow().events.iter().map(|event| event.latest).min()
     }
 
     /// The present is `now`, as read from a real clock, which may have passed over events.
@@ -160,5 +169,24 @@ impl Clock {
     /// Lets go of all sleepers and events, which hold the actors that hold this clock.
     pub(super) fn clear(&self) {
         *self.queue.borrow_mut() = Queue::default();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_event_that_may_be_late_waits_for_one_that_may_not() {
+        let clock = Clock::default();
+        let ms = |ms: u64| Time::ZERO + Span::from_millis(ms);
+        let sleeper = clock.register(Rc::new(|| {}));
+        clock.arm(ms(10), Span::from_millis(5), sleeper);
+        assert_eq!(clock.latest(), Some(ms(15)));
+        clock.call(ms(12), Box::new(|| {}));
+        assert_eq!(clock.latest(), Some(ms(12)), "both at once");
+        clock.set(ms(12));
+        assert!(clock.catch_up() && clock.catch_up() && !clock.catch_up());
+        assert_eq!(clock.latest(), None);
     }
 }

@@ -338,6 +338,9 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
             }
             network::Out::Peers(peers) => hear(Heard::Peers(&peers)),
             network::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
+            network::Out::Admit(link, host, at) => {
+                transports[usize::from(link.0)].send(transport::In::Admit { host, at });
+            }
             network::Out::Transmit(link, audience, frame) => {
                 let transmit = Transmit { from: host, audience, frame };
                 transports[usize::from(link.0)].send(transport::In::Transmit(transmit));
@@ -426,11 +429,11 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
         let (networks, record) = (graph.networks.clone(), graph.record());
         let observed = plan.steps == recorder::Steps::Reported && link.carries.contains(&Kind::Latent);
         start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
-            ether::Out::Arrive(Arrive { to, frame }) => {
+            ether::Out::Arrive(Arrive { to, from, frame }) => {
                 if observed {
                     record(recorder::In::Arrived(to, Frame::clone(&frame)));
                 }
-                networks[usize::from(to.0)].send(network::In::Frame(id, frame));
+                networks[usize::from(to.0)].send(network::In::Frame(id, frame, from));
             }
             ether::Out::Counts(counts) => record(recorder::In::Radio(id, counts)),
         });

@@ -29,7 +29,7 @@ pub struct Host {
     pub key: Option<Key>,
     /// How its links are set up, in the order of the deployment; none where it has no part in one.
     pub links: Vec<Option<Setup>>,
-    /// Its sockets by link, for the links that it uses.
+    /// Its sockets by link, for the links that it uses; several for a link that it uses on several interfaces.
     pub sockets: Vec<(LinkId, Udp)>,
 }
 
@@ -55,10 +55,8 @@ pub fn wire(
     };
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
-    for (link, udp) in host.sockets {
-        let mailbox = &graph.transports[usize::from(link.0)];
-        sockets::wire((clock, readers), (link, udp), mailbox, &graph.network_of(host.id));
-    }
+    let mailbox_of = |link: LinkId| graph.transports[usize::from(link.0)].clone();
+    sockets::wire_all((clock, readers), host.sockets, mailbox_of, &graph.network_of(host.id));
     if process.records {
         wire_recorder(clock, plan, &graph, said);
     }

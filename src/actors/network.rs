@@ -6,9 +6,10 @@
 //! believed, is decided in `net::link`.
 
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 
 use super::Core;
-use crate::messages::ids::LinkId;
+use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::net::codec::{self, Content, Flags, Frame, Header};
 use crate::net::key::Key;
@@ -26,8 +27,8 @@ use crate::time::{Span, Time};
 pub enum In {
     /// An actor of this host has something to say.
     Publish(Wire),
-    /// A datagram has arrived.
-    Frame(LinkId, Frame),
+    /// A datagram has arrived, from this address where the link is not emulated.
+    Frame(LinkId, Frame, Option<SocketAddr>),
     /// A transport has dropped so many datagrams, because a queue was full.
     Dropped(LinkId, u64),
 }
@@ -48,8 +49,12 @@ pub enum Out {
     Peers(Vec<Peer>),
     /// Another live host has the id of this one and was started before it. Said once.
     Duplicate(Duplicate),
+    /// To a link's transport: an operator of the team speaks from this address, which is in no file.
+    Admit(LinkId, HostId, SocketAddr),
 }
 
+/// The longest that a timer of a link may be late to share a wake-up with another: a tenth of the period of a report.
+const MAX_LATE: Span = Span::from_millis(25);
 /// How often a Network tells its counts.
 pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
@@ -175,11 +180,14 @@ impl Network {
         }
     }
 
-    fn receive(&mut self, now: Time, link: LinkId, frame: &[u8], out: &mut Vec<Out>) {
+    fn receive(&mut self, now: Time, (link, from): (LinkId, Option<SocketAddr>), frame: &[u8], out: &mut Vec<Out>) {
         let at = usize::from(link.0);
         let Some(state) = self.links.get_mut(at).and_then(Option::as_mut) else { return };
         let admitted = state.admit(now, frame, &mut self.stream, &mut self.leaving);
         self.due[at] = state.due();
+        if let (Some(operator), Some(from), false) = (state.operator(), from, self.shared[at]) {
+            out.push(Out::Admit(link, operator, from));
+        }
         if let Some(duplicate) = state.duplicate().filter(|_| !self.duplicates) {
             self.duplicates = true;
             out.push(Out::Duplicate(duplicate));
@@ -224,7 +232,7 @@ impl Core for Network {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Publish(message) => self.publish(now, message, out),
-            In::Frame(link, frame) => self.receive(now, link, &frame, out),
+            In::Frame(link, frame, from) => self.receive(now, (link, from), &frame, out),
             In::Dropped(link, count) => {
                 if let Some(state) = self.link(link) {
                     state.counts().queue += count;
@@ -235,6 +243,11 @@ impl Core for Network {
 
     fn wake_at(&self) -> Option<Time> {
         Some(self.due.iter().flatten().copied().fold(self.next_counts, Time::min))
+    }
+
+    fn tolerance(&self, ahead: Span) -> Span {
+        // In proportion: a repeat that waits for 4 ms may be 0.5 ms late, soft state that waits for longer 12 ms.
+        Span::from_nanos(ahead.as_nanos() / 8).min(MAX_LATE)
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
@@ -260,7 +273,7 @@ impl Core for Network {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
-    use crate::messages::ids::{HostId, RobotId};
+    use crate::messages::ids::RobotId;
     use crate::messages::wire::Reading;
     use crate::net::reliability::Reliabilities;
     use crate::net::router::Route;
@@ -309,7 +322,7 @@ mod tests {
     fn a_frame_is_let_in_once_or_counted() {
         let (mut here, mut there) = (network(1, 0), network(2, 0));
         let sound = frame(&mut there, 0);
-        assert!(matches!(&handle(&mut here, In::Frame(LINK, sound.clone()))[..], [Out::Deliver(_)]));
+        assert!(matches!(&handle(&mut here, In::Frame(LINK, sound.clone(), None))[..], [Out::Deliver(_)]));
         let other_team = frame(&mut network(3, 5), 0);
         let own = frame(&mut network(1, 0), 0);
         let elsewhere = frame(&mut there, 1);
@@ -317,7 +330,7 @@ mod tests {
         version[0] += 1;
         let cut: Frame = sound[..sound.len() - 1].into();
         for refused in [sound, other_team, own, elsewhere, version.into(), cut] {
-            assert!(handle(&mut here, In::Frame(LINK, refused)).is_empty());
+            assert!(handle(&mut here, In::Frame(LINK, refused, None)).is_empty());
         }
         let mut out = Vec::new();
         here.wake(Time::ZERO, &mut out);

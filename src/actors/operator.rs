@@ -57,28 +57,26 @@ pub fn wire(
         _ => Route::default(),
     });
     let router = router.with_publishers(publishers);
+    let count = links.len();
     let config = network::Config { me, key, links, router };
     let make = move |life: u32| {
         let me = Identity { epoch: me.epoch.wrapping_add(life), ..me };
         Network::new(network::Config { me, ..config.clone() }, seed.stream(&format!("operator/{life}")))
     };
     let network = Mailbox::new("network of the operator");
-    let transports: Vec<(LinkId, Mailbox<transport::In>)> =
-        sockets.iter().map(|(link, _)| (*link, Mailbox::new("udp of the operator"))).collect();
-    for ((link, udp), (_, mailbox)) in sockets.into_iter().zip(&transports) {
-        sockets::wire((clock, readers), (link, udp), mailbox, &network);
-    }
+    let transports: Vec<Mailbox<transport::In>> = (0..count).map(|_| Mailbox::new("udp of the operator")).collect();
+    sockets::wire_all((clock, readers), sockets, |link| transports[usize::from(link.0)].clone(), &network);
     start(clock, &network, info_span!("network"), make, move |out| match out {
         network::Out::Deliver(message) => heard(Heard::Message(&message)),
         network::Out::Counts(counts) => heard(Heard::Counts(&counts)),
         network::Out::Peers(peers) => heard(Heard::Peers(&peers)),
         network::Out::Duplicate(duplicate) => heard(Heard::Duplicate(duplicate)),
         network::Out::Tap(_) => heard(Heard::Published),
+        // An operator answers operators of multicast links alone, which need no address.
+        network::Out::Admit(..) => {}
         network::Out::Transmit(link, audience, frame) => {
-            for (_, transport) in transports.iter().filter(|(of, _)| *of == link) {
-                let transmit = Transmit { from: me.host, audience, frame: frame.clone() };
-                transport.send(transport::In::Transmit(transmit));
-            }
+            let transmit = Transmit { from: me.host, audience, frame };
+            transports[usize::from(link.0)].send(transport::In::Transmit(transmit));
         }
     });
     network

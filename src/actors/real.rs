@@ -1,6 +1,7 @@
 //! The driver of real time: does what is due, lets the actors run until every mailbox is empty, then sleeps until the
 //! next event or until a file descriptor has something to read. One thread, no runtime's timers: they are a
-//! millisecond coarse, and the poll here is not. What the actors do never lives here.
+//! millisecond coarse, and an alarm of the kernel is not. What is due comes before what has arrived, so a flood of
+//! datagrams delays no control tick by more than one reading. What the actors do never lives here.
 
 use std::cell::Cell;
 use std::os::fd::AsFd;
@@ -8,7 +9,7 @@ use std::rc::Rc;
 use std::time::Instant;
 
 use nix::errno::Errno;
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags, EpollTimeout};
 use nix::sys::time::TimeSpec;
 use nix::sys::timerfd::{ClockId, Expiration, TimerFd, TimerFlags, TimerSetTimeFlags};
 
@@ -19,76 +20,137 @@ use crate::time::{Span, Time};
 
 /// The longest sleep. Whoever has to be heard sooner has something to read.
 const MAX_SLEEP: Span = Span::from_millis(1000);
+/// Descriptors that one look tells of; the others are told of by the next.
+const TOLD_AT_ONCE: usize = 16;
+/// What the alarm is called among the descriptors.
+const ALARM: u64 = u64::MAX;
 
 /// File descriptors, and who is rung when one of them has something to read.
-#[derive(Default)]
-pub struct Readers(Vec<Reader>);
+pub struct Readers {
+    readers: Vec<Reader>,
+    /// Watches all of them, and the alarm.
+    all: Epoll,
+    /// Watches those that never rest, and the alarm.
+    restless: Epoll,
+    alarm: TimerFd,
+    /// When the alarm goes off.
+    alarm_at: Option<Time>,
+    /// Those that have something to read and are not rung yet.
+    ready: Vec<usize>,
+}
 
 struct Reader {
     source: Rc<dyn AsFd>,
-    awaited: PollFlags,
+    /// Whether the end of it is awaited, and not what it says.
+    end: bool,
     /// Whether it has nothing more to tell.
     over: Cell<bool>,
     ring: Box<dyn Fn()>,
+    /// Until when it is to be left alone.
+    rests: Option<Box<dyn Fn() -> Option<Time>>>,
 }
 
 impl Readers {
+    fn new() -> Readers {
+        let epoll = || Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).expect("a process may watch descriptors");
+        let flags = TimerFlags::TFD_NONBLOCK | TimerFlags::TFD_CLOEXEC;
+        let alarm = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags).expect("a process may have a timer");
+        let (all, restless) = (epoll(), epoll());
+        for epoll in [&all, &restless] {
+            // It tells once, and needs not be read before it is set again.
+            let event = EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, ALARM);
+            epoll.add(alarm.as_fd(), event).expect("a timer can be watched");
+        }
+        Readers { readers: Vec::new(), all, restless, alarm, alarm_at: None, ready: Vec::new() }
+    }
+
     /// Rings whenever `source` has something to read, until it has been read.
     pub fn watch(&mut self, source: Rc<dyn AsFd>, ring: impl Fn() + 'static) {
-        self.0.push(Reader { source, awaited: PollFlags::POLLIN, over: Cell::new(false), ring: Box::new(ring) });
+        self.add(Reader { source, end: false, over: Cell::new(false), ring: Box::new(ring), rests: None });
+    }
+
+    /// Rings whenever `source` has something to read, but not before the time that `rests` answers with.
+    pub fn watch_link(
+        &mut self,
+        source: Rc<dyn AsFd>,
+        rests: impl Fn() -> Option<Time> + 'static,
+        ring: impl Fn() + 'static,
+    ) {
+        let (ring, rests) = (Box::new(ring), Some(Box::new(rests) as Box<dyn Fn() -> Option<Time>>));
+        self.add(Reader { source, end: false, over: Cell::new(false), ring, rests });
     }
 
     /// Rings once when the other end of `source`, which is written to, has gone. A regular file has no other end.
     pub fn watch_end(&mut self, source: Rc<dyn AsFd>, ring: impl Fn() + 'static) {
-        self.0.push(Reader { source, awaited: PollFlags::empty(), over: Cell::new(false), ring: Box::new(ring) });
+        self.add(Reader { source, end: true, over: Cell::new(false), ring: Box::new(ring), rests: None });
     }
 
-    /// Sleeps until one has something to read or the alarm goes off, or looks only, and rings for those that have.
-    fn sleep(&self, alarm: &Alarm, timeout: PollTimeout) {
-        let readers: Vec<&Reader> = self.0.iter().filter(|reader| !reader.over.get()).collect();
-        let mut polled: Vec<PollFd> =
-            readers.iter().map(|reader| PollFd::new(reader.source.as_fd(), reader.awaited)).collect();
-        polled.push(PollFd::new(alarm.timer.as_fd(), PollFlags::POLLIN));
-        match poll(&mut polled, timeout) {
-            Ok(_) | Err(Errno::EINTR) => {}
-            Err(error) => panic!("the kernel does not poll sockets that are open: {error}"),
-        }
-        for (polled, reader) in polled.iter().zip(readers) {
-            // An error is read from the socket, too: it must not be polled for ever.
-            if polled.revents().is_some_and(|events| !events.is_empty()) {
-                reader.over.set(reader.awaited.is_empty());
-                (reader.ring)();
+    fn add(&mut self, reader: Reader) {
+        let flags = if reader.end { EpollFlags::empty() } else { EpollFlags::EPOLLIN };
+        let event = EpollEvent::new(flags, self.readers.len() as u64);
+        let also = reader.rests.is_none().then_some(&self.restless);
+        for epoll in also.into_iter().chain([&self.all]) {
+            match epoll.add(reader.source.as_fd(), event) {
+                Ok(()) => {}
+                Err(Errno::EPERM) if reader.end => return,
+                Err(error) => panic!("a descriptor that is open cannot be watched: {error}"),
             }
         }
-    }
-}
-
-/// Wakes the poll. A timeout of its own would set the machine's timer for every datagram that arrives, and take it
-/// back, which costs more than the datagram; an alarm stands until something earlier is due.
-struct Alarm {
-    timer: TimerFd,
-    /// When it goes off.
-    at: Option<Time>,
-}
-
-impl Alarm {
-    fn new() -> Alarm {
-        let flags = TimerFlags::TFD_NONBLOCK | TimerFlags::TFD_CLOEXEC;
-        let timer = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags).expect("a process may have a timer");
-        Alarm { timer, at: None }
+        self.readers.push(reader);
     }
 
-    /// Goes off at `next` at the latest.
-    fn set(&mut self, now: Time, next: Time) {
-        // One that has gone off rings until it is set again.
-        if self.at.is_some_and(|at| at > now && at <= next) {
+    /// Until when links are to be left alone, if any is.
+    fn rest(&self, now: Time) -> Option<Time> {
+        self.readers.iter().filter_map(|reader| reader.rests.as_ref()?()).filter(|until| *until > now).max()
+    }
+
+    /// Sleeps until one has something to read or `next` has come, or looks only, where it has come.
+    fn sleep(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
+        let rest = self.rest(now);
+        let until = rest.map_or(next, |rest| rest.min(next));
+        let timeout = if until <= now {
+            EpollTimeout::ZERO
+        } else {
+            self.set_alarm(now, until, elapsed);
+            EpollTimeout::NONE
+        };
+        let epoll = if rest.is_some() { &self.restless } else { &self.all };
+        let mut events = [EpollEvent::empty(); TOLD_AT_ONCE];
+        let told = match epoll.wait(&mut events, timeout) {
+            Ok(told) => told,
+            Err(Errno::EINTR) => 0,
+            Err(error) => panic!("the kernel does not watch descriptors that are open: {error}"),
+        };
+        self.ready
+            .extend(events[..told].iter().filter(|event| event.data() != ALARM).map(|event| event.data() as usize));
+    }
+
+    /// Rings for those that have something to read.
+    fn ring(&mut self) {
+        for reader in self.ready.drain(..).map(|index| &self.readers[index]) {
+            if reader.end && !reader.over.replace(true) {
+                for epoll in [&self.all, &self.restless] {
+                    // One that is not watched is not to be told of, which is all that is wanted.
+                    let _ = epoll.delete(reader.source.as_fd());
+                }
+            }
+            (reader.ring)();
+        }
+    }
+
+    /// Wakes the sleep at `next` at the latest. A timeout of the sleep itself would set the machine's timer for every
+    /// datagram that arrives, and take it back, which costs more than the datagram; an alarm stands until something
+    /// earlier is due.
+    fn set_alarm(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
+        // One that has gone off is silent until it is set again.
+        if self.alarm_at.is_some_and(|at| at > now && at <= next) {
             return;
         }
         let next = next.min(now + MAX_SLEEP);
-        let span = Span::from_nanos(next.since(now).as_nanos().max(1));
+        let span = Span::from_nanos(next.since(elapsed()).as_nanos().max(1));
         let once = Expiration::OneShot(TimeSpec::from_duration(std::time::Duration::from_nanos(span.as_nanos())));
-        self.timer.set(once, TimerSetTimeFlags::empty()).expect("an open timer can be set");
-        self.at = Some(next);
+        self.alarm.set(once, TimerSetTimeFlags::empty()).expect("an open timer can be set");
+        self.alarm_at = Some(next);
     }
 }
 
@@ -101,31 +163,114 @@ pub fn run_real<W>(
 ) -> W {
     let elapsed = || Time::from_nanos(u64::try_from(origin.elapsed().as_nanos()).expect("a run is below 500 years"));
     in_system(|| {
-        let (clock, mut readers, mut actors) = (Clock::default(), Readers::default(), Tasks::new());
-        let mut alarm = Alarm::new();
+        let (clock, mut readers, mut actors) = (Clock::default(), Readers::new(), Tasks::new());
         clock.set(elapsed());
         let world = {
             let _inside = actors.enter();
             build(&clock, &mut readers)
         };
         loop {
-            clock.set(elapsed());
+            let now = elapsed();
+            clock.set(now);
             while clock.catch_up() {}
             actors.drain(&clock);
-            let now = elapsed();
+            readers.ring();
+            actors.drain(&clock);
             if done(&world, now) {
                 break;
             }
-            match clock.next().unwrap_or(Time::MAX) {
-                next if next <= now => readers.sleep(&alarm, PollTimeout::ZERO),
-                next => {
-                    alarm.set(now, next);
-                    readers.sleep(&alarm, PollTimeout::NONE);
-                }
-            }
-            clock.set(elapsed());
+            readers.sleep(now, clock.latest().unwrap_or(Time::MAX), elapsed);
         }
         clock.clear();
         world
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+    use std::io::{Read, Write};
+    use std::os::unix::net::UnixStream;
+
+    use super::*;
+
+    /// Runs what `build` starts for 5 ms of real time at the least.
+    fn run(build: impl FnOnce(&Clock, &mut Readers)) {
+        let until = Time::ZERO + Span::from_millis(5);
+        run_real(
+            Instant::now(),
+            |clock, readers| {
+                build(clock, readers);
+                clock.call(until, Box::new(|| {}));
+            },
+            |(), now| now >= until,
+        );
+    }
+
+    #[test]
+    fn a_descriptor_rings_until_it_is_read() {
+        let (mut here, there) = UnixStream::pair().unwrap();
+        here.write_all(b"ab").unwrap();
+        let read = Rc::new(RefCell::new(Vec::new()));
+        let (said, source) = (Rc::clone(&read), Rc::new(there));
+        run(move |_, readers| {
+            let from = Rc::clone(&source);
+            readers.watch(source, move || {
+                let mut byte = [0];
+                (&*from).read_exact(&mut byte).unwrap();
+                said.borrow_mut().push(byte[0]);
+            });
+        });
+        assert_eq!(*read.borrow(), b"ab");
+    }
+
+    #[test]
+    fn a_link_that_rests_is_not_rung_and_delays_nothing() {
+        let (mut here, there) = UnixStream::pair().unwrap();
+        here.write_all(b"a").unwrap();
+        let (rung, called) = (Rc::new(Cell::new(0)), Rc::new(Cell::new(false)));
+        let (ring, call) = (Rc::clone(&rung), Rc::clone(&called));
+        run(move |clock, readers| {
+            readers.watch_link(Rc::new(there), || Some(Time::MAX), move || ring.set(ring.get() + 1));
+            clock.call(Time::ZERO + Span::from_millis(2), Box::new(move || call.set(true)));
+        });
+        assert_eq!((rung.get(), called.get()), (0, true));
+    }
+
+    #[test]
+    fn the_end_of_a_pipe_rings_once_and_a_regular_file_has_none() {
+        let (here, there) = UnixStream::pair().unwrap();
+        drop(there);
+        let rung = Rc::new(Cell::new(0));
+        let ring = Rc::clone(&rung);
+        run(move |_, readers| {
+            readers.watch_end(Rc::new(here), move || ring.set(ring.get() + 1));
+            readers.watch_end(Rc::new(tempfile::tempfile().unwrap()), || panic!("a file does not end"));
+        });
+        assert_eq!(rung.get(), 1);
+    }
+
+    #[test]
+    fn what_is_due_comes_before_what_has_arrived() {
+        let (here, there) = UnixStream::pair().unwrap();
+        let here = Rc::new(here);
+        let write = Rc::clone(&here);
+        let order = Rc::new(RefCell::new(Vec::new()));
+        let (first, second, source) = (Rc::clone(&order), Rc::clone(&order), Rc::new(there));
+        run(move |clock, readers| {
+            let from = Rc::clone(&source);
+            readers.watch(source, move || {
+                (&*from).read_exact(&mut [0]).unwrap();
+                second.borrow_mut().push("arrived");
+            });
+            // Held up here until another event is due and a byte has arrived: both wait when the next turn begins.
+            let due = clock.clone();
+            let act = move || {
+                (&*write).write_all(b"a").unwrap();
+                due.call(due.now() + Span::from_nanos(1), Box::new(move || first.borrow_mut().push("due")));
+            };
+            clock.call(Time::ZERO + Span::from_millis(1), Box::new(act));
+        });
+        assert_eq!(*order.borrow(), ["due", "arrived"]);
+    }
 }

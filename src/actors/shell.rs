@@ -260,7 +260,8 @@ impl<C: Core + 'static> Shell<C> {
         if let Some(next) = next
             && stands.is_none_or(|at| next < at)
         {
-            self.clock.arm(next, self.sleeper);
+            let tolerance = self.core.as_ref().map_or(Span::ZERO, |core| core.tolerance(next.since(now)));
+            self.clock.arm(next, tolerance, self.sleeper);
             self.armed = Some(next);
         }
     }

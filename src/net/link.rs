@@ -42,6 +42,8 @@ pub struct LinkState {
     counts: LinkCounts,
     /// When anything is next due: asked for far more often than it changes.
     due: Option<Time>,
+    /// The operator that the newest datagram came from, if it came from one and its tag was right.
+    operator: Option<HostId>,
 }
 
 impl LinkState {
@@ -67,6 +69,7 @@ impl LinkState {
             key,
             counts: LinkCounts::default(),
             due: None,
+            operator: None,
         };
         state.plan();
         state
@@ -117,6 +120,7 @@ impl LinkState {
         stream: &mut Stream,
         out: &mut Vec<Leaving>,
     ) -> Result<Option<(Header, &'a [u8])>, DecodeError> {
+        self.operator = None;
         let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
         if frame.len() < shortest || frame.len() > MAX_FRAME_BYTES {
             return Err(DecodeError::Length(frame.len()));
@@ -138,6 +142,7 @@ impl LinkState {
             self.counts.own += 1;
             return Ok(None);
         }
+        self.operator = Some(header.sender).filter(|sender| sender.is_operator());
         let said = Said::read(plain)?;
         // An operator's number is drawn at random, and two may have drawn the same.
         if header.sender == self.me.host && !header.sender.is_operator() {
@@ -187,6 +192,12 @@ impl LinkState {
     /// Whether a decoded message about `robot` is the newest of its stream.
     pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId) -> bool {
         self.incoming.accept(header, kind, robot, &mut self.counts)
+    }
+
+    /// The operator that the newest datagram came from; none if it came from a host, or its tag was wrong. It may not
+    /// have proven itself yet: a transport has to be told where it is, so that it can.
+    pub fn operator(&self) -> Option<HostId> {
+        self.operator
     }
 
     /// Counts bytes that are no message.

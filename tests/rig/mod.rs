@@ -163,7 +163,7 @@ impl Rig {
                 Out::Counts(counts) => self.counts[host] = *counts,
                 Out::Peers(peers) => self.peers[host] = peers,
                 Out::Duplicate(duplicate) => self.duplicates[host] = Some(duplicate),
-                Out::Tap(_) => {}
+                Out::Tap(_) | Out::Admit(..) => {}
                 Out::Transmit(_, audience, frame) => {
                     let bytes = frame.len();
                     self.sent.push(Flight { from: host, at: self.now, audience, frame: frame.clone(), bytes });
@@ -192,7 +192,7 @@ impl Rig {
     }
 
     pub fn arrive(&mut self, host: usize, frame: &[u8]) {
-        self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into()), out));
+        self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into(), None), out));
     }
 
     /// Lets so many milliseconds pass.

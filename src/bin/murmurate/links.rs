@@ -8,7 +8,7 @@ use murmurate::deploy::{Deployment, Link};
 use murmurate::messages::ids::{HostId, LinkId};
 use murmurate::net::reliability::Setup;
 use murmurate::net::transport::interface::{self, Interface, InterfaceError};
-use murmurate::net::transport::udp::{OpenError, Udp};
+use murmurate::net::transport::udp::{Filter, OpenError, Udp};
 use murmurate::random::Seed;
 use murmurate::time::Span;
 
@@ -76,12 +76,17 @@ pub fn at_post<'a>(post: &'a Post, deployment: &Deployment) -> impl Iterator<Ite
     (0..deployment.links.len()).map(move |link| (link == at).then(|| &post.sockets[0]))
 }
 
+/// What of all that arrives is let through to a host of the team.
+pub fn filter(team: &Team) -> Filter {
+    Filter::Team { number: team.number, tagged: team.key_file.is_some() }
+}
+
 /// The sockets of the links that the team's host uses, opened for `me`.
 pub fn open(team: &Team, me: HostId) -> Result<Vec<(LinkId, Udp)>> {
     let mut sockets = Vec::new();
     for (at, (link, config)) in team.deployment.links.iter().zip(&team.links).enumerate() {
         let Some(config) = config else { continue };
-        let udp = Udp::open(me, config).map_err(|error| failed(&link.name, error))?;
+        let udp = Udp::open(me, config, filter(team)).map_err(|error| failed(&link.name, error))?;
         tracing::info!(link = link.name, receive_buffer_bytes = udp.granted_bytes(), "open");
         sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
     }
@@ -110,7 +115,8 @@ pub fn join(post: &Post, link: &Link, me: HostId) -> Result<Vec<(LinkId, Udp)>> 
     let mut sockets = Vec::new();
     let mut refused = None;
     for way in &ways {
-        match Udp::open(me, way) {
+        let filter = Filter::Team { number: post.number, tagged: post.key_file.is_some() };
+        match Udp::open_guest(me, way, filter) {
             Ok(udp) => sockets.push((post.link, udp)),
             Err(error) => refused = Some(error),
         }

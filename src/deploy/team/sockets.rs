@@ -55,6 +55,19 @@ impl SocketConfig {
     }
 }
 
+impl SocketConfig {
+    /// The socket of an operator beside this one of `host`: an operator is no peer, speaks from a port of its own, and is
+    /// answered there.
+    pub fn of_guest(mut self, host: HostId) -> SocketConfig {
+        if let Transport::Unicast { listen, peers } = &mut self.transport {
+            peers.insert(host, *listen);
+            let any = if listen.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
+            *listen = SocketAddr::new(any, 0);
+        }
+        self
+    }
+}
+
 /// The link of the emergency stop, as an operator joins it from whatever machine it runs on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Post {
@@ -161,13 +174,7 @@ impl TeamFile {
         let hosts: Vec<HostId> = self.hosts().filter(|&host| routes.exchanges(host, Kind::Stop)).collect();
         let mut sockets: Vec<SocketConfig> = Vec::new();
         for &host in &hosts {
-            let mut socket = self.socket(host, at)?;
-            if let Transport::Unicast { listen, peers } = &mut socket.transport {
-                // An operator is no peer: it speaks from a port of its own, and hosts answer there.
-                peers.insert(host, *listen);
-                let any = if listen.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
-                *listen = SocketAddr::new(any, 0);
-            }
+            let socket = self.socket(host, at)?.of_guest(host);
             let twin = |other: &SocketConfig| match socket.transport {
                 Transport::Multicast { .. } => {
                     (&other.transport, &other.interface) == (&socket.transport, &socket.interface)

@@ -80,7 +80,7 @@ impl Ether {
     fn carry(&mut self, now: Time, kind: Kind, (from, to): (HostId, HostId), frame: &Frame, out: &mut Vec<Out>) {
         self.medium.carry(now, kind, (from, to), frame, &mut self.copies);
         for (at, frame) in self.copies.drain(..) {
-            let arrive = Arrive { to, frame };
+            let arrive = Arrive { to, from: None, frame };
             if at <= now {
                 out.push(Out::Arrive(arrive));
             } else {
@@ -102,7 +102,7 @@ impl Core for Ether {
                 self.air.iter_mut().for_each(|air| air.locate(&truth));
                 self.reach.iter_mut().for_each(|reach| reach.locate(&truth));
             }
-            In::Readable => unreachable!("an ether has no socket"),
+            In::Readable | In::Admit { .. } => unreachable!("an ether has no socket"),
         }
     }
 

@@ -3,9 +3,16 @@
 //! Here are the emulated ether of one-process runs and the sockets of real hosts. What a frame says never matters here.
 
 pub mod air;
+mod batch;
 pub mod ether;
+pub mod filter;
+pub mod guests;
 pub mod interface;
+mod loopback;
+mod open;
 pub mod udp;
+
+use std::net::SocketAddr;
 
 use crate::messages::ids::HostId;
 use crate::messages::local::Truth;
@@ -21,6 +28,13 @@ pub enum In {
     Readable,
     /// Where robots truly are: from a simulated World, for an ether with a range.
     Truth(Truth),
+    /// A host whose address is in no file is to be sent to for a while; only a unicast link has to be told.
+    Admit {
+        /// The host.
+        host: HostId,
+        /// Where it was heard from.
+        at: SocketAddr,
+    },
 }
 
 /// A frame handed to a transport.
@@ -39,6 +53,8 @@ pub struct Transmit {
 pub struct Arrive {
     /// The host that it has reached.
     pub to: HostId,
+    /// The address that it came from; none on an emulated link.
+    pub from: Option<SocketAddr>,
     /// The bytes.
     pub frame: Frame,
 }

@@ -1,5 +1,5 @@
 //! The part of `doctor` that needs others: whether what is sent comes back, and who is heard. Two operators of this
-//! process, on every multicast link of the host, talk to each other and hear whoever else is there.
+//! process, on every link of the host, talk to each other and hear whoever else is there.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -16,7 +16,7 @@ use murmurate::messages::ids::LinkId;
 use murmurate::net::key::Key;
 use murmurate::net::link::LinkCounts;
 use murmurate::net::sender::Peer;
-use murmurate::net::transport::udp::Udp;
+use murmurate::net::transport::udp::{Filter, Udp};
 use murmurate::time::{Span, Time};
 
 use super::{Found, Status};
@@ -34,29 +34,23 @@ struct Ears {
     echo: u16,
 }
 
-/// Listens for so long on the multicast links of `teams`, which are the hosts of this machine, to `all` hosts.
+/// Listens for so long on the links of `teams`, which are the hosts of this machine, to `all` hosts.
 pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> {
     let first = &teams[0];
-    let places: Vec<Option<&SocketConfig>> = (0..first.links.len())
-        .map(|at| teams.iter().find_map(|team| team.links[at].as_ref()))
-        .map(|place| place.filter(|place| matches!(place.transport, Transport::Multicast { .. })))
-        .collect();
+    let place = |at: usize| teams.iter().find_map(|team| Some(team.links[at].clone()?.of_guest(team.host)));
+    let places: Vec<Option<SocketConfig>> = (0..first.links.len()).map(place).collect();
+    let multicast =
+        |at: usize| places[at].as_ref().is_some_and(|place| matches!(place.transport, Transport::Multicast { .. }));
     let names: Vec<&str> = first.deployment.links.iter().map(|link| &*link.name).collect();
-    let mut found = Vec::new();
-    for (at, name) in names.iter().enumerate() {
-        if places[at].is_none() && teams.iter().any(|team| team.links[at].is_some()) {
-            let said = "unicast: its hosts hear nobody else, and nobody else hears them".to_owned();
-            let advice = "see 'links' in what 'murmurate host --json' prints at its end".to_owned();
-            found.push((Status::Warn, format!("link {name}, hosts"), said, advice));
-        }
-    }
     if places.iter().all(Option::is_none) {
-        return Ok(found);
+        return Ok(Vec::new());
     }
+    let mut found = Vec::new();
     let ears = hear(first, &places, seconds)?;
     for (at, name) in names.iter().enumerate().filter(|(at, _)| places[*at].is_some()) {
         let link = u16::try_from(at).expect("links are counted in u16");
-        found.push(loop_back(name, ears.peers.get(&(link, ears.echo))));
+        // Operators of a unicast link do not hear each other.
+        found.extend(multicast(at).then(|| loop_back(name, ears.peers.get(&(link, ears.echo)))));
         for (number, host) in first.deployment.hosts.iter().enumerate() {
             let uses = all.iter().any(|team| usize::from(team.host.0) == number && team.links[at].is_some());
             let peer = ears.peers.get(&(link, u16::try_from(number).expect("hosts are counted in u16")));
@@ -69,14 +63,14 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> 
     Ok(found)
 }
 
-fn hear(team: &Team, places: &[Option<&SocketConfig>], seconds: f64) -> Result<Ears> {
+fn hear(team: &Team, places: &[Option<SocketConfig>], seconds: f64) -> Result<Ears> {
     let key = team.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
     let operator = || -> Result<Operator> {
         let fresh = links::Fresh::draw()?;
         let mut sockets = Vec::new();
         for (at, place) in places.iter().enumerate() {
             let Some(place) = place else { continue };
-            let udp = Udp::open(fresh.operator, place).map_err(|e| anyhow!("link {at}: {e}"))?;
+            let udp = Udp::open_guest(fresh.operator, place, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
             sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
         }
         Ok(Operator {
@@ -85,7 +79,7 @@ fn hear(team: &Team, places: &[Option<&SocketConfig>], seconds: f64) -> Result<E
             robots: team.deployment.robots,
             publishers: Routes::of(&team.deployment).publishers(),
             key: key.clone(),
-            links: links::of_operator(&team.deployment, places.iter().copied()),
+            links: links::of_operator(&team.deployment, places.iter().map(Option::as_ref)),
             sockets,
             stop: None,
         })

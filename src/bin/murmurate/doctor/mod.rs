@@ -12,7 +12,7 @@ use murmurate::deploy::team::{SocketConfig, Team, TeamFile, Transport};
 use murmurate::messages::ids::HostId;
 use murmurate::net::codec::MAX_FRAME_BYTES;
 use murmurate::net::transport::interface;
-use murmurate::net::transport::udp::{OpenError, Udp};
+use murmurate::net::transport::udp::{Filter, OpenError, Udp};
 use serde::Serialize;
 
 use crate::output::print;
@@ -179,7 +179,7 @@ fn check_link(host: HostId, link: &str, socket: &SocketConfig) -> Vec<Found> {
         None => add(Status::Warn, "MTU", "unknown".to_owned(), format!("see that it is {needed} bytes or more")),
     }
     let what = if address.ip().is_multicast() { "group" } else { "address" };
-    match Udp::open(host, socket) {
+    match Udp::open(host, socket, Filter::All) {
         Ok(udp) => {
             let said = if address.ip().is_multicast() { "joined" } else { "free" };
             add(Status::Ok, what, format!("{address} {said}"), String::new());

@@ -17,7 +17,7 @@ use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::wire::{Kind, Latent, Wire};
 use murmurate::net::key::Key;
 use murmurate::net::router::{Audience, Route, Router};
-use murmurate::net::transport::udp::Udp;
+use murmurate::net::transport::udp::{Filter, Udp};
 use murmurate::net::transport::{self, Transmit};
 use murmurate::study::network::linked;
 use murmurate::study::network::peer::{Notes, Peer, Task};
@@ -89,7 +89,8 @@ fn connect(address: SocketAddr) -> Result<TcpStream> {
 fn measure(part: &Part, task: Task, begin: Time, origin: Instant) -> Result<Notes> {
     let at = part.stations.iter().position(|host| *host == part.team.host);
     let station = at.and_then(|at| u16::try_from(at).ok()).context("this host runs no agent")?;
-    let udp = Udp::open(part.team.host, &part.socket).map_err(|error| anyhow!("{error}"))?;
+    let filter = Filter::Team { number: part.team.number, tagged: part.key.is_some() };
+    let udp = Udp::open(part.team.host, &part.socket, filter).map_err(|error| anyhow!("{error}"))?;
     let peer = Rc::new(RefCell::new(Peer::new(task, station, begin)));
     run_real(
         origin,

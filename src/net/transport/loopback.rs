@@ -1,0 +1,94 @@
+//! Decides whether the kernel hands what a process sends to a group to the other processes of its machine, too. To do
+//! it for nobody costs a robot a tenth of what it takes to send.
+
+use crate::time::{Span, Time};
+
+/// How long a process of this machine counts as there after it was heard. With a key each says something at least four
+/// times a second.
+const STAYS: Span = Span::from_millis(1000);
+/// How often a datagram is handed over in any case, so that a process that has just started hears of this one. Two that
+/// hear each other keep the loop on.
+const PROBE: Span = Span::from_millis(1000);
+
+/// The loop of one socket, which begins switched on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Loopback {
+    /// Whether the interface has nothing but this machine.
+    always: bool,
+    on: bool,
+    heard: Option<Time>,
+    probed: Option<Time>,
+}
+
+impl Loopback {
+    /// The loop of a socket on the loopback interface (`always`) or on any other.
+    pub(super) fn new(always: bool) -> Loopback {
+        Loopback { always, on: true, heard: None, probed: None }
+    }
+
+    /// Another process of this machine was heard.
+    pub(super) fn heard(&mut self, now: Time) {
+        self.heard = Some(now);
+    }
+
+    /// A datagram leaves now: what the loop is to be switched to first, if that is a change.
+    pub(super) fn switch(&mut self, now: Time) -> Option<bool> {
+        if self.always {
+            return None;
+        }
+        let probe = self.probed.is_none_or(|probed| now.since(probed) >= PROBE);
+        if probe {
+            self.probed = Some(now);
+        }
+        // Who has just started has not been answered yet.
+        let heard = *self.heard.get_or_insert(now);
+        let on = probe || now.since(heard) < STAYS;
+        (std::mem::replace(&mut self.on, on) != on).then_some(on)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    #[test]
+    fn one_datagram_a_second_is_looped_until_another_process_is_heard() {
+        let mut own = Loopback::new(false);
+        let mut looped = |at: u64| {
+            own.switch(ms(at));
+            own.on
+        };
+        assert!((0..1000).step_by(10).all(&mut looped), "at first all are");
+        let later: Vec<u64> = (1000..4000).step_by(10).filter(|at| looped(*at)).collect();
+        assert_eq!(later, [1000, 2000, 3000]);
+        own.heard(ms(4005));
+        assert_eq!([4010, 5000, 5010].map(|at| own.switch(ms(at))), [Some(true), None, None]);
+        assert_eq!([5020, 5990, 6010].map(|at| own.switch(ms(at))), [Some(false), None, Some(true)]);
+        assert_eq!([0, 3000].map(|at| Loopback::new(true).switch(ms(at))), [None; 2]);
+    }
+
+    #[test]
+    fn two_that_start_at_any_time_hear_each_other_from_then_on() {
+        for start in (0..3000).step_by(50) {
+            let (mut early, mut late) = (Loopback::new(false), Loopback::new(false));
+            for at in (0..start).step_by(50) {
+                early.switch(ms(at));
+            }
+            for at in (start..start + 10_000).step_by(50) {
+                for own in [&mut early, &mut late] {
+                    own.switch(ms(at));
+                }
+                assert!(late.on, "the one that has just started, {} ms after", at - start);
+                early.heard(ms(at));
+                assert!(at == start || early.on, "the other, {} ms after", at - start);
+                if early.on {
+                    late.heard(ms(at));
+                }
+            }
+        }
+    }
+}
