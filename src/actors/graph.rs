@@ -110,7 +110,7 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
     let here = |host: HostId| process.only.is_none_or(|only| only == host);
     for robot in RobotId::team(plan.deployment.robots) {
         if here(graph.routes.agent_host(robot)) {
-            wire_robot(clock, plan, graph, robot);
+            wire_robot(clock, plan, graph, robot, process);
         }
         if here(graph.routes.world_host(robot)) {
             wire_body(clock, plan, graph, robot);
@@ -155,7 +155,7 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
 }
 
 /// Cache and Controller of one robot, and its Agent if it is the first of that Agent's robots.
-fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
+fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, process: &Process) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
     let first = graph.routes.companions(robot)[0];
@@ -206,12 +206,15 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
         valid_for: COMMAND_VALIDITY,
         phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
     };
-    let (network, record) = (home, graph.record());
+    let (network, record, hear) = (home, graph.record(), Rc::clone(&process.hear));
     let make = move |_| Controller::new(config);
     start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
         controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
         controller::Out::Heartbeat(m) => network.send(network::In::Publish(Wire::Heartbeat(m))),
-        controller::Out::Counts(counts) => record(recorder::In::Safety(robot, counts)),
+        controller::Out::Counts(counts) => {
+            hear(Heard::Safety(robot, counts));
+            record(recorder::In::Safety(robot, counts));
+        }
     });
 }
 
