@@ -48,7 +48,7 @@ pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     toml::from_str(text).map_err(|error| syntax(text, &error))
 }
 
-/// The error of a text that is no TOML, or not of this shape. The text may be a key by mistake: nothing of it is quoted.
+/// The error of a text that is no TOML, or not of this shape. The text may be a key by mistake: no value is quoted.
 pub fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
     let why = unquoted(&error.message().replace('\n', ": "));
     let Some(span) = error.span() else { return ConfigError::Syntax(why) };
@@ -59,10 +59,12 @@ pub fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
     ConfigError::Syntax(format!("line {line}, column {column}{field}: {why}"))
 }
 
-/// The name of the field that a line sets, for an error; empty if it sets none, or if the name is no ordinary one.
+/// The name of the field that a line sets or of the table that it begins, for an error; empty if it does neither, or if
+/// the name is no ordinary one.
 fn field_of(line: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
-    let name = line.split_once('=').map(|(name, _)| name.trim());
+    let table = line.trim().strip_prefix('[').map(|rest| rest.trim_matches(['[', ']']));
+    let name = line.split_once('=').map(|(name, _)| name.trim()).or(table);
     let name = name.filter(|name| !name.is_empty() && name.len() <= SHOWN_NAME && name.chars().all(plain));
     name.map_or_else(String::new, |name| format!(" ({name})"))
 }

@@ -40,7 +40,7 @@ pub struct Counted {
     pub links: LinkCounts,
     /// The oldest command that a robot of this host was driven by \[s\].
     pub oldest_command_s: f64,
-    /// How often the robots of this host were stopped or slowed, up to their last heartbeats.
+    /// How often robots of this host were stopped or slowed, up to their last heartbeats; without those that never were.
     pub safety: Vec<RobotSafety>,
     /// Output that was dropped.
     pub unwritten: Unwritten,

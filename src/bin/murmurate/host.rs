@@ -243,7 +243,13 @@ impl Seen {
             lost,
             links: self.counts.get(),
             oldest_command_s: self.report.borrow().totals.oldest_command.as_secs(),
-            safety: self.safety.borrow().iter().map(robot).collect(),
+            safety: self
+                .safety
+                .borrow()
+                .iter()
+                .filter(|(_, counts)| counts.reasons().next().is_some())
+                .map(robot)
+                .collect(),
             unwritten: self.outlets.unwritten(),
         }
     }

@@ -76,7 +76,7 @@ pub fn run(
     for team in teams {
         let name = cases::team(team.mode, team.robots);
         let kept: Option<Record> = folder.and_then(|folder| folder.kept(&name));
-        let record = match kept.filter(|kept| (kept.mode.as_str(), kept.cost.robots) == (team.mode, team.robots)) {
+        let record = match kept.filter(|kept| kept.origin == team.origin()) {
             Some(kept) => kept,
             None if stop.load(Ordering::Relaxed) => continue,
             None => {
