@@ -56,7 +56,7 @@ impl Full {
         for junk in [&[b'\n'; 4096][..], b"\n"] {
             let full = loop {
                 match (&self.writer).write(junk) {
-                    Ok(_) => {}
+                    Ok(written) => assert!(written > 0),
                     Err(error) => break error.kind(),
                 }
             };

@@ -84,7 +84,7 @@ pub enum WeightsError {
     #[error("the tensor '{0}' has no place in the network; take it out of the file")]
     Unknown(String),
     /// The tensors are not those that the manifest was written for.
-    #[error("the tensors' SHA-256 is {found}; the manifest says {expected}: the file was changed after it was written")]
+    #[error("the tensors' SHA-256 begins with {found:.16} and is not that of the manifest: the file was changed")]
     Hash {
         /// Of the tensors.
         found: String,

@@ -37,7 +37,7 @@ pub struct Counted {
     /// Messages that were lost in crashes.
     pub lost: u64,
     /// Frames sent, let in, and refused by cause, on all links together, up to the last full second.
-    pub links: LinkCounts,
+    pub links: Box<LinkCounts>,
     /// The oldest command that a robot of this host was driven by \[s\].
     pub oldest_command_s: f64,
     /// How often robots of this host were stopped or slowed, up to their last heartbeats; without those that never were.

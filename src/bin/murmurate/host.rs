@@ -241,7 +241,7 @@ impl Seen {
             messages: self.messages.get(),
             refused,
             lost,
-            links: self.counts.get(),
+            links: Box::new(self.counts.get()),
             oldest_command_s: self.report.borrow().totals.oldest_command.as_secs(),
             safety: self
                 .safety

@@ -116,7 +116,8 @@ fn main() -> ExitCode {
         Err(error) => return refuse(&error),
     };
     let real_time = matches!(cli.command, Command::Host(_) | Command::Launch(_));
-    if real_time && let Err(why) = output::open_log_lane() {
+    let waits_for_nobody = real_time || matches!(cli.command, Command::Stop(_));
+    if waits_for_nobody && let Err(why) = output::open_log_lane() {
         output::talk(&format!("error: cannot start a thread to write the log: {why}"));
         return ExitCode::from(1);
     }

@@ -228,7 +228,7 @@ impl Results {
             totals: Totals {
                 messages: sum(|counted| counted.messages),
                 oldest_command: Span::from_secs(oldest),
-                links: self.lives().map(|counted| counted.links).sum(),
+                links: self.lives().map(|counted| *counted.links).sum(),
                 safety: self.lives().flat_map(|counted| &counted.safety).map(|robot| robot.counts).sum(),
                 ..Totals::default()
             },

@@ -51,7 +51,7 @@ pub fn gather(
         // An interruption is no mistake: it is looked at above.
         let _ = poll(&mut waiting, LOOK);
         while let Ok((stream, from)) = listener.accept() {
-            // One too many is closed; a participant tries again.
+            // One too many is closed.
             if greeting < GREETED {
                 greeting += 1;
                 let sender = sender.clone();
