@@ -1,4 +1,7 @@
-//! Reading configuration: TOML, and errors that fit on one line and name the line or the field that is wrong.
+//! Reading configuration: TOML and JSON, and errors that fit on one line, name the line or the field that is wrong, and
+//! show nothing of a text that may be a key.
+
+use std::borrow::Cow;
 
 use serde::de::DeserializeOwned;
 
@@ -33,19 +36,104 @@ impl ConfigError {
     }
 }
 
-/// Reads a value; the error says which line is wrong, what stands there, and why.
+/// Hexadecimal digits of a team key.
+pub const KEY_DIGITS: usize = 64;
+/// Longest run of hexadecimal digits that a message may show: that of a digest of 128 bits. A key is twice as long.
+const SHOWN_DIGITS: usize = 32;
+/// Longest name of an unknown field that an error repeats \[characters\].
+const SHOWN_NAME: usize = 32;
+
+/// Reads a value; the error says which line and column is wrong and what belongs there, and quotes nothing.
 pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     toml::from_str(text).map_err(|error| syntax(text, &error))
 }
 
-/// The error of a text that is not as it should be: the line, what stands there, and why it is wrong.
+/// The error of a text that is no TOML, or not of this shape. The text may be a key by mistake: no value is quoted.
 pub fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
-    let why = error.message().replace('\n', ": ");
+    let why = unquoted(&error.message().replace('\n', ": "));
     let Some(span) = error.span() else { return ConfigError::Syntax(why) };
     let before = &text[..span.start.min(text.len())];
-    let number = before.matches('\n').count();
-    let line = text.lines().nth(number).unwrap_or_default().trim();
-    ConfigError::Syntax(format!("line {} ({line}): {why}", number + 1))
+    let field = field_of(text.lines().nth(before.matches('\n').count()).unwrap_or_default());
+    let (line, column) =
+        (before.matches('\n').count() + 1, before.chars().rev().take_while(|c| *c != '\n').count() + 1);
+    ConfigError::Syntax(format!("line {line}, column {column}{field}: {why}"))
+}
+
+/// The name of the field that a line sets or of the table that it begins, for an error; empty if it does neither, or if
+/// the name is no ordinary one.
+fn field_of(line: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
+    let table = line.trim().strip_prefix('[').map(|rest| rest.trim_matches(['[', ']']));
+    let name = line.split_once('=').map(|(name, _)| name.trim()).or(table);
+    let name = name.filter(|name| !name.is_empty() && name.len() <= SHOWN_NAME && name.chars().all(plain));
+    name.map_or_else(String::new, |name| format!(" ({name})"))
+}
+
+/// The error of a text that is no JSON, or not of this shape, likewise without a word of the text.
+pub fn json(error: &serde_json::Error) -> String {
+    unquoted(&error.to_string())
+}
+
+/// Whether a file holds a team key and nothing else.
+pub fn is_key(bytes: &[u8]) -> bool {
+    let text = bytes.trim_ascii();
+    text.len() == KEY_DIGITS && text.iter().all(u8::is_ascii_hexdigit)
+}
+
+/// A text for people with every run of hexadecimal digits hidden that is long enough to be a key.
+pub fn redacted(text: &str) -> Cow<'_, str> {
+    let is_digit = |c: char| c.is_ascii_hexdigit();
+    if !text.split(|c| !is_digit(c)).any(|run| run.len() > SHOWN_DIGITS) {
+        return Cow::Borrowed(text);
+    }
+    let (mut shown, mut rest) = (String::new(), text);
+    while let Some(start) = rest.find(is_digit) {
+        let (before, run) = rest.split_at(start);
+        let (run, after) = run.split_at(run.find(|c| !is_digit(c)).unwrap_or(run.len()));
+        shown += before;
+        shown += if run.len() > SHOWN_DIGITS { "(hidden)" } else { run };
+        rest = after;
+    }
+    shown += rest;
+    Cow::Owned(shown)
+}
+
+/// What a parser says, without the values that it repeats from the text. Names of fields are left if they are short, and
+/// so are the parser's own words.
+pub fn unquoted(message: &str) -> String {
+    let (mut said, mut rest) = (String::new(), message);
+    while let Some(at) = rest.find(['"', '`']) {
+        let (before, quoted) = rest.split_at(at);
+        let mark = &quoted[..1];
+        let Some(end) = closing(&quoted[1..], mark) else {
+            // A quotation without an end is all value.
+            return redacted((said + before).trim_end()).into_owned();
+        };
+        let (inside, after) = (&quoted[1..=end], &quoted[end + 2..]);
+        let own = mark == "`" && !REPEATS.iter().any(|word| before.ends_with(word));
+        let name = before.ends_with(UNKNOWN_FIELD) && inside.len() <= SHOWN_NAME;
+        if own || name && mark == "`" {
+            said += &format!("{before}{mark}{inside}{mark}");
+        } else {
+            said += before.trim_end();
+        }
+        rest = after;
+    }
+    redacted(&(said + rest)).into_owned()
+}
+
+/// After these words of serde a value of the text stands in backticks.
+const REPEATS: [&str; 6] = [UNKNOWN_FIELD, "unknown variant ", "integer ", "floating point ", "boolean ", "character "];
+const UNKNOWN_FIELD: &str = "unknown field ";
+
+/// Where a quotation ends; a mark behind a backslash is part of it.
+fn closing(text: &str, mark: &str) -> Option<usize> {
+    let mut escaped = false;
+    text.char_indices().find_map(|(at, c)| {
+        let ends = !escaped && mark.starts_with(c);
+        escaped = c == '\\' && !escaped;
+        ends.then_some(at)
+    })
 }
 
 #[cfg(test)]
@@ -53,10 +141,63 @@ mod tests {
     use super::*;
     use std::collections::BTreeMap;
 
+    use serde::Deserialize;
+
+    const KEY: &str = "0f1e2d3c4b5a69788796a5b4c3d2e1f00f1e2d3c4b5a69788796a5b4c3d2e1f0";
+
     #[test]
-    fn an_error_shows_the_line() {
+    fn an_error_shows_the_place_and_what_belongs_there() {
         let error = from_toml::<BTreeMap<String, u32>>("robots = 5\nhosts = \"five\"\n").unwrap_err().to_string();
-        assert!(error.starts_with("line 2 (hosts = \"five\"): invalid type"), "{error}");
-        assert!(!error.contains('\n'));
+        assert_eq!(error, "line 2, column 9 (hosts): invalid type: string, expected u32");
+    }
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[allow(dead_code)] // It is only ever read, and never well.
+    struct Table {
+        robots: u32,
+        kind: Option<Kind>,
+    }
+
+    #[derive(Debug, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    enum Kind {
+        AdHoc,
+    }
+
+    #[test]
+    fn no_error_quotes_a_value_of_the_text() {
+        let values = [KEY.to_owned(), format!("a \\\" {KEY}"), "short and \u{fc}ber".to_owned()];
+        for value in values {
+            let texts = [
+                value.clone(),
+                format!("robots = \"{value}\""),
+                format!("robots = 5\nkind = \"{value}\""),
+                format!("robots = 5 {value}"),
+                format!("robots = \"{value}"),
+                format!("\"{value}\" = 5"),
+            ];
+            for text in texts {
+                let toml = from_toml::<Table>(&text).unwrap_err().to_string();
+                assert!(toml.starts_with("line ") || toml.contains("missing field"), "{toml}");
+                let json = text.replacen(" = ", "\":", 1);
+                let json = super::json(&serde_json::from_str::<Table>(&format!("{{\"{json}}}")).unwrap_err());
+                for said in [toml, json] {
+                    assert!(!said.contains("0f1e2d3c") && !said.contains('\n'), "{text}: {said}");
+                }
+            }
+        }
+        let said = from_toml::<Table>("robotz = 5").unwrap_err().to_string();
+        assert_eq!(said, "line 1, column 1 (robotz): unknown field `robotz`, expected `robots` or `kind`");
+        let said = from_toml::<Table>("robots = 5\nkind = \"ad-hok\"").unwrap_err().to_string();
+        assert_eq!(said, "line 2, column 8 (kind): unknown variant, expected `ad-hoc`");
+    }
+
+    #[test]
+    fn a_key_is_recognised_and_hidden_and_a_digest_is_not() {
+        assert!(is_key(format!("{KEY}\n").as_bytes()) && !is_key(&KEY.as_bytes()[1..]) && !is_key(&[0xff; 64]));
+        assert_eq!(redacted(&format!("a {KEY}, b 12ab")), "a (hidden), b 12ab");
+        assert_eq!(redacted(&KEY[..32]), KEY[..32]);
+        assert_eq!(redacted(&KEY.to_uppercase()), "(hidden)");
     }
 }

@@ -118,7 +118,7 @@ fn wrong_files_are_refused_in_one_line_that_names_the_place() {
         refuses(&["sim", "--mode", "offboard", "--faults", &file], words);
     };
     let crash = "[[actor]]\nactor = \"cache\"\nfault = \"crash\"\nat_s = 1\nfor_s = 1\n";
-    faults(&crash.replace("cache", "cook"), &["faults.toml", "cook"]);
+    faults(&crash.replace("cache", "cook"), &["faults.toml", "line 2", "actor", "controller"]);
     faults(&crash.replace("at_s", "at_ms"), &["at_ms"]);
     faults(&format!("{crash}robot = 7\n"), &["actor[0].robot", "7"]);
     faults("[[link]]\nlink = \"ad-hoc\"\nfault = \"drop\"\nfrom_s = 0\nuntil_s = 1\n", &["ad-hoc", "loopback"]);
@@ -131,7 +131,7 @@ fn wrong_files_are_refused_in_one_line_that_names_the_place() {
     };
     deployment(("robots = 5", "robots = 6"), &["team.toml", "robot 5 has no agent"]);
     deployment(("robots = 5", "robots = \"five\""), &["robots"]);
-    deployment(("placement = \"drive\"", "placement = \"fly\""), &["placement", "fly"]);
+    deployment(("placement = \"drive\"", "placement = \"fly\""), &["line 3", "placement", "drive"]);
     deployment(("state_server = true", "state_sever = true"), &["state_sever"]);
     deployment(("\"latent\", ", ""), &["link.carries", "Latent"]);
     deployment(("name = \"agent-1\"", "name = \"agent-0\""), &["host.name"]);

@@ -174,6 +174,73 @@ fn what_was_killed_or_interrupted_goes_on_to_the_same_bytes() {
     same(&whole, &halves);
 }
 
+/// What a study finds in its folder and does again, when each trial's file there was changed.
+fn with_changed_trials(args: &[&str], out: &str, change: impl Fn(&str, &[u8]) -> Vec<u8>) -> (String, String) {
+    let whole = files(out);
+    let trials: Vec<&PathBuf> = whole.keys().filter(|name| name.starts_with("trials")).collect();
+    assert!(!trials.is_empty());
+    for name in trials {
+        let changed = change(&name.to_string_lossy(), &whole[name]);
+        assert!(changed != whole[name], "{} is changed", name.display());
+        std::fs::write(Path::new(out).join(name), changed).expect("it can be written");
+    }
+    let output = done(args, &["--out", out]);
+    assert!(files(out) == whole, "every trial is run again and its record is as it was");
+    (text(&output.stdout), text(&output.stderr))
+}
+
+const JOURNAL: [&str; 10] =
+    ["study", "delay", "--robots", "2", "--layouts", "1", "--repeats", "1", "--delays-ms", "0,50"];
+
+#[test]
+fn trials_of_another_seed_or_policy_are_run_again() {
+    let place = Place::new();
+    let policy = place.at("policy.safetensors");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies");
+    let take = |name: &str| assert!(std::fs::copy(root.join(name), &policy).expect("a policy") > 0);
+    let args = [&JOURNAL[..], &["--losses", "0", "--policy", &policy]].concat();
+    take("passage.safetensors");
+    let (ours, seed, other) = (place.at("ours"), place.at("seed"), place.at("other"));
+    done(&args, &["--out", &ours]);
+    done(&args, &["--seed", "1", "--out", &seed]);
+    // The same name, and other weights in it.
+    take("passage-published.safetensors");
+    done(&args, &["--out", &other]);
+    take("passage.safetensors");
+    let output = done(&args, &["--out", &ours]);
+    assert!(text(&output.stderr).contains("2 of 2 trials are there already"), "equal runs go on");
+    for theirs in [seed, other] {
+        let theirs = files(&theirs);
+        let (_, said) = with_changed_trials(&args, &ours, |name, _| theirs[Path::new(name)].clone());
+        assert!(!said.contains("are there already"), "{said}");
+    }
+}
+
+#[test]
+fn trials_of_another_version_or_build_or_other_conditions_are_run_again() {
+    let place = Place::new();
+    let out = place.at("out");
+    let args = [&JOURNAL[..], &["--losses", "0,0.2"]].concat();
+    done(&args, &["--out", &out]);
+    for (field, value) in
+        [("version", "0.0.9"), ("build", "0123456789abcdef"), ("conditions", "none"), ("study", "range")]
+    {
+        let (_, said) = with_changed_trials(&args, &out, |_, bytes| {
+            let mut record: Value = serde_json::from_slice(bytes).expect("a record");
+            assert!(record["origin"][field].is_string(), "{record}");
+            record["origin"][field] = value.into();
+            record.to_string().into_bytes()
+        });
+        assert!(!said.contains("are there already"), "{field}: {said}");
+    }
+    // A folder of another build is refused as a whole: its report would be of two programs.
+    let study = Path::new(&out).join("study.json");
+    let mut identity: Value = serde_json::from_slice(&std::fs::read(&study).expect("it is there")).expect("JSON");
+    identity["build"] = "0123456789abcdef".into();
+    std::fs::write(&study, identity.to_string()).expect("it can be written");
+    refuses(&[&args[..], &["--out", &out]].concat(), &["another study", "build", "0123456789abcdef"]);
+}
+
 #[test]
 fn what_is_wrong_is_said_before_anything_is_computed() {
     let place = Place::new();

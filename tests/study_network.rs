@@ -73,6 +73,39 @@ fn a_report_does_not_depend_on_threads_and_is_gone_on_with() {
 }
 
 #[test]
+fn cases_and_teams_of_another_seed_version_or_build_are_done_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let small = ["study", "network", "--rates", "60", "--networks", "ad-hoc", "--addressing", "multicast"];
+    let study = |name: &str, seed: &str| {
+        let out = folder.path().join(name);
+        let more = ["--reliability", "repeat", "--seconds", "2", "--teams", "5", "--seed", seed, "--quiet", "--out"];
+        let output = run(&[&small[..], &more, &[&out.to_string_lossy()]].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let cases = out.join("cases");
+        ["emulated-0000.json", "team-sim-0005.json"].map(|name| (cases.join(name), fs::read(cases.join(name)).unwrap()))
+    };
+    let origin = |bytes: &[u8]| serde_json::from_slice::<Value>(bytes).unwrap()["origin"].clone();
+    let ours = study("ours", "0");
+    let theirs = study("theirs", "1");
+    assert!(study("ours", "0") == ours, "what is kept is not done again");
+    let outcome = |bytes: &[u8]| serde_json::from_slice::<Value>(bytes).unwrap()["outcome"].clone();
+    for ((path, own), (_, other)) in ours.iter().zip(&theirs) {
+        fs::write(path, other).unwrap();
+        let again = study("ours", "0");
+        let (_, again) = again.iter().find(|(name, _)| name == path).unwrap();
+        assert_eq!((origin(again), outcome(again)), (origin(own), outcome(own)), "of another seed");
+        for field in ["version", "build"] {
+            let mut changed: Value = serde_json::from_slice(own).unwrap();
+            changed["origin"][field] = "of old".into();
+            fs::write(path, changed.to_string()).unwrap();
+            let again = study("ours", "0");
+            let (_, again) = again.iter().find(|(name, _)| name == path).unwrap();
+            assert_eq!(origin(again), origin(own), "of another {field}");
+        }
+    }
+}
+
+#[test]
 fn what_a_robot_of_a_growing_team_costs_is_measured_once_and_kept() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");

@@ -4,11 +4,13 @@
 mod program;
 
 use std::fs::{Permissions, read_to_string, set_permissions, write};
-use std::io::{BufRead, BufReader};
-use std::os::unix::fs::PermissionsExt;
+use std::io::{BufRead, BufReader, Write};
+use std::os::unix::fs::{PermissionsExt, chown, symlink};
 use std::path::{Path, PathBuf};
 use std::process::{Output, Stdio};
 
+use nix::sys::stat::Mode;
+use nix::unistd::{geteuid, mkfifo};
 use program::{murmurate, refuses, run, text};
 use tempfile::TempDir;
 
@@ -94,7 +96,27 @@ fn a_key_that_is_none_is_refused_in_one_line() {
     std::fs::remove_file(&key).expect("it is ours");
     refused(&["team.key", "is not there", "murmurate key new"]);
     std::fs::create_dir(&key).expect("a folder");
-    refused(&["team.key", "is no file"]);
+    refused(&["team.key", "no regular file"]);
+    std::fs::remove_dir(&key).expect("it is empty");
+    mkfifo(&key, Mode::S_IRUSR | Mode::S_IWUSR).expect("a pipe");
+    refused(&["team.key", "no regular file"]);
+}
+
+#[test]
+fn a_key_of_an_ordinary_user_is_no_key_for_root() {
+    let (folder, file) = folder();
+    let key = folder.path().join("team.key");
+    if !geteuid().is_root() {
+        let _ = writeln!(std::io::stderr(), "skipped: only root can give a file away");
+        return;
+    }
+    chown(&key, Some(1000), None).expect("root may");
+    refuses(&["config", "check", &file], &["team.key", "user 1000", "user 0", "chown 0"]);
+    chown(&key, Some(0), None).expect("root may");
+    // A link is followed: what counts is the file at its end.
+    let link = folder.path().join("link.key");
+    symlink(&key, &link).expect("a link");
+    done(&run(&["config", "check", &file, "--key-file", &link.to_string_lossy()]));
 }
 
 #[test]

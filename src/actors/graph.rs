@@ -111,7 +111,7 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
     let here = |host: HostId| process.only.is_none_or(|only| only == host);
     for robot in RobotId::team(plan.deployment.robots) {
         if here(graph.routes.agent_host(robot)) {
-            wire_robot(clock, plan, graph, robot);
+            wire_robot(clock, plan, graph, robot, process);
         }
         if here(graph.routes.world_host(robot)) {
             wire_body(clock, plan, graph, robot);
@@ -156,7 +156,7 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
 }
 
 /// Cache and Controller of one robot, and its Agent if it is the first of that Agent's robots.
-fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
+fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, process: &Process) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
     let first = graph.routes.companions(robot)[0];
@@ -207,13 +207,17 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
         valid_for: COMMAND_VALIDITY,
         phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
     };
-    let (network, status, record) = (home, graph.status_of(host), graph.record());
+    let (network, status) = (home, graph.status_of(host));
+    let (record, hear) = (graph.record(), Rc::clone(&process.hear));
     let make = move |_| Controller::new(config);
     start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
         controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
         controller::Out::Heartbeat(m) => network.send(network::In::Publish(Wire::Heartbeat(m))),
         controller::Out::Follows(latch) => status.send(status::In::Controller(robot, latch)),
-        controller::Out::Counts(counts) => record(recorder::In::Safety(robot, counts)),
+        controller::Out::Counts(counts) => {
+            hear(Heard::Safety(robot, counts));
+            record(recorder::In::Safety(robot, counts));
+        }
     });
 }
 

@@ -17,6 +17,7 @@ use crate::net::reliability::Setup;
 use crate::net::sender::Peer;
 use crate::net::transport;
 use crate::random::Seed;
+use crate::safety::guard::SafetyCounts;
 
 /// The team number of one-process runs, where there is no other team.
 const TEAM: u16 = 0;
@@ -38,11 +39,11 @@ pub struct Process {
     pub links: Option<Vec<Option<Setup>>>,
     /// Whether a Recorder runs here.
     pub records: bool,
-    /// Is told what reaches the actors and what the Networks count.
+    /// Is told what reaches the actors and what Networks and guards count.
     pub hear: Rc<dyn Fn(Heard)>,
 }
 
-/// What a Network of this process makes known.
+/// What Networks and Controllers of this process make known.
 #[derive(Clone, Copy, Debug)]
 pub enum Heard<'a> {
     /// An actor of this process has said something.
@@ -55,6 +56,8 @@ pub enum Heard<'a> {
     Counts(&'a LinkCounts),
     /// Another live host has the id of this one and was started before it.
     Duplicate(Duplicate),
+    /// How often the guard of a robot of this process has stopped or slowed it since it was started.
+    Safety(RobotId, SafetyCounts),
 }
 
 impl Process {

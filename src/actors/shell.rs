@@ -328,15 +328,21 @@ struct EndsTheProcess<I> {
 }
 
 impl<I> Drop for EndsTheProcess<I> {
-    #[allow(clippy::print_stderr)] // The process is about to end: no log may be set up to say so.
+    #[allow(clippy::print_stderr)] // Where no log is set up, this is the only way to say so.
     fn drop(&mut self) {
         if std::thread::panicking() {
-            eprintln!(
-                "murmurate: {} broke an invariant at {} (see the panic above); the process ends so that motors stop. \
-                 Please report it with the command that you ran.",
+            let why = format!(
+                "{} broke an invariant at {} (see the panic above); the process ends so that motors stop. Please report \
+                 it with the command that you ran.",
                 self.name.name(),
                 self.now
             );
+            // A log may have a writer that does not wait; stderr waits for whoever reads it.
+            if tracing::dispatcher::has_been_set() {
+                tracing::error!("{why}");
+            } else {
+                eprintln!("murmurate: {why}");
+            }
             std::process::exit(PANIC_STATUS);
         }
     }

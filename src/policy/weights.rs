@@ -12,6 +12,7 @@ use sha2::{Digest, Sha256};
 
 use super::manifest::{self, Manifest};
 use super::mlp::{Layer, Mlp};
+use crate::config;
 
 /// The three networks of a file, in the order of use.
 const OWN_NAMES: [&str; 3] = ["encoder", "message", "update"];
@@ -83,7 +84,7 @@ pub enum WeightsError {
     #[error("the tensor '{0}' has no place in the network; take it out of the file")]
     Unknown(String),
     /// The tensors are not those that the manifest was written for.
-    #[error("the tensors' SHA-256 is {found}; the manifest says {expected}: the file was changed after it was written")]
+    #[error("the tensors' SHA-256 begins with {found:.16} and is not that of the manifest: the file was changed")]
     Hash {
         /// Of the tensors.
         found: String,
@@ -94,13 +95,15 @@ pub enum WeightsError {
 
 /// Reads and checks a policy file.
 pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
-    let format = |e: safetensors::SafeTensorError| WeightsError::Format(e.to_string());
+    // The library quotes a header that is no JSON.
+    let format = |e: safetensors::SafeTensorError| WeightsError::Format(config::unquoted(&e.to_string()));
     let (_, header) = SafeTensors::read_metadata(bytes).map_err(format)?;
     let tensors = SafeTensors::deserialize(bytes).map_err(format)?;
     let text = header.metadata().as_ref().and_then(|metadata| metadata.get(manifest::KEY));
     let (manifest, names, assumed) = match text {
         Some(text) => {
-            let manifest: Manifest = serde_json::from_str(text).map_err(|e| WeightsError::Manifest(e.to_string()))?;
+            let manifest: Manifest =
+                serde_json::from_str(text).map_err(|e| WeightsError::Manifest(config::json(&e)))?;
             manifest.check().map_err(WeightsError::Manifest)?;
             (manifest, OWN_NAMES, None)
         }

@@ -1,9 +1,13 @@
-//! What a process of a team tells whoever started it: one JSON object a line.
+//! Events that a process of a team prints for its starter: one JSON object a line.
+
+use std::iter::Sum;
 
 use serde::{Deserialize, Serialize};
 
 use super::episode::Episode;
+use crate::messages::ids::RobotId;
 use crate::net::link::LinkCounts;
+use crate::safety::guard::SafetyCounts;
 
 /// Something that a host tells.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,12 +20,14 @@ pub enum HostEvent {
     },
     /// An episode is over; told by the host with the World.
     Episode(Episode),
+    /// What it has counted so far: once a second, and as its last word where the team has not finished.
+    Counted(Counted),
     /// The team has finished its episodes.
     Finished(Counted),
 }
 
-/// What one host counted from its start to its end.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// Counts of one host since its start.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counted {
     /// Messages published.
@@ -30,10 +36,53 @@ pub struct Counted {
     pub refused: u64,
     /// Messages that were lost in crashes.
     pub lost: u64,
-    /// Frames sent, let in, and refused by cause, on all links together.
-    pub links: LinkCounts,
+    /// Frames sent, let in, and refused by cause, on all links together, up to the last full second.
+    pub links: Box<LinkCounts>,
     /// The oldest command that a robot of this host was driven by \[s\].
     pub oldest_command_s: f64,
+    /// How often robots of this host were stopped or slowed, up to their last heartbeats; without those that never were.
+    pub safety: Vec<RobotSafety>,
+    /// Output that was dropped.
+    pub unwritten: Unwritten,
+}
+
+/// How often one robot was stopped or slowed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RobotSafety {
+    /// The robot.
+    pub robot: RobotId,
+    /// By reason.
+    #[serde(flatten)]
+    pub counts: SafetyCounts,
+}
+
+/// Output that was dropped because nothing on the control thread waits for a disk, a terminal or a pipe.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Unwritten {
+    /// Lines of the log.
+    pub log_lines: u64,
+    /// Events of `--json`.
+    pub events: u64,
+    /// Steps of `--trajectories`, each of the whole team.
+    pub steps: u64,
+}
+
+impl Unwritten {
+    /// All kinds together.
+    pub fn total(&self) -> u64 {
+        self.log_lines + self.events + self.steps
+    }
+}
+
+impl Sum for Unwritten {
+    fn sum<I: Iterator<Item = Unwritten>>(all: I) -> Unwritten {
+        all.fold(Unwritten::default(), |sum, one| Unwritten {
+            log_lines: sum.log_lines + one.log_lines,
+            events: sum.events + one.events,
+            steps: sum.steps + one.steps,
+        })
+    }
 }
 
 impl HostEvent {
@@ -63,11 +112,19 @@ mod tests {
             reset_s: 1.5,
             min_separation_m,
         };
-        let counted = Counted { messages: 7, oldest_command_s: 0.05, ..Counted::default() };
+        let counts = SafetyCounts { late_tick: 2, ..SafetyCounts::default() };
+        let counted = Counted {
+            messages: 7,
+            oldest_command_s: 0.05,
+            safety: vec![RobotSafety { robot: RobotId(3), counts }],
+            unwritten: Unwritten { events: 1, ..Unwritten::default() },
+            ..Counted::default()
+        };
         let all = [
             HostEvent::Ready { host: "robot-2".to_owned() },
             HostEvent::Episode(episode(0.25)),
             HostEvent::Episode(episode(f32::INFINITY)),
+            HostEvent::Counted(counted.clone()),
             HostEvent::Finished(counted),
         ];
         for event in all {

@@ -6,6 +6,7 @@ use serde::Serialize;
 use xxhash_rust::xxh3::Xxh3;
 
 use super::episode::Episode;
+use super::event::Unwritten;
 use super::outcomes::Outcomes;
 use super::trial::TrialReport;
 use crate::net::link::LinkCounts;
@@ -42,6 +43,8 @@ pub struct Summary {
     pub radio: Option<RadioCounts>,
     /// How often robots were stopped or slowed, by reason.
     pub safety: SafetyCounts,
+    /// Output that was dropped because nothing that drives a robot waits for it to be written.
+    pub unwritten: Unwritten,
     /// The oldest command that any robot was still driven by \[s\].
     pub oldest_command_s: f64,
     /// A digest of every message and state of the run, in hexadecimal; null for a run that was interrupted or in real
@@ -94,6 +97,7 @@ impl Summary {
             links: totals().map(|totals| totals.links).sum(),
             radio: Some(totals().map(|totals| totals.radio).sum()).filter(|radio: &RadioCounts| radio.channel_ns > 0),
             safety: totals().map(|totals| totals.safety).sum(),
+            unwritten: Unwritten::default(),
             oldest_command_s: totals().map(|totals| totals.oldest_command.as_secs()).fold(0.0, f64::max),
             trace_hash: (!interrupted).then(|| format!("{:032x}", trace.digest128())),
             seed,
@@ -158,6 +162,11 @@ impl fmt::Display for Summary {
         if undelivered > 0 {
             let by = format!("{refused} by full mailboxes, {lost} in crashes, {frames} refused by links");
             writeln!(f, "  undelivered  {undelivered:>8}   {by}")?;
+        }
+        let Unwritten { log_lines, events, steps } = self.unwritten;
+        if self.unwritten.total() > 0 {
+            let what = format!("{log_lines} log lines, {events} events, {steps} steps of trajectories");
+            writeln!(f, "  unwritten    {:>8}   {what}", self.unwritten.total())?;
         }
         let trace =
             self.trace_hash.as_deref().unwrap_or(if self.interrupted { "incomplete" } else { "none: real time" });

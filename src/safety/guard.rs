@@ -8,7 +8,7 @@
 use std::collections::BTreeMap;
 use std::iter::Sum;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::filter::{self, Limit};
 use super::{Safety, Switch};
@@ -52,7 +52,8 @@ impl Trigger {
 }
 
 /// How often each trigger has begun to act.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct SafetyCounts {
     /// The emergency stop was engaged.
     pub stop: u64,

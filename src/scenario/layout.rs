@@ -7,6 +7,7 @@ use std::sync::Arc;
 use serde::Deserialize;
 
 use super::Scenario;
+use crate::config;
 use crate::messages::geometry::{Task, Vec2, is_finite};
 
 /// Starts of an episode and goals of the one before are the same within this distance \[m\].
@@ -63,7 +64,7 @@ impl Layouts {
 
     /// The first `episodes` layouts of a JSON text, checked against the scenario.
     pub fn from_json(text: &str, scenario: &dyn Scenario, episodes: u32) -> Result<Layouts, LayoutError> {
-        let file: File = serde_json::from_str(text).map_err(|e| LayoutError::Syntax(e.to_string()))?;
+        let file: File = serde_json::from_str(text).map_err(|e| LayoutError::Syntax(config::json(&e)))?;
         let wanted = episodes as usize;
         if file.episodes.len() < wanted {
             return Err(LayoutError::TooFew { held: file.episodes.len(), wanted });

@@ -9,6 +9,7 @@ pub mod columns;
 pub mod conditions;
 pub mod handling;
 pub mod network;
+pub mod origin;
 pub mod pages;
 pub mod published;
 pub mod record;
@@ -21,6 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use self::columns::Column;
 use self::handling::Preset;
+use self::origin::Origin;
 use crate::config::ConfigError;
 use crate::policy::Model;
 use crate::scenario::Scenario;
@@ -89,6 +91,8 @@ pub struct Identity {
     pub study: String,
     /// The program's version.
     pub version: String,
+    /// Digest of the program's sources.
+    pub build: String,
     /// The scenario, with its team and its gap.
     pub scenario: String,
     /// How many layouts, and their digest.
@@ -108,8 +112,8 @@ pub struct Identity {
 }
 
 /// The fields that make it this study, those first that say most. How its command was typed does not.
-const FIELDS: [&str; 9] =
-    ["study", "scenario", "seed", "repeats", "entrants", "columns", "conditions", "layouts", "version"];
+const FIELDS: [&str; 10] =
+    ["study", "scenario", "seed", "repeats", "entrants", "columns", "conditions", "layouts", "version", "build"];
 
 impl Identity {
     /// The first field in which another one differs: its name, and the values here and there.
@@ -165,9 +169,10 @@ impl Study {
         };
         Identity {
             study: self.name.to_owned(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
+            version: origin::VERSION.to_owned(),
+            build: origin::BUILD.to_owned(),
             scenario: self.place(),
-            layouts: format!("{} [{}]", self.layouts.len(), self.layouts_digest()),
+            layouts: self.episodes(),
             repeats: self.repeats,
             seed: self.seed,
             columns: self.columns.clone(),
@@ -175,6 +180,25 @@ impl Study {
             entrants: self.entrants.iter().map(entrant).collect(),
             command: self.command.clone(),
         }
+    }
+
+    /// What the record of a trial belongs to. Other columns, other entrants and the number of repeats decide nothing.
+    pub fn origin(&self, job: Job) -> Origin {
+        let (column, entrant) = (&self.columns[job.column], &self.entrants[job.entrant]);
+        let conditions = (
+            self.place(),
+            self.episodes(),
+            column,
+            conditions::Deployed::shared(),
+            entrant.handling.name,
+            &entrant.policy,
+        );
+        Origin::here(self.name, self.seed, &entrant.digest, &conditions)
+    }
+
+    /// How many layouts, and their digest.
+    fn episodes(&self) -> String {
+        format!("{} [{}]", self.layouts.len(), self.layouts_digest())
     }
 
     /// The scenario, its team, and its bottleneck if that was chosen, in words.

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::origin::Origin;
 use super::{Job, Study};
 use crate::messages::geometry::Vec2;
 use crate::messages::wire::Phase;
@@ -22,6 +23,8 @@ const FAR_M: f32 = 2.0;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
+    /// What it belongs to.
+    pub origin: Origin,
     /// The column.
     pub column: String,
     /// The policy.
@@ -88,6 +91,7 @@ impl Record {
         report.steps.iter().for_each(|step| traces.see(step));
         let entrant = &study.entrants[job.entrant];
         Record {
+            origin: study.origin(job),
             column: study.columns[job.column].name.clone(),
             policy: entrant.policy.clone(),
             handling: entrant.handling.name.to_owned(),
@@ -102,7 +106,8 @@ impl Record {
     pub fn is_of(&self, study: &Study, job: Job) -> bool {
         let entrant = &study.entrants[job.entrant];
         let traces = Traces::new(study.scenario.arena());
-        self.column == study.columns[job.column].name
+        self.origin == study.origin(job)
+            && self.column == study.columns[job.column].name
             && self.policy == entrant.policy
             && self.handling == entrant.handling.name
             && self.repeat == job.repeat

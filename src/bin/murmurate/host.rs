@@ -1,10 +1,10 @@
 //! `murmurate host`: what runs on a robot. One host of a team: its actors, in real time, on its sockets.
 
 use std::cell::{Cell, RefCell};
-use std::fs::File;
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -17,13 +17,14 @@ use murmurate::actors::process::{Graph, Heard};
 use murmurate::actors::real::run_real;
 use murmurate::actors::recorder::{Out, Steps};
 use murmurate::deploy::team::{Team, TeamFile};
-use murmurate::messages::ids::HostId;
+use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Phase, Wire};
 use murmurate::net::key::Key;
 use murmurate::net::link::{Duplicate, LinkCounts};
-use murmurate::report::event::{Counted, HostEvent};
+use murmurate::report::event::{Counted, HostEvent, RobotSafety};
 use murmurate::report::summary::{Run, Summary};
 use murmurate::report::trial::TrialReport;
+use murmurate::safety::guard::SafetyCounts;
 use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Settings};
 use murmurate::time::{Span, Time};
@@ -31,8 +32,7 @@ use murmurate::trial::Trial;
 use sd_notify::NotifyState;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
-use crate::output::print;
-use crate::paths::Paths;
+use crate::outlets::Outlets;
 use crate::{BadInput, Ended, links, team};
 
 /// How long a host goes on after the last episode: whoever has missed the news hears it again.
@@ -72,16 +72,19 @@ pub struct Args {
     trajectories: Option<PathBuf>,
 }
 
+/// How often a host says what it has counted, so that one that is killed counts as of its last word.
+const COUNTED_PERIOD: Span = Span::from_millis(1000);
+
 /// What has become known while the host runs.
-#[derive(Default)]
 struct Seen {
     report: RefCell<TrialReport>,
     over: Cell<bool>,
     messages: Cell<u64>,
     counts: Cell<LinkCounts>,
-    paths: RefCell<Option<Paths<File>>>,
-    /// Why it cannot go on: what was to be written could not be, or another live host has its id.
-    lost: RefCell<Option<anyhow::Error>>,
+    safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
+    outlets: Outlets,
+    /// Another live host has the id of this one.
+    duplicate: Cell<Option<Duplicate>>,
 }
 
 /// Runs the host until the team has finished, or until it is told to stop.
@@ -94,11 +97,12 @@ pub fn run(args: &Args) -> Result<Ended> {
     let key = team::key(&team)?.map(Key::new);
     let policy = team::policy(&team)?;
     let mut trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
-    let seen = Rc::new(Seen::default());
-    if let Some(path) = &args.trajectories {
+    if args.trajectories.is_some() {
         trial.steps = Steps::Reported;
-        seen.paths.replace(Some(trajectories(path, &team)?));
+        sees_whole_team(&team)?;
     }
+    let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?));
+    let outlets = &seen.outlets;
     let places = team.links.iter().map(Option::as_ref);
     let (links, sockets) = (links::setups(&team.deployment, places), links::open(&team, team.host)?);
     let (signal, (rings, bell)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
@@ -112,20 +116,19 @@ pub fn run(args: &Args) -> Result<Ended> {
     }
     let links::Fresh { incarnation, seed: secret, .. } = links::Fresh::draw()?;
 
-    let tell = |event: &HostEvent| -> Result<()> { if args.json { print(&event.to_line()) } else { Ok(()) } };
     tracing::info!(host = name, robots = team.deployment.robots, "starts");
     let (mut over, mut stopping, mut told) = (None, None, 0);
-    let tell_or_lose = |event: &HostEvent| seen.lose(tell(event));
     let abandoned = Rc::new(Cell::new(false));
     let watchdog = sd_notify::watchdog_enabled();
-    let mut petted = Time::ZERO;
+    let (mut petted, mut counted) = (Time::ZERO, Time::ZERO);
+    let mut lost = None;
     let graph = run_real(
         began,
         |clock, readers| {
             let host = Host { id, team: team.number, incarnation, secret, key, links, sockets };
             let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
             let graph = host::wire((clock, readers), trial.plan(), host, move |h| heard.hear(h), move |o| said.say(o));
-            let _ = sd_notify::notify(&[NotifyState::Ready]);
+            outlets.notify(&NotifyState::Ready);
             let source = Rc::clone(&rings);
             readers.watch(rings, move || {
                 let _ = (&*source).read(&mut [0; 16]);
@@ -135,26 +138,30 @@ pub fn run(args: &Args) -> Result<Ended> {
                 let gone = Rc::clone(&abandoned);
                 readers.watch_end(Rc::new(std::io::stdout()), move || gone.set(true));
             }
-            tell_or_lose(&HostEvent::Ready { host: name.clone() });
+            outlets.tell(&HostEvent::Ready { host: name.clone() });
             graph
         },
         |graph: &Rc<Graph>, now| {
             while let Some(episode) = seen.report.borrow().episodes.get(told).copied() {
                 told += 1;
-                tell_or_lose(&HostEvent::Episode(episode));
+                outlets.tell(&HostEvent::Episode(episode));
+            }
+            if now.since(counted) >= COUNTED_PERIOD {
+                counted = now;
+                outlets.tell(&HostEvent::Counted(seen.counted(graph)));
             }
             if let Some(patience) = watchdog
                 && now.since(petted) >= Span::from_secs(patience.as_secs_f64() / 4.0)
             {
                 petted = now;
-                let _ = sd_notify::notify(&[NotifyState::Watchdog]);
+                outlets.notify(&NotifyState::Watchdog);
             }
             if seen.over.get() && over.is_none() {
                 over = Some(now);
             }
             if (signal.load(Ordering::Relaxed) != 0 || abandoned.get()) && stopping.is_none() {
                 stopping = Some(now);
-                let _ = sd_notify::notify(&[NotifyState::Stopping]);
+                outlets.notify(&NotifyState::Stopping);
                 graph.leave(id);
                 if abandoned.get() {
                     // The one that looked after the whole team has died.
@@ -163,29 +170,32 @@ pub fn run(args: &Args) -> Result<Ended> {
             }
             let serves = team.deployment.hosts[usize::from(id.0)].state_server;
             let grace = if serves { SERVER_GRACE } else { GRACE };
-            seen.lost.borrow().is_some()
+            lost = outlets.failure();
+            lost.is_some()
+                || seen.duplicate.get().is_some()
                 || over.is_some_and(|at: Time| now.since(at) >= grace)
                 || stopping.is_some_and(|at: Time| now.since(at) >= STOPPING)
         },
     );
-    if let Some(error) = seen.lost.take() {
+    let counted = seen.counted(&graph);
+    if let Some(error) = lost {
         return Err(error);
+    }
+    if let Some(Duplicate { host, .. }) = seen.duplicate.get() {
+        return Err(anyhow!(
+            "another live host is number {} of this team ('{name}') and was started before this one: stop it, or correct \
+             --host or --robot here",
+            host.0
+        ));
     }
     if abandoned.get() && !seen.over.get() {
         return Err(anyhow!("nobody reads what this host prints; it has stopped"));
     }
     let mut report = seen.report.borrow().clone();
-    (report.refused, report.lost) = graph.undelivered();
-    let interrupted = over.is_none();
-    if !interrupted {
-        tell(&HostEvent::Finished(Counted {
-            messages: seen.messages.get(),
-            refused: report.refused,
-            lost: report.lost,
-            links: seen.counts.get(),
-            oldest_command_s: report.totals.oldest_command.as_secs(),
-        }))?;
-    }
+    (report.refused, report.lost) = (counted.refused, counted.lost);
+    report.totals.safety = counted.safety.iter().map(|robot| robot.counts).sum();
+    let (interrupted, unwritten) = (over.is_none(), counted.unwritten);
+    outlets.tell(&if interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) });
     if !args.json && !report.episodes.is_empty() {
         let run = Run {
             mode: team.deployment.mode.clone(),
@@ -196,31 +206,32 @@ pub fn run(args: &Args) -> Result<Ended> {
             wall_s: began.elapsed().as_secs_f64(),
             interrupted,
         };
-        print(&Summary::of(run, &[report]).to_string())?;
+        let mut summary = Summary::of(run, &[report]);
+        summary.unwritten = unwritten;
+        outlets.print(&summary.to_string());
+    }
+    outlets.close();
+    if let Some(error) = outlets.failure() {
+        return Err(error);
     }
     let by_user = signal.load(Ordering::Relaxed) == SIGINT as usize;
     Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
 }
 
 impl Seen {
+    fn new(outlets: Outlets) -> Seen {
+        let (report, over, messages, counts) = Default::default();
+        Seen { report, over, messages, counts, safety: RefCell::default(), outlets, duplicate: Cell::default() }
+    }
+
     fn hear(&self, heard: Heard) {
         match heard {
             Heard::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
             Heard::Message(_) | Heard::Peers(_) => {}
             Heard::Counts(counts) => self.counts.set(*counts),
+            Heard::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
             Heard::Published => self.messages.set(self.messages.get() + 1),
-            Heard::Duplicate(Duplicate { host, .. }) => self.lose(Err(anyhow!(
-                "another live host is number {} of this team and was started before this one: stop it, or correct \
-                 --host or --robot here",
-                host.0
-            ))),
-        }
-    }
-
-    /// Remembers that something could not be written.
-    fn lose(&self, written: Result<()>) {
-        if let Err(error) = written {
-            self.lost.replace(Some(error));
+            Heard::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
         }
     }
 
@@ -231,15 +242,32 @@ impl Seen {
                 report.episodes.push(episode);
                 report.totals = totals;
             }
-            Out::Step(step) => {
-                if let Some(paths) = &mut *self.paths.borrow_mut() {
-                    self.lose(paths.write(0, &step).and_then(|()| paths.flush()));
-                }
-            }
+            Out::Step(step) => self.outlets.step(&step),
             Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
             Out::Closed(totals) => report.totals = totals,
         }
         report.simulated = report.totals.end.since(Time::ZERO);
+    }
+
+    /// What it has counted so far.
+    fn counted(&self, graph: &Graph) -> Counted {
+        let (refused, lost) = graph.undelivered();
+        let robot = |(&robot, &counts): (&RobotId, &SafetyCounts)| RobotSafety { robot, counts };
+        Counted {
+            messages: self.messages.get(),
+            refused,
+            lost,
+            links: Box::new(self.counts.get()),
+            oldest_command_s: self.report.borrow().totals.oldest_command.as_secs(),
+            safety: self
+                .safety
+                .borrow()
+                .iter()
+                .filter(|(_, counts)| counts.reasons().next().is_some())
+                .map(robot)
+                .collect(),
+            unwritten: self.outlets.unwritten(),
+        }
     }
 }
 
@@ -267,15 +295,14 @@ impl Args {
     }
 }
 
-/// Opens the file of paths, which only the host that sees the whole team can fill.
-fn trajectories(path: &Path, team: &Team) -> Result<Paths<File>> {
+/// Refuses trajectories of a host that does not see the whole team.
+fn sees_whole_team(team: &Team) -> Result<()> {
     let host = &team.deployment.hosts[usize::from(team.host.0)];
     if host.world.len() != team.deployment.robots {
         let why = format!("--trajectories: host '{}' does not run the World of the whole team", host.name);
         return Err(BadInput(why).into());
     }
-    let file = File::create(path).map_err(|e| BadInput(format!("cannot write '{}': {e}", path.display())))?;
-    Paths::new(file)
+    Ok(())
 }
 
 /// The run that the team is to make, of which this host does its part.

@@ -2,12 +2,14 @@
 //!
 //! A key is never printed; what is shown is a fingerprint, to see whether two robots have the same.
 
-use std::fs::File;
+use std::fs::OpenOptions;
 use std::io::{ErrorKind, Read, Write};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Subcommand;
+use nix::unistd::geteuid;
 use sha2::{Digest, Sha256};
 
 use crate::{BadInput, Ended, output};
@@ -66,27 +68,33 @@ pub fn run(args: &Args) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Reads a key file that nobody but its owner can read.
+/// Reads a key file that belongs to the user of this program and that nobody else can read. Links are followed: what
+/// counts is the file that was opened, not its name.
 pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     let refuse = |why: String| anyhow::Error::from(BadInput(format!("the key file '{}' {why}", path.display())));
-    let file = File::open(path).map_err(|e| match e.kind() {
+    // Without waiting: a pipe has its other end open when somebody cares to open it.
+    let opened = OpenOptions::new().read(true).custom_flags(nix::libc::O_NONBLOCK | nix::libc::O_NOCTTY).open(path);
+    let file = opened.map_err(|e| match e.kind() {
         ErrorKind::NotFound => {
             refuse("is not there: copy the team's key to it, or make one with 'murmurate key new'".to_owned())
         }
         _ => refuse(format!("cannot be read: {e}")),
     })?;
-    // Of the file that was opened, not of what has its name by now.
     let about = file.metadata().map_err(|e| refuse(format!("cannot be read: {e}")))?;
     if !about.is_file() {
-        return Err(refuse("is no file".to_owned()));
+        return Err(refuse("is no regular file: name a file that holds the key".to_owned()));
     }
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        let mode = about.permissions().mode() & 0o777;
-        if mode & 0o177 != 0 {
-            return Err(refuse(format!("has mode {mode:04o}, so it is not its owner's alone: chmod 600 it")));
-        }
+    let (owner, user) = (about.uid(), geteuid().as_raw());
+    if !may_own(owner, user) {
+        let why = format!(
+            "belongs to user {owner}, who can change it, and this program runs as user {user}: chown {user} it, or run \
+             as its owner"
+        );
+        return Err(refuse(why));
+    }
+    let mode = about.mode() & 0o777;
+    if mode & 0o177 != 0 {
+        return Err(refuse(format!("has mode {mode:04o}, so it is not its owner's alone: chmod 600 it")));
     }
     let mut digits = Vec::new();
     // A little more than a key is enough to see that it is none.
@@ -95,6 +103,12 @@ pub fn read(path: &Path) -> Result<[u8; BYTES]> {
         refuse(format!("does not hold {} hexadecimal digits ({BYTES} bytes): copy the team's key again", 2 * BYTES))
     })?;
     Ok(key)
+}
+
+/// Whether a key of this owner is taken from this user: from oneself, and from root, who could do anything anyway. So
+/// root takes no key that an ordinary user could exchange.
+fn may_own(owner: u32, user: u32) -> bool {
+    owner == user || owner == 0
 }
 
 fn parse(digits: &[u8]) -> Option<[u8; BYTES]> {
@@ -113,4 +127,16 @@ fn parse(digits: &[u8]) -> Option<[u8; BYTES]> {
 pub fn fingerprint(key: &[u8; BYTES]) -> String {
     let digest = Sha256::new().chain_update(b"murmurate team key\0").chain_update(key).finalize();
     digest[..4].iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_is_taken_from_its_user_and_from_root_alone() {
+        assert!(may_own(1000, 1000) && may_own(0, 1000) && may_own(0, 0));
+        assert!(!may_own(1000, 0), "an ordinary user could exchange it under root");
+        assert!(!may_own(1001, 1000));
+    }
 }

@@ -15,8 +15,10 @@ mod doctor;
 mod host;
 mod jobs;
 mod key;
+mod lane;
 mod launch;
 mod links;
+mod outlets;
 mod output;
 mod paths;
 mod policy;
@@ -40,7 +42,8 @@ use tracing_subscriber::util::SubscriberInitExt;
     version,
     after_help = "Exit codes: 0 done; 1 the run, its output or a check failed; 2 a flag or a file is wrong, nothing \
                   was run; 101 a bug; 130 interrupted, results until then printed.\n\
-                  Logs go to stderr; MURMURATE_LOG sets their level (error, warn, info, debug)."
+                  Logs go to stderr; MURMURATE_LOG sets their level (error, warn, info, debug; by default warn for \
+                  'host' and 'launch', else error)."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -104,7 +107,7 @@ fn log(wanted: &str) -> Result<(), String> {
         return Err(format!("'{odd}' is no level; there are off, error, warn, info, debug and trace"));
     }
     let targets: Targets = wanted.parse().map_err(|error| format!("'{wanted}': {error}"))?;
-    let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(output::colour());
+    let lines = tracing_subscriber::fmt::layer().with_writer(|| output::LogLines).with_ansi(output::colour());
     tracing_subscriber::registry().with(targets).with(lines).init();
     Ok(())
 }
@@ -114,11 +117,26 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return refuse(&error),
     };
-    if let Err(why) = log(std::env::var("MURMURATE_LOG").as_deref().unwrap_or("error")) {
+    let real_time = matches!(cli.command, Command::Host(_) | Command::Launch(_));
+    let waits_for_nobody = real_time || matches!(cli.command, Command::Stop(_));
+    if waits_for_nobody && let Err(why) = output::open_log_lane() {
+        output::talk(&format!("error: cannot start a thread to write the log: {why}"));
+        return ExitCode::from(1);
+    }
+    // What a guard does to a robot is for its operator to see.
+    let level = if real_time { "warn" } else { "error" };
+    if let Err(why) = log(std::env::var("MURMURATE_LOG").as_deref().unwrap_or(level)) {
         output::talk(&format!("error: MURMURATE_LOG: {why}"));
+        output::flush_log();
         return ExitCode::from(2);
     }
-    let ended = match cli.command {
+    let status = exit_code(run(cli.command));
+    output::flush_log();
+    status
+}
+
+fn run(command: Command) -> anyhow::Result<Ended> {
+    match command {
         Command::Sim(args) => sim::run(&args),
         Command::Deployment(args) => deployment::run(&args),
         Command::Study(args) => study::run(&args),
@@ -130,7 +148,11 @@ fn main() -> ExitCode {
         Command::Resume(args) => stop::resume(&args),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args),
-    };
+    }
+}
+
+/// Says how a command has ended.
+fn exit_code(ended: anyhow::Result<Ended>) -> ExitCode {
     match ended {
         Ok(Ended::Done) => ExitCode::SUCCESS,
         Ok(Ended::Unfit) => ExitCode::from(1),

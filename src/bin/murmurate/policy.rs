@@ -11,6 +11,7 @@ use murmurate::policy::{Draw, Model, weights};
 use murmurate::scenario::Scenario;
 
 use crate::BadInput;
+use crate::output::read_bytes;
 
 /// A policy that can drive a team.
 pub struct Loaded {
@@ -49,9 +50,7 @@ pub fn load(named: Option<&Path>, action: Option<&str>, scenario: &dyn Scenario)
         }
         None => {
             let name = named.display().to_string();
-            let bytes = std::fs::read(named).map_err(|e| {
-                BadInput(format!("cannot read the policy file '{name}': {e} (or name the policy 'orca')"))
-            })?;
+            let bytes = read_bytes(named, "policy file (or name the policy 'orca')")?;
             (name, Cow::Owned(bytes))
         }
     };

@@ -11,7 +11,7 @@ use std::ops::Range;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use crate::config::{ConfigError, syntax};
+use crate::config::{self, ConfigError, syntax};
 use crate::deploy::MODES;
 use crate::net::reliability::Reliability;
 use crate::world::{PLANTS, Sensor};
@@ -201,6 +201,10 @@ impl Takes {
                 _ => Err(format!("'{text}' is no number of {least} to {most}")),
             },
             Takes::Text if text.is_empty() => Err("it is empty; leave it out or fill it in".to_owned()),
+            Takes::Text if config::is_key(text.as_bytes()) => {
+                Err("it is a key itself, where the name of something belongs: keep it in a file and name that"
+                    .to_owned())
+            }
             Takes::Text => Ok(Value::Text(text.to_owned())),
             // As Linux has it: IFNAMSIZ is 16 with its end, and these characters are refused.
             Takes::Interface => {

@@ -157,12 +157,15 @@ impl Rate {
     }
 }
 
+fn names() -> String {
+    CODINGS.map(|coding| coding.name).join(", ")
+}
+
 impl FromStr for Rate {
     type Err = String;
     fn from_str(name: &str) -> Result<Rate, String> {
         let at = CODINGS.iter().position(|coding| coding.name == name);
         let at = at.and_then(|at| u8::try_from(at).ok());
-        let names = || CODINGS.map(|coding| coding.name).join(", ");
         at.map(Rate).ok_or_else(|| format!("there is no rate '{name}'; there are: {}", names()))
     }
 }
@@ -170,7 +173,8 @@ impl FromStr for Rate {
 impl TryFrom<String> for Rate {
     type Error = String;
     fn try_from(name: String) -> Result<Rate, String> {
-        name.parse()
+        // What a file says is not repeated.
+        name.parse().map_err(|_| format!("there is no such rate; there are: {}", names()))
     }
 }
 

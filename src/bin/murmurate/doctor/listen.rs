@@ -97,7 +97,7 @@ fn hear(team: &Team, places: &[Option<SocketConfig>], seconds: f64) -> Result<Ea
                     heard.borrow_mut().peers = peers.iter().map(|p| ((p.link, p.host), p.clone())).collect();
                 }
                 Heard::Counts(counts) => heard.borrow_mut().counts = *counts,
-                Heard::Message(_) | Heard::Published | Heard::Duplicate(_) => {}
+                Heard::Message(_) | Heard::Published | Heard::Duplicate(_) | Heard::Safety(..) => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
             clock.call(until, Box::new(|| {}));

@@ -7,17 +7,19 @@ mod supervisor;
 
 use std::collections::BTreeMap;
 use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Context, Result, anyhow};
 use murmurate::deploy::team::Team;
 use murmurate::report::episode::Episode;
-use murmurate::report::event::{Counted, HostEvent};
+use murmurate::report::event::{Counted, HostEvent, Unwritten};
 use murmurate::report::summary::{Run, Summary};
 use murmurate::report::trial::{Totals, TrialReport};
 use murmurate::time::Span;
 
-use crate::output::{colour, print, talk};
+use crate::output::{colour, log_lines_dropped, print, talk};
 use crate::{BadInput, Ended, team};
 use supervisor::{Answer, Heard, Limits, Outcome, Process, Supervisor};
 
@@ -58,7 +60,13 @@ pub fn run(args: &Args) -> Result<Ended> {
     });
     let supervisor = Supervisor::new(processes.collect(), Limits::default());
     let stopper = supervisor.stopper();
-    ctrlc::set_handler(move || stopper.stop()).context("cannot listen for Ctrl-C")?;
+    let asked = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&asked);
+    ctrlc::set_handler(move || {
+        told.store(true, Ordering::Relaxed);
+        stopper.stop();
+    })
+    .context("cannot listen for Ctrl-C")?;
 
     let names: Vec<String> = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
     let mut results = Results::new(&names, teams[0].episodes, args.quiet);
@@ -70,6 +78,8 @@ pub fn run(args: &Args) -> Result<Ended> {
     let began = results.began;
     let wall_s = began.elapsed().as_secs_f64();
     let finished = results.episodes.len() == first.episodes as usize;
+    // Somebody who has ended the processes before they ended has interrupted the team, whatever results there are.
+    let asked = asked.load(Ordering::Relaxed);
     let run = Run {
         mode: first.deployment.mode.clone(),
         scenario: first.scenario.clone(),
@@ -77,11 +87,12 @@ pub fn run(args: &Args) -> Result<Ended> {
         robots: first.deployment.robots,
         seed: first.seed,
         wall_s,
-        interrupted: !finished,
+        interrupted: !finished || asked,
     };
     let mut summary = Summary::of(run, &[results.report(wall_s)]);
     // Real time does not repeat itself: there is no trace to compare.
     summary.trace_hash = None;
+    summary.unwritten = results.unwritten();
     print(&if args.json {
         serde_json::to_string(&summary).context("a summary is JSON")?
     } else {
@@ -93,8 +104,7 @@ pub fn run(args: &Args) -> Result<Ended> {
             let (got, all) = (results.episodes.len(), first.episodes);
             Err(anyhow!("every process has ended, but {got} of {all} episodes have a result; see what they said"))
         }
-        // A Ctrl-C that comes after the last episode has interrupted nothing.
-        _ => Ok(if finished { Ended::Done } else { Ended::Interrupted }),
+        _ => Ok(if asked { Ended::Interrupted } else { Ended::Done }),
     }
 }
 
@@ -124,7 +134,10 @@ struct Results {
     began: Instant,
     ready: usize,
     episodes: BTreeMap<u32, Episode>,
+    /// By process: what its life that runs has counted so far, or the last one had.
     counted: Vec<Counted>,
+    /// What lives before those have counted.
+    past: Vec<Counted>,
 }
 
 impl Results {
@@ -138,7 +151,8 @@ impl Results {
             began: Instant::now(),
             ready: 0,
             episodes: BTreeMap::new(),
-            counted: Vec::new(),
+            counted: vec![Counted::default(); names.len()],
+            past: Vec::new(),
         }
     }
 
@@ -147,10 +161,14 @@ impl Results {
             Heard::Log(line) => self.pass_on(at, line),
             Heard::Note(note) => talk(&format!("warning: the process '{}' {note}", self.names[at])),
             Heard::Data(line) => match HostEvent::from_line(line) {
-                Some(HostEvent::Ready { .. }) => self.ready(),
+                Some(HostEvent::Ready { .. }) => {
+                    self.past.push(std::mem::take(&mut self.counted[at]));
+                    self.ready();
+                }
                 Some(HostEvent::Episode(episode)) => self.episode(episode),
+                Some(HostEvent::Counted(counted)) => self.counted[at] = counted,
                 Some(HostEvent::Finished(counted)) => {
-                    self.counted.push(counted);
+                    self.counted[at] = counted;
                     return Answer::Done;
                 }
                 None => self.pass_on(at, line),
@@ -192,16 +210,26 @@ impl Results {
         self.say(&format!("{name} | {line}"));
     }
 
+    fn lives(&self) -> impl Iterator<Item = &Counted> {
+        self.past.iter().chain(&self.counted)
+    }
+
+    fn unwritten(&self) -> Unwritten {
+        let own = Unwritten { log_lines: log_lines_dropped(), ..Unwritten::default() };
+        self.lives().map(|counted| counted.unwritten).chain([own]).sum()
+    }
+
     fn report(&self, wall_s: f64) -> TrialReport {
-        let sum = |of: fn(&Counted) -> u64| self.counted.iter().map(of).sum();
-        let oldest = self.counted.iter().map(|counted| counted.oldest_command_s).fold(0.0, f64::max);
+        let sum = |of: fn(&Counted) -> u64| self.lives().map(of).sum();
+        let oldest = self.lives().map(|counted| counted.oldest_command_s).fold(0.0, f64::max);
         TrialReport {
             episodes: self.episodes.values().copied().collect(),
             simulated: Span::from_secs(wall_s),
             totals: Totals {
                 messages: sum(|counted| counted.messages),
                 oldest_command: Span::from_secs(oldest),
-                links: self.counted.iter().map(|counted| counted.links).sum(),
+                links: self.lives().map(|counted| *counted.links).sum(),
+                safety: self.lives().flat_map(|counted| &counted.safety).map(|robot| robot.counts).sum(),
                 ..Totals::default()
             },
             finished: self.episodes.len() == self.wanted as usize,

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use murmurate::config;
 use murmurate::report::figures::Figure;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -32,8 +33,9 @@ impl Folder {
             Err(error) => return Err(refuse(format!("cannot read '{IDENTITY}': {error}")).into()),
         };
         if let Some(text) = &theirs {
-            let theirs: I = serde_json::from_str(text)
-                .map_err(|e| refuse(format!("its '{IDENTITY}' is of another study, program or version ({e})")))?;
+            let theirs: I = serde_json::from_str(text).map_err(|e| {
+                refuse(format!("its '{IDENTITY}' is of another study, program or version ({})", config::json(&e)))
+            })?;
             if let Some(how) = difference(&theirs) {
                 return Err(refuse(format!("it is of another study: {how}")).into());
             }

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 use indicatif::{ProgressBar, ProgressStyle};
+use murmurate::config::unquoted;
 use murmurate::scenario;
 use murmurate::study::network::conditions;
 use murmurate::train::config::{Config, PRESETS};
@@ -19,7 +20,7 @@ use murmurate::train::evaluate::{Scores, quick};
 use murmurate::train::trainer::{Plan, Trainer};
 use serde::Serialize;
 
-use crate::output::{print, read_text, talk};
+use crate::output::{print, read_bytes, read_text, talk};
 use crate::{BadInput, Ended, study};
 use curve::{Curve, Row};
 use folder::Folder;
@@ -138,7 +139,7 @@ pub fn run(args: &Args) -> Result<Ended> {
         })?;
         if let Some(path) = &args.from {
             let wrong = |why: String| BadInput(format!("cannot begin with '{}': {why}", path.display()));
-            let bytes = std::fs::read(path).map_err(|e| wrong(e.to_string()))?;
+            let bytes = read_bytes(path, "policy file")?;
             trainer.begin_with(&bytes).map_err(|e| wrong(e.to_string()))?;
         }
         folder.write_config(&trainer.plan().config)?;
@@ -239,7 +240,7 @@ fn resumed(args: &Args, folder: &Folder) -> Result<Trainer> {
     let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
     let bytes = std::fs::read(folder.checkpoint())
         .map_err(|e| wrong(format!("{e}; leave --resume out to begin a training")))?;
-    let trainer = Trainer::resume(&bytes).map_err(|e| wrong(e.to_string()))?;
+    let trainer = Trainer::resume(&bytes).map_err(|e| wrong(unquoted(&e.to_string())))?;
     let theirs = trainer.plan();
     let ours = plan(args)?;
     let other = |what: &str, theirs: &str, ours: &str| {

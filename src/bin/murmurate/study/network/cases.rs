@@ -5,12 +5,15 @@ use std::path::Path;
 use anyhow::Result;
 use murmurate::study::network::pages::Findings;
 use murmurate::study::network::{Case, Outcome, Source, Sweep, table};
+use murmurate::study::origin::{self, Origin};
 use serde::{Deserialize, Serialize};
 
 use crate::study::folder::Folder;
 
 /// The folder of finished cases.
 const CASES: &str = "cases";
+/// The name of the study in its records.
+const STUDY: &str = "network";
 
 /// What makes it this study and no other.
 #[derive(PartialEq, Serialize, Deserialize)]
@@ -18,6 +21,7 @@ const CASES: &str = "cases";
 struct Identity {
     study: String,
     version: String,
+    build: String,
     sweep: Sweep,
     /// What was measured on, if anything is: who takes part, and a digest of their link.
     link: Option<String>,
@@ -27,6 +31,8 @@ struct Identity {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
+    /// What it belongs to.
+    origin: Origin,
     case: Case,
     /// What came of it.
     pub outcome: Outcome,
@@ -34,13 +40,55 @@ pub struct Record {
     pub uncertainty_s: f64,
 }
 
-/// The folder of this sweep.
-pub fn open(path: &Path, sweep: &Sweep, link: Option<String>) -> Result<Folder> {
-    let version = env!("CARGO_PKG_VERSION").to_owned();
-    let ours = Identity { study: "network".to_owned(), version, sweep: sweep.clone(), link };
-    Folder::open(path, CASES, &ours, |theirs| {
-        (*theirs != ours).then(|| "another sweep, medium, team or version".to_owned())
-    })
+/// The finished cases of a sweep, in a folder if there is one.
+pub struct Journal {
+    /// The sweep.
+    pub sweep: Sweep,
+    /// Where they are kept.
+    pub folder: Option<Folder>,
+    link: Option<String>,
+}
+
+impl Journal {
+    /// The journal of a sweep, which is measured on this link if it is.
+    pub fn open(path: Option<&Path>, sweep: Sweep, link: Option<String>) -> Result<Journal> {
+        let (version, build) = (origin::VERSION.to_owned(), origin::BUILD.to_owned());
+        let study = STUDY.to_owned();
+        let ours = Identity { study, version, build, sweep: sweep.clone(), link: link.clone() };
+        let differs =
+            |theirs: &Identity| (*theirs != ours).then(|| "another sweep, medium, team, version or build".to_owned());
+        let folder = path.map(|path| Folder::open(path, CASES, &ours, differs)).transpose()?;
+        Ok(Journal { sweep, folder, link })
+    }
+
+    /// What the record of a case belongs to. What else is varied decides nothing.
+    fn origin(&self, source: Source, case: &Case) -> Origin {
+        let Sweep { stations, bytes, medium, history, seconds, seed, .. } = &self.sweep;
+        let link = self.link.as_ref().filter(|_| source == Source::Live);
+        Origin::here(STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
+    }
+
+    /// What came of each case, as far as it is there and whole.
+    pub fn kept(&self, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
+        let one = |(at, case): (usize, &Case)| {
+            let record: Record = self.folder.as_ref()?.kept(&name(source, at))?;
+            (record.case == *case && record.origin == self.origin(source, case)).then_some(record)
+        };
+        cases.iter().enumerate().map(one).collect()
+    }
+
+    /// Keeps what came of a case, if there is a folder.
+    pub fn keep(
+        &self,
+        source: Source,
+        (at, case): (usize, &Case),
+        outcome: Outcome,
+        uncertainty_s: f64,
+    ) -> Result<Record> {
+        let record = Record { origin: self.origin(source, case), case: *case, outcome, uncertainty_s };
+        self.folder.as_ref().map_or(Ok(()), |folder| folder.keep(&name(source, at), &record))?;
+        Ok(record)
+    }
 }
 
 fn name(source: Source, at: usize) -> String {
@@ -50,30 +98,6 @@ fn name(source: Source, at: usize) -> String {
 /// The file of a team that was simulated.
 pub fn team(mode: &str, robots: usize) -> String {
     format!("{CASES}/team-{mode}-{robots:04}.json")
-}
-
-/// What came of a case, if that is there and whole.
-fn read(folder: &Folder, source: Source, at: usize, case: &Case) -> Option<Record> {
-    folder.kept(&name(source, at)).filter(|record: &Record| record.case == *case)
-}
-
-/// What came of each case of a sweep, as far as it is there.
-pub fn kept(folder: Option<&Folder>, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
-    let one = |(at, case)| folder.and_then(|folder| read(folder, source, at, case));
-    cases.iter().enumerate().map(one).collect()
-}
-
-/// Keeps what came of a case, if there is a folder.
-pub fn keep(
-    folder: Option<&Folder>,
-    source: Source,
-    (at, case): (usize, &Case),
-    outcome: Outcome,
-    uncertainty_s: f64,
-) -> Result<Record> {
-    let record = Record { case: *case, outcome, uncertainty_s };
-    folder.map_or(Ok(()), |folder| folder.keep(&name(source, at), &record))?;
-    Ok(record)
 }
 
 /// Writes rows, what teams cost, figures, table and page.

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result};
+use murmurate::config;
 use murmurate::study::network::fit::{Observed, fit};
 use murmurate::study::network::{Case, Medium, Outcome, Sweep, emulate};
 use serde::Serialize;
@@ -35,11 +36,11 @@ pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
         BadInput(format!("--rows: '{}': {why}; {expected}", path.display()))
     };
     let text = read_text(path, "rows")?;
-    let mut value: serde_json::Value = serde_json::from_str(&text).map_err(|e| wrong(e.to_string()))?;
+    let mut value: serde_json::Value = serde_json::from_str(&text).map_err(|e| wrong(config::json(&e)))?;
     if let Some(rows) = value.get_mut("rows") {
         value = rows.take();
     }
-    let mut rows: Vec<Observed> = serde_json::from_value(value).map_err(|e| wrong(e.to_string()))?;
+    let mut rows: Vec<Observed> = serde_json::from_value(value).map_err(|e| wrong(config::json(&e)))?;
     for (at, row) in rows.iter().enumerate() {
         row.check(sweep).map_err(|why| wrong(format!("row {}: {why}", at + 1)))?;
     }

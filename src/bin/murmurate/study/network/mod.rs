@@ -17,13 +17,13 @@ use anyhow::{Context, Result};
 use murmurate::study::network::fit::Observed;
 use murmurate::study::network::growth::Growth;
 use murmurate::study::network::pages::{Findings, Found};
-use murmurate::study::network::{Row, Source, Sweep, emulate, table};
+use murmurate::study::network::{Row, Source, emulate, table};
 use serde::Serialize;
 
-use super::folder::Folder;
 use crate::output::{WholeFile, print, talk};
 use crate::sim::progress;
 use crate::{Ended, jobs};
+use cases::Journal;
 pub use flags::{Args, medium};
 use live::Measured;
 use room::Room;
@@ -47,12 +47,11 @@ struct Report<'a> {
 /// A study that is asked for.
 struct Study<'a> {
     args: &'a Args,
-    sweep: Sweep,
+    journal: Journal,
     /// The team that measures, if one does.
     room: Option<Room>,
     /// The teams of which it is found what a robot costs.
     teams: Vec<Team>,
-    folder: Option<Folder>,
     stop: Arc<AtomicBool>,
 }
 
@@ -68,7 +67,7 @@ pub fn run(args: &Args) -> Result<Ended> {
         room.restrict(&mut sweep, args)?;
     }
     let link = room.as_ref().map(Room::link).transpose()?;
-    let folder = args.run.out.as_deref().map(|path| cases::open(path, &sweep, link)).transpose()?;
+    let journal = Journal::open(args.run.out.as_deref(), sweep, link)?;
     let stop = Arc::new(AtomicBool::new(false));
     let (signal, measuring) = (Arc::clone(&stop), room.is_some());
     let told = move || {
@@ -77,8 +76,8 @@ pub fn run(args: &Args) -> Result<Ended> {
         }
     };
     ctrlc::set_handler(told).context("cannot listen for Ctrl-C")?;
-    let radio_file = args.fit.as_deref().map(|file| fit::prepare(file, &sweep)).transpose()?;
-    let study = Study { args, sweep, room, teams, folder, stop };
+    let radio_file = args.fit.as_deref().map(|file| fit::prepare(file, &journal.sweep)).transpose()?;
+    let study = Study { args, journal, room, teams, stop };
     match (radio_file, &args.rows) {
         (Some(file), Some(rows)) => study.fit_rows(rows, file),
         (file, _) => study.sweep(file),
@@ -88,8 +87,9 @@ pub fn run(args: &Args) -> Result<Ended> {
 impl Study<'_> {
     /// Fits a radio to the rows of a file.
     fn fit_rows(&self, rows: &Path, file: WholeFile) -> Result<Ended> {
-        let observed = fit::read(rows, &self.sweep)?;
-        let Some(fitted) = fit::run(&self.sweep, &observed, file, self.args, &self.stop)? else {
+        let sweep = &self.journal.sweep;
+        let observed = fit::read(rows, sweep)?;
+        let Some(fitted) = fit::run(sweep, &observed, file, self.args, &self.stop)? else {
             return Ok(Ended::Interrupted);
         };
         print(&if self.args.run.json { json(&fitted)? } else { fitted.to_string() })?;
@@ -99,7 +99,8 @@ impl Study<'_> {
 
     /// Measures and emulates, and fits a radio to what was measured if there is a file for it.
     fn sweep(&self, file: Option<WholeFile>) -> Result<Ended> {
-        let Study { args, sweep, room, teams, folder, stop } = self;
+        let Study { args, journal, room, teams, stop } = self;
+        let Journal { sweep, folder, .. } = journal;
         let began = Instant::now();
         let measured = room.as_ref().map(|room| self.measured(room)).transpose()?;
         // Ahead of the sweep, which leaves memory in pieces.
@@ -143,20 +144,20 @@ impl Study<'_> {
 
     fn measured(&self, room: &Room) -> Result<Measured> {
         let line = (self.args.coordinator, room.key()?);
-        live::measure(&self.sweep, &room.names(), line, self.folder.as_ref(), (&self.stop, self.args.run.quiet))
+        live::measure(&self.journal, &room.names(), line, (&self.stop, self.args.run.quiet))
     }
 
     /// All cases, emulated: those that are kept, and the rest now. Fewer after a Ctrl-C.
     fn emulated(&self) -> Result<Vec<Found>> {
-        let Study { args, sweep, folder, stop, .. } = self;
-        let (source, folder, cases) = (Source::Emulated, folder.as_ref(), sweep.cases());
-        let found = cases::kept(folder, source, &cases);
+        let Study { args, journal, stop, .. } = self;
+        let (source, sweep, cases) = (Source::Emulated, &journal.sweep, journal.sweep.cases());
+        let found = journal.kept(source, &cases);
         let bar = progress(found.iter().filter(|found| found.is_none()).count() as u64, args.run.quiet);
         let work = |at: usize| -> Result<Option<cases::Record>> {
             let case = &cases[at];
             let Some(outcome) = emulate::run(sweep, case, &|| !stop.load(Ordering::Relaxed)) else { return Ok(None) };
             bar.inc(1);
-            cases::keep(folder, source, (at, case), outcome, 0.0).map(Some)
+            journal.keep(source, (at, case), outcome, 0.0).map(Some)
         };
         let found = jobs::finish(found, args.run.jobs, stop, work)?;
         bar.finish_and_clear();

@@ -8,6 +8,7 @@ use murmurate::net::radio::Radio;
 use murmurate::report::cost::Cost;
 use murmurate::study::network::growth::{self, Growth};
 use murmurate::study::network::{Medium, Sweep};
+use murmurate::study::origin::Origin;
 use murmurate::time::Span;
 use murmurate::trial::{Proceed, Trial};
 use nix::time::{ClockId, clock_gettime};
@@ -22,13 +23,22 @@ use crate::study::folder::Folder;
 pub struct Team {
     mode: &'static str,
     robots: usize,
+    seed: u64,
     trial: Trial,
+}
+
+impl Team {
+    fn origin(&self) -> Origin {
+        Origin::here("network, growing teams", self.seed, "", &(self.mode, self.robots, growth::LASTS_S))
+    }
 }
 
 /// What was measured of a team.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Record {
+    /// What it belongs to.
+    origin: Origin,
     mode: String,
     cost: Cost,
     cpu_s: f64,
@@ -40,7 +50,7 @@ pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
     for mode in growth::MODES {
         for &robots in sizes {
             match growth::trial(mode, robots, Span::from_secs(growth::LASTS_S)) {
-                Ok(trial) => teams.push(Team { mode, robots, trial: trial.seed(seed) }),
+                Ok(trial) => teams.push(Team { mode, robots, seed, trial: trial.seed(seed) }),
                 Err(error) => return bad(format!("--teams: {error}")),
             }
         }
@@ -66,7 +76,7 @@ pub fn run(
     for team in teams {
         let name = cases::team(team.mode, team.robots);
         let kept: Option<Record> = folder.and_then(|folder| folder.kept(&name));
-        let record = match kept.filter(|kept| (kept.mode.as_str(), kept.cost.robots) == (team.mode, team.robots)) {
+        let record = match kept.filter(|kept| kept.origin == team.origin()) {
             Some(kept) => kept,
             None if stop.load(Ordering::Relaxed) => continue,
             None => {
@@ -91,7 +101,8 @@ fn measured(team: &Team, stop: &AtomicBool) -> Result<Option<Record>> {
         false => Proceed::On,
     });
     let cpu_s = cpu_s()? - began;
-    let record = || Record { mode: team.mode.to_owned(), cost: Cost::of(team.robots, &report), cpu_s };
+    let record =
+        || Record { origin: team.origin(), mode: team.mode.to_owned(), cost: Cost::of(team.robots, &report), cpu_s };
     Ok((!stop.load(Ordering::Relaxed)).then(record))
 }
 

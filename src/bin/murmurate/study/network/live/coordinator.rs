@@ -1,32 +1,26 @@
 //! The coordinator of a measurement: waits for all hosts, compares clocks, has one case measured after the other.
 
-use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener};
-use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
+use murmurate::study::network::Source;
 use murmurate::study::network::pages::Found;
 use murmurate::study::network::peer::{Notes, Task};
-use murmurate::study::network::{Source, Sweep};
-use nix::poll::{PollFd, PollFlags, poll};
 
-use super::super::cases;
-use super::line::{End, Line};
+use super::super::cases::Journal;
+use super::gather::gather;
+use super::line::Line;
 use super::{Answer, Instruction};
 use crate::BadInput;
-use crate::output::talk;
 use crate::sim::progress;
-use crate::study::folder::Folder;
 
 /// How often a clock is asked for, and how long an answer may take.
 const QUESTIONS: u32 = 16;
 const PATIENCE: Duration = Duration::from_secs(20);
 /// A case begins so long after everyone was told.
 const LEAD: Duration = Duration::from_millis(1500);
-/// How long one wait for a host lasts: then it is looked whether all is to end \[ms\].
-const LOOK: u16 = 200;
 
 /// What was measured, and how far off the clocks may have been \[s\].
 pub struct Measured {
@@ -38,15 +32,15 @@ pub struct Measured {
 
 /// Measures all cases of a sweep between these hosts, in the order of their stations.
 pub fn measure(
-    sweep: &Sweep,
+    journal: &Journal,
     hosts: &[String],
     (address, key): (SocketAddr, Option<[u8; 32]>),
-    folder: Option<&Folder>,
     (stop, quiet): (&AtomicBool, bool),
 ) -> Result<Measured> {
     let origin = Instant::now();
+    let sweep = &journal.sweep;
     let cases = sweep.cases();
-    let mut found = cases::kept(folder, Source::Live, &cases);
+    let mut found = journal.kept(Source::Live, &cases);
     let mut lines = Vec::new();
     // Nobody is needed for what is there already.
     if found.iter().any(Option::is_none) {
@@ -62,7 +56,7 @@ pub fn measure(
             let (features, stations) = (sweep.features(), sweep.stations);
             let task = Task { number, case: *case, stations, features, seconds: sweep.seconds, seed: sweep.seed };
             let (notes, uncertainty_s) = one(&task, hosts, &mut lines, origin)?;
-            *found = Some(cases::keep(folder, Source::Live, (at, case), task.outcome(&notes), uncertainty_s)?);
+            *found = Some(journal.keep(Source::Live, (at, case), task.outcome(&notes), uncertainty_s)?);
         }
         bar.inc(1);
     }
@@ -73,53 +67,6 @@ pub fn measure(
     let uncertainty_s = found.iter().flatten().map(|record| record.uncertainty_s).fold(0.0, f64::max);
     let results = cases.into_iter().zip(found).filter_map(|(case, found)| Some((Source::Live, case, found?.outcome)));
     Ok(Measured { results: results.collect(), uncertainty_s })
-}
-
-/// Waits until every host has come; nobody is there after a Ctrl-C.
-fn gather(
-    (listener, key): (&TcpListener, Option<[u8; 32]>),
-    hosts: &[String],
-    (stop, quiet): (&AtomicBool, bool),
-) -> Result<Vec<Line>> {
-    listener.set_nonblocking(true).context("cannot wait for hosts")?;
-    if !quiet {
-        let at = listener.local_addr().map_or("ADDRESS:PORT".to_owned(), |at| at.to_string());
-        talk(&format!(
-            "waiting for: {}; on each of them: murmurate study network --live TEAM.toml --coordinator {at} --host NAME",
-            hosts.join(", ")
-        ));
-    }
-    let mut here: BTreeMap<usize, Line> = BTreeMap::new();
-    while here.len() < hosts.len() {
-        if stop.load(Ordering::Relaxed) {
-            for line in here.values_mut() {
-                line.say(&Instruction::Done)?;
-            }
-            return Ok(Vec::new());
-        }
-        let mut waiting = [PollFd::new(listener.as_fd(), PollFlags::POLLIN)];
-        // An interruption is no mistake: it is looked at above.
-        let _ = poll(&mut waiting, LOOK);
-        let Ok((stream, from)) = listener.accept() else { continue };
-        stream.set_nonblocking(false).context("cannot set up the connection")?;
-        let line = Line::open(stream, End::Coordinator, key.as_ref());
-        match line.and_then(|mut line| Ok((line.hear(Some(PATIENCE))?, line))) {
-            Ok((Answer::Host(name), line)) => match hosts.iter().position(|host| *host == name) {
-                Some(at) => drop(here.insert(at, line)),
-                None => talk(&format!("{from} says that it is '{name}', which runs no agent of this team; ignored")),
-            },
-            Ok((other, _)) => talk(&format!("{from} says {other:?} where it should say who it is; ignored")),
-            Err(error) => talk(&format!("{from} is ignored: {error:#}")),
-        }
-        if !quiet {
-            let missing =
-                hosts.iter().enumerate().filter(|(at, _)| !here.contains_key(at)).map(|(_, host)| host.as_str());
-            let missing: Vec<&str> = missing.collect();
-            let missing = if missing.is_empty() { String::new() } else { format!("; missing: {}", missing.join(", ")) };
-            talk(&format!("{} of {} hosts are here{missing}", here.len(), hosts.len()));
-        }
-    }
-    Ok(here.into_values().collect())
 }
 
 /// How far a participant's clock is ahead of ours, and how far off that may be \[ns\].

@@ -4,24 +4,27 @@
 //! Each end first says a number that it has drawn. Tags are of both, of who speaks, of how many lines there were
 //! before, and of the line itself: nobody without the key is believed, and nothing that was recorded.
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::net::TcpStream;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use socket2::{SockRef, TcpKeepalive};
 
+use super::GREETING;
+
 /// What the key is used for here, and nowhere else.
 const CONTEXT: &str = "murmurate, study network, coordinator and participant, 1";
 /// Bytes of the number that each end draws.
 const DRAWN_BYTES: usize = 16;
-/// How long a line may be at first, and once both ends know each other \[bytes\].
-const GREETING_BYTES: u64 = 256;
-const LINE_BYTES: u64 = 1 << 26;
-/// How long the other end has to say its number.
-const GREETING: Duration = Duration::from_secs(5);
+/// How long the line with the other end's number may be, and the first with a tag: a name, before anything is known of
+/// the other end \[bytes\].
+const NUMBER_BYTES: usize = 256;
+const FIRST_BYTES: usize = 4096;
+/// How long a line may be once the other end has shown the key: what a station has found in a long case \[bytes\].
+const LINE_BYTES: usize = 1 << 26;
 /// How long an idle end is believed to be alive, and how often it is asked from then on.
 const ALIVE: Duration = Duration::from_secs(10);
 
@@ -65,8 +68,7 @@ impl Line {
         getrandom::fill(&mut drawn).map_err(|e| anyhow!("the operating system gives no random bytes: {e}"))?;
         let own = drawn.map(|byte| format!("{byte:02x}")).concat();
         writer.write_all(format!("{own}\n").as_bytes()).context("the other end has closed the connection")?;
-        writer.set_read_timeout(Some(GREETING)).context("cannot set up the connection")?;
-        let theirs = read(&mut reader, GREETING_BYTES)?;
+        let theirs = read(&mut reader, NUMBER_BYTES, Some(GREETING))?;
         let both = match end {
             End::Coordinator => [own, theirs],
             End::Participant => [theirs, own],
@@ -84,10 +86,19 @@ impl Line {
         self.writer.write_all(format!("{tag} {text}\n").as_bytes()).context("the other end has closed the connection")
     }
 
-    /// The next thing that the other end says, if it says it within this time.
+    /// The first thing that the other end says, which is short.
+    pub fn hear_first<T: DeserializeOwned>(&mut self, within: Duration) -> Result<T> {
+        let line = read(&mut self.reader, FIRST_BYTES, Some(within))?;
+        self.understand(&line)
+    }
+
+    /// The next thing that the other end says, if it has said it within this time.
     pub fn hear<T: DeserializeOwned>(&mut self, within: Option<Duration>) -> Result<T> {
-        self.writer.set_read_timeout(within).context("cannot set up the connection")?;
-        let line = read(&mut self.reader, LINE_BYTES)?;
+        let line = read(&mut self.reader, LINE_BYTES, within)?;
+        self.understand(&line)
+    }
+
+    fn understand<T: DeserializeOwned>(&mut self, line: &str) -> Result<T> {
         let (shown, text) = line.split_once(' ').context(STRANGER)?;
         match (self.key, shown) {
             (None, "-") => {}
@@ -102,7 +113,7 @@ impl Line {
             }
         }
         self.heard += 1;
-        serde_json::from_str(text).context(STRANGER)
+        serde_json::from_str(text).map_err(|_| anyhow!(STRANGER))
     }
 }
 
@@ -112,19 +123,40 @@ fn tag(key: &[u8; 32], from: End, number: u64, text: &str) -> blake3::Hash {
     blake3::keyed_hash(key, format!("{} {number} {text}", u8::from(from == End::Coordinator)).as_bytes())
 }
 
-/// A line without its end.
-fn read(reader: &mut BufReader<TcpStream>, most: u64) -> Result<String> {
-    let mut text = String::new();
-    match reader.take(most).read_line(&mut text) {
-        Ok(0) => Err(anyhow!("the other end has closed the connection")),
-        Ok(_) if text.ends_with('\n') => Ok(text.trim_end().to_owned()),
-        Ok(_) => Err(anyhow!(STRANGER)),
-        Err(error) => Err(error).context("the other end says nothing"),
+/// A line without its end, of so many bytes at the most, if all of it has come within this time.
+fn read(reader: &mut BufReader<TcpStream>, most: usize, within: Option<Duration>) -> Result<String> {
+    let deadline = within.map(|within| Instant::now() + within);
+    let mut line = Vec::new();
+    loop {
+        let left = deadline.map(|deadline| deadline.saturating_duration_since(Instant::now()));
+        // No time left would be taken for no limit.
+        let left = left.map(|left| left.max(Duration::from_micros(1)));
+        reader.get_ref().set_read_timeout(left).context("cannot set up the connection")?;
+        let there = match reader.fill_buf() {
+            Ok([]) => bail!("the other end has closed the connection"),
+            Ok(there) => there,
+            Err(error) if error.kind() == ErrorKind::Interrupted => continue,
+            Err(error) => return Err(error).context("the other end says nothing"),
+        };
+        let end = there.iter().position(|byte| *byte == b'\n');
+        let taken = end.map_or(there.len(), |end| end + 1);
+        line.extend_from_slice(&there[..end.unwrap_or(taken)]);
+        reader.consume(taken);
+        if line.len() > most {
+            bail!(STRANGER);
+        }
+        if end.is_some() {
+            return String::from_utf8(line).map_err(|_| anyhow!(STRANGER));
+        }
+        if deadline.is_some_and(|deadline| Instant::now() >= deadline) {
+            bail!("the other end is too slow");
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::io::Read;
     use std::net::TcpListener;
 
     use super::*;

@@ -7,14 +7,20 @@
 //! clocks.
 
 mod coordinator;
+mod gather;
 mod line;
 mod participant;
 
 pub use coordinator::{Measured, measure};
 pub use participant::{Part, participate};
 
+use std::time::Duration;
+
 use murmurate::study::network::peer::{Notes, Task};
 use serde::{Deserialize, Serialize};
+
+/// How long a new connection may take for each of its first two lines, of the number and of the name.
+const GREETING: Duration = Duration::from_secs(5);
 
 /// What the coordinator says.
 #[derive(Debug, Serialize, Deserialize)]
@@ -30,7 +36,7 @@ enum Instruction {
 /// What a participant says.
 #[derive(Debug, Serialize, Deserialize)]
 enum Answer {
-    /// Which host it is.
+    /// Its name, as the first thing.
     Host(String),
     /// What its clock shows \[ns\].
     Clock(u64),
