@@ -130,11 +130,13 @@ impl Incoming {
         }
         let sender = self.senders.get_mut(&(header.sender, header.epoch)).expect("it is known by now");
         let lane = usize::from(header.flags.has(Flags::DIRECT));
-        if self.here.guarded && sender.order.is_late(now, lane, header.sequence) && !self.gaps.awaits(header) {
+        let window = &mut sender.lanes[lane].window;
+        let late = self.here.guarded && sender.order.is_late(now, lane, header.sequence);
+        if late && window.misses(header.sequence) && !self.gaps.awaits(header) {
             counts.late += 1;
             return REFUSED;
         }
-        match sender.lanes[lane].window.place(header.sequence, header.flags.has(Flags::COPY)) {
+        match window.place(header.sequence, header.flags.has(Flags::COPY)) {
             Place::New => {}
             Place::Seen => {
                 counts.duplicate += 1;
