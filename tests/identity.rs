@@ -25,10 +25,10 @@ fn talk(rig: &mut Rig, hosts: &[usize], data: Option<u32>, ms: u64) {
         for &host in hosts {
             let robot = rig.ids[host].0;
             let turn = rig.now.as_nanos() / 20_000_000 + host as u64 * 3;
-            if turn % 10 == 0 {
+            if turn.is_multiple_of(10) {
                 rig.publish(host, heartbeat(robot, 1));
             }
-            if let Some(mark) = data.filter(|_| turn % 4 == 0) {
+            if let Some(mark) = data.filter(|_| turn.is_multiple_of(4)) {
                 rig.publish(host, latent(robot, mark));
             }
         }
@@ -97,7 +97,7 @@ fn recordings_of_former_runs_are_not_believed_and_do_not_hold_up_a_start() {
         };
         while !whole(&rig) {
             let step = rig.now.as_nanos() / 20_000_000;
-            for host in (0..5).filter(|host| (step + host * 3) % 4 == 0) {
+            for host in (0..5).filter(|host| (step + host * 3).is_multiple_of(4)) {
                 rig.publish(host as usize, latent(host as u16, 7));
             }
             for _ in 0..20 {
