@@ -38,11 +38,11 @@ fn talk(rig: &mut Rig, kinds: &[Kind], ms: u64, mut each: impl FnMut(&mut Rig) -
     let begin = rig.now;
     for step in 0..ms / 20 {
         for host in 0..hosts {
-            let due = |period: u64, phase: u64| (step + host * 7 + phase) % (period / 20) == 0;
+            let due = |period: u64, phase: u64| (step + host * 7 + phase).is_multiple_of(period / 20);
             if host > 0 && due(BEAT_MS, 0) {
                 rig.publish(host as usize, heartbeat(host as u16, step as u32));
             }
-            if kinds.contains(&Kind::Latent) && due(SLOW_MS, 8) {
+            if kinds.contains(&Kind::Latent) && due(SLOW_MS, 1) {
                 rig.publish(host as usize, latent(host as u16, step as u32));
             }
         }

@@ -13,6 +13,8 @@ use crate::time::{Span, Time};
 
 /// The most candidates of one host: more former runs than one is likely to have recorded of the same key and link.
 pub const MAX_CANDIDATES: usize = 32;
+/// Stamps that lie further apart are of two runs, even of one incarnation: an hour \[us\].
+const SAME_CLOCK_US: i64 = 3_600_000_000;
 /// How often old candidates are looked for, once there are too many in all.
 const PURGE_PERIOD: Span = Span::from_millis(250);
 
@@ -52,7 +54,8 @@ impl Candidates {
         }
         let full = self.count >= MAX_SENDERS;
         let all = self.by_host.entry(host).or_default();
-        if let Some(known) = all.iter_mut().find(|known| known.epoch == epoch) {
+        let same = |known: &&mut Candidate| known.epoch == epoch && stamp.ahead_us(known.stamp).abs() < SAME_CLOCK_US;
+        if let Some(known) = all.iter_mut().find(same) {
             if stamp.ahead_us(known.stamp) > 0 {
                 (known.stamp, known.at) = (stamp, now);
             }
@@ -85,13 +88,14 @@ impl Candidates {
     /// This incarnation has shown that it is alive, and is no candidate any more. Gives what was known of it.
     pub fn forget(&mut self, host: HostId, epoch: u32) -> Option<Candidate> {
         let all = self.by_host.get_mut(&host)?;
-        let at = all.iter().position(|known| known.epoch == epoch)?;
-        let known = all.swap_remove(at);
-        self.count -= 1;
+        let before = all.len();
+        let known = all.iter().filter(|known| known.epoch == epoch).max_by_key(|known| known.echoed).copied();
+        all.retain(|known| known.epoch != epoch);
+        self.count -= before - all.len();
         if all.is_empty() {
             self.by_host.remove(&host);
         }
-        Some(known)
+        known
     }
 
     /// Those whose stamp is fresh enough to be echoed: operators first, then who was echoed least, then the newest.
@@ -102,9 +106,9 @@ impl Candidates {
         waiting
     }
 
-    /// A report with an echo for this one leaves.
-    pub fn echoed(&mut self, host: HostId, epoch: u32) {
-        if let Some(one) = self.by_host.get_mut(&host).and_then(|all| all.iter_mut().find(|one| one.epoch == epoch)) {
+    /// A report leaves that echoes this stamp.
+    pub fn echoed(&mut self, host: HostId, stamp: Stamp) {
+        if let Some(one) = self.by_host.get_mut(&host).and_then(|all| all.iter_mut().find(|one| one.stamp == stamp)) {
             one.echoed = one.echoed.saturating_add(1);
         }
     }
@@ -124,13 +128,14 @@ mod tests {
         let (host, mut all) = (HostId(1), Candidates::default());
         let at = |ms: u64| Time::ZERO + Span::from_millis(ms);
         for epoch in 0..MAX_CANDIDATES as u32 {
-            assert!(all.note(at(0), host, epoch, Stamp::new(5)));
-            all.echoed(host, epoch);
+            let stamp = Stamp::new(u64::from(epoch) + 5);
+            assert!(all.note(at(0), host, epoch, stamp));
+            all.echoed(host, stamp);
         }
-        assert!(all.note(at(1), host, 1000, Stamp::new(5)), "it takes the place of one that was echoed");
+        assert!(all.note(at(1), host, 1000, Stamp::new(1000)), "it takes the place of one that was echoed");
         for epoch in 2000..2010 {
-            all.note(at(2), host, epoch, Stamp::new(5));
-            all.echoed(host, epoch);
+            all.note(at(2), host, epoch, Stamp::new(epoch.into()));
+            all.echoed(host, Stamp::new(epoch.into()));
         }
         let waiting = all.waiting(at(3));
         assert_eq!((waiting.len(), waiting[0].1.epoch), (MAX_CANDIDATES, 1000), "and is echoed next");
@@ -147,6 +152,15 @@ mod tests {
         }
         let waiting = all.waiting(at(3000));
         assert_eq!(waiting.iter().map(|(_, one)| (one.epoch, one.stamp)).collect::<Vec<_>>(), [(2, Stamp::new(2905))]);
+    }
+
+    #[test]
+    fn a_recording_with_the_incarnation_of_a_live_host_is_another_candidate() {
+        let (host, mut all) = (HostId(1), Candidates::default());
+        all.note(Time::ZERO, host, 1, Stamp::new(1 << 45));
+        all.note(Time::ZERO, host, 1, Stamp::new(1 << 46));
+        assert_eq!(all.waiting(Time::ZERO).len(), 2);
+        assert!(all.forget(host, 1).is_some() && all.waiting(Time::ZERO).is_empty());
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::codec::{Flags, Header};
+use super::order::LATE;
 use super::report::Name;
 use super::window::Window;
 use crate::time::{Span, Time};
@@ -73,13 +74,13 @@ impl Gaps {
     /// What is to be asked for now, at most `room` datagrams.
     pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<Name> {
         let mut names = Vec::new();
-        // The last request is waited for as well.
         self.0.retain(|_, gap| gap.asked < ASKS || gap.due > now);
         for (name, gap) in &mut self.0 {
             if gap.due <= now && names.len() < room {
                 names.push(*name);
                 gap.asked += 1;
-                gap.due = now + BACKOFF * (1 << gap.asked) + backoff();
+                // The last answer is waited for as long as there and back may take.
+                gap.due = now + if gap.asked < ASKS { BACKOFF * (1 << gap.asked) + backoff() } else { LATE * 2 };
             }
         }
         names

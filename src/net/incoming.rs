@@ -10,6 +10,7 @@ use super::candidates::Candidates;
 use super::codec::{Flags, Header};
 use super::counts::LinkCounts;
 use super::gaps::Gaps;
+use super::offset::Offsets;
 use super::report::{Entry, Name, REPORT_BYTES, Report, Stamps};
 use super::router::Audience;
 use super::sender::{Peer, Sender};
@@ -129,11 +130,13 @@ impl Incoming {
         }
         let sender = self.senders.get_mut(&(header.sender, header.epoch)).expect("it is known by now");
         let lane = usize::from(header.flags.has(Flags::DIRECT));
-        if self.here.guarded && sender.order.is_late(now, lane, header.sequence) && !self.gaps.awaits(header) {
+        let window = &mut sender.lanes[lane].window;
+        let late = self.here.guarded && sender.order.is_late(now, lane, header.sequence);
+        if late && window.misses(header.sequence) && !self.gaps.awaits(header) {
             counts.late += 1;
             return REFUSED;
         }
-        match sender.lanes[lane].window.place(header.sequence, header.flags.has(Flags::COPY)) {
+        match window.place(header.sequence, header.flags.has(Flags::COPY)) {
             Place::New => {}
             Place::Seen => {
                 counts.duplicate += 1;
@@ -188,19 +191,15 @@ impl Incoming {
         let proof = proof.filter(|_| !header.flags.has(Flags::DIRECT));
         let believed = self.senders.get_mut(&id).filter(|sender| now.since(sender.proved) <= PROOF_HOLDS);
         if let (Some(sender), Some(report)) = (believed, report) {
-            let delay_s = sender.offsets.delay_s(now, self.here.stamps.of(now), report.stamp);
-            return match (proof, delay_s) {
-                (None, Some(delay_s)) if delay_s > FRESH.as_secs() => {
-                    counts.late += 1;
-                    Err(REFUSED)
-                }
-                // Written now by what comes back, long ago by its own clock: that clock has stood still.
-                (Some(_), Some(delay_s)) if delay_s > FRESH.as_secs() => {
-                    sender.offsets = Default::default();
-                    Ok(())
-                }
-                _ => Ok(()),
-            };
+            let off = sender.offsets.is_off(now, self.here.stamps.of(now), report.stamp, FRESH);
+            if off && proof.is_none() {
+                counts.late += 1;
+                return Err(REFUSED);
+            } else if off {
+                // Written now by what comes back, and not by its own clock: that clock has stood still.
+                sender.offsets = Offsets::default();
+            }
+            return Ok(());
         }
         if let Some(sender) = self.senders.get(&id)
             && now.since(sender.proved) <= PROOF_HOLDS
@@ -316,7 +315,7 @@ impl Incoming {
                 counts.twin += 1;
                 self.twins.claim(now, header.epoch, proof.entry.held);
             }
-            None => counts.replay += 1,
+            None => counts.unproven += 1,
         }
     }
 

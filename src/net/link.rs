@@ -146,12 +146,10 @@ impl LinkState {
         let said = Said::read(plain)?;
         // An operator's number is drawn at random, and two may have drawn the same.
         if header.sender == self.me.host && !header.sender.is_operator() {
-            match &said.report {
-                Some(report) if self.key.is_some() => {
-                    self.incoming.rival_of_us(now, &header, report, &mut self.counts);
-                }
-                // Without a key and without a report nothing tells the living from a recording.
-                _ => self.counts.twin += 1,
+            match (&self.key, &said.report) {
+                (Some(_), Some(report)) => self.incoming.rival_of_us(now, &header, report, &mut self.counts),
+                (Some(_), None) => self.counts.unproven += 1,
+                (None, _) => self.counts.twin += 1,
             }
             return Ok(None);
         }

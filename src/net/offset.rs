@@ -5,7 +5,7 @@
 use std::collections::VecDeque;
 
 use super::report::{Entry, Stamp};
-use crate::time::Time;
+use crate::time::{Span, Time};
 
 /// How many of the newest measurements the best is taken from (RFC 5905, section 10: the clock filter has 8).
 const KEPT: usize = 8;
@@ -42,10 +42,12 @@ impl Offsets {
         }
     }
 
-    /// How long a report was under way that was written at `theirs`, at the least \[s\]; none without a measurement.
-    pub fn delay_s(&self, now: Time, here: Stamp, theirs: Stamp) -> Option<f64> {
-        let offset = self.estimate(now)?;
-        Some(offset.ahead_s - theirs.ahead_us(here) as f64 * 1e-6 - offset.uncertainty_s)
+    /// Whether a report that was written at `theirs` was certainly under way for longer than `most`, or was written by
+    /// another clock.
+    pub fn is_off(&self, now: Time, here: Stamp, theirs: Stamp, most: Span) -> bool {
+        let Some(offset) = self.estimate(now) else { return false };
+        let delay_s = offset.ahead_s - theirs.ahead_us(here) as f64 * 1e-6;
+        delay_s.abs() > most.as_secs() + offset.uncertainty_s
     }
 
     /// The best estimate: that of the shortest way there and back.
@@ -63,7 +65,6 @@ mod tests {
     use super::super::report::Stamps;
     use super::*;
     use crate::messages::ids::HostId;
-    use crate::time::Span;
 
     #[test]
     fn the_true_offset_lies_within_the_uncertainty() {
@@ -82,7 +83,8 @@ mod tests {
         let offset = offsets.estimate(now).unwrap();
         assert!((offset.ahead_s - 3.0).abs() <= offset.uncertainty_s, "{offset:?}");
         assert!((offset.round_trip_s - 300e-6).abs() < 2e-6 && offset.uncertainty_s < 160e-6, "{offset:?}");
-        let delay_s = offsets.delay_s(now, here.of(now), there.of(at_us(100_000))).unwrap();
-        assert!((1.999..=2.0).contains(&delay_s), "written 2 s ago, {delay_s} s");
+        let is_off =
+            |written: u64| offsets.is_off(now, here.of(now), there.of(at_us(written)), Span::from_millis(2000));
+        assert!(!is_off(200_000) && !is_off(2_100_000) && is_off(90_000) && is_off(4_200_000));
     }
 }

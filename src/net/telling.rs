@@ -87,7 +87,7 @@ impl Telling {
         let share = share.max(room.saturating_sub(others.len())).max(free);
         for (host, candidate) in waiting.into_iter().take(share.min(places)) {
             if entries.len() < free || self.budget.take(now, &self.rate) {
-                candidates.echoed(host, candidate.epoch);
+                candidates.echoed(host, candidate.stamp);
                 entries.push(self.of_candidate(now, uptime, host, candidate));
             }
         }

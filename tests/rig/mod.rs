@@ -13,7 +13,7 @@ use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Phase, Round, Wire};
 use murmurate::net::codec::{self, Content, Frame};
-use murmurate::net::key::Key;
+use murmurate::net::key::{Key, TAG_BYTES};
 use murmurate::net::link::{Duplicate, LinkCounts};
 use murmurate::net::reliability::{Reliabilities, Setup};
 use murmurate::net::report::Report;
@@ -108,6 +108,10 @@ pub struct Rig {
     pub arrived: Option<Vec<(Time, usize, Frame)>>,
     pub loss: f64,
     pub delay: Span,
+    /// The longest delay that may be added to it, at random.
+    pub jitter: Span,
+    /// A relay without the key holds back what this host says: everything, or what has no report.
+    pub relay: Option<(usize, bool)>,
     flying: BTreeMap<(Time, u64), (usize, Frame)>,
     /// When each host wants to be woken.
     wakes: BTreeSet<(Time, usize)>,
@@ -140,6 +144,8 @@ impl Rig {
             wake_of: vec![None; count],
             loss: 0.0,
             delay: Span::from_nanos(300_000),
+            jitter: Span::ZERO,
+            relay: None,
             flying: BTreeMap::new(),
             count: 0,
             stream: Seed::of_run(5).stream("pipe"),
@@ -167,10 +173,18 @@ impl Rig {
                 Out::Transmit(_, audience, frame) => {
                     let bytes = frame.len();
                     self.sent.push(Flight { from: host, at: self.now, audience, frame: frame.clone(), bytes });
+                    let held = |(from, all)| from == host && (all || is_held(&frame));
+                    if self.relay.is_some_and(held) {
+                        continue;
+                    }
                     for to in 0..self.networks.len() {
                         let meant = audience == Audience::All || audience == Audience::Host(self.ids[to]);
                         if to != host && meant && !self.stream.random_bool(self.loss) {
-                            self.flying.insert((self.now + self.delay, self.count), (to, frame.clone()));
+                            let jitter = match self.jitter.as_nanos() {
+                                0 => Span::ZERO,
+                                most => Span::from_nanos(self.stream.random_range(0..most)),
+                            };
+                            self.flying.insert((self.now + self.delay + jitter, self.count), (to, frame.clone()));
                             self.count += 1;
                         }
                     }
@@ -255,6 +269,11 @@ impl Rig {
         let data = |flight: &&Flight| flight.from == host && is_data(&flight.frame);
         self.sent.iter().rev().find(data).expect("it has sent something").frame.clone()
     }
+}
+
+/// Whether a relay that passes reports holds this back: data without one.
+pub fn is_held(frame: &[u8]) -> bool {
+    is_data(frame) && report(frame, TAG_BYTES).is_none()
 }
 
 /// Whether a datagram holds data, and not only soft state.
