@@ -1,0 +1,73 @@
+#!/usr/bin/env python3
+"""A relay between two networks that has no key: passes all frames on, or holds motor commands back.
+
+Run with the names of its two interfaces; told what to do by lines on standard input:
+  pass         everything goes on at once
+  hold         motor commands from the first interface are kept; all else goes on
+  release      what was kept so far goes on now; what comes is kept or not as before
+  jitter MS    every frame is delayed by a random time of up to so many milliseconds
+Each command is answered by a line with the number of frames that are kept."""
+import heapq, random, select, socket, sys, time
+
+MOTOR_COMMAND = 2
+
+
+def motor_command(frame):
+    """Whether this is a datagram of the team whose first block is a motor command."""
+    if frame[12:14] != b"\x08\x00" or frame[23] != 17:
+        return False
+    udp = 14 + 4 * (frame[14] & 15)
+    payload = frame[udp + 8:]
+    return len(payload) > 15 and payload[0] == 3 and payload[14] == MOTOR_COMMAND
+
+
+def whole(frame):
+    """The frame with no UDP checksum, which the sender's kernel has left to hardware that is not there."""
+    if frame[12:14] == b"\x08\x00" and frame[23] == 17:
+        udp = 14 + 4 * (frame[14] & 15)
+        return frame[:udp + 6] + b"\0\0" + frame[udp + 8:]
+    return frame
+
+
+sides = []
+for name in sys.argv[1:3]:
+    side = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(3))
+    side.bind((name, 0))
+    side.setblocking(False)
+    sides.append(side)
+kept, flying, count, hold, jitter, line = [], [], 0, False, 0.0, b""
+print("ready", flush=True)
+while True:
+    wait = max(0.0, flying[0][0] - time.monotonic()) if flying else None
+    readable, _, _ = select.select([sys.stdin.buffer, *sides], [], [], wait)
+    for at, side in enumerate(sides):
+        while side in readable:
+            try:
+                frame, about = side.recvfrom(2048)
+            except BlockingIOError:
+                break
+            if about[2] == socket.PACKET_OUTGOING:
+                continue
+            frame = whole(frame)
+            if hold and at == 0 and motor_command(frame):
+                kept.append(frame)
+                continue
+            count += 1
+            heapq.heappush(flying, (time.monotonic() + random.uniform(0, jitter), count, 1 - at, frame))
+    while flying and flying[0][0] <= time.monotonic():
+        _, _, to, frame = heapq.heappop(flying)
+        sides[to].send(frame)
+    if sys.stdin.buffer in readable:
+        read = sys.stdin.buffer.raw.read(4096)
+        if not read:
+            sys.exit(0)
+        *commands, line = (line + read).split(b"\n")
+        for command in commands:
+            word, *rest = command.decode().split()
+            if word == "release":
+                held, kept = kept, []
+                for frame in held:
+                    sides[1].send(frame)
+            else:
+                hold, jitter = word == "hold", float(rest[0]) / 1e3 if word == "jitter" else 0.0
+            print(len(kept), flush=True)
