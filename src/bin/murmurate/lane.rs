@@ -257,6 +257,14 @@ mod tests {
     }
 
     #[test]
+    fn two_ways_to_one_pipe_are_known_as_such() {
+        let (_reader, writer) = pipe().expect("a pipe");
+        let (_other_reader, other) = pipe().expect("a pipe");
+        let target = Target::copy_of(&writer).expect("a copy");
+        assert!(target.is_same(&writer) && !target.is_same(&other));
+    }
+
+    #[test]
     fn the_end_waits_for_a_stuck_pipe_no_longer_than_it_is_told_and_counts_what_it_leaves() {
         let (_reader, lane) = piped(None);
         for _ in 0..2 {
