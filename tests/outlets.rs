@@ -1,5 +1,5 @@
-//! What a host and a launch write while they drive robots: nothing that is written holds a control tick up, and what was
-//! counted is told, however a process ends.
+//! Output of a host and of a launch while they drive robots: nothing that is written holds a control tick up, and what
+//! was counted is told, however a process ends.
 #![cfg(target_os = "linux")]
 
 mod crew;
@@ -102,7 +102,7 @@ fn pass(span: Duration) {
     assert!(silence.recv_timeout(span).is_err());
 }
 
-/// Reads what was counted until it is of as long as nobody read, and gives it; then reads no more, and the pipe stays open.
+/// Reads what was counted until it covers the time in which nobody read; then the pipe stays open, unread.
 fn read_all(reader: &PipeReader) -> Receiver<Counted> {
     let reader = reader.try_clone().expect("a copy");
     let (sender, found) = channel();
