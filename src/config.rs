@@ -98,8 +98,8 @@ pub fn redacted(text: &str) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// What a parser says, without the values that it repeats from the text. Names of fields are left if they are short, and
-/// so are the parser's own words.
+/// What a parser says, without the values that it repeats from the text. Short names of fields are left, and the
+/// parser's own words.
 pub fn unquoted(message: &str) -> String {
     let (mut said, mut rest) = (String::new(), message);
     while let Some(at) = rest.find(['"', '`']) {

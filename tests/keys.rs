@@ -1,4 +1,4 @@
-//! A key by mistake: given to every flag that takes a file, in the place of a name, inside of other files. Its digits
+//! A key by mistake: given to every flag that takes a file, in place of a name, inside of other files. Its digits
 //! appear in no error, no log and no output.
 #![cfg(unix)]
 

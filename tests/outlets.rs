@@ -1,5 +1,5 @@
-//! What a host and a launch write while they drive robots: nothing that is written holds a control tick up, and what was
-//! counted is told, however a process ends.
+//! Output of a host and of a launch while they drive robots: nothing that is written holds a control tick up, and what
+//! was counted is told, however a process ends.
 #![cfg(target_os = "linux")]
 
 mod crew;
@@ -102,7 +102,7 @@ fn pass(span: Duration) {
     assert!(silence.recv_timeout(span).is_err());
 }
 
-/// Reads what was counted until it is of as long as nobody read, and gives it; then reads no more, and the pipe stays open.
+/// Reads what was counted until it covers the time in which nobody read; then the pipe stays open, unread.
 fn read_all(reader: &PipeReader) -> Receiver<Counted> {
     let reader = reader.try_clone().expect("a copy");
     let (sender, found) = channel();
@@ -159,8 +159,8 @@ fn full_pipes_and_a_trajectory_pipe_without_a_reader_make_no_tick_late() {
     assert!(world.unwritten.steps > 0, "the steps that were dropped are counted: {world:?}");
 }
 
-/// A launch of three robots that runs; its lines on stderr.
-fn launched(episodes: u32, number: u16) -> (tempfile::TempDir, String, Process, Receiver<String>) {
+/// The team of a launch: two robots and their World, an episode of a few seconds.
+fn pair(episodes: u32, number: u16) -> (tempfile::TempDir, String) {
     let links: String = [("loopback", 1), ("infra", 2)]
         .iter()
         .map(|(link, last)| {
@@ -171,7 +171,12 @@ fn launched(episodes: u32, number: u16) -> (tempfile::TempDir, String, Process, 
         "team = {number}\nkey_file = \"team.key\"\nmode = \"offboard\"\nrobots = 2\nepisodes = {episodes}\n\
          policy = \"orca\"\n"
     );
-    let (folder, file) = folder(&(head + &links));
+    folder(&(head + &links))
+}
+
+/// A launch that runs; its lines on stderr.
+fn launched(episodes: u32, number: u16) -> (tempfile::TempDir, String, Process, Receiver<String>) {
+    let (folder, file) = pair(episodes, number);
     let mut child = murmurate(&["launch", &file, "--json"])
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -244,6 +249,28 @@ fn a_launch_tells_what_its_hosts_counted_after_a_stop_a_kill_and_an_interrupt() 
     assert!(json["messages"].as_u64().is_some_and(|messages| messages > 100), "{json}");
     assert!(json["links"]["sent"].as_u64().is_some_and(|sent| sent > 100), "{json}");
     assert_eq!(json["unwritten"]["log_lines"], 0, "{json}");
+}
+
+#[test]
+fn a_launch_whose_log_nobody_reads_ends_with_all_results() {
+    let _alone = ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+    let (_folder, file) = pair(1, 743);
+    let log = Full::new();
+    let mut command = murmurate(&["launch", &file, "--json"]);
+    command.env("MURMURATE_LOG", "debug").stdout(Stdio::piped()).stderr(log.end());
+    let mut launch = Process(command.spawn().expect("it starts"));
+    let (sender, ended) = channel();
+    let mut stdout = launch.0.stdout.take().expect("it is piped");
+    thread::spawn(move || {
+        let mut out = String::new();
+        let _ = stdout.read_to_string(&mut out);
+        let _ = sender.send(out);
+    });
+    let out = ended.recv_timeout(PATIENCE).expect("a stuck log has held it up");
+    let json: Value = serde_json::from_str(&out).expect("one JSON object");
+    assert_eq!((launch.0.wait().expect("it is ours").code(), &json["interrupted"]), (Some(0), &Value::from(false)));
+    assert_eq!(json["episodes"], 1, "{json}");
+    assert!(json["links"]["sent"].as_u64().is_some_and(|sent| sent > 100), "{json}");
 }
 
 #[test]

@@ -332,8 +332,8 @@ impl<I> Drop for EndsTheProcess<I> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             let why = format!(
-                "{} broke an invariant at {} (see the panic above); the process ends so that motors stop. Please report \
-                 it with the command that you ran.",
+                "{} broke an invariant at {} (see the panic above); the process ends so that motors stop. Please \
+                 report it with the command that you ran.",
                 self.name.name(),
                 self.now
             );

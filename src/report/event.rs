@@ -40,7 +40,8 @@ pub struct Counted {
     pub links: Box<LinkCounts>,
     /// The oldest command that a robot of this host was driven by \[s\].
     pub oldest_command_s: f64,
-    /// How often robots of this host were stopped or slowed, up to their last heartbeats; without those that never were.
+    /// How often robots of this host were stopped or slowed, up to their last heartbeats; robots that never were are
+    /// left out.
     pub safety: Vec<RobotSafety>,
     /// Output that was dropped.
     pub unwritten: Unwritten,

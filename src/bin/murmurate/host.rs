@@ -210,10 +210,7 @@ pub fn run(args: &Args) -> Result<Ended> {
         summary.unwritten = unwritten;
         outlets.print(&summary.to_string());
     }
-    outlets.close();
-    if let Some(error) = outlets.failure() {
-        return Err(error);
-    }
+    outlets.close()?;
     let by_user = signal.load(Ordering::Relaxed) == SIGINT as usize;
     Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
 }

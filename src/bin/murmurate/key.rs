@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result<Ended> {
 /// counts is the file that was opened, not its name.
 pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     let refuse = |why: String| anyhow::Error::from(BadInput(format!("the key file '{}' {why}", path.display())));
-    // Without waiting: a pipe has its other end open when somebody cares to open it.
+    // Without waiting: opening a pipe would wait for its other end.
     let opened = OpenOptions::new().read(true).custom_flags(nix::libc::O_NONBLOCK | nix::libc::O_NOCTTY).open(path);
     let file = opened.map_err(|e| match e.kind() {
         ErrorKind::NotFound => {

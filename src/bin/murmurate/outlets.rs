@@ -1,5 +1,5 @@
-//! Outlets: everything that a running host writes, each on a lane of its own: events or a table on stdout, trajectories,
-//! and its state for the service manager. Nothing here waits; what is dropped is counted by its kind.
+//! Outlets: everything that a running host writes, each on a lane of its own: events or a table on stdout,
+//! trajectories, and its state for the service manager. Nothing here waits; what is dropped is counted by its kind.
 
 use std::cell::{Cell, RefCell};
 use std::io::{self, Write};
@@ -69,6 +69,9 @@ impl Outlets {
     pub fn step(&self, step: &Step) {
         let Some((lane, rows)) = &self.trajectories else { return };
         if !lane.push(rows.borrow_mut().of(step)) {
+            if self.steps.get() == 0 {
+                tracing::warn!("steps of the trajectories are dropped: they cannot be written in time, or at all");
+            }
             self.steps.set(self.steps.get() + 1);
         }
     }
@@ -86,15 +89,14 @@ impl Outlets {
         Unwritten { log_lines: log_lines_dropped(), events: self.events.get(), steps: self.steps.get() }
     }
 
-    /// Why something cannot be written at all: a disk is full, say. A reader that has gone is no failure.
+    /// Why stdout cannot be written to at all: it leads to a disk that is full, say. A reader that has gone is no
+    /// failure.
     pub fn failure(&self) -> Option<anyhow::Error> {
-        let of = |lane: &Lane, what: &str| lane.failure().map(|error| anyhow!("cannot write {what}: {error}"));
-        let trajectories = || of(&self.trajectories.as_ref()?.0, "the trajectories");
-        of(&self.stdout, "to stdout").or_else(trajectories)
+        self.stdout.failure().map(|error| anyhow!("cannot write to stdout: {error}"))
     }
 
-    /// Waits a little for what is still to be written, and logs what is not.
-    pub fn close(&self) {
+    /// Waits a little for what is still to be written, logs what is not, and tells why, if it could not be.
+    pub fn close(&self) -> Result<()> {
         let others = self.trajectories.iter().map(|(lane, _)| lane).chain(&self.service);
         let lanes: Vec<&Lane> = std::iter::once(&self.stdout).chain(others).collect();
         for lane in &lanes {
@@ -103,7 +105,14 @@ impl Outlets {
         let dropped: u64 = lanes.iter().map(|lane| lane.dropped()).sum();
         if dropped > 0 {
             let Unwritten { log_lines, events, steps } = self.unwritten();
-            tracing::warn!(dropped, events, steps, log_lines, "output was dropped: nobody read it in time");
+            tracing::warn!(dropped, events, steps, log_lines, "output was dropped: nobody took it in time");
+        }
+        // No robot stops for trajectories, but whoever wanted them is told.
+        let trajectories = self.trajectories.as_ref().and_then(|(lane, _)| lane.failure());
+        match (self.failure(), trajectories) {
+            (Some(error), _) => Err(error),
+            (None, Some(error)) => Err(anyhow!("cannot write the trajectories: {error}")),
+            (None, None) => Ok(()),
         }
     }
 }
@@ -152,4 +161,34 @@ fn service_socket() -> Option<UnixDatagram> {
     let socket = UnixDatagram::unbound().ok()?;
     socket.connect_addr(&address.ok()?).ok()?;
     Some(socket)
+}
+
+#[cfg(test)]
+mod tests {
+    use murmurate::messages::geometry::{Motion, Vec2};
+    use murmurate::messages::ids::RobotId;
+    use murmurate::messages::local::{Contacts, Sample};
+    use murmurate::messages::wire::Phase;
+    use murmurate::time::Time;
+
+    use super::*;
+
+    #[test]
+    fn a_full_disk_stops_no_host_and_is_told_at_its_end() {
+        let outlets = Outlets::open(false, Some(Path::new("/dev/full"))).expect("it is there");
+        let sample = Sample {
+            robot: RobotId(0),
+            time: Time::ZERO,
+            motion: Motion::at_rest(Vec2::zeros()),
+            command: Vec2::zeros(),
+            contacts: Contacts::default(),
+        };
+        let step = Step { episode: 0, phase: Phase::Running, samples: vec![sample] };
+        outlets.step(&step);
+        outlets.trajectories.as_ref().expect("they are asked for").0.flush(FAREWELL);
+        outlets.step(&step);
+        assert_eq!((outlets.unwritten().steps, outlets.failure().is_none()), (1, true));
+        let why = outlets.close().expect_err("it is told").to_string();
+        assert!(why.starts_with("cannot write the trajectories: "), "{why}");
+    }
 }

@@ -78,7 +78,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     let began = results.began;
     let wall_s = began.elapsed().as_secs_f64();
     let finished = results.episodes.len() == first.episodes as usize;
-    // Somebody who has ended the processes before they ended has interrupted the team, whatever results there are.
+    // An interrupt before all processes have ended is one, whatever results there are.
     let asked = asked.load(Ordering::Relaxed);
     let run = Run {
         mode: first.deployment.mode.clone(),
