@@ -17,6 +17,10 @@ sim mode="offboard" *flags:
 faults seed mode="onboard-adhoc" *flags:
     cargo run --release -- sim --mode {{mode}} --seed {{seed}} --episodes 5 --repeats 1 --faults {{seed}} {{flags}}
 
+# The emergency stop against every team file, at 20 % loss, 200 stops; relays, wrong clocks (40 minutes, root, apt: nftables faketime)
+full-stop:
+    MURMURATE_STOPS=20 cargo test --release --test stop_live -- --include-ignored --nocapture
+
 # One policy step, and whole trials (a minute)
 bench:
     cargo bench

@@ -245,10 +245,11 @@ impl StateServer {
             let left = self.left.entry(host).or_default();
             if !robots.iter().all(|robot| left.contains(robot)) {
                 left.extend(robots);
-                tracing::warn!(host = host.0, robots = ?left, "a host has left; the team waits for it");
+                let robots: Vec<String> = left.iter().map(RobotId::to_string).collect();
+                tracing::warn!("host {} has left; the team stands and waits for {}", host.0, robots.join(", "));
             }
         } else if self.left.remove(&host).is_some() {
-            tracing::warn!(host = host.0, "the host is back");
+            tracing::warn!("host {} is back", host.0);
         }
     }
 

@@ -125,7 +125,61 @@ impl Router {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::geometry::Vec2;
     use crate::messages::ids::LinkId;
+    use crate::messages::latch::Latch;
+    use crate::messages::wire::{Heartbeat, MotorCommand, Phase, Round, Status, Stop};
+    use crate::time::Span;
+
+    /// Robot 0 is decided on host 0, robot 1 on host 1; the bodies and the state server are on host 2.
+    fn publishers() -> Publishers {
+        Publishers {
+            names: ["a", "b", "c"].map(str::to_owned).to_vec(),
+            agents: vec![HostId(0), HostId(1)],
+            bodies: vec![HostId(2); 2],
+            server: HostId(2),
+        }
+    }
+
+    #[test]
+    fn a_host_may_say_what_the_deployment_gives_it_to_say_and_nothing_else() {
+        let robot = RobotId(1);
+        let command = Wire::MotorCommand(MotorCommand { robot, velocity: Vec2::zeros(), valid_for: Span::ZERO });
+        let (round, phase, latch) = (Round::default(), Phase::Running, Latch::default());
+        let beat = Wire::Heartbeat(Heartbeat { robot, round, phase, latch });
+        let operator = HostId::operator(5);
+        for message in [&command, &beat] {
+            let permitted: Vec<u16> = [0, 1, 2, 77, operator.0]
+                .into_iter()
+                .filter(|&host| publishers().permit(HostId(host), message))
+                .collect();
+            assert_eq!(permitted, [1], "{message:?}");
+        }
+        let beyond =
+            Wire::MotorCommand(MotorCommand { robot: RobotId(9), velocity: Vec2::zeros(), valid_for: Span::ZERO });
+        assert!(!publishers().permit(HostId(1), &beyond), "there is no such robot");
+    }
+
+    #[test]
+    fn anyone_may_stop_but_only_the_team_and_operators_may_take_a_stop_back_each_in_its_own_name() {
+        let (stranger, operator) = (HostId(77), HostId::operator(5));
+        let may =
+            |sender: HostId, by: HostId, latch: Latch| publishers().permit(sender, &Wire::Stop(Stop { by, latch }));
+        assert!(may(stranger, stranger, Latch::engaged(1)), "a stop is never refused");
+        for latch in [Latch::held(2), Latch::clear(3)] {
+            assert!(!may(stranger, stranger, latch) && !may(stranger, operator, latch));
+            assert!(may(operator, operator, latch) && may(HostId(2), HostId(2), latch));
+            assert!(!may(HostId(1), HostId(2), latch), "in another's name");
+        }
+        let status = |host| Wire::Status(Status { host, leaves: true, robots: Vec::new(), leading: None });
+        assert!(publishers().permit(HostId(1), &status(HostId(1))));
+        assert!(
+            !publishers().permit(HostId(1), &status(HostId(2))) && !publishers().permit(stranger, &status(stranger))
+        );
+        assert!(
+            publishers().name(stranger).contains("in no team file") && publishers().name(HostId(1)).contains("'b'")
+        );
+    }
 
     #[test]
     fn a_table_of_some_robots_is_that_of_all() {

@@ -4,21 +4,34 @@
 Run with the names of its two interfaces; told what to do by lines on standard input:
   pass         everything goes on at once
   hold         motor commands from the first interface are kept; all else goes on
-  release      what was kept so far goes on now; what comes is kept or not as before
+  hold-bare    the same, but those with a link report on board go on
+  release MS   what was kept for longer than so many milliseconds goes on now; the answer is how many frames that are
   jitter MS    every frame is delayed by a random time of up to so many milliseconds
 Each command is answered by a line with the number of frames that are kept."""
 import heapq, random, select, socket, sys, time
 
-MOTOR_COMMAND = 2
+MOTOR_COMMAND, REPORTS = 2, (0x80, 0x84)
 
 
-def motor_command(frame):
-    """Whether this is a datagram of the team whose first block is a motor command."""
+def blocks(frame):
+    """What the blocks of a datagram of the team hold; nothing of any other frame."""
     if frame[12:14] != b"\x08\x00" or frame[23] != 17:
-        return False
+        return []
     udp = 14 + 4 * (frame[14] & 15)
-    payload = frame[udp + 8:]
-    return len(payload) > 15 and payload[0] == 3 and payload[14] == MOTOR_COMMAND
+    payload = frame[udp + 8:udp + int.from_bytes(frame[udp + 4:udp + 6], "big")]
+    if len(payload) < 30 or payload[0] != 3:
+        return []
+    held, at, end = [], 14, len(payload) - 16
+    while at + 3 <= end:
+        held.append(payload[at])
+        at += 3 + int.from_bytes(payload[at + 1:at + 3], "little")
+    return held
+
+
+def kept_back(frame, hold):
+    held = blocks(frame)
+    bare = hold == "hold" or not any(block in REPORTS for block in held)
+    return hold != "pass" and held[:1] == [MOTOR_COMMAND] and bare
 
 
 def whole(frame):
@@ -35,7 +48,7 @@ for name in sys.argv[1:3]:
     side.bind((name, 0))
     side.setblocking(False)
     sides.append(side)
-kept, flying, count, hold, jitter, line = [], [], 0, False, 0.0, b""
+kept, flying, count, hold, jitter, line = [], [], 0, "pass", 0.0, b""
 print("ready", flush=True)
 while True:
     wait = max(0.0, flying[0][0] - time.monotonic()) if flying else None
@@ -49,8 +62,8 @@ while True:
             if about[2] == socket.PACKET_OUTGOING:
                 continue
             frame = whole(frame)
-            if hold and at == 0 and motor_command(frame):
-                kept.append(frame)
+            if at == 0 and kept_back(frame, hold):
+                kept.append((time.monotonic(), frame))
                 continue
             count += 1
             heapq.heappush(flying, (time.monotonic() + random.uniform(0, jitter), count, 1 - at, frame))
@@ -65,9 +78,13 @@ while True:
         for command in commands:
             word, *rest = command.decode().split()
             if word == "release":
-                held, kept = kept, []
-                for frame in held:
+                until = time.monotonic() - float(rest[0]) / 1e3
+                old = [frame for at, frame in kept if at <= until]
+                kept = [(at, frame) for at, frame in kept if at > until]
+                for frame in old:
                     sides[1].send(frame)
+                print(len(old), flush=True)
             else:
-                hold, jitter = word == "hold", float(rest[0]) / 1e3 if word == "jitter" else 0.0
-            print(len(kept), flush=True)
+                hold = word if word.startswith("hold") else "pass"
+                jitter = float(rest[0]) / 1e3 if word == "jitter" else 0.0
+                print(len(kept), flush=True)
