@@ -25,6 +25,14 @@ full-stop:
 bench:
     cargo bench
 
+# Junk of every kind at a running team, at 30 000 and 100 000 datagrams a second (two minutes, wants an idle machine)
+full-abuse:
+    MURMURATE_JUNK=full cargo test --release --test abuse_live -- --nocapture
+
+# The link beside raw multicast and Cyclone DDS; NETPEERS names the harness's folder (15 minutes, wants an idle machine)
+full-network:
+    bash tests/netpeers.sh
+
 # Exactly what the gate runs (about 15 minutes on 2 cores)
 ci:
     bash .ci/run

@@ -1,59 +1,27 @@
-//! Junk at a running team: as many datagrams as one core sends, up to 100 000 a second, at every group of a team on
-//! real sockets. Control ticks stay inside their deadline, episodes end as they would, memory stays flat.
-//! `MURMURATE_JUNK_S=10` sends for so many seconds.
+//! Junk at a running team, each kind by itself, at every group of a team on real sockets. Control ticks stay inside
+//! their deadline, episodes end as they would, memory stays flat, and all is as before a second after it ends.
+//!
+//! `MURMURATE_JUNK=full` sends each kind at 30 000 and at 100 000 datagrams a second for 10 s; else it is 30 000, and
+//! 1 s. It prints a table of rates, processor time and late ticks.
 #![cfg(target_os = "linux")]
 
 mod crew;
+mod junk;
 mod program;
 
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::process::{Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread;
 use std::time::{Duration, Instant};
 
 use crew::{Crew, Said, folder, report};
 use murmurate::report::event::HostEvent;
 use murmurate::scenario::judge::Verdict;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
-const RATE_PER_S: u64 = 100_000;
 const HOSTS: [&str; 4] = ["agent-0", "agent-1", "agent-2", "world"];
 const ROBOTS: [u16; 3] = [0, 1, 2];
-
-/// Random bytes, and datagrams that look like the team's own with a tag that is none.
-fn junk(team: u16) -> Vec<Vec<u8>> {
-    let mut random = ChaCha8Rng::seed_from_u64(4);
-    let mut bytes = |length: usize| (0..length).map(|_| random.random()).collect::<Vec<u8>>();
-    let looks = |mut bytes: Vec<u8>, sender: u16| {
-        bytes[..2].copy_from_slice(&[2, 1]);
-        bytes[2..4].copy_from_slice(&team.to_le_bytes());
-        bytes[4..6].copy_from_slice(&sender.to_le_bytes());
-        bytes
-    };
-    (0..64u16).map(|n| if n % 2 == 0 { bytes(20 + 8 * usize::from(n)) } else { looks(bytes(200), n % 5) }).collect()
-}
-
-/// Sends until it is told to stop; how many a second.
-fn babble(groups: [SocketAddr; 2], team: u16, stop: &AtomicBool) -> f64 {
-    let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
-    let (junk, began) = (junk(team), Instant::now());
-    let mut sent = 0u64;
-    while !stop.load(Ordering::Relaxed) {
-        let due = (began.elapsed().as_nanos() * u128::from(RATE_PER_S) / 1_000_000_000) as u64;
-        // In bursts of a millisecond at the most: who was kept from sending does not make up for all of it at once.
-        let burst = due.saturating_sub(sent).min(RATE_PER_S / 1000);
-        for _ in 0..burst {
-            let (what, group) = (&junk[sent as usize % junk.len()], groups[sent as usize % 2]);
-            let _ = socket.send_to(what, group);
-            sent += 1;
-        }
-        thread::yield_now();
-    }
-    sent as f64 / began.elapsed().as_secs_f64()
-}
+/// The rate up to which no tick may be late \[datagrams/s\].
+const HARMLESS_PER_S: u64 = 30_000;
+const FLOOD_PER_S: u64 = 100_000;
 
 /// Whether a process comes before those that have no deadline.
 fn has_priority(crew: &Crew, host: &str) -> bool {
@@ -63,6 +31,14 @@ fn has_priority(crew: &Crew, host: &str) -> bool {
     rest.split_whitespace().nth(16).expect("a niceness").starts_with('-')
 }
 
+/// Processor time of a process so far \[s\].
+fn cpu_s(crew: &Crew, host: &str) -> f64 {
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", crew.pid(host))).expect("it runs");
+    let rest = stat.rsplit_once(')').expect("a name").1;
+    // User and system time are the 14th and 15th field, in hundredths of a second (proc(5)).
+    rest.split_whitespace().skip(11).take(2).map(|ticks| ticks.parse::<f64>().expect("a number") / 100.0).sum()
+}
+
 /// What a process has in memory \[KiB\].
 fn resident_kib(crew: &Crew, host: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", crew.pid(host))).expect("it runs");
@@ -70,18 +46,42 @@ fn resident_kib(crew: &Crew, host: &str) -> u64 {
     line.split_whitespace().next().expect("a number").parse().expect("a number")
 }
 
-#[test]
-fn a_running_team_does_not_mind_junk() {
-    let seconds = std::env::var("MURMURATE_JUNK_S").map_or(2.0, |given| given.parse().expect("a number"));
+/// What is said within a time.
+#[derive(Debug, Default)]
+struct Seen {
+    late: usize,
+    aborted: usize,
+    steps: usize,
+}
+
+fn watch(crew: &Crew, span: Duration) -> Seen {
+    let (until, mut seen) = (Instant::now() + span, Seen::default());
+    crew.until("the time is over", |heard| {
+        match &heard.said {
+            Said::Log(line) if line.contains("late") || line.contains("too old") || line.contains("silent") => {
+                report(&format!("{}: {line}", heard.host));
+                seen.late += 1;
+            }
+            Said::Event(HostEvent::Episode(episode)) if episode.verdict == Verdict::Aborted => seen.aborted += 1,
+            Said::Row(row) if row.robot == 0 => seen.steps += 1,
+            _ => {}
+        }
+        (heard.at >= until).then_some(())
+    });
+    seen
+}
+
+/// A team that runs, its groups and its number.
+fn team() -> (Crew, tempfile::TempDir, [SocketAddrV4; 2], u16) {
     let number = 791;
-    let groups = [1, 2].map(|last| SocketAddr::from((Ipv4Addr::new(239, 255, 81, last), 40_791)));
+    let groups = [1, 2].map(|last| SocketAddrV4::new(Ipv4Addr::new(239, 255, 81, last), 40_791));
     let links: String = ["loopback", "infra"]
         .iter()
         .zip(groups)
         .map(|(link, group)| format!("[link.{link}]\ninterface = \"lo\"\ngroup = \"{group}\"\n"))
         .collect();
     let head = format!("team = {number}\nkey_file = \"team.key\"\nmode = \"offboard\"\nrobots = 3\nepisodes = 10000\n");
-    let (_folder, file) = folder(&(head + &links));
+    let (folder, file) = folder(&(head + &links));
     let mut crew = Crew::new(move |host| {
         let mut args = vec!["host", &file, "--host", host, "--json"];
         if host == "world" {
@@ -90,54 +90,55 @@ fn a_running_team_does_not_mind_junk() {
         // As its service is started (packaging/), where this is permitted: before everything that has no deadline.
         let mut command = Command::new("nice");
         command.args(["-n", "-10", env!("CARGO_BIN_EXE_murmurate")]).args(&args).stdin(Stdio::null());
-        command.env_remove("MURMURATE_JUNK_S").env("MURMURATE_LOG", "warn");
+        command.env_remove("MURMURATE_JUNK").env("MURMURATE_LOG", "warn");
         command
     });
     HOSTS.iter().for_each(|host| crew.start(host));
     crew.ready(&HOSTS);
     crew.runs_after(None, &ROBOTS);
 
-    // As long without as with, to compare.
-    let watch = |crew: &Crew, span: Duration| {
-        let (until, mut late, mut aborted, mut steps) = (Instant::now() + span, 0, 0, 0);
-        crew.until("the time is over", |heard| {
-            match &heard.said {
-                Said::Log(line) if line.contains("late") || line.contains("too old") || line.contains("silent") => {
-                    report(&format!("{}: {line}", heard.host));
-                    late += 1;
-                }
-                Said::Event(HostEvent::Episode(episode)) if episode.verdict == Verdict::Aborted => aborted += 1,
-                Said::Row(row) if row.robot == 0 => steps += 1,
-                _ => {}
-            }
-            (heard.at >= until).then_some(())
-        });
-        (late, aborted, steps)
-    };
-    let span = Duration::from_secs_f64(seconds);
-    let (late_before, ..) = watch(&crew, span);
-    let before = HOSTS.map(|host| resident_kib(&crew, host));
-    let stop = Arc::new(AtomicBool::new(false));
-    let babbler = {
-        let stop = Arc::clone(&stop);
-        thread::spawn(move || babble(groups, number, &stop))
-    };
-    let (late, aborted, steps) = watch(&crew, span);
-    let after = HOSTS.map(|host| resident_kib(&crew, host));
-    stop.store(true, Ordering::Relaxed);
-    let rate = babbler.join().expect("it stops");
+    (crew, folder, groups, number)
+}
+
+#[test]
+fn a_running_team_does_not_mind_junk() {
+    let full = std::env::var("MURMURATE_JUNK").is_ok_and(|what| what == "full");
+    let span = Duration::from_secs(if full { 10 } else { 1 });
+    let rates = if full { vec![HARMLESS_PER_S, FLOOD_PER_S] } else { vec![HARMLESS_PER_S] };
+    let (crew, _folder, groups, number) = team();
+    let judged = has_priority(&crew, "world");
+    let used = |before: f64| HOSTS.iter().map(|host| cpu_s(&crew, host)).sum::<f64>() - before;
+    let quiet = watch(&crew, span);
+    report("kind       asked/s  sent/s  CPU of 4 hosts  late ticks  given up  World steps  late a second after");
+    for (kind, rate) in junk::KINDS.into_iter().flat_map(|kind| rates.iter().map(move |rate| (kind, *rate))) {
+        let what = junk::junk(kind, groups, number);
+        // What was said meanwhile is of another time.
+        crew.pass(Duration::from_millis(10));
+        let before = HOSTS.map(|host| resident_kib(&crew, host));
+        let sender = junk::Sender::start(groups, &what, rate);
+        let begun = used(0.0);
+        let seen = watch(&crew, span);
+        let cpu = used(begun) / span.as_secs_f64();
+        let sent = sender.stop();
+        watch(&crew, Duration::from_secs(1));
+        let after = watch(&crew, Duration::from_secs(1));
+        let name = format!("{kind:?}");
+        let Seen { late, aborted, steps } = seen;
+        report(&format!("{name:10} {rate:7} {sent:7.0} {cpu:15.2} {late:11} {aborted:9} {steps:12} {:20}", after.late));
+        assert_eq!(aborted, 0, "{kind:?} has ended an episode");
+        for ((host, before), after) in HOSTS.iter().zip(before).zip(HOSTS.map(|host| resident_kib(&crew, host))) {
+            assert!(after <= before + 2048, "{host} has grown from {before} to {after} KiB");
+        }
+        if judged && rate <= HARMLESS_PER_S {
+            // On the gate's machine, in a debug build beside whatever else runs there, one is no defect.
+            let allowed = quiet.late + if full { 0 } else { 2 };
+            assert!(late <= allowed, "{late} late ticks under {kind:?}, {} without", quiet.late);
+            assert!(steps as f64 >= span.as_secs_f64() * 20.0 * 0.9, "the World has made {steps} steps");
+        }
+    }
     let episode = crew.runs_after(None, &ROBOTS);
-    report(&format!(
-        "{rate:.0} datagrams/s for {seconds} s: {late} late ticks or silences ({late_before} before), {aborted} \
-         episodes given up, {steps} World steps; KiB {before:?} -> {after:?}; episode {episode} runs"
-    ));
-    assert_eq!(aborted, 0, "junk has ended an episode");
-    for ((host, before), after) in HOSTS.iter().zip(before).zip(after) {
-        assert!(after <= before + 2048, "{host} has grown from {before} to {after} KiB");
+    report(&format!("episode {episode} runs"));
+    if !judged {
+        report("late ticks are not judged: hosts may not come before the sender here, which needs root");
     }
-    if !has_priority(&crew, "world") {
-        return report("late ticks are not judged: hosts may not come before the sender here, which needs root");
-    }
-    assert!(late <= late_before + 1, "{late} late ticks under junk, {late_before} without");
-    assert!(steps as f64 >= seconds * 20.0 * 0.9, "the World has made {steps} steps in {seconds} s");
 }

@@ -114,3 +114,72 @@ impl<C: Core> Core for Shared<C> {
         self.0.borrow_mut().wake(now, out);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+    use std::time::Instant;
+
+    use super::*;
+    use crate::actors::real::run_real;
+    use crate::deploy::team::{SocketConfig, Transport};
+    use crate::messages::ids::HostId;
+    use crate::net::reliability::Reliabilities;
+    use crate::net::router::Audience;
+    use crate::net::transport::Transmit;
+    use crate::net::transport::udp::Filter;
+
+    /// Counts the frames that have arrived.
+    struct Count(Rc<Cell<usize>>);
+
+    impl Core for Count {
+        type In = network::In;
+        type Out = ();
+
+        fn handle(&mut self, _: Time, input: network::In, _: &mut Vec<()>) {
+            if let network::In::Frame(LinkId(3), _, Some(_)) = input {
+                self.0.set(self.0.get() + 1);
+            }
+        }
+
+        fn wake_at(&self) -> Option<Time> {
+            None
+        }
+
+        fn wake(&mut self, _: Time, _: &mut Vec<()>) {}
+    }
+
+    #[test]
+    fn a_link_of_two_transports_leaves_by_both_and_hears_both() {
+        let at = |port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+        let peer = UdpSocket::bind(at(47_751)).unwrap();
+        peer.set_nonblocking(true).unwrap();
+        let open = |port: u16| {
+            let transport = Transport::Unicast { listen: at(port), peers: [(HostId(9), at(47_751))].into() };
+            let (interface, reliability) = ("lo".to_owned(), Reliabilities::new());
+            let config = SocketConfig { transport, interface, receive_buffer_bytes: 1 << 16, reliability };
+            (LinkId(3), Udp::open(HostId(1), &config, Filter::All).unwrap())
+        };
+        let sockets = vec![open(47_752), open(47_753)];
+        for port in [47_752, 47_753] {
+            peer.send_to(b"to the team", at(port)).unwrap();
+        }
+        let (link, network) = (Mailbox::new("link"), Mailbox::new("network"));
+        let arrived = Rc::new(Cell::new(0));
+        let frame: crate::net::codec::Frame = b"to the peer"[..].into();
+        link.send(transport::In::Transmit(Transmit { from: HostId(1), audience: Audience::All, frame }));
+        let (count, begun) = (Rc::clone(&arrived), Instant::now());
+        run_real(
+            begun,
+            |clock, readers| {
+                wire_all((clock, readers), sockets, |_| link.clone(), &network);
+                start(clock, &network, info_span!("network"), move |_| Count(Rc::clone(&count)), |()| {});
+            },
+            |(), now| arrived.get() == 2 || now.as_secs() > 5.0,
+        );
+        assert_eq!(arrived.get(), 2);
+        let from = || peer.recv_from(&mut [0; 64]).map(|(_, from)| from.port());
+        assert_eq!([from().unwrap(), from().unwrap()], [47_752, 47_753], "in the order of its transports");
+    }
+}

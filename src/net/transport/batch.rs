@@ -12,6 +12,8 @@ use crate::net::codec::MAX_FRAME_BYTES;
 
 /// Datagrams that one call reads at most.
 const MANY: usize = 32;
+/// Datagrams that the first call reads at most: mostly there are no more, and each place is made ready for each call.
+const FEW: usize = 4;
 /// Room for one datagram: one byte more than the longest, so that a longer one is known by its length.
 const ROOM: usize = MAX_FRAME_BYTES + 1;
 
@@ -42,9 +44,10 @@ impl Batch {
         limit: usize,
         mut take: impl FnMut(SocketAddr, &[u8]),
     ) -> io::Result<usize> {
-        let mut read = 0;
+        let (mut read, mut most) = (0, FEW);
         while read < limit {
-            let wanted = MANY.min(limit - read);
+            let wanted = most.min(limit - read);
+            most = MANY;
             let mut slices: Vec<[IoSliceMut; 1]> =
                 self.bytes.chunks_exact_mut(ROOM).take(wanted).map(|room| [IoSliceMut::new(room)]).collect();
             let got = match recvmmsg(socket.as_raw_fd(), &mut self.headers, &mut slices, MsgFlags::MSG_DONTWAIT, None) {

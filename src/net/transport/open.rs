@@ -1,4 +1,5 @@
-//! Sockets of UDP as links want them: bound, pinned to an interface, joined to a group. Asks the kernel and nothing else.
+//! Sockets of UDP as links want them: bound, pinned to an interface, joined to a group. Asks the kernel, and nothing
+//! else.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV6, UdpSocket};
