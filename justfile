@@ -19,7 +19,7 @@ faults seed mode="onboard-adhoc" *flags:
 
 # The emergency stop against every team file, at 20 % loss, 200 stops; relays, wrong clocks (40 minutes, root, apt: nftables faketime)
 full-stop:
-    MURMURATE_STOPS=20 cargo test --release --test stop_live -- --include-ignored --nocapture
+    MURMURATE_STOPS=20 cargo test --release --test stop_live -- --nocapture
 
 # One policy step, and whole trials (a minute)
 bench:

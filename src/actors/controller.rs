@@ -1,8 +1,8 @@
 //! Controller: the last say over one robot's velocity, and its place in the episode.
 //!
 //! Its guard (`safety::guard`) rules on every action and alone grants motor commands; the Controller follows the state
-//! server's instructions, and tells it how far the robot has come and what is known of the emergency stop. When its host
-//! is told to end, it stands for good.
+//! server's instructions, and tells it how far the robot has come and what is known of the emergency stop. When its
+//! host is told to end, it stands for good.
 
 use super::Core;
 use crate::messages::ids::RobotId;

@@ -1,7 +1,8 @@
-//! Order: what one operator wants of a team, a stop, a re-arm or a resume, from its first word to the last confirmation.
+//! Order: what one operator wants of a team, a stop, a re-arm or a resume, from its first word to the last
+//! confirmation.
 //!
-//! It repeats what it wants, hears what hosts answer, and knows which robots have confirmed. It asks first where it has to
-//! know how the latch stands; a stop waits for nothing.
+//! It repeats what it wants, hears what hosts answer, and knows which robots have confirmed. It asks first where it
+//! has to know how the latch stands; a stop waits for nothing.
 
 use std::collections::BTreeMap;
 

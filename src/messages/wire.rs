@@ -262,8 +262,8 @@ impl Wire {
         }
     }
 
-    /// The robot that the message is about: sender or target, for `Mode` and `Status` the first of its block, for `Stop`
-    /// the first of the team.
+    /// The robot that the message is about: sender or target; the first of its block for `Mode` and `Status`, the
+    /// first of the team for `Stop`.
     pub fn robot(&self) -> RobotId {
         match self {
             Wire::Reading(m) => m.robot,

@@ -1,5 +1,5 @@
-//! Machines as network namespaces, with networks between them, as tests build them. Needs root and `ip`, and `nft` where
-//! frames are to be lost. Everything is gone when the lab is dropped.
+//! Machines as network namespaces, with networks between them, as tests build them. Needs root and `ip`, and `nft`
+//! where frames are to be lost. Everything is gone when the lab is dropped.
 #![allow(dead_code)] // Each test uses its part.
 
 use std::io::Write;

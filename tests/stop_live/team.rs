@@ -193,7 +193,8 @@ impl Running {
         });
     }
 
-    /// One stop, re-arm and resume; every second time the state server is killed and started again while the team is held.
+    /// One stop, re-arm and resume; every second time the state server is killed and started again while the team is
+    /// held.
     pub fn cycle(&mut self, number: usize) -> Stopped {
         let kill = number % 2 == 1;
         self.driven();

@@ -183,8 +183,8 @@ pub fn run(args: &Args) -> Result<Ended> {
     }
     if let Some(Duplicate { host, .. }) = seen.duplicate.get() {
         return Err(anyhow!(
-            "another live host is number {} of this team ('{name}') and was started before this one: stop it, or correct \
-             --host or --robot here",
+            "another live host is number {} of this team ('{name}') and was started before this one: stop it, or \
+             correct --host or --robot here",
             host.0
         ));
     }

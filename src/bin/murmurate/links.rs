@@ -1,5 +1,5 @@
-//! A process's links, from what the team file says to open sockets, and who the process is on them. What is said on them
-//! never matters here.
+//! A process's links, from what the team file says to open sockets, and who the process is on them. What is said on
+//! them never matters here.
 
 use anyhow::{Result, anyhow};
 use murmurate::actors::network::Identity;
@@ -102,8 +102,8 @@ fn failed(link: &str, error: OpenError) -> anyhow::Error {
     }
 }
 
-/// The sockets of an operator: on every interface of this machine that the team file names for the link of the stop; or,
-/// where it has none of those, on all that are up.
+/// The sockets of an operator: on every interface of this machine that the team file names for the link of the stop;
+/// or, where it has none of those, on all that are up.
 pub fn join(post: &Post, link: &Link, me: HostId) -> Result<Vec<(LinkId, Udp)>> {
     let interfaces = interface::interfaces().map_err(|error| failed(&link.name, error.into()))?;
     let here = |config: &&SocketConfig| interfaces.iter().any(|i| i.up && i.name == config.interface);

@@ -1,5 +1,5 @@
-//! `murmurate stop` and `murmurate resume`: the team's emergency stop, engaged, taken back, and the hold after it lifted;
-//! and which robots have confirmed it.
+//! `murmurate stop` and `murmurate resume`: the team's emergency stop, engaged, taken back, and the hold after it
+//! lifted; and which robots have confirmed it.
 
 use std::cell::RefCell;
 use std::rc::Rc;

@@ -121,8 +121,8 @@ pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
 pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
     if file.is_none() {
         talk(
-            "warning: NO KEY: every program on this machine can command these robots; for anything but development make \
-             a key with 'murmurate key new' and name it as key_file",
+            "warning: NO KEY: every program on this machine can command these robots; for anything but development \
+             make a key with 'murmurate key new' and name it as key_file",
         );
     }
     file.map(key::read).transpose()

@@ -56,8 +56,8 @@ impl SocketConfig {
 }
 
 impl SocketConfig {
-    /// The socket of an operator beside this one of `host`: an operator is no peer, speaks from a port of its own, and is
-    /// answered there.
+    /// The socket of an operator beside this one of `host`: an operator is no peer, speaks from a port of its own, and
+    /// is answered there.
     pub fn of_guest(mut self, host: HostId) -> SocketConfig {
         if let Transport::Unicast { listen, peers } = &mut self.transport {
             peers.insert(host, *listen);
