@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 
 /// The layer of a module; a module may use its own layer and those below.
 fn layer(module: &str) -> Option<u8> {
-    let layers: [(&str, u8); 32] = [
+    let layers: [(&str, u8); 33] = [
         ("config", 0),
         ("time", 0),
         ("random", 0),
@@ -65,6 +65,7 @@ fn layer(module: &str) -> Option<u8> {
         ("actors::drive", 4),
         ("actors::real", 4),
         ("actors::graph", 5),
+        ("actors::leading", 5),
         ("actors::process", 5),
         ("actors::sockets", 5),
         ("actors::host", 5),

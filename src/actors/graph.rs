@@ -12,17 +12,18 @@ use super::body::{self, Body};
 use super::cache::{self, Cache, Handling};
 use super::clock::Clock;
 use super::controller::{self, Controller};
+use super::leading::{Led, wire_server, wire_status};
 use super::network::{self, Network};
 use super::process::{Graph, Heard, Process};
 use super::recorder::{self, Recorder};
 use super::shell::{Mailbox, start};
-use super::state_server::{self, StateServer};
-use super::status::{self, Status};
+use super::state_server;
+use super::status;
 use super::world::{self, Ground, World};
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{Kind, Mode, Stop, Wire};
+use crate::messages::wire::{Kind, Stop, Wire};
 use crate::net::codec::Frame;
 use crate::net::fault::FaultPlan;
 use crate::net::link;
@@ -372,40 +373,6 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
     }
 }
 
-/// The actors of one host that follow the state server and the emergency stop.
-struct Led {
-    agents: Vec<Mailbox<agent::In>>,
-    controllers: Vec<Mailbox<controller::In>>,
-    bodies: Vec<Mailbox<body::In>>,
-    world: Option<Mailbox<world::In>>,
-    status: Mailbox<status::In>,
-}
-
-impl Led {
-    fn follow(&self, mode: &Mode) {
-        self.world.iter().for_each(|world| world.send(world::In::Mode(mode.clone())));
-        self.agents.iter().for_each(|agent| agent.send(agent::In::Mode(mode.clone())));
-        self.controllers.iter().for_each(|controller| controller.send(controller::In::Mode(mode.clone())));
-        self.bodies.iter().for_each(|body| body.send(body::In::Latch(mode.latch)));
-        self.status.send(status::In::Mode(mode.phase));
-    }
-
-    fn stop(&self, stop: Stop) {
-        self.controllers.iter().for_each(|controller| controller.send(controller::In::Stop(stop)));
-        self.bodies.iter().for_each(|body| body.send(body::In::Stop(stop)));
-        self.status.send(status::In::Stop(stop));
-    }
-}
-
-/// The voice of one host.
-fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: status::Config) {
-    let network = graph.network_of(host);
-    let make = move |_| Status::new(&config);
-    start(clock, &graph.statuses[usize::from(host.0)], info_span!("status"), make, move |status| {
-        network.send(network::In::Publish(Wire::Status(status)));
-    });
-}
-
 /// The emulated links on which it matters where robots are.
 fn ranged_ethers(plan: &Plan, graph: &Graph, process: &Process) -> Vec<Mailbox<transport::In>> {
     let links = plan.deployment.links.iter().zip(graph.transports.iter()).filter(|_| process.only.is_none());
@@ -442,20 +409,4 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
             ether::Out::Counts(counts) => record(recorder::In::Radio(id, counts)),
         });
     }
-}
-
-fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
-    let config = state_server::Config {
-        layouts: plan.layouts.clone(),
-        repeat: plan.repeat,
-        placement: plan.deployment.placement,
-        limit: plan.scenario.rules().limit,
-    };
-    let (host, robots) = (graph.routes.server_host(), plan.deployment.robots);
-    let (network, status) = (graph.network_of(host), graph.status_of(host));
-    let make = move |life| StateServer::new(config.clone(), robots, life);
-    start(clock, &graph.server, info_span!("state server"), make, move |out| match out {
-        state_server::Out::Mode(mode) => network.send(network::In::Publish(Wire::Mode(mode))),
-        state_server::Out::Leading(leading) => status.send(status::In::Leading(leading)),
-    });
 }

@@ -12,6 +12,7 @@ pub mod controller;
 pub mod drive;
 pub mod graph;
 pub mod host;
+mod leading;
 pub mod network;
 pub mod operator;
 pub mod order;
