@@ -1,5 +1,5 @@
-//! Wiring of the state server, of what a host hands in to those of its actors that follow it and the emergency stop, and of
-//! the host's own voice. No logic lives here.
+//! Wiring of the state server, of what a host hands in to those of its actors that follow it and the emergency stop,
+//! and of the host's own voice. No logic lives here.
 
 use tracing::info_span;
 
