@@ -138,8 +138,7 @@ impl Clock {
         self.queue.borrow().events.peek().map(|event| event.at)
     }
 
-    /// When a driver of real time has to be awake at the latest. It looks at all events, of which a host has few: one
-    /// or two an actor.
+    /// When a driver of real time has to be awake at the latest. Looks at all events, of which a host has few.
     pub(super) fn latest(&self) -> Option<Time> {
         self.queue.borrow().events.iter().map(|event| event.latest).min()
     }

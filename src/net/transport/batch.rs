@@ -13,7 +13,7 @@ use crate::net::codec::MAX_FRAME_BYTES;
 /// Datagrams that one call reads at most.
 const MANY: usize = 32;
 /// Datagrams that the first call reads at most: mostly there are no more, and each place is made ready for each call.
-const FEW: usize = 4;
+const FEW: usize = 2;
 /// Room for one datagram: one byte more than the longest, so that a longer one is known by its length.
 const ROOM: usize = MAX_FRAME_BYTES + 1;
 
