@@ -56,6 +56,7 @@ pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
         repeat: plan.repeat,
         placement: plan.deployment.placement,
         limit: plan.scenario.rules().limit,
+        hosts: (0..plan.deployment.hosts.len()).map(|host| graph.routes.robots_of(host).to_vec()).collect(),
     };
     let (host, robots) = (graph.routes.server_host(), plan.deployment.robots);
     let (network, status) = (graph.network_of(host), graph.status_of(host));

@@ -8,14 +8,17 @@ use std::collections::BTreeMap;
 
 use super::Core;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::latch::{Latch, baseline};
+use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{Following, Hindrance, Leading, Status, Stop};
 use crate::time::{Span, Time};
 
 /// How often it is repeated.
 pub const PERIOD: Span = Span::from_millis(20);
 
-/// What an operator wants.
+/// How long after the first answer an operator waits for the others before it fixes which stop or hold it means.
+const SETTLING: Span = Span::from_millis(200);
+
+/// The wish of an operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wish {
     /// Everyone stands.
@@ -59,6 +62,10 @@ pub struct Order {
     controllers: BTreeMap<RobotId, Latch>,
     bodies: BTreeMap<RobotId, Latch>,
     leading: Option<Leading>,
+    /// The stop that is to be taken back or the hold that is to end: fixed once, so that a later stop is not meant.
+    target: Option<Latch>,
+    /// When the first host was heard.
+    heard: Option<Time>,
     next: Time,
     met: Option<Time>,
 }
@@ -67,7 +74,18 @@ impl Order {
     /// An order of which nothing was said yet.
     pub fn new(me: HostId, wish: Wish, robots: usize) -> Order {
         let (controllers, bodies) = (BTreeMap::new(), BTreeMap::new());
-        Order { me, wish, robots, controllers, bodies, leading: None, next: Time::ZERO, met: None }
+        Order {
+            me,
+            wish,
+            robots,
+            controllers,
+            bodies,
+            leading: None,
+            target: None,
+            heard: None,
+            next: Time::ZERO,
+            met: None,
+        }
     }
 
     /// When everyone had confirmed.
@@ -80,15 +98,20 @@ impl Order {
         self.leading.as_ref()
     }
 
-    /// The latch as it stands in the team: as the state server has it; without one, as robots have it, but for one that
-    /// alone claims more than all others.
+    /// The latch as it stands in the team: the latest that is known, but for one that alone is out of reach.
     pub fn latch(&self) -> Option<Latch> {
-        if let Some(leading) = &self.leading {
-            return Some(leading.latch);
-        }
-        let latches = || self.controllers.values().chain(self.bodies.values()).copied();
-        let base = baseline(0, latches().map(Latch::number));
-        latches().filter(|latch| latch.number() <= base).max()
+        let latches = self.controllers.values().chain(self.bodies.values()).copied();
+        let known = match &self.leading {
+            Some(leading) => leading.latch,
+            None => latches.clone().min()?,
+        };
+        Some(latch::latest(known, latches))
+    }
+
+    /// Whether the team was stopped, re-armed or resumed by others since this order was given.
+    pub fn is_overtaken(&self) -> bool {
+        let meant = self.target.map(|target| target.number() + 1);
+        meant.zip(self.latch()).is_some_and(|(meant, latch)| latch.number() > meant)
     }
 
     /// The robots that have not confirmed, and why.
@@ -117,6 +140,7 @@ impl Order {
             self.bodies.extend(body.map(|latch| (robot, latch)));
         }
         self.leading = status.leading.or(self.leading.take());
+        self.heard = self.heard.or(Some(now));
         // A stop is a stop without a state server; nobody else can say that a team goes on.
         let led = self.wish == Wish::Stop || self.leading.as_ref().is_some_and(|l| self.wish.is_met_by(l.latch));
         if self.met.is_none() && led && self.lacking().is_empty() {
@@ -124,13 +148,26 @@ impl Order {
         }
     }
 
-    /// What is to be said now.
+    /// Fixes what is meant, once all that is to be known of the latch is known, or should be.
+    fn aim(&mut self, now: Time) {
+        let silent = || self.lacking().iter().any(|(_, lack)| *lack == Lack::Silent);
+        let waited = self.heard.is_some_and(|heard| now.since(heard) >= SETTLING);
+        if self.target.is_none() && self.leading.is_some() && (waited || !silent()) {
+            self.target = self.latch();
+        }
+    }
+
+    /// The message to repeat now.
     fn word(&self) -> Stop {
-        let (me, known) = (self.me, self.latch());
-        match (self.wish, known) {
-            (Wish::Stop, known) => Stop::engage(me, known.unwrap_or_default()),
-            (Wish::Rearm, Some(latch)) if latch.is_engaged() => Stop::rearm(me, latch),
-            (Wish::Resume, Some(latch)) if latch.is_held() => Stop::resume(me, latch),
+        let me = self.me;
+        match (self.wish, self.target) {
+            (Wish::Stop, _) => match self.latch() {
+                // It is engaged: to say a later number would only make it grow.
+                Some(latch) if latch.is_engaged() => Stop { by: me, latch },
+                known => Stop::engage(me, known.unwrap_or_default()),
+            },
+            (Wish::Rearm, Some(stop)) if stop.is_engaged() => Stop::rearm(me, stop),
+            (Wish::Resume, Some(hold)) if hold.is_held() => Stop::resume(me, hold),
             _ => Stop::ask(me),
         }
     }
@@ -149,6 +186,7 @@ impl Core for Order {
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Stop>) {
+        self.aim(now);
         out.push(self.word());
         self.next = now + PERIOD;
     }
@@ -192,7 +230,16 @@ mod tests {
     }
 
     #[test]
-    fn a_re_arm_asks_first_and_takes_back_what_the_state_server_knows() {
+    fn a_stop_that_is_repeated_makes_no_number_grow() {
+        let mut order = Order::new(ME, Wish::Stop, 1);
+        let stopped = Some(Latch::engaged(7));
+        hear(&mut order, &[(0, stopped, stopped)], leading(Latch::engaged(7)));
+        let said: Vec<Latch> = (0..150).map(|_| word(&mut order).latch).collect();
+        assert!(said.iter().all(|latch| *latch == Latch::engaged(7)));
+    }
+
+    #[test]
+    fn a_re_arm_asks_first_and_takes_back_that_very_stop() {
         let mut order = Order::new(ME, Wish::Rearm, 1);
         assert_eq!(word(&mut order), Stop::ask(ME));
         let far = Some(Latch::engaged(1 << 50));
@@ -201,19 +248,30 @@ mod tests {
         let held = Some(Latch::held(6));
         hear(&mut order, &[(0, held, held)], None);
         assert_eq!(order.met(), None, "the state server has not confirmed");
-        hear(&mut order, &[], leading(Latch::held(6)));
-        assert!(order.met().is_some());
+        let again = Some(Latch::engaged(7));
+        hear(&mut order, &[(0, again, again)], leading(Latch::engaged(7)));
+        assert_eq!(word(&mut order), Stop::rearm(ME, Latch::engaged(5)), "a later stop is not meant");
+        assert!(order.is_overtaken() && order.met().is_none());
     }
 
     #[test]
-    fn a_resume_is_said_to_the_hold_that_is_there_and_to_no_stop() {
+    fn a_resume_is_said_to_the_hold_that_was_there_and_to_no_stop_or_later_hold() {
+        let mut refused = Order::new(ME, Wish::Resume, 1);
+        let (stopped, held) = (Some(Latch::engaged(5)), Some(Latch::held(6)));
+        hear(&mut refused, &[(0, stopped, stopped)], leading(Latch::engaged(5)));
+        assert_eq!(word(&mut refused), Stop::ask(ME), "a stop has to be taken back first");
+        hear(&mut refused, &[(0, held, held)], leading(Latch::held(6)));
+        assert_eq!(word(&mut refused), Stop::ask(ME), "that was not so when it was asked for");
+
         let mut order = Order::new(ME, Wish::Resume, 1);
         assert_eq!(word(&mut order), Stop::ask(ME));
-        hear(&mut order, &[], leading(Latch::engaged(5)));
-        assert_eq!(word(&mut order), Stop::ask(ME), "a stop has to be taken back first");
-        hear(&mut order, &[], leading(Latch::held(6)));
+        hear(&mut order, &[(0, held, held)], leading(Latch::held(6)));
         assert_eq!(word(&mut order), Stop::resume(ME, Latch::held(6)));
+        hear(&mut order, &[], leading(Latch::held(8)));
+        assert_eq!(word(&mut order), Stop::resume(ME, Latch::held(6)), "another hold, after another stop");
+        assert!(order.is_overtaken());
         let clear = Latch::clear(7);
+        let mut order = Order::new(ME, Wish::Resume, 1);
         hear(&mut order, &[(0, Some(clear), Some(clear))], leading(clear));
         assert!(order.met().is_some());
     }

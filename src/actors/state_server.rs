@@ -5,12 +5,12 @@
 //! the team; while a host is away that has said that it leaves, the team stands and waits for it. A restarted server
 //! learns from the heartbeats where the team is, gives up an episode that was running, and goes on with the next.
 
-use std::collections::BTreeMap;
+use std::collections::BTreeSet;
 
 use super::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::latch::{self, Latch, baseline};
+use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{
     Heartbeat, Hindrance, Leading, MAX_BLOCK, MAX_HINDRANCES, Mode, Phase, Round, Status, Stop,
 };
@@ -66,6 +66,8 @@ pub struct Config {
     pub placement: Placement,
     /// How long an episode may run.
     pub limit: Span,
+    /// By host: the robots whose agents or bodies it runs.
+    pub hosts: Vec<Vec<RobotId>>,
 }
 
 /// The state server.
@@ -78,8 +80,8 @@ pub struct StateServer {
     /// Whether it has taken up its work without hearing anyone.
     blind: bool,
     latch: Latch,
-    /// The hosts that have left and are not back, and their robots.
-    left: BTreeMap<HostId, Vec<RobotId>>,
+    /// The hosts that have left and are not back.
+    left: BTreeSet<HostId>,
     /// Whether its own host is about to end.
     leaves: bool,
     /// How many heartbeats claimed what cannot be.
@@ -104,7 +106,7 @@ impl StateServer {
             life,
             blind: false,
             latch: Latch::default(),
-            left: BTreeMap::new(),
+            left: BTreeSet::new(),
             leaves: false,
             overshot: 0,
             round: Round::default(),
@@ -118,7 +120,7 @@ impl StateServer {
     }
 
     /// What a robot last said, if that was not long ago.
-    fn present(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> {
+    fn present(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
         self.robots.iter().map(move |heard| {
             let (at, beat) = heard.as_ref()?;
             (now.since(*at) < MISSING_AFTER).then_some(beat)
@@ -159,7 +161,8 @@ impl StateServer {
         if heard.iter().any(|beat| beat.round == last && beat.phase == Phase::EpisodesFinished) {
             self.enter(now, Phase::EpisodesFinished);
         } else if waits {
-            self.begin(now, last.episode);
+            // A former incarnation waited for a host; it is not known which, so everyone has to follow first.
+            self.enter(now, Phase::Waiting);
         } else if last.epoch > 0 && heard.iter().any(in_the_midst) {
             tracing::warn!(episode = last.episode, "a running episode is given up: the state server was restarted");
             self.enter(now, Phase::AbortRunning);
@@ -185,19 +188,13 @@ impl StateServer {
 
     /// The latest round that a present robot follows, without what no honest one can.
     fn latest_round(&self, now: Time) -> Round {
-        let rounds = || self.present(now).flatten().map(|beat| beat.round);
-        let base = baseline(self.round.epoch.into(), rounds().map(|round| round.epoch.into()));
-        let credible = |round: &Round| u64::from(round.epoch) <= base + u64::from(Round::JUMP);
-        rounds().filter(credible).max().unwrap_or_default()
+        Round::latest(self.round, self.present(now).flatten().map(|beat| beat.round))
     }
 
     /// Takes up what robots know of the emergency stop, without what no honest one can.
     fn join_latches(&mut self, now: Time) {
-        let latches = || self.present(now).flatten().map(|beat| beat.latch);
-        let base = baseline(self.latch.number(), latches().map(Latch::number));
-        let credible = |latch: &Latch| latch.number() <= base + latch::JUMP;
-        let latest = latches().filter(credible).max().unwrap_or_default();
-        self.latched(self.latch.max(latest));
+        let latest = latch::latest(self.latch, self.present(now).flatten().map(|beat| beat.latch));
+        self.latched(latest);
     }
 
     /// Counts a heartbeat that claims what no honest robot can, and names the robot, less and less often.
@@ -216,7 +213,7 @@ impl StateServer {
     fn hindrances(&self, now: Time) -> Vec<(RobotId, Hindrance)> {
         let of = |(robot, beat): (RobotId, Option<&Heartbeat>)| {
             let hindrance = match beat {
-                _ if self.left.values().flatten().any(|left| *left == robot) => Hindrance::Left,
+                _ if self.left.iter().any(|&host| self.robots_of(host).contains(&robot)) => Hindrance::Left,
                 None => Hindrance::Missing,
                 Some(beat) if beat.latch != self.latch => Hindrance::Latched,
                 Some(_) => return None,
@@ -238,17 +235,20 @@ impl StateServer {
         }
     }
 
-    fn attend(&mut self, status: Status) {
-        let Status { host, leaves, robots, .. } = status;
-        if leaves {
-            let robots: Vec<RobotId> = robots.into_iter().map(|following| following.robot).collect();
-            let left = self.left.entry(host).or_default();
-            if !robots.iter().all(|robot| left.contains(robot)) {
-                left.extend(robots);
-                let robots: Vec<String> = left.iter().map(RobotId::to_string).collect();
-                tracing::warn!("host {} has left; the team stands and waits for {}", host.0, robots.join(", "));
-            }
-        } else if self.left.remove(&host).is_some() {
+    fn robots_of(&self, host: HostId) -> &[RobotId] {
+        self.config.hosts.get(usize::from(host.0)).map_or(&[], Vec::as_slice)
+    }
+
+    fn attend(&mut self, status: &Status) {
+        let Status { host, leaves, .. } = *status;
+        if self.robots_of(host).is_empty() {
+            // Without it no robot is missing.
+            return;
+        }
+        if leaves && self.left.insert(host) {
+            let robots: Vec<String> = self.robots_of(host).iter().map(RobotId::to_string).collect();
+            tracing::warn!("host {} has left; the team stands and waits for {}", host.0, robots.join(", "));
+        } else if !leaves && self.left.remove(&host) {
             tracing::warn!("host {} is back", host.0);
         }
     }
@@ -288,7 +288,7 @@ impl StateServer {
         if !self.latch.is_clear() {
             return self.hold(now);
         }
-        if !self.left.is_empty() {
+        if !self.left.is_empty() && self.phase != Phase::NeedReset {
             return self.wait(now);
         }
         let since = *self.since.get_or_insert(now);
@@ -296,9 +296,19 @@ impl StateServer {
         let everyone = self.present(now).all(|beat| beat.is_some());
         let gives_up = |beat: &Heartbeat| beat.round == self.round && beat.phase == Phase::AbortRunning;
         match self.phase {
-            Phase::NeedReset if everyone || lasted >= MUSTER_LIMIT => self.take_up(now),
-            Phase::Waiting if self.all_are(now, Phase::Waiting) || lasted >= MUSTER_LIMIT => {
-                self.begin(now, self.round.episode);
+            Phase::NeedReset if everyone || lasted >= MUSTER_LIMIT => {
+                self.take_up(now);
+                if !self.left.is_empty() {
+                    self.wait(now);
+                }
+            }
+            Phase::Waiting if self.all_are(now, Phase::Waiting) => self.begin(now, self.round.episode),
+            Phase::Waiting if lasted >= MUSTER_LIMIT => {
+                self.since = Some(now);
+                let missing = RobotId::team(self.robots.len()).zip(self.present(now));
+                let missing = missing.filter(|(_, beat)| beat.is_none_or(|beat| beat.phase != Phase::Waiting));
+                let names: Vec<String> = missing.map(|(robot, _)| robot.to_string()).collect();
+                tracing::warn!("the team stands and still waits for {}", names.join(", "));
             }
             Phase::Resetting if self.all_are(now, Phase::FinishedResetting) => self.enter(now, Phase::Running),
             Phase::Resetting if lasted >= RESET_LIMIT => {
@@ -360,7 +370,7 @@ impl Core for StateServer {
                 }
             }
             In::Stop(stop) => self.told(now, &stop, out),
-            In::Status(status) => self.attend(status),
+            In::Status(status) => self.attend(&status),
             In::Leave => {
                 self.leaves = true;
                 self.next = now;
@@ -396,7 +406,8 @@ mod tests {
         let passage = build("passage", &Settings::of(2)).unwrap();
         let layouts = Layouts::of_scenario(&*passage, 1, 2);
         let limit = Span::from_millis(25_000);
-        StateServer::new(Config { layouts, repeat: 0, placement: Placement::Drive, limit }, 2, 1)
+        let hosts = vec![vec![RobotId(0)], vec![RobotId(1)], vec![RobotId(0), RobotId(1)]];
+        StateServer::new(Config { layouts, repeat: 0, placement: Placement::Drive, limit, hosts }, 2, 1)
     }
 
     fn beat(server: &mut StateServer, now: Time, round: Round, phases: [Phase; 2]) {
@@ -443,7 +454,7 @@ mod tests {
         let swap = build("swap", &Settings::of(150)).unwrap();
         let layouts = Layouts::of_scenario(&*swap, 1, 2);
         let limit = Span::from_millis(60_000);
-        let config = Config { layouts, repeat: 0, placement: Placement::Exact, limit };
+        let config = Config { layouts, repeat: 0, placement: Placement::Exact, limit, hosts: Vec::new() };
         let mut server = StateServer::new(config, 150, 1);
         let blocks = |server: &mut StateServer, ms: u64, phase: Phase| -> Vec<u16> {
             for robot in RobotId::team(150) {
@@ -572,20 +583,20 @@ mod tests {
         server.handle(at_ms(60), In::Heartbeat(latched), &mut Vec::new());
         assert_eq!(resume(&mut server, 70).hindrances, [(RobotId(1), Hindrance::Latched)]);
         assert_eq!(server.latch, Latch::held(2));
-        server.handle(at_ms(80), In::Status(status(7, true, 0)), &mut Vec::new());
+        server.handle(at_ms(80), In::Status(status(0, true)), &mut Vec::new());
         follow(&mut server, at_ms(90), Latch::held(2), Phase::NeedReset);
         assert_eq!(resume(&mut server, 95).hindrances, [(RobotId(0), Hindrance::Left)]);
-        server.handle(at_ms(100), In::Status(status(7, false, 0)), &mut Vec::new());
+        server.handle(at_ms(100), In::Status(status(0, false)), &mut Vec::new());
         let missing = [(RobotId(0), Hindrance::Missing), (RobotId(1), Hindrance::Missing)];
         assert_eq!(resume(&mut server, 2000).hindrances, missing);
         follow(&mut server, at_ms(2010), Latch::held(2), Phase::NeedReset);
         assert_eq!(resume(&mut server, 2020), Leading { latch: Latch::clear(3), hindrances: Vec::new() });
     }
 
-    /// A host that runs one robot and leaves or is here.
-    fn status(host: u16, leaves: bool, robot: u16) -> Status {
-        let following = wire::Following { robot: RobotId(robot), controller: None, body: None };
-        Status { host: HostId(host), leaves, robots: vec![following], leading: None }
+    /// The word of a host that leaves or is here; what it says of robots is not believed.
+    fn status(host: u16, leaves: bool) -> Status {
+        let following = |robot| wire::Following { robot: RobotId(robot), controller: None, body: None };
+        Status { host: HostId(host), leaves, robots: (0..64).map(following).collect(), leading: None }
     }
 
     fn running() -> StateServer {
@@ -601,11 +612,11 @@ mod tests {
     #[test]
     fn the_team_waits_for_a_host_that_leaves_for_as_long_as_it_takes_and_uses_up_no_episode() {
         let mut server = running();
-        server.handle(at_ms(110), In::Status(status(1, true, 1)), &mut Vec::new());
+        server.handle(at_ms(110), In::Status(status(1, true)), &mut Vec::new());
         for ms in (150..60_000).step_by(50) {
             assert_eq!(tick(&mut server, at_ms(ms)), (round(1, 0), Phase::Waiting));
         }
-        server.handle(at_ms(60_000), In::Status(status(1, false, 1)), &mut Vec::new());
+        server.handle(at_ms(60_000), In::Status(status(1, false)), &mut Vec::new());
         follow(&mut server, at_ms(60_010), Latch::default(), Phase::NeedReset);
         assert_eq!(tick(&mut server, at_ms(60_050)).1, Phase::Waiting, "until all follow");
         follow(&mut server, at_ms(60_060), Latch::default(), Phase::Waiting);
@@ -625,7 +636,47 @@ mod tests {
         assert_eq!(modes(&out).len(), 1, "and repeats it at every step");
         let mut next = super::tests::server();
         beat(&mut next, at_ms(10), round(1, 0), [Phase::Waiting; 2]);
-        assert_eq!(tick(&mut next, at_ms(50)), (round(2, 0), Phase::Resetting), "the same episode");
+        assert_eq!(tick(&mut next, at_ms(50)), (round(2, 0), Phase::Waiting), "until all follow it");
+        beat(&mut next, at_ms(60), round(2, 0), [Phase::Waiting; 2]);
+        assert_eq!(tick(&mut next, at_ms(100)), (round(2, 0), Phase::Resetting), "the same episode");
+    }
+
+    #[test]
+    fn a_server_that_was_started_afresh_still_waits_for_a_host_that_has_left() {
+        let mut next = super::tests::server();
+        let round_of = |server: &StateServer| if server.round.epoch == 0 { round(1, 0) } else { server.round };
+        tick(&mut next, at_ms(0));
+        for ms in (0..60_000).step_by(50) {
+            let (robot, phase, latch) = (RobotId(0), Phase::Waiting, Latch::default());
+            let beat = Heartbeat { robot, round: round_of(&next), phase, latch };
+            next.handle(at_ms(ms), In::Heartbeat(beat), &mut Vec::new());
+            let (_, phase) = tick(&mut next, at_ms(ms));
+            assert!(matches!(phase, Phase::NeedReset | Phase::Waiting), "robot 1 has left: {phase:?}");
+        }
+        follow(&mut next, at_ms(60_000), Latch::default(), Phase::Waiting);
+        assert_eq!(tick(&mut next, at_ms(60_050)), (round(2, 0), Phase::Resetting));
+    }
+
+    #[test]
+    fn a_host_that_leaves_before_the_first_episode_is_waited_for_and_comes_back() {
+        let mut server = server();
+        tick(&mut server, at_ms(0));
+        server.handle(at_ms(10), In::Status(status(1, true)), &mut Vec::new());
+        let mut out = Vec::new();
+        server.wake(at_ms(10_050), &mut out);
+        assert_eq!(modes(&out)[0].phase, Phase::Waiting, "it is told, so that the host says that it is here");
+        server.handle(at_ms(10_100), In::Status(status(1, false)), &mut Vec::new());
+        follow(&mut server, at_ms(10_110), Latch::default(), Phase::Waiting);
+        assert_eq!(tick(&mut server, at_ms(10_150)).1, Phase::Resetting);
+    }
+
+    #[test]
+    fn a_host_of_no_team_and_a_member_that_repeats_itself_leave_nothing_behind() {
+        let mut server = running();
+        for host in 0..1000 {
+            server.handle(at_ms(110), In::Status(status(host % 500, true)), &mut Vec::new());
+        }
+        assert_eq!(server.left.len(), 3, "the hosts that there are");
     }
 
     #[test]
@@ -639,15 +690,19 @@ mod tests {
         }
         assert_eq!((server.round.epoch, server.latch), (1, Latch::default()));
         assert_eq!(server.overshot, 16);
+        let two_say = 1 << 25;
         let mut fresh = super::tests::server();
-        beat(&mut fresh, at_ms(0), round(40, 0), [Phase::NeedReset, Phase::NeedReset]);
+        beat(&mut fresh, at_ms(0), round(two_say, 0), [Phase::NeedReset; 2]);
         tick(&mut fresh, at_ms(0));
-        assert_eq!(fresh.round.epoch, 41, "what two say is taken up, however far");
+        assert_eq!(fresh.round.epoch, two_say + 1, "what two say is taken up, however far");
         let mut fresh = super::tests::server();
-        beat(&mut fresh, at_ms(0), round(40, 0), [Phase::NeedReset; 2]);
-        fresh.handle(at_ms(1), In::Heartbeat(far), &mut Vec::new());
+        fresh.handle(at_ms(0), In::Heartbeat(far.clone()), &mut Vec::new());
         tick(&mut fresh, at_ms(10));
-        assert_eq!((fresh.round.epoch, fresh.latch), (41, Latch::default()), "what one says against the other is not");
+        assert_eq!(fresh.latch, Latch::default(), "the first that is heard may lie, too");
+        beat(&mut fresh, at_ms(20), round(40, 0), [Phase::NeedReset; 2]);
+        fresh.handle(at_ms(30), In::Heartbeat(far), &mut Vec::new());
+        tick(&mut fresh, at_ms(40));
+        assert_eq!((fresh.round.epoch, fresh.latch), (41, Latch::default()));
     }
 
     #[test]

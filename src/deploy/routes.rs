@@ -121,6 +121,11 @@ impl Routes {
         Takers { hosts, but }
     }
 
+    /// The robots whose agents or bodies a host runs.
+    pub fn robots_of(&self, host: usize) -> &[RobotId] {
+        &self.robots_of[host]
+    }
+
     /// The hosts and what each may say.
     pub fn publishers(&self) -> Arc<Publishers> {
         Arc::clone(&self.publishers)

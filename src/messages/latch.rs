@@ -9,9 +9,11 @@ use serde::{Deserialize, Serialize};
 const WIRE_FACTOR: u64 = 251;
 /// The largest number on the wire. At `JUMP` for each of 8000 messages a second it is reached after 17 years.
 const MAX_NUMBER: u64 = 1 << 52;
-/// The furthest that a number may be ahead of what is known: nobody has missed so many changes. Without a bound, one
-/// message with the largest number would keep a team stopped for good.
-pub const JUMP: u64 = 1024;
+/// The largest number that is believed at once: a team that is stopped once a second reaches it after 45 years.
+const CREDIBLE: u64 = 1 << 32;
+/// The furthest that a number beyond `CREDIBLE` may be ahead of what is known. Without these bounds, one message with the
+/// largest number would keep a team stopped for good.
+const JUMP: u64 = 1024;
 
 /// Whether motors may turn; a later one is the more restrictive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -78,7 +80,7 @@ impl Latch {
 
     /// Whether another latch is so far ahead of this one that it cannot be an honest one.
     pub fn is_overshot_by(self, other: Latch) -> bool {
-        other.number > self.number + JUMP
+        other.number > ceiling(self.number)
     }
 
     /// The later of this latch and one that another host repeats; one that overshoots is ignored.
@@ -111,6 +113,8 @@ pub struct LatchFollower {
     latch: Latch,
     /// Whether the state server was heard.
     informed: bool,
+    /// What the state server said last, if that overshoots.
+    doubted: Option<Latch>,
 }
 
 impl LatchFollower {
@@ -129,13 +133,18 @@ impl LatchFollower {
         self.set(self.latch.told(said))
     }
 
-    /// Takes what the state server repeats; whether that has changed anything. The first time its number counts,
-    /// however large: a robot that was started afresh cannot know.
+    /// Takes what the state server repeats; whether that has changed anything. What overshoots counts when it is said a
+    /// second time: an actor that was started afresh cannot know, and a garbled number does not repeat.
     pub fn learned(&mut self, said: Latch) -> bool {
-        let later = match (self.informed, self.latch.is_engaged()) {
-            (true, _) => self.latch.joined(said),
-            (false, true) => said.told(self.latch),
-            (false, false) => self.latch.max(said),
+        let before = self.doubted.take();
+        let later = if !self.latch.is_overshot_by(said) {
+            self.latch.joined(said)
+        } else if before.is_some_and(|before| before <= said && !before.is_overshot_by(said)) {
+            // A stop that the state server has not heard of yet is not forgotten.
+            if self.latch.is_engaged() { said.told(self.latch) } else { said }
+        } else {
+            self.doubted = Some(said);
+            self.latch
         };
         self.informed = true;
         self.set(later)
@@ -146,15 +155,25 @@ impl LatchFollower {
     }
 }
 
-/// What is known for certain of a number that only grows: the own one, or the second largest that is heard; or the only
-/// one. A single robot that claims more may be wrong or lie.
-pub fn baseline(own: u64, heard: impl Iterator<Item = u64>) -> u64 {
-    let (mut largest, mut second, mut count) = (0, 0, 0);
-    for number in heard {
+/// The largest number that is believed where this one is known.
+fn ceiling(known: u64) -> u64 {
+    known.max(CREDIBLE) + JUMP
+}
+
+/// The latest of some latches, without one that alone is out of reach of the others and of what is known.
+pub fn latest(known: Latch, latches: impl Iterator<Item = Latch> + Clone) -> Latch {
+    let known_of_two = second_largest(latches.clone().map(Latch::number));
+    let ceiling = ceiling(known.number.max(known_of_two));
+    latches.filter(|latch| latch.number <= ceiling).fold(known, Latch::max)
+}
+
+/// The second largest of some numbers, which two have claimed; zero of fewer.
+pub fn second_largest(numbers: impl Iterator<Item = u64>) -> u64 {
+    let (mut largest, mut second) = (0, 0);
+    for number in numbers {
         (largest, second) = if number > largest { (number, largest) } else { (largest, second.max(number)) };
-        count += 1;
     }
-    own.max(if count == 1 { largest } else { second })
+    second
 }
 
 impl From<Latch> for u64 {
@@ -214,7 +233,7 @@ mod tests {
                 assert_eq!(known.joined(said), known, "what others repeat");
             }
             let stopped = known.told(Latch::engaged(far));
-            assert!(stopped.is_engaged() && stopped.number() <= 5);
+            assert!(stopped.is_engaged() && stopped.number() <= 5, "{known:?} {said:?}", said = far);
             assert!(stopped.told(Latch::held(stopped.number() + 1)).is_held());
         }
     }
@@ -222,12 +241,36 @@ mod tests {
     #[test]
     fn a_fresh_follower_learns_any_number_from_the_state_server_and_forgets_no_stop() {
         let mut fresh = LatchFollower::default();
-        assert!(!fresh.is_informed() && fresh.learned(Latch::held(9 * JUMP)) && fresh.is_informed());
-        assert_eq!(fresh.latch(), Latch::held(9 * JUMP));
-        assert!(!fresh.learned(Latch::clear(99 * JUMP)), "from then on nothing overshoots");
+        assert!(!fresh.is_informed() && fresh.learned(Latch::held(CREDIBLE)) && fresh.is_informed());
+        assert_eq!(fresh.latch(), Latch::held(CREDIBLE), "at once");
+        let far = CREDIBLE + 9 * JUMP;
+        assert!(!fresh.learned(Latch::clear(far)), "what overshoots has to be said twice");
+        assert!(!fresh.learned(Latch::held(CREDIBLE)) && !fresh.learned(Latch::clear(far)), "and in a row");
+        assert!(fresh.learned(Latch::clear(far + 1)));
+        assert_eq!(fresh.latch(), Latch::clear(far + 1));
         let mut stopped = LatchFollower::default();
-        assert!(stopped.told(Latch::engaged(0)) && stopped.learned(Latch::clear(9 * JUMP)));
-        assert_eq!(stopped.latch(), Latch::engaged(9 * JUMP + 1), "the state server has not heard of the stop yet");
+        assert!(stopped.told(Latch::engaged(0)) && !stopped.learned(Latch::clear(far)));
+        assert!(stopped.learned(Latch::clear(far)));
+        assert_eq!(stopped.latch(), Latch::engaged(far + 1), "the state server has not heard of the stop yet");
+    }
+
+    #[test]
+    fn a_robot_that_has_missed_a_thousand_changes_follows_the_next_and_so_does_a_server_that_forgot_them() {
+        let mut robot = LatchFollower::default();
+        assert!(
+            robot.told(Latch::engaged(5000)) && robot.told(Latch::held(9000)) && robot.learned(Latch::clear(20_000))
+        );
+        assert_eq!(Latch::default().told(Latch::engaged(5000)), Latch::engaged(5000));
+        assert_eq!(Latch::default().told(Latch::held(5000)), Latch::held(5000));
+    }
+
+    #[test]
+    fn what_one_claims_alone_out_of_reach_is_not_the_latest() {
+        let (far, known) = (Latch::engaged(MAX_NUMBER), Latch::clear(4));
+        assert_eq!(latest(known, [far].into_iter()), known);
+        assert_eq!(latest(known, [far, Latch::held(7)].into_iter()), Latch::held(7));
+        assert_eq!(latest(known, [far, far].into_iter()), far, "two say so");
+        assert_eq!(latest(known, [Latch::held(CREDIBLE)].into_iter()), Latch::held(CREDIBLE));
     }
 
     #[test]

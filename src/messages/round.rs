@@ -2,7 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The largest epoch on the wire. At `Round::JUMP` for each of 20 heartbeats a second it is reached after 38 days.
+use super::latch::second_largest;
+
+/// The largest epoch on the wire. At `Round::JUMP` for each of a state server's 20 decisions a second it is reached after
+/// 38 days.
 pub(super) const MAX_EPOCH: u32 = 1 << 30;
 
 /// Which instruction of the state server is meant: later epochs outrank, then later episodes.
@@ -15,13 +18,23 @@ pub struct Round {
 }
 
 impl Round {
-    /// The furthest that an epoch may be ahead of what is known: a state server goes on from the epoch that it hears,
-    /// so nobody has missed so many. Without a bound, one message with the largest epoch could never be overtaken.
-    pub const JUMP: u32 = 16;
+    /// The largest epoch that is believed at once: a state server that is started once an hour reaches it after a century.
+    const CREDIBLE: u32 = 1 << 20;
+    /// The furthest that an epoch beyond `CREDIBLE` may be ahead of what is known. Without these bounds, one message with
+    /// the largest epoch could never be overtaken.
+    const JUMP: u32 = 16;
 
     /// Whether another round is so far ahead of this one that it cannot be an honest one.
     pub fn is_overshot_by(self, other: Round) -> bool {
-        other.epoch > self.epoch.saturating_add(Round::JUMP)
+        other.epoch > self.epoch.max(Round::CREDIBLE) + Round::JUMP
+    }
+
+    /// The latest of some rounds, without one whose epoch alone is out of reach of the others and of what is known. The
+    /// epoch after it is still within the reach of those that follow what is known.
+    pub fn latest(known: Round, rounds: impl Iterator<Item = Round> + Clone) -> Round {
+        let second = second_largest(rounds.clone().map(|round| round.epoch.into()));
+        let ceiling = u64::from(known.epoch).max(second).max(Round::CREDIBLE.into()) + u64::from(Round::JUMP) - 1;
+        rounds.filter(|round| u64::from(round.epoch) <= ceiling).max().unwrap_or_default()
     }
 }
 
@@ -43,7 +56,8 @@ impl RoundFollower {
     /// it comes a second time, since an actor that was started afresh cannot know, and a garbled one does not repeat.
     pub fn admits(&mut self, said: Round) -> bool {
         let before = self.doubted.take();
-        if self.round.is_overshot_by(said) && before != Some(said.epoch) {
+        let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&said.epoch));
+        if self.round.is_overshot_by(said) && !repeated {
             self.doubted = Some(said.epoch);
             return false;
         }
@@ -67,8 +81,10 @@ mod tests {
         assert!(follower.admits(round(1)));
         follower.follow(round(1));
         assert!(!follower.admits(round(0)));
-        assert!(!follower.admits(round(900)) && !follower.admits(round(901)), "two garbled ones");
-        assert!(follower.admits(round(1)) && !follower.admits(round(901)), "not in a row");
-        assert!(follower.admits(round(901)));
+        let far = Round::CREDIBLE + 900;
+        assert!(!follower.admits(round(far)) && !follower.admits(round(far + 99)), "two garbled ones");
+        assert!(follower.admits(round(1)) && !follower.admits(round(far)), "not in a row");
+        assert!(follower.admits(round(far + 16)), "a state server that goes on meanwhile");
+        assert!(follower.admits(round(Round::CREDIBLE)), "what is credible at once");
     }
 }

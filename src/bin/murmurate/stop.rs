@@ -149,6 +149,10 @@ impl Asked<'_> {
             robots.collect::<Vec<_>>().join(", ")
         };
         let lacking = order.lacking();
+        if order.is_overtaken() {
+            let state = order.latch().map_or("unknown", |latch| latch.word());
+            return Some(format!("overtaken: somebody else has changed it meanwhile, and now the team is {state}"));
+        }
         let silent = names(&lacking, &[Lack::Silent]);
         let mut why = Vec::new();
         if self.wish == Wish::Resume {
