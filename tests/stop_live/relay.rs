@@ -97,6 +97,25 @@ fn released_beside_reports(team: &mut Running, relay: &mut Relay) {
     report(&format!("{released} commands, released after 0.5 s beside reports: all refused"));
 }
 
+/// Commands that were held back before a stop are released after the resume, beside newer ones: all are refused.
+fn released_after_a_resume(team: &mut Running, relay: &mut Relay) {
+    team.driven();
+    relay.tell("hold");
+    team.crew.pass(Duration::from_millis(400));
+    team.succeeds(&["stop"]);
+    team.succeeds(&["stop", "--rearm"]);
+    relay.tell("pass");
+    team.succeeds(&["resume"]);
+    team.driven();
+    let before = late(team);
+    let released = relay.tell("release 500") as u64;
+    late(team);
+    late(team);
+    let refused = late(team) - before;
+    assert!(released >= 20 && refused >= released, "{refused} of {released} were refused");
+    report(&format!("{released} commands of before a stop, released after the resume: all refused"));
+}
+
 /// How many datagrams the World's host has refused as late.
 fn late(team: &Running) -> u64 {
     team.crew.until("the World's host tells its counts", |heard| match &heard.said {
@@ -117,6 +136,7 @@ fn commands_that_a_relay_holds_back_drive_nobody_and_jitter_loses_nothing() {
     relay.tell("pass");
     released_beside_reports(&mut team, &mut relay);
     released_after(&mut team, &mut relay, Duration::from_secs(1), false);
+    released_after_a_resume(&mut team, &mut relay);
 }
 
 #[test]
@@ -126,7 +146,9 @@ fn commands_that_a_relay_holds_back_for_minutes_drive_nobody() {
     }
     let _alone = alone();
     let Some((mut team, mut relay)) = relayed() else { return };
-    for (held_s, rearmed) in [(1, false), (1, true), (8, false), (8, true), (45, false), (45, true), (300, false)] {
+    for (held_s, rearmed) in
+        [(1, false), (1, true), (8, false), (8, true), (45, false), (45, true), (300, false), (300, true)]
+    {
         released_after(&mut team, &mut relay, Duration::from_secs(held_s), rearmed);
     }
 }

@@ -166,20 +166,20 @@ impl Running {
     /// Stops the team; when it stood and when it had confirmed.
     pub fn stop(&self) -> Stopped {
         let (said, began) = self.succeeds(&["stop"]);
-        let mut last_driven = began;
         let deadline = Instant::now() + STEP;
+        // The first step of the World after which nobody is driven any more.
+        let mut stood = None;
         self.crew.until("the World steps on", |heard: &Heard| {
             if let Said::Row(row) = &heard.said
-                && row.is_driven()
+                && heard.at > began
             {
-                last_driven = last_driven.max(heard.at);
+                stood = if row.is_driven() { None } else { stood.or(Some(heard.at)) };
             }
             (heard.at >= deadline).then_some(())
         });
-        Stopped {
-            stood: last_driven.saturating_duration_since(began),
-            took_s: said["took_s"].as_f64().expect("it took"),
-        }
+        let stood = stood.expect("the World steps on and nobody is driven");
+        let took_s = said["took_s"].as_f64().expect("it took");
+        Stopped { stood: stood.saturating_duration_since(began), took_s }
     }
 
     /// Nobody is driven for a while.
