@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::{env, fs, io};
 
-/// What decides what a run computes.
+/// The files that decide what a run computes.
 const SOURCES: [&str; 4] = ["src", "policies", "Cargo.toml", "Cargo.lock"];
 
 fn main() -> io::Result<()> {

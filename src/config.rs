@@ -98,7 +98,7 @@ pub fn redacted(text: &str) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// What a parser says, without the values that it repeats from the text. Short names of fields are left, and the
+/// A parser's message without the values that it repeats from the text. Short names of fields are left, and the
 /// parser's own words.
 pub fn unquoted(message: &str) -> String {
     let (mut said, mut rest) = (String::new(), message);

@@ -28,7 +28,7 @@ pub enum In {
     Sample(Sample),
     /// The emergency stop, engaged or taken back.
     Stop(Stop),
-    /// What the state server repeats of it.
+    /// The latch as the state server repeats it.
     Latch(Latch),
     /// Its host is told to end.
     Leave,

@@ -21,7 +21,7 @@ pub struct Host {
     pub id: HostId,
     /// The team's number.
     pub team: u16,
-    /// What tells this process from former ones of the same host: a random number.
+    /// The incarnation: a random number that tells this process from former ones of the same host.
     pub incarnation: u32,
     /// The root of what its link layer draws, from the operating system.
     pub secret: Seed,

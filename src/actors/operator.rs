@@ -26,7 +26,7 @@ use crate::random::Seed;
 
 /// An operator and its links.
 pub struct Operator {
-    /// Who it is: a number drawn for this process, the team's number, a random incarnation.
+    /// Its identity: a number drawn for this process, the team's number, a random incarnation.
     pub me: Identity,
     /// The root of its randomness, from the operating system.
     pub seed: Seed,

@@ -93,7 +93,7 @@ impl Order {
         self.met
     }
 
-    /// What the state server has said of the latch.
+    /// The latch and the hindrances as the state server has told them.
     pub fn leading(&self) -> Option<&Leading> {
         self.leading.as_ref()
     }

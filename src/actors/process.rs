@@ -29,7 +29,7 @@ pub struct Process {
     pub only: Option<HostId>,
     /// The team's number on every link.
     pub team: u16,
-    /// What tells this process from former ones of the same host: a random number.
+    /// The incarnation: a random number that tells this process from former ones of the same host.
     pub incarnation: u32,
     /// The root of what the link layer draws, which nobody else may know; `None` for that of the run.
     pub secret: Option<Seed>,
@@ -43,7 +43,7 @@ pub struct Process {
     pub hear: Rc<dyn Fn(Heard)>,
 }
 
-/// What Networks and Controllers of this process make known.
+/// Something that Networks and Controllers of this process make known.
 #[derive(Clone, Copy, Debug)]
 pub enum Heard<'a> {
     /// An actor of this process has said something.

@@ -22,7 +22,7 @@ use crate::time::{Span, Time};
 const MAX_SLEEP: Span = Span::from_millis(1000);
 /// Descriptors that one look tells of; the others are told of by the next.
 const TOLD_AT_ONCE: usize = 16;
-/// What the alarm is called among the descriptors.
+/// The name of the alarm among the descriptors.
 const ALARM: u64 = u64::MAX;
 
 /// File descriptors, and who is rung when one of them has something to read.

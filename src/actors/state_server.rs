@@ -46,7 +46,7 @@ pub enum In {
     Leave,
 }
 
-/// What a StateServer says.
+/// Everything that a StateServer says.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// To everyone: what is to be done.
@@ -565,7 +565,7 @@ mod tests {
         out.iter().filter_map(|said| if let Out::Mode(mode) = said { Some(mode) } else { None }).collect()
     }
 
-    /// What an operator learns that asks for a resume.
+    /// The answer to an operator that asks for a resume.
     fn resume(server: &mut StateServer, ms: u64) -> Leading {
         let (by, mut out) = (HostId::operator(1), Vec::new());
         server.handle(at_ms(ms), In::Stop(Stop::resume(by, server.latch)), &mut out);

@@ -23,7 +23,7 @@ const HERE_PERIOD: Span = Span::from_millis(200);
 /// How long after an actor has told its latch that is worth telling: two of a controller's heartbeats and some.
 const STALE: Span = Span::from_millis(500);
 
-/// What a Status accepts.
+/// Everything that a Status accepts.
 #[derive(Clone, Debug)]
 pub enum In {
     /// An operator asks, or engages or takes back the stop.
@@ -32,9 +32,9 @@ pub enum In {
     Controller(RobotId, Latch),
     /// The latch that a robot's body follows.
     Body(RobotId, Latch),
-    /// What the state server, which runs here, knows.
+    /// The state server, which runs here, answers.
     Leading(Leading),
-    /// What the team is to do.
+    /// The phase that the team is in.
     Mode(Phase),
     /// The host is told to end.
     Leave,

@@ -113,7 +113,7 @@ pub struct LatchFollower {
     latch: Latch,
     /// Whether the state server was heard.
     informed: bool,
-    /// What the state server said last, if that overshoots.
+    /// The latch that the state server said last, if that overshoots.
     doubted: Option<Latch>,
 }
 

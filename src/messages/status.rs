@@ -42,7 +42,7 @@ impl TryFrom<u8> for Hindrance {
     }
 }
 
-/// What the state server knows of the emergency stop and of what keeps it from granting a resume.
+/// The state server's view of the emergency stop, and of what keeps it from granting a resume.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Leading {
     /// The latch that it follows.
@@ -54,7 +54,7 @@ pub struct Leading {
 /// The most robots that are named in one `Leading`.
 pub const MAX_HINDRANCES: usize = 16;
 
-/// What one host says of itself: to operators, how far its robots follow the emergency stop; to the state server, that
+/// One host's word of itself: to operators, how far its robots follow the emergency stop; to the state server, that
 /// it leaves or is here.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {

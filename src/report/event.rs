@@ -20,7 +20,7 @@ pub enum HostEvent {
     },
     /// An episode is over; told by the host with the World.
     Episode(Episode),
-    /// What it has counted so far: once a second, and as its last word where the team has not finished.
+    /// All counts so far: once a second, and as its last word where the team has not finished.
     Counted(Counted),
     /// The team has finished its episodes.
     Finished(Counted),

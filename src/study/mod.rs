@@ -182,7 +182,7 @@ impl Study {
         }
     }
 
-    /// What the record of a trial belongs to. Other columns, other entrants and the number of repeats decide nothing.
+    /// The origin of a trial's record. Other columns, other entrants and the number of repeats decide nothing.
     pub fn origin(&self, job: Job) -> Origin {
         let (column, entrant) = (&self.columns[job.column], &self.entrants[job.entrant]);
         let conditions = (

@@ -23,7 +23,7 @@ const FAR_M: f32 = 2.0;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
-    /// What it belongs to.
+    /// Its origin.
     pub origin: Origin,
     /// The column.
     pub column: String,

@@ -38,7 +38,7 @@ use crate::team::{Case, OPERATOR, Running};
 const TEAM: u16 = 1;
 const LIBRARY: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1";
 
-/// What sets the clock of one process; none, saying so, where that cannot be had.
+/// The variables that set the clock of one process; none, saying so, where that cannot be had.
 fn clock(when: &str) -> Option<Vec<(String, String)>> {
     if !Path::new(LIBRARY).exists() {
         report("skipped: clocks are set by Debian's package 'faketime', which is not there");

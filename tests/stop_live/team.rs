@@ -47,12 +47,12 @@ pub struct Running {
     pub sets: Vec<String>,
     /// The host of the state server.
     pub server: String,
-    /// What is set for the clock of a host that is started.
+    /// Variables that set the clock of a host that is started.
     pub clocks: Clocks,
     _folder: tempfile::TempDir,
 }
 
-/// What came of one stop.
+/// The outcome of one stop.
 pub struct Stopped {
     /// When the motors stood, from the start of the operator's process.
     pub stood: Duration,

@@ -246,7 +246,7 @@ impl Seen {
         report.simulated = report.totals.end.since(Time::ZERO);
     }
 
-    /// What it has counted so far.
+    /// All counts so far.
     fn counted(&self, graph: &Graph) -> Counted {
         let (refused, lost) = graph.undelivered();
         let robot = |(&robot, &counts): (&RobotId, &SafetyCounts)| RobotSafety { robot, counts };

@@ -76,7 +76,7 @@ pub fn at_post<'a>(post: &'a Post, deployment: &Deployment) -> impl Iterator<Ite
     (0..deployment.links.len()).map(move |link| (link == at).then(|| &post.sockets[0]))
 }
 
-/// What of all that arrives is let through to a host of the team.
+/// The filter in the kernel for a host of the team.
 pub fn filter(team: &Team) -> Filter {
     Filter::Team { number: team.number, tagged: team.key_file.is_some() }
 }

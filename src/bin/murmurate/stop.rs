@@ -65,7 +65,7 @@ pub fn resume(args: &ResumeArgs) -> Result<Ended> {
     Asked { team: &args.team, wish: Wish::Resume, json: args.json }.run()
 }
 
-/// What the user has asked for.
+/// The request of the user.
 struct Asked<'a> {
     team: &'a team::TeamArgs,
     wish: Wish,

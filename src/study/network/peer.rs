@@ -192,7 +192,7 @@ mod tests {
         Peer::new(Task { number: 3, case, stations: 2, features: 4, seconds: 20.0, seed: 1 }, 0, Time::ZERO)
     }
 
-    /// What one wake says.
+    /// The messages of one wake.
     fn woken(peer: &mut Peer, now: Time) -> usize {
         let mut out = Vec::new();
         peer.wake(now, &mut out);

@@ -136,7 +136,7 @@ struct Results {
     episodes: BTreeMap<u32, Episode>,
     /// By process: what its life that runs has counted so far, or the last one had.
     counted: Vec<Counted>,
-    /// What lives before those have counted.
+    /// The counts of earlier lives.
     past: Vec<Counted>,
 }
 

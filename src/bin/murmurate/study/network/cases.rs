@@ -31,7 +31,7 @@ struct Identity {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
-    /// What it belongs to.
+    /// Its origin.
     origin: Origin,
     case: Case,
     /// What came of it.
@@ -61,14 +61,14 @@ impl Journal {
         Ok(Journal { sweep, folder, link })
     }
 
-    /// What the record of a case belongs to. What else is varied decides nothing.
+    /// The origin of a case's record. Nothing else that is varied decides it.
     fn origin(&self, source: Source, case: &Case) -> Origin {
         let Sweep { stations, bytes, medium, history, seconds, seed, .. } = &self.sweep;
         let link = self.link.as_ref().filter(|_| source == Source::Live);
         Origin::here(STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
     }
 
-    /// What came of each case, as far as it is there and whole.
+    /// The outcome of each case, as far as it is there and whole.
     pub fn kept(&self, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
         let one = |(at, case): (usize, &Case)| {
             let record: Record = self.folder.as_ref()?.kept(&name(source, at))?;

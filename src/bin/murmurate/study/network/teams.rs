@@ -37,7 +37,7 @@ impl Team {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Record {
-    /// What it belongs to.
+    /// Its origin.
     origin: Origin,
     mode: String,
     cost: Cost,

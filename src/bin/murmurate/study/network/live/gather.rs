@@ -21,7 +21,7 @@ const LOOK: u16 = 100;
 /// so that strangers who say nothing hold nobody up for longer.
 const GREETED: usize = 256;
 
-/// What came of a connection: the host's name, and the way to it.
+/// A connection that was greeted: the host's name, and the way to it.
 type Greeted = (SocketAddr, Result<(String, Line)>);
 
 /// Waits until every host has come; nobody is there after a Ctrl-C.
