@@ -1,17 +1,22 @@
-//! Abuse: whatever a network, a stranger or a broken host sends is refused under its cause, and nobody else suffers.
+//! Abuse: all that a network, a stranger or a broken host may send is refused under its cause, and nobody else suffers.
 
 mod rig;
 
+use std::net::SocketAddr;
+use std::sync::Arc;
+
 use murmurate::actors::Core;
-use murmurate::actors::network::In;
-use murmurate::messages::ids::HostId;
-use murmurate::messages::wire::Wire;
+use murmurate::actors::network::{Config, Identity, In, Network, Out};
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::latch::Latch;
+use murmurate::messages::wire::{Kind, Stop, Wire};
 use murmurate::net::codec::{self, Content, Flags, Header};
-use murmurate::net::incoming::MAX_SENDERS;
 use murmurate::net::key::{Key, TAG_BYTES};
-use murmurate::net::link::LinkCounts;
-use murmurate::net::reliability::Reliabilities;
+use murmurate::net::link::{LinkCounts, Standing};
+use murmurate::net::reliability::{Reliabilities, Setup};
 use murmurate::net::report::{Entry, Report, Stamp};
+use murmurate::net::router::{Audience, Publishers, Route, Router};
+use murmurate::net::transport::guests::Guest;
 use murmurate::time::{Span, Time};
 use proptest::prelude::*;
 use rig::{LINK, Rig, TEAM, config, key, latent, multicast, network, report};
@@ -33,7 +38,7 @@ fn held_back(rig: &mut Rig) -> Vec<u8> {
     rig.last_data(1).to_vec()
 }
 
-/// What host 0 has counted after datagrams, less what it had at the last full second.
+/// Counts of host 0 after datagrams, less what it had at the last full second.
 fn counted_for(rig: &mut Rig, frames: &[Vec<u8>]) -> LinkCounts {
     let before = rig.counts[0];
     rig.delivered[0].clear();
@@ -262,22 +267,205 @@ fn one_babbler_of_twenty_is_limited_alone() {
     assert!(rig.counted(0).rate > 50_000);
 }
 
-#[test]
-fn made_up_senders_find_no_room() {
-    let config = config(0, 2, 1, None, multicast(Reliabilities::new()));
-    let mut network = network(config);
+/// The counts of a network after a second.
+fn counts_of(network: &mut Network) -> LinkCounts {
     let mut out = Vec::new();
-    for sender in 1..=20_000 {
-        let frame = codec::encode(&header(sender, 1, 1), &latent(1, 1)).unwrap();
-        network.handle(Time::ZERO, In::Frame(LINK, frame, None), &mut out);
-        out.clear();
-    }
     network.wake(Time::ZERO + Span::from_millis(1000), &mut out);
-    let counts = out.iter().find_map(|said| match said {
-        murmurate::actors::network::Out::Counts(counts) => Some(**counts),
-        _ => None,
+    let counts = out.iter().find_map(|said| if let Out::Counts(counts) = said { Some(**counts) } else { None });
+    counts.expect("it tells its counts")
+}
+
+/// The way of a stop: for everyone.
+const STOP: Route = Route { local: true, leaves: Some((LINK, Audience::All)) };
+
+/// The configuration of host 0 of a team of four, which knows the hosts of its team.
+fn team_of_four(key: Option<Key>, setup: Setup) -> Config {
+    let mut config = config(0, 4, 1, key, setup);
+    let agents: Vec<HostId> = (0..4).map(HostId).collect();
+    let names = agents.iter().map(|host| format!("host {}", host.0)).collect();
+    let publishers = Publishers { names, bodies: agents.clone(), agents, server: HostId(0) };
+    let all = |_, robot: RobotId| Route { local: robot != RobotId(0), leaves: None };
+    let router = Router::new(4, |kind, robot| if kind == Kind::Stop { STOP } else { all(kind, robot) });
+    config.router = router.with_publishers(Arc::new(publishers));
+    config
+}
+
+fn engage(number: u16) -> Wire {
+    Wire::Stop(Stop::engage(HostId::operator(number), Latch::default()))
+}
+
+#[test]
+fn made_up_senders_take_no_room_from_hosts_of_the_team_and_operators() {
+    let mut network = network(team_of_four(None, multicast(Reliabilities::new())));
+    let mut delivered = |sender: u16, sequence: u32, message: Wire| {
+        let mut out = Vec::new();
+        let frame = codec::encode(&header(sender, 1, sequence), &message).expect("a sound message");
+        network.handle(Time::ZERO, In::Frame(LINK, frame, None), &mut out);
+        out.iter().filter(|said| matches!(said, Out::Deliver(_))).count()
+    };
+    assert_eq!(delivered(1, 1, latent(1, 1)), 1);
+    for sender in 4..=20_000 {
+        delivered(sender, 1, latent(1, 1));
+    }
+    let operators = (0..HostId::OPERATORS).map(|number| delivered(HostId::operator(number).0, 1, engage(number)));
+    assert_eq!(operators.sum::<usize>(), usize::from(HostId::OPERATORS), "each operator is heard");
+    assert_eq!(delivered(1, 2, latent(1, 2)), 1, "a host that was believed before is");
+    assert_eq!(delivered(3, 1, latent(3, 1)), 1, "and one that comes later");
+    let counts = counts_of(&mut network);
+    assert_eq!((counts.crowd, counts.replay + counts.twin), (0, 0));
+}
+
+#[test]
+fn an_operator_and_a_host_prove_themselves_beside_thousands_that_a_member_makes_up() {
+    let none = config(9, 4, 1, None, multicast(Reliabilities::new()));
+    let mut rig = Rig::new([team_of_four(Some(key()), multicast(Reliabilities::new())), none.clone(), none]);
+    let says_hello = |rig: &mut Rig, sender: u16, stamp: u64| {
+        let mut bytes = codec::start(&header(sender, 1, stamp as u32));
+        let report = Report { stamp: Stamp::new(stamp), heard: Vec::new() };
+        codec::add(&mut bytes, Content::Report, |bytes| report.write(bytes));
+        key().seal(&mut bytes, LINK, None);
+        rig.arrive(0, &bytes);
+    };
+    // Candidates that never prove themselves, of both kinds; then some that do.
+    for sender in 0..3000 {
+        says_hello(&mut rig, 4 + sender, 5);
+        says_hello(&mut rig, HostId::operator(sender).0, 5);
+    }
+    rig.run_ms(500);
+    for number in 0..3000 {
+        let frame = lively(&rig, header(HostId::operator(number).0, 2, 1), &engage(number));
+        rig.arrive(0, &frame);
+    }
+    assert_eq!(rig.delivered[0].len(), 3000, "each is believed");
+    rig.delivered[0].clear();
+    // A real one of each kind, from its first datagram on.
+    rig.restart(1, config(3, 4, 7, Some(key()), multicast(Reliabilities::new())));
+    rig.restart(2, operator(5, 7));
+    for _ in 0..25 {
+        let micros = rig.now.as_nanos() / 1000;
+        says_hello(&mut rig, HostId::operator((micros % 3000) as u16).0, micros);
+        rig.publish(1, latent(3, 1));
+        rig.publish(2, engage(5));
+        rig.run_ms(20);
+    }
+    let heard = |kind: Kind| rig.delivered[0].iter().filter(|(_, message)| message.kind() == kind).count();
+    assert!(heard(Kind::Latent) > 10 && heard(Kind::Stop) > 10, "{} {}", heard(Kind::Latent), heard(Kind::Stop));
+    assert_eq!(rig.counted(0).crowd, 0);
+}
+
+/// An operator with this number.
+fn operator(number: u16, epoch: u32) -> Config {
+    let router = Router::new(4, |kind, _| match kind {
+        Kind::Stop => STOP,
+        _ => Route::default(),
     });
-    assert_eq!(counts.map(|counts| counts.crowd), Some(20_000 - MAX_SENDERS as u64));
+    let me = Identity { host: HostId::operator(number), team: TEAM, epoch };
+    let setup = Setup { report_rides: Span::ZERO, ..multicast(Reliabilities::new()) };
+    Config { me, key: Some(key()), links: vec![Some(setup)], router }
+}
+
+/// A team of two hosts and an operator, on a link where datagrams are addressed if `setup` says so, after the operator
+/// has said some stops; and all that it has said.
+fn with_operator(setup: &Setup) -> (Rig, Vec<Vec<u8>>) {
+    let host = |host| config(host, 2, 1, Some(key()), setup.clone());
+    let mut rig = Rig::new([host(0), host(1), config(9, 2, 1, None, setup.clone())]);
+    rig.run_ms(1000);
+    let mut config = operator(5, 7);
+    config.links = vec![Some(Setup { report_rides: Span::ZERO, ..setup.clone() })];
+    rig.restart(2, config);
+    for _ in 0..10 {
+        rig.publish(2, engage(5));
+        rig.run_ms(20);
+    }
+    let said = rig.sent.iter().filter(|flight| flight.from == 2).map(|flight| flight.frame.to_vec()).collect();
+    (rig, said)
+}
+
+#[test]
+fn a_recording_of_an_operator_from_elsewhere_does_not_take_its_answers() {
+    let setup = Setup::unicast(Reliabilities::new());
+    let (mut rig, said) = with_operator(&setup);
+    let [here, elsewhere] = [1, 2].map(|port| Some(SocketAddr::from(([127, 0, 0, 1], port))));
+    // What it says itself comes from its own address.
+    let delay = std::mem::replace(&mut rig.delay, Span::from_secs(1e6));
+    rig.publish(2, engage(5));
+    let fresh = rig.sent.last().expect("it has said a stop").frame.clone();
+    rig.delay = delay;
+    let guest =
+        |at: Option<SocketAddr>, standing| Guest { host: HostId::operator(5), at: at.expect("an address"), standing };
+    rig.arrive_from(0, &fresh, here);
+    assert_eq!(rig.admitted[0], [guest(here, Standing::Proven)]);
+    for frame in said.iter().chain([&fresh.to_vec()]) {
+        rig.arrive_from(0, frame, elsewhere);
+    }
+    assert_eq!(rig.admitted[0].len(), 1, "a recording of one that is believed admits nobody");
+
+    // Once the operator is forgotten, its recordings are those of one that has to prove itself, and soon of none.
+    rig.restart(2, config(9, 2, 1, None, setup));
+    rig.run_ms(20_000);
+    for _ in 0..50 {
+        said.iter().for_each(|frame| rig.arrive_from(0, frame, elsewhere));
+        rig.run_ms(100);
+    }
+    let admitted = &rig.admitted[0][1..];
+    assert!(!admitted.is_empty() && admitted.iter().all(|guest| guest.standing == Standing::Unproven));
+    assert!(admitted.len() <= 20 * said.len(), "{} times, in 2 s and never again", admitted.len());
+    let before = rig.admitted[0].len();
+    said.iter().for_each(|frame| rig.arrive_from(0, frame, elsewhere));
+    assert_eq!(rig.admitted[0].len(), before);
+}
+
+#[test]
+fn a_recording_of_an_operator_that_is_repeated_makes_no_host_say_more() {
+    for setup in [multicast(Reliabilities::new()), Setup::unicast(Reliabilities::new())] {
+        let (mut rig, said) = with_operator(&setup);
+        rig.restart(2, config(9, 2, 1, None, setup));
+        rig.run_ms(20_000);
+        let mut spoken = |recordings: &[Vec<u8>]| {
+            rig.sent.clear();
+            for ms in 0..10_000 {
+                if ms % 200 == 0 {
+                    rig.publish(1, rig::heartbeat(1, ms));
+                }
+                for frame in recordings {
+                    rig.arrive(1, frame);
+                }
+                rig.run_ms(1);
+            }
+            let own = rig.sent.iter().filter(|flight| flight.from == 1);
+            (own.clone().count(), own.map(|flight| flight.bytes).sum::<usize>())
+        };
+        let quiet = spoken(&[]);
+        let [first, all] = [spoken(&said[..1]), spoken(&said)];
+        println!("datagrams and bytes in 10 s: quiet {quiet:?}, one recording {first:?}, all {all:?}");
+        // A burst of answers at most, while its stamps are new: 25, and 4 a second for as long as that lasts.
+        assert!(first.0 <= quiet.0 + 2, "one recording is answered once: {first:?} beside {quiet:?}");
+        assert!(all.0 <= quiet.0 + 30, "{all:?} beside {quiet:?}");
+        assert!(all.1 <= 15_000, "the budget of soft state is 1.5 kB/s: {all:?}");
+    }
+}
+
+#[test]
+fn sequences_of_recordings_without_end_cause_few_answers() {
+    let (mut rig, _) = two();
+    rig.sent.clear();
+    for ms in 0..10_000u32 {
+        // More former operators than are remembered, and stamps that always advance.
+        for number in [ms, ms + 1] {
+            let sender = HostId::operator((number % 3000) as u16).0;
+            let mut bytes = codec::start(&header(sender, 1, ms));
+            let report = Report { stamp: Stamp::new(1_000_000 + u64::from(ms)), heard: Vec::new() };
+            codec::add(&mut bytes, Content::Report, |bytes| report.write(bytes));
+            key().seal(&mut bytes, LINK, None);
+            rig.arrive(1, &bytes);
+        }
+        rig.run_ms(1);
+    }
+    let count = rig.sent.iter().filter(|flight| flight.from == 1).count();
+    let bytes: usize = rig.sent.iter().filter(|flight| flight.from == 1).map(|flight| flight.bytes).sum();
+    println!("in 10 s {count} datagrams, {bytes} bytes");
+    assert!(count <= 25 + 40 + 50, "25 at once, 4 a second, and regular reports: {count}");
+    assert!(bytes <= 25_000, "{bytes}");
 }
 
 fn junk() -> impl Strategy<Value = Vec<Vec<u8>>> {

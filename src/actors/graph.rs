@@ -343,8 +343,8 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
             }
             network::Out::Peers(peers) => hear(Heard::Peers(&peers)),
             network::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
-            network::Out::Admit(link, host, at) => {
-                transports[usize::from(link.0)].send(transport::In::Admit { host, at });
+            network::Out::Admit(link, guest) => {
+                transports[usize::from(link.0)].send(transport::In::Admit(guest));
             }
             network::Out::Transmit(link, audience, frame) => {
                 let transmit = Transmit { from: host, audience, frame };

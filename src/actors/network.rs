@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
 use super::Core;
-use crate::messages::ids::{HostId, LinkId};
+use crate::messages::ids::LinkId;
 use crate::messages::wire::{Kind, Wire};
 use crate::net::codec::{self, Content, Flags, Frame, Header};
 use crate::net::key::Key;
@@ -19,6 +19,7 @@ use crate::net::outgoing::Leaving;
 use crate::net::reliability::{Ride, Setup};
 use crate::net::router::{Audience, Router};
 use crate::net::sender::Peer;
+use crate::net::transport::guests::Guest;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
@@ -49,8 +50,8 @@ pub enum Out {
     Peers(Vec<Peer>),
     /// Another live host has the id of this one and was started before it. Said once.
     Duplicate(Duplicate),
-    /// To a link's transport: an operator of the team speaks from this address, which is in no file.
-    Admit(LinkId, HostId, SocketAddr),
+    /// To a link's transport: an operator of the team speaks from an address that is in no file.
+    Admit(LinkId, Guest),
 }
 
 /// The longest that a timer of a link may be late to share a wake-up with another: a tenth of the period of a report.
@@ -120,7 +121,8 @@ impl Network {
         let Config { me, key, links, router } = config;
         let shared = links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.ride == Ride::Any)).collect();
         let ids = (0..=u16::MAX).map(LinkId);
-        let mut state = |id, setup| LinkState::new(me, id, key.clone(), setup, &mut stream);
+        let hosts = router.hosts();
+        let mut state = |id, setup| LinkState::new(me, id, key.clone(), Setup { hosts, ..setup }, &mut stream);
         let links: Vec<Option<LinkState>> =
             ids.zip(links).map(|(id, setup)| setup.map(|setup| state(id, setup))).collect();
         let due = links.iter().map(|link| link.as_ref().and_then(LinkState::due)).collect();
@@ -185,8 +187,8 @@ impl Network {
         let Some(state) = self.links.get_mut(at).and_then(Option::as_mut) else { return };
         let admitted = state.admit(now, frame, &mut self.stream, &mut self.leaving);
         self.due[at] = state.due();
-        if let (Some(operator), Some(from), false) = (state.operator(), from, self.shared[at]) {
-            out.push(Out::Admit(link, operator, from));
+        if let (Some((host, standing)), Some(at), false) = (state.operator(), from, self.shared[at]) {
+            out.push(Out::Admit(link, Guest { host, at, standing }));
         }
         if let Some(duplicate) = state.duplicate().filter(|_| !self.duplicates) {
             self.duplicates = true;
@@ -273,7 +275,7 @@ impl Core for Network {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
-    use crate::messages::ids::RobotId;
+    use crate::messages::ids::{HostId, RobotId};
     use crate::messages::wire::Reading;
     use crate::net::reliability::Reliabilities;
     use crate::net::router::Route;

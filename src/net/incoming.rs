@@ -1,4 +1,4 @@
-//! What arrives on a link: which incarnations are believed, what is new, what is missing. Decides; sends nothing.
+//! Arrival on a link: which incarnations are believed, what is new, what is missing. Decides; sends nothing.
 //!
 //! On a link with a key a sender is let in only once it has shown that it is alive now: it echoes a stamp of this host
 //! that is no older than `FRESH`. So a recording proves nothing, not even to a host that has just been restarted. Of a
@@ -6,7 +6,7 @@
 //! are told apart by their incarnations, any number of them side by side.
 
 use super::bucket::Rate;
-use super::candidates::Candidates;
+use super::candidates::{Candidates, Noted};
 use super::codec::{Flags, Header};
 use super::counts::LinkCounts;
 use super::gaps::Gaps;
@@ -14,15 +14,14 @@ use super::offset::Offsets;
 use super::report::{Entry, Name, REPORT_BYTES, Report, Stamps};
 use super::router::Audience;
 use super::sender::{Peer, Sender};
-use super::telling::{Occasion, Senders, Telling};
+use super::senders::Senders;
+use super::telling::{Occasion, Telling};
 use super::twins::Twins;
 use super::window::{Place, Window};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// The most senders that are believed on a link, and the most candidates beside them.
-pub const MAX_SENDERS: usize = 1024;
 /// How old an echo may be and still show that its sender is alive; and how long a stamp is echoed.
 pub const FRESH: Span = Span::from_millis(2000);
 /// How long after showing that it is alive a sender is believed: in a team of 200 reports list each host every 3 s, and
@@ -39,8 +38,6 @@ pub const UNHEARD: Span = Span::from_millis(300);
 pub const LOSS_TO_REPEAT: u8 = 2;
 /// Reported loss from which it is repeated twice: 40 %.
 pub const LOSS_TO_REPEAT_TWICE: u8 = 26;
-/// How long a sender is remembered in silence, once there are too many.
-const FORGET: Span = Span::from_millis(20_000);
 /// Datagrams of a second live host from which it is logged: a host that is restarted within `SILENT` is none.
 const TWINS_TO_LOG: u64 = 8;
 
@@ -56,18 +53,18 @@ pub enum Prompt {
     Now,
 }
 
-/// What becomes of a datagram.
+/// Fate of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// It is new.
     New(Prompt),
     /// It was here; a sender that wants acknowledgements has missed one.
     Again,
+    /// It is not let in: its sender has to show first that it is alive, and may be waiting for an answer to do so.
+    Unproven(Prompt),
     /// It is not let in.
-    Refused(Prompt),
+    Refused,
 }
-
-const REFUSED: Verdict = Verdict::Refused(Prompt::No);
 
 /// This host as one link knows it.
 #[derive(Clone, Copy, Debug)]
@@ -80,6 +77,8 @@ pub struct Here {
     pub link: LinkId,
     /// Whether senders have to show that they are alive: on a link with a key.
     pub guarded: bool,
+    /// The least number that no host of the team has.
+    pub first_guest: HostId,
     /// Bytes of an entry of its reports.
     pub entry_bytes: usize,
     /// The clock of its stamps.
@@ -101,7 +100,6 @@ pub struct Incoming {
     rate: Option<Rate>,
     senders: Senders,
     candidates: Candidates,
-    forgot: Time,
     /// What is missing.
     pub gaps: Gaps,
     telling: Telling,
@@ -114,8 +112,8 @@ impl Incoming {
     pub fn new(here: Here, rate: Option<Rate>) -> Incoming {
         let telling = Telling::new(here.host, here.guarded, here.entry_bytes);
         let twins = Twins::new(here.link, here.host, here.epoch);
-        let (senders, candidates, gaps) = (Senders::new(), Candidates::default(), Gaps::default());
-        Incoming { here, rate, senders, candidates, forgot: Time::ZERO, gaps, telling, twins }
+        let (senders, candidates) = (Senders::new(here.first_guest), Candidates::new(here.first_guest));
+        Incoming { here, rate, senders, candidates, gaps: Gaps::default(), telling, twins }
     }
 
     /// Takes up a datagram of this team whose tag is right.
@@ -128,13 +126,13 @@ impl Incoming {
         if let Err(verdict) = known {
             return verdict;
         }
-        let sender = self.senders.get_mut(&(header.sender, header.epoch)).expect("it is known by now");
+        let sender = self.senders.get_mut((header.sender, header.epoch)).expect("it is known by now");
         let lane = usize::from(header.flags.has(Flags::DIRECT));
         let window = &mut sender.lanes[lane].window;
         let late = self.here.guarded && sender.order.is_late(now, lane, header.sequence);
         if late && window.misses(header.sequence) && !self.gaps.awaits(header) {
             counts.late += 1;
-            return REFUSED;
+            return Verdict::Refused;
         }
         match window.place(header.sequence, header.flags.has(Flags::COPY)) {
             Place::New => {}
@@ -144,7 +142,7 @@ impl Incoming {
             }
             Place::Behind if self.here.guarded => {
                 counts.replay += 1;
-                return REFUSED;
+                return Verdict::Refused;
             }
             // Without a key there is no replay to fear, and newest wins all the same.
             Place::Behind => {}
@@ -153,7 +151,7 @@ impl Incoming {
             && !sender.bucket.take(now, rate)
         {
             counts.rate += 1;
-            return REFUSED;
+            return Verdict::Refused;
         }
         sender.heard(now);
         let Some(report) = report else { return Verdict::New(Prompt::No) };
@@ -189,19 +187,19 @@ impl Incoming {
         let id = (header.sender, header.epoch);
         // A report to one host alone would not show where the datagrams to all stand.
         let proof = proof.filter(|_| !header.flags.has(Flags::DIRECT));
-        let believed = self.senders.get_mut(&id).filter(|sender| now.since(sender.proved) <= PROOF_HOLDS);
+        let believed = self.senders.get_mut(id).filter(|sender| now.since(sender.proved) <= PROOF_HOLDS);
         if let (Some(sender), Some(report)) = (believed, report) {
             let off = sender.offsets.is_off(now, self.here.stamps.of(now), report.stamp, FRESH);
             if off && proof.is_none() {
                 counts.late += 1;
-                return Err(REFUSED);
+                return Err(Verdict::Refused);
             } else if off {
                 // Written now by what comes back, and not by its own clock: that clock has stood still.
                 sender.offsets = Offsets::default();
             }
             return Ok(());
         }
-        if let Some(sender) = self.senders.get(&id)
+        if let Some(sender) = self.senders.get(id)
             && now.since(sender.proved) <= PROOF_HOLDS
             && now.since(sender.reported) <= REPORT_HOLDS
         {
@@ -215,19 +213,21 @@ impl Incoming {
 
     /// An incarnation has said something without showing that it is alive: it has to hear from this host, to do so.
     fn noted(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
-        let rival = self.rival(header.sender, header.epoch).map(|id| &self.senders[&id]);
+        let rival = self.senders.rival((header.sender, header.epoch)).and_then(|id| self.senders.get(id));
         if rival.is_some_and(|rival| rival.former == Some(header.epoch)) {
             counts.replay += 1;
-            return REFUSED;
-        }
-        if let Some(report) = report
-            && !self.candidates.note(now, header.sender, header.epoch, report.stamp)
-        {
-            counts.crowd += 1;
-            return REFUSED;
+            return Verdict::Refused;
         }
         counts.unproven += 1;
-        Verdict::Refused(if header.sender.is_operator() { Prompt::Now } else { Prompt::Soon })
+        // Without a report there is nothing to echo; with a stamp that was there before there is nothing to add. So a
+        // recording that is repeated makes this host say nothing.
+        let noted = report.map(|report| self.candidates.note(now, header.sender, header.epoch, report.stamp));
+        match noted {
+            Some(Noted::News) if header.sender.is_operator() => Verdict::Unproven(Prompt::Now),
+            Some(Noted::News) => Verdict::Unproven(Prompt::Soon),
+            Some(Noted::Known) => Verdict::Unproven(Prompt::No),
+            Some(Noted::Old) | None => Verdict::Refused,
+        }
     }
 
     /// An incarnation shows that it is alive.
@@ -241,12 +241,12 @@ impl Incoming {
     ) -> Result<(), Verdict> {
         let id = (header.sender, header.epoch);
         let mut sender = Sender::new(now, self.rate.as_ref());
-        if let Some(rival) = self.rival(header.sender, header.epoch) {
-            let other = self.senders.get_mut(&rival).expect("it was found");
+        if let Some(rival) = self.senders.rival((header.sender, header.epoch)) {
+            let other = self.senders.get_mut(rival).expect("it was found");
             if proof.age >= now.since(other.since) {
                 // Proof of having been alive before the other one was: a recording.
                 counts.replay += 1;
-                return Err(REFUSED);
+                return Err(Verdict::Refused);
             }
             if now.since(other.reported) < SILENT {
                 counts.twin += 1;
@@ -256,15 +256,15 @@ impl Incoming {
                     tracing::error!("two live hosts have the id {id} (noticed {times} times): stop one of them");
                 }
                 self.candidates.note(now, header.sender, header.epoch, report.stamp);
-                return Err(REFUSED);
+                return Err(Verdict::Refused);
             }
             (sender.twins, sender.former) = (other.twins, Some(rival.1));
-            self.senders.remove(&rival);
-        } else if let Some(before) = self.senders.get(&id) {
+            self.senders.remove(rival);
+        } else if let Some(before) = self.senders.get(id) {
             (sender.twins, sender.former) = (before.twins, before.former);
-        } else if !self.room(now) {
+        } else if !self.senders.make_room(now, header.sender) {
             counts.crowd += 1;
-            return Err(REFUSED);
+            return Err(Verdict::Refused);
         }
         sender.lanes[0].window = Window::starting(header.sequence);
         if let Some(direct) = proof.entry.direct {
@@ -277,31 +277,25 @@ impl Incoming {
         Ok(())
     }
 
-    /// The incarnation of this host that is known, if it is another one than this. An operator's is no rival.
-    fn rival(&self, host: HostId, epoch: u32) -> Option<(HostId, u32)> {
-        let mut all = self.senders.range((host, 0)..=(host, u32::MAX)).map(|(id, _)| *id);
-        all.find(|id| id.1 != epoch).filter(|_| !host.is_operator())
-    }
-
     /// The same on a link without a key: everyone is believed, one incarnation of a host at a time.
     fn known_openly(&mut self, now: Time, header: &Header, counts: &mut LinkCounts) -> Result<(), Verdict> {
         let id = (header.sender, header.epoch);
-        if self.senders.contains_key(&id) {
+        if self.senders.get(id).is_some() {
             return Ok(());
         }
         let mut sender = Sender::new(now, self.rate.as_ref());
-        if let Some(rival) = self.rival(header.sender, header.epoch) {
-            let other = self.senders.get_mut(&rival).expect("it was found");
+        if let Some(rival) = self.senders.rival((header.sender, header.epoch)) {
+            let other = self.senders.get_mut(rival).expect("it was found");
             if other.age(now).is_some_and(|age| age < UNHEARD) {
                 counts.twin += 1;
                 other.twins += 1;
-                return Err(REFUSED);
+                return Err(Verdict::Refused);
             }
             sender.twins = other.twins;
-            self.senders.remove(&rival);
-        } else if !self.room(now) {
+            self.senders.remove(rival);
+        } else if !self.senders.make_room(now, header.sender) {
             counts.crowd += 1;
-            return Err(REFUSED);
+            return Err(Verdict::Refused);
         }
         self.senders.insert(id, sender);
         Ok(())
@@ -319,7 +313,7 @@ impl Incoming {
         }
     }
 
-    /// What a report says of this host, if it can only have been written just now.
+    /// The entry of a report about this host, if it can only have been written just now.
     fn about_us(&self, now: Time, report: &Report) -> Option<Proof> {
         let about_us = report.heard.iter().filter(|entry| entry.host == self.here.host);
         about_us
@@ -327,19 +321,10 @@ impl Incoming {
             .find(|proof| proof.age <= FRESH)
     }
 
-    fn room(&mut self, now: Time) -> bool {
-        // Not for every datagram: one who makes up senders must not make this host search.
-        if self.senders.len() >= MAX_SENDERS && now.since(self.forgot) >= FORGET {
-            self.forgot = now;
-            self.senders.retain(|_, sender| sender.age(now).is_some_and(|age| age < FORGET));
-        }
-        self.senders.len() < MAX_SENDERS
-    }
-
     /// Whether a message about `robot` is the newest of its stream; all kinds are state, so an older one is worth
     /// nothing.
     pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
-        let Some(sender) = self.senders.get_mut(&(header.sender, header.epoch)) else { return false };
+        let Some(sender) = self.senders.get_mut((header.sender, header.epoch)) else { return false };
         let newest = &mut sender.lanes[usize::from(header.flags.has(Flags::DIRECT))].newest;
         let newest = newest.entry((kind, robot)).or_insert(header.sequence.wrapping_sub(1));
         let ahead = header.sequence.wrapping_sub(*newest);
@@ -362,7 +347,7 @@ impl Incoming {
         if held.is_empty() && self.gaps.is_empty() {
             return;
         }
-        let Some(sender) = self.senders.get(&(header.sender, header.epoch)) else { return };
+        let Some(sender) = self.senders.get((header.sender, header.epoch)) else { return };
         let lane = &sender.lanes[usize::from(header.flags.has(Flags::DIRECT))];
         self.gaps.note(now, header, held, &lane.window, backoff);
     }
@@ -372,7 +357,7 @@ impl Incoming {
         self.gaps.asked_by_others(now, names);
     }
 
-    /// What to tell the others, in at most `room` bytes.
+    /// The next report, in at most `room` bytes.
     pub fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
         let places = room.checked_sub(REPORT_BYTES)? / self.here.entry_bytes;
         let uptime = self.twins.uptime(now);
@@ -383,27 +368,19 @@ impl Incoming {
 
     /// How many times a message to these hosts is to be repeated, by what they report.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
-        let asked = |sender: &Sender| sender.asks.iter().filter(|until| **until > now).count() as u8;
-        let most = |(from, to): (HostId, HostId)| {
-            self.senders.range((from, 0)..=(to, u32::MAX)).map(|(_, sender)| asked(sender)).max().unwrap_or(0)
-        };
-        match audience {
-            Audience::Host(host) => most((host, host)),
-            Audience::All => most((HostId(0), HostId(u16::MAX))),
-        }
+        self.senders.repeats(now, audience)
     }
 
     /// All that is known of the others: of a host that nobody is believed to be, the newest candidate.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let link = self.here.link;
-        let believed = self.senders.iter().map(move |(&id, sender)| {
+        let believed = self.senders.iter().map(move |(id, sender)| {
             let proven = !self.here.guarded
                 || (now.since(sender.proved) <= PROOF_HOLDS && now.since(sender.reported) <= REPORT_HOLDS);
             sender.peer(now, link, id, proven)
         });
-        let unknown = move |host: HostId| self.senders.range((host, 0)..=(host, u32::MAX)).next().is_none();
         let us = self.here.host;
-        let candidates = self.candidates.newest().filter(move |(host, _)| *host != us && unknown(*host));
+        let candidates = self.candidates.newest().filter(move |(host, _)| *host != us && !self.senders.knows(*host));
         candidates.map(move |(host, candidate)| Peer::candidate(now, link, host, &candidate)).chain(believed)
     }
 }

@@ -19,7 +19,7 @@ use crate::messages::wire::{Kind, Wire};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// Who this host is on its links.
+/// Identity of a host on its links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity {
     /// The host.
@@ -28,6 +28,15 @@ pub struct Identity {
     pub team: u16,
     /// Its incarnation: a random number for each start of the host.
     pub epoch: u32,
+}
+
+/// How far an operator has come to be believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// It has to show first that it is alive, and for that to hear the reports of this host.
+    Unproven,
+    /// It has just said something that is new.
+    Proven,
 }
 
 /// One link as one host sees it.
@@ -42,8 +51,8 @@ pub struct LinkState {
     counts: LinkCounts,
     /// When anything is next due: asked for far more often than it changes.
     due: Option<Time>,
-    /// The operator that the newest datagram came from, if it came from one and its tag was right.
-    operator: Option<HostId>,
+    /// The operator that the newest datagram came from, if it is to be heard where that came from.
+    operator: Option<(HostId, Standing)>,
 }
 
 impl LinkState {
@@ -59,7 +68,8 @@ impl LinkState {
         let header = Header { flags: Flags::default(), team, sender: host, epoch, sequence: 0 };
         let guarded = key.is_some();
         let entry_bytes = if guarded && setup.is_addressed() { NUMBERED_ENTRY_BYTES } else { ENTRY_BYTES };
-        let here = Here { host, epoch, link: id, guarded, entry_bytes, stamps: Stamps::random(stream) };
+        let first_guest = setup.hosts.map_or(HostId::operator(0), HostId);
+        let here = Here { host, epoch, link: id, guarded, first_guest, entry_bytes, stamps: Stamps::random(stream) };
         let mut state = LinkState {
             me,
             id,
@@ -142,7 +152,6 @@ impl LinkState {
             self.counts.own += 1;
             return Ok(None);
         }
-        self.operator = Some(header.sender).filter(|sender| sender.is_operator());
         let said = Said::read(plain)?;
         // An operator's number is drawn at random, and two may have drawn the same.
         if header.sender == self.me.host && !header.sender.is_operator() {
@@ -155,10 +164,16 @@ impl LinkState {
         }
         let verdict = self.incoming.admit(now, &header, said.report.as_ref(), &mut self.counts);
         match verdict {
-            Verdict::New(prompt) | Verdict::Refused(prompt) => self.outgoing.prompt(now, prompt),
-            Verdict::Again => {}
+            Verdict::New(prompt) | Verdict::Unproven(prompt) => self.outgoing.prompt(now, prompt),
+            Verdict::Again | Verdict::Refused => {}
         }
-        if let Verdict::Refused(_) = verdict {
+        let standing = match verdict {
+            Verdict::New(_) => Some(Standing::Proven),
+            Verdict::Unproven(_) => Some(Standing::Unproven),
+            Verdict::Again | Verdict::Refused => None,
+        };
+        self.operator = standing.filter(|_| header.sender.is_operator()).map(|standing| (header.sender, standing));
+        if matches!(verdict, Verdict::Unproven(_) | Verdict::Refused) {
             return Ok(None);
         }
         if header.flags.has(Flags::ACK) {
@@ -192,9 +207,9 @@ impl LinkState {
         self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// The operator that the newest datagram came from; none if it came from a host, or its tag was wrong. It may not
-    /// have proven itself yet: a transport has to be told where it is, so that it can.
-    pub fn operator(&self) -> Option<HostId> {
+    /// The operator that the newest datagram came from; none if it came from a host, or was neither new nor of one that
+    /// may still prove itself. A transport has to be told where it is, so that it can.
+    pub fn operator(&self) -> Option<(HostId, Standing)> {
         self.operator
     }
 

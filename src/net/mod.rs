@@ -25,6 +25,7 @@ pub mod reliability;
 pub mod report;
 pub mod router;
 pub mod sender;
+pub mod senders;
 pub mod telling;
 pub mod transport;
 pub mod twins;

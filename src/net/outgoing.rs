@@ -1,9 +1,10 @@
-//! What leaves on a link: sequence numbers, what rides on what, what is sent again and when. Knows no receiver but
+//! Departure on a link: sequence numbers, what rides on what, what is sent again and when. Knows no receiver but
 //! by what `incoming` says of it.
 
 use std::collections::BTreeMap;
 
 use super::again::{Again, Once, Stream};
+use super::bucket::{Bucket, Rate};
 use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Frame, HEADER_BYTES, Header};
 use super::codec::{MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
@@ -28,7 +29,10 @@ pub const REPORT_PERIOD: Span = Span::from_millis(250);
 const PROMPTED_RIDES: Span = Span::from_millis(10);
 /// Reports that must leave at once do so no more often than this: a flood of recordings makes no flood of answers.
 const URGENT_PERIOD: Span = Span::from_millis(20);
-/// The same for an operator, which has to be believed soon by a whole team.
+/// Reports that must leave at once, in the long run and in a burst: ten operators that act at the same instant take some
+/// ten of them; sequences of recordings cause no more than there are regular reports.
+const URGENT_RATE: Rate = Rate { per_s: 4.0, burst: 25.0 };
+/// The period for an operator, which has to be believed soon by a whole team.
 const EAGER_PERIOD: Span = Span::from_millis(5);
 /// How long acknowledgements wait for each other.
 const ACK_WITHIN: Span = Span::from_millis(2);
@@ -61,6 +65,7 @@ pub struct Outgoing {
     /// When a report that must leave at once does, and when the last one did.
     urgent_due: Option<Time>,
     urgent_left: Option<Time>,
+    urgent_bucket: Bucket,
     /// Whether reports say of each host what is next for it alone.
     numbered: bool,
     acks: BTreeMap<HostId, Vec<Name>>,
@@ -90,6 +95,7 @@ impl Outgoing {
             prompted: false,
             urgent_due: None,
             urgent_left: None,
+            urgent_bucket: Bucket::full(Time::ZERO, &URGENT_RATE),
             numbered,
             acks: BTreeMap::new(),
             acks_due: None,
@@ -210,7 +216,10 @@ impl Outgoing {
             self.board_acks(bytes);
         }
         if audience == Audience::All && self.report_rides(now) {
+            let urgent = self.urgent_due;
             self.report(now, bytes, incoming, Occasion::Regular);
+            // Where datagrams are addressed, one who is not believed yet is sent reports that go alone and no data.
+            self.urgent_due = urgent.filter(|_| !any);
         }
     }
 
@@ -252,9 +261,13 @@ impl Outgoing {
             && self.report_left.is_none_or(|left| now.since(left) >= rides)
     }
 
-    fn report(&mut self, now: Time, bytes: &mut Vec<u8>, incoming: &mut Incoming, occasion: Occasion) {
+    /// Adds a report, if there is room and, where it is urgent, anybody that it would list. Gives whether it did.
+    fn report(&mut self, now: Time, bytes: &mut Vec<u8>, incoming: &mut Incoming, occasion: Occasion) -> bool {
         let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES);
-        let Some(mut report) = incoming.report(now, room, occasion) else { return };
+        let Some(mut report) = incoming.report(now, room, occasion) else { return false };
+        if occasion == Occasion::Urgent && report.heard.is_empty() {
+            return false;
+        }
         for entry in report.heard.iter_mut().filter(|_| self.numbered) {
             entry.direct = Some(self.direct.get(&entry.host).copied().unwrap_or(0));
         }
@@ -262,7 +275,8 @@ impl Outgoing {
         self.urgent_due = None;
         if occasion == Occasion::Urgent {
             self.urgent_left = Some(now);
-            return;
+            self.urgent_bucket.take(now, &URGENT_RATE);
+            return true;
         }
         self.prompted = false;
         (self.report_left, self.report_due) = (Some(now), Some(now + REPORT_PERIOD));
@@ -270,6 +284,7 @@ impl Outgoing {
         if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= MAX_PLAIN_BYTES {
             add(bytes, Content::Held, |bytes| write_held(&held, bytes));
         }
+        true
     }
 
     /// Another host waits for a report of this one, to prove itself or to believe this one.
@@ -370,12 +385,30 @@ impl Outgoing {
             self.leave_acks(counts, out);
         }
         // A regular report lists those who wait as well.
-        for (due, occasion) in [(self.report_due, Occasion::Regular), (self.urgent_due, Occasion::Urgent)] {
-            if due.is_some_and(|due| due <= now) && (occasion == Occasion::Regular || self.urgent_due.is_some()) {
-                let mut bytes = codec::start(&self.header(Audience::All, 0));
-                self.report(now, &mut bytes, incoming, occasion);
-                self.leave_alone(Audience::All, bytes, counts, out);
+        if self.report_due.is_some_and(|due| due <= now) {
+            self.leave_report(now, Occasion::Regular, incoming, counts, out);
+        }
+        if self.urgent_due.is_some_and(|due| due <= now) {
+            self.urgent_due = None;
+            let eager = self.setup.report_rides == Span::ZERO;
+            if eager || self.urgent_bucket.left(now, &URGENT_RATE) > 0 {
+                self.leave_report(now, Occasion::Urgent, incoming, counts, out);
             }
+        }
+    }
+
+    /// A report leaves alone, unless it is urgent and would list nobody.
+    fn leave_report(
+        &mut self,
+        now: Time,
+        occasion: Occasion,
+        incoming: &mut Incoming,
+        counts: &mut LinkCounts,
+        out: &mut Vec<Leaving>,
+    ) {
+        let mut bytes = codec::start(&self.header(Audience::All, 0));
+        if self.report(now, &mut bytes, incoming, occasion) {
+            self.leave_alone(Audience::All, bytes, counts, out);
         }
     }
 }

@@ -17,7 +17,7 @@ pub enum Reliability {
     BestEffort,
     /// It is sent again a little later, as long as receivers report loss.
     Repeat,
-    /// Whoever misses it asks for it (RFC 5401).
+    /// A receiver that misses it asks for it (RFC 5401).
     Nack,
     /// It is sent again until it is acknowledged, a few times at most.
     Ack,
@@ -73,6 +73,9 @@ pub struct Setup {
     pub report_rides: Span,
     /// How much one sender may say; none for no limit.
     pub rate: Option<Rate>,
+    /// How many hosts the team has: those with lower numbers. None where that is not known, and every number that is no
+    /// operator's may be one.
+    pub hosts: Option<u16>,
 }
 
 /// More than a robot has to say: 5000 messages a second and soft state; a second of it at once.
@@ -83,13 +86,13 @@ impl Setup {
     pub fn emulated(reliability: Reliabilities) -> Setup {
         let plain = reliability.values().all(|one| *one == Reliability::BestEffort);
         let reports = if plain { Reports::Off } else { Reports::On };
-        Setup { reliability, ride: Ride::Never, reports, report_rides: REPORT_RIDES, rate: None }
+        Setup { reliability, ride: Ride::Never, reports, report_rides: REPORT_RIDES, rate: None, hosts: None }
     }
 
     /// A link on which every datagram reaches everyone.
     pub fn multicast(reliability: Reliabilities) -> Setup {
         let (ride, reports, report_rides) = (Ride::Any, Reports::On, REPORT_RIDES);
-        Setup { reliability, ride, reports, report_rides, rate: Some(RATE) }
+        Setup { reliability, ride, reports, report_rides, rate: Some(RATE), hosts: None }
     }
 
     /// A link on which a datagram reaches whom it is addressed to.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind, Wire};
 
-/// Whom a frame is for.
+/// The hosts that a frame is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Audience {
     /// Every other host on the link.
@@ -19,7 +19,7 @@ pub enum Audience {
 /// The way of one message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Route {
-    /// Somebody on this host takes it.
+    /// It has takers on this host.
     pub local: bool,
     /// It leaves on this link, for these hosts.
     pub leaves: Option<(LinkId, Audience)>,
@@ -104,6 +104,11 @@ impl Router {
     /// The same table, which also knows who may say what.
     pub fn with_publishers(self, publishers: Arc<Publishers>) -> Router {
         Router { publishers: Some(publishers), ..self }
+    }
+
+    /// How many hosts the team has; none where that is not known.
+    pub fn hosts(&self) -> Option<u16> {
+        self.publishers.as_ref().and_then(|publishers| u16::try_from(publishers.names.len()).ok())
     }
 
     /// The name of a sender that may not say this; none if it may.

@@ -4,13 +4,12 @@
 //! whose proof is getting old, to ask them; then those of which more or less is lost than was told; then the others,
 //! the one that was listed longest ago first.
 
-use std::collections::BTreeMap;
-
 use super::bucket::{Bucket, Rate};
 use super::candidates::{Candidate, Candidates};
 use super::incoming::{FRESH, LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE, PROOF_HOLDS};
 use super::report::Entry;
 use super::sender::Sender;
+use super::senders::Senders;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
@@ -25,9 +24,6 @@ const URGENT_ENTRIES: usize = 8;
 const AGAIN: Span = Span::from_millis(400);
 /// A change of loss that is worth telling before its turn, of 64.
 const LOSS_STEP: u8 = 4;
-
-/// All senders that are believed, by host and incarnation.
-pub type Senders = BTreeMap<(HostId, u32), Sender>;
 
 /// Why a report leaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,19 +73,26 @@ impl Telling {
             }
         }
         others.sort_by_key(|(class, listed, ..)| (*class, *listed));
-        let free = waiting.iter().take_while(|(host, _)| host.is_operator()).count().min(URGENT_ENTRIES);
-        let free = if occasion == Occasion::Urgent { free } else { 0 };
+        let mut free = if occasion == Occasion::Urgent { URGENT_ENTRIES } else { 0 };
         let mut entries = Vec::new();
         let room = self.budget.left(now, &self.rate).min(places);
         self.odd = !self.odd;
         // Recordings must not keep those who are believed from being listed, nor the other way round.
         let share = (room + usize::from(self.odd)) / 2;
-        let share = share.max(room.saturating_sub(others.len())).max(free);
-        for (host, candidate) in waiting.into_iter().take(share.min(places)) {
-            if entries.len() < free || self.budget.take(now, &self.rate) {
-                candidates.echoed(host, candidate.stamp);
-                entries.push(self.of_candidate(now, uptime, host, candidate));
+        let mut share = share.max(room.saturating_sub(others.len()));
+        for (host, candidate) in waiting {
+            if entries.len() >= places {
+                break;
             }
+            if host.is_operator() && free > 0 {
+                free -= 1;
+            } else if share > 0 && self.budget.take(now, &self.rate) {
+                share -= 1;
+            } else {
+                continue;
+            }
+            candidates.echoed(host, candidate.stamp);
+            entries.push(self.of_candidate(now, uptime, host, candidate));
         }
         for (_, _, sender, host) in others {
             if entries.len() >= places || !self.budget.take(now, &self.rate) {

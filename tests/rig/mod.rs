@@ -4,6 +4,7 @@
 #![allow(dead_code)]
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 use murmurate::actors::Core;
@@ -19,6 +20,7 @@ use murmurate::net::reliability::{Reliabilities, Setup};
 use murmurate::net::report::Report;
 use murmurate::net::router::{Audience, Route, Router};
 use murmurate::net::sender::Peer;
+use murmurate::net::transport::guests::Guest;
 use murmurate::random::{Seed, Stream};
 use murmurate::time::{Span, Time};
 use rand::RngExt;
@@ -100,11 +102,13 @@ pub struct Rig {
     pub counts: Vec<LinkCounts>,
     /// The host that each was found to duplicate.
     pub duplicates: Vec<Option<Duplicate>>,
+    /// The guests that each has admitted, in order.
+    pub admitted: Vec<Vec<Guest>>,
     /// The number of each host: its place, unless set otherwise.
     pub ids: Vec<HostId>,
     /// Everything that was sent.
     pub sent: Vec<Flight>,
-    /// What of it has arrived, and where, if that is to be remembered.
+    /// The datagrams of it that have arrived, and where, if that is to be remembered.
     pub arrived: Option<Vec<(Time, usize, Frame)>>,
     pub loss: f64,
     pub delay: Span,
@@ -135,6 +139,7 @@ impl Rig {
             peers: vec![Vec::new(); count],
             counts: vec![LinkCounts::default(); count],
             duplicates: vec![None; count],
+            admitted: vec![Vec::new(); count],
             ids,
             runs: count as u64,
             networks,
@@ -169,7 +174,8 @@ impl Rig {
                 Out::Counts(counts) => self.counts[host] = *counts,
                 Out::Peers(peers) => self.peers[host] = peers,
                 Out::Duplicate(duplicate) => self.duplicates[host] = Some(duplicate),
-                Out::Tap(_) | Out::Admit(..) => {}
+                Out::Admit(_, guest) => self.admitted[host].push(guest),
+                Out::Tap(_) => {}
                 Out::Transmit(_, audience, frame) => {
                     let bytes = frame.len();
                     self.sent.push(Flight { from: host, at: self.now, audience, frame: frame.clone(), bytes });
@@ -206,7 +212,12 @@ impl Rig {
     }
 
     pub fn arrive(&mut self, host: usize, frame: &[u8]) {
-        self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into(), None), out));
+        self.arrive_from(host, frame, None);
+    }
+
+    /// A datagram arrives from this address.
+    pub fn arrive_from(&mut self, host: usize, frame: &[u8], from: Option<SocketAddr>) {
+        self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into(), from), out));
     }
 
     /// Lets so many milliseconds pass.
@@ -236,7 +247,7 @@ impl Rig {
         self.now = end;
     }
 
-    /// What a host has counted by now.
+    /// Counts of a host by now.
     pub fn counted(&mut self, host: usize) -> LinkCounts {
         let second = Time::ZERO + Span::from_secs(self.now.as_secs().floor() + 1.0);
         self.run_to(second);

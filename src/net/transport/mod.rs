@@ -1,6 +1,7 @@
 //! Transports: actors that take a frame to transmit and give the frames that arrive. One file each.
 //!
-//! Here are the emulated ether of one-process runs and the sockets of real hosts. What a frame says never matters here.
+//! Here are the emulated ether of one-process runs and the sockets of real hosts. What a frame says never
+//! matters here, but for one thing: reports go to more addresses than data do on a unicast link.
 
 pub mod air;
 mod batch;
@@ -18,6 +19,7 @@ use crate::messages::ids::HostId;
 use crate::messages::local::Truth;
 use crate::net::codec::Frame;
 use crate::net::router::Audience;
+use guests::Guest;
 
 /// What a transport accepts.
 #[derive(Clone, Debug)]
@@ -29,12 +31,7 @@ pub enum In {
     /// Where robots truly are: from a simulated World, for an ether with a range.
     Truth(Truth),
     /// A host whose address is in no file is to be sent to for a while; only a unicast link has to be told.
-    Admit {
-        /// The host.
-        host: HostId,
-        /// Where it was heard from.
-        at: SocketAddr,
-    },
+    Admit(Guest),
 }
 
 /// A frame handed to a transport.

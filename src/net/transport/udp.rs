@@ -10,7 +10,7 @@ use socket2::{SockRef, Socket};
 
 use super::batch::Batch;
 pub use super::filter::Filter;
-use super::guests::Guests;
+use super::guests::{Guest, Guests};
 use super::interface;
 use super::loopback::Loopback;
 pub use super::open::OpenError;
@@ -19,6 +19,7 @@ use super::{Arrive, In, Transmit};
 use crate::actors::Core;
 use crate::deploy::team::{SocketConfig, Transport};
 use crate::messages::ids::HostId;
+use crate::net::codec::{self, Content};
 use crate::net::router::Audience;
 use crate::time::{Span, Time};
 
@@ -218,8 +219,14 @@ impl To {
             (To::Peers { peers, guests }, Audience::All) => {
                 // One that cannot be reached keeps nobody else from hearing.
                 let mut all = Ok(());
-                for at in peers.values().copied().chain(guests.all(now)) {
+                for at in peers.values().copied().chain(guests.proven(now)) {
                     all = all.and(ears.send_to(frame, at).map(drop));
+                }
+                // What has to be echoed is in a report, and nothing else is for one that is not believed yet.
+                if matches!(codec::first(frame), Ok(Content::Report | Content::NumberedReport)) {
+                    for at in guests.unproven(now) {
+                        all = all.and(ears.send_to(frame, at).map(drop));
+                    }
                 }
                 all
             }
@@ -239,12 +246,12 @@ impl To {
         true
     }
 
-    fn admit(&mut self, now: Time, host: HostId, at: SocketAddr) {
+    fn admit(&mut self, now: Time, guest: Guest) {
         // The address in the file stands, and a group is heard by everyone.
         if let To::Peers { peers, guests } = self
-            && !peers.contains_key(&host)
+            && !peers.contains_key(&guest.host)
         {
-            guests.admit(now, host, at);
+            guests.admit(now, guest);
         }
     }
 }
@@ -257,7 +264,7 @@ impl Core for Udp {
         match input {
             In::Transmit(transmit) => self.transmit(now, &transmit),
             In::Readable => self.receive(now, out),
-            In::Admit { host, at } => self.to.admit(now, host, at),
+            In::Admit(guest) => self.to.admit(now, guest),
             // Real waves know where they are.
             In::Truth(_) => {}
         }
@@ -277,6 +284,7 @@ mod tests {
     use super::*;
     use crate::net::codec::{HEADER_BYTES, MAX_FRAME_BYTES, VERSION};
     use crate::net::key::TAG_BYTES;
+    use crate::net::link::Standing;
 
     const TEAM: u16 = 0x0203;
     const FILTER: Filter = Filter::Team { number: TEAM, tagged: true };
@@ -417,12 +425,23 @@ mod tests {
         let from = arrived[0].from.expect("it has an address");
         say(&mut one, Audience::All, &frame(40, 2));
         assert!(hear(&mut guest).is_empty(), "it is not admitted yet");
-        one.handle(Time::ZERO, In::Admit { host: operator, at: from }, &mut Vec::new());
+        let admit = |one: &mut Udp, host, standing| {
+            one.handle(Time::ZERO, In::Admit(Guest { host, at: from, standing }), &mut Vec::new());
+        };
+        admit(&mut one, operator, Standing::Unproven);
+        say(&mut one, Audience::All, &frame(40, 2));
+        assert!(hear(&mut guest).is_empty(), "it is not believed yet");
+        let mut report: Vec<u8> = frame(HEADER_BYTES, 0).to_vec();
+        codec::add(&mut report, Content::Report, |bytes| bytes.extend_from_slice(&[1; 6]));
+        report.extend_from_slice(&[0; TAG_BYTES]);
+        say(&mut one, Audience::All, &report);
+        assert_eq!(hear(&mut guest), [report], "but hears what it needs for that");
+        admit(&mut one, operator, Standing::Proven);
         say(&mut one, Audience::All, &frame(40, 3));
         say(&mut one, Audience::Host(operator), &frame(40, 4));
         assert_eq!(hear(&mut guest), [frame(40, 3), frame(40, 4)]);
         // A peer stays where the file has it.
-        one.handle(Time::ZERO, In::Admit { host: HostId(2), at: from }, &mut Vec::new());
+        admit(&mut one, HostId(2), Standing::Proven);
         say(&mut one, Audience::Host(HostId(2)), &frame(40, 5));
         assert!(hear(&mut guest).is_empty());
     }

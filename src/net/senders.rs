@@ -1,0 +1,165 @@
+//! The senders that are believed on one link, in bounded tables: hosts of the team, and guests. Guests are operators,
+//! and hosts that the deployment does not know; they make room for each other and never take the place of a host.
+
+use std::collections::BTreeMap;
+use std::collections::btree_map::IterMut;
+use std::ops::RangeInclusive;
+
+use super::router::Audience;
+use super::sender::Sender;
+use crate::messages::ids::HostId;
+use crate::time::{Span, Time};
+
+/// The most hosts of the team that are believed on a link.
+pub const MAX_SENDERS: usize = 1024;
+/// The most guests that are believed beside them: more operators than ever act at once, and few enough to be searched
+/// whenever one is taken up.
+pub const MAX_GUESTS: usize = 128;
+/// How long a host is remembered in silence, once there are too many.
+const FORGET: Span = Span::from_millis(20_000);
+
+/// A sender: a host and its incarnation.
+pub type Id = (HostId, u32);
+
+/// All senders that are believed, by host and incarnation.
+#[derive(Clone, Debug)]
+pub struct Senders {
+    all: BTreeMap<Id, Sender>,
+    first_guest: HostId,
+    forgot: Time,
+}
+
+/// All incarnations of the hosts from one to another.
+fn ids(from: HostId, to: HostId) -> RangeInclusive<Id> {
+    (from, 0)..=(to, u32::MAX)
+}
+
+impl Senders {
+    /// None yet. Hosts of the team have numbers below `first_guest`.
+    pub fn new(first_guest: HostId) -> Senders {
+        Senders { all: BTreeMap::new(), first_guest, forgot: Time::ZERO }
+    }
+
+    /// One sender.
+    pub fn get(&self, id: Id) -> Option<&Sender> {
+        self.all.get(&id)
+    }
+
+    /// One sender, to change it.
+    pub fn get_mut(&mut self, id: Id) -> Option<&mut Sender> {
+        self.all.get_mut(&id)
+    }
+
+    /// All senders, to change them.
+    pub fn iter_mut(&mut self) -> IterMut<'_, Id, Sender> {
+        self.all.iter_mut()
+    }
+
+    /// All senders, in order.
+    pub fn iter(&self) -> impl Iterator<Item = (Id, &Sender)> {
+        self.all.iter().map(|(id, sender)| (*id, sender))
+    }
+
+    /// Whether any incarnation of this host is believed.
+    pub fn knows(&self, host: HostId) -> bool {
+        self.all.range(ids(host, host)).next().is_some()
+    }
+
+    /// The incarnation of this host that is believed, if it is another one than this. An operator's is no rival.
+    pub fn rival(&self, (host, epoch): Id) -> Option<Id> {
+        let mut all = self.all.range(ids(host, host)).map(|(id, _)| *id);
+        all.find(|id| id.1 != epoch).filter(|_| !host.is_operator())
+    }
+
+    /// Takes a sender up.
+    pub fn insert(&mut self, id: Id, sender: Sender) {
+        self.all.insert(id, sender);
+    }
+
+    /// Believes a sender no more.
+    pub fn remove(&mut self, id: Id) {
+        self.all.remove(&id);
+    }
+
+    /// Makes room for a new sender. Of too many guests the one leaves that has been silent longest, and of several the
+    /// one that was taken up first: a guest that lives is believed again with its next datagram. Gives whether there is
+    /// room.
+    pub fn make_room(&mut self, now: Time, host: HostId) -> bool {
+        let guests = || ids(self.first_guest, HostId(u16::MAX));
+        let count = self.all.range(guests()).count();
+        if host >= self.first_guest {
+            let silent =
+                |(_, sender): &(&Id, &Sender)| (sender.age(now).unwrap_or(Span::ZERO), now.since(sender.since));
+            let leaves = self.all.range(guests()).max_by_key(silent).map(|(id, _)| *id);
+            if let Some(id) = leaves.filter(|_| count >= MAX_GUESTS) {
+                self.remove(id);
+            }
+            return true;
+        }
+        let full = |senders: &Senders| senders.all.len() - count >= MAX_SENDERS;
+        // Not for every datagram: one who makes up senders must not make this host search.
+        if full(self) && now.since(self.forgot) >= FORGET {
+            self.forgot = now;
+            let (first_guest, silent) =
+                (self.first_guest, |sender: &Sender| sender.age(now).is_none_or(|age| age >= FORGET));
+            self.all.retain(|(host, _), sender| *host >= first_guest || !silent(sender));
+        }
+        !full(self)
+    }
+
+    /// How many times a message to these hosts is to be repeated, by what they report.
+    pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
+        let asked = |sender: &Sender| sender.asks.iter().filter(|until| **until > now).count() as u8;
+        let asking = match audience {
+            Audience::Host(host) => ids(host, host),
+            Audience::All => ids(HostId(0), HostId(u16::MAX)),
+        };
+        self.all.range(asking).map(|(_, sender)| asked(sender)).max().unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    fn take_up(senders: &mut Senders, ms: u64, id: Id) -> bool {
+        let room = senders.make_room(at(ms), id.0);
+        if room {
+            let mut sender = Sender::new(at(ms), None);
+            sender.heard(at(ms));
+            senders.insert(id, sender);
+        }
+        room
+    }
+
+    #[test]
+    fn of_too_many_guests_the_one_that_was_silent_longest_leaves_and_hosts_stay() {
+        let mut senders = Senders::new(HostId(3));
+        (0..3).for_each(|host| assert!(take_up(&mut senders, 0, (HostId(host), 1))));
+        let lively = (HostId::operator(5), 1);
+        assert!(take_up(&mut senders, 1, lively));
+        for ms in 2..2000u64 {
+            let made_up = if ms % 2 == 0 { HostId::operator(ms as u16) } else { HostId(ms as u16) };
+            assert!(take_up(&mut senders, ms, (made_up, 2)));
+            senders.get_mut(lively).expect("it says something all the time").heard(at(ms));
+        }
+        assert_eq!(senders.iter().count(), 3 + MAX_GUESTS);
+        assert!((0..3).all(|host| senders.knows(HostId(host))));
+        assert!(senders.knows(HostId::operator(1998)) && !senders.knows(HostId::operator(10)));
+    }
+
+    #[test]
+    fn guests_take_no_room_from_hosts() {
+        let mut senders = Senders::new(HostId(2000));
+        (0..MAX_GUESTS as u16).for_each(|number| assert!(take_up(&mut senders, 0, (HostId::operator(number), 1))));
+        for host in 0..MAX_SENDERS as u16 + 10 {
+            assert_eq!(take_up(&mut senders, 1, (HostId(host), 1)), usize::from(host) < MAX_SENDERS);
+        }
+        assert!(take_up(&mut senders, 20_001, (HostId(1999), 1)), "who has been silent for long makes room");
+        assert_eq!(senders.iter().count(), 1 + MAX_GUESTS);
+    }
+}
