@@ -1,4 +1,4 @@
-//! Belief of a link in its senders: hosts that are restarted, recordings of former runs, datagrams that were held back, two hosts
+//! Belief in senders: hosts that are restarted, recordings of former runs, datagrams that were held back, two hosts
 //! with one id, and operators that come and go.
 
 mod rig;

@@ -14,12 +14,11 @@ use crate::messages::wire::{Kind, Wire};
 use crate::net::codec::{self, Content, Flags, Frame, Header};
 use crate::net::key::Key;
 pub use crate::net::link::Identity;
-use crate::net::link::{Duplicate, LinkCounts, LinkState};
+use crate::net::link::{Duplicate, Guest, LinkCounts, LinkState};
 use crate::net::outgoing::Leaving;
 use crate::net::reliability::{Ride, Setup};
 use crate::net::router::{Audience, Router};
 use crate::net::sender::Peer;
-use crate::net::transport::guests::Guest;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 

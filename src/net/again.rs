@@ -149,7 +149,7 @@ impl Again {
         names.iter().filter_map(&mut wanted).collect()
     }
 
-    /// The numbers that receivers of this audience may ask for: of the streams that are repaired those that were offered
+    /// The numbers that receivers may ask for: of the streams that are repaired those that were offered
     /// longest ago, so that each has its turn.
     pub fn held(&mut self, audience: Audience) -> Vec<u32> {
         let repaired = |kept: &&mut Kept| kept.reliability == Reliability::Nack && kept.audience == audience;

@@ -1,6 +1,8 @@
 //! One link as one host sees it: what leaves (`outgoing`), what arrives (`incoming`), and everything counted. Pure;
 //! no sockets, no clock.
 
+use std::net::SocketAddr;
+
 use rand::RngExt;
 
 use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
@@ -37,6 +39,17 @@ pub enum Standing {
     Unproven,
     /// It has just said something that is new.
     Proven,
+}
+
+/// A host at an address that is in no file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Guest {
+    /// The host.
+    pub host: HostId,
+    /// Where it was heard from.
+    pub at: SocketAddr,
+    /// Whether it is believed.
+    pub standing: Standing,
 }
 
 /// One link as one host sees it.

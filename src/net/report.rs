@@ -73,7 +73,7 @@ impl Stamps {
     }
 }
 
-/// An entry of a report, about one host that is heard. The incarnation is known by the echo: each has stamps of its own.
+/// An entry of a report, about one host that is heard. The echo shows the incarnation: each has stamps of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
     /// The host; that of the report's sender for another live incarnation of it.

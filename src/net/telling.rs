@@ -1,4 +1,4 @@
-//! Choice of the hosts that the next report lists: reports have a budget of bytes, so they take turns. Decides; sends nothing.
+//! Choice of the hosts in the next report: reports have a budget of bytes, so they take turns. Decides; sends nothing.
 //!
 //! First candidates, which wait for an echo to prove themselves; then hosts that asked this one for proof; then those
 //! whose proof is getting old, to ask them; then those of which more or less is lost than was told; then the others,

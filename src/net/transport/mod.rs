@@ -18,8 +18,8 @@ use std::net::SocketAddr;
 use crate::messages::ids::HostId;
 use crate::messages::local::Truth;
 use crate::net::codec::Frame;
+use crate::net::link::Guest;
 use crate::net::router::Audience;
-use guests::Guest;
 
 /// Input of a transport.
 #[derive(Clone, Debug)]
