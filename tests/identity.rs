@@ -1,4 +1,4 @@
-//! Belief of a link in its senders: hosts that are restarted, recordings of former runs, datagrams that were held back, two hosts
+//! Belief in senders: hosts that are restarted, recordings of former runs, datagrams that were held back, two hosts
 //! with one id, and operators that come and go.
 
 mod rig;
@@ -189,7 +189,8 @@ fn jitter_and_retransmissions_make_nothing_late() {
     for reliability in [Reliability::BestEffort, Reliability::Repeat, Reliability::Nack, Reliability::Ack] {
         let kinds = Reliabilities::from([(Kind::Latent, reliability)]);
         for setup in [Setup::multicast(kinds.clone()), Setup::unicast(kinds)] {
-            let mut rig = Rig::new((0..5).map(|host| config(host, 5, 1, Some(key()), setup.clone())));
+            let team = (0..5).map(|host| config(host, 5, 1, Some(key()), setup.clone()));
+            let mut rig = Rig::new(team.chain([config(9, 5, 1, None, setup.clone())]));
             talk(&mut rig, &[0, 1, 2, 3, 4], Some(1), 2000);
             (rig.loss, rig.jitter) = (0.2, Span::from_millis(100));
             talk(&mut rig, &[0, 1, 2, 3, 4], Some(2), 10_000);
@@ -198,12 +199,19 @@ fn jitter_and_retransmissions_make_nothing_late() {
                 // A repair that another host has asked for may come late to one that has not.
                 continue;
             }
-            // So slowly that nothing newer takes the place of the last retry: it is acknowledged only if it is let in.
+            // So slowly that nothing newer takes the place of the last retry; and after each message an operator makes
+            // everyone report at once.
             (rig.loss, rig.arrived) = (0.5, Some(Vec::new()));
-            for turn in 0..50 {
-                talk(&mut rig, &[0, 1, 2, 3, 4], None, (turn % 5) * 20);
+            for turn in 0..100 {
                 (0..5).for_each(|host| rig.publish(host, latent(host as u16, 3)));
-                talk(&mut rig, &[0, 1, 2, 3, 4], None, 400);
+                let mut operator = operator(turn, u32::from(turn));
+                operator.links = vec![Some(Setup { report_rides: Span::ZERO, ..setup.clone() })];
+                rig.restart(5, operator);
+                // The report comes as soon as it can, the last retry as late as it can.
+                for (jitter_ms, ms) in [(0, 40), (100, 360)] {
+                    rig.jitter = Span::from_millis(jitter_ms);
+                    talk(&mut rig, &[0, 1, 2, 3, 4], None, ms);
+                }
             }
             (0..5).for_each(|host| assert_eq!(rig.counted(host).late, 0, "{reliability:?}"));
             let latest = latest_copies(&rig);

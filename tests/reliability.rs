@@ -14,7 +14,7 @@ fn kinds(latent: Reliability) -> Reliabilities {
     Reliabilities::from([(Kind::Latent, latent)])
 }
 
-/// What came of a run: the share delivered, and within 20 ms, and data datagrams for a message.
+/// Outcome of a run: the share delivered, and within 20 ms, and data datagrams for a message.
 #[derive(Debug)]
 struct Outcome {
     delivered: f64,

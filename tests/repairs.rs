@@ -192,7 +192,7 @@ fn every_copy_goes_to_a_host_that_lacks_it_and_duplicates_are_those_of_stop_and_
                     "| {reliability:?} | {receivers} | {to:?} | {delivered:.3} | {duplicates:.3} | {expected:.3} |"
                 );
                 assert!(duplicates <= 1.2 * expected, "{reliability:?}, {receivers}, {to:?}");
-                // 70 % arrive without any repair. Where datagrams are addressed a receiver learns what it misses from the
+                // 70 % arrive without any repair. Where datagrams are addressed, what is missing is learned from the
                 // next one alone, and 30 % of those are lost as well.
                 let bar = match (reliability, to) {
                     (Reliability::Ack, _) => 0.99,

@@ -1,4 +1,4 @@
-//! What soft state costs, and how soon it does its work, in teams of 5, 50 and 200: bytes a second, joining, loss that
+//! Cost of soft state, and how soon it does its work, in teams of 5, 50 and 200: bytes a second, joining, loss that
 //! reaches the sender, and proof of life that holds.
 
 mod rig;
@@ -67,7 +67,7 @@ fn cost(rig: &mut Rig, kinds: &[Kind], seconds: u64) -> f64 {
     bytes.into_iter().max().unwrap_or_default() as f64 / seconds as f64
 }
 
-/// Who has been told by now of a loss of at least 2 in 64.
+/// Adds the hosts that have been told by now of a loss of at least 2 in 64.
 fn told(rig: &mut Rig, told: &mut BTreeSet<usize>) {
     for (_, to, frame) in rig.arrived.iter_mut().flat_map(std::mem::take) {
         let heard = report(&frame, TAG_BYTES).map(|report| report.heard).unwrap_or_default();

@@ -14,16 +14,15 @@ use crate::messages::wire::{Kind, Wire};
 use crate::net::codec::{self, Content, Flags, Frame, Header};
 use crate::net::key::Key;
 pub use crate::net::link::Identity;
-use crate::net::link::{Duplicate, LinkCounts, LinkState};
+use crate::net::link::{Duplicate, Guest, LinkCounts, LinkState};
 use crate::net::outgoing::Leaving;
 use crate::net::reliability::{Ride, Setup};
 use crate::net::router::{Audience, Router};
 use crate::net::sender::Peer;
-use crate::net::transport::guests::Guest;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// What a Network accepts.
+/// Input of a Network.
 #[derive(Clone, Debug)]
 pub enum In {
     /// An actor of this host has something to say.
@@ -34,7 +33,7 @@ pub enum In {
     Dropped(LinkId, u64),
 }
 
-/// What a Network says.
+/// Output of a Network.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// To those on this host who take it.
@@ -46,7 +45,7 @@ pub enum Out {
     /// To the Recorder: what has happened on all links together. Boxed: everything that is said is moved, and this is
     /// large and rare.
     Counts(Box<LinkCounts>),
-    /// To whoever shows it: what is known of the other hosts, on links with reports.
+    /// To those that show it: summaries of the other hosts, on links with reports.
     Peers(Vec<Peer>),
     /// Another live host has the id of this one and was started before it. Said once.
     Duplicate(Duplicate),
@@ -62,7 +61,7 @@ pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 /// How a Network is set up.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Who this host is.
+    /// Identity of this host.
     pub me: Identity,
     /// The team's key; none where everyone is believed.
     pub key: Option<Key>,
@@ -200,7 +199,7 @@ impl Network {
             let Content::Message(kind) = content else { continue };
             let message = match codec::message(kind, body) {
                 Ok(message) => message,
-                // Whoever garbles one message is not believed the rest.
+                // A sender that garbles one message is not believed the rest.
                 Err(error) => return state.refuse(&error),
             };
             if let Some(name) = self.router.forbids(header.sender, &message) {

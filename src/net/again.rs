@@ -1,4 +1,4 @@
-//! What may have to be sent again: the newest datagram of each stream, until it is out of date. Decides when; seals
+//! Retransmission: the newest datagram of each stream, until it is out of date. Decides when; seals
 //! and sends nothing.
 //!
 //! A newer message of a stream takes the older one's place, so nothing fresh ever waits behind something old.
@@ -149,7 +149,7 @@ impl Again {
         names.iter().filter_map(&mut wanted).collect()
     }
 
-    /// What the receivers of this audience may ask for: of the streams that are repaired those that were offered
+    /// The numbers that receivers may ask for: of the streams that are repaired those that were offered
     /// longest ago, so that each has its turn.
     pub fn held(&mut self, audience: Audience) -> Vec<u32> {
         let repaired = |kept: &&mut Kept| kept.reliability == Reliability::Nack && kept.audience == audience;

@@ -47,7 +47,7 @@ impl Candidate {
     }
 }
 
-/// What a stamp was to the candidates.
+/// News that a stamp was to the candidates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Noted {
     /// A new candidate's, or it has advanced: its sender may be waiting for an answer.

@@ -1,4 +1,4 @@
-//! What a host counts on a link: everything that left, was let in, or was dropped, each by its cause. No decisions.
+//! Counts of a host on a link: everything that left, was let in, or was dropped, each by its cause. No decisions.
 
 use std::iter::Sum;
 

@@ -10,8 +10,8 @@ use crate::time::{Span, Time};
 
 /// The most datagrams that are known to be missing.
 const MAX_GAPS: usize = 256;
-/// How often a missing datagram is asked for.
-const ASKS: u32 = 3;
+/// How often a missing datagram is asked for: at 30 % loss of requests and answers alike, 7 % stay missing.
+const ASKS: u32 = 4;
 /// The longest random wait before asking, so that one asks for all (RFC 5401, section 3.2).
 pub const BACKOFF: Span = Span::from_millis(10);
 
@@ -71,7 +71,7 @@ impl Gaps {
         self.0.values().map(|gap| gap.due).min()
     }
 
-    /// What is to be asked for now, at most `room` datagrams.
+    /// The datagrams to ask for now, at most `room`.
     pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<Name> {
         let mut names = Vec::new();
         self.0.retain(|_, gap| gap.asked < ASKS || gap.due > now);

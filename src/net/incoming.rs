@@ -100,7 +100,7 @@ pub struct Incoming {
     rate: Option<Rate>,
     senders: Senders,
     candidates: Candidates,
-    /// What is missing.
+    /// Datagrams that are missing.
     pub gaps: Gaps,
     telling: Telling,
     /// Others with the id of this host.

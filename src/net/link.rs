@@ -1,6 +1,8 @@
 //! One link as one host sees it: what leaves (`outgoing`), what arrives (`incoming`), and everything counted. Pure;
 //! no sockets, no clock.
 
+use std::net::SocketAddr;
+
 use rand::RngExt;
 
 use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
@@ -37,6 +39,17 @@ pub enum Standing {
     Unproven,
     /// It has just said something that is new.
     Proven,
+}
+
+/// A host at an address that is in no file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Guest {
+    /// The host.
+    pub host: HostId,
+    /// Where it was heard from.
+    pub at: SocketAddr,
+    /// Whether it is believed.
+    pub standing: Standing,
 }
 
 /// One link as one host sees it.
@@ -222,17 +235,17 @@ impl LinkState {
         }
     }
 
-    /// What has been counted, to add to it.
+    /// The counts, to add to them.
     pub fn counts(&mut self) -> &mut LinkCounts {
         &mut self.counts
     }
 
-    /// What has happened so far.
+    /// The counts so far.
     pub fn counted(&self) -> LinkCounts {
         self.counts
     }
 
-    /// What is known of the others; none on a link without reports.
+    /// Summaries of the others; none on a link without reports.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let told = self.reports == Reports::On;
         self.incoming.peers(now).filter(move |_| told)
@@ -288,7 +301,7 @@ impl Said {
 /// How long to wait before asking for a repair: mostly long, rarely short, so that few ask (RFC 5401, section 3.2,
 /// `RandomBackoff`).
 fn backoff(stream: &mut Stream) -> Span {
-    /// A group of about this size is reckoned with.
+    /// The size of a group that is assumed.
     const GROUP: f64 = 10.0;
     let (lambda, longest) = (GROUP.ln() + 1.0, BACKOFF.as_secs());
     let scale = lambda / (longest * (lambda.exp() - 1.0));

@@ -29,7 +29,7 @@ pub const REPORT_PERIOD: Span = Span::from_millis(250);
 const PROMPTED_RIDES: Span = Span::from_millis(10);
 /// Reports that must leave at once do so no more often than this: a flood of recordings makes no flood of answers.
 const URGENT_PERIOD: Span = Span::from_millis(20);
-/// Reports that must leave at once, in the long run and in a burst: ten operators that act at the same instant take some
+/// Reports that must leave at once, in the long run and in a burst: ten operators that act at one instant take some
 /// ten of them; sequences of recordings cause no more than there are regular reports.
 const URGENT_RATE: Rate = Rate { per_s: 4.0, burst: 25.0 };
 /// The period for an operator, which has to be believed soon by a whole team.

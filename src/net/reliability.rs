@@ -8,7 +8,7 @@ use super::bucket::Rate;
 use crate::messages::wire::Kind;
 use crate::time::Span;
 
-/// What is done so that a message arrives. Nothing here makes a fresh message wait for an old one.
+/// Measures that make a message arrive. Nothing here makes a fresh message wait for an old one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Reliability {

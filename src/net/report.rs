@@ -1,4 +1,4 @@
-//! What the link layer says for itself: link reports, acknowledgements, requests to send again. Bytes only, fixed
+//! Blocks of the link layer: link reports, acknowledgements, requests to send again. Bytes only, fixed
 //! width, little-endian; what follows from them is decided in `link`.
 //!
 //! A report is the sender's clock and, for each host that it hears, what it has heard of it. Hosts see from it that
@@ -73,7 +73,7 @@ impl Stamps {
     }
 }
 
-/// What a report says of one host that is heard. The incarnation is known by the echo: each has stamps of its own.
+/// An entry of a report, about one host that is heard. The echo shows the incarnation: each has stamps of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
     /// The host; that of the report's sender for another live incarnation of it.
@@ -96,12 +96,12 @@ pub struct Entry {
 pub struct Report {
     /// When it was written, on its sender's clock.
     pub stamp: Stamp,
-    /// What is heard.
+    /// The hosts that are heard.
     pub heard: Vec<Entry>,
 }
 
 impl Report {
-    /// What a block with this report holds: either all entries have the number of the next direct datagram or none.
+    /// The content of a block with this report: either all entries have the number of the next direct datagram or none.
     pub fn content(&self) -> Content {
         if self.heard.iter().any(|entry| entry.direct.is_some()) { Content::NumberedReport } else { Content::Report }
     }

@@ -1,4 +1,4 @@
-//! What a host remembers of one sender on one link: its incarnation, what has come, when, and what it said of us.
+//! State of one sender on one link: its incarnation, what has come, when, and what it said of us.
 //!
 //! Every field is of a fixed size, or bounded by the size of the team. What follows from it is decided in `incoming`.
 
@@ -46,7 +46,7 @@ pub struct Sender {
     pub lanes: [Lane; 2],
     /// Which of its datagrams have been held back.
     pub order: Order,
-    /// What it may still say.
+    /// Budget of its datagrams.
     pub bucket: Bucket,
     /// Its newest stamp, and when it came.
     pub stamp: Option<(Stamp, Time)>,
@@ -162,14 +162,14 @@ impl Sender {
 }
 
 impl Peer {
-    /// What is known of an incarnation that has not shown yet that it is alive.
+    /// State of an incarnation that has not shown yet that it is alive.
     pub fn candidate(now: Time, link: LinkId, host: HostId, candidate: &Candidate) -> Peer {
         let unknown = Sender::new(now, None).peer(now, link, (host, candidate.epoch), false);
         Peer { age_s: Some(now.since(candidate.at).as_secs()), ..unknown }
     }
 }
 
-/// What a host knows of another on one link, for people and reports.
+/// Summary of another host on one link, for people and reports.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Peer {
     /// The link.

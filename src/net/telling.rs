@@ -1,4 +1,4 @@
-//! Which hosts the next report lists: reports have a budget of bytes, so they take turns. Decides; sends nothing.
+//! Choice of the hosts in the next report: reports have a budget of bytes, so they take turns. Decides; sends nothing.
 //!
 //! First candidates, which wait for an echo to prove themselves; then hosts that asked this one for proof; then those
 //! whose proof is getting old, to ask them; then those of which more or less is lost than was told; then the others,
@@ -13,10 +13,10 @@ use super::senders::Senders;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// What the entries of reports may take in the long run \[bytes/s\]: with headers, tags and heartbeats a host stays
+/// Budget of the entries of reports in the long run \[bytes/s\]: with headers, tags and heartbeats a host stays
 /// below 1.5 kB/s of soft state.
 const ENTRY_BYTES_PER_S: f64 = 900.0;
-/// What they may take at once \[bytes\]: a team of 200 joins without waiting for the long run.
+/// Budget of the entries at once \[bytes\]: a team of 200 joins without waiting for the long run.
 const ENTRY_BYTES_AT_ONCE: f64 = 2400.0;
 /// Operators that an urgent report lists whatever the budget: more than ten of them act at once hardly ever.
 const URGENT_ENTRIES: usize = 8;

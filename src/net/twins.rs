@@ -24,7 +24,7 @@ pub struct Duplicate {
     pub epoch: u32,
 }
 
-/// What this process knows of others with its id on one link.
+/// Others with the id of this process on one link.
 #[derive(Clone, Copy, Debug)]
 pub struct Twins {
     me: (LinkId, HostId, u32),

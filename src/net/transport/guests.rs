@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
 use crate::messages::ids::HostId;
-use crate::net::link::Standing;
+use crate::net::link::{Guest, Standing};
 use crate::time::{Span, Time};
 
 /// Believed guests at one time: each costs a datagram for every one that is said to all, and a team has few operators.
@@ -19,17 +19,6 @@ pub const STAY: Span = Span::from_millis(10_000);
 pub const MAX_UNPROVEN: usize = 32;
 /// How long such an address stays: as long as a stamp is echoed.
 pub const UNPROVEN_STAY: Span = Span::from_millis(2000);
-
-/// A host at an address that is in no file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Guest {
-    /// The host.
-    pub host: HostId,
-    /// Where it was heard from.
-    pub at: SocketAddr,
-    /// Whether it is believed.
-    pub standing: Standing,
-}
 
 /// The guests of one link.
 #[derive(Clone, Debug, Default)]

@@ -18,10 +18,10 @@ use std::net::SocketAddr;
 use crate::messages::ids::HostId;
 use crate::messages::local::Truth;
 use crate::net::codec::Frame;
+use crate::net::link::Guest;
 use crate::net::router::Audience;
-use guests::Guest;
 
-/// What a transport accepts.
+/// Input of a transport.
 #[derive(Clone, Debug)]
 pub enum In {
     /// A Network sends a frame.
@@ -39,7 +39,7 @@ pub enum In {
 pub struct Transmit {
     /// The host that sends it.
     pub from: HostId,
-    /// Whom it is for.
+    /// The hosts that it is for.
     pub audience: Audience,
     /// The bytes.
     pub frame: Frame,

@@ -10,7 +10,7 @@ use socket2::{SockRef, Socket};
 
 use super::batch::Batch;
 pub use super::filter::Filter;
-use super::guests::{Guest, Guests};
+use super::guests::Guests;
 use super::interface;
 use super::loopback::Loopback;
 pub use super::open::OpenError;
@@ -20,6 +20,7 @@ use crate::actors::Core;
 use crate::deploy::team::{SocketConfig, Transport};
 use crate::messages::ids::HostId;
 use crate::net::codec::{self, Content};
+use crate::net::link::Guest;
 use crate::net::router::Audience;
 use crate::time::{Span, Time};
 
