@@ -5,7 +5,8 @@
 #
 # NETPEERS is a copy of the harness (run.sh, peers.txt) with its peers built into $NETPEERS/.build or $BUILD. Needs root
 # (network namespaces, named after NP_PREFIX, default `mn`). ROUNDS (5), SECONDS_EACH (4) and CASES ("N:RATE ...")
-# choose what is measured; OUT keeps every run as a line of JSON. Skips, saying so, where the harness is absent.
+# choose what is measured, PROFILE (release) how the example is built, `robot` with link-time optimisation; OUT keeps
+# every run as a line of JSON. Skips, saying so, where the harness is absent.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -19,10 +20,11 @@ if [ "$(id -u)" != 0 ]; then
     exit 0
 fi
 export BUILD=${BUILD:-$harness/.build} NP_PREFIX=${NP_PREFIX:-mn} NP_KEEP_TOPO=1
-ours=$PWD/target/release/examples/netpeer
+profile=${PROFILE:-release}
+ours=$PWD/target/$profile/examples/netpeer
 peers=("$@")
 if [ ${#peers[@]} = 0 ]; then
-    cargo build --quiet --release --example netpeer
+    cargo build --quiet --profile "$profile" --example netpeer
     peers=(raw cyc-be "$ours")
 fi
 rounds=${ROUNDS:-5}
