@@ -16,6 +16,7 @@ use std::time::{Duration, Instant};
 use crew::{Crew, Said, folder, report};
 use murmurate::report::event::HostEvent;
 use murmurate::scenario::judge::Verdict;
+use program::{murmurate, text};
 
 const HOSTS: [&str; 4] = ["agent-0", "agent-1", "agent-2", "world"];
 const ROBOTS: [u16; 3] = [0, 1, 2];
@@ -71,8 +72,8 @@ fn watch(crew: &Crew, span: Duration) -> Seen {
     seen
 }
 
-/// A team that runs, its groups and its number.
-fn team() -> (Crew, tempfile::TempDir, [SocketAddrV4; 2], u16) {
+/// A team that runs, its folder and file, its groups and its number.
+fn team() -> (Crew, (tempfile::TempDir, String), [SocketAddrV4; 2], u16) {
     let number = 791;
     let groups = [1, 2].map(|last| SocketAddrV4::new(Ipv4Addr::new(239, 255, 81, last), 40_791));
     let links: String = ["loopback", "infra"]
@@ -82,6 +83,7 @@ fn team() -> (Crew, tempfile::TempDir, [SocketAddrV4; 2], u16) {
         .collect();
     let head = format!("team = {number}\nkey_file = \"team.key\"\nmode = \"offboard\"\nrobots = 3\nepisodes = 10000\n");
     let (folder, file) = folder(&(head + &links));
+    let path = file.clone();
     let mut crew = Crew::new(move |host| {
         let mut args = vec!["host", &file, "--host", host, "--json"];
         if host == "world" {
@@ -97,7 +99,24 @@ fn team() -> (Crew, tempfile::TempDir, [SocketAddrV4; 2], u16) {
     crew.ready(&HOSTS);
     crew.runs_after(None, &ROBOTS);
 
-    (crew, folder, groups, number)
+    (crew, (folder, path), groups, number)
+}
+
+/// Stops the team, by an operator that comes before what has no deadline; after how long everyone had confirmed \[s\].
+fn stop(file: &str) -> f64 {
+    let mut command = Command::new("nice");
+    command.args(["-n", "-10", env!("CARGO_BIN_EXE_murmurate"), "stop", file, "--json"]);
+    let output = command.env_remove("MURMURATE_JUNK").stdin(Stdio::null()).output().expect("it starts");
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    said["took_s"].as_f64().expect("it took")
+}
+
+fn go_on(file: &str) {
+    for words in [&["stop", file, "--rearm"][..], &["resume", file]] {
+        let output = murmurate(words).env_remove("MURMURATE_JUNK").output().expect("it starts");
+        assert_eq!(output.status.code(), Some(0), "{words:?}: {}", text(&output.stderr));
+    }
 }
 
 #[test]
@@ -105,11 +124,13 @@ fn a_running_team_does_not_mind_junk() {
     let full = std::env::var("MURMURATE_JUNK").is_ok_and(|what| what == "full");
     let span = Duration::from_secs(if full { 10 } else { 1 });
     let rates = if full { vec![HARMLESS_PER_S, FLOOD_PER_S] } else { vec![HARMLESS_PER_S] };
-    let (crew, _folder, groups, number) = team();
+    let (crew, (_folder, file), groups, number) = team();
     let judged = has_priority(&crew, "world");
     let used = |before: f64| HOSTS.iter().map(|host| cpu_s(&crew, host)).sum::<f64>() - before;
     let quiet = watch(&crew, span);
-    report("kind       asked/s  sent/s  CPU of 4 hosts  late ticks  given up  World steps  late a second after");
+    report(
+        "kind       asked/s  sent/s  CPU of 4 hosts  late ticks  given up  World steps  late a second after  stop confirmed",
+    );
     for (kind, rate) in junk::KINDS.into_iter().flat_map(|kind| rates.iter().map(move |rate| (kind, *rate))) {
         let what = junk::junk(kind, groups, number);
         // What was said meanwhile is of another time.
@@ -122,9 +143,18 @@ fn a_running_team_does_not_mind_junk() {
         let sent = sender.stop();
         watch(&crew, Duration::from_secs(1));
         let after = watch(&crew, Duration::from_secs(1));
+        let sender = junk::Sender::start(groups, &what, rate);
+        let took_s = stop(&file);
+        sender.stop();
+        go_on(&file);
+        crew.runs_after(None, &ROBOTS);
+        assert!(took_s <= 1.0, "under {kind:?} at {rate}/s a stop is confirmed after {took_s} s");
         let name = format!("{kind:?}");
         let Seen { late, aborted, steps } = seen;
-        report(&format!("{name:10} {rate:7} {sent:7.0} {cpu:15.2} {late:11} {aborted:9} {steps:12} {:20}", after.late));
+        report(&format!(
+            "{name:10} {rate:7} {sent:7.0} {cpu:15.2} {late:11} {aborted:9} {steps:12} {:20} {took_s:13.3} s",
+            after.late
+        ));
         assert_eq!(aborted, 0, "{kind:?} has ended an episode");
         for ((host, before), after) in HOSTS.iter().zip(before).zip(HOSTS.map(|host| resident_kib(&crew, host))) {
             assert!(after <= before + 2048, "{host} has grown from {before} to {after} KiB");

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use murmurate::net::codec::VERSION;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -40,11 +41,11 @@ pub fn junk(kind: Kind, groups: [SocketAddrV4; 2], team: u16) -> [Vec<Vec<u8>>; 
             .map(|n| match n % 4 {
                 0 => bytes(20 + 8 * usize::from(n)),
                 1 => looks(bytes(200), n % 5, 99),
-                2 => looks(bytes(20), n % 5, 2),
-                _ => looks(bytes(1300), n % 5, 2),
+                2 => looks(bytes(20), n % 5, VERSION),
+                _ => looks(bytes(1300), n % 5, VERSION),
             })
             .collect(),
-        Kind::WrongKey => (0..DIFFERENT).map(|n| looks(bytes(200), n % 5, 2)).collect(),
+        Kind::WrongKey => (0..DIFFERENT).map(|n| looks(bytes(200), n % 5, VERSION)).collect(),
         Kind::Replayed => overhear(group),
     })
 }
