@@ -128,9 +128,7 @@ fn a_running_team_does_not_mind_junk() {
     let judged = has_priority(&crew, "world");
     let used = |before: f64| HOSTS.iter().map(|host| cpu_s(&crew, host)).sum::<f64>() - before;
     let quiet = watch(&crew, span);
-    report(
-        "kind       asked/s  sent/s  CPU of 4 hosts  late ticks  given up  World steps  late a second after  stop confirmed",
-    );
+    report("kind       asked/s  sent/s  CPU of 4 hosts  late ticks  given up  World steps  late after  stop confirmed");
     for (kind, rate) in junk::KINDS.into_iter().flat_map(|kind| rates.iter().map(move |rate| (kind, *rate))) {
         let what = junk::junk(kind, groups, number);
         // What was said meanwhile is of another time.
@@ -152,7 +150,7 @@ fn a_running_team_does_not_mind_junk() {
         let name = format!("{kind:?}");
         let Seen { late, aborted, steps } = seen;
         report(&format!(
-            "{name:10} {rate:7} {sent:7.0} {cpu:15.2} {late:11} {aborted:9} {steps:12} {:20} {took_s:13.3} s",
+            "{name:10} {rate:7} {sent:7.0} {cpu:15.2} {late:11} {aborted:9} {steps:12} {:11} {took_s:13.3} s",
             after.late
         ));
         assert_eq!(aborted, 0, "{kind:?} has ended an episode");

@@ -11,8 +11,8 @@ const WIRE_FACTOR: u64 = 251;
 const MAX_NUMBER: u64 = 1 << 52;
 /// The largest number that is believed at once: a team that is stopped once a second reaches it after 45 years.
 const CREDIBLE: u64 = 1 << 32;
-/// The furthest that a number beyond `CREDIBLE` may be ahead of what is known. Without these bounds, one message with the
-/// largest number would keep a team stopped for good.
+/// The furthest that a number beyond `CREDIBLE` may be ahead of what is known. Without these bounds, one message with
+/// the largest number would keep a team stopped for good.
 const JUMP: u64 = 1024;
 
 /// Whether motors may turn; a later one is the more restrictive.

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::latch::second_largest;
 
-/// The largest epoch on the wire. At `Round::JUMP` for each of a state server's 20 decisions a second it is reached after
-/// 38 days.
+/// The largest epoch on the wire. At `Round::JUMP` for each of a state server's 20 decisions a second it is reached
+/// after 38 days.
 pub(super) const MAX_EPOCH: u32 = 1 << 30;
 
 /// Which instruction of the state server is meant: later epochs outrank, then later episodes.
@@ -18,10 +18,11 @@ pub struct Round {
 }
 
 impl Round {
-    /// The largest epoch that is believed at once: a state server that is started once an hour reaches it after a century.
+    /// The largest epoch that is believed at once: a state server that is started once an hour reaches it after a
+    /// century.
     const CREDIBLE: u32 = 1 << 20;
-    /// The furthest that an epoch beyond `CREDIBLE` may be ahead of what is known. Without these bounds, one message with
-    /// the largest epoch could never be overtaken.
+    /// The furthest that an epoch beyond `CREDIBLE` may be ahead of what is known. Without these bounds, one message
+    /// with the largest epoch could never be overtaken.
     const JUMP: u32 = 16;
 
     /// Whether another round is so far ahead of this one that it cannot be an honest one.
