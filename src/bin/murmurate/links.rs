@@ -103,13 +103,16 @@ fn failed(link: &str, error: OpenError) -> anyhow::Error {
 }
 
 /// The sockets of an operator: on every interface of this machine that the team file names for the link of the stop;
-/// or, where it has none of those, on all that are up.
-pub fn join(post: &Post, link: &Link, me: HostId) -> Result<Vec<(LinkId, Udp)>> {
+/// or, where it has none of those, on all that are up. Where a flag has `named` the interface, that one or none.
+pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<(LinkId, Udp)>> {
     let interfaces = interface::interfaces().map_err(|error| failed(&link.name, error.into()))?;
     let here = |config: &&SocketConfig| interfaces.iter().any(|i| i.up && i.name == config.interface);
     let addressed = |config: &&SocketConfig| matches!(config.transport, Transport::Unicast { .. });
     let mut ways: Vec<SocketConfig> = post.sockets.iter().filter(|c| addressed(c) || here(c)).cloned().collect();
-    if ways.is_empty() {
+    if ways.is_empty() && named {
+        // Of a flag nothing else is meant.
+        ways = post.sockets[..1].to_vec();
+    } else if ways.is_empty() {
         ways = everywhere(&interfaces, &post.sockets[0]);
     }
     let mut sockets = Vec::new();

@@ -47,6 +47,11 @@ impl TeamArgs {
         TeamArgs { file, set, interface: None, key_file: None }
     }
 
+    /// Whether a flag names the network interface.
+    pub fn names_interface(&self) -> bool {
+        self.interface.is_some()
+    }
+
     /// Where the team file is.
     pub fn path(&self) -> &Path {
         &self.file
