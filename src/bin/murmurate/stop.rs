@@ -151,7 +151,9 @@ impl Asked<'_> {
         let lacking = order.lacking();
         if order.is_overtaken() {
             let state = order.latch().map_or("unknown", |latch| latch.word());
-            return Some(format!("overtaken: somebody else has changed it meanwhile, and now the team is {state}"));
+            return Some(format!(
+                "overtaken: another operator or host has changed the latch meanwhile; the team is now {state}"
+            ));
         }
         let silent = names(&lacking, &[Lack::Silent]);
         let mut why = Vec::new();
