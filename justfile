@@ -7,7 +7,7 @@ default:
 check:
     cargo fmt --check
     cargo clippy --all-targets -- -D warnings
-    cargo test --lib --test contracts --test wire --test determinism --test faults --test safety --test physics --test tidy
+    cargo test --lib --test graph --test tidy
 
 # Episodes of the passage in a preset mode (seconds)
 sim mode="offboard" *flags:
@@ -19,7 +19,7 @@ faults seed mode="onboard-adhoc" *flags:
 
 # The emergency stop against every team file, at 20 % loss, 200 stops; relays, wrong clocks (40 minutes, root, apt: nftables faketime)
 full-stop:
-    MURMURATE_STOPS=20 cargo test --release --test stop_live -- --nocapture
+    MURMURATE_STOPS=20 cargo test --release --test live stop:: -- --nocapture
 
 # One policy step, and whole trials (a minute)
 bench:
@@ -27,7 +27,7 @@ bench:
 
 # Junk of every kind at a running team, at 30 000 and 100 000 datagrams a second (two minutes, wants an idle machine)
 full-abuse:
-    MURMURATE_JUNK=full cargo test --release --test abuse_live -- --nocapture
+    MURMURATE_JUNK=full cargo test --release --test live flooded:: -- --nocapture
 
 # The link beside raw multicast and Cyclone DDS; NETPEERS names the harness's folder (15 minutes, wants an idle machine)
 full-network:

@@ -1,0 +1,12 @@
+//! The actor graph in one process under virtual time: whole trials and what they promise.
+
+mod common;
+mod contracts;
+mod determinism;
+mod faults;
+mod growth;
+mod physics;
+mod radio;
+mod reference;
+mod safety;
+mod shell;

@@ -1,0 +1,492 @@
+//! Abuse: all that a network, a stranger or a broken host may send is refused under its cause, and nobody else suffers.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use crate::rig;
+use crate::rig::{LINK, Rig, TEAM, config, key, latent, multicast, network, report};
+use murmurate::actors::Core;
+use murmurate::actors::network::{Config, Identity, In, Network, Out};
+use murmurate::messages::ids::{HostId, RobotId};
+use murmurate::messages::latch::Latch;
+use murmurate::messages::wire::{Kind, Stop, Wire};
+use murmurate::net::codec::{self, Content, Flags, Header};
+use murmurate::net::key::{Key, TAG_BYTES};
+use murmurate::net::link::{Guest, LinkCounts, Standing};
+use murmurate::net::reliability::{Reliabilities, Setup};
+use murmurate::net::report::{Entry, Report, Stamp};
+use murmurate::net::router::{Audience, Publishers, Route, Router};
+use murmurate::time::{Span, Time};
+use proptest::prelude::*;
+
+/// Two hosts that believe each other, and one more datagram that host 1 sends and host 0 has not heard.
+fn two() -> (Rig, Vec<u8>) {
+    let mut rig = Rig::team(2, Reliabilities::new());
+    rig.meet();
+    rig.counted(0);
+    let frame = held_back(&mut rig);
+    (rig, frame)
+}
+
+/// One more datagram that host 1 sends and host 0 does not hear.
+fn held_back(rig: &mut Rig) -> Vec<u8> {
+    let delay = std::mem::replace(&mut rig.delay, Span::from_secs(1e6));
+    rig.publish(1, latent(1, 1));
+    rig.delay = delay;
+    rig.last_data(1).to_vec()
+}
+
+/// Counts of host 0 after datagrams, less what it had at the last full second.
+fn counted_for(rig: &mut Rig, frames: &[Vec<u8>]) -> LinkCounts {
+    let before = rig.counts[0];
+    rig.delivered[0].clear();
+    for frame in frames {
+        rig.arrive(0, frame);
+    }
+    let after = rig.counted(0);
+    let less = |of: fn(&LinkCounts) -> u64| of(&after) - of(&before);
+    LinkCounts {
+        accepted: less(|c| c.accepted),
+        own: less(|c| c.own),
+        auth: less(|c| c.auth),
+        replay: less(|c| c.replay),
+        late: less(|c| c.late),
+        unproven: less(|c| c.unproven),
+        twin: less(|c| c.twin),
+        team: less(|c| c.team),
+        version: less(|c| c.version),
+        range: less(|c| c.range),
+        duplicate: less(|c| c.duplicate),
+        stale: less(|c| c.stale),
+        rate: less(|c| c.rate),
+        crowd: less(|c| c.crowd),
+        malformed: less(|c| c.malformed),
+        misrouted: less(|c| c.misrouted),
+        ..LinkCounts::default()
+    }
+}
+
+fn sealed(key: &Key, header: Header, message: &Wire) -> Vec<u8> {
+    let mut bytes = codec::encode(&header, message).expect("a sound message").to_vec();
+    key.seal(&mut bytes, LINK, None);
+    bytes
+}
+
+fn header(sender: u16, epoch: u32, sequence: u32) -> Header {
+    Header { flags: Flags::default(), team: TEAM, sender: HostId(sender), epoch, sequence }
+}
+
+/// A datagram whose report shows host 0 that its sender is alive now.
+fn lively(rig: &Rig, header: Header, message: &Wire) -> Vec<u8> {
+    let mut bytes = codec::encode(&header, message).expect("a sound message").to_vec();
+    let mut said = rig.sent.iter().rev().filter(|flight| flight.from == 0);
+    let echo = said.find_map(|flight| report(&flight.frame, TAG_BYTES)).expect("host 0 reports").stamp;
+    let entry = Entry { host: HostId(0), echo, held: Span::ZERO, lost: 0, asks: false, direct: None };
+    let report = Report { stamp: Stamp::new(rig.now.as_nanos() / 1000 + 1), heard: vec![entry] };
+    codec::add(&mut bytes, Content::Report, |bytes| report.write(bytes));
+    key().seal(&mut bytes, LINK, None);
+    bytes
+}
+
+#[test]
+fn a_datagram_cut_anywhere_is_refused_and_the_whole_one_is_not() {
+    let (mut rig, frame) = two();
+    let cut: Vec<Vec<u8>> = (0..=frame.len()).map(|length| frame[..length].to_vec()).collect();
+    let counts = counted_for(&mut rig, &cut);
+    assert_eq!(counts.auth + counts.malformed, frame.len() as u64);
+    assert_eq!((counts.malformed, counts.accepted), (30, 1), "shorter than header and tag, and the whole one");
+}
+
+#[test]
+fn a_datagram_with_any_bit_turned_is_refused() {
+    let (mut rig, frame) = two();
+    let turned = |bit: usize| {
+        let mut turned = frame.clone();
+        turned[bit / 8] ^= 1 << (bit % 8);
+        turned
+    };
+    let all: Vec<Vec<u8>> = (0..frame.len() * 8).map(turned).chain([frame.clone()]).collect();
+    let counts = counted_for(&mut rig, &all);
+    assert_eq!(counts, LinkCounts { auth: frame.len() as u64 * 8, accepted: 1, ..LinkCounts::default() });
+}
+
+#[test]
+fn each_refusal_has_its_cause() {
+    let (mut rig, frame) = two();
+    let (message, later) = (latent(1, 1), 1000);
+    let of = |change: fn(&mut Header)| {
+        let mut header = header(1, 1, later);
+        change(&mut header);
+        sealed(&key(), header, &message)
+    };
+    let stranger = sealed(&Key::new([1; 32]), header(1, 1, later), &message);
+    let untagged = codec::encode(&header(1, 1, later), &message).unwrap().to_vec();
+    let mut version = untagged.clone();
+    version[0] += 1;
+    key().seal(&mut version, LINK, None);
+    let mut garbled = untagged.clone();
+    garbled.truncate(60);
+    key().seal(&mut garbled, LINK, None);
+    let mut number = untagged.clone();
+    let end = number.len();
+    number[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+    key().seal(&mut number, LINK, None);
+    let other_link = {
+        let mut bytes = untagged.clone();
+        key().seal(&mut bytes, murmurate::messages::ids::LinkId(1), None);
+        bytes
+    };
+    let none = LinkCounts::default();
+    let mut is = |frame: Vec<u8>, counts: LinkCounts, what: &str| {
+        assert_eq!(counted_for(&mut rig, &[frame]), counts, "{what}");
+        assert!(rig.delivered[0].is_empty() || counts.accepted > 0, "{what}");
+    };
+    is(stranger, LinkCounts { auth: 1, ..none }, "another key, so a forged id");
+    is(untagged, LinkCounts { auth: 1, ..none }, "no tag");
+    is(other_link, LinkCounts { auth: 1, ..none }, "of another link");
+    is(of(|header| header.team += 1), LinkCounts { team: 1, ..none }, "another team with the same key");
+    is(version, LinkCounts { version: 1, ..none }, "another version");
+    is(garbled, LinkCounts { malformed: 1, ..none }, "cut before it was tagged");
+    is(of(|header| header.sender = HostId(0)), LinkCounts { own: 1, ..none }, "our own");
+    is(of(|header| header.epoch = 0), LinkCounts { unproven: 1, ..none }, "an incarnation that proves nothing");
+    is(of(|header| header.sender = HostId(5)), LinkCounts { unproven: 1, ..none }, "a host that proves nothing");
+    is(number, LinkCounts { range: 1, ..none }, "a number that is none");
+    is(frame, LinkCounts { late: 1, ..none }, "what was held back for longer than a report");
+    let fresh = held_back(&mut rig);
+    let counts = counted_for(&mut rig, &[fresh.clone(), fresh.clone()]);
+    assert_eq!(counts, LinkCounts { accepted: 1, duplicate: 1, ..none }, "the datagram itself and a copy");
+    // Five thousand later the first one is too old to tell, and so is what else is still said with the old numbers.
+    let old = held_back(&mut rig);
+    let counts = counted_for(&mut rig, &[of(|header| header.sequence += 5000), old]);
+    assert!(counts.accepted == 1 && counts.replay >= 1, "{counts:?}");
+}
+
+#[test]
+fn recordings_are_worth_nothing_after_any_restart() {
+    let mut rig = Rig::team(2, Reliabilities::new());
+    rig.meet();
+    for episode in 0..20 {
+        rig.publish(1, latent(1, episode));
+        let next = rig.now + Span::from_millis(50);
+        rig.run_to(next);
+    }
+    assert_eq!(rig.delivered[0].len(), 20);
+    let recorded: Vec<Vec<u8>> =
+        rig.sent.iter().filter(|flight| flight.from == 1).map(|flight| flight.frame.to_vec()).collect();
+    let setup = || multicast(Reliabilities::new());
+
+    // The receiver starts again and the sender is dead: there is nobody whose word could refute the recording.
+    rig.restart(0, config(0, 2, 2, Some(key()), setup()));
+    rig.restart(1, config(0, 2, 99, None, setup()));
+    rig.counts[0] = LinkCounts::default();
+    for frame in &recorded {
+        rig.arrive(0, frame);
+    }
+    assert!(rig.delivered[0].len() == 20, "nothing more");
+    assert_eq!(rig.counted(0).unproven, recorded.len() as u64);
+
+    // The sender starts again, and is believed; what it said before it died is not.
+    rig.restart(1, config(1, 2, 2, Some(key()), setup()));
+    rig.meet();
+    rig.publish(1, latent(1, 77));
+    rig.run_ms(10);
+    assert_eq!(rig.delivered[0].len(), 1, "it is believed within three messages");
+    rig.counted(0);
+    let counts = counted_for(&mut rig, &recorded);
+    assert_eq!(counts.unproven + counts.replay, recorded.len() as u64);
+    assert!(rig.delivered[0].is_empty());
+}
+
+#[test]
+fn what_was_held_back_is_not_believed_long_after_its_sender_fell_silent() {
+    let (mut rig, frame) = two();
+    rig.restart(1, config(0, 2, 99, None, multicast(Reliabilities::new())));
+    let later = rig.now + Span::from_millis(5500);
+    rig.run_to(later);
+    let counts = counted_for(&mut rig, &[frame]);
+    assert_eq!((counts.unproven + counts.late, counts.accepted), (1, 0));
+}
+
+#[test]
+fn numbers_wrap_and_what_was_before_the_wrap_stays_old() {
+    let (mut rig, _) = two();
+    let message = latent(1, 1);
+    rig.restart(1, config(0, 2, 99, None, multicast(Reliabilities::new())));
+    rig.run_ms(600);
+    let first = lively(&rig, header(1, 5, u32::MAX - 1), &message);
+    let of = |sequence: u32| sealed(&key(), header(1, 5, sequence), &message);
+    rig.arrive(0, &first);
+    let all = [of(u32::MAX), of(0), of(1), of(u32::MAX), of(u32::MAX - 500), of(u32::MAX - 5000)];
+    let counts = counted_for(&mut rig, &all);
+    assert_eq!((counts.accepted, counts.duplicate, counts.replay), (4, 2, 1), "{counts:?}");
+}
+
+#[test]
+fn two_live_hosts_of_one_id_are_noticed_by_all() {
+    // The fourth host has the id of the second.
+    let hosts = [(0, 1), (1, 1), (2, 1), (1, 2)];
+    let config = |(host, epoch)| config(host, 3, epoch, Some(key()), multicast(Reliabilities::new()));
+    let mut rig = Rig::new(hosts.map(config));
+    for step in 0..60 {
+        for (host, robot) in [(0, 0), (1, 1), (2, 2), (3, 1)] {
+            rig.publish(host, latent(robot, step));
+        }
+        let next = rig.now + Span::from_millis(50);
+        rig.run_to(next);
+    }
+    for host in 0..3 {
+        assert!(rig.counted(host).twin > 5, "host {host}: {:?}", rig.counts[host]);
+    }
+    assert!(rig.peers[0].iter().any(|peer| peer.host == 1 && peer.twins > 5));
+    assert!(rig.delivered[0].len() > 100, "one of the two and the third host are heard");
+}
+
+#[test]
+fn one_babbler_of_twenty_is_limited_alone() {
+    let mut rig = Rig::team(20, Reliabilities::new());
+    rig.meet();
+    for ms in 0..2000u32 {
+        // Forty messages in a millisecond from one, twenty a second from each of the others.
+        for _ in 0..40 {
+            rig.publish(1, latent(1, ms));
+        }
+        if ms % 50 == 0 {
+            (2..20).for_each(|host| rig.publish(usize::from(host), latent(host, ms)));
+        }
+        let next = rig.now + Span::from_millis(1);
+        rig.run_to(next);
+    }
+    let of = |robot: u16| {
+        rig.delivered[0].iter().filter(|(_, message)| message.robot().0 == robot && message.kind() as u8 == 1).count()
+    };
+    let babbled = of(1);
+    assert!((20_000..=25_000).contains(&babbled), "{babbled} of 80 000 got in");
+    assert!((2..20).all(|robot| of(robot) == 40), "everybody else is heard");
+    assert!(rig.counted(0).rate > 50_000);
+}
+
+/// The counts of a network after a second.
+fn counts_of(network: &mut Network) -> LinkCounts {
+    let mut out = Vec::new();
+    network.wake(Time::ZERO + Span::from_millis(1000), &mut out);
+    let counts = out.iter().find_map(|said| if let Out::Counts(counts) = said { Some(**counts) } else { None });
+    counts.expect("it tells its counts")
+}
+
+/// The way of a stop: for everyone.
+const STOP: Route = Route { local: true, leaves: Some((LINK, Audience::All)) };
+
+/// The configuration of host 0 of a team of four, which knows the hosts of its team.
+fn team_of_four(key: Option<Key>, setup: Setup) -> Config {
+    let mut config = config(0, 4, 1, key, setup);
+    let agents: Vec<HostId> = (0..4).map(HostId).collect();
+    let names = agents.iter().map(|host| format!("host {}", host.0)).collect();
+    let publishers = Publishers { names, bodies: agents.clone(), agents, server: HostId(0) };
+    let all = |_, robot: RobotId| Route { local: robot != RobotId(0), leaves: None };
+    let router = Router::new(4, |kind, robot| if kind == Kind::Stop { STOP } else { all(kind, robot) });
+    config.router = router.with_publishers(Arc::new(publishers));
+    config
+}
+
+fn engage(number: u16) -> Wire {
+    Wire::Stop(Stop::engage(HostId::operator(number), Latch::default()))
+}
+
+#[test]
+fn made_up_senders_take_no_room_from_hosts_of_the_team_and_operators() {
+    let mut network = network(team_of_four(None, multicast(Reliabilities::new())));
+    let mut delivered = |sender: u16, sequence: u32, message: Wire| {
+        let mut out = Vec::new();
+        let frame = codec::encode(&header(sender, 1, sequence), &message).expect("a sound message");
+        network.handle(Time::ZERO, In::Frame(LINK, frame, None), &mut out);
+        out.iter().filter(|said| matches!(said, Out::Deliver(_))).count()
+    };
+    assert_eq!(delivered(1, 1, latent(1, 1)), 1);
+    for sender in 4..=20_000 {
+        delivered(sender, 1, latent(1, 1));
+    }
+    let operators = (0..HostId::OPERATORS).map(|number| delivered(HostId::operator(number).0, 1, engage(number)));
+    assert_eq!(operators.sum::<usize>(), usize::from(HostId::OPERATORS), "each operator is heard");
+    assert_eq!(delivered(1, 2, latent(1, 2)), 1, "a host that was believed before is");
+    assert_eq!(delivered(3, 1, latent(3, 1)), 1, "and one that comes later");
+    let counts = counts_of(&mut network);
+    assert_eq!((counts.crowd, counts.replay + counts.twin), (0, 0));
+}
+
+#[test]
+fn an_operator_and_a_host_prove_themselves_beside_thousands_that_a_member_makes_up() {
+    let none = config(9, 4, 1, None, multicast(Reliabilities::new()));
+    let mut rig = Rig::new([team_of_four(Some(key()), multicast(Reliabilities::new())), none.clone(), none]);
+    let says_hello = |rig: &mut Rig, sender: u16, stamp: u64| {
+        let mut bytes = codec::start(&header(sender, 1, stamp as u32));
+        let report = Report { stamp: Stamp::new(stamp), heard: Vec::new() };
+        codec::add(&mut bytes, Content::Report, |bytes| report.write(bytes));
+        key().seal(&mut bytes, LINK, None);
+        rig.arrive(0, &bytes);
+    };
+    // Candidates that never prove themselves, of both kinds; then some that do.
+    for sender in 0..3000 {
+        says_hello(&mut rig, 4 + sender, 5);
+        says_hello(&mut rig, HostId::operator(sender).0, 5);
+    }
+    rig.run_ms(500);
+    for number in 0..3000 {
+        let frame = lively(&rig, header(HostId::operator(number).0, 2, 1), &engage(number));
+        rig.arrive(0, &frame);
+    }
+    assert_eq!(rig.delivered[0].len(), 3000, "each is believed");
+    rig.delivered[0].clear();
+    // A real one of each kind, from its first datagram on.
+    rig.restart(1, config(3, 4, 7, Some(key()), multicast(Reliabilities::new())));
+    rig.restart(2, operator(5, 7));
+    for _ in 0..25 {
+        let micros = rig.now.as_nanos() / 1000;
+        says_hello(&mut rig, HostId::operator((micros % 3000) as u16).0, micros);
+        rig.publish(1, latent(3, 1));
+        rig.publish(2, engage(5));
+        rig.run_ms(20);
+    }
+    let heard = |kind: Kind| rig.delivered[0].iter().filter(|(_, message)| message.kind() == kind).count();
+    assert!(heard(Kind::Latent) > 10 && heard(Kind::Stop) > 10, "{} {}", heard(Kind::Latent), heard(Kind::Stop));
+    assert_eq!(rig.counted(0).crowd, 0);
+}
+
+/// An operator with this number.
+fn operator(number: u16, epoch: u32) -> Config {
+    let router = Router::new(4, |kind, _| match kind {
+        Kind::Stop => STOP,
+        _ => Route::default(),
+    });
+    let me = Identity { host: HostId::operator(number), team: TEAM, epoch };
+    let setup = Setup { report_rides: Span::ZERO, ..multicast(Reliabilities::new()) };
+    Config { me, key: Some(key()), links: vec![Some(setup)], router }
+}
+
+/// A team of two hosts and an operator, on a link where datagrams are addressed if `setup` says so, after the operator
+/// has said some stops; and all that it has said.
+fn with_operator(setup: &Setup) -> (Rig, Vec<Vec<u8>>) {
+    let host = |host| config(host, 2, 1, Some(key()), setup.clone());
+    let mut rig = Rig::new([host(0), host(1), config(9, 2, 1, None, setup.clone())]);
+    rig.run_ms(1000);
+    let mut config = operator(5, 7);
+    config.links = vec![Some(Setup { report_rides: Span::ZERO, ..setup.clone() })];
+    rig.restart(2, config);
+    for _ in 0..10 {
+        rig.publish(2, engage(5));
+        rig.run_ms(20);
+    }
+    let said = rig.sent.iter().filter(|flight| flight.from == 2).map(|flight| flight.frame.to_vec()).collect();
+    (rig, said)
+}
+
+#[test]
+fn a_recording_of_an_operator_from_elsewhere_does_not_take_its_answers() {
+    let setup = Setup::unicast(Reliabilities::new());
+    let (mut rig, said) = with_operator(&setup);
+    let [here, elsewhere] = [1, 2].map(|port| Some(SocketAddr::from(([127, 0, 0, 1], port))));
+    // What it says itself comes from its own address.
+    let delay = std::mem::replace(&mut rig.delay, Span::from_secs(1e6));
+    rig.publish(2, engage(5));
+    let fresh = rig.sent.last().expect("it has said a stop").frame.clone();
+    rig.delay = delay;
+    let guest =
+        |at: Option<SocketAddr>, standing| Guest { host: HostId::operator(5), at: at.expect("an address"), standing };
+    rig.arrive_from(0, &fresh, here);
+    assert_eq!(rig.admitted[0], [guest(here, Standing::Proven)]);
+    for frame in said.iter().chain([&fresh.to_vec()]) {
+        rig.arrive_from(0, frame, elsewhere);
+    }
+    assert_eq!(rig.admitted[0].len(), 1, "a recording of one that is believed admits nobody");
+
+    // Once the operator is forgotten, its recordings are those of one that has to prove itself, and soon of none.
+    rig.restart(2, config(9, 2, 1, None, setup));
+    rig.run_ms(20_000);
+    for _ in 0..50 {
+        said.iter().for_each(|frame| rig.arrive_from(0, frame, elsewhere));
+        rig.run_ms(100);
+    }
+    let admitted = &rig.admitted[0][1..];
+    assert!(!admitted.is_empty() && admitted.iter().all(|guest| guest.standing == Standing::Unproven));
+    assert!(admitted.len() <= 20 * said.len(), "{} times, in 2 s and never again", admitted.len());
+    let before = rig.admitted[0].len();
+    said.iter().for_each(|frame| rig.arrive_from(0, frame, elsewhere));
+    assert_eq!(rig.admitted[0].len(), before);
+}
+
+#[test]
+fn a_recording_of_an_operator_that_is_repeated_makes_no_host_say_more() {
+    for setup in [multicast(Reliabilities::new()), Setup::unicast(Reliabilities::new())] {
+        let (mut rig, said) = with_operator(&setup);
+        rig.restart(2, config(9, 2, 1, None, setup));
+        rig.run_ms(20_000);
+        let mut spoken = |recordings: &[Vec<u8>]| {
+            rig.sent.clear();
+            for ms in 0..10_000 {
+                if ms % 200 == 0 {
+                    rig.publish(1, rig::heartbeat(1, ms));
+                }
+                for frame in recordings {
+                    rig.arrive(1, frame);
+                }
+                rig.run_ms(1);
+            }
+            let own = rig.sent.iter().filter(|flight| flight.from == 1);
+            (own.clone().count(), own.map(|flight| flight.bytes).sum::<usize>())
+        };
+        let quiet = spoken(&[]);
+        let [first, all] = [spoken(&said[..1]), spoken(&said)];
+        println!("datagrams and bytes in 10 s: quiet {quiet:?}, one recording {first:?}, all {all:?}");
+        // A burst of answers at most, while its stamps are new: 25, and 4 a second for as long as that lasts.
+        assert!(first.0 <= quiet.0 + 2, "one recording is answered once: {first:?} beside {quiet:?}");
+        assert!(all.0 <= quiet.0 + 30, "{all:?} beside {quiet:?}");
+        assert!(all.1 <= 15_000, "the budget of soft state is 1.5 kB/s: {all:?}");
+    }
+}
+
+#[test]
+fn sequences_of_recordings_without_end_cause_few_answers() {
+    let (mut rig, _) = two();
+    rig.sent.clear();
+    for ms in 0..10_000u32 {
+        // More former operators than are remembered, and stamps that always advance.
+        for number in [ms, ms + 1] {
+            let sender = HostId::operator((number % 3000) as u16).0;
+            let mut bytes = codec::start(&header(sender, 1, ms));
+            let report = Report { stamp: Stamp::new(1_000_000 + u64::from(ms)), heard: Vec::new() };
+            codec::add(&mut bytes, Content::Report, |bytes| report.write(bytes));
+            key().seal(&mut bytes, LINK, None);
+            rig.arrive(1, &bytes);
+        }
+        rig.run_ms(1);
+    }
+    let count = rig.sent.iter().filter(|flight| flight.from == 1).count();
+    let bytes: usize = rig.sent.iter().filter(|flight| flight.from == 1).map(|flight| flight.bytes).sum();
+    println!("in 10 s {count} datagrams, {bytes} bytes");
+    assert!(count <= 25 + 40 + 50, "25 at once, 4 a second, and regular reports: {count}");
+    assert!(bytes <= 25_000, "{bytes}");
+}
+
+fn junk() -> impl Strategy<Value = Vec<Vec<u8>>> {
+    prop::collection::vec(prop::collection::vec(any::<u8>(), 0..300), 0..20)
+}
+
+proptest! {
+    #[test]
+    fn junk_is_counted_and_never_panics(junk in junk()) {
+        for key in [None, Some(key())] {
+            let mut network = network(config(0, 4, 1, key.clone(), multicast(Reliabilities::new())));
+            for bytes in &junk {
+                // As it is, and behind a sound header and tag: so it gets further in.
+                let mut deep = codec::start(&header(1, 1, 1));
+                deep.extend_from_slice(bytes);
+                if let Some(key) = &key {
+                    key.seal(&mut deep, LINK, None);
+                }
+                for frame in [bytes.clone(), deep] {
+                    network.handle(Time::ZERO, In::Frame(LINK, frame.into(), None), &mut Vec::new());
+                }
+            }
+            network.wake(Time::ZERO, &mut Vec::new());
+        }
+    }
+}

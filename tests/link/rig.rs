@@ -1,0 +1,289 @@
+//! Some Networks on one lossy link under virtual time: what the tests of the link layer share. Not a test.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use murmurate::actors::Core;
+use murmurate::actors::network::{Config, Identity, In, Network, Out};
+use murmurate::messages::geometry::Motion;
+use murmurate::messages::ids::{HostId, LinkId, RobotId};
+use murmurate::messages::latch::Latch;
+use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Phase, Round, Wire};
+use murmurate::net::codec::{self, Content, Frame};
+use murmurate::net::key::{Key, TAG_BYTES};
+use murmurate::net::link::{Duplicate, Guest, LinkCounts};
+use murmurate::net::reliability::{Reliabilities, Setup};
+use murmurate::net::report::Report;
+use murmurate::net::router::{Audience, Route, Router};
+use murmurate::net::sender::Peer;
+use murmurate::random::{Seed, Stream};
+use murmurate::time::{Span, Time};
+use rand::RngExt;
+
+pub const LINK: LinkId = LinkId(0);
+pub const TEAM: u16 = 7;
+
+pub fn key() -> Key {
+    Key::new([42; 32])
+}
+
+/// Robot i lives on host i: its latents are for all others, its heartbeats for host 0.
+pub fn config(host: u16, robots: usize, epoch: u32, key: Option<Key>, setup: Setup) -> Config {
+    let router = Router::new(robots, |kind, robot| {
+        let own = robot.0 == host;
+        match kind {
+            Kind::Heartbeat => {
+                Route { local: host == 0, leaves: (own && host != 0).then_some((LINK, Audience::Host(HostId(0)))) }
+            }
+            _ => Route { local: !own, leaves: own.then_some((LINK, Audience::All)) },
+        }
+    });
+    Config { me: Identity { host: HostId(host), team: TEAM, epoch }, key, links: vec![Some(setup)], router }
+}
+
+pub fn network(config: Config) -> Network {
+    network_of_run(config, 0)
+}
+
+/// Another run draws other numbers, also where it has the same incarnation.
+fn network_of_run(config: Config, run: u64) -> Network {
+    let stream = Seed::of_run(u64::from(config.me.host.0)).stream(&format!("network/{run}"));
+    Network::new(config, stream)
+}
+
+/// The link report of a datagram, if there is one.
+pub fn report(frame: &[u8], tag: usize) -> Option<Report> {
+    codec::blocks(&frame[..frame.len() - tag]).flatten().find_map(|(content, body)| match content {
+        Content::Report | Content::NumberedReport => Report::read(content, body).ok(),
+        _ => None,
+    })
+}
+
+pub fn multicast(kinds: Reliabilities) -> Setup {
+    Setup::multicast(kinds)
+}
+
+pub fn latent(robot: u16, episode: u32) -> Wire {
+    Wire::Latent(Latent {
+        robot: RobotId(robot),
+        round: Round { epoch: 1, episode },
+        phase: Phase::Running,
+        motion: Motion::default(),
+        features: Features(Arc::from(vec![0.5; 32])),
+    })
+}
+
+pub fn heartbeat(robot: u16, episode: u32) -> Wire {
+    let round = Round { epoch: 1, episode };
+    Wire::Heartbeat(Heartbeat { robot: RobotId(robot), round, phase: Phase::Running, latch: Latch::default() })
+}
+
+/// A datagram under way, or one that has arrived.
+#[derive(Clone)]
+pub struct Flight {
+    pub from: usize,
+    pub at: Time,
+    pub audience: Audience,
+    pub frame: Frame,
+    pub bytes: usize,
+}
+
+pub struct Rig {
+    pub now: Time,
+    pub networks: Vec<Network>,
+    /// Messages handed in, by host: when, what.
+    pub delivered: Vec<Vec<(Time, Wire)>>,
+    pub peers: Vec<Vec<Peer>>,
+    pub counts: Vec<LinkCounts>,
+    /// The host that each was found to duplicate.
+    pub duplicates: Vec<Option<Duplicate>>,
+    /// The guests that each has admitted, in order.
+    pub admitted: Vec<Vec<Guest>>,
+    /// The number of each host: its place, unless set otherwise.
+    pub ids: Vec<HostId>,
+    /// Everything that was sent.
+    pub sent: Vec<Flight>,
+    /// The datagrams of it that have arrived, and where, if that is to be remembered.
+    pub arrived: Option<Vec<(Time, usize, Frame)>>,
+    pub loss: f64,
+    pub delay: Span,
+    /// The longest delay that may be added to it, at random.
+    pub jitter: Span,
+    /// A relay without the key holds back what this host says: everything, or what has no report.
+    pub relay: Option<(usize, bool)>,
+    flying: BTreeMap<(Time, u64), (usize, Frame)>,
+    /// When each host wants to be woken.
+    wakes: BTreeSet<(Time, usize)>,
+    wake_of: Vec<Option<Time>>,
+    count: u64,
+    runs: u64,
+    stream: Stream,
+}
+
+impl Rig {
+    pub fn new(configs: impl IntoIterator<Item = Config>) -> Rig {
+        let (mut ids, mut networks) = (Vec::new(), Vec::new());
+        for config in configs {
+            ids.push(config.me.host);
+            networks.push(network_of_run(config, networks.len() as u64));
+        }
+        let count = networks.len();
+        let mut rig = Rig {
+            now: Time::ZERO,
+            delivered: vec![Vec::new(); count],
+            peers: vec![Vec::new(); count],
+            counts: vec![LinkCounts::default(); count],
+            duplicates: vec![None; count],
+            admitted: vec![Vec::new(); count],
+            ids,
+            runs: count as u64,
+            networks,
+            sent: Vec::new(),
+            arrived: None,
+            wakes: BTreeSet::new(),
+            wake_of: vec![None; count],
+            loss: 0.0,
+            delay: Span::from_nanos(300_000),
+            jitter: Span::ZERO,
+            relay: None,
+            flying: BTreeMap::new(),
+            count: 0,
+            stream: Seed::of_run(5).stream("pipe"),
+        };
+        (0..count).for_each(|host| rig.plan(host));
+        rig
+    }
+
+    /// `count` hosts with a key on a multicast link.
+    pub fn team(count: u16, kinds: Reliabilities) -> Rig {
+        Rig::new((0..count).map(|host| config(host, count.into(), 1, Some(key()), multicast(kinds.clone()))))
+    }
+
+    fn act(&mut self, host: usize, act: impl FnOnce(&mut Network, Time, &mut Vec<Out>)) {
+        let mut out = Vec::new();
+        act(&mut self.networks[host], self.now, &mut out);
+        self.plan(host);
+        for said in out {
+            match said {
+                Out::Deliver(message) => self.delivered[host].push((self.now, message)),
+                Out::Counts(counts) => self.counts[host] = *counts,
+                Out::Peers(peers) => self.peers[host] = peers,
+                Out::Duplicate(duplicate) => self.duplicates[host] = Some(duplicate),
+                Out::Admit(_, guest) => self.admitted[host].push(guest),
+                Out::Tap(_) => {}
+                Out::Transmit(_, audience, frame) => {
+                    let bytes = frame.len();
+                    self.sent.push(Flight { from: host, at: self.now, audience, frame: frame.clone(), bytes });
+                    let held = |(from, all)| from == host && (all || is_held(&frame));
+                    if self.relay.is_some_and(held) {
+                        continue;
+                    }
+                    for to in 0..self.networks.len() {
+                        let meant = audience == Audience::All || audience == Audience::Host(self.ids[to]);
+                        if to != host && meant && !self.stream.random_bool(self.loss) {
+                            let jitter = match self.jitter.as_nanos() {
+                                0 => Span::ZERO,
+                                most => Span::from_nanos(self.stream.random_range(0..most)),
+                            };
+                            self.flying.insert((self.now + self.delay + jitter, self.count), (to, frame.clone()));
+                            self.count += 1;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn plan(&mut self, host: usize) {
+        let wake = self.networks[host].wake_at();
+        if let Some(before) = std::mem::replace(&mut self.wake_of[host], wake) {
+            self.wakes.remove(&(before, host));
+        }
+        self.wakes.extend(wake.map(|at| (at, host)));
+    }
+
+    pub fn publish(&mut self, host: usize, message: Wire) {
+        self.act(host, |network, now, out| network.handle(now, In::Publish(message), out));
+    }
+
+    pub fn arrive(&mut self, host: usize, frame: &[u8]) {
+        self.arrive_from(host, frame, None);
+    }
+
+    /// A datagram arrives from this address.
+    pub fn arrive_from(&mut self, host: usize, frame: &[u8], from: Option<SocketAddr>) {
+        self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into(), from), out));
+    }
+
+    /// Lets so many milliseconds pass.
+    pub fn run_ms(&mut self, ms: u64) {
+        let end = self.now + Span::from_millis(ms);
+        self.run_to(end);
+    }
+
+    /// Lets the time pass until `end`.
+    pub fn run_to(&mut self, end: Time) {
+        loop {
+            let wake = self.wakes.first().copied();
+            let flight = self.flying.keys().next().copied();
+            let next = [wake.map(|(at, _)| at), flight.map(|(at, _)| at)].into_iter().flatten().min();
+            let Some(next) = next.filter(|next| *next <= end) else { break };
+            self.now = self.now.max(next);
+            if let Some(flight) = flight.filter(|(at, _)| *at <= next) {
+                let (to, frame) = self.flying.remove(&flight).expect("it flies");
+                if let Some(arrived) = &mut self.arrived {
+                    arrived.push((self.now, to, frame.clone()));
+                }
+                self.arrive(to, &frame);
+            } else if let Some((_, host)) = wake {
+                self.act(host, |network, now, out| network.wake(now, out));
+            }
+        }
+        self.now = end;
+    }
+
+    /// Counts of a host by now.
+    pub fn counted(&mut self, host: usize) -> LinkCounts {
+        let second = Time::ZERO + Span::from_secs(self.now.as_secs().floor() + 1.0);
+        self.run_to(second);
+        self.counts[host]
+    }
+
+    /// Lets everyone be believed by everyone: each says two things.
+    pub fn meet(&mut self) {
+        for _ in 0..3 {
+            for host in 0..self.networks.len() {
+                let robot = u16::try_from(host).expect("few hosts");
+                self.publish(host, latent(robot, 0));
+            }
+            let next = self.now + Span::from_millis(20);
+            self.run_to(next);
+        }
+        self.delivered.iter_mut().for_each(Vec::clear);
+    }
+
+    /// A host starts again under the same id.
+    pub fn restart(&mut self, host: usize, config: Config) {
+        self.runs += 1;
+        self.ids[host] = config.me.host;
+        self.networks[host] = network_of_run(config, self.runs);
+        self.plan(host);
+    }
+
+    /// The newest datagram of a host with data.
+    pub fn last_data(&self, host: usize) -> Frame {
+        let data = |flight: &&Flight| flight.from == host && is_data(&flight.frame);
+        self.sent.iter().rev().find(data).expect("it has sent something").frame.clone()
+    }
+}
+
+/// Whether a relay that passes reports holds this back: data without one.
+pub fn is_held(frame: &[u8]) -> bool {
+    is_data(frame) && report(frame, TAG_BYTES).is_none()
+}
+
+/// Whether a datagram holds data, and not only soft state.
+pub fn is_data(frame: &[u8]) -> bool {
+    matches!(codec::first(frame), Ok(Content::Message(kind)) if !matches!(kind, Kind::Heartbeat | Kind::Mode))
+}

@@ -1,0 +1,80 @@
+//! What `launch` makes of a team, beside the same team in one process: processes, sockets and real time change little.
+//! An episode takes eight seconds of real time; `MURMURATE_LAUNCHED=32` runs so many.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::sync::Arc;
+
+use crate::alone;
+use crate::program::{murmurate, text};
+use murmurate::deploy::Deployment;
+use murmurate::policy::gnn::Network;
+use murmurate::policy::shipped::shipped;
+use murmurate::policy::{Model, weights};
+use murmurate::safety::Safety;
+use murmurate::scenario::{self, Settings};
+use murmurate::trial::Trial;
+
+const SEED: u64 = 3;
+/// Without being told otherwise.
+const EPISODES: u32 = 3;
+/// So many may end differently, and of every 32 so many.
+const DIFFERENT: u32 = 2;
+
+/// By episode: its verdict, and what is told of it.
+fn simulated(episodes: u32) -> BTreeMap<u32, (String, String)> {
+    let scenario = scenario::build("passage", &Settings::default()).expect("the scenario");
+    let deployment = Deployment::preset("offboard", scenario.robots()).expect("a preset");
+    let file = weights::read(shipped("passage").expect("it is shipped")).expect("it is sound");
+    let draw = file.manifest.draw;
+    let trial = Trial::new(deployment, scenario, Model::Gnn(Arc::new(Network::new(file)), draw));
+    let report = Trial { safety: Safety::deployed(), ..trial }.seed(SEED).episodes(episodes).run();
+    let told = |episode: &murmurate::report::episode::Episode| {
+        let verdict = serde_json::to_value(episode.verdict).expect("it is JSON");
+        let verdict = verdict.as_str().expect("it is a word").to_owned();
+        let makespan = episode.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
+        (episode.episode, (verdict, makespan))
+    };
+    report.episodes.iter().map(told).collect()
+}
+
+/// The same from what `launch` says while it runs.
+fn launched(episodes: u32) -> BTreeMap<u32, (String, String)> {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
+    let set = [
+        format!("episodes={episodes}"),
+        format!("seed={SEED}"),
+        "link.loopback.group=239.255.82.1:41792".to_owned(),
+        "link.infra.group=239.255.82.2:41792".to_owned(),
+    ];
+    let mut args = vec!["launch", file, "--json"];
+    args.extend(set.iter().flat_map(|set| ["--set", set]));
+    let output = murmurate(&args).env_remove("MURMURATE_LAUNCHED").output().expect("it starts");
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "every process exits cleanly: {said}");
+    let told = |line: &str| {
+        let (head, tail) = line.strip_prefix("episode ")?.split_once(": ")?;
+        let number: u32 = head.split_once(" of ")?.0.parse().ok()?;
+        let (verdict, makespan) = tail.split_at(tail.find(" in ").unwrap_or(tail.len()));
+        Some((number - 1, (verdict.to_owned(), makespan.to_owned())))
+    };
+    said.lines().filter_map(told).collect()
+}
+
+#[test]
+fn launch_ends_as_one_process_does() {
+    let _alone = alone();
+    let episodes = std::env::var("MURMURATE_LAUNCHED").map_or(EPISODES, |given| given.parse().expect("a number"));
+    let (real, ideal) = (launched(episodes), simulated(episodes));
+    assert_eq!((real.len(), ideal.len()), (episodes as usize, episodes as usize), "every episode has a result");
+    let mut different = 0;
+    for (episode, ideal) in &ideal {
+        let real = &real[episode];
+        let mark = if real.0 == ideal.0 { ' ' } else { '!' };
+        different += u32::from(real.0 != ideal.0);
+        let (ideal, real) = (format!("{}{}", ideal.0, ideal.1), format!("{}{}", real.0, real.1));
+        let _ = writeln!(std::io::stderr(), "{mark} episode {episode}: in one process {ideal}, launched {real}");
+    }
+    let _ = writeln!(std::io::stderr(), "{different} of {episodes} episodes end differently");
+    assert!(different <= DIFFERENT * episodes.div_ceil(32), "{different} of {episodes} end differently");
+}

@@ -1,0 +1,88 @@
+//! The emergency stop as an operator has it: `stop`, `stop --rearm` and `resume` against teams of real processes, each
+//! host a network namespace, frames lost, the operator on a machine that has only the link of the stop; and what
+//! members that lie, relays that hold commands back and wrong clocks do to it.
+//!
+//! `MURMURATE_STOPS=20` stops each team so often; 'just full-stop' runs what takes long.
+
+mod members;
+mod relay;
+mod team;
+
+use crate::alone;
+use crate::crew::report;
+use team::{CONFIRMED_S, Case, STANDS, Stopped, WORST_S};
+
+/// Whether everything is to run; says so where not.
+fn in_full(what: &str) -> bool {
+    let full = std::env::var_os("MURMURATE_STOPS").is_some();
+    if !full {
+        report(&format!("skipped: {what}, which 'just full-stop' runs"));
+    }
+    full
+}
+
+fn stops() -> usize {
+    std::env::var("MURMURATE_STOPS").map_or(2, |often| often.parse().expect("MURMURATE_STOPS is a number"))
+}
+
+/// Stops a team so often; how many stops there were, and how many of them were late.
+fn stops_in_time(case: &Case) -> Option<(usize, usize)> {
+    let _alone = alone();
+    let mut team = case.start()?;
+    let all: Vec<Stopped> = (0..stops()).map(|number| team.cycle(number)).collect();
+    let late = all.iter().filter(|stopped| stopped.stood > STANDS || stopped.took_s > CONFIRMED_S).count();
+    let worst_s = all.iter().map(|stopped| stopped.took_s).fold(0.0, f64::max);
+    let stood = all.iter().map(|stopped| stopped.stood).max().unwrap_or_default();
+    report(&format!(
+        "{} {}: {} stops, {late} late; motors stood after {stood:.0?} at most, confirmed after {worst_s:.3} s at most",
+        case.file,
+        if case.unicast { "unicast" } else { "as it is" },
+        all.len()
+    ));
+    assert!(worst_s <= WORST_S, "a stop took {worst_s} s");
+    Some((all.len(), late))
+}
+
+#[test]
+fn a_stop_of_the_onboard_team_on_its_own_radios_is_confirmed_and_holds_until_a_resume() {
+    let Some((_, late)) =
+        stops_in_time(&Case { mode: "onboard-adhoc", file: "onboard-wlan", unicast: false, relayed: false })
+    else {
+        return;
+    };
+    assert_eq!(late, 0);
+}
+
+#[test]
+fn a_stop_of_the_centralized_team_with_unicast_links_is_confirmed_and_holds_until_a_resume() {
+    let Some((_, late)) =
+        stops_in_time(&Case { mode: "centralized", file: "centralized", unicast: true, relayed: false })
+    else {
+        return;
+    };
+    assert_eq!(late, 0);
+}
+
+#[test]
+fn a_stop_of_every_team_file_is_confirmed_and_holds_until_a_resume() {
+    if !in_full("ten teams") {
+        return;
+    }
+    let files = [
+        ("centralized", "centralized"),
+        ("offboard", "offboard"),
+        ("onboard-adhoc", "onboard-adhoc"),
+        ("onboard-infra", "onboard-infra"),
+        ("onboard-adhoc", "onboard-wlan"),
+    ];
+    let (mut all, mut late) = (0, 0);
+    for (mode, file) in files {
+        for unicast in [false, true] {
+            let Some(done) = stops_in_time(&Case { mode, file, unicast, relayed: false }) else { return };
+            (all, late) = (all + done.0, late + done.1);
+        }
+    }
+    report(&format!("{late} of {all} stops were late"));
+    // Of 200 stops 198 have to be in time.
+    assert!(late * 100 <= all, "{late} of {all} stops were late");
+}
