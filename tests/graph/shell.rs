@@ -157,7 +157,7 @@ fn child_that_breaks_an_invariant() {
 fn a_real_panic_ends_the_process_with_a_clear_message() {
     let this = std::env::current_exe().expect("a test knows where it is");
     let output = Command::new(this)
-        .args(["--exact", "child_that_breaks_an_invariant", "--nocapture"])
+        .args(["--exact", "shell::child_that_breaks_an_invariant", "--nocapture"])
         .env("MURMURATE_TEST_CHILD", "1")
         .output()
         .expect("the test starts itself");
