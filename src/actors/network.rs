@@ -100,6 +100,7 @@ impl Impostors {
     const MOST: usize = 256;
 
     /// Counts one and names it, less and less often.
+    #[cold]
     fn note(&mut self, name: &str, message: &Wire) {
         let (key, full) = ((name.to_owned(), message.kind()), self.0.len() >= Impostors::MOST);
         if full && !self.0.contains_key(&key) {
@@ -166,18 +167,21 @@ impl Network {
         };
         match encoded {
             Ok(frame) => out.push(Out::Tap(frame)),
-            Err(error) => {
-                let state = leaves.and_then(|(link, _)| self.links[usize::from(link.0)].as_mut());
-                let counts = state.map_or(&mut self.indoor_counts, LinkState::counts);
-                counts.unfit += 1;
-                if counts.unfit == 1 {
-                    tracing::error!(robot = message.robot().0, "not sent: {error}; what follows is only counted");
-                }
-                return;
-            }
+            Err(error) => return self.unsent(leaves.map(|(link, _)| link), &message, &error),
         }
         if route.local {
             out.push(Out::Deliver(message));
+        }
+    }
+
+    /// Counts a message of this host that cannot be encoded, and names the first.
+    #[cold]
+    fn unsent(&mut self, leaves: Option<LinkId>, message: &Wire, error: &codec::EncodeError) {
+        let state = leaves.and_then(|link| self.links[usize::from(link.0)].as_mut());
+        let counts = state.map_or(&mut self.indoor_counts, LinkState::counts);
+        counts.unfit += 1;
+        if counts.unfit == 1 {
+            tracing::error!(robot = message.robot().0, "not sent: {error}; what follows is only counted");
         }
     }
 

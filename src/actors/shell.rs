@@ -125,7 +125,6 @@ struct Shell<C: Core + 'static> {
     faults: Faults,
     held: VecDeque<(Time, C::In)>,
     mailbox: Mailbox<C::In>,
-    span: TraceSpan,
 }
 
 /// The injected faults that are in force, each until its time.
@@ -140,6 +139,7 @@ struct Faults {
 
 impl Faults {
     /// When an input or a timer that is due at `at` is taken up.
+    #[inline]
     fn taken_up(&self, at: Time) -> Time {
         let at = if at < self.slow { at + self.slow_by } else { at };
         at.max(self.stalled)
@@ -156,10 +156,12 @@ pub fn start<C: Core + 'static>(
     sink: impl FnMut(C::Out) + 'static,
 ) {
     let shell = Rc::new_cyclic(|shell: &Weak<RefCell<Shell<C>>>| {
-        let shell = shell.clone();
+        let (shell, name, time) = (shell.clone(), mailbox.clone(), clock.clone());
         let sleeper = clock.register(Rc::new(move || {
             if let Some(shell) = shell.upgrade() {
-                shell.borrow_mut().attend();
+                let (now, _inside) = (time.now(), span.enter());
+                let _guard = EndsTheProcess { name: name.name(), now };
+                shell.borrow_mut().attend(now);
             }
         }));
         RefCell::new(Shell {
@@ -176,7 +178,6 @@ pub fn start<C: Core + 'static>(
             faults: Faults::default(),
             held: VecDeque::new(),
             mailbox: mailbox.clone(),
-            span,
         })
     });
     let sleeper = shell.borrow().sleeper;
@@ -202,13 +203,9 @@ impl<C: Core + 'static> Shell<C> {
     }
 
     /// Takes all that waits in the mailbox, up to a crash.
-    fn attend(&mut self) {
-        let span = self.span.clone();
-        let _inside = span.enter();
-        let now = self.clock.now();
-        let guard = EndsTheProcess { name: self.mailbox.clone(), now };
+    fn attend(&mut self, now: Time) {
         loop {
-            let next = guard.name.0.queue.borrow_mut().pop_front();
+            let next = self.mailbox.0.queue.borrow_mut().pop_front();
             match next {
                 None => break,
                 Some(Envelope::Deliver(input)) => self.take_in(now, input),
@@ -220,39 +217,57 @@ impl<C: Core + 'static> Shell<C> {
 
     /// Does all that is due, lets it out, and sets the timer for the next.
     fn turn(&mut self, now: Time) {
-        if self.core.is_none() && self.alive && now >= self.faults.down {
+        if self.core.is_none() {
+            self.revive(now);
+        }
+        if !self.held.is_empty() {
+            self.take_up_held(now);
+        }
+        let mut next = self.core.as_ref().and_then(Core::wake_at);
+        if let Some(core) = &mut self.core {
+            let mut wakes = 0;
+            while next.is_some_and(|at| self.faults.taken_up(at) <= now) {
+                core.wake(now, &mut self.out);
+                wakes += 1;
+                assert!(wakes < MAX_WAKES_AT_ONCE, "a woken core wants to be woken later, not again at {now}");
+                next = core.wake_at();
+            }
+        }
+        if !self.out.is_empty() {
+            let muted = now < self.faults.mute;
+            self.out.drain(..).filter(|_| !muted).for_each(&mut self.sink);
+        }
+        self.arm(now, next);
+    }
+
+    /// Starts the core afresh, once the supervisor has and the crash is over.
+    #[cold]
+    fn revive(&mut self, now: Time) {
+        if self.alive && now >= self.faults.down {
             self.incarnation += 1;
             self.core = Some((self.make)(self.incarnation));
             tracing::info!(incarnation = self.incarnation, "started afresh");
         }
-        if let Some(core) = &mut self.core {
-            while self.held.front().is_some_and(|(due, _)| (*due).max(self.faults.stalled) <= now) {
-                let (_, input) = self.held.pop_front().expect("there is a front");
-                core.handle(now, input, &mut self.out);
-            }
-            let mut wakes = 0;
-            while core.wake_at().is_some_and(|at| self.faults.taken_up(at) <= now) {
-                core.wake(now, &mut self.out);
-                wakes += 1;
-                assert!(wakes < MAX_WAKES_AT_ONCE, "a woken core wants to be woken later, not again at {now}");
-            }
-        }
-        let muted = now < self.faults.mute;
-        for said in self.out.drain(..) {
-            if !muted {
-                (self.sink)(said);
-            }
-        }
-        self.arm(now);
     }
 
-    fn arm(&mut self, now: Time) {
+    /// Hands the core what a fault has held back until now.
+    #[cold]
+    fn take_up_held(&mut self, now: Time) {
+        let Some(core) = &mut self.core else { return };
+        while self.held.front().is_some_and(|(due, _)| (*due).max(self.faults.stalled) <= now) {
+            let (_, input) = self.held.pop_front().expect("there is a front");
+            core.handle(now, input, &mut self.out);
+        }
+    }
+
+    /// Sets the timer; `wake` is when the core wants to be woken.
+    fn arm(&mut self, now: Time, wake: Option<Time>) {
         let next = match &self.core {
             None => Some(self.faults.down),
-            Some(core) => {
-                let wake = core.wake_at().map(|at| self.faults.taken_up(at));
+            Some(_) => {
+                let wake = wake.map(|at| self.faults.taken_up(at));
                 let held = self.held.front().map(|(due, _)| (*due).max(self.faults.stalled));
-                [wake, held].into_iter().flatten().min()
+                wake.into_iter().chain(held).min()
             }
         };
         // An earlier alarm that still stands will come through here again: one event serves many re-armings.
@@ -266,6 +281,7 @@ impl<C: Core + 'static> Shell<C> {
         }
     }
 
+    #[cold]
     fn strike(&mut self, now: Time, fault: &ActorFault) {
         tracing::warn!(kind = ?fault.kind, lasts = %fault.lasts, "fault injected");
         let until = now + fault.lasts;
@@ -322,29 +338,35 @@ impl<C: Core + 'static> Supervised for Life<C> {
 }
 
 /// Ends the process when it is dropped by a panic, which the actor library would survive in silence.
-struct EndsTheProcess<I> {
-    name: Mailbox<I>,
+struct EndsTheProcess<'a> {
+    name: &'a str,
     now: Time,
 }
 
-impl<I> Drop for EndsTheProcess<I> {
-    #[allow(clippy::print_stderr)] // Where no log is set up, this is the only way to say so.
+impl Drop for EndsTheProcess<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            let why = format!(
-                "{} broke an invariant at {} (see the panic above); the process ends so that motors stop. Please \
-                 report it with the command that you ran.",
-                self.name.name(),
-                self.now
-            );
-            // A log may have a writer that does not wait; stderr waits for whoever reads it.
-            if tracing::dispatcher::has_been_set() {
-                tracing::error!("{why}");
-            } else {
-                eprintln!("murmurate: {why}");
-            }
-            std::process::exit(PANIC_STATUS);
+            self.end();
         }
+    }
+}
+
+impl EndsTheProcess<'_> {
+    #[cold]
+    #[allow(clippy::print_stderr)] // Where no log is set up, this is the only way to say so.
+    fn end(&self) {
+        let why = format!(
+            "{} broke an invariant at {} (see the panic above); the process ends so that motors stop. Please report it \
+             with the command that you ran.",
+            self.name, self.now
+        );
+        // A log may have a writer that does not wait; stderr waits for whoever reads it.
+        if tracing::dispatcher::has_been_set() {
+            tracing::error!("{why}");
+        } else {
+            eprintln!("murmurate: {why}");
+        }
+        std::process::exit(PANIC_STATUS);
     }
 }
 

@@ -83,14 +83,9 @@ impl Serialize for Features {
 impl<'de> Deserialize<'de> for Features {
     fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Features, D::Error> {
         let parse = |bytes: &[u8]| {
-            // Through the stack, so that the shared slice is allocated once and filled in one sweep.
-            let mut floats = [0.0; MAX_FEATURES];
-            let count = bytes.len() / 4;
-            if !bytes.len().is_multiple_of(4) || count > MAX_FEATURES {
-                return None;
-            }
-            floats.iter_mut().zip(unpack(bytes)).for_each(|(to, from)| *to = from);
-            Some(Features(Arc::from(&floats[..count])))
+            // Of known length, so that the shared slice is allocated once and filled in one sweep.
+            let whole = bytes.len().is_multiple_of(4) && bytes.len() <= 4 * MAX_FEATURES;
+            whole.then(|| Features(unpack(bytes).collect()))
         };
         d.deserialize_bytes(Bytes(parse, "4 bytes for each of at most MAX_FEATURES floats"))
     }

@@ -212,6 +212,7 @@ impl Incoming {
     }
 
     /// An incarnation has said something without showing that it is alive: it has to hear from this host, to do so.
+    #[cold]
     fn noted(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
         let rival = self.senders.rival((header.sender, header.epoch)).and_then(|id| self.senders.get(id));
         if rival.is_some_and(|rival| rival.former == Some(header.epoch)) {
@@ -231,6 +232,7 @@ impl Incoming {
     }
 
     /// An incarnation shows that it is alive.
+    #[cold]
     fn taken_up(
         &mut self,
         now: Time,
@@ -302,6 +304,7 @@ impl Incoming {
     }
 
     /// Another incarnation of this very host has said this: a live one, or a recording of a former run.
+    #[cold]
     pub fn rival_of_us(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
         self.candidates.note(now, header.sender, header.epoch, report.stamp);
         match self.about_us(now, report) {

@@ -27,10 +27,7 @@ impl Key {
     /// Adds the tag to a datagram without one; `to` is the host it is for, or none if for all.
     pub fn seal(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) {
         datagram[FLAGS_AT] |= Flags::TAGGED;
-        let length = datagram.len();
-        datagram.extend_from_slice(&place(link, to));
-        let tag = blake3::keyed_hash(&self.0, datagram);
-        datagram.truncate(length);
+        let tag = self.tag(datagram, link, to);
         datagram.extend_from_slice(&tag.as_bytes()[..TAG_BYTES]);
     }
 
@@ -42,13 +39,21 @@ impl Key {
         let (plain, tag) = datagram.split_at(datagram.len() - TAG_BYTES);
         // Nothing is believed yet: the flag only says which of two tags to expect.
         let to = (plain[FLAGS_AT] & Flags::DIRECT != 0).then_some(here);
-        let mut hashed = [0; MAX_FRAME_BYTES + PLACE_BYTES];
-        let length = plain.len() + PLACE_BYTES;
-        hashed[..plain.len()].copy_from_slice(plain);
-        hashed[plain.len()..length].copy_from_slice(&place(link, to));
-        let expected = blake3::keyed_hash(&self.0, &hashed[..length]);
+        // A buffer of the longest frame's length would take longer to clear than this one to get.
+        let mut hashed = Vec::with_capacity(plain.len() + PLACE_BYTES);
+        hashed.extend_from_slice(plain);
+        let expected = self.tag(&mut hashed, link, to);
         // Hashes compare in constant time; the half that is not sent is zero in both.
         (half(&expected.as_bytes()[..TAG_BYTES]) == half(tag)).then_some(plain)
+    }
+
+    /// The whole hash of a datagram and its place, which it has room for or grows for.
+    fn tag(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) -> blake3::Hash {
+        let length = datagram.len();
+        datagram.extend_from_slice(&place(link, to));
+        let hash = blake3::keyed_hash(&self.0, datagram);
+        datagram.truncate(length);
+        hash
     }
 }
 

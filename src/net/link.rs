@@ -168,11 +168,7 @@ impl LinkState {
         let said = Said::read(plain)?;
         // An operator's number is drawn at random, and two may have drawn the same.
         if header.sender == self.me.host && !header.sender.is_operator() {
-            match (&self.key, &said.report) {
-                (Some(_), Some(report)) => self.incoming.rival_of_us(now, &header, report, &mut self.counts),
-                (Some(_), None) => self.counts.unproven += 1,
-                (None, _) => self.counts.twin += 1,
-            }
+            self.note_twin(now, &header, &said);
             return Ok(None);
         }
         let verdict = self.incoming.admit(now, &header, said.report.as_ref(), &mut self.counts);
@@ -196,18 +192,36 @@ impl LinkState {
             return Ok(None);
         }
         self.incoming.note_gaps(now, &header, &said.held, || backoff(stream));
+        if !(said.acks.is_empty() && said.asks.is_empty()) {
+            self.answer(now, header.sender, said, out);
+        }
+        Ok(Some((header, plain)))
+    }
+
+    /// Another process with the id of this host has said something.
+    #[cold]
+    fn note_twin(&mut self, now: Time, header: &Header, said: &Said) {
+        match (&self.key, &said.report) {
+            (Some(_), Some(report)) => self.incoming.rival_of_us(now, header, report, &mut self.counts),
+            (Some(_), None) => self.counts.unproven += 1,
+            (None, _) => self.counts.twin += 1,
+        }
+    }
+
+    /// Takes in what `from` has acknowledged and what it asks for.
+    #[inline(never)]
+    fn answer(&mut self, now: Time, from: HostId, said: Said, out: &mut Vec<Leaving>) {
         let mine = |names: Vec<Name>| -> (Vec<Name>, Vec<Name>) {
             names.into_iter().partition(|name| (name.host, name.epoch) == (self.me.host, self.me.epoch))
         };
         if !said.acks.is_empty() {
-            self.outgoing.acknowledged(now, header.sender, &mine(said.acks).0);
+            self.outgoing.acknowledged(now, from, &mine(said.acks).0);
         }
         if !said.asks.is_empty() {
             let (mine, others) = mine(said.asks);
             self.incoming.asked_by_others(now, &others);
-            self.outgoing.asked(now, header.sender, &mine, &mut self.counts, out);
+            self.outgoing.asked(now, from, &mine, &mut self.counts, out);
         }
-        Ok(Some((header, plain)))
     }
 
     /// The process that this one duplicates, if another live host with this id was started before it.
@@ -227,6 +241,7 @@ impl LinkState {
     }
 
     /// Counts bytes that are no message.
+    #[cold]
     pub fn refuse(&mut self, error: &DecodeError) {
         match error {
             DecodeError::Version(_) => self.counts.version += 1,

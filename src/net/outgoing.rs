@@ -9,7 +9,7 @@ use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Fra
 use super::codec::{MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
 use super::incoming::{Incoming, Prompt};
-use super::key::Key;
+use super::key::{Key, TAG_BYTES};
 use super::reliability::{Reliability, Reports, Ride, Setup};
 use super::report::{MAX_NAMES, NAME_BYTES, Name, write_held, write_names};
 use super::router::Audience;
@@ -167,7 +167,8 @@ impl Outgoing {
         if self.key.is_none() && flags == 0 {
             return plain.clone();
         }
-        let mut bytes = plain.to_vec();
+        let mut bytes = Vec::with_capacity(plain.len() + TAG_BYTES);
+        bytes.extend_from_slice(plain);
         bytes[FLAGS_AT] |= flags;
         if let Some(key) = &self.key {
             let to = if let Audience::Host(host) = audience { Some(host) } else { None };
@@ -370,9 +371,10 @@ impl Outgoing {
     }
 
     /// When anything is next due.
+    #[inline]
     pub fn due(&self) -> Option<Time> {
-        let reports = [self.report_due, self.urgent_due];
-        [self.again.due(), self.soft_due, self.acks_due].into_iter().chain(reports).flatten().min()
+        let dues = [self.again.due(), self.soft_due, self.acks_due, self.report_due, self.urgent_due];
+        dues.into_iter().flatten().min()
     }
 
     /// Does what is due.
