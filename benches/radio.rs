@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
-use murmurate::net::radio::{Channel, Radio, To, Topology};
+use murmurate::net::media::radio::{Channel, Radio, To, Topology};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
 

@@ -2,34 +2,38 @@
 //! graph in one process under virtual time, in many processes, or on one host per robot.
 //!
 //! # The idea
-//! An actor is a pure [`actors::Core`]: a state machine that is handed the time and a message and answers with
+//! An actor is a pure [`actor::Core`]: a state machine that is handed the time and a message and answers with
 //! messages. One generic shell runs every core. A handful of [wire messages](messages::wire) may cross hosts,
 //! always through a Network, which decides by a table where each goes. So a deployment mode is data
 //! ([`deploy`]), and the same graph runs everywhere.
 //!
-//! # Layers
+//! # Rooms
 //! Each may use those before it, never those after:
-//! `time`, `random`, `config`, `messages`, `cells`; then `scenario`, `world`, `policy`, `safety`, `net` (but for its
-//! transports), `report`; then the cores in `actors`, and beside them [`train`], which knows no actor; then
-//! `deploy`; then `actors::{shell, clock}` and `net::transport`; then `actors::graph`; then `trial`; then `study`;
-//! then the program.
+//! `time`, `random`, `config`, `messages`, `actor`, `cells`; `hearing`, `faults`; `scenario`, `policy`, `world`,
+//! `safety`; `net::protocol`, `net::transport`, `net::media`; `report`; then [`actors`], and beside
+//! them [`train`], which knows no actor; `deploy`; `runtime`, which runs actors; `graph`, which wires them; `trial`; `study`; the program.
 //! `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
-//! [`messages::wire`], then [`actors`], then `actors/graph.rs`, which says who talks to whom; [`trial`] is the
+//! [`messages::wire`], then [`actors`], then `graph/mod.rs`, which says who talks to whom; [`trial`] is the
 //! way to run it all from a test or a program of your own.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
+pub mod actor;
 pub mod actors;
 pub mod cells;
 pub mod config;
 pub mod deploy;
+pub mod faults;
+pub mod graph;
+pub mod hearing;
 pub mod messages;
 pub mod net;
 pub mod policy;
 pub mod random;
 pub mod report;
+pub mod runtime;
 pub mod safety;
 pub mod scenario;
 pub mod study;

@@ -2,8 +2,8 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use murmurate::net::codec::{self, Content};
-use murmurate::net::report::{Report, read_held, read_names};
+use murmurate::net::protocol::codec::{self, Content};
+use murmurate::net::protocol::report::{Report, read_held, read_names};
 
 fuzz_target!(|bytes: &[u8]| {
     let _ = codec::peek(bytes);

@@ -6,14 +6,14 @@
 
 use std::sync::Arc;
 
-use super::Core;
+use crate::actor::Core;
 use crate::cells::{self, Cells};
+use crate::hearing::CommRange;
 use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Action, Heard, NEAR_M, Other, Percept, Progress};
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Features, Latent, MAX_FEATURES, Mode, Phase, Round, all_sound};
-use crate::net::range::CommRange;
 use crate::policy::{Neighbour, Policy};
 use crate::random::Stream;
 use crate::scenario::Scenario;

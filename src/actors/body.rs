@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use super::Core;
+use crate::actor::Core;
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{Latch, LatchFollower};

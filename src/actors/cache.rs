@@ -5,12 +5,12 @@
 
 use std::collections::BTreeMap;
 
-use super::Core;
+use crate::actor::Core;
+use crate::hearing::{CommRange, Handling};
 use crate::messages::geometry::Motion;
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Heard, Percept};
 use crate::messages::wire::{Latent, Reading};
-use crate::net::range::CommRange;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
@@ -24,15 +24,6 @@ pub enum In {
     Reading(Reading),
     /// Of some other robot.
     Latent(Latent),
-}
-
-/// What becomes of neighbours' messages once the agent has seen them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Handling {
-    /// The newest of each neighbour is seen again at every step, until it is older than the window.
-    Hold,
-    /// They are dropped, as in the published system: each is seen in one step at most.
-    AsPublished,
 }
 
 /// How a Cache is set up.

@@ -4,7 +4,7 @@
 //! server's instructions, and tells it how far the robot has come and what is known of the emergency stop. When its
 //! host is told to end, it stands for good.
 
-use super::Core;
+use crate::actor::Core;
 use crate::messages::ids::RobotId;
 use crate::messages::latch::Latch;
 use crate::messages::local::{Action, Progress};

@@ -8,17 +8,17 @@
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
-use super::Core;
+use crate::actor::Core;
 use crate::messages::ids::LinkId;
 use crate::messages::wire::{Kind, Wire};
-use crate::net::codec::{self, Content, Flags, Frame, Header};
-use crate::net::key::Key;
-pub use crate::net::link::Identity;
-use crate::net::link::{Duplicate, Guest, LinkCounts, LinkState};
-use crate::net::outgoing::Leaving;
-use crate::net::reliability::{Ride, Setup};
-use crate::net::router::{Audience, Router};
-use crate::net::sender::Peer;
+use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
+use crate::net::protocol::key::Key;
+pub use crate::net::protocol::link::Identity;
+use crate::net::protocol::link::{Duplicate, Guest, LinkCounts, LinkState};
+use crate::net::protocol::outgoing::Leaving;
+use crate::net::protocol::reliability::{Ride, Setup};
+use crate::net::protocol::router::{Audience, Router};
+use crate::net::protocol::sender::Peer;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
@@ -280,8 +280,8 @@ mod tests {
     use crate::messages::geometry::Motion;
     use crate::messages::ids::{HostId, RobotId};
     use crate::messages::wire::Reading;
-    use crate::net::reliability::Reliabilities;
-    use crate::net::router::Route;
+    use crate::net::protocol::reliability::Reliabilities;
+    use crate::net::protocol::router::Route;
     use crate::random::Seed;
 
     const LINK: LinkId = LinkId(0);

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use super::Core;
+use crate::actor::Core;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{Following, Hindrance, Leading, Status, Stop};

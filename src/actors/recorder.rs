@@ -7,16 +7,16 @@ use std::collections::BTreeMap;
 
 use xxhash_rust::xxh3::Xxh3;
 
-use super::Core;
+use crate::actor::Core;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::local::{Sample, Truth};
 use crate::messages::wire::{KINDS, Kind, Phase, Round, Wire};
-use crate::net::codec::{self, Content, Flags, Frame, Header};
-use crate::net::link::LinkCounts;
-use crate::net::radio::RadioCounts;
-use crate::report::cost::Said;
+use crate::net::media::radio::RadioCounts;
+use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
+use crate::net::protocol::link::LinkCounts;
 use crate::report::episode::Episode;
 use crate::report::listening::{Datagram, Listener};
+use crate::report::trial::Said;
 use crate::report::trial::{Step, Totals};
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::Rules;

@@ -7,7 +7,7 @@
 
 use std::collections::BTreeSet;
 
-use super::Core;
+use crate::actor::Core;
 use crate::messages::geometry::Task;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{self, Latch};

@@ -6,7 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::Core;
+use crate::actor::Core;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
 use crate::messages::wire::{self, Following, Leading, MAX_BLOCK, Phase, Stop};

@@ -7,7 +7,7 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use super::Core;
+use crate::actor::Core;
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Drive, Sample, Truth};

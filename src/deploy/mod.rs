@@ -15,12 +15,12 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{self, ConfigError};
+use crate::faults::Targets;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{KINDS, Kind};
-use crate::net::fault::Targets;
-use crate::net::medium::Impairment;
-use crate::net::radio::{Radio, Topology};
-use crate::net::reliability::Reliabilities;
+use crate::net::media::medium::Impairment;
+use crate::net::media::radio::{Radio, Topology};
+use crate::net::protocol::reliability::Reliabilities;
 use crate::time::Span;
 use crate::world::{self, PLANTS, Placement};
 

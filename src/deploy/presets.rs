@@ -3,7 +3,7 @@
 use super::{AD_HOC, Deployment, Host, LOOPBACK, Link, Stepping, WIRES, kinematic};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Kind;
-use crate::net::reliability::Reliabilities;
+use crate::net::protocol::reliability::Reliabilities;
 use crate::world::Placement;
 
 impl Deployment {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::Deployment;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
-use crate::net::router::{Audience, Publishers, Route, Router};
+use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 
 /// Who runs what in a checked deployment, and the ways of all messages.
 #[derive(Clone, Debug)]

@@ -2,17 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::trial::TrialReport;
+use super::trial::{Said, TrialReport};
 use crate::messages::wire::{KINDS, Kind};
-
-/// How much of one kind of message was said.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Said {
-    /// Messages published, whether or not they have left their host.
-    pub messages: u64,
-    /// Their datagrams, one message in each and without a tag \[bytes\].
-    pub bytes: u64,
-}
 
 /// The same per robot and second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

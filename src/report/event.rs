@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::episode::Episode;
 use crate::messages::ids::RobotId;
-use crate::net::link::LinkCounts;
+use crate::net::protocol::link::LinkCounts;
 use crate::safety::guard::SafetyCounts;
 
 /// Something that a host tells.

@@ -9,8 +9,8 @@ use super::episode::Episode;
 use super::event::Unwritten;
 use super::outcomes::Outcomes;
 use super::trial::TrialReport;
-use crate::net::link::LinkCounts;
-use crate::net::radio::RadioCounts;
+use crate::net::media::radio::RadioCounts;
+use crate::net::protocol::link::LinkCounts;
 use crate::safety::guard::SafetyCounts;
 
 /// The summary of a run. Fields are only ever added.

@@ -1,15 +1,23 @@
 //! What came of one trial: its episodes, its totals, and its steps if they were kept.
 
-use super::cost::Said;
 use super::episode::Episode;
 use super::listening::Listening;
 use crate::messages::local::Sample;
 use crate::messages::wire::{KINDS, Phase};
-use crate::net::link::LinkCounts;
-use crate::net::radio::RadioCounts;
+use crate::net::media::radio::RadioCounts;
+use crate::net::protocol::link::LinkCounts;
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
+
+/// How much of one kind of message was said.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Said {
+    /// Messages published, whether or not they have left their host.
+    pub messages: u64,
+    /// Their datagrams, one message in each and without a tag \[bytes\].
+    pub bytes: u64,
+}
 
 /// What came of a trial.
 #[derive(Clone, Debug, Default)]

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Entrant;
 use super::conditions::{self, Medium};
-use crate::net::range::CommRange;
+use crate::hearing::CommRange;
 use crate::scenario::Scenario;
 use crate::trial::Trial;
 

@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::Entrant;
 use crate::deploy::{Deployment, Impair, Stepping};
-use crate::net::radio::Radio;
-use crate::net::range::CommRange;
+use crate::hearing::CommRange;
+use crate::net::media::radio::Radio;
 use crate::scenario::Scenario;
 use crate::trial::Trial;
 use crate::world::{Clamp, Placement};

@@ -1,7 +1,7 @@
 //! How a policy is handled once it is deployed: what becomes of messages, how actions are drawn, what limits them. Two
 //! presets, by name.
 
-use crate::actors::cache::Handling;
+use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::world::Clamp;
 

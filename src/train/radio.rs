@@ -7,8 +7,8 @@
 use rand::RngExt;
 
 use super::conditions::{Episode, Reach};
+use crate::hearing::CommRange;
 use crate::messages::geometry::{Motion, Vec2};
-use crate::net::range::CommRange;
 use crate::random::Stream;
 use crate::world::kinematic::PERIOD;
 

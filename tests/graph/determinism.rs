@@ -1,7 +1,7 @@
 //! One seed, one run: bit for bit, however often, on whatever thread, beside whatever else.
 
 use murmurate::deploy::Impair;
-use murmurate::net::range::CommRange;
+use murmurate::hearing::CommRange;
 use murmurate::policy;
 use murmurate::report::trial::TrialReport;
 use murmurate::trial::Trial;

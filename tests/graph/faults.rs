@@ -2,12 +2,12 @@
 //!
 //! The first test is an example to copy for a system of your own.
 
-use murmurate::actors::graph::COMMAND_VALIDITY;
 use murmurate::actors::state_server::MISSING_AFTER;
+use murmurate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFaultKind, Role};
+use murmurate::graph::COMMAND_VALIDITY;
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{MAX_VALIDITY, Phase};
-use murmurate::net::fault::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFaultKind, Role};
 use murmurate::report::trial::TrialReport;
 use murmurate::safety::Safety;
 use murmurate::scenario::judge::Verdict;

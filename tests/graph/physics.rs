@@ -1,7 +1,7 @@
 //! What simulated robots are like and what becomes of their messages, as whole trials show it.
 
-use murmurate::actors::cache::Handling;
 use murmurate::deploy::{Impair, MODES};
+use murmurate::hearing::Handling;
 use murmurate::report::trial::TrialReport;
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use murmurate::deploy::{AD_HOC, Deployment, LOOPBACK, MODES, WIRES};
 use murmurate::messages::geometry::Vec2;
-use murmurate::net::radio::bianchi::Saturation;
-use murmurate::net::radio::{Channel, Counting, Delivery, Radio, RadioCounts, To, Topology};
+use murmurate::net::media::radio::bianchi::Saturation;
+use murmurate::net::media::radio::{Channel, Counting, Delivery, Radio, RadioCounts, To, Topology};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;

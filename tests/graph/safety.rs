@@ -2,17 +2,17 @@
 
 use std::sync::Arc;
 
-use murmurate::actors::Core;
-use murmurate::actors::cache::{self, Cache, Handling};
+use murmurate::actor::Core;
+use murmurate::actors::cache::{self, Cache};
 use murmurate::actors::controller::{self, Controller};
 use murmurate::deploy::MODES;
+use murmurate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, Role};
+use murmurate::hearing::{CommRange, Handling};
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::local::{Action, Progress};
 use murmurate::messages::wire::{Kind, Mode, Phase, Reading, Round, Stop};
-use murmurate::net::fault::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, Role};
-use murmurate::net::range::CommRange;
 use murmurate::policy::gnn::Network;
 use murmurate::policy::manifest::Manifest;
 use murmurate::policy::shipped::shipped;

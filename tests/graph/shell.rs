@@ -5,12 +5,12 @@ use std::cell::RefCell;
 use std::process::Command;
 use std::rc::Rc;
 
-use murmurate::actors::Core;
-use murmurate::actors::clock::Clock;
-use murmurate::actors::drive::{End, run_virtual};
-use murmurate::actors::shell::{MAILBOX_CAPACITY, Mailbox, start};
+use murmurate::actor::Core;
+use murmurate::faults::{ActorFault, ActorFaultKind, Role};
 use murmurate::messages::ids::RobotId;
-use murmurate::net::fault::{ActorFault, ActorFaultKind, Role};
+use murmurate::runtime::clock::Clock;
+use murmurate::runtime::drive::{End, run_virtual};
+use murmurate::runtime::shell::{MAILBOX_CAPACITY, Mailbox, start};
 use murmurate::time::{Span, Time};
 
 /// Says what it is handed: its incarnation, when, and which number. Number 0 stands for a timer.

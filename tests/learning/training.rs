@@ -5,8 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use murmurate::deploy::{Deployment, Impair};
+use murmurate::hearing::CommRange;
 use murmurate::messages::geometry::{Motion, Vec2};
-use murmurate::net::range::CommRange;
 use murmurate::policy::gnn;
 use murmurate::policy::manifest::Manifest;
 use murmurate::policy::{Draw, Model, weights};

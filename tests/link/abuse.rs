@@ -5,17 +5,18 @@ use std::sync::Arc;
 
 use crate::rig;
 use crate::rig::{LINK, Rig, TEAM, config, key, latent, multicast, network, report};
-use murmurate::actors::Core;
+use murmurate::actor::Core;
 use murmurate::actors::network::{Config, Identity, In, Network, Out};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{Kind, Stop, Wire};
-use murmurate::net::codec::{self, Content, Flags, Header};
-use murmurate::net::key::{Key, TAG_BYTES};
-use murmurate::net::link::{Guest, LinkCounts, Standing};
-use murmurate::net::reliability::{Reliabilities, Setup};
-use murmurate::net::report::{Entry, Report, Stamp};
-use murmurate::net::router::{Audience, Publishers, Route, Router};
+use murmurate::net::protocol::codec::TAG_BYTES;
+use murmurate::net::protocol::codec::{self, Content, Flags, Header};
+use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::link::{Guest, LinkCounts, Standing};
+use murmurate::net::protocol::reliability::{Reliabilities, Setup};
+use murmurate::net::protocol::report::{Entry, Report, Stamp};
+use murmurate::net::protocol::router::{Audience, Publishers, Route, Router};
 use murmurate::time::{Span, Time};
 use proptest::prelude::*;
 

@@ -5,11 +5,11 @@ use std::fs;
 use std::path::Path;
 
 use crate::rig::{LINK, config, network};
-use murmurate::actors::Core;
+use murmurate::actor::Core;
 use murmurate::actors::network::In;
-use murmurate::net::codec::{self, Content, HEADER_BYTES};
-use murmurate::net::reliability::{Reliabilities, Setup};
-use murmurate::net::report::{Report, read_held, read_names};
+use murmurate::net::protocol::codec::{self, Content, HEADER_BYTES};
+use murmurate::net::protocol::reliability::{Reliabilities, Setup};
+use murmurate::net::protocol::report::{Report, read_held, read_names};
 use murmurate::random::{Seed, Stream};
 use murmurate::time::Time;
 use rand::RngExt;

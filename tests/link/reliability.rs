@@ -6,7 +6,7 @@ use crate::rig;
 use crate::rig::{Rig, heartbeat, is_data, latent};
 use murmurate::messages::ids::HostId;
 use murmurate::messages::wire::{Kind, Wire};
-use murmurate::net::reliability::{Reliabilities, Reliability};
+use murmurate::net::protocol::reliability::{Reliabilities, Reliability};
 use murmurate::time::{Span, Time};
 
 fn kinds(latent: Reliability) -> Reliabilities {

@@ -5,9 +5,9 @@ use std::collections::BTreeSet;
 
 use crate::rig::{Flight, Rig, heartbeat, latent, report};
 use murmurate::messages::wire::Kind;
-use murmurate::net::codec::{self, Content, HEADER_BYTES};
-use murmurate::net::key::TAG_BYTES;
-use murmurate::net::reliability::Reliabilities;
+use murmurate::net::protocol::codec::TAG_BYTES;
+use murmurate::net::protocol::codec::{self, Content, HEADER_BYTES};
+use murmurate::net::protocol::reliability::Reliabilities;
 use murmurate::time::Span;
 
 /// The most soft state that a host may send \[bytes/s\]: UDP payload with tags, without `Mode`.

@@ -9,11 +9,11 @@ use murmurate::messages::wire::{
     Features, Following, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK, MAX_FEATURES, MAX_HINDRANCES, MAX_VALIDITY,
     Mode, MotorCommand, Phase, Reading, Round, Status, Stop, Wire,
 };
-use murmurate::net::codec::{
+use murmurate::net::protocol::codec::TAG_BYTES;
+use murmurate::net::protocol::codec::{
     BLOCK_BYTES, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, MAX_PLAIN_BYTES,
     VERSION, decode, encode, peek,
 };
-use murmurate::net::key::TAG_BYTES;
 use murmurate::time::Span;
 use proptest::prelude::*;
 

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use murmurate::net::codec::VERSION;
+use murmurate::net::protocol::codec::VERSION;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Result;
 use clap::builder::PossibleValuesParser;
 use murmurate::deploy::{Deployment, MODES};
-use murmurate::net::radio::{PRESETS, Radio};
+use murmurate::net::media::radio::{PRESETS, Radio};
 
 use crate::output::{print, read_text};
 use crate::{BadInput, Ended};

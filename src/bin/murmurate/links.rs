@@ -3,11 +3,12 @@
 
 use anyhow::{Result, anyhow};
 use murmurate::actors::network::Identity;
-use murmurate::deploy::team::{Post, SocketConfig, Team, Transport};
+use murmurate::deploy::team::{Post, Team};
 use murmurate::deploy::{Deployment, Link};
 use murmurate::messages::ids::{HostId, LinkId};
-use murmurate::net::reliability::Setup;
+use murmurate::net::protocol::reliability::Setup;
 use murmurate::net::transport::interface::{self, Interface, InterfaceError};
+use murmurate::net::transport::socket::{SocketConfig, Transport};
 use murmurate::net::transport::udp::{Filter, OpenError, Udp};
 use murmurate::random::Seed;
 use murmurate::time::Span;

@@ -6,13 +6,13 @@ use std::rc::Rc;
 use std::time::Instant;
 
 use anyhow::{Result, anyhow};
-use murmurate::actors::operator::{self, Operator};
 use murmurate::actors::order::{Lack, Order, PERIOD, Wish};
-use murmurate::actors::real::run_real;
 use murmurate::deploy::Routes;
+use murmurate::graph::operator::{self, Operator};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::Hindrance;
-use murmurate::net::key::Key;
+use murmurate::net::protocol::key::Key;
+use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
 
 use crate::links::Fresh;

@@ -13,7 +13,7 @@ use toml::de::{DeTable, DeValue};
 
 use crate::config::{self, ConfigError, syntax};
 use crate::deploy::MODES;
-use crate::net::reliability::Reliability;
+use crate::net::protocol::reliability::Reliability;
 use crate::world::{PLANTS, Sensor};
 
 /// Where a value comes from.

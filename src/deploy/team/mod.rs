@@ -11,7 +11,7 @@ mod sockets;
 
 pub use layers::{Flag, Origin};
 pub use show::Shown;
-pub use sockets::{Post, SocketConfig, Transport};
+pub use sockets::Post;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -21,10 +21,11 @@ use serde::Deserialize;
 
 use self::layers::{Entry, Layers, Value, place};
 use super::{Deployment, Link, MODES, Routes};
-use crate::actors::cache::Handling;
 use crate::config::{self, ConfigError};
+use crate::hearing::Handling;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
+use crate::net::transport::socket::SocketConfig;
 use crate::safety::Safety;
 use crate::scenario::{self, Scenario, Settings};
 use crate::world::{self, Clamp, ContactRule, Given, Physics, Sensor};
@@ -328,6 +329,7 @@ fn address(entry: &Entry) -> SocketAddr {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::net::transport::socket::Transport;
 
     const ADHOC: &str = r#"
 team = 3
@@ -395,7 +397,10 @@ interface = "wlan8"
         let latent = first.links[0].as_ref().unwrap();
         assert_eq!(latent.transport, Transport::Multicast { group: "[ff02::4d75]:7700".parse().unwrap() });
         assert_eq!(latent.receive_buffer_bytes, 4 << 20);
-        assert_eq!(latent.reliability.get(&Kind::Latent), Some(&crate::net::reliability::Reliability::Repeat));
+        assert_eq!(
+            latent.reliability.get(&Kind::Latent),
+            Some(&crate::net::protocol::reliability::Reliability::Repeat)
+        );
         assert_eq!(interface(&third, 1), "wlan7", "a robot's override is narrower than its host's");
         let Transport::Unicast { listen, peers } = &third.links[2].as_ref().unwrap().transport else { panic!() };
         assert_eq!(listen.port(), 3);

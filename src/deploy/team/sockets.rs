@@ -1,7 +1,7 @@
 //! How a host's socket on each link is set up, and the mistakes that can be seen without opening one.
 
 use std::collections::BTreeMap;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
 use super::layers::{Origin, place};
@@ -11,62 +11,8 @@ use crate::deploy::Link;
 use crate::deploy::Routes;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{KINDS, Kind};
-use crate::net::reliability::{Reliabilities, Reliability};
-
-/// The socket of a host on a link.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct SocketConfig {
-    /// Who is talked to, and where.
-    pub transport: Transport,
-    /// The network interface, by name.
-    pub interface: String,
-    /// What the socket's receive buffer is asked to hold \[bytes\].
-    pub receive_buffer_bytes: usize,
-    /// How messages are made to arrive, by kind; those left out as their link has it.
-    pub reliability: Reliabilities,
-}
-
-/// How frames travel.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Transport {
-    /// To a group that all hosts listen to.
-    Multicast {
-        /// The group.
-        group: SocketAddr,
-    },
-    /// To each host by itself.
-    Unicast {
-        /// Where this host listens.
-        listen: SocketAddr,
-        /// Where the others listen.
-        peers: BTreeMap<HostId, SocketAddr>,
-    },
-}
-
-impl SocketConfig {
-    /// Whether frames stay on this machine.
-    pub fn stays_on_loopback(&self) -> bool {
-        match &self.transport {
-            Transport::Multicast { .. } => self.interface == LOOPBACK,
-            Transport::Unicast { listen, peers } => {
-                peers.values().chain([listen]).all(|address| address.ip().is_loopback())
-            }
-        }
-    }
-}
-
-impl SocketConfig {
-    /// The socket of an operator beside this one of `host`: an operator is no peer, speaks from a port of its own, and
-    /// is answered there.
-    pub fn of_guest(mut self, host: HostId) -> SocketConfig {
-        if let Transport::Unicast { listen, peers } = &mut self.transport {
-            peers.insert(host, *listen);
-            let any = if listen.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
-            *listen = SocketAddr::new(any, 0);
-        }
-        self
-    }
-}
+use crate::net::protocol::reliability::Reliability;
+use crate::net::transport::socket::{LOOPBACK, SocketConfig, Transport};
 
 /// The link of the emergency stop, as an operator joins it from whatever machine it runs on.
 #[derive(Clone, Debug, PartialEq)]
@@ -80,9 +26,6 @@ pub struct Post {
     /// The ways onto the link: one for each interface that a host has on it, or a single one that addresses each host.
     pub sockets: Vec<SocketConfig>,
 }
-
-/// The name of the loopback interface.
-const LOOPBACK: &str = "lo";
 
 /// The port of the default groups.
 const PORT: u16 = 7700;

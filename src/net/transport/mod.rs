@@ -3,23 +3,17 @@
 //! Here are the emulated ether of one-process runs and the sockets of real hosts. What a frame says never
 //! matters here, but for one thing: reports go to more addresses than data do on a unicast link.
 
-pub mod air;
-mod batch;
-pub mod ether;
-pub mod filter;
-pub mod guests;
 pub mod interface;
-mod loopback;
-mod open;
+pub mod socket;
 pub mod udp;
 
 use std::net::SocketAddr;
 
 use crate::messages::ids::HostId;
 use crate::messages::local::Truth;
-use crate::net::codec::Frame;
-use crate::net::link::Guest;
-use crate::net::router::Audience;
+use crate::net::protocol::codec::Frame;
+use crate::net::protocol::link::Guest;
+use crate::net::protocol::router::Audience;
 
 /// Input of a transport.
 #[derive(Clone, Debug)]

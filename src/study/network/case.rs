@@ -6,7 +6,7 @@ use super::medium::Medium;
 use super::talk::AROUND_BYTES;
 use crate::config::ConfigError;
 use crate::messages::wire::MAX_FEATURES;
-use crate::net::radio::Topology;
+use crate::net::media::radio::Topology;
 
 /// How a message finds its readers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -279,7 +279,7 @@ impl Case {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::net::radio::Radio;
+    use crate::net::media::radio::Radio;
 
     #[test]
     fn retries_are_varied_for_unicast_alone() {

@@ -3,7 +3,7 @@
 use super::case::{Addressing, Assurance, Case, Network, Sweep};
 use super::emulate;
 use super::medium::Medium;
-use crate::net::radio::Topology;
+use crate::net::media::radio::Topology;
 use crate::train::config::Conditions;
 
 /// The decisions of a robot, each with a message \[1/s\].

@@ -10,8 +10,8 @@ use serde::Deserialize;
 use super::case::{Addressing, Assurance, Case, Network, Source, Sweep};
 use super::medium::Medium;
 use super::outcome::{Outcome, Row};
-use crate::net::radio::rate::{self, Rate};
-use crate::net::radio::{Radio, Topology};
+use crate::net::media::radio::rate::{self, Rate};
+use crate::net::media::radio::{Radio, Topology};
 
 /// What is known of a case: the rows of a study, or less.
 #[derive(Clone, Debug, PartialEq, Deserialize)]

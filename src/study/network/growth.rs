@@ -4,8 +4,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::messages::wire::Kind;
-use crate::net::key::TAG_BYTES;
-use crate::net::radio::Radio;
+use crate::net::media::radio::Radio;
+use crate::net::protocol::codec::TAG_BYTES;
 use crate::policy::orca;
 use crate::report::cost::Cost;
 use crate::time::Span;

@@ -1,15 +1,15 @@
 //! A station that speaks through the project's own link layer: best-effort, repeated, or repaired when missed.
 
 use super::case::{Addressing, Assurance};
-use super::emulate::{Endpoint, Said};
+use super::endpoint::{Endpoint, Said};
 use super::talk;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
-use crate::net::codec::{self, Content, Frame};
-use crate::net::key::Key;
-use crate::net::link::{Identity, LinkState};
-use crate::net::reliability::{Reliabilities, Reliability, Setup};
-use crate::net::router::Audience;
+use crate::net::protocol::codec::{self, Content, Frame};
+use crate::net::protocol::key::Key;
+use crate::net::protocol::link::{Identity, LinkState};
+use crate::net::protocol::reliability::{Reliabilities, Reliability, Setup};
+use crate::net::protocol::router::Audience;
 use crate::random::{Seed, Stream};
 use crate::time::Time;
 

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::shaped::{Links, Shaped};
 use crate::config::{self, ConfigError};
-use crate::net::radio::{self, Channel, Delivery, Radio, To};
+use crate::net::media::radio::{self, Channel, Delivery, Radio, To};
 use crate::random::Seed;
 use crate::time::Time;
 

@@ -7,6 +7,7 @@
 pub mod case;
 pub mod conditions;
 pub mod emulate;
+pub mod endpoint;
 pub mod fit;
 pub mod growth;
 pub mod linked;

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use super::case::{Addressing, Assurance, Case, Network, Source};
-use super::emulate::NEVER;
+use super::endpoint::NEVER;
 use crate::report::ages::Ages;
 use crate::report::statistics::quantile;
 use crate::time::{Span, Time};

@@ -4,10 +4,11 @@
 use serde::{Deserialize, Serialize};
 
 use super::case::Case;
-use super::emulate::{self, DRAIN, STEP, WARM};
+use super::emulate;
+use super::endpoint::{DRAIN, NEVER, STEP, WARM};
 use super::outcome::{Outcome, Tally};
 use super::talk::{self, Schedule};
-use crate::actors::Core;
+use crate::actor::Core;
 use crate::messages::wire::{Latent, Wire};
 use crate::time::{Span, Time};
 
@@ -61,7 +62,7 @@ impl Task {
         for one in notes {
             tally.expects((one.said + one.skipped) * u64::from(self.stations - 1));
             one.delays_us.iter().for_each(|delay| tally.delayed(us(*delay)));
-            one.ages_us.iter().for_each(|age| tally.aged(age.map_or(emulate::NEVER, us)));
+            one.ages_us.iter().for_each(|age| tally.aged(age.map_or(NEVER, us)));
         }
         tally.outcome()
     }

@@ -9,7 +9,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::case::{Assurance, History};
-use super::emulate::{Endpoint, Said};
+use super::endpoint::{Endpoint, Said};
 use crate::time::{Span, Time};
 
 /// `heartbeatPeriod` of Fast DDS.

@@ -6,8 +6,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::case::Addressing;
-use crate::net::radio::Radio;
-use crate::net::radio::bianchi::{Lengths, Saturation};
+use crate::net::media::radio::Radio;
+use crate::net::media::radio::bianchi::{Lengths, Saturation};
 
 /// The sizes of teams.
 pub const SIZES: [usize; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];

@@ -7,7 +7,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use crate::config::ConfigError;
-use crate::net::radio::{Delivery, To};
+use crate::net::media::radio::{Delivery, To};
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 

@@ -11,21 +11,21 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use murmurate::actors::network::{self, Identity};
-use murmurate::actors::operator::{Operator, wire};
-use murmurate::actors::process::Heard;
-use murmurate::actors::real::run_real;
 use murmurate::deploy::{Deployment, Routes};
+use murmurate::graph::operator::{Operator, wire};
+use murmurate::graph::process::Heard;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{
     Features, Following, Heartbeat, Latent, Mode, MotorCommand, Phase, Round, Status, Stop, Wire,
 };
-use murmurate::net::key::Key;
-use murmurate::net::reliability::{Reliabilities, Setup};
+use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::transport::udp::{Filter, Udp};
 use murmurate::random::Seed;
 use murmurate::report::event::HostEvent;
+use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
 use nix::sched::{CloneFlags, setns};
 use nix::sys::signal::Signal;
@@ -93,7 +93,7 @@ fn speak(
     hears: impl Fn(&Wire) + 'static,
     over: &AtomicBool,
 ) {
-    use murmurate::deploy::team::{SocketConfig, Transport};
+    use murmurate::net::transport::socket::{SocketConfig, Transport};
     let deployment = Deployment::preset("offboard", 5).expect("it is a preset");
     let place = SocketConfig {
         transport: Transport::Multicast { group: "239.255.77.1:7700".parse().expect("an address") },
@@ -139,7 +139,7 @@ fn speak(
     );
 }
 
-fn tick(clock: &murmurate::actors::clock::Clock, period: Span) {
+fn tick(clock: &murmurate::runtime::clock::Clock, period: Span) {
     let again = clock.clone();
     clock.call(clock.now() + period, Box::new(move || tick(&again, period)));
 }

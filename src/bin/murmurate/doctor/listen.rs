@@ -7,16 +7,17 @@ use std::rc::Rc;
 use std::time::Instant;
 
 use anyhow::{Result, anyhow};
-use murmurate::actors::operator::{Operator, wire};
-use murmurate::actors::process::Heard;
-use murmurate::actors::real::run_real;
 use murmurate::deploy::Routes;
-use murmurate::deploy::team::{SocketConfig, Team, Transport};
+use murmurate::deploy::team::Team;
+use murmurate::graph::operator::{Operator, wire};
+use murmurate::graph::process::Heard;
 use murmurate::messages::ids::LinkId;
-use murmurate::net::key::Key;
-use murmurate::net::link::LinkCounts;
-use murmurate::net::sender::Peer;
+use murmurate::net::protocol::key::Key;
+use murmurate::net::protocol::link::LinkCounts;
+use murmurate::net::protocol::sender::Peer;
+use murmurate::net::transport::socket::{SocketConfig, Transport};
 use murmurate::net::transport::udp::{Filter, Udp};
+use murmurate::runtime::real::run_real;
 use murmurate::time::{Span, Time};
 
 use super::{Found, Status};

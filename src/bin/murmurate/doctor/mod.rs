@@ -8,10 +8,11 @@ mod listen;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use murmurate::deploy::team::{SocketConfig, Team, TeamFile, Transport};
+use murmurate::deploy::team::{Team, TeamFile};
 use murmurate::messages::ids::HostId;
-use murmurate::net::codec::MAX_FRAME_BYTES;
+use murmurate::net::protocol::codec::MAX_FRAME_BYTES;
 use murmurate::net::transport::interface;
+use murmurate::net::transport::socket::{SocketConfig, Transport};
 use murmurate::net::transport::udp::{Filter, OpenError, Udp};
 use serde::Serialize;
 

@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use anyhow::Result;
-use murmurate::deploy::team::{TeamFile, Transport};
+use murmurate::deploy::team::TeamFile;
 use murmurate::messages::ids::HostId;
 use murmurate::messages::wire::Kind;
+use murmurate::net::transport::socket::Transport;
 use murmurate::study::network::{Addressing, Assurance, Medium, Network, Sweep};
 
 use super::Args;

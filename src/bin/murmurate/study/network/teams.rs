@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result};
-use murmurate::net::radio::Radio;
+use murmurate::net::media::radio::Radio;
 use murmurate::report::cost::Cost;
 use murmurate::study::network::growth::{self, Growth};
 use murmurate::study::network::{Medium, Sweep};

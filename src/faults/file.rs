@@ -1,0 +1,200 @@
+//! Fault plans as TOML, read and written.
+//!
+//! ```toml
+//! [[actor]]
+//! actor = "controller"     # cache, agent, controller, body, world, state-server, network
+//! robot = 2                # whose; a robot's agent is the one that hosts it
+//! fault = "crash"          # crash, stall, mute, slow
+//! at_s = 3.0
+//! for_s = 1.5
+//!
+//! [[link]]
+//! link = "ad-hoc"
+//! fault = "drop"           # drop, delay, duplicate, reorder, corrupt, partition
+//! share = 0.5              # of the frames
+//! from_s = 2.0
+//! until_s = 6.0
+//! ```
+
+use serde::{Deserialize, Serialize};
+
+use crate::config::{self, ConfigError};
+use crate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFaultKind, Role};
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::wire::Kind;
+use crate::time::{Span, Time};
+
+/// The latest instant and the longest delay that a plan may name \[s\].
+const LATEST_S: f64 = 1e6;
+const LONGEST_DELAY_S: f64 = 10.0;
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlanFile {
+    #[serde(default)]
+    actor: Vec<ActorEntry>,
+    #[serde(default)]
+    link: Vec<LinkEntry>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ActorEntry {
+    actor: Role,
+    #[serde(default)]
+    robot: u16,
+    fault: ActorFaultKind,
+    at_s: f64,
+    for_s: f64,
+    #[serde(default)]
+    by_s: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LinkEntry {
+    link: String,
+    fault: LinkFaultKind,
+    #[serde(default)]
+    kinds: Vec<Kind>,
+    #[serde(default)]
+    hosts: Vec<u16>,
+    #[serde(default = "whole")]
+    share: f64,
+    #[serde(default)]
+    by_s: f64,
+    from_s: f64,
+    until_s: f64,
+}
+
+fn whole() -> f64 {
+    1.0
+}
+
+impl FaultPlan {
+    /// Reads a plan from TOML; `check` holds it against a team.
+    pub fn from_toml(text: &str) -> Result<FaultPlan, ConfigError> {
+        let file: PlanFile = config::from_toml(text)?;
+        let actors = file.actor.into_iter().enumerate().map(|(i, entry)| entry.checked(i));
+        let links = file.link.into_iter().enumerate().map(|(i, entry)| entry.checked(i));
+        Ok(FaultPlan { actors: actors.collect::<Result<_, _>>()?, links: links.collect::<Result<_, _>>()? })
+    }
+
+    /// Writes the plan as TOML, which `from_toml` reads.
+    pub fn to_toml(&self) -> String {
+        let actor = |fault: &ActorFault| ActorEntry {
+            actor: fault.role,
+            robot: fault.robot.0,
+            fault: fault.kind,
+            at_s: fault.at.as_secs(),
+            for_s: fault.lasts.as_secs(),
+            by_s: fault.by.as_secs(),
+        };
+        let link = |fault: &LinkFault| LinkEntry {
+            link: fault.link.clone(),
+            fault: fault.kind,
+            kinds: fault.kinds.clone(),
+            hosts: fault.hosts.iter().map(|host| host.0).collect(),
+            share: fault.share,
+            by_s: fault.by.as_secs(),
+            from_s: fault.from.as_secs(),
+            until_s: fault.until.as_secs().min(LATEST_S),
+        };
+        let actors = self.actors.iter().map(actor).collect();
+        let file = PlanFile { actor: actors, link: self.links.iter().map(link).collect() };
+        toml::to_string(&file).expect("a plan is TOML")
+    }
+}
+
+fn seconds(field: String, value: f64) -> Result<Span, ConfigError> {
+    within(field, value, LATEST_S)
+}
+
+fn within(field: String, value: f64, most_s: f64) -> Result<Span, ConfigError> {
+    if (0.0..=most_s).contains(&value) {
+        return Ok(Span::from_secs(value));
+    }
+    Err(ConfigError::field(field, format!("{value} is not a time of 0 to {most_s} s")))
+}
+
+impl ActorEntry {
+    fn checked(self, index: usize) -> Result<ActorFault, ConfigError> {
+        let field = |name: &str| format!("actor[{index}].{name}");
+        if self.fault == ActorFaultKind::Slow && self.by_s <= 0.0 {
+            let reason = "a slow actor needs to know by how much; give seconds above 0".to_owned();
+            return Err(ConfigError::field(field("by_s"), reason));
+        }
+        Ok(ActorFault {
+            role: self.actor,
+            robot: RobotId(self.robot),
+            kind: self.fault,
+            at: Time::ZERO + seconds(field("at_s"), self.at_s)?,
+            lasts: seconds(field("for_s"), self.for_s)?,
+            by: within(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
+        })
+    }
+}
+
+impl LinkEntry {
+    fn checked(self, index: usize) -> Result<LinkFault, ConfigError> {
+        let field = |name: &str| format!("link[{index}].{name}");
+        if !(0.0..=1.0).contains(&self.share) {
+            let reason = format!("{} is not a share of 0 to 1", self.share);
+            return Err(ConfigError::field(field("share"), reason));
+        }
+        if self.fault == LinkFaultKind::Partition && self.hosts.is_empty() {
+            let reason = "a partition needs the hosts on one side of it".to_owned();
+            return Err(ConfigError::field(field("hosts"), reason));
+        }
+        if matches!(self.fault, LinkFaultKind::Delay | LinkFaultKind::Reorder) && self.by_s <= 0.0 {
+            let reason = "frames that come late need to know by how much; give seconds above 0".to_owned();
+            return Err(ConfigError::field(field("by_s"), reason));
+        }
+        let (from, until) = (seconds(field("from_s"), self.from_s)?, seconds(field("until_s"), self.until_s)?);
+        if until <= from {
+            let reason = "the fault ends before it begins".to_owned();
+            return Err(ConfigError::field(field("until_s"), reason));
+        }
+        Ok(LinkFault {
+            link: self.link,
+            kind: self.fault,
+            kinds: self.kinds,
+            hosts: self.hosts.into_iter().map(HostId).collect(),
+            share: self.share,
+            by: within(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
+            from: Time::ZERO + from,
+            until: Time::ZERO + until,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::faults::Targets;
+
+    fn targets() -> Targets<'static> {
+        Targets { robots: 5, hosts: 2, links: vec![("infra", &[Kind::Mode])] }
+    }
+
+    #[test]
+    fn a_bad_plan_is_refused_by_its_field() {
+        let read = |text: &str| FaultPlan::from_toml(text).and_then(|plan| plan.check(&targets()).map(|()| plan));
+        let error = |text: &str| read(text).unwrap_err().to_string();
+        let actor = "[[actor]]\nactor = \"cache\"\nfault = \"crash\"\nat_s = 1.0\nfor_s = 1.0\n";
+        assert!(read(actor).is_ok());
+        assert!(error(&format!("{actor}robot = 9\n")).contains("actor[0].robot"));
+        assert!(error(&format!("{actor}color = 9\n")).contains("color"));
+        assert!(error(&actor.replace("1.0", "-1.0")).contains("actor[0].at_s"));
+        assert!(error(&actor.replace("crash", "slow")).contains("actor[0].by_s"));
+        let link = "[[link]]\nlink = \"infra\"\nfault = \"drop\"\nfrom_s = 1.0\nuntil_s = 2.0\n";
+        assert!(read(link).is_ok());
+        assert!(error(&link.replace("infra", "ether")).contains("link[0].link"));
+        assert!(error(&format!("{link}kinds = [\"latent\"]\n")).contains("link[0].kinds"));
+        assert!(error(&format!("{link}hosts = [2]\n")).contains("link[0].hosts"));
+        assert!(error(&link.replace("drop", "delay")).contains("link[0].by_s"));
+        assert!(error(&format!("{link}share = 2.0\n")).contains("link[0].share"));
+        assert!(error(&link.replace("drop", "partition")).contains("link[0].hosts"));
+        assert!(error(&link.replace("2.0", "0.5")).contains("link[0].until_s"));
+    }
+}

@@ -1,0 +1,253 @@
+//! What is to go wrong in a trial, and when: faults of actors and of links, in one plan.
+//!
+//! A plan is read from TOML (`fault_file`) or drawn from a seed. It is data: the Shell acts out the actors' faults,
+//! the medium those of the links.
+
+mod file;
+
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use crate::config::ConfigError;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::wire::Kind;
+use crate::random::Seed;
+use crate::time::{Span, Time};
+
+/// Which actor a fault strikes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Role {
+    /// A robot's Cache.
+    Cache,
+    /// The Agent that hosts a robot.
+    Agent,
+    /// A robot's Controller.
+    Controller,
+    /// A robot's Body.
+    Body,
+    /// The World that holds a robot.
+    World,
+    /// The team's one StateServer.
+    StateServer,
+    /// The Network of the host that runs a robot's Agent.
+    Network,
+}
+
+/// What happens to an actor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ActorFaultKind {
+    /// It stops, loses all state and everything sent to it, and starts afresh after the fault.
+    Crash,
+    /// It does nothing; what is sent to it waits in its mailbox.
+    Stall,
+    /// It works, and nothing that it says gets out.
+    Mute,
+    /// It takes everything up late.
+    Slow,
+}
+
+/// One fault of one actor.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ActorFault {
+    /// The actor's role.
+    pub role: Role,
+    /// The robot that it belongs to; of no account for the StateServer.
+    pub robot: RobotId,
+    /// What happens.
+    pub kind: ActorFaultKind,
+    /// When it begins.
+    pub at: Time,
+    /// How long it lasts.
+    pub lasts: Span,
+    /// How much later everything is taken up; only for `Slow`.
+    pub by: Span,
+}
+
+/// What happens to the frames of a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LinkFaultKind {
+    /// They are lost.
+    Drop,
+    /// They take longer.
+    Delay,
+    /// They arrive twice.
+    Duplicate,
+    /// Each takes a random while longer, so that they overtake each other.
+    Reorder,
+    /// A bit of the body is turned over.
+    Corrupt,
+    /// Those between the named hosts and all others are lost.
+    Partition,
+}
+
+/// One fault of one link.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkFault {
+    /// The link's name.
+    pub link: String,
+    /// What happens.
+    pub kind: LinkFaultKind,
+    /// The kinds of messages that it happens to; empty for all.
+    pub kinds: Vec<Kind>,
+    /// The hosts on one side of a partition.
+    pub hosts: Vec<HostId>,
+    /// The share of frames that it happens to, 0 to 1.
+    pub share: f64,
+    /// How much longer frames take: exactly (`Delay`) or at most (`Reorder`).
+    pub by: Span,
+    /// When it begins.
+    pub from: Time,
+    /// When it ends.
+    pub until: Time,
+}
+
+impl LinkFault {
+    /// A drop of every frame on `link`, for the whole run: the base to change fields of.
+    pub fn always(link: &str) -> LinkFault {
+        LinkFault {
+            link: link.to_owned(),
+            kind: LinkFaultKind::Drop,
+            kinds: Vec::new(),
+            hosts: Vec::new(),
+            share: 1.0,
+            by: Span::ZERO,
+            from: Time::ZERO,
+            until: Time::MAX,
+        }
+    }
+
+    /// Whether a frame sent now falls under this fault, the share aside.
+    pub fn hits(&self, now: Time, kind: Kind, from: HostId, to: HostId) -> bool {
+        let divides = self.hosts.contains(&from) != self.hosts.contains(&to);
+        (self.from <= now && now < self.until)
+            && (self.kinds.is_empty() || self.kinds.contains(&kind))
+            && (self.kind != LinkFaultKind::Partition || divides)
+    }
+}
+
+/// What there is to strike.
+#[derive(Clone, Debug)]
+pub struct Targets<'a> {
+    /// The size of the team.
+    pub robots: usize,
+    /// How many hosts there are.
+    pub hosts: usize,
+    /// The links by name, and what each carries.
+    pub links: Vec<(&'a str, &'a [Kind])>,
+}
+
+/// Everything that is to go wrong in a trial.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FaultPlan {
+    /// Faults of actors.
+    pub actors: Vec<ActorFault>,
+    /// Faults of links.
+    pub links: Vec<LinkFault>,
+}
+
+/// Whom a drawn plan strikes, and how.
+const STRUCK: [Role; 5] = [Role::Cache, Role::Agent, Role::Controller, Role::Body, Role::StateServer];
+const ACTOR_FAULTS: [ActorFaultKind; 4] =
+    [ActorFaultKind::Crash, ActorFaultKind::Stall, ActorFaultKind::Mute, ActorFaultKind::Slow];
+const LINK_FAULTS: [LinkFaultKind; 6] = [
+    LinkFaultKind::Drop,
+    LinkFaultKind::Delay,
+    LinkFaultKind::Duplicate,
+    LinkFaultKind::Reorder,
+    LinkFaultKind::Corrupt,
+    LinkFaultKind::Partition,
+];
+impl FaultPlan {
+    /// Draws a plan from a seed: about one fault in ten seconds until `horizon`, one at least, each over within
+    /// three seconds. Two of three strike an actor, the others a link.
+    pub fn random(seed: u64, targets: &Targets, horizon: Span) -> FaultPlan {
+        let mut stream = Seed::of_run(seed).stream("fault-plan");
+        let count = (horizon.as_secs() / 10.0).round().max(1.0) as usize;
+        let mut plan = FaultPlan::default();
+        for _ in 0..count {
+            let at = Time::ZERO + Span::from_secs(stream.random_range(1.0..horizon.as_secs().max(2.0)));
+            let lasts = Span::from_secs(stream.random_range(0.1..3.0));
+            let by = Span::from_secs(stream.random_range(0.01..0.3));
+            let mut one_of = |count: usize| u16::try_from(stream.random_range(0..count.max(1))).expect("16 bits");
+            let (robot, host) = (RobotId(one_of(targets.robots)), HostId(one_of(targets.hosts)));
+            if stream.random_bool(1.0 / 3.0) && !targets.links.is_empty() {
+                let (link, _) = targets.links[stream.random_range(0..targets.links.len())];
+                plan.links.push(LinkFault {
+                    kind: LINK_FAULTS[stream.random_range(0..LINK_FAULTS.len())],
+                    hosts: vec![host],
+                    share: stream.random_range(0.1..1.0),
+                    from: at,
+                    until: at + lasts,
+                    by,
+                    ..LinkFault::always(link)
+                });
+            } else {
+                let kind = ACTOR_FAULTS[stream.random_range(0..ACTOR_FAULTS.len())];
+                let role = STRUCK[stream.random_range(0..STRUCK.len())];
+                plan.actors.push(ActorFault { role, robot, kind, at, lasts, by });
+            }
+        }
+        plan
+    }
+
+    /// Checks that the faults are of this team, its hosts and its links with what they carry.
+    pub fn check(&self, targets: &Targets) -> Result<(), ConfigError> {
+        let Targets { robots, hosts, ref links } = *targets;
+        if let Some(index) = self.actors.iter().position(|fault| fault.robot.index() >= robots) {
+            let fault = &self.actors[index];
+            let reason = format!("there is no {}; the team has {robots}, counted from 0", fault.robot);
+            return Err(ConfigError::field(format!("actor[{index}].robot"), reason));
+        }
+        for (index, fault) in self.links.iter().enumerate() {
+            let wrong = |field: &str, reason: String| Err(ConfigError::field(format!("link[{index}].{field}"), reason));
+            let Some((_, carried)) = links.iter().find(|(name, _)| *name == fault.link) else {
+                let known: Vec<&str> = links.iter().map(|(name, _)| *name).collect();
+                let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+                return wrong("link", format!("no link '{}' in this mode; there are: {known}", fault.link));
+            };
+            if let Some(kind) = fault.kinds.iter().find(|kind| !carried.contains(kind)) {
+                return wrong("kinds", format!("'{}' does not carry {kind:?}", fault.link));
+            }
+            if let Some(host) = fault.hosts.iter().find(|host| usize::from(host.0) >= hosts) {
+                return wrong("hosts", format!("there is no host {}; there are {hosts}, counted from 0", host.0));
+            }
+        }
+        Ok(())
+    }
+
+    /// The faults planned for one link.
+    pub fn of_link(&self, name: &str) -> Vec<LinkFault> {
+        self.links.iter().filter(|fault| fault.link == name).cloned().collect()
+    }
+
+    /// When the last fault is over; the start of the run if there is none.
+    pub fn over(&self) -> Time {
+        let actors = self.actors.iter().map(|fault| fault.at + fault.lasts);
+        actors.chain(self.links.iter().map(|fault| fault.until)).max().unwrap_or(Time::ZERO)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn targets() -> Targets<'static> {
+        Targets { robots: 5, hosts: 2, links: vec![("infra", &[Kind::Mode])] }
+    }
+
+    #[test]
+    fn a_seed_draws_the_same_plan_twice_and_it_survives_toml() {
+        let draw = |seed| FaultPlan::random(seed, &targets(), Span::from_secs(200.0));
+        assert_eq!(draw(3), draw(3));
+        assert_ne!(draw(3), draw(4));
+        assert!(draw(3).actors.len() > 5 && draw(3).links.len() > 1);
+        let no_links = Targets { links: Vec::new(), ..targets() };
+        assert_eq!(FaultPlan::random(1, &no_links, Span::from_secs(1.0)).actors.len(), 1, "one at least");
+        assert!((0..50).all(|seed| draw(seed).check(&targets()).is_ok()), "what is drawn is there");
+        let again = FaultPlan::from_toml(&draw(3).to_toml()).unwrap();
+        assert_eq!(again.actors, draw(3).actors);
+    }
+}

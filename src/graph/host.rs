@@ -1,0 +1,64 @@
+//! One host of a deployment as a process of its own: its part of the graph, in real time, on sockets. What an actor
+//! does never lives here, nor what a person is shown.
+
+use std::rc::Rc;
+
+use super::process::{Graph, Heard, Process};
+use super::sockets;
+use crate::actors::recorder;
+use crate::graph::{Plan, wire_hosts, wire_recorder};
+use crate::messages::ids::{HostId, LinkId};
+use crate::net::protocol::key::Key;
+use crate::net::protocol::reliability::Setup;
+use crate::net::transport::udp::Udp;
+use crate::random::Seed;
+use crate::runtime::clock::Clock;
+use crate::runtime::real::Readers;
+
+/// A host: which one it is, and its links.
+pub struct Host {
+    /// Its number in the deployment.
+    pub id: HostId,
+    /// The team's number.
+    pub team: u16,
+    /// The incarnation: a random number that tells this process from former ones of the same host.
+    pub incarnation: u32,
+    /// The root of what its link layer draws, from the operating system.
+    pub secret: Seed,
+    /// The team's key; none on a machine that keeps to itself.
+    pub key: Option<Key>,
+    /// How its links are set up, in the order of the deployment; none where it has no part in one.
+    pub links: Vec<Option<Setup>>,
+    /// Its sockets by link, for the links that it uses; several for a link that it uses on several interfaces.
+    pub sockets: Vec<(LinkId, Udp)>,
+}
+
+/// Starts the actors of one host. `heard` is told what its Network makes known; `said` takes what the Recorder says,
+/// which runs where the whole team is simulated.
+pub fn wire(
+    (clock, readers): (&Clock, &mut Readers),
+    plan: Plan,
+    host: Host,
+    heard: impl Fn(Heard) + 'static,
+    said: impl FnMut(recorder::Out) + 'static,
+) -> Rc<Graph> {
+    let plan = &Rc::new(plan);
+    let process = Process {
+        only: Some(host.id),
+        team: host.team,
+        incarnation: host.incarnation,
+        secret: Some(host.secret),
+        key: host.key,
+        links: Some(host.links),
+        records: plan.deployment.hosts[usize::from(host.id.0)].world.len() == plan.deployment.robots,
+        hear: Rc::new(heard),
+    };
+    let graph = Rc::new(Graph::new(plan, &process));
+    wire_hosts(clock, plan, &graph, &process);
+    let mailbox_of = |link: LinkId| graph.transports[usize::from(link.0)].clone();
+    sockets::wire_all((clock, readers), host.sockets, mailbox_of, &graph.network_of(host.id));
+    if process.records {
+        wire_recorder(clock, plan, &graph, said);
+    }
+    graph
+}

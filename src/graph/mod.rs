@@ -1,0 +1,419 @@
+//! The whole actor graph as wiring: one place that says who talks to whom. No logic lives here.
+
+pub mod host;
+mod leading;
+pub mod operator;
+pub mod process;
+pub mod sockets;
+
+use std::cell::RefCell;
+use std::collections::BTreeSet;
+use std::rc::Rc;
+use std::sync::Arc;
+
+use tracing::info_span;
+
+use crate::actors::agent::{self, Agent, Pilot};
+use crate::actors::body::{self, Body};
+use crate::actors::cache::{self, Cache};
+use crate::actors::controller::{self, Controller};
+use crate::actors::network::{self, Network};
+use crate::actors::recorder::{self, Recorder};
+use crate::actors::state_server;
+use crate::actors::status;
+use crate::actors::world::{self, Ground, World};
+use crate::deploy::{Deployment, Host, Stepping};
+use crate::faults::FaultPlan;
+use crate::graph::leading::{Led, wire_server, wire_status};
+use crate::graph::process::{Graph, Heard, Process};
+use crate::hearing::CommRange;
+use crate::hearing::Handling;
+use crate::messages::geometry::Vec2;
+use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::wire::{Kind, Stop, Wire};
+use crate::net::media::air::Air;
+use crate::net::media::ether::{self, Ether};
+use crate::net::media::medium::Medium;
+use crate::net::media::reach::Reach;
+use crate::net::protocol::codec::Frame;
+use crate::net::protocol::link;
+use crate::net::transport::{self, Arrive, Transmit};
+use crate::policy::Model;
+use crate::random::Seed;
+use crate::runtime::clock::Clock;
+use crate::runtime::shell::{Mailbox, start};
+use crate::safety::{Safety, Switch, guard};
+use crate::scenario::Scenario;
+use crate::scenario::layout::Layouts;
+use crate::time::{Span, Time};
+use crate::world as plants;
+use crate::world::{Clamp, Physics};
+
+/// How long a motor command holds: four of the published control periods (design, section 2).
+pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
+
+/// All that a graph is made of.
+#[derive(Clone)]
+pub struct Plan {
+    /// Which host runs what.
+    pub deployment: Deployment,
+    /// What the team is to do.
+    pub scenario: Arc<dyn Scenario>,
+    /// What simulated robots are like.
+    pub physics: Physics,
+    /// What drives it while an episode runs.
+    pub run: Model,
+    /// What drives it to the starts.
+    pub reset: Model,
+    /// Who is near enough to be heard.
+    pub range: CommRange,
+    /// How long a neighbour's message is of use.
+    pub hold: Span,
+    /// What becomes of it within that time.
+    pub handling: Handling,
+    /// How Controllers limit what the policies want.
+    pub clamp: Clamp,
+    /// When robots are stopped or slowed.
+    pub safety: Safety,
+    /// The emergency stops and re-arms of the run, and when a host says them.
+    pub stops: Vec<(Time, Stop)>,
+    /// The episodes.
+    pub layouts: Layouts,
+    /// Which repeat of the experiment this is.
+    pub repeat: u32,
+    /// The root of all randomness.
+    pub seed: Seed,
+    /// What goes wrong.
+    pub faults: FaultPlan,
+    /// When the run ends, if not with its last episode.
+    pub until: Option<Time>,
+    /// Whether every step is told.
+    pub steps: recorder::Steps,
+}
+
+/// Starts all actors of a plan; `said` takes what the Recorder says.
+pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
+    let plan = &Rc::new(plan);
+    let process = Process::whole();
+    let graph = Rc::new(Graph::new(plan, &process));
+    wire_hosts(clock, plan, &graph, &process);
+    wire_links(clock, plan, &graph);
+    wire_recorder(clock, plan, &graph, said);
+    for fault in &plan.faults.actors {
+        let (fault, graph) = (fault.clone(), Rc::clone(&graph));
+        clock.call(fault.at, Box::new(move || graph.inject(fault)));
+    }
+    if let Some(until) = plan.until {
+        let record = graph.record();
+        clock.call(until, Box::new(move || record(recorder::In::Closing)));
+    }
+    for (at, stop) in plan.stops.iter().copied() {
+        let network = graph.network_of(stop.by);
+        clock.call(at, Box::new(move || network.send(network::In::Publish(Wire::Stop(stop)))));
+    }
+    graph
+}
+
+/// The actors of the hosts that run here.
+pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process: &Process) {
+    let here = |host: HostId| process.only.is_none_or(|only| only == host);
+    for robot in RobotId::team(plan.deployment.robots) {
+        if here(graph.routes.agent_host(robot)) {
+            wire_robot(clock, plan, graph, robot, process);
+        }
+        if here(graph.routes.world_host(robot)) {
+            wire_body(clock, plan, graph, robot);
+        }
+    }
+    for host in 0..plan.deployment.hosts.len() {
+        let host = HostId(u16::try_from(host).expect("hosts are counted in u16"));
+        if here(host) {
+            wire_host(clock, plan, graph, host, process);
+        }
+    }
+    if here(graph.routes.server_host()) {
+        wire_server(clock, plan, graph);
+    }
+}
+
+/// The Recorder of this process.
+pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: impl FnMut(recorder::Out) + 'static) {
+    let config = recorder::Config {
+        layouts: plan.layouts.clone(),
+        repeat: plan.repeat,
+        rules: plan.scenario.rules(),
+        steps: plan.steps,
+        hearers: plan.deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count() as u64 - 1,
+    };
+    let robots = plan.deployment.robots;
+    let make = move |_| Recorder::new(config.clone(), robots);
+    let mailbox = graph.recorder.as_ref().expect("a Recorder is started where one runs");
+    start(clock, mailbox, info_span!("recorder"), make, said);
+}
+
+/// When in each period a robot's tick or beat falls.
+fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
+    match plan.deployment.stepping {
+        Stepping::Lockstep => Span::from_nanos(period.as_nanos() / 2),
+        Stepping::Seeded => {
+            use rand::RngExt;
+            let mut stream = plan.seed.stream(&format!("{name}/{}/phase", robot.0));
+            Span::from_nanos(stream.random_range(0..period.as_nanos()))
+        }
+    }
+}
+
+/// Cache and Controller of one robot, and its Agent if it is the first of that Agent's robots.
+fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, process: &Process) {
+    let at = robot.index();
+    let (id, seed) = (robot.0, plan.seed);
+    let first = graph.routes.companions(robot)[0];
+    let interface = plan.run.interface();
+    let home = graph.network_of(graph.routes.agent_host(robot));
+
+    let config = cache::Config {
+        robot,
+        period: interface.period,
+        // One tick for all robots of an agent: a joint step is a synchronous one.
+        phase: phase(plan, "agent", first, interface.period),
+        range: plan.range,
+        hold: plan.hold,
+        handling: plan.handling,
+        own_age: Span::from_secs(plan.safety.own_state_s),
+    };
+    let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
+    let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
+    let watched = plan.safety.own_state == Switch::On;
+    let (record, observed) = (graph.record(), plan.steps == recorder::Steps::Reported);
+    let host = graph.routes.agent_host(robot);
+    start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |out| match out {
+        cache::Out::Percept(percept) => {
+            if observed {
+                let heard = percept.heard.iter().map(|heard| (heard.robot, heard.age)).collect();
+                record(recorder::In::Perceived(host, heard));
+            }
+            agent.send(agent::In::Percept(percept));
+        }
+        // Nobody waits for it where own state is not watched, and it would be a fifth of all that goes around.
+        cache::Out::Fresh if watched => controller.send(controller::In::Fresh),
+        cache::Out::Fresh => {}
+    });
+
+    if first == robot {
+        wire_agent(clock, plan, graph, robot);
+    }
+
+    let config = controller::Config {
+        robot,
+        guard: guard::Config {
+            safety: plan.safety,
+            half_extent: plan.scenario.arena().half_extent,
+            limit_m_s: interface.limit_m_s,
+            clamp: plan.clamp,
+            period: interface.period,
+        },
+        valid_for: COMMAND_VALIDITY,
+        phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
+    };
+    let (network, status) = (home, graph.status_of(host));
+    let (record, hear) = (graph.record(), Rc::clone(&process.hear));
+    let make = move |_| Controller::new(config);
+    start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
+        controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
+        controller::Out::Heartbeat(m) => network.send(network::In::Publish(Wire::Heartbeat(m))),
+        controller::Out::Follows(latch) => status.send(status::In::Controller(robot, latch)),
+        controller::Out::Counts(counts) => {
+            hear(Heard::Safety(robot, counts));
+            record(recorder::In::Safety(robot, counts));
+        }
+    });
+}
+
+/// Body of one robot.
+fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
+    let host = graph.routes.world_host(robot);
+    let (network, status) = (graph.network_of(host), graph.status_of(host));
+    let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
+    let (sensor, seed) = (plan.physics.sensor, plan.seed);
+    let make = move |life| Body::new((host, robot), sensor, seed.stream(&format!("body/{}/sensor/{life}", robot.0)));
+    start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, move |out| match out {
+        body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
+        body::Out::Reading(reading) => network.send(network::In::Publish(Wire::Reading(reading))),
+        body::Out::Follows(latch) => status.send(status::In::Body(robot, latch)),
+        body::Out::Stop(stop) => network.send(network::In::Publish(Wire::Stop(stop))),
+    });
+}
+
+/// The Agent whose first robot this is.
+fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
+    let id = robot.0;
+    let network = graph.network_of(graph.routes.agent_host(robot));
+    let controllers = graph.controllers.clone();
+    let robots = graph.routes.companions(robot).to_vec();
+    let period = plan.run.interface().period;
+    let patience = Span::from_nanos(period.as_nanos() / 4);
+    let plan = Rc::clone(plan);
+    let make = move |life: u32| {
+        let pilot = |&robot: &RobotId| Pilot {
+            robot,
+            run: plan.run.instance(plan.scenario.arena()),
+            reset: plan.reset.instance(plan.scenario.arena()),
+            actions: plan.seed.stream(&format!("agent/{}/action/{life}", robot.0)),
+            ranges: plan.seed.stream(&format!("agent/{}/range/{life}", robot.0)),
+        };
+        Agent::new(Arc::clone(&plan.scenario), plan.range, patience, robots.iter().map(pilot).collect())
+    };
+    start(clock, &graph.agents[robot.index()], info_span!("agent", robot = id), make, move |out| match out {
+        agent::Out::Latent(latent) => network.send(network::In::Publish(Wire::Latent(latent))),
+        agent::Out::Action(action) => controllers[action.robot.index()].send(controller::In::Action(action)),
+    });
+}
+
+/// Network, Status and World of one host.
+fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &Process) {
+    let entry = &plan.deployment.hosts[usize::from(host.0)];
+    // In the order of ids, however the deployment lists them: a plant moves its robots in this order.
+    let here = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect();
+    let (agents, simulated): (Vec<RobotId>, Vec<RobotId>) = (here(&entry.agents.concat()), here(&entry.world));
+    let firsts: Vec<RobotId> =
+        entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
+
+    let config = network::Config {
+        me: link::Identity { host, team: process.team, epoch: 0 },
+        key: process.key.clone(),
+        links: process.setups(&plan.deployment, &graph.routes, host),
+        router: graph.routes.router(host),
+    };
+    let (seed, incarnation) = (process.secret.unwrap_or(plan.seed), process.incarnation);
+    let (hear, alone) = (Rc::clone(&process.hear), process.only.is_some());
+    let make = move |life: u32| {
+        let me = link::Identity { epoch: incarnation.wrapping_add(life), ..config.me };
+        let stream = seed.stream(&format!("network/{}/{life}", host.0));
+        Network::new(network::Config { me, ..config.clone() }, stream)
+    };
+    // One entry an agent: its robots, and their caches.
+    let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
+    let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
+    let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
+        firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();
+    let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone());
+    let leads = entry.state_server;
+    let team = Led {
+        agents: firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect(),
+        controllers: agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect(),
+        bodies: simulated.iter().map(|robot| graph.bodies[robot.index()].clone()).collect(),
+        world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
+        status: graph.status_of(host),
+    };
+    wire_status(clock, graph, host, status::Config { host, controllers: agents, bodies: simulated.clone() });
+    let (transports, record) = (graph.transports.clone(), graph.record());
+    let name = entry.name.clone();
+    let deliver = move |message: Wire| match message {
+        Wire::Reading(m) => by_robot.0[m.robot.index()].send(cache::In::Reading(m)),
+        Wire::MotorCommand(m) => by_robot.1[m.robot.index()].send(body::In::MotorCommand(m)),
+        Wire::Heartbeat(m) => by_robot.2.send(state_server::In::Heartbeat(m)),
+        Wire::Latent(m) => {
+            for (_, caches) in caches.iter().filter(|(robots, _)| robots.binary_search(&m.robot).is_err()) {
+                caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
+            }
+        }
+        Wire::Mode(m) => team.follow(&m),
+        Wire::Stop(m) => {
+            team.stop(m);
+            if leads {
+                by_robot.2.send(state_server::In::Stop(m));
+            }
+        }
+        Wire::Status(m) => by_robot.2.send(state_server::In::Status(m)),
+    };
+    start(
+        clock,
+        &graph.networks[usize::from(host.0)],
+        info_span!("network", host = name),
+        make,
+        move |out| match out {
+            network::Out::Deliver(message) => {
+                hear(Heard::Message(&message));
+                // What other processes publish is news to a Recorder here.
+                if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
+                    record(recorder::In::Heard(message.clone()));
+                }
+                deliver(message);
+            }
+            network::Out::Tap(frame) => {
+                hear(Heard::Published);
+                record(recorder::In::Tap(frame));
+            }
+            network::Out::Counts(counts) => {
+                hear(Heard::Counts(&counts));
+                record(recorder::In::Counts(host, counts));
+            }
+            network::Out::Peers(peers) => hear(Heard::Peers(&peers)),
+            network::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
+            network::Out::Admit(link, guest) => {
+                transports[usize::from(link.0)].send(transport::In::Admit(guest));
+            }
+            network::Out::Transmit(link, audience, frame) => {
+                let transmit = Transmit { from: host, audience, frame };
+                transports[usize::from(link.0)].send(transport::In::Transmit(transmit));
+            }
+        },
+    );
+
+    if let Some(first) = simulated.first().copied() {
+        let (bodies, record) = (graph.bodies.clone(), graph.record());
+        let ranged = ranged_ethers(plan, graph, process);
+        // On the floor before anything starts, as people would put them there.
+        let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
+        let plant = plants::plant(&plan.deployment.plant).expect("a checked deployment names a plant");
+        let seed = plan.seed.child(&format!("world/{}", host.0));
+        let plant = (plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
+        let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
+        let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
+        start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {
+            world::Out::Sample(sample) => bodies[sample.robot.index()].send(body::In::Sample(sample)),
+            world::Out::Truth(truth) => {
+                ranged.iter().for_each(|ether| ether.send(transport::In::Truth(truth.clone())));
+                record(recorder::In::Truth(truth));
+            }
+        });
+    }
+}
+
+/// The emulated links on which it matters where robots are.
+fn ranged_ethers(plan: &Plan, graph: &Graph, process: &Process) -> Vec<Mailbox<transport::In>> {
+    let links = plan.deployment.links.iter().zip(graph.transports.iter()).filter(|_| process.only.is_none());
+    let ranged = links.filter(|(link, _)| link.range_m.or(link.radio.as_ref().and_then(|r| r.range_m)).is_some());
+    ranged.map(|(_, ether)| ether.clone()).collect()
+}
+
+fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
+    let first_robot = |host: &Host| host.agents.concat().into_iter().min();
+    let robots_of: Rc<[Option<u16>]> = plan.deployment.hosts.iter().map(first_robot).collect();
+    for (index, link) in plan.deployment.links.iter().enumerate() {
+        let id = LinkId(u16::try_from(index).expect("links are counted in u16"));
+        let routes = graph.routes.clone();
+        let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
+        let (seed, name) = (plan.seed, link.name.clone());
+        let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
+        let make = move |life| {
+            let stream = seed.stream(&format!("link/{name}/{life}"));
+            let medium = Medium::new(impairment.clone(), faults.clone(), stream);
+            let air = || seed.child(&format!("link/{name}/radio/{life}"));
+            let air = radio.clone().map(|radio| Air::new(radio, &robots_of, &air()));
+            let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
+            Ether::new(medium, air, reach, |kind| routes.listeners(kind))
+        };
+        let (networks, record) = (graph.networks.clone(), graph.record());
+        let observed = plan.steps == recorder::Steps::Reported && link.carries.contains(&Kind::Latent);
+        start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
+            ether::Out::Arrive(Arrive { to, from, frame }) => {
+                if observed {
+                    record(recorder::In::Arrived(to, Frame::clone(&frame)));
+                }
+                networks[usize::from(to.0)].send(network::In::Frame(id, frame, from));
+            }
+            ether::Out::Counts(counts) => record(recorder::In::Radio(id, counts)),
+        });
+    }
+}

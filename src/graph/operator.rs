@@ -1,0 +1,104 @@
+//! An operator: a host that is in no deployment. It has a Network on one or more links of a team and no robot. It may
+//! give orders (`order`) or only listen. Every process that acts as one has a number of its own, so that any number of
+//! operators act at once; what a person is shown never lives here.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::Arc;
+
+use tracing::info_span;
+
+use super::process::Heard;
+use super::sockets::{self, Shared};
+use crate::actors::network::{self, Identity, Network};
+use crate::actors::order::Order;
+use crate::messages::ids::LinkId;
+use crate::messages::wire::{Kind, Status, Wire};
+use crate::net::protocol::key::Key;
+use crate::net::protocol::reliability::Setup;
+use crate::net::protocol::router::{Audience, Publishers, Route, Router};
+use crate::net::transport::udp::Udp;
+use crate::net::transport::{self, Transmit};
+use crate::random::Seed;
+use crate::runtime::clock::Clock;
+use crate::runtime::real::Readers;
+use crate::runtime::shell::{Mailbox, start};
+
+/// An operator and its links.
+pub struct Operator {
+    /// Its identity: a number drawn for this process, the team's number, a random incarnation.
+    pub me: Identity,
+    /// The root of its randomness, from the operating system.
+    pub seed: Seed,
+    /// How many robots the team has.
+    pub robots: usize,
+    /// The hosts of the team, and what each may say.
+    pub publishers: Arc<Publishers>,
+    /// The team's key.
+    pub key: Option<Key>,
+    /// How the links are set up, in the order of the deployment; none where it has no part in one.
+    pub links: Vec<Option<Setup>>,
+    /// The sockets by link; several for one link where it is joined on several interfaces.
+    pub sockets: Vec<(LinkId, Udp)>,
+    /// The link that carries the emergency stop, if it is to speak on it.
+    pub stop: Option<LinkId>,
+}
+
+/// Starts an operator's Network and links; the way to its Network.
+pub fn wire(
+    (clock, readers): (&Clock, &mut Readers),
+    operator: Operator,
+    heard: impl Fn(Heard) + 'static,
+) -> Mailbox<network::In> {
+    let Operator { me, seed, robots, publishers, key, links, sockets, stop } = operator;
+    let router = Router::new(robots, |kind, _| match kind {
+        Kind::Stop => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
+        Kind::Heartbeat | Kind::Mode | Kind::Status => Route { local: true, leaves: None },
+        _ => Route::default(),
+    });
+    let router = router.with_publishers(publishers);
+    let count = links.len();
+    let config = network::Config { me, key, links, router };
+    let make = move |life: u32| {
+        let me = Identity { epoch: me.epoch.wrapping_add(life), ..me };
+        Network::new(network::Config { me, ..config.clone() }, seed.stream(&format!("operator/{life}")))
+    };
+    let network = Mailbox::new("network of the operator");
+    let transports: Vec<Mailbox<transport::In>> = (0..count).map(|_| Mailbox::new("udp of the operator")).collect();
+    sockets::wire_all((clock, readers), sockets, |link| transports[usize::from(link.0)].clone(), &network);
+    start(clock, &network, info_span!("network"), make, move |out| match out {
+        network::Out::Deliver(message) => heard(Heard::Message(&message)),
+        network::Out::Counts(counts) => heard(Heard::Counts(&counts)),
+        network::Out::Peers(peers) => heard(Heard::Peers(&peers)),
+        network::Out::Duplicate(duplicate) => heard(Heard::Duplicate(duplicate)),
+        network::Out::Tap(_) => heard(Heard::Published),
+        // An operator answers operators of multicast links alone, which need no address.
+        network::Out::Admit(..) => {}
+        network::Out::Transmit(link, audience, frame) => {
+            let transmit = Transmit { from: me.host, audience, frame };
+            transports[usize::from(link.0)].send(transport::In::Transmit(transmit));
+        }
+    });
+    network
+}
+
+/// Starts an operator that gives an order, which can be looked at while it is carried out.
+pub fn command((clock, readers): (&Clock, &mut Readers), operator: Operator, order: &Rc<RefCell<Order>>) {
+    let answers: Mailbox<Status> = Mailbox::new("order");
+    let hear = answers.clone();
+    let network = wire((clock, readers), operator, move |heard| {
+        if let Heard::Message(Wire::Status(status)) = heard {
+            hear.send(status.clone());
+        }
+    });
+    let order = Rc::clone(order);
+    start(
+        clock,
+        &answers,
+        info_span!("order"),
+        move |_| Shared(Rc::clone(&order)),
+        move |stop| {
+            network.send(network::In::Publish(Wire::Stop(stop)));
+        },
+    );
+}

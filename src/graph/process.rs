@@ -1,0 +1,202 @@
+//! What of a deployment runs in this process, and the ways to all of its actors. Who talks to whom is in `graph`.
+
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use crate::actors::{agent, body, cache, controller, network, recorder, state_server, status, world};
+use crate::deploy::{Deployment, Link, Routes};
+use crate::faults::{ActorFault, Role};
+use crate::graph::Plan;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::latch::Latch;
+use crate::messages::wire::{Stop, Wire};
+use crate::net::protocol::key::Key;
+use crate::net::protocol::link::{Duplicate, LinkCounts};
+use crate::net::protocol::reliability::Setup;
+use crate::net::protocol::sender::Peer;
+use crate::net::transport;
+use crate::random::Seed;
+use crate::runtime::shell::Mailbox;
+use crate::safety::guard::SafetyCounts;
+
+/// The team number of one-process runs, where there is no other team.
+const TEAM: u16 = 0;
+
+/// What of a deployment runs in this process, and how it shows itself to others.
+#[derive(Clone)]
+pub struct Process {
+    /// One host alone; `None` for all of them.
+    pub only: Option<HostId>,
+    /// The team's number on every link.
+    pub team: u16,
+    /// The incarnation: a random number that tells this process from former ones of the same host.
+    pub incarnation: u32,
+    /// The root of what the link layer draws, which nobody else may know; `None` for that of the run.
+    pub secret: Option<Seed>,
+    /// What the team's datagrams are sealed with, if they are.
+    pub key: Option<Key>,
+    /// How its links are set up, none where it has no part in one; `None` for those of the emulated ether.
+    pub links: Option<Vec<Option<Setup>>>,
+    /// Whether a Recorder runs here.
+    pub records: bool,
+    /// Is told what reaches the actors and what Networks and guards count.
+    pub hear: Rc<dyn Fn(Heard)>,
+}
+
+/// Something that Networks and Controllers of this process make known.
+#[derive(Clone, Copy, Debug)]
+pub enum Heard<'a> {
+    /// An actor of this process has said something.
+    Published,
+    /// A message for this host.
+    Message(&'a Wire),
+    /// What is known of the other hosts.
+    Peers(&'a [Peer]),
+    /// What it has counted on its links since it was started.
+    Counts(&'a LinkCounts),
+    /// Another live host has the id of this one and was started before it.
+    Duplicate(Duplicate),
+    /// How often the guard of a robot of this process has stopped or slowed it since it was started.
+    Safety(RobotId, SafetyCounts),
+}
+
+impl Process {
+    /// Every host of a deployment.
+    pub(super) fn whole() -> Process {
+        let hear = Rc::new(|_: Heard| {});
+        Process { only: None, team: TEAM, incarnation: 0, secret: None, key: None, links: None, records: true, hear }
+    }
+
+    /// How the links of a host are set up; none where it neither sends nor takes anything.
+    pub(super) fn setups(&self, deployment: &Deployment, routes: &Routes, host: HostId) -> Vec<Option<Setup>> {
+        let emulated = |link: &Link| {
+            let partakes = link.carries.iter().any(|kind| routes.exchanges(host, *kind));
+            partakes.then(|| Setup::emulated(link.reliability.clone()))
+        };
+        self.links.clone().unwrap_or_else(|| deployment.links.iter().map(emulated).collect())
+    }
+}
+
+/// The ways to all actors of a graph.
+pub struct Graph {
+    pub(super) routes: Routes,
+    pub(super) caches: Rc<[Mailbox<cache::In>]>,
+    /// By robot: the robots of one agent share a mailbox.
+    pub(super) agents: Vec<Mailbox<agent::In>>,
+    pub(super) controllers: Rc<[Mailbox<controller::In>]>,
+    pub(super) bodies: Rc<[Mailbox<body::In>]>,
+    /// By robot, likewise.
+    pub(super) worlds: Vec<Mailbox<world::In>>,
+    pub(super) server: Mailbox<state_server::In>,
+    /// By host.
+    pub(super) statuses: Rc<[Mailbox<status::In>]>,
+    pub(super) networks: Rc<[Mailbox<network::In>]>,
+    pub(super) transports: Rc<[Mailbox<transport::In>]>,
+    /// Where there is one.
+    pub(super) recorder: Option<Mailbox<recorder::In>>,
+}
+
+impl Graph {
+    pub(super) fn new(plan: &Plan, process: &Process) -> Graph {
+        let deployment = &plan.deployment;
+        let routes = Routes::of(deployment);
+        let team = || RobotId::team(deployment.robots);
+        let named = |what: &'static str| move |robot: RobotId| format!("{what} of {robot}");
+        let mut agents: Vec<Mailbox<agent::In>> = Vec::new();
+        let mut worlds: Vec<Mailbox<world::In>> = Vec::new();
+        let mut by_host: BTreeMap<HostId, Mailbox<world::In>> = BTreeMap::new();
+        for robot in team() {
+            let agent = agents.get(routes.companions(robot)[0].index());
+            agents.push(agent.cloned().unwrap_or_else(|| Mailbox::new(named("agent")(robot))));
+            let world = by_host.entry(routes.world_host(robot)).or_insert_with(|| Mailbox::new(named("world")(robot)));
+            worlds.push(world.clone());
+        }
+        let links = deployment.links.iter().map(|link| format!("transport of {}", link.name));
+        Graph {
+            caches: team().map(named("cache")).map(Mailbox::new).collect(),
+            agents,
+            controllers: team().map(named("controller")).map(Mailbox::new).collect(),
+            bodies: team().map(named("body")).map(Mailbox::new).collect(),
+            worlds,
+            server: Mailbox::new("state server"),
+            statuses: deployment.hosts.iter().map(|host| Mailbox::new(format!("status of {}", host.name))).collect(),
+            networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
+            transports: links.map(Mailbox::new).collect(),
+            recorder: process.records.then(|| Mailbox::new("recorder")),
+            routes,
+        }
+    }
+
+    pub(super) fn network_of(&self, host: HostId) -> Mailbox<network::In> {
+        self.networks[usize::from(host.0)].clone()
+    }
+
+    pub(super) fn status_of(&self, host: HostId) -> Mailbox<status::In> {
+        self.statuses[usize::from(host.0)].clone()
+    }
+
+    /// The way to the Recorder, which leads nowhere where there is none.
+    pub(super) fn record(&self) -> impl Fn(recorder::In) + use<> {
+        let recorder = self.recorder.clone();
+        move |told| {
+            if let Some(recorder) = &recorder {
+                recorder.send(told);
+            }
+        }
+    }
+
+    /// Messages that full mailboxes refused, and messages that were lost in crashes, so far.
+    pub fn undelivered(&self) -> (u64, u64) {
+        fn of<I>(mailboxes: &[Mailbox<I>]) -> impl Iterator<Item = (&str, (u64, u64))> {
+            mailboxes.iter().map(|mailbox| (mailbox.name(), (mailbox.refused(), mailbox.lost())))
+        }
+        // By name, because some robots share an agent or a world.
+        let counts: BTreeMap<&str, (u64, u64)> = of(&self.caches)
+            .chain(of(&self.agents))
+            .chain(of(&self.controllers))
+            .chain(of(&self.bodies))
+            .chain(of(&self.worlds))
+            .chain(of(&self.statuses))
+            .chain(of(&self.networks))
+            .chain(of(&self.transports))
+            .chain(of(std::slice::from_ref(&self.server)))
+            .chain(of(self.recorder.as_slice()))
+            .collect();
+        counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
+    }
+
+    /// Engages the team's emergency stop, in the name of a host that runs here.
+    pub fn stop(&self, by: HostId) {
+        let stop = Stop::engage(by, Latch::default());
+        self.networks[usize::from(by.0)].send(network::In::Publish(Wire::Stop(stop)));
+    }
+
+    /// Lets a host that runs here leave the team: what it drives stands, and then it says so.
+    pub fn leave(&self, host: HostId) {
+        for robot in RobotId::team(self.bodies.len()) {
+            if self.routes.world_host(robot) == host {
+                self.bodies[robot.index()].send(body::In::Leave);
+            }
+            if self.routes.agent_host(robot) == host {
+                self.controllers[robot.index()].send(controller::In::Leave);
+            }
+        }
+        if self.routes.server_host() == host {
+            self.server.send(state_server::In::Leave);
+        }
+        self.statuses[usize::from(host.0)].send(status::In::Leave);
+    }
+
+    pub(super) fn inject(&self, fault: ActorFault) {
+        let robot = fault.robot.index();
+        match fault.role {
+            Role::Cache => self.caches[robot].inject(fault),
+            Role::Agent => self.agents[robot].inject(fault),
+            Role::Controller => self.controllers[robot].inject(fault),
+            Role::Body => self.bodies[robot].inject(fault),
+            Role::World => self.worlds[robot].inject(fault),
+            Role::StateServer => self.server.inject(fault),
+            Role::Network => self.network_of(self.routes.agent_host(fault.robot)).inject(fault),
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! A process's sockets as actors: one transport a link, between the Network and the driver of real time. What travels
+//! on them never lives here.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use tracing::info_span;
+
+use crate::actor::Core;
+use crate::actors::network;
+use crate::messages::ids::LinkId;
+use crate::net::transport::udp::Udp;
+use crate::net::transport::{self, Arrive};
+use crate::runtime::clock::Clock;
+use crate::runtime::real::Readers;
+use crate::runtime::shell::{Mailbox, start};
+use crate::time::{Span, Time};
+
+/// Starts the transports of a host behind the mailboxes of their links; what arrives goes to the Network. A link may
+/// have several, one an interface: what is said on it leaves through each.
+pub fn wire_all(
+    (clock, readers): (&Clock, &mut Readers),
+    sockets: Vec<(LinkId, Udp)>,
+    mailbox_of: impl Fn(LinkId) -> Mailbox<transport::In>,
+    network: &Mailbox<network::In>,
+) {
+    let mut links: BTreeMap<LinkId, Vec<Udp>> = BTreeMap::new();
+    for (link, udp) in sockets {
+        links.entry(link).or_default().push(udp);
+    }
+    for (link, mut transports) in links {
+        let mailbox = mailbox_of(link);
+        if transports.len() == 1
+            && let Some(udp) = transports.pop()
+        {
+            wire((clock, readers), (link, udp), &mailbox, network);
+            continue;
+        }
+        let all: Vec<Mailbox<transport::In>> = (0..transports.len())
+            .map(|index| Mailbox::new(format!("{} by interface {index}", mailbox.name())))
+            .collect();
+        for (udp, mailbox) in transports.into_iter().zip(&all) {
+            wire((clock, readers), (link, udp), mailbox, network);
+        }
+        start(
+            clock,
+            &mailbox,
+            info_span!("interfaces", link = link.0),
+            |_| Fan,
+            move |said: transport::In| {
+                all.iter().for_each(|transport| transport.send(said.clone()));
+            },
+        );
+    }
+}
+
+/// Starts the one transport of a link behind its mailbox; what arrives goes to the Network.
+pub fn wire(
+    (clock, readers): (&Clock, &mut Readers),
+    (link, udp): (LinkId, Udp),
+    mailbox: &Mailbox<transport::In>,
+    network: &Mailbox<network::In>,
+) {
+    let (bell, network, ears) = (mailbox.clone(), network.clone(), udp.ears());
+    // A socket outlives its actor: what waits in it would be lost with it.
+    let udp = Rc::new(RefCell::new(udp));
+    let flooded = Rc::clone(&udp);
+    readers.watch_link(ears, move || flooded.borrow().rests_until(), move || bell.send(transport::In::Readable));
+    let make = move |_| Shared(Rc::clone(&udp));
+    start(clock, mailbox, info_span!("udp", link = link.0), make, move |Arrive { frame, from, .. }| {
+        network.send(network::In::Frame(link, frame, from));
+    });
+}
+
+/// Passes on what it is told, to each of a link's transports.
+struct Fan;
+
+impl Core for Fan {
+    type In = transport::In;
+    type Out = transport::In;
+
+    fn handle(&mut self, _: Time, input: transport::In, out: &mut Vec<transport::In>) {
+        out.push(input);
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        None
+    }
+
+    fn wake(&mut self, _: Time, _: &mut Vec<transport::In>) {}
+}
+
+/// A core whose state outlives it, and which others may look at.
+pub struct Shared<C>(pub Rc<RefCell<C>>);
+
+impl<C: Core> Core for Shared<C> {
+    type In = C::In;
+    type Out = C::Out;
+
+    fn handle(&mut self, now: Time, input: C::In, out: &mut Vec<C::Out>) {
+        self.0.borrow_mut().handle(now, input, out);
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        self.0.borrow().wake_at()
+    }
+
+    fn tolerance(&self, ahead: Span) -> Span {
+        self.0.borrow().tolerance(ahead)
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<C::Out>) {
+        self.0.borrow_mut().wake(now, out);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+    use std::time::Instant;
+
+    use super::*;
+    use crate::messages::ids::HostId;
+    use crate::net::protocol::reliability::Reliabilities;
+    use crate::net::protocol::router::Audience;
+    use crate::net::transport::Transmit;
+    use crate::net::transport::socket::{SocketConfig, Transport};
+    use crate::net::transport::udp::Filter;
+    use crate::runtime::real::run_real;
+
+    /// Counts the frames that have arrived.
+    struct Count(Rc<Cell<usize>>);
+
+    impl Core for Count {
+        type In = network::In;
+        type Out = ();
+
+        fn handle(&mut self, _: Time, input: network::In, _: &mut Vec<()>) {
+            if let network::In::Frame(LinkId(3), _, Some(_)) = input {
+                self.0.set(self.0.get() + 1);
+            }
+        }
+
+        fn wake_at(&self) -> Option<Time> {
+            None
+        }
+
+        fn wake(&mut self, _: Time, _: &mut Vec<()>) {}
+    }
+
+    #[test]
+    fn a_link_of_two_transports_leaves_by_both_and_hears_both() {
+        let at = |port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+        let peer = UdpSocket::bind(at(47_751)).unwrap();
+        peer.set_nonblocking(true).unwrap();
+        let open = |port: u16| {
+            let transport = Transport::Unicast { listen: at(port), peers: [(HostId(9), at(47_751))].into() };
+            let (interface, reliability) = ("lo".to_owned(), Reliabilities::new());
+            let config = SocketConfig { transport, interface, receive_buffer_bytes: 1 << 16, reliability };
+            (LinkId(3), Udp::open(HostId(1), &config, Filter::All).unwrap())
+        };
+        let sockets = vec![open(47_752), open(47_753)];
+        for port in [47_752, 47_753] {
+            peer.send_to(b"to the team", at(port)).unwrap();
+        }
+        let (link, network) = (Mailbox::new("link"), Mailbox::new("network"));
+        let arrived = Rc::new(Cell::new(0));
+        let frame: crate::net::protocol::codec::Frame = b"to the peer"[..].into();
+        link.send(transport::In::Transmit(Transmit { from: HostId(1), audience: Audience::All, frame }));
+        let (count, begun) = (Rc::clone(&arrived), Instant::now());
+        run_real(
+            begun,
+            |clock, readers| {
+                wire_all((clock, readers), sockets, |_| link.clone(), &network);
+                start(clock, &network, info_span!("network"), move |_| Count(Rc::clone(&count)), |()| {});
+            },
+            |(), now| arrived.get() == 2 || now.as_secs() > 5.0,
+        );
+        assert_eq!(arrived.get(), 2);
+        let from = || peer.recv_from(&mut [0; 64]).map(|(_, from)| from.port());
+        assert_eq!([from().unwrap(), from().unwrap()], [47_752, 47_753], "in the order of its transports");
+    }
+}

@@ -1,0 +1,64 @@
+//! What a robot hears of its neighbours: the communication range R_COM of the paper (section III), and for how long a
+//! message is of use.
+
+use rand_distr::{Distribution, Normal};
+use serde::{Deserialize, Serialize};
+
+use crate::messages::geometry::Vec2;
+use crate::random::Stream;
+
+/// What becomes of neighbours' messages once the agent has seen them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Handling {
+    /// The newest of each neighbour is seen again at every step, until it is older than the window.
+    Hold,
+    /// They are dropped, as in the published system: each is seen in one step at most.
+    AsPublished,
+}
+
+/// A communication range, fixed or drawn anew for every message received.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CommRange {
+    /// Mean \[m\].
+    pub mean_m: f32,
+    /// Standard deviation \[m\]; a drawn range is cut off at zero.
+    #[serde(default)]
+    pub std_m: f32,
+}
+
+impl CommRange {
+    /// A range of exactly `mean_m` \[m\].
+    pub fn fixed(mean_m: f32) -> CommRange {
+        CommRange { mean_m, std_m: 0.0 }
+    }
+
+    /// Whether one message from `sender` is heard at `receiver`. The sender is out of range only beyond it:
+    /// the published per-robot node drops a message if the distance is greater.
+    pub fn admits(&self, receiver: Vec2, sender: Vec2, stream: &mut Stream) -> bool {
+        let range = if self.std_m > 0.0 {
+            let normal = Normal::new(self.mean_m, self.std_m).expect("a checked deviation is finite");
+            normal.sample(stream).max(0.0)
+        } else {
+            self.mean_m
+        };
+        (receiver - sender).norm_squared() <= range * range
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Seed;
+
+    #[test]
+    fn a_random_range_is_drawn_per_message() {
+        let mut stream = Seed::of_run(1).stream("range");
+        let range = CommRange { mean_m: 2.0, std_m: 0.5 };
+        let at = |x| Vec2::new(x, 0.0);
+        let heard = (0..1000).filter(|_| range.admits(at(0.0), at(2.0), &mut stream)).count();
+        assert!((450..550).contains(&heard), "half of the ranges exceed the mean, not {heard} of 1000");
+        assert!(!CommRange::fixed(2.0).admits(at(0.0), at(2.001), &mut stream));
+        assert!(CommRange::fixed(f32::INFINITY).admits(at(0.0), at(1e9), &mut stream));
+    }
+}

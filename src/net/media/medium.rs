@@ -1,0 +1,128 @@
+//! The emulated medium of one link: when, and whether, a frame reaches each listener.
+//!
+//! Ideal but for a fixed delay and an independent loss per listener, and for the faults of a plan. What comes
+//! through a radio channel (`radio`) goes through here after it. Pure: time and randomness are handed in.
+
+use rand::RngExt;
+
+use crate::faults::{LinkFault, LinkFaultKind};
+use crate::messages::ids::HostId;
+use crate::messages::wire::Kind;
+use crate::net::protocol::codec::{Frame, HEADER_BYTES};
+use crate::random::Stream;
+use crate::time::{Span, Time};
+
+/// What the medium does to the frames of some kinds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Impairment {
+    /// How long every frame takes.
+    pub delay: Span,
+    /// Which share of frames each listener misses, 0 to 1.
+    pub loss: f64,
+    /// The kinds that suffer; all others pass at once and whole.
+    pub kinds: Vec<Kind>,
+}
+
+/// The medium of one link.
+#[derive(Clone, Debug)]
+pub struct Medium {
+    impairment: Impairment,
+    faults: Vec<LinkFault>,
+    stream: Stream,
+}
+
+impl Medium {
+    /// A medium with the faults planned for its link; draws from `stream` alone.
+    pub fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> Medium {
+        Medium { impairment, faults, stream }
+    }
+
+    /// Carries one frame from one host to one listener: puts each copy that arrives, and when, into `arrivals`.
+    pub fn carry(
+        &mut self,
+        now: Time,
+        kind: Kind,
+        (from, to): (HostId, HostId),
+        frame: &Frame,
+        arrivals: &mut Vec<(Time, Frame)>,
+    ) {
+        let mut at = now;
+        if self.impairment.kinds.contains(&kind) {
+            if self.impairment.loss > 0.0 && self.stream.random_bool(self.impairment.loss) {
+                return;
+            }
+            at += self.impairment.delay;
+        }
+        let first = arrivals.len();
+        arrivals.push((at, frame.clone()));
+        for fault in self.faults.iter().filter(|fault| fault.hits(now, kind, from, to)) {
+            if fault.share < 1.0 && !self.stream.random_bool(fault.share) {
+                continue;
+            }
+            match fault.kind {
+                LinkFaultKind::Drop | LinkFaultKind::Partition => arrivals.truncate(first),
+                LinkFaultKind::Delay => arrivals[first..].iter_mut().for_each(|(at, _)| *at += fault.by),
+                LinkFaultKind::Reorder => {
+                    for (at, _) in &mut arrivals[first..] {
+                        *at += Span::from_nanos(self.stream.random_range(0..=fault.by.as_nanos()));
+                    }
+                }
+                LinkFaultKind::Duplicate => arrivals.extend_from_within(first..),
+                LinkFaultKind::Corrupt => {
+                    for (_, frame) in &mut arrivals[first..] {
+                        *frame = flip_a_bit(frame, &mut self.stream);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The frame with one bit of its body turned over: the header would be a different fault, a forged one.
+fn flip_a_bit(frame: &Frame, stream: &mut Stream) -> Frame {
+    let mut bytes = frame.to_vec();
+    if bytes.len() > HEADER_BYTES {
+        let at = stream.random_range(HEADER_BYTES..bytes.len());
+        bytes[at] ^= 1 << stream.random_range(0..8);
+    }
+    bytes.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Seed;
+
+    fn carry(medium: &mut Medium, kind: Kind) -> Vec<(Time, Frame)> {
+        let mut arrivals = Vec::new();
+        let frame: Frame = vec![0; 20].into();
+        medium.carry(Time::ZERO, kind, (HostId(0), HostId(1)), &frame, &mut arrivals);
+        arrivals
+    }
+
+    #[test]
+    fn loss_takes_its_share_of_the_kinds_it_is_for() {
+        let impairment = Impairment { delay: Span::from_millis(20), loss: 0.3, kinds: vec![Kind::Latent] };
+        let mut medium = Medium::new(impairment, Vec::new(), Seed::of_run(1).stream("link"));
+        let arrived = (0..2000).filter(|_| !carry(&mut medium, Kind::Latent).is_empty()).count();
+        assert!((1340..1460).contains(&arrived), "{arrived} of 2000 arrived at 30 % loss");
+        assert_eq!(carry(&mut medium, Kind::Mode)[0].0, Time::ZERO, "other kinds pass at once");
+    }
+
+    #[test]
+    fn a_planned_fault_acts_in_its_window_only() {
+        let fault = |kind| LinkFault { kind, by: Span::from_millis(5), ..LinkFault::always("any") };
+        let medium = |kind| Medium::new(Impairment::default(), vec![fault(kind)], Seed::of_run(1).stream("link"));
+        assert!(carry(&mut medium(LinkFaultKind::Drop), Kind::Latent).is_empty());
+        assert_eq!(carry(&mut medium(LinkFaultKind::Duplicate), Kind::Latent).len(), 2);
+        assert_eq!(carry(&mut medium(LinkFaultKind::Delay), Kind::Latent)[0].0, Time::ZERO + Span::from_millis(5));
+        let corrupted = carry(&mut medium(LinkFaultKind::Corrupt), Kind::Latent);
+        assert_eq!(corrupted[0].1.iter().map(|byte| byte.count_ones()).sum::<u32>(), 1);
+        let mut late = Medium::new(
+            Impairment::default(),
+            vec![LinkFault { from: Time::ZERO + Span::from_millis(1), ..fault(LinkFaultKind::Drop) }],
+            Seed::of_run(1).stream("link"),
+        );
+        assert_eq!(carry(&mut late, Kind::Latent).len(), 1);
+    }
+}

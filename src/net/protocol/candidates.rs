@@ -1,0 +1,279 @@
+//! Incarnations that have not shown yet that they are alive: each is echoed for a while, so that it can.
+//!
+//! A recording of a former run is such a candidate for ever, so candidates are bounded, hosts of the team apart from
+//! guests, and their places are given fairly: first to those that were echoed least. A recording that repeats itself
+//! grows old, since only a stamp that has advanced keeps a candidate fresh.
+
+use std::collections::BTreeMap;
+
+use super::limits::FRESH;
+use super::report::Stamp;
+use crate::messages::ids::HostId;
+use crate::time::{Span, Time};
+
+/// The most candidates that are hosts of the team.
+const MAX_HOSTS: usize = 1024;
+/// The most candidates that are guests: operators, and hosts that the deployment does not know.
+const MAX_GUESTS: usize = 256;
+/// The share of a full table that makes room at once, so that a flood does not search it for every datagram.
+const MAKES_ROOM: usize = 16;
+/// The most candidates of one host: more former runs than one is likely to have recorded of the same key and link.
+pub const MAX_CANDIDATES: usize = 32;
+/// Stamps that lie further apart are of two runs, even of one incarnation: an hour \[us\].
+const SAME_CLOCK_US: i64 = 3_600_000_000;
+
+/// An incarnation that has not shown yet that it is alive.
+#[derive(Clone, Copy, Debug)]
+pub struct Candidate {
+    /// The incarnation.
+    pub epoch: u32,
+    /// Its greatest stamp.
+    pub stamp: Stamp,
+    /// When that came.
+    pub at: Time,
+    /// How often it was echoed.
+    pub echoed: u32,
+}
+
+impl Candidate {
+    fn is_fresh(&self, now: Time) -> bool {
+        now.since(self.at) < FRESH
+    }
+
+    /// How little would be lost with it: one that says nothing new, then one that has had many chances; of several the
+    /// one that has said nothing new for longest.
+    fn weakness(&self, now: Time) -> (bool, u32, Span) {
+        (!self.is_fresh(now), self.echoed, now.since(self.at))
+    }
+}
+
+/// News that a stamp was to the candidates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Noted {
+    /// A new candidate's, or it has advanced: its sender may be waiting for an answer.
+    News,
+    /// No news of a candidate that has said something new lately.
+    Known,
+    /// No news of a candidate that has not.
+    Old,
+}
+
+/// Candidates with a common bound.
+#[derive(Clone, Debug)]
+struct Table {
+    by_host: BTreeMap<HostId, Vec<Candidate>>,
+    count: usize,
+    most: usize,
+}
+
+impl Table {
+    fn new(most: usize) -> Table {
+        Table { by_host: BTreeMap::new(), count: 0, most }
+    }
+
+    fn note(&mut self, now: Time, host: HostId, candidate: Candidate) -> Noted {
+        let stamp = candidate.stamp;
+        let same = |known: &&mut Candidate| {
+            known.epoch == candidate.epoch && stamp.ahead_us(known.stamp).abs() < SAME_CLOCK_US
+        };
+        let all = self.by_host.get_mut(&host);
+        if let Some(known) = all.and_then(|all| all.iter_mut().find(same)) {
+            if stamp.ahead_us(known.stamp) > 0 {
+                (known.stamp, known.at) = (stamp, now);
+                return Noted::News;
+            }
+            return if known.is_fresh(now) { Noted::Known } else { Noted::Old };
+        }
+        if self.count >= self.most {
+            self.make_room(now);
+        }
+        let all = self.by_host.entry(host).or_default();
+        if all.len() >= MAX_CANDIDATES {
+            *all.iter_mut().max_by_key(|known| known.weakness(now)).expect("there are many") = candidate;
+        } else {
+            self.count += 1;
+            all.push(candidate);
+        }
+        Noted::News
+    }
+
+    /// The weakest leave, whichever host's they are.
+    fn make_room(&mut self, now: Time) {
+        let each = self.by_host.iter().flat_map(|(&host, all)| all.iter().map(move |one| (host, *one)));
+        let mut all: Vec<(HostId, Candidate)> = each.collect();
+        all.sort_by_key(|(_, one)| std::cmp::Reverse(one.weakness(now)));
+        for (host, weak) in all.into_iter().take(self.most / MAKES_ROOM) {
+            self.remove(host, |one| (one.epoch, one.stamp) == (weak.epoch, weak.stamp));
+        }
+    }
+
+    fn remove(&mut self, host: HostId, leaves: impl Fn(&Candidate) -> bool) {
+        let Some(all) = self.by_host.get_mut(&host) else { return };
+        let before = all.len();
+        all.retain(|one| !leaves(one));
+        self.count -= before - all.len();
+        if all.is_empty() {
+            self.by_host.remove(&host);
+        }
+    }
+
+    /// Those whose stamp is fresh enough to be echoed: those that were echoed least first, then the newest.
+    fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
+        let each = self.by_host.iter().flat_map(|(&host, all)| all.iter().map(move |one| (host, *one)));
+        let mut waiting: Vec<(HostId, Candidate)> = each.filter(|(_, one)| one.is_fresh(now)).collect();
+        waiting.sort_by_key(|(_, one)| (one.echoed, now.since(one.at)));
+        waiting
+    }
+}
+
+/// All candidates of one link.
+#[derive(Clone, Debug)]
+pub struct Candidates {
+    hosts: Table,
+    guests: Table,
+    first_guest: HostId,
+}
+
+impl Candidates {
+    /// None yet. Hosts of the team have numbers below `first_guest`.
+    pub fn new(first_guest: HostId) -> Candidates {
+        Candidates { hosts: Table::new(MAX_HOSTS), guests: Table::new(MAX_GUESTS), first_guest }
+    }
+
+    fn table(&mut self, host: HostId) -> &mut Table {
+        if host < self.first_guest { &mut self.hosts } else { &mut self.guests }
+    }
+
+    /// Takes up the stamp of a report.
+    pub fn note(&mut self, now: Time, host: HostId, epoch: u32, stamp: Stamp) -> Noted {
+        self.table(host).note(now, host, Candidate { epoch, stamp, at: now, echoed: 0 })
+    }
+
+    /// This incarnation has shown that it is alive, and is no candidate any more. Gives what was known of it.
+    pub fn forget(&mut self, host: HostId, epoch: u32) -> Option<Candidate> {
+        let table = self.table(host);
+        let all = table.by_host.get(&host)?.iter();
+        let known = all.filter(|known| known.epoch == epoch).max_by_key(|known| known.echoed).copied();
+        table.remove(host, |one| one.epoch == epoch);
+        known
+    }
+
+    /// Those whose stamp is fresh enough to be echoed, guests and hosts by turns: neither kind holds the other up. Of
+    /// each kind those that were echoed least first, then the newest.
+    pub fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
+        let [mut guests, mut hosts] = [&self.guests, &self.hosts].map(|table| table.waiting(now).into_iter());
+        let mut waiting = Vec::with_capacity(guests.len() + hosts.len());
+        while guests.len() + hosts.len() > 0 {
+            waiting.extend(guests.next());
+            waiting.extend(hosts.next());
+        }
+        waiting
+    }
+
+    /// A report leaves that echoes this stamp.
+    pub fn echoed(&mut self, host: HostId, stamp: Stamp) {
+        let all = self.table(host).by_host.get_mut(&host);
+        if let Some(one) = all.and_then(|all| all.iter_mut().find(|one| one.stamp == stamp)) {
+            one.echoed = one.echoed.saturating_add(1);
+        }
+    }
+
+    /// Of each host the candidate that said something new last.
+    pub fn newest(&self) -> impl Iterator<Item = (HostId, Candidate)> {
+        let all = self.hosts.by_host.iter().chain(&self.guests.by_host);
+        all.filter_map(|(&host, all)| Some((host, *all.iter().max_by_key(|one| one.at)?)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn none() -> Candidates {
+        Candidates::new(HostId::operator(0))
+    }
+
+    #[test]
+    fn a_crowd_of_recordings_does_not_displace_a_candidate_that_was_never_echoed() {
+        let (host, mut all) = (HostId(1), none());
+        let at = |ms: u64| Time::ZERO + Span::from_millis(ms);
+        for epoch in 0..MAX_CANDIDATES as u32 {
+            let stamp = Stamp::new(u64::from(epoch) + 5);
+            assert_eq!(all.note(at(0), host, epoch, stamp), Noted::News);
+            all.echoed(host, stamp);
+        }
+        all.note(at(1), host, 1000, Stamp::new(1000));
+        for epoch in 2000..2010 {
+            all.note(at(2), host, epoch, Stamp::new(epoch.into()));
+            all.echoed(host, Stamp::new(epoch.into()));
+        }
+        let waiting = all.waiting(at(3));
+        assert_eq!((waiting.len(), waiting[0].1.epoch), (MAX_CANDIDATES, 1000), "it is echoed next");
+    }
+
+    #[test]
+    fn a_stamp_that_is_repeated_does_not_keep_a_candidate_fresh() {
+        let (host, mut all) = (HostId(1), none());
+        let at = |ms: u64| Time::ZERO + Span::from_millis(ms);
+        for ms in (0..3000).step_by(100) {
+            all.note(at(ms), host, 1, Stamp::new(5));
+            all.note(at(ms), host, 2, Stamp::new(5 + ms));
+            all.note(at(ms), host, 2, Stamp::new(4));
+        }
+        let waiting = all.waiting(at(3000));
+        assert_eq!(waiting.iter().map(|(_, one)| (one.epoch, one.stamp)).collect::<Vec<_>>(), [(2, Stamp::new(2905))]);
+    }
+
+    #[test]
+    fn a_recording_with_the_incarnation_of_a_live_host_is_another_candidate() {
+        let (host, mut all) = (HostId(1), none());
+        all.note(Time::ZERO, host, 1, Stamp::new(1 << 45));
+        all.note(Time::ZERO, host, 1, Stamp::new(1 << 46));
+        assert_eq!(all.waiting(Time::ZERO).len(), 2);
+        assert!(all.forget(host, 1).is_some() && all.waiting(Time::ZERO).is_empty());
+    }
+
+    #[test]
+    fn of_a_full_table_those_leave_that_were_echoed_most_whichever_host_they_are_of() {
+        let mut all = none();
+        let often = |all: &mut Candidates, host: u16, times: u32| {
+            let stamp = Stamp::new(u64::from(host) + 5);
+            assert_eq!(all.note(Time::ZERO, HostId(host), 1, stamp), Noted::News);
+            (0..times).for_each(|_| all.echoed(HostId(host), stamp));
+        };
+        (0..MAX_HOSTS as u16).for_each(|host| often(&mut all, host, if host == 77 { 9 } else { 1 }));
+        often(&mut all, 5000, 0);
+        let left: Vec<u16> = all.newest().map(|(host, _)| host.0).collect();
+        assert!(left.contains(&5000) && !left.contains(&77));
+        assert_eq!((left.len(), all.hosts.count), (MAX_HOSTS - MAX_HOSTS / MAKES_ROOM + 1, left.len()));
+        assert_eq!(all.waiting(Time::ZERO)[0].0, HostId(5000));
+    }
+
+    #[test]
+    fn neither_operators_nor_hosts_take_the_places_of_the_other_or_are_echoed_before_all_of_them() {
+        let mut all = none();
+        all.note(Time::ZERO, HostId(1), 1, Stamp::new(5));
+        for number in 0..5000 {
+            all.note(Time::ZERO + Span::from_millis(1), HostId::operator(number), 1, Stamp::new(5));
+        }
+        assert!(all.guests.count <= MAX_GUESTS && all.hosts.count == 1);
+        let waiting = all.waiting(Time::ZERO + Span::from_millis(1));
+        assert!(waiting[0].0.is_operator() && waiting[1].0 == HostId(1));
+        (0..5000).for_each(|host| _ = all.note(Time::ZERO + FRESH, HostId(host), 1, Stamp::new(9)));
+        assert!(all.guests.count > MAX_GUESTS / 2 && all.hosts.count <= MAX_HOSTS);
+        let epochs = all.newest().count();
+        assert_eq!(epochs, all.hosts.count + all.guests.count);
+    }
+
+    #[test]
+    fn a_stamp_is_news_once() {
+        let mut all = none();
+        let mut note =
+            |ms: u64, stamp: u64| all.note(Time::ZERO + Span::from_millis(ms), HostId(1), 1, Stamp::new(stamp));
+        assert_eq!(
+            [note(0, 5), note(1, 5), note(2, 9), note(3, 8)],
+            [Noted::News, Noted::Known, Noted::News, Noted::Known]
+        );
+        assert_eq!(note(2 + FRESH.as_nanos() / 1_000_000, 9), Noted::Old);
+    }
+}

@@ -1,0 +1,294 @@
+//! The one encoder and the one decoder of the wire.
+//!
+//! A datagram is a header of 14 bytes, little-endian, then blocks, then a tag where the team has a key (`key`):
+//!
+//! | bytes | field |
+//! |---|---|
+//! | 0 | version of the wire format |
+//! | 1 | flags |
+//! | 2..4 | team |
+//! | 4..6 | sending host |
+//! | 6..10 | epoch: the sender's incarnation, a random number |
+//! | 10..14 | sequence number, counted on this link for all hosts, or for the one that it is for |
+//!
+//! A block is what it holds (1 byte), how long it is (2) and its body: a message as one MessagePack array, or what the
+//! link layer says for itself (`report`). Decoding never panics, whatever the bytes, and never allocates more than
+//! the datagram is long.
+
+use std::sync::Arc;
+
+use serde::Deserialize;
+
+use crate::messages::ids::HostId;
+use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
+
+/// Version of the wire format; a receiver refuses every other.
+pub const VERSION: u8 = 3;
+/// Bytes of a tag: BLAKE3 with a key, cut to 128 bits.
+pub const TAG_BYTES: usize = 16;
+/// Bytes of the header.
+pub const HEADER_BYTES: usize = 14;
+/// Where its flags are.
+pub const FLAGS_AT: usize = 1;
+/// Bytes before the body of a block.
+pub const BLOCK_BYTES: usize = 3;
+/// The largest datagram, tag included: below the 1280 bytes that every IPv6 link carries (RFC 8200, section 5),
+/// with room for the headers of IP and UDP.
+pub const MAX_FRAME_BYTES: usize = 1200;
+/// The largest datagram before its tag.
+pub const MAX_PLAIN_BYTES: usize = MAX_FRAME_BYTES - TAG_BYTES;
+
+/// An encoded datagram, shared by all who carry it.
+pub type Frame = Arc<[u8]>;
+
+/// What a datagram says of itself in single bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Flags(pub u8);
+
+impl Flags {
+    /// A tag follows.
+    pub const TAGGED: u8 = 1;
+    /// It is for one host, and counted among those that are.
+    pub const DIRECT: u8 = 2;
+    /// It has been sent before.
+    pub const COPY: u8 = 4;
+    /// Whoever hears it shall say so.
+    pub const ACK: u8 = 8;
+
+    /// Whether this bit is set.
+    pub fn has(self, bit: u8) -> bool {
+        self.0 & bit != 0
+    }
+}
+
+/// Who sent a datagram, and which of its datagrams it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// What it says of itself.
+    pub flags: Flags,
+    /// The team that it belongs to.
+    pub team: u16,
+    /// The host that sent it.
+    pub sender: HostId,
+    /// The sender's incarnation; a restarted host has another one.
+    pub epoch: u32,
+    /// Counts the sender's datagrams to all or to one on this link within an epoch.
+    pub sequence: u32,
+}
+
+/// What a block holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Content {
+    /// A message.
+    Message(Kind),
+    /// A link report.
+    Report,
+    /// A link report of a link on which datagrams are addressed: it says of each host what is next for it alone.
+    NumberedReport,
+    /// Acknowledgements.
+    Ack,
+    /// Requests to send again.
+    Nack,
+    /// The numbers of earlier datagrams that may be asked for.
+    Held,
+}
+
+impl Content {
+    const REPORT: u8 = 0x80;
+    const ACK: u8 = 0x81;
+    const NACK: u8 = 0x82;
+    const HELD: u8 = 0x83;
+    const NUMBERED_REPORT: u8 = 0x84;
+
+    fn byte(self) -> u8 {
+        match self {
+            Content::Message(kind) => kind as u8,
+            Content::Report => Content::REPORT,
+            Content::NumberedReport => Content::NUMBERED_REPORT,
+            Content::Ack => Content::ACK,
+            Content::Nack => Content::NACK,
+            Content::Held => Content::HELD,
+        }
+    }
+
+    fn of(byte: u8) -> Option<Content> {
+        match byte {
+            Content::REPORT => Some(Content::Report),
+            Content::NUMBERED_REPORT => Some(Content::NumberedReport),
+            Content::ACK => Some(Content::Ack),
+            Content::NACK => Some(Content::Nack),
+            Content::HELD => Some(Content::Held),
+            _ => KINDS.get(usize::from(byte)).copied().map(Content::Message),
+        }
+    }
+}
+
+/// Why a message cannot be sent.
+#[derive(Debug, thiserror::Error)]
+pub enum EncodeError {
+    /// The message breaks its own ranges.
+    #[error("a {0:?} is unfit to send: {1}")]
+    Unfit(Kind, Unfit),
+    /// The frame would not fit into one datagram.
+    #[error("a {0:?} takes {1} bytes; there is room for {MAX_PLAIN_BYTES}")]
+    TooLong(Kind, usize),
+}
+
+/// Why bytes are not a frame.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DecodeError {
+    /// Shorter than a header or longer than a datagram.
+    #[error("{0} bytes are no frame")]
+    Length(usize),
+    /// Another version of the wire format.
+    #[error("version {0} of the wire format; this program speaks {VERSION}")]
+    Version(u8),
+    /// Flags that do not exist.
+    #[error("no datagram has the flags {0:#04x}")]
+    Flags(u8),
+    /// A kind of message that does not exist.
+    #[error("no message has the kind {0}")]
+    Kind(u8),
+    /// The datagram ends within a block, or holds none, or more than one where one is expected.
+    #[error("the blocks are not what their lengths say")]
+    Blocks,
+    /// A block of the link layer is not what it promises.
+    #[error("the body is not a {0:?}")]
+    Link(Content),
+    /// The body is not the message that the header promises.
+    #[error("the body is not a {0:?}")]
+    Body(Kind),
+    /// Bytes follow the message.
+    #[error("bytes follow the {0:?}")]
+    Trailing(Kind),
+    /// The message breaks its own ranges.
+    #[error("the {0:?} is unfit: {1}")]
+    Unfit(Kind, Unfit),
+}
+
+/// Starts a datagram.
+pub fn start(header: &Header) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(256);
+    bytes.extend_from_slice(&[VERSION, header.flags.0]);
+    bytes.extend_from_slice(&header.team.to_le_bytes());
+    bytes.extend_from_slice(&header.sender.0.to_le_bytes());
+    bytes.extend_from_slice(&header.epoch.to_le_bytes());
+    bytes.extend_from_slice(&header.sequence.to_le_bytes());
+    bytes
+}
+
+/// Adds a block, whose body `write` appends.
+pub fn add(datagram: &mut Vec<u8>, content: Content, write: impl FnOnce(&mut Vec<u8>)) {
+    let at = datagram.len();
+    datagram.extend_from_slice(&[content.byte(), 0, 0]);
+    write(datagram);
+    let length = u16::try_from(datagram.len() - at - BLOCK_BYTES).unwrap_or(u16::MAX);
+    datagram[at + 1..at + BLOCK_BYTES].copy_from_slice(&length.to_le_bytes());
+}
+
+/// Encodes a message behind its header, without a tag.
+pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
+    let kind = message.kind();
+    message.check().map_err(|unfit| EncodeError::Unfit(kind, unfit))?;
+    let mut bytes = start(header);
+    add(&mut bytes, Content::Message(kind), |bytes| {
+        match message {
+            Wire::Reading(body) => rmp_serde::encode::write(bytes, body),
+            Wire::Latent(body) => rmp_serde::encode::write(bytes, body),
+            Wire::MotorCommand(body) => rmp_serde::encode::write(bytes, body),
+            Wire::Heartbeat(body) => rmp_serde::encode::write(bytes, body),
+            Wire::Mode(body) => rmp_serde::encode::write(bytes, body),
+            Wire::Stop(body) => rmp_serde::encode::write(bytes, body),
+            Wire::Status(body) => rmp_serde::encode::write(bytes, body),
+        }
+        .expect("plain data is always MessagePack");
+    });
+    if bytes.len() > MAX_PLAIN_BYTES {
+        return Err(EncodeError::TooLong(kind, bytes.len()));
+    }
+    Ok(bytes.into())
+}
+
+/// Reads a datagram's header alone.
+pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
+    if datagram.len() < HEADER_BYTES || datagram.len() > MAX_FRAME_BYTES {
+        return Err(DecodeError::Length(datagram.len()));
+    }
+    if datagram[0] != VERSION {
+        return Err(DecodeError::Version(datagram[0]));
+    }
+    let flags = Flags(datagram[FLAGS_AT]);
+    if flags.0 & !(Flags::TAGGED | Flags::DIRECT | Flags::COPY | Flags::ACK) != 0 {
+        return Err(DecodeError::Flags(flags.0));
+    }
+    let u16_at = |at: usize| u16::from_le_bytes([datagram[at], datagram[at + 1]]);
+    let u32_at = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| datagram[at + byte]));
+    Ok(Header { flags, team: u16_at(2), sender: HostId(u16_at(4)), epoch: u32_at(6), sequence: u32_at(10) })
+}
+
+/// The blocks of a datagram without its tag. After an error there are no more.
+pub fn blocks(plain: &[u8]) -> impl Iterator<Item = Result<(Content, &[u8]), DecodeError>> {
+    let mut rest = plain.get(HEADER_BYTES..).unwrap_or_default();
+    std::iter::from_fn(move || {
+        if rest.is_empty() {
+            return None;
+        }
+        let block = split(rest);
+        rest = block.as_ref().map_or(&[], |(_, _, rest)| rest);
+        Some(block.map(|(content, body, _)| (content, body)))
+    })
+}
+
+fn split(bytes: &[u8]) -> Result<(Content, &[u8], &[u8]), DecodeError> {
+    let (&[content, low, high], rest) = bytes.split_first_chunk().ok_or(DecodeError::Blocks)?;
+    let content = Content::of(content).ok_or(DecodeError::Kind(content))?;
+    let (body, rest) = rest.split_at_checked(u16::from_le_bytes([low, high]).into()).ok_or(DecodeError::Blocks)?;
+    Ok((content, body, rest))
+}
+
+/// What a datagram holds first: all that the emulated medium goes by.
+pub fn first(datagram: &[u8]) -> Result<Content, DecodeError> {
+    split(datagram.get(HEADER_BYTES..).unwrap_or_default()).map(|(content, ..)| content)
+}
+
+/// Decodes the body of a message.
+pub fn message(kind: Kind, bytes: &[u8]) -> Result<Wire, DecodeError> {
+    let message = match kind {
+        Kind::Reading => Wire::Reading(body(kind, bytes)?),
+        Kind::Latent => Wire::Latent(body(kind, bytes)?),
+        Kind::MotorCommand => Wire::MotorCommand(body(kind, bytes)?),
+        Kind::Heartbeat => Wire::Heartbeat(body(kind, bytes)?),
+        Kind::Mode => Wire::Mode(body(kind, bytes)?),
+        Kind::Stop => Wire::Stop(body(kind, bytes)?),
+        Kind::Status => Wire::Status(body(kind, bytes)?),
+    };
+    message.check().map_err(|unfit| DecodeError::Unfit(kind, unfit))?;
+    Ok(message)
+}
+
+/// Decodes a datagram of exactly one message, without a tag.
+pub fn decode(plain: &[u8]) -> Result<(Header, Wire), DecodeError> {
+    let header = peek(plain)?;
+    let mut all = blocks(plain);
+    let (content, bytes) = all.next().ok_or(DecodeError::Blocks)??;
+    let Content::Message(kind) = content else { return Err(DecodeError::Link(content)) };
+    match all.next() {
+        None => Ok((header, message(kind, bytes)?)),
+        Some(_) => Err(DecodeError::Blocks),
+    }
+}
+
+fn body<'a, T: Deserialize<'a>>(kind: Kind, bytes: &'a [u8]) -> Result<T, DecodeError> {
+    // rmp-serde would also read a struct from a map; only the array that we write is the format.
+    if bytes.first().is_none_or(|marker| marker & 0xf0 != 0x90) {
+        return Err(DecodeError::Body(kind));
+    }
+    let mut reader = rmp_serde::Deserializer::from_read_ref(bytes);
+    let body = T::deserialize(&mut reader).map_err(|_| DecodeError::Body(kind))?;
+    // rmp-serde stops after one value without a word about the rest: ask for a second one, of a type that
+    // takes nothing but its marker, so that only the true end is a missing marker.
+    match <()>::deserialize(&mut reader) {
+        Err(rmp_serde::decode::Error::InvalidMarkerRead(_)) => Ok(body),
+        _ => Err(DecodeError::Trailing(kind)),
+    }
+}

@@ -1,0 +1,326 @@
+//! One link as one host sees it: what leaves (`outgoing`), what arrives (`incoming`), and everything counted. Pure;
+//! no sockets, no clock.
+
+use std::net::SocketAddr;
+
+use rand::RngExt;
+
+use super::codec::TAG_BYTES;
+use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
+pub use super::counts::LinkCounts;
+use super::gaps::BACKOFF;
+use super::incoming::{Here, Incoming, Verdict};
+use super::key::Key;
+use super::outgoing::{Leaving, Outgoing, REPORT_PERIOD};
+use super::reliability::{Reports, Setup};
+use super::report::{ENTRY_BYTES, MAX_NAMES, NUMBERED_ENTRY_BYTES, Name, Report, Stamps, read_held, read_names};
+use super::router::Audience;
+use super::sender::Peer;
+pub use super::twins::Duplicate;
+use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::wire::{Kind, Wire};
+use crate::random::Stream;
+use crate::time::{Span, Time};
+
+/// Identity of a host on its links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// The host.
+    pub host: HostId,
+    /// Its team.
+    pub team: u16,
+    /// Its incarnation: a random number for each start of the host.
+    pub epoch: u32,
+}
+
+/// How far an operator has come to be believed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// It has to show first that it is alive, and for that to hear the reports of this host.
+    Unproven,
+    /// It has just said something that is new.
+    Proven,
+}
+
+/// A host at an address that is in no file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Guest {
+    /// The host.
+    pub host: HostId,
+    /// Where it was heard from.
+    pub at: SocketAddr,
+    /// Whether it is believed.
+    pub standing: Standing,
+}
+
+/// One link as one host sees it.
+#[derive(Clone, Debug)]
+pub struct LinkState {
+    me: Identity,
+    id: LinkId,
+    key: Option<Key>,
+    reports: Reports,
+    incoming: Incoming,
+    outgoing: Outgoing,
+    counts: LinkCounts,
+    /// When anything is next due: asked for far more often than it changes.
+    due: Option<Time>,
+    /// The operator that the newest datagram came from, if it is to be heard where that came from.
+    operator: Option<(HostId, Standing)>,
+}
+
+impl LinkState {
+    /// The state at the start of an incarnation. With a key there are always reports: they show who is alive. Draws
+    /// from `stream` where its stamps begin, so on a real host nobody may be able to foretell that.
+    pub fn new(me: Identity, id: LinkId, key: Option<Key>, mut setup: Setup, stream: &mut Stream) -> LinkState {
+        if key.is_some() {
+            setup.reports = Reports::On;
+        }
+        let Identity { host, team, epoch } = me;
+        let jitter = Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
+        let first = if setup.report_rides == Span::ZERO { Span::ZERO } else { REPORT_PERIOD + jitter };
+        let header = Header { flags: Flags::default(), team, sender: host, epoch, sequence: 0 };
+        let guarded = key.is_some();
+        let entry_bytes = if guarded && setup.is_addressed() { NUMBERED_ENTRY_BYTES } else { ENTRY_BYTES };
+        let first_guest = setup.hosts.map_or(HostId::operator(0), HostId);
+        let here = Here { host, epoch, link: id, guarded, first_guest, entry_bytes, stamps: Stamps::random(stream) };
+        let mut state = LinkState {
+            me,
+            id,
+            reports: setup.reports,
+            incoming: Incoming::new(here, setup.rate),
+            outgoing: Outgoing::new(header, id, key.clone(), setup, first),
+            key,
+            counts: LinkCounts::default(),
+            due: None,
+            operator: None,
+        };
+        state.plan();
+        state
+    }
+
+    fn plan(&mut self) {
+        self.due = [self.outgoing.due(), self.incoming.gaps.due()].into_iter().flatten().min();
+    }
+
+    /// A message leaves for these hosts. Gives what was encoded.
+    pub fn say(
+        &mut self,
+        now: Time,
+        audience: Audience,
+        message: &Wire,
+        out: &mut Vec<Leaving>,
+    ) -> Result<Frame, EncodeError> {
+        self.incoming.twins.uptime(now);
+        let encoded = self.outgoing.say(now, audience, message, &mut self.incoming, &mut self.counts, out);
+        self.plan();
+        encoded
+    }
+
+    /// Takes a datagram in: what it holds, without its tag, if it is to be believed and new.
+    pub fn admit<'a>(
+        &mut self,
+        now: Time,
+        frame: &'a [u8],
+        stream: &mut Stream,
+        out: &mut Vec<Leaving>,
+    ) -> Option<(Header, &'a [u8])> {
+        self.incoming.twins.uptime(now);
+        let read = self.read(now, frame, stream, out);
+        self.plan();
+        match read {
+            Ok(admitted) => admitted,
+            Err(error) => {
+                self.refuse(&error);
+                None
+            }
+        }
+    }
+
+    fn read<'a>(
+        &mut self,
+        now: Time,
+        frame: &'a [u8],
+        stream: &mut Stream,
+        out: &mut Vec<Leaving>,
+    ) -> Result<Option<(Header, &'a [u8])>, DecodeError> {
+        self.operator = None;
+        let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
+        if frame.len() < shortest || frame.len() > MAX_FRAME_BYTES {
+            return Err(DecodeError::Length(frame.len()));
+        }
+        let plain = match &self.key {
+            Some(key) => key.open(frame, self.id, self.me.host),
+            None => (frame[codec::FLAGS_AT] & Flags::TAGGED == 0).then_some(frame),
+        };
+        let Some(plain) = plain else {
+            self.counts.auth += 1;
+            return Ok(None);
+        };
+        let header = codec::peek(plain)?;
+        if header.team != self.me.team {
+            self.counts.team += 1;
+            return Ok(None);
+        }
+        if (header.sender, header.epoch) == (self.me.host, self.me.epoch) {
+            self.counts.own += 1;
+            return Ok(None);
+        }
+        let said = Said::read(plain)?;
+        // An operator's number is drawn at random, and two may have drawn the same.
+        if header.sender == self.me.host && !header.sender.is_operator() {
+            self.note_twin(now, &header, &said);
+            return Ok(None);
+        }
+        let verdict = self.incoming.admit(now, &header, said.report.as_ref(), &mut self.counts);
+        match verdict {
+            Verdict::New(prompt) | Verdict::Unproven(prompt) => self.outgoing.prompt(now, prompt),
+            Verdict::Again | Verdict::Refused => {}
+        }
+        let standing = match verdict {
+            Verdict::New(_) => Some(Standing::Proven),
+            Verdict::Unproven(_) => Some(Standing::Unproven),
+            Verdict::Again | Verdict::Refused => None,
+        };
+        self.operator = standing.filter(|_| header.sender.is_operator()).map(|standing| (header.sender, standing));
+        if matches!(verdict, Verdict::Unproven(_) | Verdict::Refused) {
+            return Ok(None);
+        }
+        if header.flags.has(Flags::ACK) {
+            self.outgoing.acknowledge(now, Name::of(&header));
+        }
+        if verdict == Verdict::Again {
+            return Ok(None);
+        }
+        self.incoming.note_gaps(now, &header, &said.held, || backoff(stream));
+        if !(said.acks.is_empty() && said.asks.is_empty()) {
+            self.answer(now, header.sender, said, out);
+        }
+        Ok(Some((header, plain)))
+    }
+
+    /// Another process with the id of this host has said something.
+    #[cold]
+    fn note_twin(&mut self, now: Time, header: &Header, said: &Said) {
+        match (&self.key, &said.report) {
+            (Some(_), Some(report)) => self.incoming.rival_of_us(now, header, report, &mut self.counts),
+            (Some(_), None) => self.counts.unproven += 1,
+            (None, _) => self.counts.twin += 1,
+        }
+    }
+
+    /// Takes in what `from` has acknowledged and what it asks for.
+    #[inline(never)]
+    fn answer(&mut self, now: Time, from: HostId, said: Said, out: &mut Vec<Leaving>) {
+        let mine = |names: Vec<Name>| -> (Vec<Name>, Vec<Name>) {
+            names.into_iter().partition(|name| (name.host, name.epoch) == (self.me.host, self.me.epoch))
+        };
+        if !said.acks.is_empty() {
+            self.outgoing.acknowledged(now, from, &mine(said.acks).0);
+        }
+        if !said.asks.is_empty() {
+            let (mine, others) = mine(said.asks);
+            self.incoming.asked_by_others(now, &others);
+            self.outgoing.asked(now, from, &mine, &mut self.counts, out);
+        }
+    }
+
+    /// The process that this one duplicates, if another live host with this id was started before it.
+    pub fn duplicate(&self) -> Option<Duplicate> {
+        self.incoming.twins.duplicate()
+    }
+
+    /// Whether a decoded message about `robot` is the newest of its stream.
+    pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId) -> bool {
+        self.incoming.accept(header, kind, robot, &mut self.counts)
+    }
+
+    /// The operator that the newest datagram came from; none if it came from a host, or was neither new nor of one that
+    /// may still prove itself. A transport has to be told where it is, so that it can.
+    pub fn operator(&self) -> Option<(HostId, Standing)> {
+        self.operator
+    }
+
+    /// Counts bytes that are no message.
+    #[cold]
+    pub fn refuse(&mut self, error: &DecodeError) {
+        match error {
+            DecodeError::Version(_) => self.counts.version += 1,
+            DecodeError::Unfit(..) => self.counts.range += 1,
+            _ => self.counts.malformed += 1,
+        }
+    }
+
+    /// The counts, to add to them.
+    pub fn counts(&mut self) -> &mut LinkCounts {
+        &mut self.counts
+    }
+
+    /// The counts so far.
+    pub fn counted(&self) -> LinkCounts {
+        self.counts
+    }
+
+    /// Summaries of the others; none on a link without reports.
+    pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
+        let told = self.reports == Reports::On;
+        self.incoming.peers(now).filter(move |_| told)
+    }
+
+    /// When anything is next due.
+    pub fn due(&self) -> Option<Time> {
+        self.due
+    }
+
+    /// Does what is due.
+    pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Leaving>) {
+        self.incoming.twins.uptime(now);
+        self.outgoing.wake(now, &mut self.incoming, &mut self.counts, out);
+        if self.incoming.gaps.due().is_some_and(|due| due <= now) {
+            let names = self.incoming.gaps.ask(now, MAX_NAMES, || backoff(stream));
+            if !names.is_empty() {
+                self.outgoing.ask(&names, &mut self.counts, out);
+            }
+        }
+        self.plan();
+    }
+}
+
+/// The blocks of a datagram that are for the link layer.
+#[derive(Default)]
+struct Said {
+    report: Option<Report>,
+    held: Vec<u32>,
+    acks: Vec<Name>,
+    asks: Vec<Name>,
+}
+
+impl Said {
+    fn read(plain: &[u8]) -> Result<Said, DecodeError> {
+        let (mut said, mut empty) = (Said::default(), true);
+        for block in codec::blocks(plain) {
+            empty = false;
+            match block? {
+                (Content::Message(_), _) => {}
+                (content @ (Content::Report | Content::NumberedReport), body) => {
+                    said.report = Some(Report::read(content, body)?);
+                }
+                (Content::Held, body) => said.held.extend(read_held(body)?),
+                (content @ Content::Ack, body) => said.acks.extend(read_names(content, body)?),
+                (content @ Content::Nack, body) => said.asks.extend(read_names(content, body)?),
+            }
+        }
+        if empty { Err(DecodeError::Blocks) } else { Ok(said) }
+    }
+}
+
+/// How long to wait before asking for a repair: mostly long, rarely short, so that few ask (RFC 5401, section 3.2,
+/// `RandomBackoff`).
+fn backoff(stream: &mut Stream) -> Span {
+    /// The size of a group that is assumed.
+    const GROUP: f64 = 10.0;
+    let (lambda, longest) = (GROUP.ln() + 1.0, BACKOFF.as_secs());
+    let scale = lambda / (longest * (lambda.exp() - 1.0));
+    let drawn = stream.random_range(0.0..1.0) * (lambda / longest) + scale;
+    Span::from_secs((longest / lambda * (drawn / scale).ln()).min(longest))
+}

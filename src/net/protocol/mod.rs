@@ -1,0 +1,23 @@
+//! The protocol of hosts: bytes, who is believed, what is sent again, and the way of every message. All pure.
+
+pub mod again;
+pub mod bucket;
+pub mod candidates;
+pub mod codec;
+pub mod counts;
+pub mod gaps;
+pub mod incoming;
+pub mod key;
+pub mod limits;
+pub mod link;
+pub mod offset;
+pub mod order;
+pub mod outgoing;
+pub mod reliability;
+pub mod report;
+pub mod router;
+pub mod sender;
+pub mod senders;
+pub mod telling;
+pub mod twins;
+pub mod window;

@@ -1,0 +1,417 @@
+//! Departure on a link: sequence numbers, what rides on what, what is sent again and when. Knows no receiver but
+//! by what `incoming` says of it.
+
+use std::collections::BTreeMap;
+
+use super::again::{Again, Once, Stream};
+use super::bucket::{Bucket, Rate};
+use super::codec::TAG_BYTES;
+use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Frame, HEADER_BYTES, Header};
+use super::codec::{MAX_PLAIN_BYTES, add};
+use super::counts::LinkCounts;
+use super::incoming::{Incoming, Prompt};
+use super::key::Key;
+use super::reliability::{Reliability, Reports, Ride, Setup};
+use super::report::{MAX_NAMES, NAME_BYTES, Name, write_held, write_names};
+use super::router::Audience;
+use super::telling::Occasion;
+use crate::messages::ids::{HostId, LinkId};
+use crate::messages::wire::{Kind, Wire};
+use crate::time::{Span, Time};
+
+/// How long soft state waits for data to ride on, where data has left within this time: a robot that says something
+/// twelve times a second still takes all of it along. What may not wait is no soft state: a `Stop` leaves at once.
+pub const HOLD: Span = Span::from_millis(100);
+/// Soft state leaves by itself no more often than this; half of it where there are modes among it.
+pub const SOFT_PERIOD: Span = Span::from_millis(200);
+/// A report leaves by itself when the last one is this old.
+pub const REPORT_PERIOD: Span = Span::from_millis(250);
+/// A report for which another host waits rides as soon as the last one is this old.
+const PROMPTED_RIDES: Span = Span::from_millis(10);
+/// Reports that must leave at once do so no more often than this: a flood of recordings makes no flood of answers.
+const URGENT_PERIOD: Span = Span::from_millis(20);
+/// Reports that must leave at once, in the long run and in a burst: ten operators that act at one instant take some
+/// ten of them; sequences of recordings cause no more than there are regular reports.
+const URGENT_RATE: Rate = Rate { per_s: 4.0, burst: 25.0 };
+/// The period for an operator, which has to be believed soon by a whole team.
+const EAGER_PERIOD: Span = Span::from_millis(5);
+/// How long acknowledgements wait for each other.
+const ACK_WITHIN: Span = Span::from_millis(2);
+
+/// A datagram on its way to a transport.
+pub type Leaving = (Audience, Frame);
+
+/// Everything that leaves on one link.
+#[derive(Clone, Debug)]
+pub struct Outgoing {
+    me: Header,
+    link: LinkId,
+    key: Option<Key>,
+    setup: Setup,
+    to_all: u32,
+    direct: BTreeMap<HostId, u32>,
+    again: Again,
+    /// Soft state that waits: the newest of each stream, whom it is for, its block.
+    soft: BTreeMap<Stream, (Audience, Frame)>,
+    soft_due: Option<Time>,
+    /// Since when any waits.
+    soft_since: Option<Time>,
+    /// When that was said which last left by itself: periods count from there, so that waiting does not add up.
+    soft_said: Option<Time>,
+    data_left: Option<Time>,
+    report_left: Option<Time>,
+    report_due: Option<Time>,
+    /// A host waits for a report.
+    prompted: bool,
+    /// When a report that must leave at once does, and when the last one did.
+    urgent_due: Option<Time>,
+    urgent_left: Option<Time>,
+    urgent_bucket: Bucket,
+    /// Whether reports say of each host what is next for it alone.
+    numbered: bool,
+    acks: BTreeMap<HostId, Vec<Name>>,
+    acks_due: Option<Time>,
+}
+
+impl Outgoing {
+    /// Nothing yet. `first_report` is when the first report leaves at the latest.
+    pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
+        let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
+        let numbered = key.is_some() && setup.is_addressed();
+        Outgoing {
+            me,
+            link,
+            key,
+            setup,
+            to_all: 0,
+            direct: BTreeMap::new(),
+            again: Again::default(),
+            soft: BTreeMap::new(),
+            soft_due: None,
+            soft_since: None,
+            soft_said: None,
+            data_left: None,
+            report_left: None,
+            report_due,
+            prompted: false,
+            urgent_due: None,
+            urgent_left: None,
+            urgent_bucket: Bucket::full(Time::ZERO, &URGENT_RATE),
+            numbered,
+            acks: BTreeMap::new(),
+            acks_due: None,
+        }
+    }
+
+    /// A message leaves, at once or, if it is soft state, with the next datagram. Gives what was encoded.
+    pub fn say(
+        &mut self,
+        now: Time,
+        audience: Audience,
+        message: &Wire,
+        incoming: &mut Incoming,
+        counts: &mut LinkCounts,
+        out: &mut Vec<Leaving>,
+    ) -> Result<Frame, EncodeError> {
+        let audience = if self.setup.ride == Ride::Any { Audience::All } else { audience };
+        let (kind, stream) = (message.kind(), (message.kind(), message.robot()));
+        let soft = matches!(kind, Kind::Heartbeat | Kind::Mode);
+        let reliability = self.setup.of(kind);
+        let flags = if reliability == Reliability::Ack { Flags::ACK } else { 0 };
+        let frame = codec::encode(&self.header(audience, flags), message)?;
+        if soft && self.setup.ride != Ride::Never {
+            self.soft.insert(stream, (audience, frame.clone()));
+            self.plan_soft(now);
+            self.leave_soft(now, incoming, counts, out);
+            return Ok(frame);
+        }
+        // What waits of the same stream goes before it or not at all: never after.
+        if let Some(once) = self.again.supersede(now, stream) {
+            self.leave_again(once, counts, out);
+        }
+        let held = if reliability == Reliability::Nack { self.again.held(audience) } else { Vec::new() };
+        let plain = self.with_riders(now, audience, frame.clone(), &held, incoming);
+        out.push((audience, self.seal(&plain, audience, 0)));
+        let repeats = if reliability == Reliability::Repeat { incoming.repeats(now, audience) } else { 0 };
+        let sequence = self.header(audience, 0).sequence;
+        self.again.keep(now, stream, (audience, plain), sequence, (reliability, repeats));
+        self.count(audience);
+        if soft {
+            counts.soft += 1;
+        } else {
+            counts.sent += 1;
+            self.data_left = Some(now);
+        }
+        Ok(frame)
+    }
+
+    fn header(&self, audience: Audience, flags: u8) -> Header {
+        match audience {
+            Audience::All => Header { flags: Flags(flags), sequence: self.to_all, ..self.me },
+            Audience::Host(host) => {
+                let sequence = self.direct.get(&host).copied().unwrap_or(0);
+                Header { flags: Flags(flags | Flags::DIRECT), sequence, ..self.me }
+            }
+        }
+    }
+
+    fn count(&mut self, audience: Audience) {
+        let next = match audience {
+            Audience::All => &mut self.to_all,
+            Audience::Host(host) => self.direct.entry(host).or_default(),
+        };
+        *next = next.wrapping_add(1);
+    }
+
+    /// The datagram as it leaves: with more flags, and a tag if there is a key.
+    fn seal(&self, plain: &Frame, audience: Audience, flags: u8) -> Frame {
+        if self.key.is_none() && flags == 0 {
+            return plain.clone();
+        }
+        let mut bytes = Vec::with_capacity(plain.len() + TAG_BYTES);
+        bytes.extend_from_slice(plain);
+        bytes[FLAGS_AT] |= flags;
+        if let Some(key) = &self.key {
+            let to = if let Audience::Host(host) = audience { Some(host) } else { None };
+            key.seal(&mut bytes, self.link, to);
+        }
+        bytes.into()
+    }
+
+    /// The datagram with what may ride on it.
+    fn with_riders(
+        &mut self,
+        now: Time,
+        audience: Audience,
+        frame: Frame,
+        held: &[u32],
+        incoming: &mut Incoming,
+    ) -> Frame {
+        let all = audience == Audience::All;
+        let acks = self.setup.ride == Ride::Any && !self.acks.is_empty();
+        if self.soft.is_empty() && !(all && self.report_rides(now)) && !acks && held.is_empty() {
+            return frame;
+        }
+        let mut bytes = frame.to_vec();
+        if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= MAX_PLAIN_BYTES {
+            add(&mut bytes, Content::Held, |bytes| write_held(held, bytes));
+        }
+        self.board(now, audience, &mut bytes, incoming);
+        bytes.into()
+    }
+
+    /// Puts all that waits, may ride and finds room on a datagram.
+    fn board(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, incoming: &mut Incoming) {
+        let any = self.setup.ride == Ride::Any;
+        self.soft.retain(|_, (to, frame)| {
+            let block = &frame[HEADER_BYTES..];
+            let rides = *to == audience && bytes.len() + block.len() <= MAX_PLAIN_BYTES;
+            if rides {
+                bytes.extend_from_slice(block);
+            }
+            !rides
+        });
+        if self.soft.is_empty() {
+            (self.soft_due, self.soft_since) = (None, None);
+        }
+        if any {
+            self.board_acks(bytes);
+        }
+        if audience == Audience::All && self.report_rides(now) {
+            let urgent = self.urgent_due;
+            self.report(now, bytes, incoming, Occasion::Regular);
+            // Where datagrams are addressed, one who is not believed yet is sent reports that go alone and no data.
+            self.urgent_due = urgent.filter(|_| !any);
+        }
+    }
+
+    /// Puts acknowledgements on a datagram, as many as find room.
+    fn board_acks(&mut self, bytes: &mut Vec<u8>) {
+        while let Some(mut waiting) = self.acks.first_entry() {
+            let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / NAME_BYTES;
+            if room == 0 {
+                return;
+            }
+            let most = waiting.get().len().min(room);
+            let names: Vec<Name> = waiting.get_mut().drain(..most).collect();
+            add(bytes, Content::Ack, |bytes| write_names(&names, bytes));
+            if waiting.get().is_empty() {
+                waiting.remove();
+            }
+        }
+        self.acks_due = None;
+    }
+
+    fn leave_acks(&mut self, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+        while let Some((&host, _)) = self.acks.first_key_value() {
+            let audience = if self.setup.ride == Ride::Any { Audience::All } else { Audience::Host(host) };
+            let mut bytes = codec::start(&self.header(audience, 0));
+            if audience == Audience::All {
+                self.board_acks(&mut bytes);
+            } else if let Some(names) = self.acks.remove(&host) {
+                add(&mut bytes, Content::Ack, |bytes| write_names(&names, bytes));
+            }
+            self.leave_alone(audience, bytes, counts, out);
+        }
+        self.acks_due = None;
+    }
+
+    fn report_rides(&self, now: Time) -> bool {
+        let rides = if self.prompted { PROMPTED_RIDES.min(self.setup.report_rides) } else { self.setup.report_rides };
+        self.setup.reports == Reports::On
+            && self.setup.ride != Ride::Never
+            && self.report_left.is_none_or(|left| now.since(left) >= rides)
+    }
+
+    /// Adds a report, if there is room and, where it is urgent, anybody that it would list. Gives whether it did.
+    fn report(&mut self, now: Time, bytes: &mut Vec<u8>, incoming: &mut Incoming, occasion: Occasion) -> bool {
+        let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES);
+        let Some(mut report) = incoming.report(now, room, occasion) else { return false };
+        if occasion == Occasion::Urgent && report.heard.is_empty() {
+            return false;
+        }
+        for entry in report.heard.iter_mut().filter(|_| self.numbered) {
+            entry.direct = Some(self.direct.get(&entry.host).copied().unwrap_or(0));
+        }
+        add(bytes, report.content(), |bytes| report.write(bytes));
+        self.urgent_due = None;
+        if occasion == Occasion::Urgent {
+            self.urgent_left = Some(now);
+            self.urgent_bucket.take(now, &URGENT_RATE);
+            return true;
+        }
+        self.prompted = false;
+        (self.report_left, self.report_due) = (Some(now), Some(now + REPORT_PERIOD));
+        let held = self.again.held(Audience::All);
+        if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= MAX_PLAIN_BYTES {
+            add(bytes, Content::Held, |bytes| write_held(&held, bytes));
+        }
+        true
+    }
+
+    /// Another host waits for a report of this one, to prove itself or to believe this one.
+    pub fn prompt(&mut self, now: Time, prompt: Prompt) {
+        if prompt == Prompt::No || self.setup.reports == Reports::Off {
+            return;
+        }
+        self.prompted = true;
+        let eager = self.setup.report_rides == Span::ZERO;
+        if eager || prompt == Prompt::Now {
+            let period = if eager { EAGER_PERIOD } else { URGENT_PERIOD };
+            let due = self.urgent_left.map_or(now, |left| now.max(left + period));
+            self.urgent_due = Some(self.urgent_due.map_or(due, |before| before.min(due)));
+        }
+    }
+
+    fn plan_soft(&mut self, now: Time) {
+        let modes = self.soft.keys().any(|(kind, _)| *kind == Kind::Mode);
+        let period = if modes { Span::from_nanos(SOFT_PERIOD.as_nanos() / 2) } else { SOFT_PERIOD };
+        let flows = self.data_left.is_some_and(|left| now.since(left) < HOLD);
+        let wait = if flows { now + HOLD } else { now };
+        let due = self.soft_said.map_or(wait, |left| wait.max(left + period));
+        self.soft_due = Some(self.soft_due.map_or(due, |before| before.min(due)));
+        self.soft_since = self.soft_since.or(Some(now));
+    }
+
+    fn leave_soft(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+        while self.soft_due.is_some_and(|due| due <= now) {
+            let Some((&stream, (audience, frame))) = self.soft.first_key_value() else {
+                (self.soft_due, self.soft_since) = (None, None);
+                return;
+            };
+            let (audience, block) = (*audience, frame[HEADER_BYTES..].to_vec());
+            self.soft_said = self.soft_since.or(Some(now));
+            self.soft.remove(&stream);
+            let mut bytes = codec::start(&self.header(audience, 0));
+            bytes.extend_from_slice(&block);
+            self.board(now, audience, &mut bytes, incoming);
+            self.leave_alone(audience, bytes, counts, out);
+            if self.soft.is_empty() {
+                (self.soft_due, self.soft_since) = (None, None);
+            }
+        }
+    }
+
+    fn leave_alone(&mut self, audience: Audience, bytes: Vec<u8>, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+        out.push((audience, self.seal(&bytes.into(), audience, 0)));
+        self.count(audience);
+        counts.soft += 1;
+    }
+
+    fn leave_again(&mut self, (audience, plain): Once, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+        out.push((audience, self.seal(&plain, audience, Flags::COPY)));
+        counts.copies += 1;
+    }
+
+    /// A datagram that wants it is to be acknowledged.
+    pub fn acknowledge(&mut self, now: Time, name: Name) {
+        let names = self.acks.entry(name.host).or_default();
+        if names.len() < MAX_NAMES {
+            names.push(name);
+        }
+        self.acks_due = self.acks_due.or(Some(now + ACK_WITHIN));
+    }
+
+    /// `from` acknowledges these.
+    pub fn acknowledged(&mut self, now: Time, from: HostId, names: &[Name]) {
+        self.again.acknowledged(now, from, names);
+    }
+
+    /// `from` asks for these again.
+    pub fn asked(&mut self, now: Time, from: HostId, names: &[Name], counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+        for once in self.again.asked(now, from, names) {
+            self.leave_again(once, counts, out);
+        }
+    }
+
+    /// Asks for datagrams that are missing.
+    pub fn ask(&mut self, names: &[Name], counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+        let mut bytes = codec::start(&self.header(Audience::All, 0));
+        add(&mut bytes, Content::Nack, |bytes| write_names(names, bytes));
+        self.leave_alone(Audience::All, bytes, counts, out);
+    }
+
+    /// When anything is next due.
+    #[inline]
+    pub fn due(&self) -> Option<Time> {
+        let dues = [self.again.due(), self.soft_due, self.acks_due, self.report_due, self.urgent_due];
+        dues.into_iter().flatten().min()
+    }
+
+    /// Does what is due.
+    pub fn wake(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+        while let Some(once) = self.again.next(now, counts) {
+            self.leave_again(once, counts, out);
+        }
+        self.leave_soft(now, incoming, counts, out);
+        if self.acks_due.is_some_and(|due| due <= now) {
+            self.leave_acks(counts, out);
+        }
+        // A regular report lists those who wait as well.
+        if self.report_due.is_some_and(|due| due <= now) {
+            self.leave_report(now, Occasion::Regular, incoming, counts, out);
+        }
+        if self.urgent_due.is_some_and(|due| due <= now) {
+            self.urgent_due = None;
+            let eager = self.setup.report_rides == Span::ZERO;
+            if eager || self.urgent_bucket.left(now, &URGENT_RATE) > 0 {
+                self.leave_report(now, Occasion::Urgent, incoming, counts, out);
+            }
+        }
+    }
+
+    /// A report leaves alone, unless it is urgent and would list nobody.
+    fn leave_report(
+        &mut self,
+        now: Time,
+        occasion: Occasion,
+        incoming: &mut Incoming,
+        counts: &mut LinkCounts,
+        out: &mut Vec<Leaving>,
+    ) {
+        let mut bytes = codec::start(&self.header(Audience::All, 0));
+        if self.report(now, &mut bytes, incoming, occasion) {
+            self.leave_alone(Audience::All, bytes, counts, out);
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! Datagrams read from a socket, one or many with one call. What they say never matters here.
+
+use std::io;
+use std::io::IoSliceMut;
+use std::net::{SocketAddr, UdpSocket};
+use std::os::fd::AsRawFd;
+
+use nix::errno::Errno;
+use nix::sys::socket::{MsgFlags, MultiHeaders, SockaddrStorage, recvmmsg};
+
+use crate::net::protocol::codec::MAX_FRAME_BYTES;
+
+/// Datagrams that one call reads at most.
+const MANY: usize = 32;
+/// Datagrams that the first call reads at most: mostly there are no more, and each place is made ready for each call.
+const FEW: usize = 2;
+/// Room for one datagram: one byte more than the longest, so that a longer one is known by its length.
+const ROOM: usize = MAX_FRAME_BYTES + 1;
+
+/// Buffers to read into.
+#[derive(Debug)]
+pub(super) struct Batch {
+    bytes: Box<[u8]>,
+    headers: MultiHeaders<SockaddrStorage>,
+}
+
+impl Batch {
+    /// Room for as many as one call reads.
+    pub(super) fn new() -> Batch {
+        Batch { bytes: vec![0; MANY * ROOM].into_boxed_slice(), headers: MultiHeaders::preallocate(MANY, None) }
+    }
+
+    /// Reads one datagram, if there is one. For a quiet socket: cheaper than reading many.
+    pub(super) fn one(&mut self, socket: &UdpSocket, mut take: impl FnMut(SocketAddr, &[u8])) -> io::Result<()> {
+        let (length, from) = socket.recv_from(&mut self.bytes[..ROOM])?;
+        take(from, &self.bytes[..length]);
+        Ok(())
+    }
+
+    /// Reads datagrams until none is left or `limit` are read; how many.
+    pub(super) fn many(
+        &mut self,
+        socket: &UdpSocket,
+        limit: usize,
+        mut take: impl FnMut(SocketAddr, &[u8]),
+    ) -> io::Result<usize> {
+        let (mut read, mut most) = (0, FEW);
+        while read < limit {
+            let wanted = most.min(limit - read);
+            most = MANY;
+            let mut slices: Vec<[IoSliceMut; 1]> =
+                self.bytes.chunks_exact_mut(ROOM).take(wanted).map(|room| [IoSliceMut::new(room)]).collect();
+            let got = match recvmmsg(socket.as_raw_fd(), &mut self.headers, &mut slices, MsgFlags::MSG_DONTWAIT, None) {
+                Ok(got) => got,
+                Err(Errno::EAGAIN) => break,
+                Err(error) if read == 0 => return Err(error.into()),
+                // The next read meets it again, or it has passed.
+                Err(_) => break,
+            };
+            let mut count = 0;
+            for message in got {
+                count += 1;
+                let bytes = message.iovs().next().unwrap_or_default();
+                if let Some(from) = message.address.as_ref().and_then(address) {
+                    take(from, bytes);
+                }
+            }
+            read += count;
+            if count < wanted {
+                break;
+            }
+        }
+        Ok(read)
+    }
+}
+
+fn address(of: &SockaddrStorage) -> Option<SocketAddr> {
+    let v4 = of.as_sockaddr_in().map(|v4| SocketAddr::V4((*v4).into()));
+    v4.or_else(|| of.as_sockaddr_in6().map(|v6| SocketAddr::V6((*v6).into())))
+}

@@ -1,0 +1,509 @@
+//! UDP, multicast or unicast: the link of real hosts, an actor. What frames mean, and who may send them, never matters
+//! here; a frame that does not get out is counted and gone, as one that is lost on the air.
+
+mod batch;
+pub mod filter;
+pub mod guests;
+mod loopback;
+mod open;
+
+use std::collections::BTreeMap;
+use std::io;
+use std::net::{SocketAddr, UdpSocket};
+use std::rc::Rc;
+
+use socket2::{SockRef, Socket};
+
+use super::interface;
+use super::{Arrive, In, Transmit};
+use crate::actor::Core;
+use crate::messages::ids::HostId;
+use crate::net::protocol::codec::{self, Content};
+use crate::net::protocol::link::Guest;
+use crate::net::protocol::router::Audience;
+use crate::net::transport::socket::{SocketConfig, Transport};
+use crate::net::transport::udp::batch::Batch;
+pub use crate::net::transport::udp::filter::Filter;
+use crate::net::transport::udp::guests::Guests;
+use crate::net::transport::udp::loopback::Loopback;
+pub use crate::net::transport::udp::open::OpenError;
+use crate::net::transport::udp::open::{guest, listener, speaker};
+use crate::time::{Span, Time};
+
+/// Datagrams that are read before the other actors have their turn: a quarter of a millisecond of work.
+const READ_AT_ONCE: usize = 128;
+/// A link that rings again within this time is busy. Longer than a turn takes, and than another link's flood holds this
+/// one up: what is read once a ring falls behind for ever where more than one arrives between two rings.
+const BUSY: Span = Span::from_millis(10);
+/// How long a flooded link is left alone after each reading. With `READ_AT_ONCE` it bounds what a flood costs: 128 000
+/// datagrams a second, in 1000 turns. What the kernel has no room for until then is lost.
+pub const REST: Span = Span::from_millis(1);
+/// Datagrams within `REST` from which a link is flooded: four times what the fastest team says.
+const FLOOD: usize = 20;
+/// Datagrams of one reading below which a flood is over.
+const EBB: usize = 10;
+
+/// The sockets of one link on one host.
+#[derive(Debug)]
+pub struct Udp {
+    host: HostId,
+    /// Hears what the others send.
+    ears: Rc<UdpSocket>,
+    to: To,
+    /// How much the kernel keeps \[bytes\].
+    granted: usize,
+    batch: Batch,
+    /// When it was last looked whether something has arrived.
+    looked: Time,
+    flood: Flood,
+    unsent: u64,
+}
+
+#[derive(Debug)]
+enum To {
+    /// Through a socket of its own, so that its port tells this process's frames from those of others on the same
+    /// machine.
+    Group {
+        mouth: UdpSocket,
+        own: SocketAddr,
+        loopback: Loopback,
+    },
+    Peers {
+        peers: BTreeMap<HostId, SocketAddr>,
+        guests: Guests,
+    },
+}
+
+impl Udp {
+    /// Opens the sockets of a link for this host.
+    pub fn open(host: HostId, config: &SocketConfig, filter: Filter) -> Result<Udp, OpenError> {
+        let address = match &config.transport {
+            Transport::Multicast { group } if !group.ip().is_multicast() => return Err(OpenError::NoGroup(*group)),
+            Transport::Multicast { group } => *group,
+            Transport::Unicast { listen, .. } => *listen,
+        };
+        let interface = interface::find(&interface::interfaces()?, &config.interface, address.is_ipv6())?;
+        let failed = |what: String| {
+            let interface = interface.name.clone();
+            move |error| OpenError::Socket { what, interface, error }
+        };
+        let ears = listener(&config.transport, address, &interface, config.receive_buffer_bytes)
+            .map_err(failed(format!("listen to {address}")))?;
+        let (own, to) = match &config.transport {
+            Transport::Multicast { group } => {
+                let mouth = speaker(*group, &interface).map_err(failed(format!("send to {group}")))?;
+                let own = mouth.local_addr().map_err(failed("learn the own port".to_owned()))?;
+                (Some(own), To::Group { mouth, own, loopback: Loopback::new(interface.loopback) })
+            }
+            Transport::Unicast { peers, .. } => (None, To::peers(host, peers)),
+        };
+        filter.attach(&ears, own);
+        Udp::new(host, ears, to, config).map_err(failed("ask for the size of the buffer".to_owned()))
+    }
+
+    /// Opens the socket of a host that is in no file, an operator, on a unicast link: at whatever address the machine
+    /// has, to all hosts of the link. On a multicast link it is a host like any other.
+    pub fn open_guest(host: HostId, config: &SocketConfig, filter: Filter) -> Result<Udp, OpenError> {
+        let Transport::Unicast { listen, peers } = &config.transport else { return Udp::open(host, config, filter) };
+        let failed = |error| OpenError::Socket {
+            what: "open a port for an operator".to_owned(),
+            interface: "any".to_owned(),
+            error,
+        };
+        let ears = guest(*listen, config.receive_buffer_bytes).map_err(failed)?;
+        filter.attach(&ears, None);
+        Udp::new(host, ears, To::peers(host, peers), config).map_err(failed)
+    }
+
+    fn new(host: HostId, ears: Socket, to: To, config: &SocketConfig) -> io::Result<Udp> {
+        let granted = ears.recv_buffer_size()?;
+        // The kernel doubles what it is asked for, to keep its own books in, and halves nothing when it tells.
+        if granted < 2 * config.receive_buffer_bytes {
+            tracing::warn!(
+                interface = config.interface,
+                "the kernel keeps {granted} bytes of what has arrived, and was asked for {}: raise net.core.rmem_max",
+                config.receive_buffer_bytes
+            );
+        }
+        let (ears, batch) = (Rc::new(UdpSocket::from(ears)), Batch::new());
+        Ok(Udp { host, ears, to, granted, batch, looked: Time::ZERO, flood: Flood::default(), unsent: 0 })
+    }
+
+    /// The socket that is to be watched: whenever it has something to read, the actor wants to know.
+    pub fn ears(&self) -> Rc<UdpSocket> {
+        Rc::clone(&self.ears)
+    }
+
+    /// How much the kernel keeps of what has arrived and is not read \[bytes\].
+    pub fn granted_bytes(&self) -> usize {
+        self.granted
+    }
+
+    /// Until when the socket is to be left alone, because more arrives than is worth a wake-up each.
+    pub fn rests_until(&self) -> Option<Time> {
+        self.flood.on.then(|| self.looked + REST)
+    }
+
+    fn transmit(&mut self, now: Time, transmit: &Transmit) {
+        if let Err(error) = self.to.transmit(now, &self.ears, transmit) {
+            self.unsent += 1;
+            // A link that is down must not fill the log: the first, the second, the fourth, and so on.
+            if self.unsent.is_power_of_two() {
+                tracing::warn!(unsent = self.unsent, "a frame did not get out: {error}");
+            }
+        }
+    }
+
+    /// Reads what has arrived. To ask the kernel in vain costs as much as to read, so a quiet link is read once a
+    /// ring, and only a busy one until nothing is left or it is the others' turn.
+    fn receive(&mut self, now: Time, out: &mut Vec<Arrive>) {
+        let busy = now.since(self.looked) < BUSY || self.flood.on;
+        self.looked = now;
+        let (to, host) = (&mut self.to, self.host);
+        let take = |from: SocketAddr, frame: &[u8]| {
+            if to.hears(now, from) {
+                out.push(Arrive { to: host, from: Some(from), frame: frame.into() });
+            }
+        };
+        let read = if busy {
+            self.batch.many(&self.ears, READ_AT_ONCE, take)
+        } else {
+            self.batch.one(&self.ears, take).map(|()| 1)
+        };
+        match read {
+            Ok(count) => self.flood.read(now, count),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => self.flood.read(now, 0),
+            // What a former datagram has met on its way (a closed port, a lost route) says nothing of the next.
+            Err(error) => tracing::debug!("an error has arrived in place of a frame: {error}"),
+        }
+    }
+}
+
+/// Whether more arrives than is worth a wake-up for each.
+#[derive(Clone, Copy, Debug, Default)]
+struct Flood {
+    on: bool,
+    /// How many were read since.
+    count: usize,
+    since: Time,
+}
+
+impl Flood {
+    fn read(&mut self, now: Time, count: usize) {
+        if self.on {
+            *self = Flood { on: count >= EBB, count: 0, since: now };
+            return;
+        }
+        if now.since(self.since) >= REST {
+            (self.since, self.count) = (now, 0);
+        }
+        self.count += count;
+        self.on = self.count >= FLOOD;
+    }
+}
+
+impl To {
+    fn peers(own: HostId, peers: &BTreeMap<HostId, SocketAddr>) -> To {
+        let others = peers.iter().filter(|(peer, _)| **peer != own).map(|(peer, at)| (*peer, *at));
+        To::Peers { peers: others.collect(), guests: Guests::default() }
+    }
+
+    fn transmit(&mut self, now: Time, ears: &UdpSocket, Transmit { audience, frame, .. }: &Transmit) -> io::Result<()> {
+        match (self, audience) {
+            (To::Group { mouth, own, loopback }, _) => {
+                if let Some(on) = loopback.switch(now) {
+                    let mouth = SockRef::from(&*mouth);
+                    if own.is_ipv4() { mouth.set_multicast_loop_v4(on) } else { mouth.set_multicast_loop_v6(on) }?;
+                }
+                mouth.send(frame).map(drop)
+            }
+            (To::Peers { peers, guests }, Audience::Host(host)) => {
+                let at = peers.get(host).copied().or_else(|| guests.find(now, *host));
+                let at =
+                    at.ok_or_else(|| io::Error::new(io::ErrorKind::AddrNotAvailable, "the host has no address"))?;
+                ears.send_to(frame, at).map(drop)
+            }
+            (To::Peers { peers, guests }, Audience::All) => {
+                // One that cannot be reached keeps nobody else from hearing.
+                let mut all = Ok(());
+                for at in peers.values().copied().chain(guests.proven(now)) {
+                    all = all.and(ears.send_to(frame, at).map(drop));
+                }
+                // What has to be echoed is in a report, and nothing else is for one that is not believed yet.
+                if matches!(codec::first(frame), Ok(Content::Report | Content::NumberedReport)) {
+                    for at in guests.unproven(now) {
+                        all = all.and(ears.send_to(frame, at).map(drop));
+                    }
+                }
+                all
+            }
+        }
+    }
+
+    /// Whether what comes from there is for this process; an echo is not, where the kernel's filter has let it through.
+    fn hears(&mut self, now: Time, from: SocketAddr) -> bool {
+        if let To::Group { own, loopback, .. } = self
+            && own.ip() == from.ip()
+        {
+            if own.port() == from.port() {
+                return false;
+            }
+            loopback.heard(now);
+        }
+        true
+    }
+
+    fn admit(&mut self, now: Time, guest: Guest) {
+        // The address in the file stands, and a group is heard by everyone.
+        if let To::Peers { peers, guests } = self
+            && !peers.contains_key(&guest.host)
+        {
+            guests.admit(now, guest);
+        }
+    }
+}
+
+impl Core for Udp {
+    type In = In;
+    type Out = Arrive;
+
+    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Arrive>) {
+        match input {
+            In::Transmit(transmit) => self.transmit(now, &transmit),
+            In::Readable => self.receive(now, out),
+            In::Admit(guest) => self.to.admit(now, guest),
+            // Real waves know where they are.
+            In::Truth(_) => {}
+        }
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        None
+    }
+
+    fn wake(&mut self, _: Time, _: &mut Vec<Arrive>) {}
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::Ipv4Addr;
+
+    use super::*;
+    use crate::net::protocol::codec::TAG_BYTES;
+    use crate::net::protocol::codec::{HEADER_BYTES, MAX_FRAME_BYTES, VERSION};
+    use crate::net::protocol::link::Standing;
+
+    const TEAM: u16 = 0x0203;
+    const FILTER: Filter = Filter::Team { number: TEAM, tagged: true };
+
+    fn multicast(group: &str) -> SocketConfig {
+        let transport = Transport::Multicast { group: group.parse().unwrap() };
+        SocketConfig {
+            transport,
+            interface: "lo".to_owned(),
+            receive_buffer_bytes: 1 << 16,
+            reliability: BTreeMap::new(),
+        }
+    }
+
+    fn at(port: u16) -> SocketAddr {
+        SocketAddr::from((Ipv4Addr::LOCALHOST, port))
+    }
+
+    fn unicast(listen: SocketAddr, ports: &[(HostId, SocketAddr)]) -> SocketConfig {
+        let transport = Transport::Unicast { listen, peers: ports.iter().copied().collect() };
+        SocketConfig { transport, ..multicast("239.0.0.1:1") }
+    }
+
+    fn arrivals(udp: &mut Udp) -> Vec<Arrive> {
+        // Loopback delivers before the sender's call returns.
+        let mut out = Vec::new();
+        (0..4).for_each(|_| udp.handle(Time::ZERO, In::Readable, &mut out));
+        out
+    }
+
+    fn hear(udp: &mut Udp) -> Vec<Vec<u8>> {
+        arrivals(udp).into_iter().map(|arrive| arrive.frame.to_vec()).collect()
+    }
+
+    fn say(udp: &mut Udp, audience: Audience, frame: &[u8]) {
+        let transmit = Transmit { from: udp.host, audience, frame: frame.into() };
+        udp.handle(Time::ZERO, In::Transmit(transmit), &mut Vec::new());
+    }
+
+    /// A datagram of this length that could be of the team.
+    fn frame(length: usize, last: u8) -> Vec<u8> {
+        let mut bytes = vec![last; length];
+        bytes[..4].copy_from_slice(&[VERSION, 1, 3, 2]);
+        bytes
+    }
+
+    #[test]
+    fn processes_of_one_machine_hear_each_other_and_not_themselves() {
+        let config = multicast("239.255.77.77:47701");
+        let open = |host| Udp::open(HostId(host), &config, FILTER).unwrap();
+        let (mut one, mut two, mut three) = (open(1), open(2), open(3));
+        let all = frame(40, 0);
+        say(&mut one, Audience::All, &all);
+        assert_eq!([hear(&mut one), hear(&mut two), hear(&mut three)], [vec![], vec![all.clone()], vec![all.clone()]]);
+        let mut other = Udp::open(HostId(1), &multicast("239.255.77.78:47701"), FILTER).unwrap();
+        say(&mut other, Audience::All, &all);
+        assert!(hear(&mut two).is_empty(), "a group is a group, whatever its port");
+    }
+
+    #[test]
+    fn processes_hear_each_other_and_not_themselves_on_ipv6() {
+        let config = multicast("[ff02::4d:4d]:47702");
+        let (mut one, mut two) = match (1..=2).map(|host| Udp::open(HostId(host), &config, FILTER)).collect() {
+            Ok::<Vec<Udp>, _>(mut both) => (both.remove(0), both.remove(0)),
+            Err(error) => {
+                return tracing::warn!("skipped: no multicast of IPv6 on the loopback interface here: {error}");
+            }
+        };
+        say(&mut one, Audience::All, &frame(40, 1));
+        if one.unsent > 0 {
+            return tracing::warn!("skipped: no way for multicast of IPv6 on the loopback interface here");
+        }
+        assert_eq!([hear(&mut one), hear(&mut two)], [vec![], vec![frame(40, 1)]]);
+        let To::Group { mouth, .. } = &one.to else { panic!("it is a group") };
+        mouth.send(&frame(40, 2)).unwrap();
+        assert!(one.ears.recv_from(&mut [0; 64]).is_err(), "the kernel does not wake a process for its own echo");
+    }
+
+    #[test]
+    fn what_cannot_be_of_the_team_is_dropped_by_the_kernel() {
+        let ports = [(HostId(1), at(47_721)), (HostId(2), at(47_722))];
+        let open = |filter| Udp::open(HostId(1), &unicast(ports[0].1, &ports), filter).unwrap();
+        let junk = UdpSocket::bind(at(0)).unwrap();
+        let shortest = HEADER_BYTES + TAG_BYTES;
+        let changed = |at: usize| {
+            let mut bytes = frame(shortest, 7);
+            bytes[at] ^= 1;
+            bytes
+        };
+        let send = || {
+            let wrong = [vec![], vec![2], frame(shortest - 1, 7), frame(MAX_FRAME_BYTES + 1, 7)];
+            for bytes in wrong.into_iter().chain([0, 2, 3].map(changed)) {
+                junk.send_to(&bytes, ports[0].1).unwrap();
+            }
+            for length in [shortest, MAX_FRAME_BYTES] {
+                junk.send_to(&frame(length, 7), ports[0].1).unwrap();
+            }
+        };
+        let read = |udp: &Udp| {
+            let mut buffer = [0; 2048];
+            std::iter::from_fn(|| udp.ears.recv(&mut buffer).ok()).collect::<Vec<usize>>()
+        };
+        let keyed = open(FILTER);
+        send();
+        assert_eq!(read(&keyed), [shortest, MAX_FRAME_BYTES]);
+        drop(keyed);
+        let open_team = open(Filter::Team { number: TEAM, tagged: false });
+        send();
+        assert_eq!(read(&open_team), [shortest - 1, shortest, MAX_FRAME_BYTES], "without a key there is no tag");
+        drop(open_team);
+        let all = open(Filter::All);
+        send();
+        assert_eq!(read(&all).len(), 9);
+    }
+
+    #[test]
+    fn unicast_reaches_whom_it_is_for() {
+        let ports = [(HostId(1), at(47_711)), (HostId(2), at(47_712)), (HostId(3), at(47_713))];
+        let open = |(host, listen)| Udp::open(host, &unicast(listen, &ports), FILTER).unwrap();
+        let [mut one, mut two, mut three] = ports.map(open);
+        say(&mut one, Audience::Host(HostId(2)), &frame(40, 2));
+        say(&mut one, Audience::All, &frame(40, 9));
+        assert_eq!(hear(&mut two), [frame(40, 2), frame(40, 9)]);
+        assert_eq!(hear(&mut three), [frame(40, 9)]);
+        assert!(hear(&mut one).is_empty());
+    }
+
+    #[test]
+    fn a_guest_that_is_admitted_takes_part_in_a_unicast_link() {
+        let ports = [(HostId(1), at(47_731)), (HostId(2), at(47_732))];
+        let open = |(host, listen)| Udp::open(host, &unicast(listen, &ports), FILTER).unwrap();
+        let [mut one, mut two] = ports.map(open);
+        let operator = HostId::operator(5);
+        let mut guest = Udp::open_guest(operator, &unicast(ports[0].1, &ports), FILTER).unwrap();
+        say(&mut guest, Audience::All, &frame(40, 1));
+        assert_eq!(hear(&mut two), [frame(40, 1)]);
+        let arrived = arrivals(&mut one);
+        let from = arrived[0].from.expect("it has an address");
+        say(&mut one, Audience::All, &frame(40, 2));
+        assert!(hear(&mut guest).is_empty(), "it is not admitted yet");
+        let admit = |one: &mut Udp, host, standing| {
+            one.handle(Time::ZERO, In::Admit(Guest { host, at: from, standing }), &mut Vec::new());
+        };
+        admit(&mut one, operator, Standing::Unproven);
+        say(&mut one, Audience::All, &frame(40, 2));
+        assert!(hear(&mut guest).is_empty(), "it is not believed yet");
+        let mut report: Vec<u8> = frame(HEADER_BYTES, 0).to_vec();
+        codec::add(&mut report, Content::Report, |bytes| bytes.extend_from_slice(&[1; 6]));
+        report.extend_from_slice(&[0; TAG_BYTES]);
+        say(&mut one, Audience::All, &report);
+        assert_eq!(hear(&mut guest), [report], "but hears what it needs for that");
+        admit(&mut one, operator, Standing::Proven);
+        say(&mut one, Audience::All, &frame(40, 3));
+        say(&mut one, Audience::Host(operator), &frame(40, 4));
+        assert_eq!(hear(&mut guest), [frame(40, 3), frame(40, 4)]);
+        // A peer stays where the file has it.
+        admit(&mut one, HostId(2), Standing::Proven);
+        say(&mut one, Audience::Host(HostId(2)), &frame(40, 5));
+        assert!(hear(&mut guest).is_empty());
+    }
+
+    #[test]
+    fn a_flooded_link_rests_after_every_reading_and_reads_it_all() {
+        let ports = [(HostId(1), at(47_741))];
+        let mut one = Udp::open(HostId(1), &unicast(ports[0].1, &ports), FILTER).unwrap();
+        let other = UdpSocket::bind(at(0)).unwrap();
+        let send = |many: usize| {
+            for _ in 0..many {
+                other.send_to(&frame(40, 0), ports[0].1).unwrap();
+            }
+        };
+        let us = |us: u64| Time::from_nanos(50_000_000 + us * 1000);
+        let mut out = Vec::new();
+        send(40);
+        one.handle(us(0), In::Readable, &mut out);
+        assert_eq!((out.len(), one.rests_until()), (1, None), "a quiet link is read once a ring");
+        one.handle(us(10), In::Readable, &mut out);
+        assert_eq!((out.len(), one.rests_until()), (40, Some(us(1010))));
+        send(30);
+        one.handle(us(1010), In::Readable, &mut out);
+        assert_eq!((out.len(), one.rests_until()), (70, Some(us(2010))), "it goes on");
+        send(2);
+        one.handle(us(2010), In::Readable, &mut out);
+        assert_eq!((out.len(), one.rests_until()), (72, None), "it is over");
+        send(19);
+        (0..19).for_each(|n| one.handle(us(10_000 + 200 * n), In::Readable, &mut out));
+        assert_eq!((out.len(), one.rests_until()), (91, None), "5000 a second are no flood");
+    }
+
+    #[test]
+    fn a_link_that_is_held_up_by_the_flood_of_another_does_not_fall_behind() {
+        let ports = [(HostId(1), at(47_742))];
+        let mut one = Udp::open(HostId(1), &unicast(ports[0].1, &ports), FILTER).unwrap();
+        let other = UdpSocket::bind(at(0)).unwrap();
+        let mut out = Vec::new();
+        for ring in 1..=20 {
+            for _ in 0..5 {
+                other.send_to(&frame(40, 0), ports[0].1).unwrap();
+            }
+            // A ring comes after the rest of the other link, and a little more.
+            let now = Time::ZERO + (REST + Span::from_nanos(300_000)) * (20 + ring);
+            one.handle(now, In::Readable, &mut out);
+            assert!(out.len() as u64 + 5 >= 5 * ring, "{} of {} were read", out.len(), 5 * ring);
+        }
+    }
+
+    #[test]
+    fn wrong_interfaces_and_groups_are_refused() {
+        let error = |config: SocketConfig| Udp::open(HostId(0), &config, FILTER).unwrap_err().to_string();
+        assert!(
+            error(SocketConfig { interface: "wlan99".to_owned(), ..multicast("239.0.0.1:4770") }).contains("wlan99")
+        );
+        assert!(error(multicast("10.0.0.1:4770")).contains("no multicast group"));
+    }
+}

@@ -1,0 +1,126 @@
+//! Sockets of UDP as links want them: bound, pinned to an interface, joined to a group. Asks the kernel, and nothing
+//! else.
+
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV6, UdpSocket};
+
+use socket2::{Domain, Protocol, Socket, Type};
+
+use crate::net::transport::interface::{Interface, InterfaceError};
+use crate::net::transport::socket::Transport;
+
+/// Why a socket cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// Its interface cannot be used.
+    #[error(transparent)]
+    Interface(#[from] InterfaceError),
+    /// The address is no multicast group.
+    #[error("{0} is no multicast group; choose one of 239.0.0.0/8 or ff02::/16")]
+    NoGroup(SocketAddr),
+    /// The kernel refuses.
+    #[error("cannot {what} on '{interface}': {error}")]
+    Socket {
+        /// What was tried.
+        what: String,
+        /// The interface.
+        interface: String,
+        /// What the kernel says.
+        error: io::Error,
+    },
+}
+
+/// A group of IPv6 is a group of one interface.
+pub(super) fn scoped(group: SocketAddr, interface: &Interface) -> SocketAddr {
+    match group {
+        SocketAddr::V6(v6) => SocketAddrV6::new(*v6.ip(), v6.port(), 0, interface.index).into(),
+        v4 => v4,
+    }
+}
+
+fn socket(of: SocketAddr) -> io::Result<Socket> {
+    let socket = Socket::new(Domain::for_address(of), Type::DGRAM, Some(Protocol::UDP))?;
+    socket.set_nonblocking(true)?;
+    if of.is_ipv6() {
+        socket.set_only_v6(true)?;
+    }
+    Ok(socket)
+}
+
+/// Keeps a socket to one interface, where the kernel lets a program do that.
+fn pin(socket: &Socket, interface: &Interface) -> io::Result<()> {
+    match socket.bind_device(Some(interface.name.as_bytes())) {
+        Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Ok(()),
+        other => other,
+    }
+}
+
+fn first_v4(interface: &Interface) -> Ipv4Addr {
+    interface.v4.first().copied().unwrap_or(Ipv4Addr::UNSPECIFIED)
+}
+
+/// A socket that receives what is sent to the link at `address`.
+pub(super) fn listener(
+    transport: &Transport,
+    address: SocketAddr,
+    interface: &Interface,
+    buffer_bytes: usize,
+) -> io::Result<Socket> {
+    let socket = socket(address)?;
+    pin(&socket, interface)?;
+    socket.set_recv_buffer_size(buffer_bytes)?;
+    match transport {
+        Transport::Multicast { .. } => {
+            // Every process of the machine hears a group; all of them have to say so.
+            socket.set_reuse_address(true)?;
+            socket.set_reuse_port(true)?;
+            socket.bind(&scoped(address, interface).into())?;
+            match address.ip() {
+                IpAddr::V4(group) => {
+                    socket.set_multicast_all_v4(false)?;
+                    socket.join_multicast_v4(&group, &first_v4(interface))?;
+                }
+                IpAddr::V6(group) => {
+                    socket.set_multicast_all_v6(false)?;
+                    socket.join_multicast_v6(&group, interface.index)?;
+                }
+            }
+        }
+        Transport::Unicast { .. } => socket.bind(&address.into())?,
+    }
+    Ok(socket)
+}
+
+/// A socket that sends to the group. Connected, so that the kernel looks the way up once and not for each datagram.
+pub(super) fn speaker(group: SocketAddr, interface: &Interface) -> io::Result<UdpSocket> {
+    let socket = socket(group)?;
+    pin(&socket, interface)?;
+    match group {
+        SocketAddr::V4(_) => {
+            let from = first_v4(interface);
+            socket.bind(&SocketAddr::from((from, 0)).into())?;
+            socket.set_multicast_if_v4(&from)?;
+            socket.set_multicast_ttl_v4(1)?;
+            socket.set_multicast_loop_v4(true)?;
+        }
+        SocketAddr::V6(_) => {
+            let from = interface.v6.iter().find(|v6| v6.is_unicast_link_local()).or(interface.v6.first());
+            let from = from.copied().unwrap_or(Ipv6Addr::UNSPECIFIED);
+            socket.bind(&SocketAddrV6::new(from, 0, 0, interface.index).into())?;
+            socket.set_multicast_if_v6(interface.index)?;
+            socket.set_multicast_hops_v6(1)?;
+            socket.set_multicast_loop_v6(true)?;
+        }
+    }
+    socket.connect(&scoped(group, interface).into())?;
+    Ok(socket.into())
+}
+
+/// A socket that sends and receives, at a port that the kernel chooses, on whatever interface leads to the others.
+pub(super) fn guest(family_of: SocketAddr, buffer_bytes: usize) -> io::Result<Socket> {
+    let socket = socket(family_of)?;
+    socket.set_recv_buffer_size(buffer_bytes)?;
+    let any: IpAddr = if family_of.is_ipv6() { Ipv6Addr::UNSPECIFIED.into() } else { Ipv4Addr::UNSPECIFIED.into() };
+    socket.bind(&SocketAddr::from((any, 0)).into())?;
+    Ok(socket)
+}

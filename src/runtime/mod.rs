@@ -1,0 +1,8 @@
+//! What runs actors: mailboxes and lives, the queue of events, and the two drivers of time.
+//!
+//! `shell` is the only file that names the actor library; `clock` and `drive` are virtual time, `real` is real time.
+
+pub mod clock;
+pub mod drive;
+pub mod real;
+pub mod shell;

@@ -1,0 +1,379 @@
+//! The shell around every core: mailbox, timer, supervision and fault injection. The only file that names
+//! the actor library.
+//!
+//! A mailbox is bounded: what it refuses is counted, never queued elsewhere. Messages of one sender stay
+//! in order; between senders there is none to rely on. An actor is started, stopped and started again by the actor
+//! library; its mailbox is a queue of our own, and the clock lets those attend that were rung, in that order. The
+//! library's own mailbox and tasks took a third of a run's time. A crashed actor starts again with a fresh
+//! core. A real panic ends the process: state that a broken invariant has touched must not drive a robot.
+
+use std::cell::{Cell, OnceCell, RefCell};
+use std::collections::VecDeque;
+use std::rc::{Rc, Weak};
+
+use actix::{Actor, ActorContext, Addr, Context, Handler, Message, Supervised, Supervisor, System};
+use tracing::Span as TraceSpan;
+
+use super::clock::{Clock, Sleeper};
+use crate::actor::Core;
+use crate::faults::{ActorFault, ActorFaultKind};
+use crate::time::{Span, Time};
+
+/// How many messages a mailbox holds: all that a team of 2000 says in one control period, eight a robot.
+pub const MAILBOX_CAPACITY: usize = 16_384;
+/// How often a core may be woken at one instant before that is taken for a bug.
+const MAX_WAKES_AT_ONCE: usize = 64;
+/// The exit status of a process that a panic has ended, as of any Rust program.
+const PANIC_STATUS: i32 = 101;
+
+enum Envelope<I> {
+    Deliver(I),
+    Inject(ActorFault),
+}
+
+/// The way to one actor of this thread. Cheap to clone; made before the actor, so that actors can know each
+/// other.
+pub struct Mailbox<I>(Rc<Slot<I>>);
+
+struct Slot<I> {
+    name: String,
+    queue: RefCell<VecDeque<Envelope<I>>>,
+    /// Rings for the actor, once it is started.
+    bell: OnceCell<(Clock, Sleeper)>,
+    refused: Cell<u64>,
+    lost: Cell<u64>,
+}
+
+impl<I> Clone for Mailbox<I> {
+    fn clone(&self) -> Self {
+        Mailbox(Rc::clone(&self.0))
+    }
+}
+
+impl<I> Mailbox<I> {
+    /// The mailbox of an actor that is yet to be started under this name.
+    pub fn new(name: impl Into<String>) -> Mailbox<I> {
+        Mailbox(Rc::new(Slot {
+            name: name.into(),
+            queue: RefCell::default(),
+            bell: OnceCell::new(),
+            refused: Cell::new(0),
+            lost: Cell::new(0),
+        }))
+    }
+
+    /// The actor's name.
+    pub fn name(&self) -> &str {
+        &self.0.name
+    }
+
+    /// Puts a message into the mailbox; a full one refuses and counts it.
+    pub fn send(&self, input: I) {
+        self.post(Envelope::Deliver(input));
+    }
+
+    /// Strikes the actor with a fault.
+    pub fn inject(&self, fault: ActorFault) {
+        self.post(Envelope::Inject(fault));
+    }
+
+    /// Messages that the full mailbox refused, so far.
+    pub fn refused(&self) -> u64 {
+        self.0.refused.get()
+    }
+
+    /// Messages that were lost in crashes, so far.
+    pub fn lost(&self) -> u64 {
+        self.0.lost.get()
+    }
+
+    fn post(&self, envelope: Envelope<I>) {
+        let slot = &*self.0;
+        let mut queue = slot.queue.borrow_mut();
+        if queue.len() >= MAILBOX_CAPACITY {
+            return self.refuse();
+        }
+        queue.push_back(envelope);
+        if let Some((clock, actor)) = slot.bell.get() {
+            clock.ring(*actor);
+        }
+    }
+
+    fn refuse(&self) {
+        self.0.refused.set(self.0.refused.get() + 1);
+    }
+
+    fn lose(&self, messages: usize) {
+        self.0.lost.set(self.0.lost.get() + messages as u64);
+    }
+}
+
+/// A core with all that it needs to live.
+struct Shell<C: Core + 'static> {
+    make: Box<dyn FnMut(u32) -> C>,
+    core: Option<C>,
+    incarnation: u32,
+    /// How a crash is told to the supervisor.
+    life: Option<Addr<Life<C>>>,
+    /// Whether the supervisor has started it, or started it again.
+    alive: bool,
+    sink: Box<dyn FnMut(C::Out)>,
+    out: Vec<C::Out>,
+    clock: Clock,
+    sleeper: Sleeper,
+    armed: Option<Time>,
+    faults: Faults,
+    held: VecDeque<(Time, C::In)>,
+    mailbox: Mailbox<C::In>,
+}
+
+/// The injected faults that are in force, each until its time.
+#[derive(Default)]
+struct Faults {
+    down: Time,
+    stalled: Time,
+    mute: Time,
+    slow: Time,
+    slow_by: Span,
+}
+
+impl Faults {
+    /// When an input or a timer that is due at `at` is taken up.
+    #[inline]
+    fn taken_up(&self, at: Time) -> Time {
+        let at = if at < self.slow { at + self.slow_by } else { at };
+        at.max(self.stalled)
+    }
+}
+
+/// Starts an actor behind `mailbox`: `make` builds its core for each incarnation, counted from 1, and
+/// `sink` takes what it says.
+pub fn start<C: Core + 'static>(
+    clock: &Clock,
+    mailbox: &Mailbox<C::In>,
+    span: TraceSpan,
+    mut make: impl FnMut(u32) -> C + 'static,
+    sink: impl FnMut(C::Out) + 'static,
+) {
+    let shell = Rc::new_cyclic(|shell: &Weak<RefCell<Shell<C>>>| {
+        let (shell, name, time) = (shell.clone(), mailbox.clone(), clock.clone());
+        let sleeper = clock.register(Rc::new(move || {
+            if let Some(shell) = shell.upgrade() {
+                let (now, _inside) = (time.now(), span.enter());
+                let _guard = EndsTheProcess { name: name.name(), now };
+                shell.borrow_mut().attend(now);
+            }
+        }));
+        RefCell::new(Shell {
+            core: Some(make(1)),
+            make: Box::new(make),
+            incarnation: 1,
+            life: None,
+            alive: true,
+            sink: Box::new(sink),
+            out: Vec::new(),
+            clock: clock.clone(),
+            sleeper,
+            armed: None,
+            faults: Faults::default(),
+            held: VecDeque::new(),
+            mailbox: mailbox.clone(),
+        })
+    });
+    let sleeper = shell.borrow().sleeper;
+    assert!(mailbox.0.bell.set((clock.clone(), sleeper)).is_ok(), "{} is started once", mailbox.name());
+    let life = Life(Rc::clone(&shell));
+    // The supervisor gives an actor up that nobody holds an address of.
+    shell.borrow_mut().life = Some(Supervisor::start(move |_: &mut Context<Life<C>>| life));
+    // At its first turn the core says when it wants to be woken.
+    clock.ring(sleeper);
+}
+
+impl<C: Core + 'static> Shell<C> {
+    fn take_in(&mut self, now: Time, input: C::In) {
+        let due = self.faults.taken_up(now);
+        let Some(core) = &mut self.core else { return self.mailbox.lose(1) };
+        if due <= now && self.held.is_empty() {
+            core.handle(now, input, &mut self.out);
+        } else if self.held.len() < MAILBOX_CAPACITY {
+            self.held.push_back((due, input));
+        } else {
+            self.mailbox.refuse();
+        }
+    }
+
+    /// Takes all that waits in the mailbox, up to a crash.
+    fn attend(&mut self, now: Time) {
+        loop {
+            let next = self.mailbox.0.queue.borrow_mut().pop_front();
+            match next {
+                None => break,
+                Some(Envelope::Deliver(input)) => self.take_in(now, input),
+                Some(Envelope::Inject(fault)) => self.strike(now, &fault),
+            }
+        }
+        self.turn(now);
+    }
+
+    /// Does all that is due, lets it out, and sets the timer for the next.
+    fn turn(&mut self, now: Time) {
+        if self.core.is_none() {
+            self.revive(now);
+        }
+        if !self.held.is_empty() {
+            self.take_up_held(now);
+        }
+        let mut next = self.core.as_ref().and_then(Core::wake_at);
+        if let Some(core) = &mut self.core {
+            let mut wakes = 0;
+            while next.is_some_and(|at| self.faults.taken_up(at) <= now) {
+                core.wake(now, &mut self.out);
+                wakes += 1;
+                assert!(wakes < MAX_WAKES_AT_ONCE, "a woken core wants to be woken later, not again at {now}");
+                next = core.wake_at();
+            }
+        }
+        if !self.out.is_empty() {
+            let muted = now < self.faults.mute;
+            self.out.drain(..).filter(|_| !muted).for_each(&mut self.sink);
+        }
+        self.arm(now, next);
+    }
+
+    /// Starts the core afresh, once the supervisor has and the crash is over.
+    #[cold]
+    fn revive(&mut self, now: Time) {
+        if self.alive && now >= self.faults.down {
+            self.incarnation += 1;
+            self.core = Some((self.make)(self.incarnation));
+            tracing::info!(incarnation = self.incarnation, "started afresh");
+        }
+    }
+
+    /// Hands the core what a fault has held back until now.
+    #[cold]
+    fn take_up_held(&mut self, now: Time) {
+        let Some(core) = &mut self.core else { return };
+        while self.held.front().is_some_and(|(due, _)| (*due).max(self.faults.stalled) <= now) {
+            let (_, input) = self.held.pop_front().expect("there is a front");
+            core.handle(now, input, &mut self.out);
+        }
+    }
+
+    /// Sets the timer; `wake` is when the core wants to be woken.
+    fn arm(&mut self, now: Time, wake: Option<Time>) {
+        let next = match &self.core {
+            None => Some(self.faults.down),
+            Some(_) => {
+                let wake = wake.map(|at| self.faults.taken_up(at));
+                let held = self.held.front().map(|(due, _)| (*due).max(self.faults.stalled));
+                wake.into_iter().chain(held).min()
+            }
+        };
+        // An earlier alarm that still stands will come through here again: one event serves many re-armings.
+        let stands = self.armed.filter(|at| *at > now);
+        if let Some(next) = next
+            && stands.is_none_or(|at| next < at)
+        {
+            let tolerance = self.core.as_ref().map_or(Span::ZERO, |core| core.tolerance(next.since(now)));
+            self.clock.arm(next, tolerance, self.sleeper);
+            self.armed = Some(next);
+        }
+    }
+
+    #[cold]
+    fn strike(&mut self, now: Time, fault: &ActorFault) {
+        tracing::warn!(kind = ?fault.kind, lasts = %fault.lasts, "fault injected");
+        let until = now + fault.lasts;
+        match fault.kind {
+            // Of two faults at once the longer one counts.
+            ActorFaultKind::Stall => self.faults.stalled = self.faults.stalled.max(until),
+            ActorFaultKind::Mute => self.faults.mute = self.faults.mute.max(until),
+            ActorFaultKind::Slow => {
+                self.faults.slow = self.faults.slow.max(until);
+                self.faults.slow_by = fault.by;
+            }
+            ActorFaultKind::Crash => {
+                self.faults = Faults { down: self.faults.down.max(until), ..Faults::default() };
+                // A crash loses what the actor knew, had not said yet and had not taken up.
+                self.core = None;
+                self.out.clear();
+                self.mailbox.lose(self.held.len());
+                self.held.clear();
+                self.alive = false;
+                self.life.as_ref().expect("it was started").do_send(Crash);
+            }
+        }
+    }
+}
+
+/// An actor's life as the actor library sees it: it begins, ends in a crash, and begins again.
+struct Life<C: Core + 'static>(Rc<RefCell<Shell<C>>>);
+
+/// The end of a life.
+struct Crash;
+
+impl Message for Crash {
+    type Result = ();
+}
+
+impl<C: Core + 'static> Actor for Life<C> {
+    type Context = Context<Self>;
+}
+
+impl<C: Core + 'static> Handler<Crash> for Life<C> {
+    type Result = ();
+
+    fn handle(&mut self, _: Crash, context: &mut Self::Context) {
+        context.stop();
+    }
+}
+
+impl<C: Core + 'static> Supervised for Life<C> {
+    fn restarting(&mut self, _: &mut Self::Context) {
+        let mut shell = self.0.borrow_mut();
+        shell.alive = true;
+        shell.clock.ring(shell.sleeper);
+    }
+}
+
+/// Ends the process when it is dropped by a panic, which the actor library would survive in silence.
+struct EndsTheProcess<'a> {
+    name: &'a str,
+    now: Time,
+}
+
+impl Drop for EndsTheProcess<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.end();
+        }
+    }
+}
+
+impl EndsTheProcess<'_> {
+    #[cold]
+    #[allow(clippy::print_stderr)] // Where no log is set up, this is the only way to say so.
+    fn end(&self) {
+        let why = format!(
+            "{} broke an invariant at {} (see the panic above); the process ends so that motors stop. Please report it \
+             with the command that you ran.",
+            self.name, self.now
+        );
+        // A log may have a writer that does not wait; stderr waits for whoever reads it.
+        if tracing::dispatcher::has_been_set() {
+            tracing::error!("{why}");
+        } else {
+            eprintln!("murmurate: {why}");
+        }
+        std::process::exit(PANIC_STATUS);
+    }
+}
+
+/// Runs `inside` where actors can be started: in an actor system of its own on this thread.
+pub(super) fn in_system<R>(inside: impl FnOnce() -> R) -> R {
+    let system = System::with_tokio_rt(|| {
+        tokio::runtime::Builder::new_current_thread().build().expect("a runtime without I/O or timers needs nothing")
+    });
+    system.block_on(async { inside() })
+}
