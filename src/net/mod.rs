@@ -29,4 +29,5 @@ pub mod senders;
 pub mod telling;
 pub mod transport;
 pub mod twins;
+mod unpack;
 pub mod window;
