@@ -104,7 +104,7 @@ struct Peer {
     id: u16,
     rate: f64,
     seconds: f64,
-    drain: f64,
+    drain: Span,
     hello: Span,
     start_ns: u64,
     /// The harness's clock at the actors' time zero.
@@ -141,7 +141,7 @@ impl Peer {
             id,
             rate: variable("NP_RATE", 10.0),
             seconds: variable("NP_SECONDS", 3.0),
-            drain: variable("NP_DRAIN", 1.0),
+            drain: Span::from_secs(variable("NP_DRAIN", 1.0)),
             hello,
             start_ns: variable("NP_START_NS", zero_ns),
             zero_ns,
@@ -250,7 +250,7 @@ impl Peer {
     }
 
     fn is_over(&self, now: Time) -> bool {
-        self.window.is_some_and(|(_, end)| now >= end + Span::from_secs(self.drain))
+        self.window.is_some_and(|(_, end)| now >= end + self.drain)
     }
 
     /// The file that the harness reads.

@@ -11,7 +11,8 @@
 //! Each may use those before it, never those after:
 //! `time`, `random`, `config`, `messages`, `actor`, `cells`; `hearing`, `faults`; `scenario`, `policy`, `world`,
 //! `safety`; `net::protocol`, `net::transport`, `net::media`; `report`; then [`actors`], and beside
-//! them [`train`], which knows no actor; `deploy`; `runtime`, which runs actors; `graph`, which wires them; `trial`; `study`; the program.
+//! them [`train`], which knows no actor; `deploy`; `runtime`, which runs actors; `graph`, which wires them; `trial`;
+//! `study`; the program.
 //! `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading

@@ -10,8 +10,8 @@ use tracing::info_span;
 use crate::actor::Core;
 use crate::actors::network;
 use crate::messages::ids::LinkId;
+use crate::net::transport;
 use crate::net::transport::udp::Udp;
-use crate::net::transport::{self, Arrive};
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
@@ -62,15 +62,19 @@ pub fn wire(
     mailbox: &Mailbox<transport::In>,
     network: &Mailbox<network::In>,
 ) {
-    let (bell, network, ears) = (mailbox.clone(), network.clone(), udp.ears());
+    let (time, network, ears, span) = (clock.clone(), network.clone(), udp.ears(), info_span!("udp", link = link.0));
     // A socket outlives its actor: what waits in it would be lost with it.
     let udp = Rc::new(RefCell::new(udp));
-    let flooded = Rc::clone(&udp);
-    readers.watch_link(ears, move || flooded.borrow().rests_until(), move || bell.send(transport::In::Readable));
+    let (flooded, heard, inside) = (Rc::clone(&udp), Rc::clone(&udp), span.clone());
+    // What has arrived is read where it is told of: a turn of the transport for it would cost a tenth of a delivery.
+    let ring = move || {
+        let _inside = inside.enter();
+        let take = |from, frame: &[u8]| network.send(network::In::Frame(link, frame.into(), Some(from)));
+        heard.borrow_mut().receive(time.now(), take);
+    };
+    readers.watch_link(ears, move || flooded.borrow().rests_until(), ring);
     let make = move |_| Shared(Rc::clone(&udp));
-    start(clock, mailbox, info_span!("udp", link = link.0), make, move |Arrive { frame, from, .. }| {
-        network.send(network::In::Frame(link, frame, from));
-    });
+    start(clock, mailbox, span, make, |never| match never {});
 }
 
 /// Passes on what it is told, to each of a link's transports.

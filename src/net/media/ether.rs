@@ -102,7 +102,7 @@ impl Core for Ether {
                 self.air.iter_mut().for_each(|air| air.locate(&truth));
                 self.reach.iter_mut().for_each(|reach| reach.locate(&truth));
             }
-            In::Readable | In::Admit(_) => unreachable!("an ether has no socket"),
+            In::Admit(_) => unreachable!("an ether has no socket"),
         }
     }
 

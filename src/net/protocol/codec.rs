@@ -19,6 +19,7 @@ use std::sync::Arc;
 
 use serde::Deserialize;
 
+use super::unpack::Reader;
 use crate::messages::ids::HostId;
 use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
 
@@ -211,19 +212,20 @@ pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
 
 /// Reads a datagram's header alone.
 pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
-    if datagram.len() < HEADER_BYTES || datagram.len() > MAX_FRAME_BYTES {
+    let header = datagram.first_chunk::<HEADER_BYTES>().filter(|_| datagram.len() <= MAX_FRAME_BYTES);
+    let Some(&[version, flags, t0, t1, s0, s1, e0, e1, e2, e3, n0, n1, n2, n3]) = header else {
         return Err(DecodeError::Length(datagram.len()));
+    };
+    if version != VERSION {
+        return Err(DecodeError::Version(version));
     }
-    if datagram[0] != VERSION {
-        return Err(DecodeError::Version(datagram[0]));
-    }
-    let flags = Flags(datagram[FLAGS_AT]);
+    let flags = Flags(flags);
     if flags.0 & !(Flags::TAGGED | Flags::DIRECT | Flags::COPY | Flags::ACK) != 0 {
         return Err(DecodeError::Flags(flags.0));
     }
-    let u16_at = |at: usize| u16::from_le_bytes([datagram[at], datagram[at + 1]]);
-    let u32_at = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| datagram[at + byte]));
-    Ok(Header { flags, team: u16_at(2), sender: HostId(u16_at(4)), epoch: u32_at(6), sequence: u32_at(10) })
+    let (epoch, sequence) = (u32::from_le_bytes([e0, e1, e2, e3]), u32::from_le_bytes([n0, n1, n2, n3]));
+    let (team, sender) = (u16::from_le_bytes([t0, t1]), HostId(u16::from_le_bytes([s0, s1])));
+    Ok(Header { flags, team, sender, epoch, sequence })
 }
 
 /// The blocks of a datagram without its tag. After an error there are no more.
@@ -279,16 +281,7 @@ pub fn decode(plain: &[u8]) -> Result<(Header, Wire), DecodeError> {
 }
 
 fn body<'a, T: Deserialize<'a>>(kind: Kind, bytes: &'a [u8]) -> Result<T, DecodeError> {
-    // rmp-serde would also read a struct from a map; only the array that we write is the format.
-    if bytes.first().is_none_or(|marker| marker & 0xf0 != 0x90) {
-        return Err(DecodeError::Body(kind));
-    }
-    let mut reader = rmp_serde::Deserializer::from_read_ref(bytes);
+    let mut reader = Reader(bytes);
     let body = T::deserialize(&mut reader).map_err(|_| DecodeError::Body(kind))?;
-    // rmp-serde stops after one value without a word about the rest: ask for a second one, of a type that
-    // takes nothing but its marker, so that only the true end is a missing marker.
-    match <()>::deserialize(&mut reader) {
-        Err(rmp_serde::decode::Error::InvalidMarkerRead(_)) => Ok(body),
-        _ => Err(DecodeError::Trailing(kind)),
-    }
+    if reader.0.is_empty() { Ok(body) } else { Err(DecodeError::Trailing(kind)) }
 }

@@ -20,4 +20,5 @@ pub mod sender;
 pub mod senders;
 pub mod telling;
 pub mod twins;
+mod unpack;
 pub mod window;

@@ -372,10 +372,10 @@ impl Outgoing {
     }
 
     /// When anything is next due.
-    #[inline]
     pub fn due(&self) -> Option<Time> {
         let dues = [self.again.due(), self.soft_due, self.acks_due, self.report_due, self.urgent_due];
-        dues.into_iter().flatten().min()
+        let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);
+        Some(first).filter(|due| *due < Time::MAX)
     }
 
     /// Does what is due.

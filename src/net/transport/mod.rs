@@ -20,8 +20,6 @@ use crate::net::protocol::router::Audience;
 pub enum In {
     /// A Network sends a frame.
     Transmit(Transmit),
-    /// The transport's socket has something to read.
-    Readable,
     /// Where robots truly are: from a simulated World, for an ether with a range.
     Truth(Truth),
     /// A host whose address is in no file is to be sent to for a while; only a unicast link has to be told.

@@ -8,6 +8,7 @@ mod loopback;
 mod open;
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::rc::Rc;
@@ -15,7 +16,7 @@ use std::rc::Rc;
 use socket2::{SockRef, Socket};
 
 use super::interface;
-use super::{Arrive, In, Transmit};
+use super::{In, Transmit};
 use crate::actor::Core;
 use crate::messages::ids::HostId;
 use crate::net::protocol::codec::{self, Content};
@@ -46,7 +47,6 @@ const EBB: usize = 10;
 /// The sockets of one link on one host.
 #[derive(Debug)]
 pub struct Udp {
-    host: HostId,
     /// Hears what the others send.
     ears: Rc<UdpSocket>,
     to: To,
@@ -98,7 +98,7 @@ impl Udp {
             Transport::Unicast { peers, .. } => (None, To::peers(host, peers)),
         };
         filter.attach(&ears, own);
-        Udp::new(host, ears, to, config).map_err(failed("ask for the size of the buffer".to_owned()))
+        Udp::new(ears, to, config).map_err(failed("ask for the size of the buffer".to_owned()))
     }
 
     /// Opens the socket of a host that is in no file, an operator, on a unicast link: at whatever address the machine
@@ -112,10 +112,10 @@ impl Udp {
         };
         let ears = guest(*listen, config.receive_buffer_bytes).map_err(failed)?;
         filter.attach(&ears, None);
-        Udp::new(host, ears, To::peers(host, peers), config).map_err(failed)
+        Udp::new(ears, To::peers(host, peers), config).map_err(failed)
     }
 
-    fn new(host: HostId, ears: Socket, to: To, config: &SocketConfig) -> io::Result<Udp> {
+    fn new(ears: Socket, to: To, config: &SocketConfig) -> io::Result<Udp> {
         let granted = ears.recv_buffer_size()?;
         // The kernel doubles what it is asked for, to keep its own books in, and halves nothing when it tells.
         if granted < 2 * config.receive_buffer_bytes {
@@ -126,7 +126,7 @@ impl Udp {
             );
         }
         let (ears, batch) = (Rc::new(UdpSocket::from(ears)), Batch::new());
-        Ok(Udp { host, ears, to, granted, batch, looked: Time::ZERO, flood: Flood::default(), unsent: 0 })
+        Ok(Udp { ears, to, granted, batch, looked: Time::ZERO, flood: Flood::default(), unsent: 0 })
     }
 
     /// The socket that is to be watched: whenever it has something to read, the actor wants to know.
@@ -156,13 +156,13 @@ impl Udp {
 
     /// Reads what has arrived. To ask the kernel in vain costs as much as to read, so a quiet link is read once a
     /// ring, and only a busy one until nothing is left or it is the others' turn.
-    fn receive(&mut self, now: Time, out: &mut Vec<Arrive>) {
+    pub fn receive(&mut self, now: Time, mut take: impl FnMut(SocketAddr, &[u8])) {
         let busy = now.since(self.looked) < BUSY || self.flood.on;
         self.looked = now;
-        let (to, host) = (&mut self.to, self.host);
+        let to = &mut self.to;
         let take = |from: SocketAddr, frame: &[u8]| {
             if to.hears(now, from) {
-                out.push(Arrive { to: host, from: Some(from), frame: frame.into() });
+                take(from, frame);
             }
         };
         let read = if busy {
@@ -265,12 +265,11 @@ impl To {
 
 impl Core for Udp {
     type In = In;
-    type Out = Arrive;
+    type Out = Infallible;
 
-    fn handle(&mut self, now: Time, input: In, out: &mut Vec<Arrive>) {
+    fn handle(&mut self, now: Time, input: In, _: &mut Vec<Infallible>) {
         match input {
             In::Transmit(transmit) => self.transmit(now, &transmit),
-            In::Readable => self.receive(now, out),
             In::Admit(guest) => self.to.admit(now, guest),
             // Real waves know where they are.
             In::Truth(_) => {}
@@ -281,7 +280,7 @@ impl Core for Udp {
         None
     }
 
-    fn wake(&mut self, _: Time, _: &mut Vec<Arrive>) {}
+    fn wake(&mut self, _: Time, _: &mut Vec<Infallible>) {}
 }
 
 #[cfg(test)]
@@ -315,19 +314,25 @@ mod tests {
         SocketConfig { transport, ..multicast("239.0.0.1:1") }
     }
 
-    fn arrivals(udp: &mut Udp) -> Vec<Arrive> {
+    type Arrived = Vec<(SocketAddr, Vec<u8>)>;
+
+    fn read(udp: &mut Udp, now: Time, out: &mut Arrived) {
+        udp.receive(now, |from, frame| out.push((from, frame.to_vec())));
+    }
+
+    fn arrivals(udp: &mut Udp) -> Arrived {
         // Loopback delivers before the sender's call returns.
         let mut out = Vec::new();
-        (0..4).for_each(|_| udp.handle(Time::ZERO, In::Readable, &mut out));
+        (0..4).for_each(|_| read(udp, Time::ZERO, &mut out));
         out
     }
 
     fn hear(udp: &mut Udp) -> Vec<Vec<u8>> {
-        arrivals(udp).into_iter().map(|arrive| arrive.frame.to_vec()).collect()
+        arrivals(udp).into_iter().map(|(_, frame)| frame).collect()
     }
 
     fn say(udp: &mut Udp, audience: Audience, frame: &[u8]) {
-        let transmit = Transmit { from: udp.host, audience, frame: frame.into() };
+        let transmit = Transmit { from: HostId(0), audience, frame: frame.into() };
         udp.handle(Time::ZERO, In::Transmit(transmit), &mut Vec::new());
     }
 
@@ -429,7 +434,7 @@ mod tests {
         say(&mut guest, Audience::All, &frame(40, 1));
         assert_eq!(hear(&mut two), [frame(40, 1)]);
         let arrived = arrivals(&mut one);
-        let from = arrived[0].from.expect("it has an address");
+        let from = arrived[0].0;
         say(&mut one, Audience::All, &frame(40, 2));
         assert!(hear(&mut guest).is_empty(), "it is not admitted yet");
         let admit = |one: &mut Udp, host, standing| {
@@ -466,18 +471,18 @@ mod tests {
         let us = |us: u64| Time::from_nanos(50_000_000 + us * 1000);
         let mut out = Vec::new();
         send(40);
-        one.handle(us(0), In::Readable, &mut out);
+        read(&mut one, us(0), &mut out);
         assert_eq!((out.len(), one.rests_until()), (1, None), "a quiet link is read once a ring");
-        one.handle(us(10), In::Readable, &mut out);
+        read(&mut one, us(10), &mut out);
         assert_eq!((out.len(), one.rests_until()), (40, Some(us(1010))));
         send(30);
-        one.handle(us(1010), In::Readable, &mut out);
+        read(&mut one, us(1010), &mut out);
         assert_eq!((out.len(), one.rests_until()), (70, Some(us(2010))), "it goes on");
         send(2);
-        one.handle(us(2010), In::Readable, &mut out);
+        read(&mut one, us(2010), &mut out);
         assert_eq!((out.len(), one.rests_until()), (72, None), "it is over");
         send(19);
-        (0..19).for_each(|n| one.handle(us(10_000 + 200 * n), In::Readable, &mut out));
+        (0..19).for_each(|n| read(&mut one, us(10_000 + 200 * n), &mut out));
         assert_eq!((out.len(), one.rests_until()), (91, None), "5000 a second are no flood");
     }
 
@@ -493,7 +498,7 @@ mod tests {
             }
             // A ring comes after the rest of the other link, and a little more.
             let now = Time::ZERO + (REST + Span::from_nanos(300_000)) * (20 + ring);
-            one.handle(now, In::Readable, &mut out);
+            read(&mut one, now, &mut out);
             assert!(out.len() as u64 + 5 >= 5 * ring, "{} of {} were read", out.len(), 5 * ring);
         }
     }
