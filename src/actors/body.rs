@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use crate::actor::Core;
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Pose, Twist, Vec2};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::{Drive, Sample};
@@ -127,7 +127,13 @@ impl Body {
         }
         (self.measured, self.ready) = (Some(sample.time), sample.time + self.sensor.period);
         let motion = self.sensor.measure(&sample.motion, &mut self.stream);
-        let reading = Reading { robot: self.robot, stamp_ns: sample.time.as_nanos(), motion };
+        let reading = Reading {
+            robot: self.robot,
+            stamp_ns: sample.time.as_nanos(),
+            pose: Pose { position: motion.position, heading: Some(sample.heading) },
+            twist: Twist { velocity: motion.velocity, yaw_rate: Some(sample.yaw_rate) },
+            deviation: self.sensor.deviation(),
+        };
         if self.sensor.latency == Span::ZERO {
             out.push(Out::Reading(reading));
         } else {
@@ -247,7 +253,15 @@ mod tests {
 
     fn sample(ms: u64) -> In {
         let (motion, time) = (Motion::at_rest(Vec2::new(1.0, 2.0)), Time::ZERO + Span::from_millis(ms));
-        In::Sample(Sample { robot: RobotId(0), time, motion, command: Vec2::zeros(), contacts: Contacts::default() })
+        In::Sample(Sample {
+            robot: RobotId(0),
+            time,
+            motion,
+            heading: 0.0,
+            yaw_rate: 0.0,
+            command: Vec2::zeros(),
+            contacts: Contacts::default(),
+        })
     }
 
     fn readings(out: &[Out]) -> Vec<Reading> {
@@ -260,7 +274,7 @@ mod tests {
     fn an_exact_sensor_tells_the_truth_at_once() {
         let (mut body, mut out) = (body(Sensor::EXACT), Vec::new());
         body.handle(Time::ZERO, sample(0), &mut out);
-        assert_eq!(readings(&out)[0].motion, Motion::at_rest(Vec2::new(1.0, 2.0)));
+        assert_eq!(readings(&out)[0].motion(), Motion::at_rest(Vec2::new(1.0, 2.0)));
         assert_eq!(body.wake_at(), None);
     }
 
@@ -276,8 +290,8 @@ mod tests {
         }
         let told = readings(&out);
         assert_eq!(told.iter().map(|reading| reading.stamp_ns).collect::<Vec<_>>(), [0, 100_000_000]);
-        let off = (told[0].motion.position - Vec2::new(1.0, 2.0)).norm();
-        assert!(off > 0.0 && off < 2e-3 && told[0].motion.velocity != Vec2::zeros(), "{off}");
+        let off = (told[0].motion().position - Vec2::new(1.0, 2.0)).norm();
+        assert!(off > 0.0 && off < 2e-3 && told[0].motion().velocity != Vec2::zeros(), "{off}");
         assert_eq!(told.len(), out.len(), "and nothing else");
     }
 

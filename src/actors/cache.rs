@@ -71,7 +71,7 @@ impl Cache {
     }
 
     fn estimate(&self) -> Option<Motion> {
-        self.own.as_ref().map(|(_, reading)| reading.motion)
+        self.own.as_ref().map(|(_, reading)| reading.motion())
     }
 
     fn perceive(&self, now: Time) -> Option<Percept> {
@@ -89,7 +89,7 @@ impl Cache {
             age: now.since(*arrived),
         });
         let robot = self.config.robot;
-        Some(Percept { robot, due: self.next, estimate: reading.motion, heard: heard.collect() })
+        Some(Percept { robot, due: self.next, estimate: reading.motion(), heard: heard.collect() })
     }
 }
 
@@ -168,7 +168,7 @@ mod tests {
     }
 
     fn reading(stamp_ns: u64) -> In {
-        In::Reading(Reading { robot: RobotId(0), stamp_ns, motion: Motion::default() })
+        In::Reading(Reading::of_point(RobotId(0), stamp_ns, Motion::default()))
     }
 
     fn latent(robot: u16, x: f32) -> In {
@@ -230,7 +230,7 @@ mod tests {
         cache.handle(at_ms(0), reading(1), &mut out);
         let moved = Motion { velocity: Vec2::new(1.0, 0.0), ..Motion::default() };
         for (ms, motion) in [(80, Motion::default()), (90, moved)] {
-            let again = In::Reading(Reading { robot: RobotId(0), stamp_ns: 1, motion });
+            let again = In::Reading(Reading::of_point(RobotId(0), 1, motion));
             cache.handle(at_ms(ms), again, &mut out);
         }
         assert_eq!(out, [Out::Fresh], "a stamp is news once, whatever else the reading says");

@@ -298,7 +298,7 @@ mod tests {
     }
 
     fn reading(robot: u16) -> Wire {
-        Wire::Reading(Reading { robot: RobotId(robot), stamp_ns: 1, motion: Motion::default() })
+        Wire::Reading(Reading::of_point(RobotId(robot), 1, Motion::default()))
     }
 
     fn handle(network: &mut Network, input: In) -> Vec<Out> {

@@ -359,7 +359,7 @@ mod tests {
     fn see(recorder: &mut Recorder, ms: u64, robot: u16, position: Vec2) -> Vec<Out> {
         let (time, motion) = (at_ms(ms), Motion::at_rest(position));
         let (command, contacts) = (Vec2::zeros(), Contacts::default());
-        let sample = Sample { robot: RobotId(robot), time, motion, command, contacts };
+        let sample = Sample { robot: RobotId(robot), time, motion, heading: 0.0, yaw_rate: 0.0, command, contacts };
         let mut out = Vec::new();
         recorder.handle(time, In::Truth(Truth { time, samples: [sample].into() }), &mut out);
         out

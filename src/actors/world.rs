@@ -116,8 +116,8 @@ impl World {
 }
 
 fn sample(now: Time, body: &Attached, state: &PlantState) -> Sample {
-    let PlantState { motion, contacts } = *state;
-    Sample { robot: body.robot, time: now, motion, command: body.command, contacts }
+    let PlantState { motion, heading, yaw_rate, contacts } = *state;
+    Sample { robot: body.robot, time: now, motion, heading, yaw_rate, command: body.command, contacts }
 }
 
 impl Core for World {

@@ -221,9 +221,9 @@ impl Deployment {
         }
         let routes = Routes::of(self);
         for kind in KINDS {
-            if kind == Kind::Status {
+            if kind.follows_the_stop() {
                 if let Some(link) = self.links.iter().find(|link| link.carries.contains(&kind)) {
-                    let why = format!("'{}' carries status: leave it out, it goes where 'stop' goes", link.name);
+                    let why = format!("'{}' carries {kind:?}: leave it out, it goes where 'stop' goes", link.name);
                     return wrong("link.carries", why);
                 }
                 continue;
@@ -342,7 +342,7 @@ mod tests {
     fn what_crosses_a_link_is_what_the_design_says() {
         let crossing = |mode: &str| -> Vec<Kind> {
             let preset = Deployment::preset(mode, 3).unwrap();
-            let said = KINDS.into_iter().filter(|&kind| kind != Kind::Status);
+            let said = KINDS.into_iter().filter(|kind| !kind.follows_the_stop());
             said.filter(|&kind| Routes::of(&preset).crosses(kind)).collect()
         };
         assert_eq!(crossing("sim"), []);

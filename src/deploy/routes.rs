@@ -75,8 +75,7 @@ impl Routes {
         };
         let server = deployment.hosts.iter().position(|host| host.state_server);
         let server_host = HostId(number(server.expect("a checked deployment has a state server")));
-        // A status goes where the stop goes that it answers.
-        let carried = |kind: Kind| if kind == Kind::Status { Kind::Stop } else { kind };
+        let carried = |kind: Kind| if kind.follows_the_stop() { Kind::Stop } else { kind };
         let link_of = |kind: Kind| deployment.links.iter().position(|link| link.carries.contains(&carried(kind)));
         let (agent_host, world_host) = (found(agent_host), found(world_host));
         let hosts = |some: &[HostId], more: &[HostId]| -> Vec<HostId> {
@@ -111,7 +110,8 @@ impl Routes {
             Kind::MotorCommand => hosts = std::slice::from_ref(&self.world_host[robot.index()]),
             Kind::Heartbeat | Kind::Status => hosts = std::slice::from_ref(&self.server_host),
             Kind::Mode => hosts = &self.told,
-            Kind::Stop => hosts = &self.stopped,
+            Kind::Stop | Kind::Observe => hosts = &self.stopped,
+            Kind::Telemetry => hosts = &[],
             Kind::Latent => {
                 // Robots of one agent hear each other within its step.
                 let host = self.agent_host(robot);
@@ -157,7 +157,7 @@ impl Routes {
             Kind::Reading => Some(self.world_host(robot)),
             Kind::Latent | Kind::MotorCommand | Kind::Heartbeat => Some(self.agent_host(robot)),
             Kind::Mode => Some(self.server_host),
-            Kind::Stop | Kind::Status => None,
+            Kind::Stop | Kind::Status | Kind::Observe | Kind::Telemetry => None,
         }
     }
 
@@ -187,7 +187,7 @@ impl Routes {
             Kind::Reading | Kind::MotorCommand | Kind::Heartbeat | Kind::Status => {
                 RobotId::team(self.robots).flat_map(|robot| takers(robot).hosts).copied().collect()
             }
-            Kind::Latent | Kind::Mode | Kind::Stop => {
+            Kind::Latent | Kind::Mode | Kind::Stop | Kind::Observe | Kind::Telemetry => {
                 let heard = |host: &HostId| RobotId::team(self.robots).any(|robot| takers(robot).has(*host));
                 takers(RobotId(0)).hosts.iter().copied().filter(heard).collect::<BTreeSet<HostId>>()
             }
@@ -202,8 +202,8 @@ impl Routes {
             let local = takers.has(host);
             let mut others = takers.iter().filter(|&taker| taker != host);
             let audience = match (others.next(), others.next()) {
-                // Operators take it too, wherever they are.
-                _ if kind == Kind::Status => self.links[kind as usize].map(|_| Audience::All),
+                // Operators take it, wherever they are.
+                _ if matches!(kind, Kind::Status | Kind::Telemetry) => self.links[kind as usize].map(|_| Audience::All),
                 (None, _) => None,
                 (Some(only), None) => Some(Audience::Host(only)),
                 _ => Some(Audience::All),

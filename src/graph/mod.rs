@@ -325,6 +325,8 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
             }
         }
         Wire::Status(m) => by_robot.2.send(state_server::In::Status(m)),
+        // It is for observers, who are no hosts.
+        Wire::Observe(_) | Wire::Telemetry(_) => {}
     };
     start(
         clock,

@@ -52,8 +52,8 @@ pub fn wire(
 ) -> Mailbox<network::In> {
     let Operator { me, seed, robots, publishers, key, links, sockets, stop } = operator;
     let router = Router::new(robots, |kind, _| match kind {
-        Kind::Stop => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
-        Kind::Heartbeat | Kind::Mode | Kind::Status => Route { local: true, leaves: None },
+        Kind::Stop | Kind::Observe => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
+        Kind::Heartbeat | Kind::Mode | Kind::Status | Kind::Telemetry => Route { local: true, leaves: None },
         _ => Route::default(),
     });
     let router = router.with_publishers(publishers);

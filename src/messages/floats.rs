@@ -9,7 +9,7 @@ use std::sync::Arc;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::geometry::{Motion, Task, Vec2};
+use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2};
 
 /// The most floats that a latent may carry: with them a frame stays inside one datagram.
 pub const MAX_FEATURES: usize = 256;
@@ -67,6 +67,73 @@ impl<'de> Deserialize<'de> for Motion {
             Some(Motion { position: Vec2::new(px, py), velocity: Vec2::new(vx, vy) })
         };
         d.deserialize_bytes(Bytes(parse, "16 bytes: position and velocity"))
+    }
+}
+
+/// How a number is written that may be unknown: as this NaN, and no other.
+fn unknown(float: Option<f32>) -> f32 {
+    float.unwrap_or(f32::NAN)
+}
+
+/// The same the other way; none if it is another NaN.
+fn known(float: f32) -> Option<Option<f32>> {
+    match float.is_nan() {
+        true => (float.to_bits() == f32::NAN.to_bits()).then_some(None),
+        false => Some(Some(float)),
+    }
+}
+
+impl Serialize for Pose {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        s.serialize_bytes(&pack::<12>(&[self.position.x, self.position.y, unknown(self.heading)]))
+    }
+}
+
+impl<'de> Deserialize<'de> for Pose {
+    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Pose, D::Error> {
+        let parse = |bytes: &[u8]| {
+            let [x, y, heading] = unpack_exactly(bytes)?;
+            Some(Pose { position: Vec2::new(x, y), heading: known(heading)? })
+        };
+        d.deserialize_bytes(Bytes(parse, "12 bytes: position and heading"))
+    }
+}
+
+impl Serialize for Twist {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        s.serialize_bytes(&pack::<12>(&[self.velocity.x, self.velocity.y, unknown(self.yaw_rate)]))
+    }
+}
+
+impl<'de> Deserialize<'de> for Twist {
+    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Twist, D::Error> {
+        let parse = |bytes: &[u8]| {
+            let [x, y, yaw_rate] = unpack_exactly(bytes)?;
+            Some(Twist { velocity: Vec2::new(x, y), yaw_rate: known(yaw_rate)? })
+        };
+        d.deserialize_bytes(Bytes(parse, "12 bytes: velocity and yaw rate"))
+    }
+}
+
+impl Serialize for Deviation {
+    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+        let all = [self.position_m, self.heading_rad, self.velocity_m_s, self.yaw_rate_rad_s];
+        s.serialize_bytes(&pack::<16>(&all.map(unknown)))
+    }
+}
+
+impl<'de> Deserialize<'de> for Deviation {
+    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Deviation, D::Error> {
+        let parse = |bytes: &[u8]| {
+            let [position_m, heading_rad, velocity_m_s, yaw_rate_rad_s] = unpack_exactly(bytes)?;
+            Some(Deviation {
+                position_m: known(position_m)?,
+                heading_rad: known(heading_rad)?,
+                velocity_m_s: known(velocity_m_s)?,
+                yaw_rate_rad_s: known(yaw_rate_rad_s)?,
+            })
+        };
+        d.deserialize_bytes(Bytes(parse, "16 bytes: four standard deviations"))
     }
 }
 

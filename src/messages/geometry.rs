@@ -12,6 +12,37 @@ pub struct Motion {
     pub velocity: Vec2,
 }
 
+/// Where a robot is and where it points, in the world frame (REP-103).
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Pose {
+    /// Position of the centre \[m\].
+    pub position: Vec2,
+    /// Heading \[rad\], counter-clockwise from the x axis, within -pi and pi; none where nobody measures it.
+    pub heading: Option<f32>,
+}
+
+/// How a robot moves and turns, in the world frame.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Twist {
+    /// Velocity of the centre \[m/s\].
+    pub velocity: Vec2,
+    /// Yaw rate \[rad/s\], counter-clockwise; none where nobody measures it.
+    pub yaw_rate: Option<f32>,
+}
+
+/// How good a measurement is, as standard deviations; none where that is not known.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Deviation {
+    /// Of the position along each axis \[m\].
+    pub position_m: Option<f32>,
+    /// Of the heading \[rad\].
+    pub heading_rad: Option<f32>,
+    /// Of the velocity along each axis \[m/s\].
+    pub velocity_m_s: Option<f32>,
+    /// Of the yaw rate \[rad/s\].
+    pub yaw_rate_rad_s: Option<f32>,
+}
+
 /// Where one robot starts an episode and where it is to go, in the world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Task {
@@ -33,6 +64,37 @@ impl Motion {
     }
 }
 
+impl Pose {
+    /// Whether the position is of a size that a robot's can be, and the heading within a turn.
+    pub fn is_sound(&self) -> bool {
+        is_sound(self.position) && self.heading.is_none_or(|heading| heading.abs() <= MAX_HEADING)
+    }
+
+    /// A velocity \[m/s\] of the world frame in the frame of a robot with this pose: x ahead, y to the left. None
+    /// where the heading is not known.
+    pub fn into_body(&self, velocity: Vec2) -> Option<Vec2> {
+        let (sin, cos) = self.heading?.sin_cos();
+        Some(Vec2::new(cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x))
+    }
+}
+
+impl Twist {
+    /// Whether all numbers are of a size that a robot's can be.
+    pub fn is_sound(&self) -> bool {
+        is_sound(self.velocity) && self.yaw_rate.is_none_or(|rate| rate.abs() <= MAX_SIZE)
+    }
+}
+
+impl Deviation {
+    /// Whether what is known is a deviation: not below zero, and finite.
+    pub fn is_sound(&self) -> bool {
+        let all = [self.position_m, self.heading_rad, self.velocity_m_s, self.yaw_rate_rad_s];
+        all.into_iter().flatten().all(|deviation| (0.0..=MAX_SIZE).contains(&deviation))
+    }
+}
+
+/// The largest heading \[rad\]: pi, and what rounding adds to it.
+pub const MAX_HEADING: f32 = 3.141_593;
 /// The largest coordinate \[m\] and velocity \[m/s\] that is taken for one: arithmetic in f32 stays finite with it.
 pub const MAX_SIZE: f32 = 1e5;
 
@@ -44,4 +106,31 @@ pub fn is_sound(v: Vec2) -> bool {
 /// Whether both coordinates are finite.
 pub fn is_finite(v: Vec2) -> bool {
     v.x.is_finite() && v.y.is_finite()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::FRAC_PI_2;
+
+    use super::*;
+
+    #[test]
+    fn a_robot_that_points_north_goes_north_by_going_ahead() {
+        let north = Pose { position: Vec2::zeros(), heading: Some(FRAC_PI_2) };
+        let ahead = north.into_body(Vec2::new(0.0, 1.0)).unwrap();
+        assert!((ahead - Vec2::new(1.0, 0.0)).norm() < 1e-6, "{ahead}");
+        let left = north.into_body(Vec2::new(-2.0, 0.0)).unwrap();
+        assert!((left - Vec2::new(0.0, 2.0)).norm() < 1e-6, "{left}");
+        assert_eq!(Pose { heading: None, ..north }.into_body(Vec2::zeros()), None);
+    }
+
+    #[test]
+    fn what_is_unknown_is_sound_and_what_cannot_be_is_not() {
+        let deviation = |position_m| Deviation { position_m, ..Deviation::default() };
+        assert!(deviation(None).is_sound() && deviation(Some(0.5)).is_sound());
+        assert!(!deviation(Some(-0.5)).is_sound() && !deviation(Some(f32::NAN)).is_sound());
+        let pose = |heading| Pose { position: Vec2::zeros(), heading };
+        assert!(pose(None).is_sound() && pose(Some(-std::f32::consts::PI)).is_sound());
+        assert!(!pose(Some(7.0)).is_sound() && !pose(Some(f32::NAN)).is_sound());
+    }
 }

@@ -110,6 +110,10 @@ pub struct Sample {
     pub time: Time,
     /// True position and velocity.
     pub motion: Motion,
+    /// True heading \[rad\], counter-clockwise from the x axis.
+    pub heading: f32,
+    /// True yaw rate \[rad/s\], counter-clockwise.
+    pub yaw_rate: f32,
     /// The velocity that the world was told to drive it at \[m/s\]: zero once a command has lapsed.
     pub command: Vec2,
     /// What got in its way.

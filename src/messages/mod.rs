@@ -11,4 +11,5 @@ pub mod latch;
 pub mod local;
 pub mod round;
 pub mod status;
+pub mod telemetry;
 pub mod wire;

@@ -9,12 +9,13 @@ use serde::{Deserialize, Serialize};
 
 use super::floats;
 pub use super::floats::{Features, MAX_FEATURES};
-use super::geometry::{Motion, Task, Vec2, is_sound};
+use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2, is_sound};
 use super::ids::{HostId, RobotId};
 use super::latch::Latch;
 use super::round::MAX_EPOCH;
 pub use super::round::Round;
 pub use super::status::{Following, Hindrance, Leading, MAX_HINDRANCES, Status};
+pub use super::telemetry::{Condition, Health, MAX_CONDITIONS, Observe, Seen, Telemetry};
 use crate::time::Span;
 
 /// The largest feature: a policy that says more has come apart.
@@ -70,15 +71,38 @@ impl TryFrom<u8> for Phase {
     }
 }
 
-/// What a robot's sensors say of it.
+/// What a sensor says of a robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
     /// The robot that is measured.
     pub robot: RobotId,
-    /// When it was measured \[ns\], on the sensor's clock: only to tell a new reading from a repeated one.
+    /// When it was measured \[ns\], on the sensor's clock, which is compared with no other: it tells a new reading from a
+    /// repeated one, and how far apart two are.
     pub stamp_ns: u64,
-    /// Measured position and velocity.
-    pub motion: Motion,
+    /// Where it is and where it points.
+    pub pose: Pose,
+    /// How it moves and turns.
+    pub twist: Twist,
+    /// How good that is.
+    pub deviation: Deviation,
+}
+
+impl Reading {
+    /// What a sensor says that sees a point and no heading, and not how well it sees.
+    pub fn of_point(robot: RobotId, stamp_ns: u64, motion: Motion) -> Reading {
+        Reading {
+            robot,
+            stamp_ns,
+            pose: Pose { position: motion.position, heading: None },
+            twist: Twist { velocity: motion.velocity, yaw_rate: None },
+            deviation: Deviation::default(),
+        }
+    }
+
+    /// What policies take of it: position and velocity.
+    pub fn motion(&self) -> Motion {
+        Motion { position: self.pose.position, velocity: self.twist.velocity }
+    }
 }
 
 /// What a robot broadcasts to its neighbours.
@@ -196,6 +220,10 @@ pub enum Wire {
     Stop(Stop),
     /// A host to operators and to the StateServer.
     Status(Status),
+    /// An observer to everyone.
+    Observe(Observe),
+    /// A host to observers.
+    Telemetry(Telemetry),
 }
 
 /// The kinds of wire messages, as the deployment's table names them.
@@ -216,11 +244,31 @@ pub enum Kind {
     Stop,
     /// A [`Status`]; it travels on the link of the stop.
     Status,
+    /// An [`Observe`]; likewise.
+    Observe,
+    /// A [`Telemetry`]; likewise.
+    Telemetry,
+}
+
+impl Kind {
+    /// Whether it is between hosts and operators: it goes where the stop goes, and no deployment names it.
+    pub fn follows_the_stop(self) -> bool {
+        matches!(self, Kind::Status | Kind::Observe | Kind::Telemetry)
+    }
 }
 
 /// All kinds, in the order of their numbers on the wire.
-pub const KINDS: [Kind; 7] =
-    [Kind::Reading, Kind::Latent, Kind::MotorCommand, Kind::Heartbeat, Kind::Mode, Kind::Stop, Kind::Status];
+pub const KINDS: [Kind; 9] = [
+    Kind::Reading,
+    Kind::Latent,
+    Kind::MotorCommand,
+    Kind::Heartbeat,
+    Kind::Mode,
+    Kind::Stop,
+    Kind::Status,
+    Kind::Observe,
+    Kind::Telemetry,
+];
 
 /// Why a message has no place on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -259,11 +307,13 @@ impl Wire {
             Wire::Mode(_) => Kind::Mode,
             Wire::Stop(_) => Kind::Stop,
             Wire::Status(_) => Kind::Status,
+            Wire::Observe(_) => Kind::Observe,
+            Wire::Telemetry(_) => Kind::Telemetry,
         }
     }
 
-    /// The robot that the message is about: sender or target; the first of its block for `Mode` and `Status`, the
-    /// first of the team for `Stop`.
+    /// The robot that the message is about: sender or target; the first of its block for `Mode`, `Status` and
+    /// `Telemetry`, the first of the team for `Stop` and `Observe`.
     pub fn robot(&self) -> RobotId {
         match self {
             Wire::Reading(m) => m.robot,
@@ -271,7 +321,8 @@ impl Wire {
             Wire::MotorCommand(m) => m.robot,
             Wire::Heartbeat(m) => m.robot,
             Wire::Mode(m) => m.first,
-            Wire::Stop(_) => RobotId(0),
+            Wire::Stop(_) | Wire::Observe(_) => RobotId(0),
+            Wire::Telemetry(m) => m.robots.first().map_or(RobotId(0), |condition| condition.robot),
             Wire::Status(m) => m.robots.first().map_or(RobotId(0), |following| following.robot),
         }
     }
@@ -279,10 +330,11 @@ impl Wire {
     /// Checks the message's own ranges, at both ends of a link.
     pub fn check(&self) -> Result<(), Unfit> {
         let sound = match self {
-            Wire::Reading(m) => m.motion.is_sound(),
+            Wire::Reading(m) => m.pose.is_sound() && m.twist.is_sound() && m.deviation.is_sound(),
             Wire::Latent(m) => m.motion.is_sound() && all_sound(&m.features.0),
             Wire::MotorCommand(m) => is_sound(m.velocity),
-            Wire::Heartbeat(_) | Wire::Stop(_) | Wire::Status(_) => true,
+            Wire::Telemetry(m) => m.robots.iter().filter_map(|robot| robot.seen).all(|seen| seen.pose.is_sound()),
+            Wire::Heartbeat(_) | Wire::Stop(_) | Wire::Status(_) | Wire::Observe(_) => true,
             Wire::Mode(m) => m.tasks.iter().all(|task| is_sound(task.start) && is_sound(task.goal)),
         };
         if !sound {
@@ -303,6 +355,7 @@ impl Wire {
             Wire::Mode(m) if m.tasks.is_empty() || m.tasks.len() > MAX_BLOCK => Err(Unfit::Length),
             Wire::Mode(m) if usize::from(m.first.0) + m.tasks.len() > 1 + usize::from(u16::MAX) => Err(Unfit::Block),
             Wire::Status(m) if m.robots.len() > MAX_BLOCK => Err(Unfit::Length),
+            Wire::Telemetry(m) if m.robots.len() > MAX_CONDITIONS => Err(Unfit::Length),
             Wire::Status(m) if m.leading.as_ref().is_some_and(|l| l.hindrances.len() > MAX_HINDRANCES) => {
                 Err(Unfit::Length)
             }

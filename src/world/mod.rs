@@ -24,6 +24,10 @@ use crate::time::Span;
 pub struct PlantState {
     /// Position and velocity, world frame.
     pub motion: Motion,
+    /// Heading \[rad\], counter-clockwise from the x axis; zero for robots that hold theirs.
+    pub heading: f32,
+    /// Yaw rate \[rad/s\], counter-clockwise.
+    pub yaw_rate: f32,
     /// What blocked it in the last step.
     pub contacts: Contacts,
 }

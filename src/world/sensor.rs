@@ -2,7 +2,7 @@
 
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::messages::geometry::{Motion, Vec2};
+use crate::messages::geometry::{Deviation, Motion, Vec2};
 use crate::random::Stream;
 use crate::time::Span;
 
@@ -34,6 +34,16 @@ impl Sensor {
 
     /// All sensors by name.
     pub const NAMED: [(&str, Sensor); 2] = [("exact", Sensor::EXACT), ("motion-capture", Sensor::MOTION_CAPTURE)];
+
+    /// How good its measurements are. Headings are measured as they are.
+    pub fn deviation(&self) -> Deviation {
+        Deviation {
+            position_m: Some(self.position_m),
+            heading_rad: Some(0.0),
+            velocity_m_s: Some(self.velocity_m_s),
+            yaw_rate_rad_s: Some(0.0),
+        }
+    }
 
     /// A measurement of this motion. What is exact draws nothing.
     pub fn measure(&self, motion: &Motion, stream: &mut Stream) -> Motion {

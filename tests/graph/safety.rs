@@ -100,7 +100,7 @@ fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
     for at in 0..400 {
         let (now, mut known, mut said) = (Time::ZERO + ms(at), Vec::new(), Vec::new());
         if at.is_multiple_of(20) {
-            let reading = Reading { robot, stamp_ns: 7, motion: Motion::default() };
+            let reading = Reading::of_point(robot, 7, Motion::default());
             cache.handle(now, cache::In::Reading(reading), &mut known);
         }
         if cache.wake_at().is_some_and(|due| due <= now) {

@@ -46,7 +46,7 @@ enum To {
 }
 
 fn reading(robot: u16, number: u64) -> Wire {
-    Wire::Reading(Reading { robot: RobotId(robot), stamp_ns: number, motion: Motion::default() })
+    Wire::Reading(Reading::of_point(RobotId(robot), number, Motion::default()))
 }
 
 fn command(robot: u16) -> Wire {

@@ -2,17 +2,17 @@
 
 use std::sync::Arc;
 
-use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::messages::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{
-    Features, Following, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK, MAX_FEATURES, MAX_HINDRANCES, MAX_VALIDITY,
-    Mode, MotorCommand, Phase, Reading, Round, Status, Stop, Wire,
+    Condition, Features, Following, Health, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK, MAX_CONDITIONS,
+    MAX_FEATURES, MAX_HINDRANCES, MAX_VALIDITY, Mode, MotorCommand, Observe, Phase, Reading, Round, Seen, Status, Stop,
+    Telemetry, Wire,
 };
-use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{
     BLOCK_BYTES, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, MAX_PLAIN_BYTES,
-    VERSION, decode, encode, peek,
+    TAG_BYTES, VERSION, decode, encode, peek,
 };
 use murmurate::time::Span;
 use proptest::prelude::*;
@@ -27,6 +27,10 @@ fn motion() -> impl Strategy<Value = Motion> {
     let float = || -1e5f32..1e5;
     (float(), float(), float(), float())
         .prop_map(|(x, y, vx, vy)| Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) })
+}
+
+fn pose() -> impl Strategy<Value = Pose> {
+    (motion(), prop::option::of(-3.1f32..3.1)).prop_map(|(motion, heading)| Pose { position: motion.position, heading })
 }
 
 fn phase() -> impl Strategy<Value = Phase> {
@@ -47,8 +51,19 @@ fn robot() -> impl Strategy<Value = RobotId> {
 }
 
 fn message() -> impl Strategy<Value = Wire> {
-    let reading = (robot(), any::<u64>(), motion())
-        .prop_map(|(robot, stamp_ns, motion)| Wire::Reading(Reading { robot, stamp_ns, motion }));
+    let deviation = [0; 4].map(|_| prop::option::of(0f32..1e5));
+    let deviation = deviation.prop_map(|[position_m, heading_rad, velocity_m_s, yaw_rate_rad_s]| Deviation {
+        position_m,
+        heading_rad,
+        velocity_m_s,
+        yaw_rate_rad_s,
+    });
+    let yaw_rate = prop::option::of(-1e5f32..1e5);
+    let reading = (robot(), any::<u64>(), pose(), motion(), yaw_rate, deviation).prop_map(
+        |(robot, stamp_ns, pose, Motion { velocity, .. }, yaw_rate, deviation)| {
+            Wire::Reading(Reading { robot, stamp_ns, pose, twist: Twist { velocity, yaw_rate }, deviation })
+        },
+    );
     let features = prop::collection::vec(-1e3f32..1e3, 0..=MAX_FEATURES).prop_map(|floats| Features(Arc::from(floats)));
     let latent = (robot(), round(), phase(), motion(), features).prop_map(|(robot, round, phase, motion, features)| {
         Wire::Latent(Latent { robot, round, phase, motion, features })
@@ -76,7 +91,18 @@ fn message() -> impl Strategy<Value = Wire> {
         (any::<u16>(), any::<bool>(), robots, prop::option::of(leading)).prop_map(|(host, leaves, robots, leading)| {
             Wire::Status(Status { host: HostId(host), leaves, robots, leading })
         });
-    prop_oneof![reading, latent, command, beat, mode, stop, status]
+    let observe = any::<u16>().prop_map(|by| Wire::Observe(Observe { by: HostId(by) }));
+    let seen = (pose(), any::<u32>()).prop_map(|(pose, age_ms)| Seen { pose, age_ms });
+    let health = (0u8..3).prop_map(|n| Health::try_from(n).expect("there are three"));
+    let condition = (robot(), prop::option::of((phase(), seen)), prop::option::of((health, any::<u8>())));
+    let condition = condition.prop_map(|(robot, mind, body)| {
+        let (phase, seen) = mind.unzip();
+        let (health, battery) = body.unzip();
+        Condition { robot, phase, seen, health, battery }
+    });
+    let telemetry = (any::<u16>(), prop::collection::vec(condition, 0..=MAX_CONDITIONS))
+        .prop_map(|(host, robots)| Wire::Telemetry(Telemetry { host: HostId(host), robots }));
+    prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry]
 }
 
 fn latent(features: Vec<f32>) -> Wire {
@@ -122,7 +148,7 @@ proptest! {
     }
 
     #[test]
-    fn noise_is_refused_and_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..1400), kind in 0u8..7) {
+    fn noise_is_refused_and_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..1400), kind in 0u8..9) {
         let _ = decode(&bytes);
         // Noise behind a sound header gets further in.
         let mut frame = encode(&HEADER, &latent(Vec::new())).expect("a sound message").to_vec();

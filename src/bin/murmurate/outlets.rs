@@ -180,6 +180,8 @@ mod tests {
             robot: RobotId(0),
             time: Time::ZERO,
             motion: Motion::at_rest(Vec2::zeros()),
+            heading: 0.0,
+            yaw_rate: 0.0,
             command: Vec2::zeros(),
             contacts: Contacts::default(),
         };

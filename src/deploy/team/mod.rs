@@ -298,6 +298,8 @@ fn kebab(kind: Kind) -> String {
         Kind::Mode => "mode",
         Kind::Stop => "stop",
         Kind::Status => "status",
+        Kind::Observe => "observe",
+        Kind::Telemetry => "telemetry",
     }
     .to_owned()
 }

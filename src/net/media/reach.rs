@@ -110,6 +110,8 @@ mod tests {
                     robot: RobotId(robot),
                     time: Time::ZERO,
                     motion: Motion::at_rest(Vec2::new(x, 0.0)),
+                    heading: 0.0,
+                    yaw_rate: 0.0,
                     command: Vec2::zeros(),
                     contacts: Contacts::default(),
                 })

@@ -24,7 +24,7 @@ use crate::messages::ids::HostId;
 use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
 
 /// Version of the wire format; a receiver refuses every other.
-pub const VERSION: u8 = 3;
+pub const VERSION: u8 = 4;
 /// Bytes of a tag: BLAKE3 with a key, cut to 128 bits.
 pub const TAG_BYTES: usize = 16;
 /// Bytes of the header.
@@ -201,6 +201,8 @@ pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
             Wire::Mode(body) => rmp_serde::encode::write(bytes, body),
             Wire::Stop(body) => rmp_serde::encode::write(bytes, body),
             Wire::Status(body) => rmp_serde::encode::write(bytes, body),
+            Wire::Observe(body) => rmp_serde::encode::write(bytes, body),
+            Wire::Telemetry(body) => rmp_serde::encode::write(bytes, body),
         }
         .expect("plain data is always MessagePack");
     });
@@ -263,6 +265,8 @@ pub fn message(kind: Kind, bytes: &[u8]) -> Result<Wire, DecodeError> {
         Kind::Mode => Wire::Mode(body(kind, bytes)?),
         Kind::Stop => Wire::Stop(body(kind, bytes)?),
         Kind::Status => Wire::Status(body(kind, bytes)?),
+        Kind::Observe => Wire::Observe(body(kind, bytes)?),
+        Kind::Telemetry => Wire::Telemetry(body(kind, bytes)?),
     };
     message.check().map_err(|unfit| DecodeError::Unfit(kind, unfit))?;
     Ok(message)

@@ -115,7 +115,7 @@ impl Outgoing {
     ) -> Result<Frame, EncodeError> {
         let audience = if self.setup.ride == Ride::Any { Audience::All } else { audience };
         let (kind, stream) = (message.kind(), (message.kind(), message.robot()));
-        let soft = matches!(kind, Kind::Heartbeat | Kind::Mode);
+        let soft = matches!(kind, Kind::Heartbeat | Kind::Mode | Kind::Telemetry);
         let reliability = self.setup.of(kind);
         let flags = if reliability == Reliability::Ack { Flags::ACK } else { 0 };
         let frame = codec::encode(&self.header(audience, flags), message)?;

@@ -51,6 +51,8 @@ impl Publishers {
                 stop.latch.is_engaged() || stop.by == sender && (self.knows(sender) || sender.is_operator())
             }
             Wire::Status(status) => status.host == sender && self.knows(sender),
+            Wire::Observe(observe) => observe.by == sender && sender.is_operator(),
+            Wire::Telemetry(telemetry) => telemetry.host == sender && self.knows(sender),
         }
     }
 
