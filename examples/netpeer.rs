@@ -49,6 +49,8 @@ const FLOATS: usize = 32;
 /// How often a participant says where it stands, and the first one what is to be done: as robots and state servers do.
 const HEARTBEAT: Span = Span::from_millis(200);
 const MODE: Span = Span::from_millis(100);
+/// How late these may be, to share a wake-up: as timers of the link.
+const MAX_LATE: Span = Span::from_millis(25);
 const LINK: LinkId = LinkId(0);
 /// A key like any other: what authentication costs does not depend on it.
 const KEY: [u8; 32] = *b"the key of the messaging harness";
@@ -297,10 +299,10 @@ impl Core for Peer {
         Some(self.next.min(self.next_heartbeat).min(self.next_mode))
     }
 
-    fn tolerance(&self, ahead: Span) -> Span {
+    fn tolerance(&self, _: Span) -> Span {
         // A message leaves in time; a heartbeat or a mode may wait for something else to be done.
-        let soft = self.next > self.next_heartbeat.min(self.next_mode);
-        if soft { Span::from_nanos(ahead.as_nanos() / 8) } else { Span::ZERO }
+        let soft = self.next_heartbeat.min(self.next_mode);
+        if self.next > soft { self.next.since(soft).min(MAX_LATE) } else { Span::ZERO }
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Wire>) {

@@ -139,11 +139,11 @@ impl<'de> Deserialize<'de> for Deviation {
 
 impl Serialize for Features {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        // The stack serves all that `Wire::check` lets through.
-        let Some(len) = Some(4 * self.0.len()).filter(|&len| len <= 4 * MAX_FEATURES) else {
+        if self.0.len() > MAX_FEATURES {
             return Err(serde::ser::Error::custom("more than MAX_FEATURES floats"));
-        };
-        s.serialize_bytes(&pack::<{ 4 * MAX_FEATURES }>(&self.0)[..len])
+        }
+        let bytes: Vec<[u8; 4]> = self.0.iter().map(|float| float.to_le_bytes()).collect();
+        s.serialize_bytes(bytes.as_flattened())
     }
 }
 

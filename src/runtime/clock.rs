@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 use std::collections::{BinaryHeap, VecDeque};
 use std::rc::Rc;
 
-use crate::time::{Span, Time};
+use crate::time::Time;
 
 /// What the actors of one virtual world share: the time, and the queue of what is due.
 #[derive(Clone, Default)]
@@ -28,6 +28,8 @@ struct Registered {
     attend: Rc<dyn Fn()>,
     /// It is not rung twice before it has attended.
     rung: bool,
+    /// When it has to be rung at the latest, in real time; `Time::MAX` if it need not be.
+    latest: Time,
 }
 
 /// Who can be rung, by a mailbox or by the clock.
@@ -36,8 +38,6 @@ pub struct Sleeper(usize);
 
 struct Event {
     at: Time,
-    /// When it is to happen at the latest, in real time.
-    latest: Time,
     sequence: u64,
     what: What,
 }
@@ -77,7 +77,7 @@ impl Clock {
     /// Makes `attend` known; it is called once after every time that it was rung.
     pub fn register(&self, attend: Rc<dyn Fn()>) -> Sleeper {
         let mut queue = self.queue.borrow_mut();
-        queue.sleepers.push(Registered { attend, rung: false });
+        queue.sleepers.push(Registered { attend, rung: false, latest: Time::MAX });
         Sleeper(queue.sleepers.len() - 1)
     }
 
@@ -106,22 +106,29 @@ impl Clock {
         Some(Rc::clone(&registered.attend))
     }
 
-    /// Rings `sleeper` at `at`, in real time up to `tolerance` later.
-    pub fn arm(&self, at: Time, tolerance: Span, sleeper: Sleeper) {
-        self.push(at, tolerance, What::Wake(sleeper));
+    /// Rings `sleeper` at `at`. Real time may pass over that until whoever is rung has to be.
+    pub fn arm(&self, at: Time, sleeper: Sleeper) {
+        self.push(at, What::Wake(sleeper));
+    }
+
+    /// From now on `sleeper`, which is armed for then or before, has to be rung by `latest`, or never.
+    pub fn expect(&self, latest: Option<Time>, sleeper: Sleeper) {
+        if let Some(registered) = self.queue.borrow_mut().sleepers.get_mut(sleeper.0) {
+            registered.latest = latest.unwrap_or(Time::MAX);
+        }
     }
 
     /// Calls `call` at `at`.
     pub fn call(&self, at: Time, call: Box<dyn FnOnce()>) {
-        self.push(at, Span::ZERO, What::Call(call));
+        self.push(at, What::Call(call));
     }
 
-    fn push(&self, at: Time, tolerance: Span, what: What) {
+    fn push(&self, at: Time, what: What) {
         let mut queue = self.queue.borrow_mut();
         let sequence = queue.sequence;
         queue.sequence += 1;
         let at = at.max(self.now());
-        queue.events.push(Event { at, latest: at + tolerance, sequence, what });
+        queue.events.push(Event { at, sequence, what });
     }
 
     /// Goes to the earliest event and lets it happen; `false` if there is none.
@@ -138,9 +145,13 @@ impl Clock {
         self.queue.borrow().events.peek().map(|event| event.at)
     }
 
-    /// When a driver of real time has to be awake at the latest. Looks at all events, of which a host has few.
+    /// When a driver of real time has to be awake at the latest. Looks at everyone, of whom a host has few; an event
+    /// for a sleeper that has changed its mind since wakes nobody by itself.
     pub(super) fn latest(&self) -> Option<Time> {
-        self.queue.borrow().events.iter().map(|event| event.latest).min()
+        let queue = self.queue.borrow();
+        let calls = queue.events.iter().filter(|event| matches!(event.what, What::Call(_))).map(|event| event.at);
+        let latest = queue.sleepers.iter().map(|sleeper| sleeper.latest).chain(calls).fold(Time::MAX, Time::min);
+        Some(latest).filter(|latest| *latest < Time::MAX)
     }
 
     /// The present is `now`, as read from a real clock, which may have passed over events.
@@ -174,18 +185,34 @@ impl Clock {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::time::Span;
 
     #[test]
     fn an_event_that_may_be_late_waits_for_one_that_may_not() {
         let clock = Clock::default();
         let ms = |ms: u64| Time::ZERO + Span::from_millis(ms);
         let sleeper = clock.register(Rc::new(|| {}));
-        clock.arm(ms(10), Span::from_millis(5), sleeper);
+        clock.arm(ms(10), sleeper);
+        clock.expect(Some(ms(15)), sleeper);
         assert_eq!(clock.latest(), Some(ms(15)));
         clock.call(ms(12), Box::new(|| {}));
         assert_eq!(clock.latest(), Some(ms(12)), "both at once");
         clock.set(ms(12));
         assert!(clock.catch_up() && clock.catch_up() && !clock.catch_up());
+        clock.expect(None, sleeper);
         assert_eq!(clock.latest(), None);
+    }
+
+    #[test]
+    fn who_wants_to_be_rung_later_than_before_is_not_waited_for_before() {
+        let clock = Clock::default();
+        let ms = |ms: u64| Time::ZERO + Span::from_millis(ms);
+        let sleeper = clock.register(Rc::new(|| {}));
+        clock.arm(ms(10), sleeper);
+        clock.expect(Some(ms(10)), sleeper);
+        clock.expect(Some(ms(30)), sleeper);
+        assert_eq!(clock.latest(), Some(ms(30)));
+        clock.set(ms(30));
+        assert!(clock.catch_up(), "the event of before rings it");
     }
 }

@@ -122,6 +122,8 @@ struct Shell<C: Core + 'static> {
     clock: Clock,
     sleeper: Sleeper,
     armed: Option<Time>,
+    /// When the clock expects it to want its next turn.
+    expected: Option<Time>,
     faults: Faults,
     held: VecDeque<(Time, C::In)>,
     mailbox: Mailbox<C::In>,
@@ -175,6 +177,7 @@ pub fn start<C: Core + 'static>(
             clock: clock.clone(),
             sleeper,
             armed: None,
+            expected: None,
             faults: Faults::default(),
             held: VecDeque::new(),
             mailbox: mailbox.clone(),
@@ -270,13 +273,17 @@ impl<C: Core + 'static> Shell<C> {
                 wake.into_iter().chain(held).min()
             }
         };
+        if next != self.expected {
+            self.expected = next;
+            let tolerance = |at: Time| self.core.as_ref().map_or(Span::ZERO, |core| core.tolerance(at.since(now)));
+            self.clock.expect(next.map(|at| at + tolerance(at)), self.sleeper);
+        }
         // An earlier alarm that still stands will come through here again: one event serves many re-armings.
         let stands = self.armed.filter(|at| *at > now);
         if let Some(next) = next
             && stands.is_none_or(|at| next < at)
         {
-            let tolerance = self.core.as_ref().map_or(Span::ZERO, |core| core.tolerance(next.since(now)));
-            self.clock.arm(next, tolerance, self.sleeper);
+            self.clock.arm(next, self.sleeper);
             self.armed = Some(next);
         }
     }

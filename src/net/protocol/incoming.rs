@@ -173,22 +173,20 @@ impl Incoming {
         // A report to one host alone would not show where the datagrams to all stand.
         let proof = proof.filter(|_| !header.flags.has(Flags::DIRECT));
         let believed = self.senders.get_mut(id).filter(|sender| now.since(sender.proved) <= PROOF_HOLDS);
-        if let (Some(sender), Some(report)) = (believed, report) {
-            let off = sender.offsets.is_off(now, self.here.stamps.of(now), report.stamp, FRESH);
-            if off && proof.is_none() {
-                counts.late += 1;
-                return Err(Verdict::Refused);
-            } else if off {
-                // Written now by what comes back, and not by its own clock: that clock has stood still.
-                sender.offsets = Offsets::default();
+        match (believed, report) {
+            (Some(sender), Some(report)) => {
+                let off = sender.offsets.is_off(now, self.here.stamps.of(now), report.stamp, FRESH);
+                if off && proof.is_none() {
+                    counts.late += 1;
+                    return Err(Verdict::Refused);
+                } else if off {
+                    // Written now by what comes back, and not by its own clock: that clock has stood still.
+                    sender.offsets = Offsets::default();
+                }
+                return Ok(());
             }
-            return Ok(());
-        }
-        if let Some(sender) = self.senders.get(id)
-            && now.since(sender.proved) <= PROOF_HOLDS
-            && now.since(sender.reported) <= REPORT_HOLDS
-        {
-            return Ok(());
+            (Some(sender), None) if now.since(sender.reported) <= REPORT_HOLDS => return Ok(()),
+            _ => {}
         }
         match (report, proof) {
             (Some(report), Some(proof)) => self.taken_up(now, header, report, proof, counts),

@@ -1,5 +1,6 @@
 //! Datagrams read from a socket, one or many with one call. What they say never matters here.
 
+use std::array;
 use std::io;
 use std::io::IoSliceMut;
 use std::net::{SocketAddr, UdpSocket};
@@ -37,40 +38,47 @@ impl Batch {
         Ok(())
     }
 
-    /// Reads datagrams until none is left or `limit` are read; how many.
+    /// Reads datagrams until none is left or `limit` are read, or a few more; how many.
     pub(super) fn many(
         &mut self,
         socket: &UdpSocket,
         limit: usize,
         mut take: impl FnMut(SocketAddr, &[u8]),
     ) -> io::Result<usize> {
-        let (mut read, mut most) = (0, FEW);
-        while read < limit {
-            let wanted = most.min(limit - read);
-            most = MANY;
-            let mut slices: Vec<[IoSliceMut; 1]> =
-                self.bytes.chunks_exact_mut(ROOM).take(wanted).map(|room| [IoSliceMut::new(room)]).collect();
-            let got = match recvmmsg(socket.as_raw_fd(), &mut self.headers, &mut slices, MsgFlags::MSG_DONTWAIT, None) {
-                Ok(got) => got,
-                Err(Errno::EAGAIN) => break,
-                Err(error) if read == 0 => return Err(error.into()),
-                // The next read meets it again, or it has passed.
-                Err(_) => break,
-            };
-            let mut count = 0;
-            for message in got {
-                count += 1;
-                let bytes = message.iovs().next().unwrap_or_default();
-                if let Some(from) = message.address.as_ref().and_then(address) {
-                    take(from, bytes);
-                }
-            }
+        let mut read = self.some::<FEW>(socket, &mut take)?;
+        let mut full = read == FEW;
+        while full && read < limit {
+            // An error is met again by the next read, or has passed.
+            let count = self.some::<MANY>(socket, &mut take).unwrap_or(0);
             read += count;
-            if count < wanted {
-                break;
-            }
+            full = count == MANY;
         }
         Ok(read)
+    }
+
+    /// Reads up to `MOST` datagrams with one call; how many.
+    fn some<const MOST: usize>(
+        &mut self,
+        socket: &UdpSocket,
+        mut take: impl FnMut(SocketAddr, &[u8]),
+    ) -> io::Result<usize> {
+        let mut rooms = self.bytes.chunks_exact_mut(ROOM);
+        let mut slices: [_; MOST] =
+            array::from_fn(|_| [IoSliceMut::new(rooms.next().expect("there is room for the most"))]);
+        let got = match recvmmsg(socket.as_raw_fd(), &mut self.headers, &mut slices, MsgFlags::MSG_DONTWAIT, None) {
+            Ok(got) => got,
+            Err(Errno::EAGAIN) => return Ok(0),
+            Err(error) => return Err(error.into()),
+        };
+        let mut count = 0;
+        for message in got {
+            count += 1;
+            let bytes = message.iovs().next().unwrap_or_default();
+            if let Some(from) = message.address.as_ref().and_then(address) {
+                take(from, bytes);
+            }
+        }
+        Ok(count)
     }
 }
 

@@ -1,5 +1,6 @@
-//! UDP, multicast or unicast: the link of real hosts, an actor. What frames mean, and who may send them, never matters
-//! here; a frame that does not get out is counted and gone, as one that is lost on the air.
+//! UDP, multicast or unicast: the link of real hosts. An actor for what leaves; what has arrived is read by whoever is
+//! told of it. What frames mean, and who may send them, never matters here; a frame that does not get out is counted and
+//! gone, as one that is lost on the air.
 
 mod batch;
 pub mod filter;
@@ -129,7 +130,7 @@ impl Udp {
         Ok(Udp { ears, to, granted, batch, looked: Time::ZERO, flood: Flood::default(), unsent: 0 })
     }
 
-    /// The socket that is to be watched: whenever it has something to read, the actor wants to know.
+    /// The socket that is to be watched: whenever it has something to read, `receive` is to be called.
     pub fn ears(&self) -> Rc<UdpSocket> {
         Rc::clone(&self.ears)
     }
@@ -154,8 +155,9 @@ impl Udp {
         }
     }
 
-    /// Reads what has arrived. To ask the kernel in vain costs as much as to read, so a quiet link is read once a
-    /// ring, and only a busy one until nothing is left or it is the others' turn.
+    /// Reads what has arrived and hands it over with the address that it came from. To ask the kernel in vain costs as
+    /// much as to read, so a quiet link is read once a ring, and only a busy one until nothing is left or it is the
+    /// others' turn.
     pub fn receive(&mut self, now: Time, mut take: impl FnMut(SocketAddr, &[u8])) {
         let busy = now.since(self.looked) < BUSY || self.flood.on;
         self.looked = now;
