@@ -29,6 +29,19 @@ bench:
 full-abuse:
     MURMURATE_JUNK=full cargo test --release --test live flooded:: -- --nocapture
 
+# The package as a registry would have it: built, and tested from its own tarball (20 minutes)
+full-package:
+    CARGO_TARGET_DIR={{justfile_directory()}}/target cargo package --locked
+    rm -rf target/package/tested && mkdir -p target/package/tested
+    tar xf target/package/murmurate-*.crate -C target/package/tested --strip-components 1
+    cd target/package/tested && CARGO_TARGET_DIR={{justfile_directory()}}/target cargo test --locked --no-run
+    cd target/package/tested && CARGO_TARGET_DIR={{justfile_directory()}}/target cargo test --locked --test tidy --test learning --test cli
+
+# The robot's program, and how large it is (two minutes)
+robot:
+    cargo build --no-default-features --features host --profile robot
+    ls -l target/robot/murmurate
+
 # The link beside raw multicast and Cyclone DDS; NETPEERS names the harness's folder (15 minutes, wants an idle machine)
 full-network:
     bash tests/netpeers.sh

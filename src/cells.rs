@@ -62,8 +62,10 @@ impl Cells {
     pub fn near(&self, at: Vec2, found: &mut Vec<usize>) {
         found.clear();
         let (x, y) = cell(at, self.cell_m);
-        let wide = at.cast::<f64>();
-        let within = |entry: &&Entry| (entry.at.cast::<f64>() - wide).norm_squared() <= self.cell_m * self.cell_m;
+        let apart = |a: f32, b: f32| f64::from(a) - f64::from(b);
+        let within = |entry: &&Entry| {
+            apart(entry.at.x, at.x).powi(2) + apart(entry.at.y, at.y).powi(2) <= self.cell_m * self.cell_m
+        };
         for row in y.saturating_sub(1)..=y.saturating_add(1) {
             for column in x.saturating_sub(1)..=x.saturating_add(1) {
                 let cell = (column, row);
@@ -112,7 +114,7 @@ mod tests {
                 assert!(within.into_iter().all(|other| found.binary_search(&other).is_ok()), "{spread} m, {reach} m");
             }
             let within: usize =
-                points.iter().map(|at| points.iter().filter(|to| (*to - at).norm() <= reach).count()).sum();
+                points.iter().map(|at| points.iter().filter(|to| (**to - *at).norm() <= reach).count()).sum();
             assert!(named as f64 <= 1.01 * within as f64, "{named} for {within} at {spread} m, {reach} m");
         }
     }

@@ -37,8 +37,10 @@ pub mod report;
 pub mod runtime;
 pub mod safety;
 pub mod scenario;
+#[cfg(feature = "study")]
 pub mod study;
 pub mod time;
+#[cfg(feature = "train")]
 pub mod train;
 pub mod trial;
 pub mod world;

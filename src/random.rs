@@ -3,9 +3,9 @@
 //! A stream is named for what draws from it ("agent/3/action"), so adding a draw in one place never
 //! shifts the numbers of another. No generator is ever seeded from the machine.
 
+use hmac_sha256::Hash;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use sha2::{Digest, Sha256};
 
 /// A deterministic random stream (ChaCha with 8 rounds: the same numbers on every machine).
 pub type Stream = ChaCha8Rng;
@@ -17,7 +17,7 @@ pub struct Seed([u8; 32]);
 impl Seed {
     /// The seed of a whole run, as the user states it.
     pub fn of_run(seed: u64) -> Seed {
-        Seed(Sha256::digest(seed.to_le_bytes()).into())
+        Seed(Hash::hash(&seed.to_le_bytes()))
     }
 
     /// A seed of these bytes, for a process that draws what nobody else may know.
@@ -32,7 +32,10 @@ impl Seed {
 
     /// A seed derived from this one and a name.
     pub fn child(&self, name: &str) -> Seed {
-        Seed(Sha256::new().chain_update(self.0).chain_update(name.as_bytes()).finalize().into())
+        let mut hash = Hash::new();
+        hash.update(self.0);
+        hash.update(name);
+        Seed(hash.finalize())
     }
 
     /// The stream of that name.

@@ -22,7 +22,7 @@ use crate::net::media::medium::Impairment;
 use crate::net::media::radio::{Radio, Topology};
 use crate::net::protocol::reliability::Reliabilities;
 use crate::time::Span;
-use crate::world::{self, PLANTS, Placement};
+use crate::world::{self, Placement};
 
 /// When agents step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -165,7 +165,7 @@ impl Deployment {
             return wrong("robots", format!("{} is not 1 to {}", self.robots, u16::MAX));
         }
         if world::plant(&self.plant).is_none() {
-            return wrong("plant", format!("there is no plant '{}'; there are {}", self.plant, PLANTS.join(", ")));
+            return wrong("plant", world::lacking(&self.plant));
         }
         for (field, names) in [
             ("host", self.hosts.iter().map(|host| &host.name).collect::<Vec<_>>()),

@@ -300,7 +300,7 @@ fn describe(edge: &[EdgeField], position: Vec2, neighbour: &Neighbour, row: &mut
         let (to, rest) = row.split_at_mut(field.floats());
         match field {
             EdgeField::Age => to[0] = neighbour.age.as_secs() as f32,
-            EdgeField::RelativePosition => to.copy_from_slice((neighbour.motion.position - position).as_slice()),
+            EdgeField::RelativePosition => to.copy_from_slice(&(neighbour.motion.position - position).to_array()),
         }
         row = rest;
     }
@@ -314,7 +314,7 @@ impl Policy for Gnn {
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
         let (network, space) = (&*self.network, &mut self.space);
         for (two, field) in space.seen.chunks_exact_mut(2).zip(&network.manifest.observation) {
-            two.copy_from_slice(field.of(own).as_slice());
+            two.copy_from_slice(&field.of(own).to_array());
         }
         self.instructions.run(
             #[inline(always)]

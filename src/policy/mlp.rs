@@ -4,8 +4,6 @@
 //! operations), so blocking and vector width change the speed and nothing else. `Instructions` picks the
 //! vector width at run time.
 
-use pulp::Arch;
-
 /// Outputs computed at once: eight 128-bit or four 256-bit registers a row.
 const BLOCK: usize = 32;
 
@@ -16,7 +14,7 @@ type Lanes = [f32; BLOCK];
 pub enum Instructions {
     /// Those that every machine of this target has.
     Baseline,
-    /// The widest that this machine was found to have.
+    /// The widest that this machine was found to have; in a program without the feature `wide`, those of the baseline.
     Detected,
 }
 
@@ -25,16 +23,17 @@ impl Instructions {
     #[inline(always)]
     pub fn run<R>(self, work: impl FnOnce() -> R) -> R {
         match self {
-            Instructions::Baseline => work(),
+            #[cfg(feature = "wide")]
             Instructions::Detected => {
                 // The closure's result travels in an option, because a dispatched operation takes no type of its own.
                 let mut result = None;
-                Arch::new().dispatch(
+                pulp::Arch::new().dispatch(
                     #[inline(always)]
                     || result = Some(work()),
                 );
                 result.expect("a dispatched operation runs once")
             }
+            _ => work(),
         }
     }
 }

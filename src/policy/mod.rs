@@ -9,6 +9,7 @@ pub mod manifest;
 pub mod mlp;
 pub mod orca;
 pub mod route;
+pub mod safetensors;
 pub mod shipped;
 pub mod weights;
 

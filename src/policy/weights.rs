@@ -4,14 +4,13 @@
 //! counting 0, 2, 4, ... as in a PyTorch `Sequential` with its ReLUs. The published file calls the latter two
 //! `gnn` and `post` and has no manifest. Pure: bytes are handed in.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 
-use safetensors::tensor::TensorView;
-use safetensors::{Dtype, SafeTensors};
-use sha2::{Digest, Sha256};
+use hmac_sha256::Hash;
 
 use super::manifest::{self, Manifest};
 use super::mlp::{Layer, Mlp};
+use super::safetensors::{self, F32, SafeTensors, Tensor};
 use crate::config;
 
 /// The three networks of a file, in the order of use.
@@ -95,12 +94,8 @@ pub enum WeightsError {
 
 /// Reads and checks a policy file.
 pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
-    // The library quotes a header that is no JSON.
-    let format = |e: safetensors::SafeTensorError| WeightsError::Format(config::unquoted(&e.to_string()));
-    let (_, header) = SafeTensors::read_metadata(bytes).map_err(format)?;
-    let tensors = SafeTensors::deserialize(bytes).map_err(format)?;
-    let text = header.metadata().as_ref().and_then(|metadata| metadata.get(manifest::KEY));
-    let (manifest, names, assumed) = match text {
+    let SafeTensors { metadata, tensors } = safetensors::read(bytes).map_err(WeightsError::Format)?;
+    let (manifest, names, assumed) = match metadata.get(manifest::KEY) {
         Some(text) => {
             let manifest: Manifest =
                 serde_json::from_str(text).map_err(|e| WeightsError::Manifest(config::json(&e)))?;
@@ -134,11 +129,11 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
         let widths = [&manifest.encoder, &manifest.message, &manifest.update];
         let known =
             |name: &str| (0..3).any(|k| layer_names(names[k], widths[k]).any(|(w, b, _)| w == name || b == name));
-        let unknown = tensors.names().into_iter().filter(|name| !known(name)).min();
-        return Err(WeightsError::Unknown(unknown.unwrap_or_default().to_owned()));
+        let unknown = tensors.keys().find(|name| !known(name));
+        return Err(WeightsError::Unknown(unknown.cloned().unwrap_or_default()));
     }
     if assumed.is_none() {
-        let found = hash(tensors.tensors().iter().map(|(name, view)| (name.as_str(), view.data())).collect());
+        let found = hash(&tensors);
         if found != manifest.sha256 {
             return Err(WeightsError::Hash { found, expected: manifest.sha256 });
         }
@@ -154,36 +149,37 @@ fn layer_names<'a>(name: &'a str, widths: &'a [usize]) -> impl Iterator<Item = (
     })
 }
 
-fn network(tensors: &SafeTensors, name: &str, widths: &[usize], hint: &'static str) -> Result<Mlp, WeightsError> {
+/// Tensors by name.
+type Named<'a> = BTreeMap<String, Tensor<'a>>;
+
+fn network(tensors: &Named, name: &str, widths: &[usize], hint: &'static str) -> Result<Mlp, WeightsError> {
     let layers = layer_names(name, widths).map(|(weight, bias, shape)| {
         Ok(Layer::new(&floats(tensors, &weight, &shape, hint)?, &floats(tensors, &bias, &shape[..1], hint)?))
     });
     Ok(Mlp::new(layers.collect::<Result<_, WeightsError>>()?))
 }
 
-fn floats(tensors: &SafeTensors, name: &str, shape: &[usize], hint: &'static str) -> Result<Vec<f32>, WeightsError> {
+fn floats(tensors: &Named, name: &str, shape: &[usize], hint: &'static str) -> Result<Vec<f32>, WeightsError> {
     let (name, expected) = (name.to_owned(), shape.to_vec());
-    let Ok(view) = tensors.tensor(&name) else { return Err(WeightsError::Missing { name, expected, hint }) };
-    if view.dtype() != Dtype::F32 {
-        return Err(WeightsError::Type { name, found: format!("{:?}", view.dtype()), expected });
+    let Some(tensor) = tensors.get(&name) else { return Err(WeightsError::Missing { name, expected, hint }) };
+    if tensor.kind != F32 {
+        return Err(WeightsError::Type { name, found: tensor.kind.clone(), expected });
     }
-    if view.shape() != shape {
-        return Err(WeightsError::Shape { name, found: view.shape().to_vec(), expected });
+    if tensor.shape != shape {
+        return Err(WeightsError::Shape { name, found: tensor.shape.clone(), expected });
     }
-    let floats: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
+    let floats: Vec<f32> = tensor.data.as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
     if let Some(index) = floats.iter().position(|float| !float.is_finite()) {
         return Err(WeightsError::NotFinite { name, expected, index, value: floats[index] });
     }
     Ok(floats)
 }
 
-fn hash(mut tensors: Vec<(&str, &[u8])>) -> String {
-    tensors.sort();
-    let mut hasher = Sha256::new();
-    for (_, data) in tensors {
-        hasher.update(data);
-    }
-    hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+/// The SHA-256 of all numbers, in the order of the tensors' names.
+fn hash(tensors: &Named) -> String {
+    let mut hash = Hash::new();
+    tensors.values().for_each(|tensor| hash.update(tensor.data));
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Row-major weights \[out, in\] and biases \[out\] by layer, for the encoder, the message and the update network.
@@ -206,12 +202,14 @@ pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
             entries.push((bias_name, vec![shape[0]], bytes(bias)));
         }
     }
-    let sha256 = hash(entries.iter().map(|(name, _, data)| (name.as_str(), data.as_slice())).collect());
+    let tensors = entries.iter().map(|(name, shape, data)| {
+        let tensor = Tensor { kind: F32.to_owned(), shape: shape.clone(), data };
+        (name.clone(), tensor)
+    });
+    let tensors: Named = tensors.collect();
+    let sha256 = hash(&tensors);
     let manifest = Manifest { sha256, ..manifest.clone() };
     let json = serde_json::to_string(&manifest).expect("a manifest is JSON");
-    let views = entries.iter().map(|(name, shape, data)| {
-        (name.as_str(), TensorView::new(Dtype::F32, shape.clone(), data).expect("shapes were checked"))
-    });
-    let metadata = HashMap::from([(manifest::KEY.to_owned(), json)]);
-    safetensors::serialize(views, Some(metadata)).expect("tensors of checked shapes serialise")
+    let metadata = BTreeMap::from([(manifest::KEY.to_owned(), json)]);
+    safetensors::write(&SafeTensors { metadata, tensors })
 }

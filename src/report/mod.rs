@@ -4,10 +4,12 @@ pub mod ages;
 pub mod cost;
 pub mod episode;
 pub mod event;
+#[cfg(feature = "report")]
 pub mod figures;
 pub mod grid;
 pub mod listening;
 pub mod outcomes;
+#[cfg(feature = "report")]
 pub mod page;
 #[cfg(feature = "png")]
 pub mod png;

@@ -49,8 +49,9 @@ impl KeepOut {
         // Slab test: the part of the way that is inside the grown block along both axes.
         let (mut enter, mut leave) = (0.0f32, 1.0f32);
         for axis in 0..2 {
-            let (low, high) = (self.min[axis] - margin_m, self.max[axis] + margin_m);
-            let (at, step) = (from[axis], to[axis] - from[axis]);
+            let [min, max, from, to] = [self.min, self.max, from, to].map(|point| point.to_array()[axis]);
+            let (low, high) = (min - margin_m, max + margin_m);
+            let (at, step) = (from, to - from);
             if step.abs() < 1e-9 {
                 if at <= low || at >= high {
                     return false;

@@ -70,7 +70,7 @@ impl Traces {
         for (at, place) in places.iter().enumerate() {
             self.position.add(place.x, place.y);
             let others = places.iter().enumerate().filter(|(other, _)| *other != at);
-            let nearest = others.map(|(_, other)| (other - place).norm()).fold(f32::INFINITY, f32::min);
+            let nearest = others.map(|(_, other)| (*other - *place).norm()).fold(f32::INFINITY, f32::min);
             if nearest.is_finite() {
                 self.separation.add(place.norm(), nearest);
             }

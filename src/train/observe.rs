@@ -11,7 +11,7 @@ pub const PRIVILEGED: usize = 8;
 pub fn own(fields: &[Field], scenario: &dyn Scenario, task: &Task, estimate: &Motion, to: &mut [f32]) {
     let seen = scenario.observe(task, estimate);
     for (two, field) in to.chunks_exact_mut(2).zip(fields) {
-        two.copy_from_slice(field.of(&seen).as_slice());
+        two.copy_from_slice(&field.of(&seen).to_array());
     }
 }
 

@@ -200,7 +200,7 @@ impl Chunk {
                     let (here, rest) = to.split_at_mut(field.floats());
                     match field {
                         EdgeField::Age => here[0] = heard.age_s,
-                        EdgeField::RelativePosition => here.copy_from_slice(away.as_slice()),
+                        EdgeField::RelativePosition => here.copy_from_slice(&away.to_array()),
                     }
                     to = rest;
                 }
@@ -247,7 +247,7 @@ impl Chunk {
                 for other in members.clone().filter(|&other| other != robot) {
                     let away = frame.turn(crowd.position[other] - crowd.position[robot]);
                     let to = graphs.edge(robot - range.start, (other - range.start) as u16);
-                    to.copy_from_slice(away.as_slice());
+                    to.copy_from_slice(&away.to_array());
                 }
             }
         }

@@ -37,15 +37,16 @@ pub struct Team<'a> {
 pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team) {
     team.before.copy_from_slice(team.position);
     let (most, gain) = (physics.acceleration_m_s2, physics.gain(PERIOD));
-    // Axis by axis, as one list of numbers: that way the compiler divides several at once.
-    let axes: &mut [f32] = bytemuck::cast_slice_mut(team.velocity);
-    let commands: &[f32] = bytemuck::cast_slice(commands);
-    for (velocity, command) in axes.iter_mut().zip(commands) {
-        let mut wanted = limited(*command, MAX_SPEED_M_S);
+    // Axis by axis, and both alike: that way the compiler divides several at once.
+    let driven = |velocity: f32, command: f32| {
+        let mut wanted = limited(command, MAX_SPEED_M_S);
         if gain < 1.0 {
-            wanted = *velocity + (wanted - *velocity) * gain;
+            wanted = velocity + (wanted - velocity) * gain;
         }
-        *velocity += limited((wanted - *velocity) / DT_S, most) * DT_S;
+        velocity + limited((wanted - velocity) / DT_S, most) * DT_S
+    };
+    for (velocity, command) in team.velocity.iter_mut().zip(commands) {
+        *velocity = Vec2::new(driven(velocity.x, command.x), driven(velocity.y, command.y));
     }
     let (blocks, apart) = match physics.contacts {
         ContactRule::Block => (true, 2.0 * arena.robot_radius_m),
@@ -65,9 +66,8 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
         }
         *position = Vec2::new(limited(position.x, half.x), limited(position.y, half.y));
     }
-    let (now, before): (&[f32], &[f32]) = (bytemuck::cast_slice(team.position), bytemuck::cast_slice(team.before));
-    for ((velocity, now), before) in bytemuck::cast_slice_mut(team.velocity).iter_mut().zip(now).zip(before) {
-        *velocity = (now - before) / DT_S;
+    for ((velocity, now), before) in team.velocity.iter_mut().zip(&*team.position).zip(&*team.before) {
+        *velocity = (*now - *before) / DT_S;
     }
 }
 

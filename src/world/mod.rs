@@ -3,9 +3,11 @@
 //! Nothing here knows a task, a policy or a network.
 
 mod clamp;
+#[cfg(feature = "rigid")]
 mod drivetrain;
 pub mod kinematic;
 mod physics;
+#[cfg(feature = "rigid")]
 pub mod rigid;
 mod sensor;
 
@@ -72,24 +74,39 @@ pub struct Entry {
     pub build: fn(&Arena, &Physics, &[Vec2], Seed) -> Box<dyn Plant>,
 }
 
-/// All plants.
+/// All plants that this program was built with.
 pub const REGISTRY: &[Entry] = &[
     Entry { name: "kinematic", physics: Physics::published, fixed: &[], build: kinematic::build },
+    #[cfg(feature = "rigid")]
     Entry { name: "rigid", physics: Physics::robomaster, fixed: rigid::FIXED, build: rigid::build },
 ];
 
-/// The names of all plants.
-pub const PLANTS: [&str; REGISTRY.len()] = {
-    let mut names = [""; REGISTRY.len()];
-    let mut at = 0;
-    while at < names.len() {
-        names[at] = REGISTRY[at].name;
-        at += 1;
-    }
-    names
-};
+/// The names of all plants, also of those that this program was built without.
+pub const PLANTS: [&str; 2] = ["kinematic", "rigid"];
 
 /// The plant of that name.
 pub fn plant(name: &str) -> Option<&'static Entry> {
     REGISTRY.iter().find(|entry| entry.name == name)
+}
+
+/// Why there is no plant of that name, for whoever has named it.
+pub fn lacking(name: &str) -> String {
+    if PLANTS.contains(&name) {
+        return format!("this program was built without '{name}'; build one with the feature '{name}'");
+    }
+    format!("there is no plant '{name}'; there are {}", PLANTS.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_name_has_a_plant_or_a_feature_to_build_it_with() {
+        let built = |name: &&str| *name == "kinematic" || cfg!(feature = "rigid");
+        let names: Vec<&str> = PLANTS.into_iter().filter(built).collect();
+        assert_eq!(REGISTRY.iter().map(|entry| entry.name).collect::<Vec<_>>(), names);
+        assert!(lacking("rigid").contains("feature 'rigid'"));
+        assert!(lacking("water").contains("kinematic, rigid"));
+    }
 }

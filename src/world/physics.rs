@@ -140,7 +140,7 @@ impl Given {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "rigid"))]
 mod tests {
     use super::*;
     use crate::scenario::{Settings, build};

@@ -1,12 +1,19 @@
 //! The program as a user meets it: commands that end by themselves, their output, files and refusals.
 
-#[cfg(unix)]
+#[cfg(feature = "train")]
 mod keys;
 #[path = "../program/mod.rs"]
 mod program;
+#[cfg(feature = "train")]
 mod refusals;
+mod robot;
+#[cfg(feature = "completions")]
+mod shells;
+#[cfg(feature = "study")]
 mod study;
+#[cfg(feature = "study")]
 mod study_network;
-#[cfg(unix)]
+#[cfg(all(feature = "rigid", feature = "sim"))]
 mod teams;
+#[cfg(feature = "train")]
 mod train;

@@ -38,7 +38,7 @@ fn a_scenario_deals_out_tasks_that_chain_and_have_room() {
                 assert_eq!(goals, starts, "{name}: an episode starts where the one before has ended");
                 for (robot, goal) in goals.iter().enumerate() {
                     assert!(scenario.arena().admits(*goal), "{name}: robot {robot} at {goal}");
-                    let near = |other: &Vec2| (other - goal).norm() <= 2.0 * scenario.arena().robot_radius_m;
+                    let near = |other: &Vec2| (*other - *goal).norm() <= 2.0 * scenario.arena().robot_radius_m;
                     assert!(!goals[..robot].iter().any(near), "{name}: robot {robot} overlaps another");
                     assert!(!scenario.reached(&tasks[robot], tasks[robot].start), "{name}: there is a way to go");
                 }

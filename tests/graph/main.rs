@@ -4,7 +4,9 @@ mod common;
 mod contracts;
 mod determinism;
 mod faults;
+#[cfg(feature = "study")]
 mod growth;
+#[cfg(feature = "rigid")]
 mod physics;
 mod radio;
 mod reference;

@@ -50,7 +50,7 @@ fn under_the_deployed_clamp_commands_stay_near_the_measured_velocity_in_every_mo
         let pairs = report.steps.windows(2).filter(|pair| pair[0].episode == pair[1].episode);
         let robots = pairs.flat_map(|pair| pair[0].samples.iter().zip(&pair[1].samples));
         let moving = robots.filter(|(_, after)| after.command.norm() > 0.0);
-        let far = moving.map(|(before, after)| (after.command - before.motion.velocity).amax());
+        let far = moving.map(|(before, after)| (after.command - before.motion.velocity).abs().max());
         far.fold(0.0, f32::max)
     };
     for mode in MODES {

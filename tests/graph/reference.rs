@@ -126,9 +126,17 @@ fn every_step_of_the_environment_matches() {
                 let (p, v) = (vec2(&pos, after + i), vec2(&vel, after + i));
                 inexact += usize::from(position[i] != p);
                 for axis in 0..2 {
-                    let ulp = (p[axis].abs() * f32::EPSILON).max(f32::MIN_POSITIVE);
-                    assert!((position[i][axis] - p[axis]).abs() <= ulp, "{place}: position {} not {p}", position[i]);
-                    assert!((velocity[i][axis] - v[axis]).abs() <= 2e-5, "{place}: velocity {} not {v}", velocity[i]);
+                    let ulp = (p.to_array()[axis].abs() * f32::EPSILON).max(f32::MIN_POSITIVE);
+                    assert!(
+                        (position[i] - p).to_array()[axis].abs() <= ulp,
+                        "{place}: position {} not {p}",
+                        position[i]
+                    );
+                    assert!(
+                        (velocity[i] - v).to_array()[axis].abs() <= 2e-5,
+                        "{place}: velocity {} not {v}",
+                        velocity[i]
+                    );
                 }
                 let task = Task { start, goal: vec2(&goal, rollout * ROBOTS + i) };
                 let mut reached = Stage(stage[before + i]);

@@ -116,7 +116,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     }
     let links::Fresh { incarnation, seed: secret, .. } = links::Fresh::draw()?;
 
-    tracing::info!(host = name, robots = team.deployment.robots, "starts");
+    tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, policy.digest, "starts");
     let (mut over, mut stopping, mut told) = (None, None, 0);
     let abandoned = Rc::new(Cell::new(false));
     let watchdog = sd_notify::watchdog_enabled();

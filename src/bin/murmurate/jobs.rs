@@ -2,22 +2,21 @@
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use anyhow::Result;
-
 /// How many threads to use for so many pieces: as asked for, or one a core.
 pub fn threads(asked: Option<u16>, pieces: usize) -> usize {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     asked.map_or(cores, usize::from).min(pieces)
 }
 
+#[cfg(feature = "study")]
 /// Does what is missing of some pieces, until all are there or `stop` is set: `found` is what is there already. Where
 /// nothing came of a piece, or it was not begun, there is none; the first error ends everything.
 pub fn finish<T: Send>(
     mut found: Vec<Option<T>>,
     asked: Option<u16>,
     stop: &AtomicBool,
-    work: impl Fn(usize) -> Result<Option<T>> + Sync,
-) -> Result<Vec<Option<T>>> {
+    work: impl Fn(usize) -> anyhow::Result<Option<T>> + Sync,
+) -> anyhow::Result<Vec<Option<T>>> {
     let open: Vec<usize> = (0..found.len()).filter(|at| found[*at].is_none()).collect();
     // A disk that is full ends the study; what was written stays.
     let work = |at: usize| work(open[at]).inspect_err(|_| stop.store(true, Ordering::Relaxed));

@@ -9,9 +9,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Subcommand;
+use hmac_sha256::Hash;
 use nix::unistd::geteuid;
-use sha2::{Digest, Sha256};
 
+use crate::temporary::Temporary;
 use crate::{BadInput, Ended, output};
 
 /// The size of a key \[bytes\].
@@ -54,14 +55,14 @@ pub fn run(args: &Args) -> Result<Ended> {
         _ => Path::new("."),
     };
     // From its first moment only its owner can read it (mode 0600), and it has its name only once it is whole.
-    let mut file = tempfile::NamedTempFile::new_in(folder)
-        .map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
+    let mut file =
+        Temporary::new_in(folder, 0o600).map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
     let digits: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
-    writeln!(file, "{digits}").and_then(|()| file.as_file().sync_all()).context("cannot write the key file")?;
-    let kept = if *force { file.persist(out) } else { file.persist_noclobber(out) };
-    kept.map_err(|e| match e.error.kind() {
+    writeln!(file, "{digits}").and_then(|()| file.sync()).context("cannot write the key file")?;
+    let kept = if *force { file.replace(out) } else { file.add(out) };
+    kept.map_err(|e| match e.kind() {
         ErrorKind::AlreadyExists => there(),
-        _ => refuse(e.error.to_string()),
+        _ => refuse(e.to_string()),
     })?;
     output::print(&format!("{shown}: a new team key, fingerprint {}", fingerprint(&key)))?;
     output::talk("Copy it to every robot of the team, readable by its owner only (mode 0600).");
@@ -125,8 +126,10 @@ fn parse(digits: &[u8]) -> Option<[u8; BYTES]> {
 
 /// A few digits that tell two keys apart and tell nothing else.
 pub fn fingerprint(key: &[u8; BYTES]) -> String {
-    let digest = Sha256::new().chain_update(b"murmurate team key\0").chain_update(key).finalize();
-    digest[..4].iter().map(|byte| format!("{byte:02x}")).collect()
+    let mut digest = Hash::new();
+    digest.update(b"murmurate team key\0");
+    digest.update(key);
+    digest.finalize()[..4].iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -10,23 +10,34 @@
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 mod config;
+#[cfg(feature = "sim")]
 mod deployment;
 mod doctor;
 mod host;
+#[cfg(feature = "sim")]
 mod jobs;
 mod key;
 mod lane;
+#[cfg(feature = "sim")]
 mod launch;
 mod links;
 mod outlets;
 mod output;
 mod paths;
 mod policy;
+#[cfg(feature = "completions")]
+mod shells;
+#[cfg(feature = "sim")]
 mod sim;
 mod stop;
+#[cfg(feature = "study")]
 mod study;
 mod team;
+mod temporary;
+#[cfg(feature = "train")]
 mod train;
+#[cfg(any(feature = "completions", feature = "sim"))]
+mod whole_file;
 
 use std::process::ExitCode;
 
@@ -52,17 +63,22 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    #[cfg(feature = "sim")]
     /// Runs episodes in one process, faster than real time, and prints success rate and makespan.
     Sim(Box<sim::Args>),
+    #[cfg(feature = "sim")]
     /// Prints a preset mode as a deployment file, to be changed and run with `sim --deployment`.
     Deployment(deployment::Args),
+    #[cfg(feature = "study")]
     /// Runs a whole study: the same policies in several columns of conditions, with a report.
     #[command(subcommand)]
     Study(study::Args),
+    #[cfg(feature = "train")]
     /// Trains a policy.
     Train(Box<train::Args>),
     /// Runs one host of a team in real time: what is started on a robot.
     Host(Box<host::Args>),
+    #[cfg(feature = "sim")]
     /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
     Launch(Box<launch::Args>),
     /// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
@@ -77,6 +93,24 @@ enum Command {
     /// Checks a team file, or shows what it comes to.
     #[command(subcommand)]
     Config(config::Args),
+    #[cfg(feature = "completions")]
+    /// Prints what a shell needs to complete commands and flags.
+    Completions(shells::Completions),
+    #[cfg(feature = "completions")]
+    /// Prints the program's man page, or writes one for every command.
+    Man(shells::Manual),
+}
+
+impl Command {
+    /// Whether robots move while it runs.
+    fn in_real_time(&self) -> bool {
+        match self {
+            Command::Host(_) => true,
+            #[cfg(feature = "sim")]
+            Command::Launch(_) => true,
+            _ => false,
+        }
+    }
 }
 
 /// How a command ended.
@@ -117,7 +151,7 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return refuse(&error),
     };
-    let real_time = matches!(cli.command, Command::Host(_) | Command::Launch(_));
+    let real_time = cli.command.in_real_time();
     let waits_for_nobody = real_time || matches!(cli.command, Command::Stop(_));
     if waits_for_nobody && let Err(why) = output::open_log_lane() {
         output::talk(&format!("error: cannot start a thread to write the log: {why}"));
@@ -137,17 +171,26 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<Ended> {
     match command {
+        #[cfg(feature = "sim")]
         Command::Sim(args) => sim::run(&args),
+        #[cfg(feature = "sim")]
         Command::Deployment(args) => deployment::run(&args),
+        #[cfg(feature = "study")]
         Command::Study(args) => study::run(&args),
+        #[cfg(feature = "train")]
         Command::Train(args) => train::run(&args),
         Command::Host(args) => host::run(&args),
+        #[cfg(feature = "sim")]
         Command::Launch(args) => launch::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Stop(args) => stop::run(&args),
         Command::Resume(args) => stop::resume(&args),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args),
+        #[cfg(feature = "completions")]
+        Command::Completions(args) => shells::complete(&args),
+        #[cfg(feature = "completions")]
+        Command::Man(args) => shells::manual(&args),
     }
 }
 

@@ -3,6 +3,7 @@
 use std::io::Write;
 
 use anyhow::{Context, Result};
+use murmurate::messages::geometry::Vec2;
 use murmurate::report::trial::Step;
 
 /// What is in a line.
@@ -20,26 +21,27 @@ const COLUMNS: [&str; 11] = [
     "command_y_m_s",
 ];
 
-/// A file of paths.
-pub struct Paths<W: Write>(csv::Writer<W>);
+/// A file of paths. Nothing in it needs quotes: numbers, and names of phases.
+pub struct Paths<W: Write>(W);
 
 impl<W: Write> Paths<W> {
     /// Begins it.
-    pub fn new(file: W) -> Result<Paths<W>> {
-        let mut csv = csv::Writer::from_writer(file);
-        csv.write_record(COLUMNS).context("cannot write the trajectories")?;
-        Ok(Paths(csv))
+    pub fn new(mut file: W) -> Result<Paths<W>> {
+        writeln!(file, "{}", COLUMNS.join(",")).context("cannot write the trajectories")?;
+        Ok(Paths(file))
     }
 
     /// The whole team at one instant.
     pub fn write(&mut self, repeat: usize, step: &Step) -> Result<()> {
         for sample in &step.samples {
             let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
-            let phase = format!("{:?}", step.phase);
-            let time = format!("{:.3}", sample.time.as_secs());
-            let numbers = [p.x, p.y, v.x, v.y, c.x, c.y].map(|float| float.to_string());
-            let head = [repeat.to_string(), step.episode.to_string(), phase, time, sample.robot.0.to_string()];
-            self.0.write_record(head.iter().chain(&numbers)).context("cannot write the trajectories")?;
+            let (phase, time, robot) = (step.phase, sample.time.as_secs(), sample.robot.0);
+            let (head, numbers) = (format_args!("{repeat},{},{phase:?},{time:.3},{robot}", step.episode), [p, v, c]);
+            write!(self.0, "{head}").context("cannot write the trajectories")?;
+            for Vec2 { x, y } in numbers {
+                write!(self.0, ",{x},{y}").context("cannot write the trajectories")?;
+            }
+            writeln!(self.0).context("cannot write the trajectories")?;
         }
         Ok(())
     }

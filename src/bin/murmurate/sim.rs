@@ -21,8 +21,9 @@ use murmurate::scenario::{self, Settings};
 use murmurate::trial::{Proceed, Trial, TrialReport};
 use murmurate::world::{self, Clamp, ContactRule, Given, PLANTS, Placement, Sensor};
 
-use crate::output::{WholeFile, print, read_text, talk};
+use crate::output::{print, read_text, talk};
 use crate::paths::Paths;
+use crate::whole_file::WholeFile;
 use crate::{BadInput, Ended, deployment, jobs, policy};
 
 /// Flags of `murmurate sim`.

@@ -1,6 +1,5 @@
 //! The team file as the commands take it: its flags, the environment, the key and the policy that it names.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
@@ -10,23 +9,23 @@ use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::scenario::{self, Settings};
 
 use crate::output::{read_text, talk};
-use crate::{BadInput, key, policy};
+use crate::{BadInput, bad, key, policy};
 
 /// The team file and what differs from it.
 #[derive(clap::Args)]
 pub struct TeamArgs {
     /// The team file (docs/teams.md says what is in it)
     #[arg(value_name = "TEAM.toml")]
-    file: PathBuf,
+    pub file: PathBuf,
     /// Sets a field of the team file, such as link.infra.interface=wlan1; may be given several times
     #[arg(long, value_name = "FIELD=VALUE")]
-    set: Vec<String>,
+    pub set: Vec<String>,
     /// The network interface of every link
     #[arg(long, value_name = "NAME")]
-    interface: Option<String>,
+    pub interface: Option<String>,
     /// The team's key
     #[arg(long, value_name = "FILE")]
-    key_file: Option<PathBuf>,
+    pub key_file: Option<PathBuf>,
 }
 
 /// One host of the team.
@@ -42,11 +41,6 @@ pub struct Which {
 }
 
 impl TeamArgs {
-    /// A team file that a command with flags of its own has named.
-    pub fn of(file: PathBuf, set: Vec<String>) -> TeamArgs {
-        TeamArgs { file, set, interface: None, key_file: None }
-    }
-
     /// Whether a flag names the network interface.
     pub fn names_interface(&self) -> bool {
         self.interface.is_some()
@@ -63,7 +57,7 @@ impl TeamArgs {
         let mut flags = Vec::new();
         for given in &self.set {
             let Some((key, value)) = given.split_once('=') else {
-                return Err(BadInput(format!("--set {given}: write FIELD=VALUE, such as --set seed=3")).into());
+                return bad(format!("--set {given}: write FIELD=VALUE, such as --set seed=3"));
             };
             flags.push(Flag { flag: "--set", key: key.trim().to_owned(), value: value.trim().to_owned() });
         }
@@ -85,15 +79,6 @@ impl TeamArgs {
     /// An error of the team file, with its name.
     pub fn wrong(&self, error: &ConfigError) -> anyhow::Error {
         BadInput(format!("the team file '{}': {error}", self.file.display())).into()
-    }
-
-    /// The team file and the flags, for another process of this program.
-    pub fn again(&self) -> Vec<OsString> {
-        let mut all: Vec<OsString> = vec![self.file.clone().into()];
-        all.extend(self.set.iter().flat_map(|given| ["--set".into(), given.into()]));
-        all.extend(self.interface.iter().flat_map(|name| ["--interface".into(), name.into()]));
-        all.extend(self.key_file.iter().flat_map(|path| ["--key-file".into(), path.into()]));
-        all
     }
 
     /// The team as a host is to see it.

@@ -272,7 +272,11 @@ fn deployment(inline: Option<Deployment>, layers: &Layers) -> Result<Deployment,
         None => build(&scenario, None)?.robots(),
     };
     let preset = Deployment::preset(text(&mode), robots).expect("the fields let only modes through");
-    let plant = plant.map_or_else(|| preset.plant.clone(), |entry| text(&entry).to_owned());
+    let Some(entry) = plant else { return Ok(preset) };
+    let plant = text(&entry).to_owned();
+    if world::plant(&plant).is_none() {
+        return Err(ConfigError::field(place("plant", &entry.origin), world::lacking(&plant)));
+    }
     Ok(Deployment { plant, ..preset })
 }
 

@@ -5,6 +5,7 @@
 //! Nothing here reads a clock or opens a socket: a measurement between real hosts hands in the same outcomes.
 
 pub mod case;
+#[cfg(feature = "train")]
 pub mod conditions;
 pub mod emulate;
 pub mod endpoint;

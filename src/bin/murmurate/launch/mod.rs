@@ -6,6 +6,7 @@
 mod supervisor;
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -49,7 +50,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     let policy = checked(&teams)?;
     let program = std::env::current_exe().context("cannot find this program to start it again")?;
     let processes = file.deployment().hosts.iter().map(|host| {
-        let (program, mut flags) = (program.clone(), args.team.again());
+        let (program, mut flags) = (program.clone(), again(&args.team));
         flags.extend(["--host".into(), host.name.clone().into(), "--json".into()]);
         let command = move || {
             let mut command = Command::new(&program);
@@ -106,6 +107,15 @@ pub fn run(args: &Args) -> Result<Ended> {
         }
         _ => Ok(if asked { Ended::Interrupted } else { Ended::Done }),
     }
+}
+
+/// The team file and its flags, for another process of this program.
+fn again(team: &team::TeamArgs) -> Vec<OsString> {
+    let mut all: Vec<OsString> = vec![team.file.clone().into()];
+    all.extend(team.set.iter().flat_map(|given| ["--set".into(), given.into()]));
+    all.extend(team.interface.iter().flat_map(|name| ["--interface".into(), name.into()]));
+    all.extend(team.key_file.iter().flat_map(|path| ["--key-file".into(), path.into()]));
+    all
 }
 
 /// Checks every host's key and policy before anything is started; gives the policy's name.

@@ -9,7 +9,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use crate::BadInput;
-use crate::output::WholeFile;
+use crate::temporary::Temporary;
+use crate::whole_file::WholeFile;
 
 /// The file that says which study a folder is of.
 const IDENTITY: &str = "study.json";
@@ -44,7 +45,7 @@ impl Folder {
         }
         for folder in [path, &path.join(pieces), &path.join("figures")] {
             std::fs::create_dir_all(folder).map_err(|e| refuse(format!("cannot make this folder: {e}")))?;
-            tempfile::tempfile_in(folder).map_err(|e| refuse(format!("cannot write there: {e}")))?;
+            Temporary::new_in(folder, 0o600).map_err(|e| refuse(format!("cannot write there: {e}")))?;
         }
         let folder = Folder(path.to_owned());
         if theirs.is_none() {

@@ -21,6 +21,7 @@ use crate::output::{print, talk};
 use crate::sim::{progress, watched};
 use crate::{Ended, jobs};
 use folder::Folder;
+#[cfg(feature = "train")]
 pub use network::medium;
 
 /// The studies.

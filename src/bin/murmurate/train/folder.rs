@@ -8,7 +8,8 @@ use murmurate::train::trainer::Trainer;
 
 use super::curve::Curve;
 use crate::BadInput;
-use crate::output::WholeFile;
+use crate::temporary::Temporary;
+use crate::whole_file::WholeFile;
 
 /// A folder that a training writes to.
 pub struct Folder {
@@ -28,7 +29,7 @@ impl Folder {
             let why = "it holds a training already; add --resume to go on with it, or choose another folder";
             return Err(refuse(why.to_owned()).into());
         }
-        tempfile::tempfile_in(path)
+        Temporary::new_in(path, 0o600)
             .map_err(|e| refuse(format!("cannot write there: {e}; choose a folder that can be written")))?;
         Ok(folder)
     }

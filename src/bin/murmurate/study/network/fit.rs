@@ -11,7 +11,8 @@ use murmurate::study::network::{Case, Medium, Outcome, Sweep, emulate};
 use serde::Serialize;
 
 use super::Args;
-use crate::output::{WholeFile, read_text, talk};
+use crate::output::{read_text, talk};
+use crate::whole_file::WholeFile;
 use crate::{BadInput, bad, jobs};
 
 /// What a fit came to, for `--json`.

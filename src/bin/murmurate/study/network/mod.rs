@@ -20,11 +20,14 @@ use murmurate::study::network::pages::{Findings, Found};
 use murmurate::study::network::{Row, Source, emulate, table};
 use serde::Serialize;
 
-use crate::output::{WholeFile, print, talk};
+use crate::output::{print, talk};
 use crate::sim::progress;
+use crate::whole_file::WholeFile;
 use crate::{Ended, jobs};
 use cases::Journal;
-pub use flags::{Args, medium};
+pub use flags::Args;
+#[cfg(feature = "train")]
+pub use flags::medium;
 use live::Measured;
 use room::Room;
 use teams::Team;

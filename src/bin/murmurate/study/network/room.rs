@@ -27,7 +27,7 @@ pub struct Room {
 impl Room {
     /// Reads the team file.
     pub fn of(path: &Path, args: &Args) -> Result<Room> {
-        let args = TeamArgs::of(path.to_owned(), args.set.clone());
+        let args = TeamArgs { file: path.to_owned(), set: args.set.clone(), interface: None, key_file: None };
         let file = args.read()?;
         let deployment = file.deployment();
         let agents = |host: &HostId| !deployment.hosts[usize::from(host.0)].agents.is_empty();

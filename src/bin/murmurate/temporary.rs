@@ -1,0 +1,102 @@
+//! Files that are made beside their place under a name of chance, and take their own name once they are whole.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, ErrorKind, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+
+/// How often a name is drawn that is taken before that is an error.
+const DRAWS: usize = 16;
+
+/// A file that goes when it is dropped, unless it was given a name.
+pub struct Temporary {
+    path: PathBuf,
+    file: File,
+    /// It has its name, or another file has.
+    done: bool,
+}
+
+impl Temporary {
+    /// Makes an empty file in this folder; `mode` is who may do what with it, of which the user's mask takes its part.
+    pub fn new_in(folder: &Path, mode: u32) -> io::Result<Temporary> {
+        let mut taken = None;
+        for _ in 0..DRAWS {
+            let mut number = [0; 8];
+            getrandom::fill(&mut number).map_err(io::Error::other)?;
+            let path = folder.join(format!(".murmurate-{:016x}.tmp", u64::from_le_bytes(number)));
+            match OpenOptions::new().read(true).write(true).create_new(true).mode(mode).open(&path) {
+                Ok(file) => return Ok(Temporary { path, file, done: false }),
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => taken = Some(error),
+                Err(error) => return Err(error),
+            }
+        }
+        Err(taken.expect("names were drawn"))
+    }
+
+    /// Waits until its content is on the disk.
+    pub fn sync(&self) -> io::Result<()> {
+        self.file.sync_all()
+    }
+
+    /// Gives it this name, in place of a file that has it; both are in one folder.
+    pub fn replace(mut self, path: &Path) -> io::Result<()> {
+        fs::rename(&self.path, path)?;
+        self.done = true;
+        Ok(())
+    }
+
+    /// Gives it this name, which no file may have.
+    pub fn add(self, path: &Path) -> io::Result<()> {
+        // A link to a name that is taken is an error, where a renaming would replace what is there.
+        fs::hard_link(&self.path, path)
+    }
+}
+
+impl Write for Temporary {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        if !self.done {
+            // There is nobody to be told, and nothing that depends on it.
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_has_its_name_once_it_is_whole_and_leaves_nothing_otherwise() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let names = || {
+            let entries = fs::read_dir(folder.path()).unwrap();
+            let mut names: Vec<String> =
+                entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+            names.sort();
+            names
+        };
+        let path = folder.path().join("whole");
+        let written = |text: &str| {
+            let mut file = Temporary::new_in(folder.path(), 0o600).unwrap();
+            file.write_all(text.as_bytes()).and_then(|()| file.sync()).unwrap();
+            file
+        };
+        drop(written("dropped"));
+        assert_eq!(names(), Vec::<String>::new());
+        written("first").add(&path).unwrap();
+        assert_eq!(written("second").add(&path).unwrap_err().kind(), ErrorKind::AlreadyExists);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "first");
+        written("third").replace(&path).unwrap();
+        assert_eq!((fs::read_to_string(&path).unwrap(), names()), ("third".to_owned(), vec!["whole".to_owned()]));
+    }
+}

@@ -1,0 +1,74 @@
+//! The program as a robot has it: what every build can do, and what one says that lacks a feature.
+
+use std::fs::{copy, read_dir, write};
+use std::path::Path;
+
+use crate::program::{refuses, run, text};
+use tempfile::TempDir;
+
+/// What every program has.
+const ALWAYS: [&str; 6] = ["host", "doctor", "stop", "resume", "key", "config"];
+/// What is there with a feature, by its name.
+const WITH: [(&str, bool); 7] = [
+    ("sim", cfg!(feature = "sim")),
+    ("deployment", cfg!(feature = "sim")),
+    ("launch", cfg!(feature = "sim")),
+    ("study", cfg!(feature = "study")),
+    ("train", cfg!(feature = "train")),
+    ("completions", cfg!(feature = "completions")),
+    ("man", cfg!(feature = "completions")),
+];
+
+#[test]
+fn a_program_has_the_commands_of_its_features_and_no_others() {
+    let help = text(&run(&["--help"]).stdout);
+    let (_, list) = help.split_once("Commands:\n").expect("help has a list of commands");
+    let commands = list.lines().take_while(|line| !line.is_empty()).filter(|line| line.starts_with("  "));
+    let mut found: Vec<&str> = commands
+        .filter(|line| !line.starts_with("   "))
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|name| *name != "help")
+        .collect();
+    let mut wanted: Vec<&str> = ALWAYS.to_vec();
+    wanted.extend(WITH.iter().filter(|(_, there)| *there).map(|(name, _)| *name));
+    found.sort_unstable();
+    wanted.sort_unstable();
+    assert_eq!(found, wanted);
+    for (name, there) in WITH {
+        if !there {
+            refuses(&[name], &[name]);
+        }
+    }
+}
+
+#[test]
+fn every_example_is_checked_and_shown_in_every_build() {
+    let examples = read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("teams")).expect("the examples");
+    for path in examples.map(|entry| entry.expect("an example").path()) {
+        let folder = TempDir::new().expect("a temporary folder");
+        let inside = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+        let (file, key) = (inside("team.toml"), inside("team.key"));
+        copy(&path, &file).expect("it can be copied");
+        assert_eq!(run(&["key", "new", "--out", &key]).status.code(), Some(0));
+        for command in ["check", "show"] {
+            let output = run(&["config", command, &file]);
+            assert_eq!(output.status.code(), Some(0), "{}: {}", path.display(), text(&output.stderr));
+        }
+    }
+}
+
+#[test]
+fn a_team_that_names_what_the_program_lacks_is_refused_by_the_field_with_the_feature() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let file = folder.path().join("team.toml").to_string_lossy().into_owned();
+    write(&file, "team = 1\nmode = \"sim\"\nplant = \"rigid\"\n").expect("it can be written");
+    if cfg!(feature = "rigid") {
+        assert_eq!(run(&["config", "check", &file]).status.code(), Some(0));
+        return;
+    }
+    for command in
+        [&["config", "check"][..], &["config", "show"], &["host", "--robot", "0"], &["doctor", "--robot", "0"]]
+    {
+        refuses(&[command, &[&*file]].concat(), &["plant (line 3)", "feature 'rigid'"]);
+    }
+}

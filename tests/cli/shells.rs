@@ -1,0 +1,74 @@
+//! What shells and `man` are told of the program: scripts and pages that they accept.
+
+use std::fs;
+use std::io::Write;
+use std::process::{Command, Stdio};
+
+use tempfile::TempDir;
+
+use crate::program::{refuses, run, text};
+
+const SHELLS: [&str; 5] = ["bash", "elvish", "fish", "powershell", "zsh"];
+
+/// What a tool says to `input`, or `None`, said aloud, where there is no such tool.
+fn tool(program: &str, args: &[&str], input: &str) -> Option<(bool, String)> {
+    let mut command = Command::new(program);
+    command.args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let Ok(mut child) = command.spawn() else {
+        eprintln!("skipped: there is no '{program}' here");
+        return None;
+    };
+    child.stdin.take().expect("it was piped").write_all(input.as_bytes()).expect("it reads its input");
+    let output = child.wait_with_output().expect("it ends");
+    Some((output.status.success(), text(&output.stdout) + &text(&output.stderr)))
+}
+
+#[test]
+fn every_shell_has_a_script_and_bash_accepts_its_own() {
+    for shell in SHELLS {
+        let output = run(&["completions", shell]);
+        assert_eq!((output.status.code(), text(&output.stderr)), (Some(0), String::new()), "{shell}");
+        let script = text(&output.stdout);
+        for word in ["murmurate", "doctor", "key-file", "rearm"] {
+            assert!(script.contains(word), "{shell}: '{word}' is missing");
+        }
+        if let Some((accepted, said)) = (shell == "bash").then(|| tool("bash", &["-n"], &script)).flatten() {
+            assert!(accepted && said.is_empty(), "{said}");
+        }
+    }
+    let script = text(&run(&["completions", "bash"]).stdout);
+    let ask =
+        "\nCOMP_WORDS=(murmurate co); COMP_CWORD=1; _murmurate murmurate co murmurate; echo \"${COMPREPLY[@]}\"\n";
+    if let Some((_, said)) = tool("bash", &["--norc"], &(script + ask)) {
+        assert!(said.contains("completions") && said.contains("config"), "{said}");
+    }
+    refuses(&["completions", "tcsh"], &["tcsh", "bash", "zsh"]);
+    refuses(&["completions"], &["<SHELL>"]);
+}
+
+#[test]
+fn every_command_has_a_page_and_groff_accepts_it() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let out = folder.path().join("share").join("man1");
+    let output = run(&["man", "--out", &out.to_string_lossy()]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let entries = fs::read_dir(&out).expect("the folder was made");
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    for name in ["murmurate.1", "murmurate-host.1", "murmurate-key-new.1", "murmurate-config-check.1"] {
+        assert!(names.iter().any(|other| other == name), "'{name}' is missing in {names:?}");
+    }
+    assert!(names.iter().all(|name| name.starts_with("murmurate") && name.ends_with(".1")), "{names:?}");
+    for name in &names {
+        let page = fs::read_to_string(out.join(name)).expect("a page is text");
+        assert!(page.contains(".TH") && page.contains(".SH DESCRIPTION"), "{name}");
+        let Some((accepted, said)) = tool("groff", &["-man", "-Tascii", "-ww", "-z"], &page) else { break };
+        assert!(accepted && !said.contains("error"), "{name}: {said}");
+    }
+    let main = run(&["man"]);
+    assert_eq!(text(&main.stdout).trim_end(), fs::read_to_string(out.join("murmurate.1")).expect("a page").trim_end());
+    let file = folder.path().join("file");
+    fs::write(&file, "").expect("it can be written");
+    refuses(&["man", "--out", &file.join("below").to_string_lossy()], &["--out", "file/below"]);
+}
