@@ -12,7 +12,7 @@
 //! `time`, `random`, `config`, `messages`, `actor`, `cells`; `hearing`, `faults`; `scenario`, `policy`, `world`,
 //! `safety`; `net::protocol`, `net::transport`, `net::media`; `report`; then [`actors`], and beside
 //! them [`train`], which knows no actor; `deploy`; `runtime`, which runs actors; `graph`, which wires them; `trial`;
-//! `study`; the program.
+//! `study`; `program`, the command line.
 //! `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
@@ -32,6 +32,7 @@ pub mod hearing;
 pub mod messages;
 pub mod net;
 pub mod policy;
+pub mod program;
 pub mod random;
 pub mod report;
 pub mod runtime;

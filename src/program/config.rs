@@ -1,0 +1,106 @@
+//! `murmurate config`: what a team file comes to, and whether it is sound.
+
+use std::collections::BTreeSet;
+
+use crate::deploy::team::Origin;
+use crate::messages::ids::HostId;
+use anyhow::{Context, Result};
+use clap::Subcommand;
+use serde_json::json;
+
+use crate::program::Ended;
+use crate::program::key;
+use crate::program::output::{print, talk};
+use crate::program::team;
+
+/// Subcommands of `murmurate config`.
+#[derive(Subcommand)]
+pub enum Args {
+    /// Checks a team file with its key and its policy, for every host or for one
+    Check(Check),
+    /// Prints every value in effect and where it comes from
+    Show(Show),
+}
+
+/// Flags of `murmurate config check`.
+#[derive(clap::Args)]
+pub struct Check {
+    #[command(flatten)]
+    team: team::TeamArgs,
+    #[command(flatten)]
+    which: team::Which,
+}
+
+/// Flags of `murmurate config show`.
+#[derive(clap::Args)]
+pub struct Show {
+    #[command(flatten)]
+    team: team::TeamArgs,
+    #[command(flatten)]
+    which: team::Which,
+    /// Prints one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Checks or shows.
+pub fn run(args: &Args) -> Result<Ended> {
+    match args {
+        Args::Check(args) => check(args),
+        Args::Show(args) => show(args),
+    }
+}
+
+fn check(args: &Check) -> Result<Ended> {
+    let file = args.team.read()?;
+    let hosts: Vec<HostId> = args.which.find(&file)?.map_or_else(|| file.hosts().collect(), |host| vec![host]);
+    let (mut keys, mut policies, mut seen) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
+    for &host in &hosts {
+        let team = args.team.for_host(&file, host)?;
+        if keys.insert(team.key_file.clone()) {
+            seen.extend(team::key(&team)?.map(|key| key::fingerprint(&key)));
+        }
+        if policies.insert(team.policy.clone()) {
+            let loaded = team::policy(&team)?;
+            loaded.assumed.iter().for_each(|assumed| talk(&format!("warning: {assumed}")));
+        }
+    }
+    if seen.len() > 1 || (keys.len() > 1 && keys.contains(&None)) {
+        talk("warning: not all hosts have the same key; those with another key do not hear each other");
+    }
+    let deployment = file.deployment();
+    let keys = if seen.is_empty() { "no key".to_owned() } else { format!("key {}", Vec::from_iter(seen).join(", ")) };
+    let (links, hosts) = (deployment.links.len(), hosts.len());
+    let path = args.team.path().display();
+    print(&format!("{path}: sound: mode {}, {hosts} hosts, {links} links, {keys}", deployment.mode))?;
+    Ok(Ended::Done)
+}
+
+fn show(args: &Show) -> Result<Ended> {
+    let file = args.team.read()?;
+    let host = args.which.find(&file)?;
+    let path = args.team.path().display();
+    let origin = |origin: &Origin| match origin {
+        Origin::File(line) => format!("{path}:{line}"),
+        other => other.to_string(),
+    };
+    let all = file.values(host);
+    if args.json {
+        let values: Vec<_> = all
+            .iter()
+            .map(|shown| json!({"field": shown.key, "value": shown.value, "origin": origin(&shown.origin)}))
+            .collect();
+        let host = host.map(|host| &file.deployment().hosts[usize::from(host.0)].name);
+        let object = json!({"host": host, "values": values, "deployment": file.deployment()});
+        print(&serde_json::to_string(&object).context("values are JSON")?)?;
+        return Ok(Ended::Done);
+    }
+    let width = |of: fn(&crate::deploy::team::Shown) -> usize| all.iter().map(of).max().unwrap_or(0);
+    let (keys, values) = (width(|shown| shown.key.len()), width(|shown| shown.value.len()));
+    let lines: Vec<String> = all
+        .iter()
+        .map(|shown| format!("{:keys$}  {:values$}  {}", shown.key, shown.value, origin(&shown.origin)))
+        .collect();
+    print(&lines.join("\n"))?;
+    Ok(Ended::Done)
+}

@@ -1,0 +1,170 @@
+//! The part of `doctor` that needs others: whether what is sent comes back, and who is heard. Two operators of this
+//! process, on every link of the host, talk to each other and hear whoever else is there.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::rc::Rc;
+use std::time::Instant;
+
+use crate::deploy::Routes;
+use crate::deploy::team::Team;
+use crate::graph::operator::{Operator, wire};
+use crate::graph::process::Heard;
+use crate::messages::ids::LinkId;
+use crate::net::protocol::key::Key;
+use crate::net::protocol::link::LinkCounts;
+use crate::net::protocol::sender::Peer;
+use crate::net::transport::socket::{SocketConfig, Transport};
+use crate::net::transport::udp::{Filter, Udp};
+use crate::runtime::real::run_real;
+use crate::time::{Span, Time};
+use anyhow::{Result, anyhow};
+
+use super::{Found, Status};
+use crate::program::key;
+use crate::program::links;
+
+/// A loss that is worth a word: where `repeat` begins (docs/wire.md).
+const LOSSY: f64 = 2.0 / 64.0;
+
+/// What one operator has heard.
+#[derive(Default)]
+struct Ears {
+    peers: BTreeMap<(u16, u16), Peer>,
+    counts: LinkCounts,
+    /// The number of the operator that answers.
+    echo: u16,
+}
+
+/// Listens for so long on the links of `teams`, which are the hosts of this machine, to `all` hosts.
+pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> {
+    let first = &teams[0];
+    let place = |at: usize| teams.iter().find_map(|team| Some(team.links[at].clone()?.of_guest(team.host)));
+    let places: Vec<Option<SocketConfig>> = (0..first.links.len()).map(place).collect();
+    let multicast =
+        |at: usize| places[at].as_ref().is_some_and(|place| matches!(place.transport, Transport::Multicast { .. }));
+    let names: Vec<&str> = first.deployment.links.iter().map(|link| &*link.name).collect();
+    if places.iter().all(Option::is_none) {
+        return Ok(Vec::new());
+    }
+    let mut found = Vec::new();
+    let ears = hear(first, &places, seconds)?;
+    for (at, name) in names.iter().enumerate().filter(|(at, _)| places[*at].is_some()) {
+        let link = u16::try_from(at).expect("links are counted in u16");
+        // Operators of a unicast link do not hear each other.
+        found.extend(multicast(at).then(|| loop_back(name, ears.peers.get(&(link, ears.echo)))));
+        for (number, host) in first.deployment.hosts.iter().enumerate() {
+            let uses = all.iter().any(|team| usize::from(team.host.0) == number && team.links[at].is_some());
+            let peer = ears.peers.get(&(link, u16::try_from(number).expect("hosts are counted in u16")));
+            if uses || peer.is_some() {
+                found.push(about(name, &host.name, peer));
+            }
+        }
+    }
+    found.extend(refusals(&ears.counts));
+    Ok(found)
+}
+
+fn hear(team: &Team, places: &[Option<SocketConfig>], seconds: f64) -> Result<Ears> {
+    let key = team.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
+    let operator = || -> Result<Operator> {
+        let fresh = links::Fresh::draw()?;
+        let mut sockets = Vec::new();
+        for (at, place) in places.iter().enumerate() {
+            let Some(place) = place else { continue };
+            let udp = Udp::open_guest(fresh.operator, place, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
+            sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
+        }
+        Ok(Operator {
+            me: fresh.operator_of(team.number),
+            seed: fresh.seed,
+            robots: team.deployment.robots,
+            publishers: Routes::of(&team.deployment).publishers(),
+            key: key.clone(),
+            links: links::of_operator(&team.deployment, places.iter().map(Option::as_ref)),
+            sockets,
+            stop: None,
+        })
+    };
+    let (listener, echo) = (operator()?, operator()?);
+    let answers = echo.me.host.0;
+    let ears = Rc::new(RefCell::new(Ears::default()));
+    let until = Time::ZERO + Span::from_secs(seconds);
+    run_real(
+        Instant::now(),
+        |clock, readers| {
+            let heard = Rc::clone(&ears);
+            let listener = wire((clock, readers), listener, move |said| match said {
+                Heard::Peers(peers) => {
+                    heard.borrow_mut().peers = peers.iter().map(|p| ((p.link, p.host), p.clone())).collect();
+                }
+                Heard::Counts(counts) => heard.borrow_mut().counts = *counts,
+                Heard::Message(_) | Heard::Published | Heard::Duplicate(_) | Heard::Safety(..) => {}
+            });
+            let echo = wire((clock, readers), echo, |_| {});
+            clock.call(until, Box::new(|| {}));
+            (listener, echo)
+        },
+        |_, now| now >= until,
+    );
+    Ok(Ears { echo: answers, ..ears.take() })
+}
+
+fn loop_back(link: &str, echo: Option<&Peer>) -> Found {
+    let what = format!("link {link}, loop-back");
+    match echo.map(|peer| (peer.round_trip_s, peer.age_s)) {
+        Some((Some(round_trip_s), _)) => {
+            (Status::Ok, what, format!("there and back in {:.2} ms", round_trip_s * 1e3), String::new())
+        }
+        Some((None, Some(_))) => {
+            (Status::Warn, what, "heard, but no answer has come back yet".to_owned(), "listen longer".to_owned())
+        }
+        _ => {
+            let advice = "does a firewall drop UDP to the group? see 'nft list ruleset' or 'iptables -L'";
+            (Status::Fail, what, "what this machine sends does not come back to it".to_owned(), advice.to_owned())
+        }
+    }
+}
+
+fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
+    let what = format!("link {link}, host {host}");
+    let Some((peer, age_s)) = peer.and_then(|peer| Some((peer, peer.age_s?))) else {
+        let advice = "is it started, on this network, with this group and this key? run doctor there, too";
+        return (Status::Warn, what, "not heard".to_owned(), advice.to_owned());
+    };
+    let clock = match (peer.round_trip_s, peer.uncertainty_s) {
+        (Some(round_trip_s), Some(uncertainty_s)) => {
+            format!("there and back in {:.2} ms, \u{b1} {:.2} ms", round_trip_s * 1e3, uncertainty_s * 1e3)
+        }
+        _ => "it has not answered yet".to_owned(),
+    };
+    let (loss, told, age_ms) = (peer.loss * 100.0, peer.told_loss * 100.0, age_s * 1e3);
+    let said = format!("heard {age_ms:.0} ms ago, loss {loss:.0} % of its, {told:.0} % of ours; {clock}");
+    if peer.twins > 0 {
+        let advice = "two hosts have its name: stop one of them".to_owned();
+        return (Status::Fail, what, format!("a second live host speaks as it; {said}"), advice);
+    }
+    if !peer.proven {
+        let advice = "does it hear this machine? run doctor there, too".to_owned();
+        return (Status::Warn, what, format!("heard, but it has not shown that it hears us; {said}"), advice);
+    }
+    if peer.loss >= LOSSY {
+        let advice = "look at the radio, or choose reliability = { latent = \"repeat\" }".to_owned();
+        return (Status::Warn, what, said, advice);
+    }
+    (Status::Ok, what, said, String::new())
+}
+
+/// What was refused, where that says what is wrong.
+fn refusals(counts: &LinkCounts) -> Vec<Found> {
+    let all = [
+        (counts.auth, "with another key or none", "compare the fingerprints that doctor shows on every host"),
+        (counts.version, "of another version of the wire", "install one version of this program on all hosts"),
+        (counts.malformed, "that are no messages", "find out who else sends to these groups, or choose others"),
+    ];
+    let found = |(count, what, advice): (u64, &str, &str)| {
+        let said = format!("{count} datagrams {what}");
+        (Status::Warn, "refused".to_owned(), said, advice.to_owned())
+    };
+    all.into_iter().filter(|(count, ..)| *count > 0).map(found).collect()
+}

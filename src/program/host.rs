@@ -1,0 +1,322 @@
+//! `murmurate host`: what runs on a robot. One host of a team: its actors, in real time, on its sockets.
+
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use crate::actors::recorder::{Out, Steps};
+use crate::deploy::team::{Team, TeamFile};
+use crate::graph::host::{self, Host};
+use crate::graph::process::{Graph, Heard};
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::wire::{Phase, Wire};
+use crate::net::protocol::key::Key;
+use crate::net::protocol::link::{Duplicate, LinkCounts};
+use crate::report::event::{Counted, HostEvent, RobotSafety};
+use crate::report::summary::{Run, Summary};
+use crate::report::trial::TrialReport;
+use crate::runtime::real::run_real;
+use crate::safety::guard::SafetyCounts;
+use crate::scenario::layout::Layouts;
+use crate::scenario::{self, Settings};
+use crate::time::{Span, Time};
+use crate::trial::Trial;
+use anyhow::{Context, Result, anyhow};
+use clap::ValueEnum;
+use sd_notify::NotifyState;
+use signal_hook::consts::{SIGINT, SIGTERM};
+
+use crate::program::BadInput;
+use crate::program::Ended;
+use crate::program::links;
+use crate::program::outlets::Outlets;
+use crate::program::team;
+
+/// How long a host goes on after the last episode: whoever has missed the news hears it again.
+const GRACE: Span = Span::from_millis(500);
+/// The same for the host of the state server, which tells the news.
+const SERVER_GRACE: Span = Span::from_millis(2000);
+/// How long a host that is told to end goes on, for its last commands and its farewell to get out.
+const STOPPING: Span = Span::from_millis(200);
+
+/// What a host is for, where a team has one of the kind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Role {
+    /// Runs the agents of several robots.
+    Pc,
+    /// Runs the simulated World.
+    World,
+    /// Runs the StateServer.
+    StateServer,
+}
+
+/// Flags of `murmurate host`.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    team: team::TeamArgs,
+    #[command(flatten)]
+    which: team::Which,
+    /// The host that is there for this
+    #[arg(long, conflicts_with = "which-host")]
+    role: Option<Role>,
+    /// Prints what happens as JSON, one object a line, in place of the table at the end; when nobody reads it any more,
+    /// the host stops
+    #[arg(long)]
+    json: bool,
+    /// Writes every robot's path to a CSV file while it runs; for the host with the World
+    #[arg(long, value_name = "FILE.csv")]
+    trajectories: Option<PathBuf>,
+}
+
+/// How often a host says what it has counted, so that one that is killed counts as of its last word.
+const COUNTED_PERIOD: Span = Span::from_millis(1000);
+
+/// What has become known while the host runs.
+struct Seen {
+    report: RefCell<TrialReport>,
+    over: Cell<bool>,
+    messages: Cell<u64>,
+    counts: Cell<LinkCounts>,
+    safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
+    outlets: Outlets,
+    /// Another live host has the id of this one.
+    duplicate: Cell<Option<Duplicate>>,
+}
+
+/// Runs the host until the team has finished, or until it is told to stop.
+pub fn run(args: &Args) -> Result<Ended> {
+    let began = Instant::now();
+    let file = args.team.read()?;
+    let id = args.host(&file)?;
+    let team = args.team.for_host(&file, id)?;
+    let name = team.deployment.hosts[usize::from(id.0)].name.clone();
+    let key = team::key(&team)?.map(Key::new);
+    let policy = team::policy(&team)?;
+    let mut trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
+    if args.trajectories.is_some() {
+        trial.steps = Steps::Reported;
+        sees_whole_team(&team)?;
+    }
+    let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?));
+    let outlets = &seen.outlets;
+    let places = team.links.iter().map(Option::as_ref);
+    let (links, sockets) = (links::setups(&team.deployment, places), links::open(&team, team.host)?);
+    let (signal, (rings, bell)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
+    let rings = Rc::new(rings);
+    rings.set_nonblocking(true).context("cannot make a pipe")?;
+    for number in [SIGINT, SIGTERM] {
+        // First the number, then the bell that wakes this thread to read it.
+        signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
+            .and_then(|_| signal_hook::low_level::pipe::register(number, bell.try_clone()?))
+            .context("cannot listen for signals")?;
+    }
+    let links::Fresh { incarnation, seed: secret, .. } = links::Fresh::draw()?;
+
+    tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, policy.digest, "starts");
+    let (mut over, mut stopping, mut told) = (None, None, 0);
+    let abandoned = Rc::new(Cell::new(false));
+    let watchdog = sd_notify::watchdog_enabled();
+    let (mut petted, mut counted) = (Time::ZERO, Time::ZERO);
+    let mut lost = None;
+    let graph = run_real(
+        began,
+        |clock, readers| {
+            let host = Host { id, team: team.number, incarnation, secret, key, links, sockets };
+            let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
+            let graph = host::wire((clock, readers), trial.plan(), host, move |h| heard.hear(h), move |o| said.say(o));
+            outlets.notify(&NotifyState::Ready);
+            let source = Rc::clone(&rings);
+            readers.watch(rings, move || {
+                let _ = (&*source).read(&mut [0; 16]);
+            });
+            if args.json {
+                // Whoever has started this host and listens to it has died: its robot must not go on alone.
+                let gone = Rc::clone(&abandoned);
+                readers.watch_end(Rc::new(std::io::stdout()), move || gone.set(true));
+            }
+            outlets.tell(&HostEvent::Ready { host: name.clone() });
+            graph
+        },
+        |graph: &Rc<Graph>, now| {
+            while let Some(episode) = seen.report.borrow().episodes.get(told).copied() {
+                told += 1;
+                outlets.tell(&HostEvent::Episode(episode));
+            }
+            if now.since(counted) >= COUNTED_PERIOD {
+                counted = now;
+                outlets.tell(&HostEvent::Counted(seen.counted(graph)));
+            }
+            if let Some(patience) = watchdog
+                && now.since(petted) >= Span::from_secs(patience.as_secs_f64() / 4.0)
+            {
+                petted = now;
+                outlets.notify(&NotifyState::Watchdog);
+            }
+            if seen.over.get() && over.is_none() {
+                over = Some(now);
+            }
+            if (signal.load(Ordering::Relaxed) != 0 || abandoned.get()) && stopping.is_none() {
+                stopping = Some(now);
+                outlets.notify(&NotifyState::Stopping);
+                graph.leave(id);
+                if abandoned.get() {
+                    // The one that looked after the whole team has died.
+                    graph.stop(id);
+                }
+            }
+            let serves = team.deployment.hosts[usize::from(id.0)].state_server;
+            let grace = if serves { SERVER_GRACE } else { GRACE };
+            lost = outlets.failure();
+            lost.is_some()
+                || seen.duplicate.get().is_some()
+                || over.is_some_and(|at: Time| now.since(at) >= grace)
+                || stopping.is_some_and(|at: Time| now.since(at) >= STOPPING)
+        },
+    );
+    let counted = seen.counted(&graph);
+    if let Some(error) = lost {
+        return Err(error);
+    }
+    if let Some(Duplicate { host, .. }) = seen.duplicate.get() {
+        return Err(anyhow!(
+            "another live host is number {} of this team ('{name}') and was started before this one: stop it, or \
+             correct --host or --robot here",
+            host.0
+        ));
+    }
+    if abandoned.get() && !seen.over.get() {
+        return Err(anyhow!("nobody reads what this host prints; it has stopped"));
+    }
+    let mut report = seen.report.borrow().clone();
+    (report.refused, report.lost) = (counted.refused, counted.lost);
+    report.totals.safety = counted.safety.iter().map(|robot| robot.counts).sum();
+    let (interrupted, unwritten) = (over.is_none(), counted.unwritten);
+    outlets.tell(&if interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) });
+    if !args.json && !report.episodes.is_empty() {
+        let run = Run {
+            mode: team.deployment.mode.clone(),
+            scenario: team.scenario.clone(),
+            policy: policy.name,
+            robots: team.deployment.robots,
+            seed: team.seed,
+            wall_s: began.elapsed().as_secs_f64(),
+            interrupted,
+        };
+        let mut summary = Summary::of(run, &[report]);
+        summary.unwritten = unwritten;
+        outlets.print(&summary.to_string());
+    }
+    outlets.close()?;
+    let by_user = signal.load(Ordering::Relaxed) == SIGINT as usize;
+    Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
+}
+
+impl Seen {
+    fn new(outlets: Outlets) -> Seen {
+        let (report, over, messages, counts) = Default::default();
+        Seen { report, over, messages, counts, safety: RefCell::default(), outlets, duplicate: Cell::default() }
+    }
+
+    fn hear(&self, heard: Heard) {
+        match heard {
+            Heard::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
+            Heard::Message(_) | Heard::Peers(_) => {}
+            Heard::Counts(counts) => self.counts.set(*counts),
+            Heard::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
+            Heard::Published => self.messages.set(self.messages.get() + 1),
+            Heard::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
+        }
+    }
+
+    fn say(&self, out: Out) {
+        let mut report = self.report.borrow_mut();
+        match out {
+            Out::Episode(episode, totals) => {
+                report.episodes.push(episode);
+                report.totals = totals;
+            }
+            Out::Step(step) => self.outlets.step(&step),
+            Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
+            Out::Closed(totals) => report.totals = totals,
+        }
+        report.simulated = report.totals.end.since(Time::ZERO);
+    }
+
+    /// All counts so far.
+    fn counted(&self, graph: &Graph) -> Counted {
+        let (refused, lost) = graph.undelivered();
+        let robot = |(&robot, &counts): (&RobotId, &SafetyCounts)| RobotSafety { robot, counts };
+        Counted {
+            messages: self.messages.get(),
+            refused,
+            lost,
+            links: Box::new(self.counts.get()),
+            oldest_command_s: self.report.borrow().totals.oldest_command.as_secs(),
+            safety: self
+                .safety
+                .borrow()
+                .iter()
+                .filter(|(_, counts)| counts.reasons().next().is_some())
+                .map(robot)
+                .collect(),
+            unwritten: self.outlets.unwritten(),
+        }
+    }
+}
+
+impl Args {
+    fn host(&self, file: &TeamFile) -> Result<HostId> {
+        if let Some(host) = self.which.find(file)? {
+            return Ok(host);
+        }
+        let Some(role) = self.role else {
+            let why = "which host is this? give --host NAME, --robot N, or --role pc|world|state-server";
+            return Err(BadInput(why.to_owned()).into());
+        };
+        let hosts = &file.deployment().hosts;
+        let fits: Vec<usize> = (0..hosts.len())
+            .filter(|&at| match role {
+                Role::Pc => hosts[at].agents.concat().len() > 1,
+                Role::World => !hosts[at].world.is_empty(),
+                Role::StateServer => hosts[at].state_server,
+            })
+            .collect();
+        match fits[..] {
+            [only] => Ok(HostId(u16::try_from(only).expect("hosts are counted in u16"))),
+            _ => Err(BadInput(format!("--role: {} hosts of this team are that; give --host NAME", fits.len())).into()),
+        }
+    }
+}
+
+/// Refuses trajectories of a host that does not see the whole team.
+fn sees_whole_team(team: &Team) -> Result<()> {
+    let host = &team.deployment.hosts[usize::from(team.host.0)];
+    if host.world.len() != team.deployment.robots {
+        let why = format!("--trajectories: host '{}' does not run the World of the whole team", host.name);
+        return Err(BadInput(why).into());
+    }
+    Ok(())
+}
+
+/// The run that the team is to make, of which this host does its part.
+fn trial(team: &Team, model: crate::policy::Model) -> Result<Trial> {
+    let settings = Settings::of(team.deployment.robots);
+    let scenario = scenario::build(&team.scenario, &settings)?;
+    let simulated = team.simulated;
+    let mut trial = Trial::new(team.deployment.clone(), Arc::clone(&scenario), model);
+    trial.physics = simulated.physics;
+    let mut trial = trial.clamp(simulated.clamp);
+    trial.seed = team.seed;
+    trial.layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
+    trial.handling = simulated.handling;
+    trial.safety = team.safety;
+    trial.check()?;
+    Ok(trial)
+}

@@ -1,0 +1,147 @@
+//! `murmurate key`: the team key, 32 bytes that only its owner may read, as 64 hexadecimal digits in a file.
+//!
+//! A key is never printed; what is shown is a fingerprint, to see whether two robots have the same.
+
+use std::fs::OpenOptions;
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::Subcommand;
+use hmac_sha256::Hash;
+use nix::unistd::geteuid;
+
+use crate::program::BadInput;
+use crate::program::Ended;
+use crate::program::output;
+use crate::program::temporary::Temporary;
+
+/// The size of a key \[bytes\].
+const BYTES: usize = 32;
+
+/// Subcommands of `murmurate key`.
+#[derive(Subcommand)]
+pub enum Args {
+    /// Makes a new key file that only you can read
+    New(New),
+}
+
+/// Flags of `murmurate key new`.
+#[derive(clap::Args)]
+pub struct New {
+    /// Where to write it
+    #[arg(long, value_name = "FILE", default_value = "team.key")]
+    out: PathBuf,
+    /// Replaces a key that is there; every robot of the team then needs the new one
+    #[arg(long)]
+    force: bool,
+}
+
+/// Makes a key.
+pub fn run(args: &Args) -> Result<Ended> {
+    let Args::New(New { out, force }) = args;
+    let shown = out.display();
+    let refuse = |why: String| BadInput(format!("cannot write the key file '{shown}': {why}"));
+    let there = || refuse("it is there already; --force replaces it, and every robot then needs the new one".into());
+    if !force && out.symlink_metadata().is_ok() {
+        return Err(there().into());
+    }
+    if out.is_dir() {
+        return Err(refuse("it is a folder; name a file in it".to_owned()).into());
+    }
+    let mut key = [0; BYTES];
+    getrandom::fill(&mut key).map_err(|e| anyhow::anyhow!("the operating system gives no random bytes: {e}"))?;
+    let folder = match out.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    // From its first moment only its owner can read it (mode 0600), and it has its name only once it is whole.
+    let mut file =
+        Temporary::new_in(folder, 0o600).map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
+    let digits: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
+    writeln!(file, "{digits}").and_then(|()| file.sync()).context("cannot write the key file")?;
+    let kept = if *force { file.replace(out) } else { file.add(out) };
+    kept.map_err(|e| match e.kind() {
+        ErrorKind::AlreadyExists => there(),
+        _ => refuse(e.to_string()),
+    })?;
+    output::print(&format!("{shown}: a new team key, fingerprint {}", fingerprint(&key)))?;
+    output::talk("Copy it to every robot of the team, readable by its owner only (mode 0600).");
+    Ok(Ended::Done)
+}
+
+/// Reads a key file that belongs to the user of this program and that nobody else can read. Links are followed: what
+/// counts is the file that was opened, not its name.
+pub fn read(path: &Path) -> Result<[u8; BYTES]> {
+    let refuse = |why: String| anyhow::Error::from(BadInput(format!("the key file '{}' {why}", path.display())));
+    // Without waiting: opening a pipe would wait for its other end.
+    let opened = OpenOptions::new().read(true).custom_flags(nix::libc::O_NONBLOCK | nix::libc::O_NOCTTY).open(path);
+    let file = opened.map_err(|e| match e.kind() {
+        ErrorKind::NotFound => {
+            refuse("is not there: copy the team's key to it, or make one with 'murmurate key new'".to_owned())
+        }
+        _ => refuse(format!("cannot be read: {e}")),
+    })?;
+    let about = file.metadata().map_err(|e| refuse(format!("cannot be read: {e}")))?;
+    if !about.is_file() {
+        return Err(refuse("is no regular file: name a file that holds the key".to_owned()));
+    }
+    let (owner, user) = (about.uid(), geteuid().as_raw());
+    if !may_own(owner, user) {
+        let why = format!(
+            "belongs to user {owner}, who can change it, and this program runs as user {user}: chown {user} it, or run \
+             as its owner"
+        );
+        return Err(refuse(why));
+    }
+    let mode = about.mode() & 0o777;
+    if mode & 0o177 != 0 {
+        return Err(refuse(format!("has mode {mode:04o}, so it is not its owner's alone: chmod 600 it")));
+    }
+    let mut digits = Vec::new();
+    // A little more than a key is enough to see that it is none.
+    file.take(4 * BYTES as u64).read_to_end(&mut digits).map_err(|e| refuse(format!("cannot be read: {e}")))?;
+    let key = parse(digits.trim_ascii()).ok_or_else(|| {
+        refuse(format!("does not hold {} hexadecimal digits ({BYTES} bytes): copy the team's key again", 2 * BYTES))
+    })?;
+    Ok(key)
+}
+
+/// Whether a key of this owner is taken from this user: from oneself, and from root, who could do anything anyway. So
+/// root takes no key that an ordinary user could exchange.
+fn may_own(owner: u32, user: u32) -> bool {
+    owner == user || owner == 0
+}
+
+fn parse(digits: &[u8]) -> Option<[u8; BYTES]> {
+    let mut key = [0; BYTES];
+    if digits.len() != 2 * BYTES {
+        return None;
+    }
+    for (byte, pair) in key.iter_mut().zip(digits.chunks(2)) {
+        let value = |digit: u8| char::from(digit).to_digit(16);
+        *byte = u8::try_from(16 * value(pair[0])? + value(pair[1])?).expect("two digits are a byte");
+    }
+    Some(key)
+}
+
+/// A few digits that tell two keys apart and tell nothing else.
+pub fn fingerprint(key: &[u8; BYTES]) -> String {
+    let mut digest = Hash::new();
+    digest.update(b"murmurate team key\0");
+    digest.update(key);
+    digest.finalize()[..4].iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_is_taken_from_its_user_and_from_root_alone() {
+        assert!(may_own(1000, 1000) && may_own(0, 1000) && may_own(0, 0));
+        assert!(!may_own(1000, 0), "an ordinary user could exchange it under root");
+        assert!(!may_own(1001, 1000));
+    }
+}

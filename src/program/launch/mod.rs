@@ -1,0 +1,253 @@
+//! `murmurate launch`: every process of a team on this machine, from the first episode to the table of results.
+//!
+//! Each process is this program's `host`. It tells what happens as JSON lines on its stdout (`report::event`); its
+//! stderr is passed on with its name before each line.
+
+mod supervisor;
+
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use crate::deploy::team::Team;
+use crate::report::episode::Episode;
+use crate::report::event::{Counted, HostEvent, Unwritten};
+use crate::report::summary::{Run, Summary};
+use crate::report::trial::{Totals, TrialReport};
+use crate::time::Span;
+use anyhow::{Context, Result, anyhow};
+
+use crate::program::BadInput;
+use crate::program::Ended;
+use crate::program::output::{colour, log_lines_dropped, print, talk};
+use crate::program::team;
+use supervisor::{Answer, Heard, Limits, Outcome, Process, Supervisor};
+
+/// Flags of `murmurate launch`.
+#[derive(clap::Args)]
+#[command(after_help = "Exit codes: 0 every episode has a result and every process has ended well; 1 a process has \
+    failed (more than 3 restarts in 60 s, or it would not end); 2 a flag, the team file, the key or the policy is \
+    wrong; 130 interrupted by Ctrl-C or SIGTERM. The results until then are printed.")]
+pub struct Args {
+    #[command(flatten)]
+    team: team::TeamArgs,
+    /// Prints one JSON object in place of the table
+    #[arg(long)]
+    json: bool,
+    /// Says nothing on stderr but errors, and does not pass on what the processes say
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// The colours of names, by process: all but red, which looks like an error.
+const COLOURS: [u8; 10] = [36, 32, 33, 35, 34, 96, 92, 93, 95, 94];
+
+/// Starts the team, waits for it, and prints what came of it.
+pub fn run(args: &Args) -> Result<Ended> {
+    let file = args.team.read()?;
+    let teams: Vec<Team> = file.hosts().map(|host| args.team.for_host(&file, host)).collect::<Result<_>>()?;
+    let policy = checked(&teams)?;
+    let program = std::env::current_exe().context("cannot find this program to start it again")?;
+    let processes = file.deployment().hosts.iter().map(|host| {
+        let (program, mut flags) = (program.clone(), again(&args.team));
+        flags.extend(["--host".into(), host.name.clone().into(), "--json".into()]);
+        let command = move || {
+            let mut command = Command::new(&program);
+            command.arg("host").args(&flags);
+            command
+        };
+        Process { name: host.name.clone(), command: Box::new(command) }
+    });
+    let supervisor = Supervisor::new(processes.collect(), Limits::default());
+    let stopper = supervisor.stopper();
+    let asked = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&asked);
+    ctrlc::set_handler(move || {
+        told.store(true, Ordering::Relaxed);
+        stopper.stop();
+    })
+    .context("cannot listen for Ctrl-C")?;
+
+    let names: Vec<String> = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
+    let mut results = Results::new(&names, teams[0].episodes, args.quiet);
+    let outcome = supervisor.run(|at, heard| results.hear(at, &heard));
+    if let Outcome::Refused(why) = outcome {
+        return Err(BadInput(why).into());
+    }
+    let first = &teams[0];
+    let began = results.began;
+    let wall_s = began.elapsed().as_secs_f64();
+    let finished = results.episodes.len() == first.episodes as usize;
+    // An interrupt before all processes have ended is one, whatever results there are.
+    let asked = asked.load(Ordering::Relaxed);
+    let run = Run {
+        mode: first.deployment.mode.clone(),
+        scenario: first.scenario.clone(),
+        policy,
+        robots: first.deployment.robots,
+        seed: first.seed,
+        wall_s,
+        interrupted: !finished || asked,
+    };
+    let mut summary = Summary::of(run, &[results.report(wall_s)]);
+    // Real time does not repeat itself: there is no trace to compare.
+    summary.trace_hash = None;
+    summary.unwritten = results.unwritten();
+    print(&if args.json {
+        serde_json::to_string(&summary).context("a summary is JSON")?
+    } else {
+        summary.to_string()
+    })?;
+    match outcome {
+        Outcome::Failed(why) => Err(anyhow!(why)),
+        Outcome::Done if !finished => {
+            let (got, all) = (results.episodes.len(), first.episodes);
+            Err(anyhow!("every process has ended, but {got} of {all} episodes have a result; see what they said"))
+        }
+        _ => Ok(if asked { Ended::Interrupted } else { Ended::Done }),
+    }
+}
+
+/// The team file and its flags, for another process of this program.
+fn again(team: &team::TeamArgs) -> Vec<OsString> {
+    let mut all: Vec<OsString> = vec![team.file.clone().into()];
+    all.extend(team.set.iter().flat_map(|given| ["--set".into(), given.into()]));
+    all.extend(team.interface.iter().flat_map(|name| ["--interface".into(), name.into()]));
+    all.extend(team.key_file.iter().flat_map(|path| ["--key-file".into(), path.into()]));
+    all
+}
+
+/// Checks every host's key and policy before anything is started; gives the policy's name.
+fn checked(teams: &[Team]) -> Result<String> {
+    let mut names: Vec<String> = Vec::new();
+    let mut seen: Vec<&Team> = Vec::new();
+    for team in teams {
+        if !seen.iter().any(|other| other.key_file == team.key_file) {
+            team::key(team)?;
+        }
+        if !seen.iter().any(|other| other.policy == team.policy) {
+            names.push(team::policy(team)?.name);
+        }
+        seen.push(team);
+    }
+    Ok(names.join(", "))
+}
+
+/// What was heard so far.
+struct Results {
+    names: Vec<String>,
+    width: usize,
+    wanted: u32,
+    quiet: bool,
+    coloured: bool,
+    began: Instant,
+    ready: usize,
+    episodes: BTreeMap<u32, Episode>,
+    /// By process: what its life that runs has counted so far, or the last one had.
+    counted: Vec<Counted>,
+    /// The counts of earlier lives.
+    past: Vec<Counted>,
+}
+
+impl Results {
+    fn new(names: &[String], wanted: u32, quiet: bool) -> Results {
+        Results {
+            names: names.to_vec(),
+            width: names.iter().map(|name| name.chars().count()).max().unwrap_or(0),
+            wanted,
+            quiet,
+            coloured: colour(),
+            began: Instant::now(),
+            ready: 0,
+            episodes: BTreeMap::new(),
+            counted: vec![Counted::default(); names.len()],
+            past: Vec::new(),
+        }
+    }
+
+    fn hear(&mut self, at: usize, heard: &Heard<'_>) -> Answer {
+        match *heard {
+            Heard::Log(line) => self.pass_on(at, line),
+            Heard::Note(note) => talk(&format!("warning: the process '{}' {note}", self.names[at])),
+            Heard::Data(line) => match HostEvent::from_line(line) {
+                Some(HostEvent::Ready { .. }) => {
+                    self.past.push(std::mem::take(&mut self.counted[at]));
+                    self.ready();
+                }
+                Some(HostEvent::Episode(episode)) => self.episode(episode),
+                Some(HostEvent::Counted(counted)) => self.counted[at] = counted,
+                Some(HostEvent::Finished(counted)) => {
+                    self.counted[at] = counted;
+                    return Answer::Done;
+                }
+                None => self.pass_on(at, line),
+            },
+        }
+        Answer::On
+    }
+
+    /// The clock of the results starts when the team is complete.
+    fn ready(&mut self) {
+        self.ready += 1;
+        if self.ready == self.names.len() {
+            self.began = Instant::now();
+            self.say(&format!("{} processes run; Ctrl-C stops them and prints what there is", self.ready));
+        }
+    }
+
+    fn episode(&mut self, episode: Episode) {
+        // A World that was started again may tell one twice; the first is what happened.
+        if self.episodes.contains_key(&episode.episode) {
+            return;
+        }
+        self.episodes.insert(episode.episode, episode);
+        let verdict = serde_json::to_value(episode.verdict).expect("a verdict is JSON");
+        let verdict = verdict.as_str().unwrap_or_default();
+        let makespan = episode.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
+        self.say(&format!("episode {} of {}: {verdict}{makespan}", episode.episode + 1, self.wanted));
+    }
+
+    fn say(&self, text: &str) {
+        if !self.quiet {
+            talk(text);
+        }
+    }
+
+    fn pass_on(&self, at: usize, line: &str) {
+        let name = format!("{:1$}", self.names[at], self.width);
+        let name = if self.coloured { format!("\x1b[{}m{name}\x1b[0m", COLOURS[at % COLOURS.len()]) } else { name };
+        self.say(&format!("{name} | {line}"));
+    }
+
+    fn lives(&self) -> impl Iterator<Item = &Counted> {
+        self.past.iter().chain(&self.counted)
+    }
+
+    fn unwritten(&self) -> Unwritten {
+        let own = Unwritten { log_lines: log_lines_dropped(), ..Unwritten::default() };
+        self.lives().map(|counted| counted.unwritten).chain([own]).sum()
+    }
+
+    fn report(&self, wall_s: f64) -> TrialReport {
+        let sum = |of: fn(&Counted) -> u64| self.lives().map(of).sum();
+        let oldest = self.lives().map(|counted| counted.oldest_command_s).fold(0.0, f64::max);
+        TrialReport {
+            episodes: self.episodes.values().copied().collect(),
+            simulated: Span::from_secs(wall_s),
+            totals: Totals {
+                messages: sum(|counted| counted.messages),
+                oldest_command: Span::from_secs(oldest),
+                links: self.lives().map(|counted| *counted.links).sum(),
+                safety: self.lives().flat_map(|counted| &counted.safety).map(|robot| robot.counts).sum(),
+                ..Totals::default()
+            },
+            finished: self.episodes.len() == self.wanted as usize,
+            refused: sum(|counted| counted.refused),
+            lost: sum(|counted| counted.lost),
+            steps: Vec::new(),
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! The command-line program. Flags, files, progress and exit codes live here; what a run does never does.
+//!
+//! Exit codes: 0 done; 1 the run, one of its processes, its output or a check of `doctor` failed; 2 a flag or a file is
+//! wrong, and nothing was run; 101 a bug (a panic); 130 interrupted, with the results until then printed.
+
+mod config;
+#[cfg(feature = "sim")]
+mod deployment;
+mod doctor;
+mod host;
+#[cfg(feature = "sim")]
+mod jobs;
+mod key;
+mod lane;
+#[cfg(feature = "sim")]
+mod launch;
+mod links;
+mod outlets;
+mod output;
+mod paths;
+mod policy;
+#[cfg(feature = "completions")]
+mod shells;
+#[cfg(feature = "sim")]
+mod sim;
+mod stop;
+#[cfg(feature = "study")]
+mod study;
+mod team;
+mod temporary;
+#[cfg(feature = "train")]
+mod train;
+#[cfg(any(feature = "completions", feature = "sim"))]
+mod whole_file;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+
+/// Runs message-passing policies on teams of robots.
+#[derive(Parser)]
+#[command(
+    name = "murmurate",
+    version,
+    after_help = "Exit codes: 0 done; 1 the run, its output or a check failed; 2 a flag or a file is wrong, nothing \
+                  was run; 101 a bug; 130 interrupted, results until then printed.\n\
+                  Logs go to stderr; MURMURATE_LOG sets their level (error, warn, info, debug; by default warn for \
+                  'host' and 'launch', else error)."
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    #[cfg(feature = "sim")]
+    /// Runs episodes in one process, faster than real time, and prints success rate and makespan.
+    Sim(Box<sim::Args>),
+    #[cfg(feature = "sim")]
+    /// Prints a preset mode as a deployment file, to be changed and run with `sim --deployment`.
+    Deployment(deployment::Args),
+    #[cfg(feature = "study")]
+    /// Runs a whole study: the same policies in several columns of conditions, with a report.
+    #[command(subcommand)]
+    Study(study::Args),
+    #[cfg(feature = "train")]
+    /// Trains a policy.
+    Train(Box<train::Args>),
+    /// Runs one host of a team in real time: what is started on a robot.
+    Host(Box<host::Args>),
+    #[cfg(feature = "sim")]
+    /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
+    Launch(Box<launch::Args>),
+    /// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
+    Doctor(Box<doctor::Args>),
+    /// Engages a team's emergency stop, or takes it back with --rearm.
+    Stop(stop::Args),
+    /// Lets a team go on that was stopped and re-armed: the next episode begins.
+    Resume(stop::ResumeArgs),
+    /// Makes the key that a team's messages are authenticated with.
+    #[command(subcommand)]
+    Key(key::Args),
+    /// Checks a team file, or shows what it comes to.
+    #[command(subcommand)]
+    Config(config::Args),
+    #[cfg(feature = "completions")]
+    /// Prints what a shell needs to complete commands and flags.
+    Completions(shells::Completions),
+    #[cfg(feature = "completions")]
+    /// Prints the program's man page, or writes one for every command.
+    Man(shells::Manual),
+}
+
+impl Command {
+    /// Whether robots move while it runs.
+    fn in_real_time(&self) -> bool {
+        match self {
+            Command::Host(_) => true,
+            #[cfg(feature = "sim")]
+            Command::Launch(_) => true,
+            _ => false,
+        }
+    }
+}
+
+/// How a command ended.
+pub enum Ended {
+    /// As asked.
+    Done,
+    /// As asked, and it was found that something is wrong; what, was printed.
+    Unfit,
+    /// By Ctrl-C, with the results until then printed.
+    Interrupted,
+}
+
+/// A flag or a file is wrong, and nothing was run.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct BadInput(pub String);
+
+/// Refuses what was given.
+fn bad<T>(why: String) -> anyhow::Result<T> {
+    Err(BadInput(why).into())
+}
+
+/// Logs to stderr what `wanted` names: a level, or levels of modules as in `warn,murmurate::net=debug`.
+fn log(wanted: &str) -> Result<(), String> {
+    // Left to itself, the parser takes a misspelt level for the name of a module.
+    let odd = wanted.split(',').find(|part| !part.contains('=') && part.trim().parse::<LevelFilter>().is_err());
+    if let Some(odd) = odd {
+        return Err(format!("'{odd}' is no level; there are off, error, warn, info, debug and trace"));
+    }
+    let targets: Targets = wanted.parse().map_err(|error| format!("'{wanted}': {error}"))?;
+    let lines = tracing_subscriber::fmt::layer().with_writer(|| output::LogLines).with_ansi(output::colour());
+    tracing_subscriber::registry().with(targets).with(lines).init();
+    Ok(())
+}
+
+/// Runs the program on the flags that the process was started with.
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return refuse(&error),
+    };
+    let real_time = cli.command.in_real_time();
+    let waits_for_nobody = real_time || matches!(cli.command, Command::Stop(_));
+    if waits_for_nobody && let Err(why) = output::open_log_lane() {
+        output::talk(&format!("error: cannot start a thread to write the log: {why}"));
+        return ExitCode::from(1);
+    }
+    // What a guard does to a robot is for its operator to see.
+    let level = if real_time { "warn" } else { "error" };
+    if let Err(why) = log(std::env::var("MURMURATE_LOG").as_deref().unwrap_or(level)) {
+        output::talk(&format!("error: MURMURATE_LOG: {why}"));
+        output::flush_log();
+        return ExitCode::from(2);
+    }
+    let status = exit_code(run(cli.command));
+    output::flush_log();
+    status
+}
+
+fn run(command: Command) -> anyhow::Result<Ended> {
+    match command {
+        #[cfg(feature = "sim")]
+        Command::Sim(args) => sim::run(&args),
+        #[cfg(feature = "sim")]
+        Command::Deployment(args) => deployment::run(&args),
+        #[cfg(feature = "study")]
+        Command::Study(args) => study::run(&args),
+        #[cfg(feature = "train")]
+        Command::Train(args) => train::run(&args),
+        Command::Host(args) => host::run(&args),
+        #[cfg(feature = "sim")]
+        Command::Launch(args) => launch::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Stop(args) => stop::run(&args),
+        Command::Resume(args) => stop::resume(&args),
+        Command::Key(args) => key::run(&args),
+        Command::Config(args) => config::run(&args),
+        #[cfg(feature = "completions")]
+        Command::Completions(args) => shells::complete(&args),
+        #[cfg(feature = "completions")]
+        Command::Man(args) => shells::manual(&args),
+    }
+}
+
+/// Says how a command has ended.
+fn exit_code(ended: anyhow::Result<Ended>) -> ExitCode {
+    match ended {
+        Ok(Ended::Done) => ExitCode::SUCCESS,
+        Ok(Ended::Unfit) => ExitCode::from(1),
+        Ok(Ended::Interrupted) => ExitCode::from(130),
+        Err(error) => {
+            output::talk(&format!("error: {error:#}"));
+            ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
+        }
+    }
+}
+
+/// Help and version as they are; anything wrong as one line.
+fn refuse(error: &clap::Error) -> ExitCode {
+    if !error.use_stderr() {
+        // Asked for, so it is data; a closed pipe is the reader's choice.
+        let _ = error.print();
+        return ExitCode::SUCCESS;
+    }
+    let text = error.render().to_string();
+    if error.kind() == clap::error::ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        output::talk(text.trim_end());
+        return ExitCode::from(2);
+    }
+    let said: Vec<&str> = text
+        .lines()
+        .map(str::trim)
+        .take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more information"))
+        .filter(|line| !line.is_empty())
+        .collect();
+    output::talk(&format!("{} (see 'murmurate --help')", said.join(" ")));
+    ExitCode::from(2)
+}

@@ -1,0 +1,196 @@
+//! Outlets: everything that a running host writes, each on a lane of its own: events or a table on stdout,
+//! trajectories, and its state for the service manager. Nothing here waits; what is dropped is counted by its kind.
+
+use std::cell::{Cell, RefCell};
+use std::io::{self, Write};
+use std::os::fd::OwnedFd;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::path::Path;
+use std::rc::Rc;
+
+use crate::report::event::{HostEvent, Unwritten};
+use crate::report::trial::Step;
+use anyhow::{Context, Result, anyhow};
+use sd_notify::NotifyState;
+
+use crate::program::BadInput;
+use crate::program::lane::{Lane, Target};
+use crate::program::output::{FAREWELL, log_lines_dropped};
+use crate::program::paths::Paths;
+
+/// The outlets of a host.
+pub struct Outlets {
+    stdout: Lane,
+    /// Whether stdout has events.
+    json: bool,
+    trajectories: Option<(Lane, RefCell<Rows>)>,
+    service: Option<Lane>,
+    events: Cell<u64>,
+    steps: Cell<u64>,
+}
+
+impl Outlets {
+    /// Opens them. A pipe for the trajectories may be without a reader: then they wait for one, and this does not.
+    pub fn open(json: bool, trajectories: Option<&Path>) -> Result<Outlets> {
+        let thread = "cannot start a thread to write";
+        let stdout = Target::copy_of(io::stdout()).context("stdout is not open")?;
+        let stdout = Lane::open(stdout, None).context(thread)?;
+        let trajectories = match trajectories {
+            None => None,
+            Some(path) => {
+                let refuse = |e| BadInput(format!("cannot write '{}': {e}", path.display()));
+                let target = Target::create(path).map_err(refuse)?;
+                // Two threads that write to one pipe could mix their lines.
+                let same = target.is_same(io::stdout());
+                let lane = if same { stdout.clone() } else { Lane::open(target, None).context(thread)? };
+                Some((lane, RefCell::new(Rows::new()?)))
+            }
+        };
+        let service = service_socket().map(|socket| Lane::open(Target::Open(OwnedFd::from(socket).into()), None));
+        let service = service.transpose().context(thread)?;
+        Ok(Outlets { stdout, json, trajectories, service, events: Cell::new(0), steps: Cell::new(0) })
+    }
+
+    /// Tells an event, if events are asked for.
+    pub fn tell(&self, event: &HostEvent) {
+        if self.json && !self.stdout.push((event.to_line() + "\n").into_bytes()) {
+            self.events.set(self.events.get() + 1);
+        }
+    }
+
+    /// Prints the table of results.
+    pub fn print(&self, table: &str) {
+        self.stdout.push(format!("{table}\n").into_bytes());
+    }
+
+    /// Writes a step of the World, if trajectories are asked for.
+    pub fn step(&self, step: &Step) {
+        let Some((lane, rows)) = &self.trajectories else { return };
+        if !lane.push(rows.borrow_mut().of(step)) {
+            if self.steps.get() == 0 {
+                tracing::warn!("steps of the trajectories are dropped: they cannot be written in time, or at all");
+            }
+            self.steps.set(self.steps.get() + 1);
+        }
+    }
+
+    /// Tells the service manager something.
+    pub fn notify(&self, state: &NotifyState<'_>) {
+        if let Some(lane) = &self.service {
+            // The manager misses what it has no room for; what keeps a watchdog quiet is said again.
+            lane.push(format!("{state}\n").into_bytes());
+        }
+    }
+
+    /// Output that was dropped so far.
+    pub fn unwritten(&self) -> Unwritten {
+        Unwritten { log_lines: log_lines_dropped(), events: self.events.get(), steps: self.steps.get() }
+    }
+
+    /// Why stdout cannot be written to at all: it leads to a disk that is full, say. A reader that has gone is no
+    /// failure.
+    pub fn failure(&self) -> Option<anyhow::Error> {
+        self.stdout.failure().map(|error| anyhow!("cannot write to stdout: {error}"))
+    }
+
+    /// Waits a little for what is still to be written, logs what is not, and tells why, if it could not be.
+    pub fn close(&self) -> Result<()> {
+        let others = self.trajectories.iter().map(|(lane, _)| lane).chain(&self.service);
+        let lanes: Vec<&Lane> = std::iter::once(&self.stdout).chain(others).collect();
+        for lane in &lanes {
+            lane.flush(FAREWELL);
+        }
+        let dropped: u64 = lanes.iter().map(|lane| lane.dropped()).sum();
+        if dropped > 0 {
+            let Unwritten { log_lines, events, steps } = self.unwritten();
+            tracing::warn!(dropped, events, steps, log_lines, "output was dropped: nobody took it in time");
+        }
+        // No robot stops for trajectories, but whoever wanted them is told.
+        let trajectories = self.trajectories.as_ref().and_then(|(lane, _)| lane.failure());
+        match (self.failure(), trajectories) {
+            (Some(error), _) => Err(error),
+            (None, Some(error)) => Err(anyhow!("cannot write the trajectories: {error}")),
+            (None, None) => Ok(()),
+        }
+    }
+}
+
+/// Robots' paths as rows in memory.
+struct Rows {
+    paths: Paths<Shared>,
+    written: Shared,
+}
+
+/// Memory that its owner and a writer share.
+#[derive(Clone, Default)]
+struct Shared(Rc<RefCell<Vec<u8>>>);
+
+impl Rows {
+    fn new() -> Result<Rows> {
+        let written = Shared::default();
+        Ok(Rows { paths: Paths::new(written.clone())?, written })
+    }
+
+    /// The rows of a step; before the first, the names of the columns.
+    fn of(&mut self, step: &Step) -> Vec<u8> {
+        let paths = &mut self.paths;
+        paths.write(0, step).and_then(|()| paths.flush()).expect("memory takes everything");
+        self.written.0.take()
+    }
+}
+
+impl Write for Shared {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.borrow_mut().write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// The service manager's socket, if it has started this process (`sd_notify(3)`).
+fn service_socket() -> Option<UnixDatagram> {
+    let name = std::env::var_os("NOTIFY_SOCKET")?;
+    let address = match name.as_bytes() {
+        [b'@', name @ ..] => SocketAddr::from_abstract_name(name),
+        _ => SocketAddr::from_pathname(&name),
+    };
+    let socket = UnixDatagram::unbound().ok()?;
+    socket.connect_addr(&address.ok()?).ok()?;
+    Some(socket)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::messages::geometry::{Motion, Vec2};
+    use crate::messages::ids::RobotId;
+    use crate::messages::local::{Contacts, Sample};
+    use crate::messages::wire::Phase;
+    use crate::time::Time;
+
+    use super::*;
+
+    #[test]
+    fn a_full_disk_stops_no_host_and_is_told_at_its_end() {
+        let outlets = Outlets::open(false, Some(Path::new("/dev/full"))).expect("it is there");
+        let sample = Sample {
+            robot: RobotId(0),
+            time: Time::ZERO,
+            motion: Motion::at_rest(Vec2::zeros()),
+            heading: 0.0,
+            yaw_rate: 0.0,
+            command: Vec2::zeros(),
+            contacts: Contacts::default(),
+        };
+        let step = Step { episode: 0, phase: Phase::Running, samples: vec![sample] };
+        outlets.step(&step);
+        outlets.trajectories.as_ref().expect("they are asked for").0.flush(FAREWELL);
+        outlets.step(&step);
+        assert_eq!((outlets.unwritten().steps, outlets.failure().is_none()), (1, true));
+        let why = outlets.close().expect_err("it is told").to_string();
+        assert!(why.starts_with("cannot write the trajectories: "), "{why}");
+    }
+}

@@ -1,0 +1,53 @@
+//! Every robot's path as CSV, a line a robot and step: of a trial that is over, or of a team that is running.
+
+use std::io::Write;
+
+use crate::messages::geometry::Vec2;
+use crate::report::trial::Step;
+use anyhow::{Context, Result};
+
+/// What is in a line.
+const COLUMNS: [&str; 11] = [
+    "repeat",
+    "episode",
+    "phase",
+    "time_s",
+    "robot",
+    "x_m",
+    "y_m",
+    "vx_m_s",
+    "vy_m_s",
+    "command_x_m_s",
+    "command_y_m_s",
+];
+
+/// A file of paths. Nothing in it needs quotes: numbers, and names of phases.
+pub struct Paths<W: Write>(W);
+
+impl<W: Write> Paths<W> {
+    /// Begins it.
+    pub fn new(mut file: W) -> Result<Paths<W>> {
+        writeln!(file, "{}", COLUMNS.join(",")).context("cannot write the trajectories")?;
+        Ok(Paths(file))
+    }
+
+    /// The whole team at one instant.
+    pub fn write(&mut self, repeat: usize, step: &Step) -> Result<()> {
+        for sample in &step.samples {
+            let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
+            let (phase, time, robot) = (step.phase, sample.time.as_secs(), sample.robot.0);
+            let (head, numbers) = (format_args!("{repeat},{},{phase:?},{time:.3},{robot}", step.episode), [p, v, c]);
+            write!(self.0, "{head}").context("cannot write the trajectories")?;
+            for Vec2 { x, y } in numbers {
+                write!(self.0, ",{x},{y}").context("cannot write the trajectories")?;
+            }
+            writeln!(self.0).context("cannot write the trajectories")?;
+        }
+        Ok(())
+    }
+
+    /// Lets go of what is still here.
+    pub fn flush(&mut self) -> Result<()> {
+        self.0.flush().context("cannot write the trajectories")
+    }
+}

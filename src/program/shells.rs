@@ -1,0 +1,71 @@
+//! `murmurate completions` and `murmurate man`: what shells and `man` know of the program, made from its flags.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::{Command, CommandFactory};
+use clap_complete::Shell;
+use clap_mangen::Man;
+
+use crate::program::output::{print, talk};
+use crate::program::whole_file::WholeFile;
+use crate::program::{BadInput, Cli, Ended};
+
+/// Flags of `murmurate completions`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "For example: murmurate completions bash > ~/.local/share/bash-completion/completions/murmurate"
+)]
+pub struct Completions {
+    /// The shell that is to complete
+    shell: Shell,
+}
+
+/// Flags of `murmurate man`.
+#[derive(clap::Args)]
+#[command(after_help = "For example: murmurate man --out ~/.local/share/man/man1")]
+pub struct Manual {
+    /// Writes the page of every command into this folder, which is made if need be
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+}
+
+/// Prints what a shell needs to complete commands and flags.
+pub fn complete(args: &Completions) -> Result<Ended> {
+    let (mut command, mut script) = (Cli::command(), Vec::new());
+    let name = command.get_name().to_owned();
+    clap_complete::generate(args.shell, &mut command, name, &mut script);
+    print(String::from_utf8_lossy(&script).trim_end())?;
+    Ok(Ended::Done)
+}
+
+/// Prints the program's page, or writes the pages of all its commands.
+pub fn manual(args: &Manual) -> Result<Ended> {
+    let mut command = Cli::command().disable_help_subcommand(true);
+    command.build();
+    let Some(folder) = &args.out else {
+        print(String::from_utf8_lossy(&page(&command)?).trim_end())?;
+        return Ok(Ended::Done);
+    };
+    let why = |e| BadInput(format!("--out: '{}': cannot make this folder: {e}", folder.display()));
+    std::fs::create_dir_all(folder).map_err(why)?;
+    let pages = write(&command, folder)?;
+    talk(&format!("{pages} pages in '{}'", folder.display()));
+    Ok(Ended::Done)
+}
+
+/// Writes the pages of a command and of those below it; how many there are.
+fn write(command: &Command, folder: &Path) -> Result<usize> {
+    let name = command.get_display_name().unwrap_or(command.get_name());
+    let mut file = WholeFile::create(&folder.join(format!("{name}.1")))?;
+    file.writer().write_all(&page(command)?).with_context(|| format!("cannot write the page of '{name}'"))?;
+    file.keep()?;
+    let below = command.get_subcommands().filter(|below| !below.is_hide_set());
+    below.map(|below| write(below, folder)).sum::<Result<usize>>().map(|pages| pages + 1)
+}
+
+fn page(command: &Command) -> Result<Vec<u8>> {
+    let mut page = Vec::new();
+    Man::new(command.clone()).render(&mut page).context("memory takes everything")?;
+    Ok(page)
+}

@@ -1,0 +1,366 @@
+//! `murmurate sim`: episodes in one process under virtual time.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::actors::recorder::Steps;
+use crate::deploy::{Deployment, Impair, MODES};
+use crate::faults::FaultPlan;
+use crate::hearing::CommRange;
+use crate::hearing::Handling;
+use crate::report::episode::Episode;
+use crate::report::summary::{Run, Summary};
+use crate::safety::Safety;
+use crate::scenario::layout::Layouts;
+use crate::scenario::{self, Settings};
+use crate::trial::{Proceed, Trial, TrialReport};
+use crate::world::{self, Clamp, ContactRule, Given, PLANTS, Placement, Sensor};
+use anyhow::{Context, Result};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::program::BadInput;
+use crate::program::Ended;
+use crate::program::deployment;
+use crate::program::jobs;
+use crate::program::output::{print, read_text, talk};
+use crate::program::paths::Paths;
+use crate::program::policy;
+use crate::program::whole_file::WholeFile;
+
+/// Flags of `murmurate sim`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Which host runs what, as one of the paper's modes
+    #[arg(long, default_value = "sim", value_parser = PossibleValuesParser::new(MODES))]
+    mode: String,
+    /// Which host runs what, as a file (see 'murmurate deployment'); takes the place of --mode
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "mode")]
+    deployment: Option<PathBuf>,
+    /// What the team is to do
+    #[arg(long, default_value = "passage", value_parser = scenarios())]
+    scenario: String,
+    /// What drives the robots: a policy file (safetensors), or 'orca' for scripted navigation [default: the shipped
+    /// policy of the scenario, or 'orca' if it has none]
+    #[arg(long, value_name = "FILE|orca")]
+    policy: Option<PathBuf>,
+    /// How actions are drawn from a trained policy [default: as its file says]
+    #[arg(long, value_parser = PossibleValuesParser::new(["mean", "sample"]))]
+    action: Option<String>,
+    /// Size of the team [default: the scenario's own]
+    #[arg(long)]
+    robots: Option<usize>,
+    /// Episodes of a trial, one after the other with resets between
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    episodes: u32,
+    /// Trials: the same episodes with other random numbers
+    #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    repeats: u32,
+    /// Starts and goals from a file: {"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}
+    #[arg(long, value_name = "FILE.json")]
+    episodes_file: Option<PathBuf>,
+    /// How robots come to their starts: put there exactly, or driven there [default: as the deployment says]
+    #[arg(long, value_parser = choice([("exact", Placement::Exact), ("drive", Placement::Drive)]))]
+    placement: Option<Placement>,
+    /// What simulated robots move in: the training world, or one of rigid bodies with mass, friction and slipping
+    /// wheels, seen by motion capture (docs/world.md) [default: as the deployment says, else kinematic]
+    #[arg(long, value_parser = PossibleValuesParser::new(PLANTS))]
+    plant: Option<String>,
+    /// Time constant of simulated robots' drivetrains: their true velocity follows commands this slowly [s] [default:
+    /// as the plant has it: kinematic 0, rigid 0.5]
+    #[arg(long)]
+    lag_s: Option<f32>,
+    /// What comes of a contact: the move is not made, as in training, or it is made and the judge is told [default:
+    /// block; not for plant rigid]
+    #[arg(long, value_parser = choice([("block", ContactRule::Block), ("judge", ContactRule::Judge)]))]
+    contacts: Option<ContactRule>,
+    /// How near to a wall a robot's centre touches it [m] [default: the scenario's robot radius, 0.25; not for plant
+    /// rigid]
+    #[arg(long)]
+    wall_radius_m: Option<f32>,
+    /// How robots' states are measured: exactly, or with noise and latency [default: as the plant has it: kinematic
+    /// exact, rigid motion-capture]
+    #[arg(long, value_parser = choice(Sensor::NAMED))]
+    sensor: Option<Sensor>,
+    /// What limits acceleration: the world to 1 m/s^2, as in training, or only the robots' own controllers, to commands
+    /// within 0.25 m/s of the measured velocity, as on the published robots
+    #[arg(long, default_value = "training",
+        value_parser = choice([("training", Clamp::Training), ("deployed", Clamp::Deployed)]))]
+    clamp: Clamp,
+    /// What comes between policy and wheels: 'emulated' is what the published robots had; 'deployed' is what runs on
+    /// real hosts, with stops on late ticks and stale state at once, a geofence and a least distance
+    #[arg(long, default_value = "emulated",
+        value_parser = choice([("emulated", Safety::emulated()), ("deployed", Safety::deployed())]))]
+    safety: Safety,
+    /// What becomes of a neighbour's message after the step that has used it: dropped, as published, or held until a
+    /// newer one comes or the policy's window is over
+    #[arg(long, default_value = "hold",
+        value_parser = choice([("as-published", Handling::AsPublished), ("hold", Handling::Hold)]))]
+    handling: Handling,
+    /// The root of all randomness
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// How long a message takes to cross a link [ms]
+    #[arg(long, default_value_t = 0.0)]
+    delay_ms: f64,
+    /// Share of messages that a receiver misses, 0 to 1
+    #[arg(long, default_value_t = 0.0)]
+    loss: f64,
+    /// What suffers delay and loss: what robots tell each other, or everything on every link [default: latent]
+    #[arg(long, value_parser = PossibleValuesParser::new(["latent", "all"]))]
+    impair: Option<String>,
+    /// What the mode's links are: 'none' for ideal ones or those of the deployment file, a preset radio (wifi, wifi-n,
+    /// wifi-slow), or a radio as a file (see docs/radio.md)
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
+    radio: String,
+    /// How far the links reach that carry latents [m]: a large team is simulated much faster if nobody gets what is out
+    /// of range anyway; see docs/scale.md for how much more than robots hear it should be [default: everywhere]
+    #[arg(long)]
+    link_range_m: Option<f32>,
+    /// How far a robot hears [m] ('inf' for everywhere) [default: as the policy's file says]
+    #[arg(long)]
+    comm_range_m: Option<f32>,
+    /// Standard deviation of that range, drawn anew for every message [m]
+    #[arg(long, default_value_t = 0.0)]
+    comm_range_std_m: f32,
+    /// What goes wrong: a seed to draw faults from, or a plan
+    #[arg(long, value_name = "SEED|FILE.toml")]
+    faults: Option<String>,
+    /// Trials that run at the same time [default: one per core]; the numbers do not depend on it
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    jobs: Option<u16>,
+    /// Writes every robot's path to a CSV file
+    #[arg(long, value_name = "FILE.csv")]
+    trajectories: Option<PathBuf>,
+    /// Prints one JSON object in place of the table
+    #[arg(long)]
+    json: bool,
+    /// Says nothing on stderr but errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// A flag that takes a scenario.
+pub fn scenarios() -> PossibleValuesParser {
+    PossibleValuesParser::new(scenario::REGISTRY.iter().map(|entry| entry.name))
+}
+
+/// A flag that takes one of these names.
+fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
+    all: [(&'static str, T); N],
+) -> impl TypedValueParser<Value = T> {
+    let named = move |name: String| all.iter().find(|(other, _)| *other == name).map(|(_, value)| *value);
+    PossibleValuesParser::new(all.map(|(name, _)| name))
+        .map(move |name| named(name).expect("the parser lets only these names through"))
+}
+
+/// Runs the trials and prints what came of them.
+pub fn run(args: &Args) -> Result<Ended> {
+    let (trial, policy) = trial(args)?;
+    let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let signal = Arc::clone(&stop);
+    ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+    tracing::info!("{} repeats of {} episodes; Ctrl-C prints what there is", args.repeats, args.episodes);
+
+    let began = Instant::now();
+    let reports = run_all(args, &trial, &stop)?;
+    // A Ctrl-C that comes after the last episode has interrupted nothing.
+    let interrupted = reports.len() < args.repeats as usize || reports.iter().any(|report| !report.finished);
+    let run = Run {
+        mode: trial.deployment.mode.clone(),
+        scenario: trial.scenario.name().to_owned(),
+        policy,
+        robots: trial.scenario.robots(),
+        seed: args.seed,
+        wall_s: began.elapsed().as_secs_f64(),
+        interrupted,
+    };
+    let summary = Summary::of(run, &reports);
+    print(&if args.json {
+        serde_json::to_string(&summary).context("a summary is JSON")?
+    } else {
+        summary.to_string()
+    })?;
+    if let Some(mut file) = paths.take() {
+        write_paths(&mut file, &reports)?;
+        file.keep()?;
+    }
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+fn run_all(args: &Args, trial: &Trial, stop: &AtomicBool) -> Result<Vec<TrialReport>> {
+    let bar = progress(u64::from(args.episodes) * u64::from(args.repeats), args.quiet);
+    let repeats = args.repeats as usize;
+    let work = |repeat: usize| {
+        let repeat = u32::try_from(repeat).expect("repeats were counted in u32");
+        Trial { repeat, ..trial.clone() }.run_while(watched(&bar, stop))
+    };
+    let reports = jobs::run(repeats, jobs::threads(args.jobs, repeats), stop, work);
+    bar.finish_and_clear();
+    Ok(reports.into_iter().map(|(_, report)| report).collect())
+}
+
+/// Shows every episode on a bar as it ends, until the trial is to stop.
+pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -> Proceed {
+    let mut shown = 0;
+    move |episodes| {
+        if episodes.len() > shown {
+            bar.inc((episodes.len() - shown) as u64);
+            shown = episodes.len();
+        }
+        if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::On }
+    }
+}
+
+/// A bar over so many episodes, with the time that is left. On anything but a terminal it draws nothing.
+pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new(episodes);
+    let style =
+        ProgressStyle::with_template("{bar:30} {pos}/{len} episodes, {eta} left").expect("the template is sound");
+    bar.set_style(style);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
+/// The first trial, of which all others are repeats, and its policy's name in the report.
+fn trial(args: &Args) -> Result<(Trial, String)> {
+    let bad = |text: String| anyhow::Error::from(BadInput(text));
+    let file = args.deployment.as_deref().map(read_deployment).transpose()?;
+    let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
+    let scenario = scenario::build(&args.scenario, &Settings { robots, gap_m: None })
+        .map_err(|e| bad(format!("--robots: {e}")))?;
+    let mut deployment = match file {
+        Some(file) if file.robots != scenario.robots() => {
+            return Err(bad(format!(
+                "--robots: {} robots, but the deployment file has {}",
+                scenario.robots(),
+                file.robots
+            )));
+        }
+        Some(file) => file,
+        None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
+    };
+    if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
+        return Err(bad("--impair: there is nothing to suffer from; add --delay-ms or --loss".to_owned()));
+    }
+    for (flag, value, most) in [("--delay-ms", args.delay_ms, 60_000.0), ("--loss", args.loss, 1.0)] {
+        if !(0.0..=most).contains(&value) {
+            return Err(bad(format!("{flag}: {value} is not 0 to {most}")));
+        }
+    }
+    if args.delay_ms > 0.0 || args.loss > 0.0 {
+        let impair = if args.impair.as_deref() == Some("all") { Impair::All } else { Impair::Latent };
+        let flag = if args.delay_ms > 0.0 { "--delay-ms" } else { "--loss" };
+        let given = |value: f64| Some(value).filter(|value| *value > 0.0);
+        deployment = deployment
+            .impaired(given(args.delay_ms / 1000.0), given(args.loss), impair)
+            .map_err(|e| bad(format!("{flag}: {e}")))?;
+    }
+    if let Some(range_m) = args.link_range_m {
+        deployment = deployment.ranged(range_m).map_err(|e| bad(format!("--link-range-m: {e}")))?;
+    }
+    deployment = deployment::with_radio(deployment, &args.radio)?;
+    deployment.placement = args.placement.unwrap_or(deployment.placement);
+    if let Some(plant) = &args.plant {
+        deployment.plant.clone_from(plant);
+    }
+    let policy::Loaded { model, name: policy, assumed, .. } =
+        policy::load(args.policy.as_deref(), args.action.as_deref(), &*scenario)?;
+    if let Some(assumed) = assumed.filter(|_| !args.quiet) {
+        talk(&format!("warning: {assumed}"));
+    }
+    let mut trial = Trial::new(deployment, Arc::clone(&scenario), model).seed(args.seed).episodes(args.episodes);
+    (trial.handling, trial.safety) = (args.handling, args.safety);
+    trial = physics(args, trial)?.clamp(args.clamp);
+    if let Some(path) = &args.episodes_file {
+        let text = read_text(path, "episodes file")?;
+        trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes)
+            .map_err(|e| bad(format!("the episodes file '{}': {e}", path.display())))?;
+        if args.placement == Some(Placement::Drive) && !trial.layouts.chained() {
+            let reason = "its episodes do not start where those before them have ended";
+            return Err(bad(format!("--placement drive: the episodes file '{}': {reason}", path.display())));
+        }
+    }
+    // Once before the faults and once with them, so that the error names the file that is wrong.
+    let place = match &args.deployment {
+        Some(path) => format!("the deployment file '{}'", path.display()),
+        None => format!("mode '{}'", args.mode),
+    };
+    trial.check().map_err(|e| bad(format!("{place}: {e}")))?;
+    trial.range = range(args, &trial)?;
+    if let Some(given) = &args.faults {
+        trial.faults = faults(given, &trial)?;
+        trial.check().map_err(|e| bad(format!("the fault plan '{given}': {e}")))?;
+    }
+    if args.trajectories.is_some() {
+        trial.steps = Steps::Reported;
+    }
+    Ok((trial, policy))
+}
+
+/// The trial with robots as the flags say.
+fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
+    let bad = |text: String| anyhow::Error::from(BadInput(text));
+    if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
+        return Err(bad(format!("--lag-s: {lag_s} is not 0 to 10")));
+    }
+    if let Some(radius_m) = args.wall_radius_m.filter(|radius_m| !(*radius_m > 0.0 && *radius_m <= 10.0)) {
+        return Err(bad(format!("--wall-radius-m: {radius_m} is not above 0 and at most 10")));
+    }
+    let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
+    let given = Given { lag_s, contacts, wall_radius_m, sensor };
+    // A file with a plant that there is not is refused with its other faults, by its name.
+    if let Some(entry) = world::plant(&trial.deployment.plant) {
+        let flag = |field: &str| format!("--{}", field.replace('_', "-"));
+        trial.physics = given
+            .physics(entry, trial.scenario.arena())
+            .map_err(|error| bad(format!("{}: {error}", flag(error.field))))?;
+    }
+    Ok(trial)
+}
+
+fn read_deployment(path: &Path) -> Result<Deployment> {
+    let text = read_text(path, "deployment file")?;
+    Deployment::from_toml(&text)
+        .map_err(|e| BadInput(format!("the deployment file '{}': {}", path.display(), e)).into())
+}
+
+fn range(args: &Args, trial: &Trial) -> Result<Option<CommRange>> {
+    let std_m = args.comm_range_std_m;
+    if !(0.0..=1e3).contains(&std_m) {
+        return Err(BadInput(format!("--comm-range-std-m: {std_m} is not 0 to 1000")).into());
+    }
+    if let Some(mean_m) = args.comm_range_m.filter(|mean| mean.is_nan() || *mean < 0.0) {
+        return Err(BadInput(format!("--comm-range-m: {mean_m} is not a distance")).into());
+    }
+    if std_m > 0.0 && args.comm_range_m == Some(f32::INFINITY) {
+        return Err(BadInput("--comm-range-std-m: an infinite range has no deviation".to_owned()).into());
+    }
+    if args.comm_range_m.is_none() && std_m == 0.0 {
+        return Ok(None);
+    }
+    let mean_m = args.comm_range_m.unwrap_or(trial.model.interface().radius_m);
+    Ok(Some(CommRange { mean_m, std_m }))
+}
+
+fn faults(given: &str, trial: &Trial) -> Result<FaultPlan> {
+    if let Ok(seed) = given.parse::<u64>() {
+        return Ok(trial.clone().random_faults(seed).faults);
+    }
+    let text = read_text(Path::new(given), "fault plan (a seed would be a whole number)")?;
+    FaultPlan::from_toml(&text).map_err(|e| BadInput(format!("the fault plan '{given}': {e}")).into())
+}
+
+fn write_paths(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
+    let mut paths = Paths::new(std::io::BufWriter::new(file.writer()))?;
+    for (repeat, report) in reports.iter().enumerate() {
+        report.steps.iter().try_for_each(|step| paths.write(repeat, step))?;
+    }
+    paths.flush()
+}

@@ -1,0 +1,200 @@
+//! `murmurate stop` and `murmurate resume`: the team's emergency stop, engaged, taken back, and the hold after it
+//! lifted; and which robots have confirmed it.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::time::Instant;
+
+use crate::actors::order::{Lack, Order, PERIOD, Wish};
+use crate::deploy::Routes;
+use crate::graph::operator::{self, Operator};
+use crate::messages::ids::RobotId;
+use crate::messages::wire::Hindrance;
+use crate::net::protocol::key::Key;
+use crate::runtime::real::run_real;
+use crate::time::{Span, Time};
+use anyhow::{Result, anyhow};
+
+use crate::program::Ended;
+use crate::program::links;
+use crate::program::links::Fresh;
+use crate::program::output::print;
+use crate::program::team;
+
+/// How long it is said at least: hosts that come late or have missed it hear it, too.
+const AT_LEAST: Span = Span::from_millis(500);
+/// How long robots have to confirm it.
+const PATIENCE: Span = Span::from_millis(3000);
+
+/// Flags of `murmurate stop`.
+#[derive(clap::Args)]
+#[command(after_help = "Runs on any machine that reaches the link which carries 'stop'; no other link is opened.\n\
+    Exit codes: 0 every robot has confirmed it; 1 some have not, and are named; 2 a flag, the team file or the key is \
+    wrong.")]
+pub struct Args {
+    #[command(flatten)]
+    team: team::TeamArgs,
+    /// Takes the emergency stop back; robots stand until 'murmurate resume'
+    #[arg(long)]
+    rearm: bool,
+    /// Prints one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Flags of `murmurate resume`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Exit codes: 0 the team goes on; 1 it does not, and why; 2 a flag, the team file or the key is \
+    wrong."
+)]
+pub struct ResumeArgs {
+    #[command(flatten)]
+    team: team::TeamArgs,
+    /// Prints one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Engages the emergency stop, or takes it back.
+pub fn run(args: &Args) -> Result<Ended> {
+    let wish = if args.rearm { Wish::Rearm } else { Wish::Stop };
+    Asked { team: &args.team, wish, json: args.json }.run()
+}
+
+/// Lets a held team go on.
+pub fn resume(args: &ResumeArgs) -> Result<Ended> {
+    Asked { team: &args.team, wish: Wish::Resume, json: args.json }.run()
+}
+
+/// The request of the user.
+struct Asked<'a> {
+    team: &'a team::TeamArgs,
+    wish: Wish,
+    json: bool,
+}
+
+impl Asked<'_> {
+    fn run(&self) -> Result<Ended> {
+        let file = self.team.read()?;
+        let post = file.post().map_err(|error| self.team.wrong(&error))?;
+        let (deployment, fresh) = (file.deployment(), Fresh::draw()?);
+        let key = team::key_of(post.key_file.as_deref())?.map(Key::new);
+        let me = fresh.operator_of(post.number);
+        let link = &deployment.links[usize::from(post.link.0)];
+        let operator = Operator {
+            me,
+            seed: fresh.seed,
+            robots: deployment.robots,
+            publishers: Routes::of(deployment).publishers(),
+            key,
+            links: links::of_operator(deployment, links::at_post(&post, deployment)),
+            sockets: links::join(&post, link, me.host, self.team.names_interface())?,
+            stop: Some(post.link),
+        };
+        let order = Rc::new(RefCell::new(Order::new(me.host, self.wish, deployment.robots)));
+        run_real(
+            Instant::now(),
+            |clock, readers| {
+                operator::command((clock, readers), operator, &order);
+                // A turn at least so often, whatever arrives.
+                for beat in 0..=PATIENCE.as_nanos() / PERIOD.as_nanos() {
+                    clock.call(Time::ZERO + PERIOD * beat, Box::new(|| {}));
+                }
+            },
+            |(), now| {
+                let waited = now.since(Time::ZERO);
+                waited >= PATIENCE || (order.borrow().met().is_some() && waited >= AT_LEAST)
+            },
+        );
+        let order = order.borrow();
+        self.tell(&order, deployment.robots)
+    }
+
+    /// Prints what came of it.
+    fn tell(&self, order: &Order, robots: usize) -> Result<Ended> {
+        let lacking = order.lacking();
+        let took_s = order.met().map(Time::as_secs);
+        let state = order.latch().map_or("unknown", |latch| latch.word());
+        if self.json {
+            let missing: Vec<u16> = lacking.iter().map(|(robot, _)| robot.0).collect();
+            let said = serde_json::json!({
+                "state": state, "robots": robots, "missing": missing, "took_s": took_s, "why": self.why(order),
+            });
+            print(&said.to_string())?;
+        } else {
+            let what = match self.wish {
+                Wish::Stop => "stand",
+                Wish::Rearm => "are re-armed",
+                Wish::Resume => "may move",
+            };
+            let took = took_s.map_or_else(String::new, |s| format!(", confirmed after {s:.3} s"));
+            print(&format!("{} of {robots} robots {what}{took}", robots - lacking.len()))?;
+            if self.wish == Wish::Rearm && took_s.is_some() && state == "held" {
+                let file = self.team.path().display();
+                print(&format!("the team is held: 'murmurate resume {file}' starts the next episode"))?;
+            }
+        }
+        match self.why(order) {
+            None => Ok(Ended::Done),
+            Some(why) => Err(anyhow!(why)),
+        }
+    }
+
+    /// Why it is not as it was asked for; `None` if it is.
+    fn why(&self, order: &Order) -> Option<String> {
+        if order.met().is_some() {
+            return None;
+        }
+        let names = |all: &[(RobotId, Lack)], of: &[Lack]| -> String {
+            let robots = all.iter().filter(|(_, lack)| of.contains(lack)).map(|(robot, _)| robot.0.to_string());
+            robots.collect::<Vec<_>>().join(", ")
+        };
+        let lacking = order.lacking();
+        if order.is_overtaken() {
+            let state = order.latch().map_or("unknown", |latch| latch.word());
+            return Some(format!(
+                "overtaken: another operator or host has changed the latch meanwhile; the team is now {state}"
+            ));
+        }
+        let silent = names(&lacking, &[Lack::Silent]);
+        let mut why = Vec::new();
+        if self.wish == Wish::Resume {
+            match order.latch() {
+                Some(latch) if latch.is_engaged() => {
+                    why.push("refused: the team is stopped; 'murmurate stop --rearm' takes that back first".to_owned());
+                }
+                _ if !order.hindrances().is_empty() => {
+                    let of = |(robot, hindrance): &(RobotId, Hindrance)| match hindrance {
+                        Hindrance::Missing => format!("{robot} is missing"),
+                        Hindrance::Left => format!("the host of {robot} has left"),
+                        Hindrance::Latched => format!("{robot} is still latched"),
+                    };
+                    let all: Vec<String> = order.hindrances().iter().map(of).collect();
+                    why.push(format!("refused: {}", all.join(", ")));
+                }
+                _ => {}
+            }
+        }
+        if !silent.is_empty() {
+            why.push(format!("no word from robot {silent}: go and look at them"));
+        }
+        let (bodies, controllers) = (names(&lacking, &[Lack::Body, Lack::Unmet]), names(&lacking, &[Lack::Controller]));
+        if !bodies.is_empty() && self.wish == Wish::Stop {
+            why.push(format!("the motors of robot {bodies} have not confirmed: go and look at them"));
+        }
+        if !controllers.is_empty() && self.wish == Wish::Stop {
+            why.push(format!("robot {controllers} stands, but its controller has not confirmed"));
+        }
+        if self.wish != Wish::Stop && order.leading().is_none() {
+            why.push("no word from the state server: is its host running?".to_owned());
+        }
+        if why.is_empty() {
+            why.push(format!(
+                "robot {} has not followed yet: try again",
+                names(&lacking, &[Lack::Unmet, Lack::Body, Lack::Controller])
+            ));
+        }
+        Some(why.join("; "))
+    }
+}

@@ -1,0 +1,245 @@
+//! The flags of the studies, and the study that they ask for.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::policy::Draw;
+use crate::scenario::layout::Layouts;
+use crate::scenario::{self, Scenario, ScenarioError, Settings};
+use crate::study::columns::{self, Column};
+use crate::study::handling::{self, Preset};
+use crate::study::{Entrant, Study};
+use anyhow::Result;
+use clap::builder::PossibleValuesParser;
+
+use super::run::{Run, Typed, once};
+use crate::program::BadInput;
+use crate::program::bad;
+use crate::program::output::{read_text, talk};
+use crate::program::policy;
+use crate::program::sim;
+
+/// Flags of every study.
+#[derive(clap::Args)]
+pub struct Shared {
+    /// Who is to be compared: 'shipped', 'published' (trained for the paper's conditions), 'orca' (scripted), or a
+    /// policy file; may be given several times. 'NAME@HANDLING' gives one policy a handling of its own
+    /// [default: shipped]
+    #[arg(long = "policy", value_name = "NAME|FILE[@HANDLING]")]
+    policies: Vec<String>,
+    /// How policies are handled: 'default' (newest message held, mean actions) or 'as-published' (buffer cleared every
+    /// step, sampled actions); may be given several times, for every policy without one of its own [default: default]
+    #[arg(long = "handling", value_parser = PossibleValuesParser::new(handling::PRESETS.iter().map(|p| p.name)))]
+    handlings: Vec<String>,
+    /// What the team is to do
+    #[arg(long, default_value = "passage", value_parser = sim::scenarios())]
+    scenario: String,
+    /// Size of the team [default: the scenario's own]
+    #[arg(long)]
+    robots: Option<usize>,
+    /// Width of the scenario's bottleneck [m] [default: the scenario's own]
+    #[arg(long)]
+    gap_m: Option<f32>,
+    /// Episodes of a trial, each with a layout of its own
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    layouts: u32,
+    /// Layouts from a file, its first so many; without it the scenario draws them from the seed
+    #[arg(long, value_name = "FILE.json")]
+    episodes_file: Option<PathBuf>,
+    /// Trials in every column: the same layouts with other random numbers
+    #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    repeats: u32,
+    #[command(flatten)]
+    pub run: Run,
+}
+
+/// Flags of `murmurate study modes`.
+#[derive(clap::Args)]
+pub struct Modes {
+    /// Only these columns, separated by commas
+    #[arg(long, value_delimiter = ',', value_parser = PossibleValuesParser::new(columns::MODES))]
+    columns: Vec<String>,
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// Flags of `murmurate study delay`.
+#[derive(clap::Args)]
+pub struct Delay {
+    /// Delays [ms], separated by commas [default: 0,20,50,100,200]
+    #[arg(long, value_delimiter = ',')]
+    delays_ms: Vec<f64>,
+    /// Shares of messages lost, 0 to 1, separated by commas [default: 0,0.16,0.3,0.56]
+    #[arg(long, value_delimiter = ',')]
+    losses: Vec<f64>,
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+/// Flags of `murmurate study range`.
+#[derive(clap::Args)]
+pub struct Range {
+    /// Radii [m], separated by commas; a column that hears everyone comes last
+    /// [default: 0.5,0.75,1,1.5,2,2.5,3,4]
+    #[arg(long, value_delimiter = ',')]
+    ranges_m: Vec<f32>,
+    #[command(flatten)]
+    pub shared: Shared,
+}
+
+impl Modes {
+    /// The study that is asked for.
+    pub fn study(&self) -> Result<Study> {
+        once("--columns", &self.columns)?;
+        // In the order of the table, however they were given.
+        let wanted = |name: &&str| self.columns.is_empty() || self.columns.iter().any(|column| column == name);
+        let columns = columns::MODES.iter().filter(|name| wanted(name));
+        let columns = columns.map(|name| Column::of_table(name).expect("a column of the table")).collect();
+        let own =
+            if self.columns.is_empty() { String::new() } else { format!(" --columns {}", self.columns.join(",")) };
+        self.shared.study("modes", columns, &own)
+    }
+}
+
+impl Delay {
+    /// The study that is asked for.
+    pub fn study(&self) -> Result<Study> {
+        let delays_ms = if self.delays_ms.is_empty() {
+            columns::DELAYS_S.iter().map(|delay| 1000.0 * delay).collect()
+        } else {
+            self.delays_ms.clone()
+        };
+        let losses = if self.losses.is_empty() { columns::LOSSES.to_vec() } else { self.losses.clone() };
+        for (flag, values, most) in [("--delays-ms", &delays_ms, 60_000.0), ("--losses", &losses, 1.0)] {
+            once(flag, values)?;
+            if let Some(value) = values.iter().find(|value| !(0.0..=most).contains(*value)) {
+                return bad(format!("{flag}: {value} is not 0 to {most}"));
+            }
+        }
+        let delays_s: Vec<f64> = delays_ms.iter().map(|delay| delay / 1000.0).collect();
+        let columns = Column::delays(&delays_s, &losses);
+        let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
+        once("--delays-ms, --losses", &names)?;
+        let own = list("--delays-ms", &self.delays_ms) + &list("--losses", &self.losses);
+        self.shared.study("delay", columns.clone(), &own)
+    }
+}
+
+impl Range {
+    /// The study that is asked for.
+    pub fn study(&self) -> Result<Study> {
+        let ranges_m = if self.ranges_m.is_empty() { columns::RANGES_M.to_vec() } else { self.ranges_m.clone() };
+        once("--ranges-m", &ranges_m)?;
+        if let Some(range) = ranges_m.iter().find(|range| !(0.0..=1e6).contains(*range)) {
+            return bad(format!("--ranges-m: {range} is not 0 to 1000000"));
+        }
+        self.shared.study("range", Column::ranges(&ranges_m), &list("--ranges-m", &self.ranges_m))
+    }
+}
+
+fn list<T: ToString>(flag: &str, values: &[T]) -> String {
+    let values: Vec<String> = values.iter().map(ToString::to_string).collect();
+    if values.is_empty() { String::new() } else { format!(" {flag} {}", values.join(",")) }
+}
+
+impl Shared {
+    fn study(&self, name: &'static str, columns: Vec<Column>, own: &str) -> Result<Study> {
+        let settings = Settings { robots: self.robots, gap_m: self.gap_m };
+        let scenario = scenario::build(&self.scenario, &settings).map_err(|error| {
+            let flag = match error {
+                ScenarioError::Robots { .. } => "--robots",
+                ScenarioError::Gap { .. } => "--gap-m",
+                ScenarioError::Unknown { .. } => "--scenario",
+            };
+            BadInput(format!("{flag}: {error}"))
+        })?;
+        let layouts = match &self.episodes_file {
+            None => Layouts::of_scenario(&*scenario, self.run.seed, self.layouts),
+            Some(path) => {
+                let text = read_text(path, "episodes file")?;
+                Layouts::from_json(&text, &*scenario, self.layouts).map_err(|e| {
+                    let text = format!("the episodes file '{}': {e}", path.display());
+                    BadInput(text.replace("--episodes", "--layouts"))
+                })?
+            }
+        };
+        let study = Study {
+            name,
+            columns,
+            entrants: self.entrants(&*scenario)?,
+            layouts,
+            repeats: self.repeats,
+            seed: self.run.seed,
+            command: self.command(name, own),
+            scenario: Arc::clone(&scenario),
+            gap_m: self.gap_m,
+        };
+        study.check().map_err(|e| BadInput(format!("the study '{name}': {e}")))?;
+        Ok(study)
+    }
+
+    /// Every policy under every handling that it is to have.
+    fn entrants(&self, scenario: &dyn Scenario) -> Result<Vec<Entrant>> {
+        // As in `sim`: scripted navigation where a scenario has no policy of its own.
+        let own = crate::policy::shipped::shipped(scenario.name()).map_or("orca", |_| "shipped");
+        let shipped = [own.to_owned()];
+        let policies = if self.policies.is_empty() { &shipped[..] } else { &self.policies };
+        let named = |name: &String| handling::preset(name).expect("the parser lets only presets through");
+        let mut handlings: Vec<&'static Preset> = self.handlings.iter().map(named).collect();
+        if handlings.is_empty() {
+            handlings.push(&handling::PRESETS[0]);
+        }
+        let mut entrants = Vec::new();
+        for given in policies {
+            let (policy, own) = split(given)?;
+            for handling in own.map_or(handlings.clone(), |own| vec![own]) {
+                entrants.push(self.entrant(policy, handling, scenario)?);
+            }
+        }
+        let names: Vec<String> = entrants.iter().map(Entrant::name).collect();
+        once("--policy, --handling", &names)?;
+        Ok(entrants)
+    }
+
+    fn entrant(&self, policy: &str, handling: &'static Preset, scenario: &dyn Scenario) -> Result<Entrant> {
+        let draw = match handling.draw {
+            Draw::Mean => "mean",
+            Draw::Sample => "sample",
+        };
+        // Scripted navigation draws nothing, whatever the handling.
+        let loaded = policy::load(Some(Path::new(policy)), (policy != "orca").then_some(draw), scenario)?;
+        if let Some(assumed) = loaded.assumed.filter(|_| !self.run.quiet) {
+            talk(&format!("warning: {assumed}"));
+        }
+        Ok(Entrant { policy: loaded.name, model: loaded.model, digest: loaded.digest, handling })
+    }
+
+    /// The command that makes the study, whatever it was typed as. Not in it: what makes no difference to the results.
+    fn command(&self, name: &str, own: &str) -> String {
+        let mut command = Typed(format!("murmurate study {name}{own}"));
+        let mut add = |flag: &str, value: Option<String>| command.add(flag, value);
+        self.policies.iter().for_each(|policy| add("policy", Some(policy.clone())));
+        self.handlings.iter().for_each(|handling| add("handling", Some(handling.clone())));
+        add("scenario", Some(self.scenario.clone()));
+        add("robots", self.robots.map(|robots| robots.to_string()));
+        add("gap-m", self.gap_m.map(|gap_m| gap_m.to_string()));
+        add("episodes-file", self.episodes_file.as_ref().map(|path| path.display().to_string()));
+        add("layouts", Some(self.layouts.to_string()));
+        add("repeats", Some(self.repeats.to_string()));
+        add("seed", Some(self.run.seed.to_string()));
+        command.0
+    }
+}
+
+/// A policy and the handling that goes with it alone, if one does.
+fn split(given: &str) -> Result<(&str, Option<&'static Preset>)> {
+    match given.rsplit_once('@') {
+        // A file may be called anything.
+        None => Ok((given, None)),
+        Some(_) if Path::new(given).exists() => Ok((given, None)),
+        Some((policy, name)) => match handling::preset(name) {
+            Some(preset) => Ok((policy, Some(preset))),
+            None => bad(format!("--policy {given}: there is no handling '{name}'; there are: {}", handling::names())),
+        },
+    }
+}

@@ -1,0 +1,125 @@
+//! `murmurate study`: whole studies, with a report. What a study is lives in the library; here are its flags, its
+//! threads, its clock and its files.
+
+mod flags;
+mod folder;
+mod network;
+mod run;
+mod trials;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use crate::study::record::Record;
+use crate::study::results::{Results, Row};
+use crate::study::{Job, Study, table};
+use anyhow::{Context, Result};
+use serde::Serialize;
+
+use crate::program::Ended;
+use crate::program::jobs;
+use crate::program::output::{print, talk};
+use crate::program::sim::{progress, watched};
+use folder::Folder;
+#[cfg(feature = "train")]
+pub use network::medium;
+
+/// The studies.
+#[derive(clap::Subcommand)]
+pub enum Args {
+    /// The paper's Table I: four modes and two variations, against the conditions of training
+    Modes(Box<flags::Modes>),
+    /// Success over delay and loss of the messages between robots (mode onboard-adhoc)
+    Delay(Box<flags::Delay>),
+    /// Success over the communication radius (mode onboard-adhoc)
+    Range(Box<flags::Range>),
+    /// Which addressing and which reliability carry a team's messages, at which rates
+    Network(Box<network::Args>),
+}
+
+/// What a study came to, for `--json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    study: &'a str,
+    scenario: String,
+    columns: Vec<&'a Row>,
+    wall_s: f64,
+    seed: u64,
+    /// Trials that are done, and that there are.
+    trials: [usize; 2],
+    interrupted: bool,
+}
+
+/// Runs a study.
+pub fn run(args: &Args) -> Result<Ended> {
+    let (study, shared) = match args {
+        Args::Modes(flags) => (flags.study()?, &flags.shared),
+        Args::Delay(flags) => (flags.study()?, &flags.shared),
+        Args::Range(flags) => (flags.study()?, &flags.shared),
+        Args::Network(flags) => return network::run(flags),
+    };
+    let folder = shared.run.out.as_deref().map(|path| trials::open(path, &study)).transpose()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let signal = Arc::clone(&stop);
+    ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+
+    let began = Instant::now();
+    let records = run_all(&study, folder.as_ref(), &stop, (shared.run.jobs, shared.run.quiet))?;
+    let trials = [records.len(), study.jobs().len()];
+    let interrupted = trials[0] < trials[1];
+    let results = Results::of(&study, &records);
+    if let (Some(folder), false) = (&folder, interrupted) {
+        trials::write_report(folder, &study, &results, &records)?;
+    }
+    let report = Report {
+        study: study.name,
+        scenario: study.place(),
+        columns: results.rows().collect(),
+        wall_s: began.elapsed().as_secs_f64(),
+        seed: study.seed,
+        trials,
+        interrupted,
+    };
+    let (wall_s, [done, all]) = (report.wall_s, trials);
+    print(&if shared.run.json {
+        serde_json::to_string(&report).context("a report is JSON")?
+    } else {
+        format!("{}\n\n{done} of {all} trials; {wall_s:.1} s", table::text(&study, &results))
+    })?;
+    shared.run.farewell(folder.as_ref(), "trials", done, all);
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+/// The records of all trials, in their order: those of the journal, and the rest run now. Fewer after a Ctrl-C.
+fn run_all(
+    study: &Study,
+    folder: Option<&Folder>,
+    stop: &AtomicBool,
+    (threads, quiet): (Option<u16>, bool),
+) -> Result<Vec<(Job, Record)>> {
+    let all = study.jobs();
+    let found: Vec<Option<Record>> =
+        all.iter().map(|job| folder.and_then(|folder| trials::read(folder, study, *job))).collect();
+    let there = found.iter().flatten().count();
+    let bar = progress(u64::from(study.layouts.len()) * (all.len() - there) as u64, quiet);
+    if there > 0 && !quiet {
+        talk(&format!("{there} of {} trials are there already", all.len()));
+    }
+    let work = |at: usize| -> Result<Option<Record>> {
+        let job = all[at];
+        let report = study.trial(job).run_while(watched(&bar, stop));
+        if !report.finished {
+            return Ok(None);
+        }
+        let record = Record::of(study, job, &report);
+        if let Some(folder) = folder {
+            trials::write(folder, study, job, &record)?;
+            tracing::info!("kept repeat {} of '{}', {}", job.repeat, record.column, study.entrants[job.entrant].name());
+        }
+        Ok(Some(record))
+    };
+    let records = jobs::finish(found, threads, stop, work)?;
+    bar.finish_and_clear();
+    Ok(all.into_iter().zip(records).filter_map(|(job, record)| Some((job, record?))).collect())
+}

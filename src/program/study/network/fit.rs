@@ -1,0 +1,127 @@
+//! Fitting a radio to rows: their file, and the radio file that comes of it. How it is fitted lives in the library.
+
+use std::fmt;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::config;
+use crate::study::network::fit::{Observed, fit};
+use crate::study::network::{Case, Medium, Outcome, Sweep, emulate};
+use anyhow::{Context, Result};
+use serde::Serialize;
+
+use super::Args;
+use crate::program::BadInput;
+use crate::program::bad;
+use crate::program::jobs;
+use crate::program::output::{read_text, talk};
+use crate::program::whole_file::WholeFile;
+
+/// What a fit came to, for `--json`.
+#[derive(Serialize)]
+pub struct Report {
+    noise_loss: f64,
+    background: f64,
+    rate: String,
+    basic_rate: String,
+    /// Root mean square of what is left: of shares, and of the logarithms of delays.
+    residual_shares: f64,
+    residual_log_delays: f64,
+    /// Other rates that fit almost as well.
+    rivals: Vec<String>,
+    rows: usize,
+}
+
+/// Reads rows: a list of them, or an object that has one. Where some were measured, those alone.
+pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
+    let wrong = |why: String| {
+        let expected = "it has to be what 'murmurate study network --json' printed, or rows.json of its report";
+        BadInput(format!("--rows: '{}': {why}; {expected}", path.display()))
+    };
+    let text = read_text(path, "rows")?;
+    let mut value: serde_json::Value = serde_json::from_str(&text).map_err(|e| wrong(config::json(&e)))?;
+    if let Some(rows) = value.get_mut("rows") {
+        value = rows.take();
+    }
+    let mut rows: Vec<Observed> = serde_json::from_value(value).map_err(|e| wrong(config::json(&e)))?;
+    for (at, row) in rows.iter().enumerate() {
+        row.check(sweep).map_err(|why| wrong(format!("row {}: {why}", at + 1)))?;
+    }
+    if rows.iter().any(Observed::is_live) {
+        rows.retain(Observed::is_live);
+    }
+    if rows.is_empty() { Err(wrong("it has no rows".to_owned()).into()) } else { Ok(rows) }
+}
+
+/// The file that is to be written, for a medium that can be fitted: what is wrong with either is known before the work.
+pub fn prepare(file: &Path, sweep: &Sweep) -> Result<WholeFile> {
+    match &sweep.medium {
+        Medium::Radio(_) => WholeFile::create(file),
+        Medium::Shaped(_) => bad("--fit: only a radio can be fitted; give --medium one to start from".to_owned()),
+    }
+}
+
+/// Fits and writes the radio file; `None` after a Ctrl-C, and then nothing is written.
+pub fn run(
+    sweep: &Sweep,
+    observed: &[Observed],
+    mut out: WholeFile,
+    args: &Args,
+    stop: &AtomicBool,
+) -> Result<Option<Report>> {
+    let Medium::Radio(base) = &sweep.medium else { unreachable!("a file is prepared for radios alone") };
+    let runner = |runs: &[(Sweep, Case)]| -> Vec<Option<Outcome>> {
+        let work = |at: usize| emulate::run(&runs[at].0, &runs[at].1, &|| !stop.load(Ordering::Relaxed));
+        let mut outcomes = vec![None; runs.len()];
+        for (at, outcome) in jobs::run(runs.len(), jobs::threads(args.run.jobs, runs.len()), stop, work) {
+            outcomes[at] = outcome;
+        }
+        outcomes
+    };
+    if !args.run.quiet {
+        let measured = if observed.iter().all(Observed::is_live) { "measured " } else { "" };
+        talk(&format!("fitting to {} {measured}rows", observed.len()));
+    }
+    let Some(fitted) = fit(base, sweep, observed, &runner) else {
+        talk("interrupted; no radio was written");
+        return Ok(None);
+    };
+    out.writer().write_all(fitted.to_toml(&args.command()).as_bytes()).context("cannot write the radio file")?;
+    out.keep()?;
+    let radio = &fitted.radio;
+    Ok(Some(Report {
+        noise_loss: radio.noise_loss,
+        background: radio.background,
+        rate: radio.rate.to_string(),
+        basic_rate: radio.basic_rate.to_string(),
+        residual_shares: fitted.shares,
+        residual_log_delays: fitted.delays,
+        rivals: fitted.rivals.iter().map(ToString::to_string).collect(),
+        rows: fitted.rows.len(),
+    }))
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "noise loss {:.3}, background {:.3}, rate {}, multicast rate {}\nleft: {:.1} points of the shares, {:.0} % \
+             of the delays (root mean square over {} rows)",
+            self.noise_loss,
+            self.background,
+            self.rate,
+            self.basic_rate,
+            100.0 * self.residual_shares,
+            100.0 * (self.residual_log_delays.exp() - 1.0),
+            self.rows
+        )?;
+        if !self.rivals.is_empty() {
+            let rivals = self.rivals.join(", ");
+            write!(
+                f,
+                "\nnot certain: {rivals} fit almost as well; rows by multicast, and of more rates, tell them apart"
+            )?;
+        }
+        Ok(())
+    }
+}

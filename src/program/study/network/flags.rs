@@ -1,0 +1,195 @@
+//! The flags of `murmurate study network`, and the sweep that they ask for.
+
+use std::path::{Path, PathBuf};
+
+use crate::study::network::case::{RATES, RETRIES};
+use crate::study::network::saturation::SIZES;
+use crate::study::network::{Addressing, Assurance, History, Medium, Network, Sweep};
+use anyhow::Result;
+use serde::de::DeserializeOwned;
+
+use crate::program::BadInput;
+use crate::program::bad;
+use crate::program::output::{read_text, talk};
+use crate::program::study::run::{Run, Typed, once};
+
+/// Flags of `murmurate study network`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// What messages are sent over: a preset (paper, wifi, wifi-n, wifi-slow, shaped), a radio file, or shaped links as
+    /// a file
+    #[arg(long, value_name = "NAME|FILE.toml", default_value = "paper")]
+    pub medium: String,
+    /// Messages of all stations together [1/s], separated by commas [default: 10,20,60,100,200,300,400,500]
+    #[arg(long, value_delimiter = ',')]
+    rates: Vec<f64>,
+    /// Only 'infrastructure' or only 'ad-hoc' [default: both]
+    #[arg(long, value_delimiter = ',')]
+    networks: Vec<String>,
+    /// Only 'unicast' or only 'multicast' [default: both]
+    #[arg(long, value_delimiter = ',')]
+    addressing: Vec<String>,
+    /// Only these, separated by commas: best-effort, repeat, nack (the project's own), ack (as RTPS), ack-off (RTPS
+    /// without positive acknowledgements)
+    #[arg(long, value_delimiter = ',')]
+    reliability: Vec<String>,
+    /// How often the medium access sends a unicast frame again, separated by commas [default: 1,3,5,7]
+    #[arg(long, value_delimiter = ',')]
+    pub retries: Vec<u32>,
+    /// Stations [default: 5, or the hosts of --live]
+    #[arg(long)]
+    pub stations: Option<u16>,
+    /// Content of a message [bytes]
+    #[arg(long, default_value_t = 152)]
+    bytes: usize,
+    /// What an RTPS writer keeps for repairs: its newest so many samples, or 'all'
+    #[arg(long, value_name = "N|all", default_value = "1")]
+    history: String,
+    /// How long messages are counted in each case [s]
+    #[arg(long, default_value_t = 20.0)]
+    seconds: f64,
+    /// Sizes of teams of which is simulated and measured what a robot costs, separated by commas, or 'none' [default:
+    /// 5,10,20,50,100,200,500,1000; none with --live or --fit]
+    #[arg(long, value_name = "N,N|none", value_delimiter = ',')]
+    teams: Vec<String>,
+    /// Measures between the hosts of a team, on its link that carries latents, and draws both. Without --host this is
+    /// the coordinator, which says what is measured when and writes the report
+    #[arg(long, value_name = "TEAM.toml")]
+    pub live: Option<PathBuf>,
+    /// Takes part in a measurement as this host; what is measured, the coordinator says
+    #[arg(long, value_name = "NAME", requires = "live", conflicts_with_all = ["fit", "out", "json"])]
+    pub host: Option<String>,
+    /// Where the coordinator of a measurement listens, and its participants find it
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7790", requires = "live")]
+    pub coordinator: std::net::SocketAddr,
+    /// Sets a field of the team file, such as link.ad-hoc.interface=wlan1; may be given several times
+    #[arg(long, value_name = "FIELD=VALUE", requires = "live")]
+    pub set: Vec<String>,
+    /// Fits noise loss, background load and rate of a radio to the rows of --rows, or to those measured by --live, and
+    /// writes it as a radio file
+    #[arg(long, value_name = "FILE.toml")]
+    pub fit: Option<PathBuf>,
+    /// Rows to fit to: what --json printed, or rows.json of a report. Where some were measured, those alone
+    #[arg(long, value_name = "FILE.json", requires = "fit", conflicts_with_all = ["live", "out", "teams"])]
+    pub rows: Option<PathBuf>,
+    #[command(flatten)]
+    pub run: Run,
+}
+
+/// What was named, or all there is.
+fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], all: &[T]) -> Result<Vec<T>> {
+    once(flag, given)?;
+    let mut chosen = Vec::new();
+    for name in given {
+        match serde_json::from_value::<T>(name.as_str().into()) {
+            Ok(one) if all.contains(&one) => chosen.push(one),
+            _ => return bad(format!("{flag}: there is no '{name}' here; 'murmurate study network --help' has all")),
+        }
+    }
+    Ok(if chosen.is_empty() { all.to_vec() } else { chosen })
+}
+
+/// The medium of that name or file.
+pub fn medium(flag: &str, given: &str) -> Result<Medium> {
+    match Medium::named(given) {
+        Some(medium) => Ok(medium),
+        None if !given.contains(['.', '/']) => {
+            let names = Medium::names();
+            bad(format!("{flag}: there is no medium '{given}'; there are: {names}, or a file FILE.toml"))
+        }
+        None => Medium::from_toml(&read_text(Path::new(given), "medium file")?)
+            .map_err(|e| BadInput(format!("the medium file '{given}': {e}")).into()),
+    }
+}
+
+/// Stations where nobody says how many.
+const STATIONS: u16 = 5;
+
+impl Args {
+    /// Says where the radio is that was fitted.
+    pub fn farewell(&self) {
+        if let (Some(file), false) = (&self.fit, self.run.quiet) {
+            talk(&format!("radio in '{0}': use it with 'sim --radio {0}' or 'train --radio {0}'", file.display()));
+        }
+    }
+
+    /// The sweep that is asked for.
+    pub fn sweep(&self) -> Result<Sweep> {
+        if self.fit.is_some() && self.rows.is_none() && self.live.is_none() {
+            return bad("--fit: to what? Give --rows FILE.json, or measure with --live TEAM.toml".to_owned());
+        }
+        let mut sweep = Sweep::whole(medium("--medium", &self.medium)?);
+        sweep.networks = match &sweep.medium {
+            Medium::Radio(_) => named("--networks", &self.networks, &[Network::Infrastructure, Network::AdHoc])?,
+            Medium::Shaped(_) if !self.networks.is_empty() || !self.retries.is_empty() => {
+                return bad("--networks, --retries: shaped links have neither; leave both out".to_owned());
+            }
+            Medium::Shaped(_) => vec![Network::Shaped],
+        };
+        sweep.addressings = named("--addressing", &self.addressing, &[Addressing::Unicast, Addressing::Multicast])?;
+        sweep.reliabilities = named("--reliability", &self.reliability, &Assurance::ALL)?;
+        sweep.rates = if self.rates.is_empty() { RATES.to_vec() } else { self.rates.clone() };
+        sweep.retries = if self.retries.is_empty() { RETRIES.to_vec() } else { self.retries.clone() };
+        once("--rates", &sweep.rates)?;
+        once("--retries", &sweep.retries)?;
+        sweep.history = match self.history.as_str() {
+            "all" => History::All,
+            depth => match depth.parse() {
+                Ok(depth) => History::Last(depth),
+                Err(_) => return bad(format!("--history: '{depth}' is neither a number nor 'all'")),
+            },
+        };
+        (sweep.stations, sweep.bytes, sweep.seconds, sweep.seed) =
+            (self.stations.unwrap_or(STATIONS), self.bytes, self.seconds, self.run.seed);
+        sweep.check().map_err(|e| BadInput(format!("--{e}")))?;
+        Ok(sweep)
+    }
+
+    /// The sizes of teams that are asked for.
+    pub fn teams(&self) -> Result<Vec<usize>> {
+        match self.teams.as_slice() {
+            [] if self.live.is_some() || self.fit.is_some() => Ok(Vec::new()),
+            [] => Ok(SIZES.to_vec()),
+            [none] if none == "none" => Ok(Vec::new()),
+            sizes if sizes.iter().any(|size| size == "none") => {
+                bad("--teams: 'none' stands alone; give it or sizes".to_owned())
+            }
+            given => {
+                let size = |given: &String| match given.parse::<usize>() {
+                    Ok(size) => Ok(size),
+                    Err(_) => bad(format!("--teams: '{given}' is no number of robots")),
+                };
+                let mut sizes = given.iter().map(size).collect::<Result<Vec<usize>>>()?;
+                once("--teams", &sizes)?;
+                sizes.sort_unstable();
+                Ok(sizes)
+            }
+        }
+    }
+
+    /// The command that makes the study, whatever it was typed as. Not in it: what makes no difference to the results.
+    pub fn command(&self) -> String {
+        let mut command = Typed("murmurate study network".to_owned());
+        command.add("medium", Some(self.medium.clone()));
+        command.add_all("rates", &self.rates);
+        command.add_all("networks", &self.networks);
+        command.add_all("addressing", &self.addressing);
+        command.add_all("reliability", &self.reliability);
+        command.add_all("retries", &self.retries);
+        command.add_all("stations", self.stations);
+        command.add_all("bytes", [self.bytes]);
+        command.add("history", Some(self.history.clone()));
+        command.add_all("seconds", [self.seconds]);
+        command.add_all("teams", &self.teams);
+        let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+        command.add("live", path(&self.live));
+        command.add("coordinator", self.live.as_ref().map(|_| self.coordinator.to_string()));
+        for set in &self.set {
+            command.add("set", Some(set.clone()));
+        }
+        command.add("rows", path(&self.rows));
+        command.add("fit", path(&self.fit));
+        command.add_all("seed", [self.run.seed]);
+        command.0
+    }
+}

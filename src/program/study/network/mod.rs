@@ -1,0 +1,188 @@
+//! `murmurate study network`: flags, threads, clock and files of the network study. What is emulated lives in the
+//! library.
+
+mod cases;
+mod fit;
+mod flags;
+mod live;
+mod room;
+mod teams;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use crate::study::network::fit::Observed;
+use crate::study::network::growth::Growth;
+use crate::study::network::pages::{Findings, Found};
+use crate::study::network::{Row, Source, emulate, table};
+use anyhow::{Context, Result};
+use serde::Serialize;
+
+use crate::program::Ended;
+use crate::program::jobs;
+use crate::program::output::{print, talk};
+use crate::program::sim::progress;
+use crate::program::whole_file::WholeFile;
+use cases::Journal;
+pub use flags::Args;
+#[cfg(feature = "train")]
+pub use flags::medium;
+use live::Measured;
+use room::Room;
+use teams::Team;
+
+/// What a study came to, for `--json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    study: &'static str,
+    rows: Vec<Row>,
+    growth: &'a [Growth],
+    /// How far off one-way delays may be that were measured \[s\]; null where none were.
+    uncertainty_s: Option<f64>,
+    /// The radio that was fitted to what was measured, if that was asked for.
+    fit: Option<&'a fit::Report>,
+    wall_s: f64,
+    seed: u64,
+    interrupted: bool,
+}
+
+/// A study that is asked for.
+struct Study<'a> {
+    args: &'a Args,
+    journal: Journal,
+    /// The team that measures, if one does.
+    room: Option<Room>,
+    /// The teams of which it is found what a robot costs.
+    teams: Vec<Team>,
+    stop: Arc<AtomicBool>,
+}
+
+/// Runs the study.
+pub fn run(args: &Args) -> Result<Ended> {
+    let mut sweep = args.sweep()?;
+    let teams = teams::of_sizes(&args.teams()?, sweep.seed)?;
+    let room = args.live.as_ref().map(|file| Room::of(file, args)).transpose()?;
+    if let (Some(room), Some(name)) = (&room, &args.host) {
+        return live::participate(room.part(name)?, name, args.coordinator, args.run.quiet);
+    }
+    if let Some(room) = &room {
+        room.restrict(&mut sweep, args)?;
+    }
+    let link = room.as_ref().map(Room::link).transpose()?;
+    let journal = Journal::open(args.run.out.as_deref(), sweep, link)?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let (signal, measuring) = (Arc::clone(&stop), room.is_some());
+    let told = move || {
+        if !signal.swap(true, Ordering::Relaxed) && measuring {
+            talk("stopping; a case that is under way is measured to its end");
+        }
+    };
+    ctrlc::set_handler(told).context("cannot listen for Ctrl-C")?;
+    let radio_file = args.fit.as_deref().map(|file| fit::prepare(file, &journal.sweep)).transpose()?;
+    let study = Study { args, journal, room, teams, stop };
+    match (radio_file, &args.rows) {
+        (Some(file), Some(rows)) => study.fit_rows(rows, file),
+        (file, _) => study.sweep(file),
+    }
+}
+
+impl Study<'_> {
+    /// Fits a radio to the rows of a file.
+    fn fit_rows(&self, rows: &Path, file: WholeFile) -> Result<Ended> {
+        let sweep = &self.journal.sweep;
+        let observed = fit::read(rows, sweep)?;
+        let Some(fitted) = fit::run(sweep, &observed, file, self.args, &self.stop)? else {
+            return Ok(Ended::Interrupted);
+        };
+        print(&if self.args.run.json { json(&fitted)? } else { fitted.to_string() })?;
+        self.args.farewell();
+        Ok(Ended::Done)
+    }
+
+    /// Measures and emulates, and fits a radio to what was measured if there is a file for it.
+    fn sweep(&self, file: Option<WholeFile>) -> Result<Ended> {
+        let Study { args, journal, room, teams, stop } = self;
+        let Journal { sweep, folder, .. } = journal;
+        let began = Instant::now();
+        let measured = room.as_ref().map(|room| self.measured(room)).transpose()?;
+        // Ahead of the sweep, which leaves memory in pieces.
+        let grown = teams::run(teams, sweep, folder.as_ref(), args.run.quiet, stop)?;
+        let mut results = self.emulated()?;
+        let observed: Vec<Observed> = measured.iter().flat_map(|measured| &measured.results).map(observed).collect();
+        let uncertainty_s = measured.as_ref().map(|measured| measured.uncertainty_s);
+        results.extend(measured.into_iter().flat_map(|measured| measured.results));
+        let done = results.len() + grown.len();
+        let all = sweep.cases().len() * if room.is_some() { 2 } else { 1 } + teams.len();
+        let interrupted = done < all;
+
+        let notes: Vec<String> = room.iter().zip(uncertainty_s).map(|(room, off)| clocks(room, off)).collect();
+        let command = args.command();
+        let findings = Findings { sweep, results: &results, grown: &grown, command: &command, notes: &notes };
+        if let (Some(folder), false) = (folder, interrupted) {
+            cases::write_report(folder, &findings)?;
+        }
+        let rows = findings.rows();
+        // Whatever comes of the fit, what was measured is printed first.
+        let fitted = file.filter(|_| !interrupted).map(|file| fit::run(sweep, &observed, file, args, stop));
+        let fit = fitted.as_ref().and_then(|fitted| fitted.as_ref().ok()?.as_ref());
+        let wall_s = began.elapsed().as_secs_f64();
+        print(&if args.run.json {
+            let (study, growth, seed) = ("network", &grown[..], sweep.seed);
+            json(&Report { study, rows, growth, uncertainty_s, fit, wall_s, seed, interrupted })?
+        } else {
+            let fit = fit.map_or(String::new(), |fit| format!("\n\n{fit}"));
+            format!("{}{fit}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(sweep, &rows, &grown))
+        })?;
+        args.run.farewell(folder.as_ref(), "cases", done, all);
+        match fitted.transpose()? {
+            Some(None) => Ok(Ended::Interrupted),
+            Some(Some(_)) => {
+                args.farewell();
+                Ok(Ended::Done)
+            }
+            None => Ok(if interrupted { Ended::Interrupted } else { Ended::Done }),
+        }
+    }
+
+    fn measured(&self, room: &Room) -> Result<Measured> {
+        let line = (self.args.coordinator, room.key()?);
+        live::measure(&self.journal, &room.names(), line, (&self.stop, self.args.run.quiet))
+    }
+
+    /// All cases, emulated: those that are kept, and the rest now. Fewer after a Ctrl-C.
+    fn emulated(&self) -> Result<Vec<Found>> {
+        let Study { args, journal, stop, .. } = self;
+        let (source, sweep, cases) = (Source::Emulated, &journal.sweep, journal.sweep.cases());
+        let found = journal.kept(source, &cases);
+        let bar = progress(found.iter().filter(|found| found.is_none()).count() as u64, args.run.quiet);
+        let work = |at: usize| -> Result<Option<cases::Record>> {
+            let case = &cases[at];
+            let Some(outcome) = emulate::run(sweep, case, &|| !stop.load(Ordering::Relaxed)) else { return Ok(None) };
+            bar.inc(1);
+            journal.keep(source, (at, case), outcome, 0.0).map(Some)
+        };
+        let found = jobs::finish(found, args.run.jobs, stop, work)?;
+        bar.finish_and_clear();
+        Ok(cases.into_iter().zip(found).filter_map(|(case, found)| Some((source, case, found?.outcome))).collect())
+    }
+}
+
+fn observed((source, case, outcome): &Found) -> Observed {
+    Observed::from(&Row::of(*source, case, outcome))
+}
+
+/// What a report has to say of clocks.
+fn clocks(room: &Room, uncertainty_s: f64) -> String {
+    format!(
+        "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were compared \
+         before and after each case; they are this much off at the most: {:.3} ms.",
+        room.file().display(),
+        1000.0 * uncertainty_s
+    )
+}
+
+fn json(value: &impl Serialize) -> Result<String> {
+    serde_json::to_string(value).context("a report is JSON")
+}

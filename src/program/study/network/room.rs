@@ -1,0 +1,127 @@
+//! What a team file says of a measurement: who takes part, on which link, and what can be measured there.
+
+use std::path::Path;
+
+use crate::deploy::team::TeamFile;
+use crate::messages::ids::HostId;
+use crate::messages::wire::Kind;
+use crate::net::transport::socket::Transport;
+use crate::study::network::{Addressing, Assurance, Medium, Network, Sweep};
+use anyhow::Result;
+
+use super::Args;
+use super::live::Part;
+use crate::program::BadInput;
+use crate::program::bad;
+use crate::program::team::{self, TeamArgs};
+
+/// A team whose hosts measure.
+pub struct Room {
+    args: TeamArgs,
+    file: TeamFile,
+    /// Hosts that run agents, in the order of their ids: the stations.
+    stations: Vec<HostId>,
+    /// The link that carries latents.
+    link: usize,
+}
+
+impl Room {
+    /// Reads the team file.
+    pub fn of(path: &Path, args: &Args) -> Result<Room> {
+        let args = TeamArgs { file: path.to_owned(), set: args.set.clone(), interface: None, key_file: None };
+        let file = args.read()?;
+        let deployment = file.deployment();
+        let agents = |host: &HostId| !deployment.hosts[usize::from(host.0)].agents.is_empty();
+        let stations: Vec<HostId> = file.hosts().filter(agents).collect();
+        let link = deployment.links.iter().position(|link| link.carries.contains(&Kind::Latent));
+        match link {
+            Some(link) if stations.len() > 1 => Ok(Room { args, file, stations, link }),
+            _ => bad(format!(
+                "--live: in mode '{}' no latents cross a link between hosts; take an onboard mode",
+                deployment.mode
+            )),
+        }
+    }
+
+    /// The team file.
+    pub fn file(&self) -> &Path {
+        self.args.path()
+    }
+
+    /// The names of those that take part, in the order of their stations.
+    pub fn names(&self) -> Vec<String> {
+        let hosts = &self.file.deployment().hosts;
+        self.stations.iter().map(|host| hosts[usize::from(host.0)].name.clone()).collect()
+    }
+
+    /// What it is that is measured: who takes part, and a digest of the link as the first of them has it.
+    pub fn link(&self) -> Result<String> {
+        let team = self.args.for_host(&self.file, self.stations[0])?;
+        let socket = format!("{:?}", team.links[self.link]);
+        Ok(format!("{}: {}", self.names().join(", "), blake3::hash(socket.as_bytes()).to_hex()))
+    }
+
+    /// The team's key.
+    pub fn key(&self) -> Result<Option<[u8; 32]>> {
+        team::key(&self.args.for_host(&self.file, self.stations[0])?)
+    }
+
+    /// What one host needs to take part.
+    pub fn part(&self, name: &str) -> Result<Part> {
+        let host = self.file.host_named(name).map_err(|e| BadInput(format!("--{e}")))?;
+        if !self.stations.contains(&host) {
+            return bad(format!("--host: '{name}' runs no agent; these do: {}", self.names().join(", ")));
+        }
+        let team = self.args.for_host(&self.file, host)?;
+        let key = team::key(&team)?;
+        let Some(socket) = team.links[self.link].clone() else {
+            return bad(format!(
+                "--live: host '{name}' has no socket on link '{}'",
+                team.deployment.links[self.link].name
+            ));
+        };
+        Ok(Part { team, key, socket, stations: self.stations.clone() })
+    }
+
+    /// Leaves of a sweep what can be measured on this link, so that both are of the same cases.
+    pub fn restrict(&self, sweep: &mut Sweep, args: &Args) -> Result<()> {
+        let team = self.args.for_host(&self.file, self.stations[0])?;
+        let name = &team.deployment.links[self.link].name;
+        let socket = team.links[self.link].as_ref();
+        let addressing = match socket.map(|socket| &socket.transport) {
+            Some(Transport::Unicast { .. }) => Addressing::Unicast,
+            _ => Addressing::Multicast,
+        };
+        if !sweep.addressings.contains(&addressing) {
+            return bad(format!("--addressing: link '{name}' of the team file is {addressing}"));
+        }
+        sweep.addressings = vec![addressing];
+        sweep.stations = u16::try_from(self.stations.len()).expect("hosts are counted in u16");
+        if args.stations.is_some_and(|stations| stations != sweep.stations) {
+            return bad(format!("--stations: {} hosts of the team file take part; leave it out", sweep.stations));
+        }
+        sweep.reliabilities.retain(|one| !matches!(one, Assurance::Ack | Assurance::AckOff));
+        if sweep.reliabilities.is_empty() {
+            return bad(
+                "--reliability: RTPS is emulated alone; best-effort, repeat and nack can be measured".to_owned()
+            );
+        }
+        match &sweep.medium {
+            Medium::Shaped(_) => {}
+            Medium::Radio(radio) => {
+                let network = if name == "ad-hoc" { Network::AdHoc } else { Network::Infrastructure };
+                if !args.retries.is_empty() && args.retries != [radio.retries] {
+                    return bad(format!(
+                        "--retries: what is measured has the retries of its own hardware; the medium says {}",
+                        radio.retries
+                    ));
+                }
+                if !sweep.networks.contains(&network) {
+                    return bad(format!("--networks: link '{name}' of the team file is {network}"));
+                }
+                (sweep.retries, sweep.networks) = (vec![radio.retries], vec![network]);
+            }
+        }
+        sweep.check().map_err(|e| BadInput(format!("--{e}")).into())
+    }
+}

@@ -1,0 +1,113 @@
+//! What robots of growing teams cost: runs them one after the other and measures the processor time of each. What is
+//! simulated lives in the library.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::net::media::radio::Radio;
+use crate::report::cost::Cost;
+use crate::study::network::growth::{self, Growth};
+use crate::study::network::{Medium, Sweep};
+use crate::study::origin::Origin;
+use crate::time::Span;
+use crate::trial::{Proceed, Trial};
+use anyhow::{Context, Result};
+use nix::time::{ClockId, clock_gettime};
+use serde::{Deserialize, Serialize};
+
+use super::cases;
+use crate::program::bad;
+use crate::program::sim::progress;
+use crate::program::study::folder::Folder;
+
+/// A team that is to be simulated.
+pub struct Team {
+    mode: &'static str,
+    robots: usize,
+    seed: u64,
+    trial: Trial,
+}
+
+impl Team {
+    fn origin(&self) -> Origin {
+        Origin::here("network, growing teams", self.seed, "", &(self.mode, self.robots, growth::LASTS_S))
+    }
+}
+
+/// What was measured of a team.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Record {
+    /// Its origin.
+    origin: Origin,
+    mode: String,
+    cost: Cost,
+    cpu_s: f64,
+}
+
+/// The teams of these sizes, in both deployments.
+pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
+    let mut teams = Vec::new();
+    for mode in growth::MODES {
+        for &robots in sizes {
+            match growth::trial(mode, robots, Span::from_secs(growth::LASTS_S)) {
+                Ok(trial) => teams.push(Team { mode, robots, seed, trial: trial.seed(seed) }),
+                Err(error) => return bad(format!("--teams: {error}")),
+            }
+        }
+    }
+    Ok(teams)
+}
+
+/// What a robot of each team costs: those that are kept, and the rest now. Fewer after a Ctrl-C. One at a time, because
+/// two that share a cache would slow each other down.
+pub fn run(
+    teams: &[Team],
+    sweep: &Sweep,
+    folder: Option<&Folder>,
+    quiet: bool,
+    stop: &AtomicBool,
+) -> Result<Vec<Growth>> {
+    let radio: Option<&Radio> = match &sweep.medium {
+        Medium::Radio(radio) => Some(radio),
+        Medium::Shaped(_) => None,
+    };
+    let bar = progress(teams.iter().map(|team| team.robots as u64).sum(), quiet);
+    let mut grown = Vec::new();
+    for team in teams {
+        let name = cases::team(team.mode, team.robots);
+        let kept: Option<Record> = folder.and_then(|folder| folder.kept(&name));
+        let record = match kept.filter(|kept| kept.origin == team.origin()) {
+            Some(kept) => kept,
+            None if stop.load(Ordering::Relaxed) => continue,
+            None => {
+                // On a thread of its own, and so in memory that no team before it has left in pieces.
+                let thread = std::thread::scope(|scope| scope.spawn(|| measured(team, stop)).join());
+                let Some(record) = thread.unwrap_or_else(|panic| std::panic::resume_unwind(panic))? else { continue };
+                folder.map_or(Ok(()), |folder| folder.keep(&name, &record))?;
+                record
+            }
+        };
+        bar.inc(team.robots as u64);
+        grown.push(Growth::of(team.mode, &record.cost, record.cpu_s, radio));
+    }
+    bar.finish_and_clear();
+    Ok(grown)
+}
+
+fn measured(team: &Team, stop: &AtomicBool) -> Result<Option<Record>> {
+    let began = cpu_s()?;
+    let report = team.trial.run_while(|_| match stop.load(Ordering::Relaxed) {
+        true => Proceed::Stop,
+        false => Proceed::On,
+    });
+    let cpu_s = cpu_s()? - began;
+    let record =
+        || Record { origin: team.origin(), mode: team.mode.to_owned(), cost: Cost::of(team.robots, &report), cpu_s };
+    Ok((!stop.load(Ordering::Relaxed)).then(record))
+}
+
+/// How much of a processor this thread has had so far \[s\].
+fn cpu_s() -> Result<f64> {
+    let time = clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).context("cannot read the processor time")?;
+    Ok(time.tv_sec() as f64 + 1e-9 * time.tv_nsec() as f64)
+}

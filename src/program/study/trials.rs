@@ -1,0 +1,75 @@
+//! What a study in columns keeps in its folder: a file for each finished trial, and rows, figures, table and page.
+
+use crate::scenario::judge::Verdict;
+use crate::study::record::Record;
+use crate::study::results::{Results, Row};
+use crate::study::{Job, Study, pages, table};
+use anyhow::Result;
+use serde::Serialize;
+
+use super::folder::Folder;
+
+/// The folder of finished trials.
+const TRIALS: &str = "trials";
+
+/// One line of `episodes.csv`; `docs/study.md` has the schema.
+#[derive(Serialize)]
+struct Line<'a> {
+    column: &'a str,
+    policy: &'a str,
+    handling: &'a str,
+    repeat: u32,
+    episode: u32,
+    verdict: Verdict,
+    makespan_s: Option<f64>,
+    reset_s: f64,
+    min_separation_m: Option<f32>,
+}
+
+/// The folder of this study.
+pub fn open(path: &std::path::Path, study: &Study) -> Result<Folder> {
+    let identity = study.identity();
+    Folder::open(path, TRIALS, &identity, |theirs| {
+        let (field, ours, theirs) = identity.difference(theirs)?;
+        Some(format!("{field} is {theirs} there and {ours} here"))
+    })
+}
+
+/// Where a trial's record is.
+fn name(study: &Study, job: Job) -> String {
+    let column = study.columns[job.column].name.replace(['/', '%'], "");
+    format!("{TRIALS}/{column}.{}.{:03}.json", job.entrant + 1, job.repeat)
+}
+
+/// The record of a trial; `None` if there is none that is whole, and then the trial is run again.
+pub fn read(folder: &Folder, study: &Study, job: Job) -> Option<Record> {
+    folder.kept(&name(study, job)).filter(|record: &Record| record.is_of(study, job))
+}
+
+/// Keeps the record of a trial.
+pub fn write(folder: &Folder, study: &Study, job: Job, record: &Record) -> Result<()> {
+    folder.keep(&name(study, job), record)
+}
+
+/// Writes rows, figures, table and page.
+pub fn write_report(folder: &Folder, study: &Study, results: &Results, records: &[(Job, Record)]) -> Result<()> {
+    folder.write_csv("episodes.csv", records.iter().flat_map(|(_, record)| lines(record)))?;
+    folder.write_json("columns.json", &results.rows().collect::<Vec<&Row>>())?;
+    folder.write("table.txt", (table::text(study, results) + "\n").as_bytes())?;
+    let figures = pages::figures(study, results)?;
+    folder.write_page(&figures, &pages::page(study, results, &figures))
+}
+
+fn lines(record: &Record) -> impl Iterator<Item = Line<'_>> {
+    record.episodes.iter().map(|episode| Line {
+        column: &record.column,
+        policy: &record.policy,
+        handling: &record.handling,
+        repeat: episode.repeat,
+        episode: episode.episode,
+        verdict: episode.verdict,
+        makespan_s: episode.makespan_s,
+        reset_s: episode.reset_s,
+        min_separation_m: Some(episode.min_separation_m).filter(|distance| distance.is_finite()),
+    })
+}

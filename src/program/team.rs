@@ -1,0 +1,129 @@
+//! The team file as the commands take it: its flags, the environment, the key and the policy that it names.
+
+use std::path::{Path, PathBuf};
+
+use crate::config::ConfigError;
+use crate::deploy::team::{Flag, Team, TeamFile};
+use crate::messages::ids::{HostId, RobotId};
+use crate::scenario::{self, Settings};
+use anyhow::Result;
+
+use crate::program::BadInput;
+use crate::program::bad;
+use crate::program::key;
+use crate::program::output::{read_text, talk};
+use crate::program::policy;
+
+/// The team file and what differs from it.
+#[derive(clap::Args)]
+pub struct TeamArgs {
+    /// The team file (docs/teams.md says what is in it)
+    #[arg(value_name = "TEAM.toml")]
+    pub file: PathBuf,
+    /// Sets a field of the team file, such as link.infra.interface=wlan1; may be given several times
+    #[arg(long, value_name = "FIELD=VALUE")]
+    pub set: Vec<String>,
+    /// The network interface of every link
+    #[arg(long, value_name = "NAME")]
+    pub interface: Option<String>,
+    /// The team's key
+    #[arg(long, value_name = "FILE")]
+    pub key_file: Option<PathBuf>,
+}
+
+/// One host of the team.
+#[derive(clap::Args)]
+#[group(id = "which-host", multiple = false)]
+pub struct Which {
+    /// The host of that name
+    #[arg(long, value_name = "NAME")]
+    host: Option<String>,
+    /// The host that runs this robot's agent
+    #[arg(long, value_name = "N")]
+    robot: Option<u16>,
+}
+
+impl TeamArgs {
+    /// Whether a flag names the network interface.
+    pub fn names_interface(&self) -> bool {
+        self.interface.is_some()
+    }
+
+    /// Where the team file is.
+    pub fn path(&self) -> &Path {
+        &self.file
+    }
+
+    /// Reads the team file, the environment and the flags.
+    pub fn read(&self) -> Result<TeamFile> {
+        let text = read_text(&self.file, "team file")?;
+        let mut flags = Vec::new();
+        for given in &self.set {
+            let Some((key, value)) = given.split_once('=') else {
+                return bad(format!("--set {given}: write FIELD=VALUE, such as --set seed=3"));
+            };
+            flags.push(Flag { flag: "--set", key: key.trim().to_owned(), value: value.trim().to_owned() });
+        }
+        let interface = self.interface.clone().map(|value| ("--interface", "interface", value));
+        let key_file = self.key_file.as_ref().map(|path| ("--key-file", "key_file", path.to_string_lossy().into()));
+        flags.extend([interface, key_file].into_iter().flatten().map(|(flag, key, value)| Flag {
+            flag,
+            key: key.to_owned(),
+            value,
+        }));
+        let variables: Vec<(String, String)> = std::env::vars_os()
+            .map(|(name, value)| (name.to_string_lossy().into_owned(), value.to_string_lossy().into_owned()))
+            .filter(|(name, _)| name.starts_with("MURMURATE_"))
+            .collect();
+        let folder = self.file.parent().unwrap_or(Path::new(""));
+        TeamFile::read(&text, folder, &variables, &flags).map_err(|e| self.wrong(&e))
+    }
+
+    /// An error of the team file, with its name.
+    pub fn wrong(&self, error: &ConfigError) -> anyhow::Error {
+        BadInput(format!("the team file '{}': {error}", self.file.display())).into()
+    }
+
+    /// The team as a host is to see it.
+    pub fn for_host(&self, file: &TeamFile, host: HostId) -> Result<Team> {
+        file.for_host(host).map_err(|e| self.wrong(&e))
+    }
+}
+
+impl Which {
+    /// The host, if one was named.
+    pub fn find(&self, file: &TeamFile) -> Result<Option<HostId>> {
+        let found = match (&self.host, self.robot) {
+            (Some(name), _) => Some(file.host_named(name)),
+            (None, Some(robot)) => Some(file.host_of(RobotId(robot))),
+            (None, None) => None,
+        };
+        found.transpose().map_err(|e| BadInput(format!("--{e}")).into())
+    }
+}
+
+/// The team's key. A team that keeps to its own machine may be without one, and hears what that means.
+pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
+    if team.key_file.is_none() && team.links.iter().all(Option::is_none) {
+        return Ok(None);
+    }
+    key_of(team.key_file.as_deref())
+}
+
+/// The key in this file; without a file a warning of what that means.
+pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
+    if file.is_none() {
+        talk(
+            "warning: NO KEY: every program on this machine can command these robots; for anything but development \
+             make a key with 'murmurate key new' and name it as key_file",
+        );
+    }
+    file.map(key::read).transpose()
+}
+
+/// The team's policy.
+pub fn policy(team: &Team) -> Result<policy::Loaded> {
+    let settings = Settings::of(team.deployment.robots);
+    let scenario = scenario::build(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
+    policy::load(team.policy.as_deref(), None, &*scenario)
+}

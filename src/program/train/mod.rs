@@ -1,0 +1,294 @@
+//! `murmurate train`: from random weights to a policy file, with progress, curves and checkpoints. What a training
+//! does lives in the library; here are its flags, its clock and its files.
+
+mod curve;
+mod folder;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::config::unquoted;
+use crate::scenario;
+use crate::study::network::conditions;
+use crate::train::config::{Config, PRESETS};
+use crate::train::evaluate::{Scores, quick};
+use crate::train::trainer::{Plan, Trainer};
+use anyhow::{Context, Result};
+use clap::builder::PossibleValuesParser;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use crate::program::BadInput;
+use crate::program::Ended;
+use crate::program::output::{print, read_bytes, read_text, talk};
+use crate::program::study;
+use curve::{Curve, Row};
+use folder::Folder;
+
+/// How often the state is saved, and told where nobody watches a bar.
+const SAVE_EVERY: Duration = Duration::from_secs(30);
+/// A quick evaluation is made after each such share of the training, over so many layouts.
+const EVALUATE_EVERY: f64 = 0.05;
+const EPISODES: u32 = 128;
+/// The preset unless the user names one.
+const PRESET: &str = "robust";
+/// How many talk on the medium of --radio where a configuration leaves the team to its scenario: the paper's team.
+const TEAM: usize = 5;
+
+/// Flags of `murmurate train`.
+#[derive(clap::Args)]
+#[command(group = clap::ArgGroup::new("budget").args(["minutes", "steps"]))]
+pub struct Args {
+    /// What the team is to learn
+    #[arg(value_parser = PossibleValuesParser::new(scenario::REGISTRY.iter().map(|entry| entry.name)))]
+    scenario: String,
+    /// What to train for: 'published' for lock step and perfect messages, 'robust' for delay, loss and lag
+    /// [default: robust]
+    #[arg(
+        long,
+        conflicts_with = "config",
+        value_parser = PossibleValuesParser::new(PRESETS.iter().map(|(name, _)| *name))
+    )]
+    preset: Option<String>,
+    /// A configuration of your own; every training writes its own as OUT/config.toml to start from
+    #[arg(long, value_name = "FILE.toml")]
+    config: Option<PathBuf>,
+    /// Trains with the delay and the loss of a medium, in place of the configuration's: a preset (paper, wifi, wifi-n,
+    /// wifi-slow) or a radio file, such as 'study network --fit' writes
+    #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "resume")]
+    radio: Option<String>,
+    /// How long to train [min]; schedules follow the clock, so no two such runs are quite the same
+    #[arg(long)]
+    minutes: Option<f64>,
+    /// How many decisions to train on, one for each environment and step of the policy; the same number and seed
+    /// give the same weights
+    #[arg(long)]
+    steps: Option<u64>,
+    /// The root of all randomness [default: 0]
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Where everything goes: policy.safetensors, checkpoint.bin, curve.csv, curve.svg, config.toml
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// Begins with the weights of another training, to go on with it under another configuration
+    #[arg(long, value_name = "CHECKPOINT.bin", conflicts_with = "resume")]
+    from: Option<PathBuf>,
+    /// Goes on where the training in that folder has stopped
+    #[arg(long)]
+    resume: bool,
+    /// Threads [default: one per core]; the weights do not depend on it
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+    /// Prints one JSON object in place of the table
+    #[arg(long)]
+    json: bool,
+    /// Says nothing on stderr but errors
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// When a training is over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Budget {
+    Minutes(f64),
+    Decisions(u64),
+}
+
+impl Budget {
+    fn of(args: &Args) -> Result<Budget> {
+        match (args.minutes, args.steps) {
+            (Some(minutes), _) if (1e-3..=1e6).contains(&minutes) => Ok(Budget::Minutes(minutes)),
+            (Some(minutes), _) => Err(BadInput(format!("--minutes: {minutes} is not 0.001 to 1000000")).into()),
+            (_, Some(0)) => Err(BadInput("--steps: 0 decisions train nothing".to_owned()).into()),
+            (_, Some(decisions)) => Ok(Budget::Decisions(decisions)),
+            _ => Err(BadInput("how long is to be trained? Give --minutes or --steps".to_owned()).into()),
+        }
+    }
+}
+
+/// What a training came to, for `--json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    policy: String,
+    scenario: &'a str,
+    preset: &'a str,
+    seed: u64,
+    decisions: u64,
+    iterations: u64,
+    wall_s: f64,
+    /// None after an interruption, which is to be quick.
+    evaluation: Option<&'a Scores>,
+    interrupted: bool,
+}
+
+/// Trains.
+pub fn run(args: &Args) -> Result<Ended> {
+    let budget = Budget::of(args)?;
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let threads = args.threads.map_or(cores, usize::from);
+    let mut folder = Folder::open(&args.out, args.resume)?;
+    let (mut trainer, mut curve) = if args.resume {
+        let trainer = resumed(args, &folder)?;
+        let curve = folder.curve(trainer.iterations())?;
+        (trainer, curve)
+    } else {
+        let plan = plan(args)?;
+        let mut trainer = Trainer::new(plan).map_err(|e| match &args.config {
+            Some(path) => BadInput(format!("the training configuration '{}': {e}", path.display())),
+            None => BadInput(e.to_string()),
+        })?;
+        if let Some(path) = &args.from {
+            let wrong = |why: String| BadInput(format!("cannot begin with '{}': {why}", path.display()));
+            let bytes = read_bytes(path, "policy file")?;
+            trainer.begin_with(&bytes).map_err(|e| wrong(e.to_string()))?;
+        }
+        folder.write_config(&trainer.plan().config)?;
+        (trainer, Curve::default())
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    let signal = Arc::clone(&stop);
+    ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
+
+    tracing::info!("training; Ctrl-C saves everything");
+    if !args.resume {
+        folder.save(&trainer, &curve)?;
+    }
+
+    let (began, spent_s) = (Instant::now(), curve.elapsed_s());
+    let elapsed_s = || spent_s + began.elapsed().as_secs_f64();
+    let bar = bar(args.quiet);
+    let mut saved = Instant::now();
+    let mut interrupted = false;
+    loop {
+        let progress = match budget {
+            Budget::Minutes(minutes) => elapsed_s() / (60.0 * minutes),
+            Budget::Decisions(decisions) => trainer.decisions() as f64 / decisions as f64,
+        };
+        if progress >= 1.0 {
+            break;
+        }
+        interrupted = stop.load(Ordering::Relaxed);
+        if interrupted {
+            break;
+        }
+        let point = match trainer.iterate(progress, threads) {
+            Ok(point) => point,
+            Err(diverged) => {
+                bar.abandon();
+                return Err(anyhow::anyhow!("{diverged}; {}", folder.what_is_kept()));
+            }
+        };
+        let due = (progress / EVALUATE_EVERY) as u64 > (curve.evaluated_at() / EVALUATE_EVERY) as u64;
+        let scores = due.then(|| quick(&trainer, EPISODES, threads));
+        curve.push(Row::new(elapsed_s(), progress, &point, scores.as_ref()));
+        let told = curve.line(trainer.decisions());
+        bar.set_position((progress * 1000.0) as u64);
+        bar.set_message(told.clone());
+        if saved.elapsed() >= SAVE_EVERY {
+            saved = Instant::now();
+            folder.save(&trainer, &curve)?;
+            if bar.is_hidden() && !args.quiet {
+                talk(&format!("{:3.0} %  {told}", 100.0 * progress));
+            }
+        }
+    }
+    let scores = (!interrupted).then(|| quick(&trainer, EPISODES, threads));
+    scores.iter().for_each(|scores| curve.evaluate_last(scores));
+    folder.save(&trainer, &curve)?;
+    bar.finish_and_clear();
+    let plan = trainer.plan();
+    let report = Report {
+        policy: folder.policy().display().to_string(),
+        scenario: &plan.scenario,
+        preset: &plan.preset,
+        seed: plan.seed,
+        decisions: trainer.decisions(),
+        iterations: trainer.iterations(),
+        wall_s: elapsed_s(),
+        evaluation: scores.as_ref(),
+        interrupted,
+    };
+    print(&if args.json { serde_json::to_string(&report).context("a report is JSON")? } else { table(&report) })?;
+    if interrupted && !args.quiet {
+        talk("interrupted; everything is saved: the same command with --resume goes on from here");
+    }
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+fn plan(args: &Args) -> Result<Plan> {
+    let preset = args.preset.as_deref().unwrap_or(PRESET);
+    let (mut config, preset) = match &args.config {
+        Some(path) => {
+            let text = read_text(path, "training configuration")?;
+            let config = Config::from_toml(&text);
+            let wrong = |e| BadInput(format!("the training configuration '{}': {e}", path.display()));
+            (config.map_err(wrong)?, "a configuration of the user's")
+        }
+        None => (Config::preset(preset).expect("the parser lets only presets through"), preset),
+    };
+    if let Some(given) = &args.radio {
+        let medium = study::medium("--radio", given)?;
+        conditions::put(&medium, config.robots.unwrap_or(TEAM), &mut config.conditions)
+            .ok_or_else(|| BadInput(format!("--radio: nothing of what a team says arrives on '{given}'")))?;
+    }
+    let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
+    Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
+}
+
+/// The training of the folder, if it is the one that the flags ask for.
+fn resumed(args: &Args, folder: &Folder) -> Result<Trainer> {
+    let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
+    let bytes = std::fs::read(folder.checkpoint())
+        .map_err(|e| wrong(format!("{e}; leave --resume out to begin a training")))?;
+    let trainer = Trainer::resume(&bytes).map_err(|e| wrong(unquoted(&e.to_string())))?;
+    let theirs = trainer.plan();
+    let ours = plan(args)?;
+    let other = |what: &str, theirs: &str, ours: &str| {
+        Err(wrong(format!("it is of another training: {what} is {theirs} there and {ours} here")))
+    };
+    if theirs.scenario != ours.scenario {
+        other("the scenario", &theirs.scenario, &ours.scenario)?;
+    }
+    if args.seed.is_some_and(|seed| seed != theirs.seed) {
+        other("the seed", &theirs.seed.to_string(), &ours.seed.to_string())?;
+    }
+    if args.preset.is_some() && theirs.preset != ours.preset {
+        other("the preset", &theirs.preset, &ours.preset)?;
+    }
+    if (args.preset.is_some() || args.config.is_some()) && theirs.config != ours.config {
+        return Err(wrong("its configuration is another one; see config.toml beside it".to_owned()).into());
+    }
+    Ok(trainer)
+}
+
+fn bar(quiet: bool) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    // On anything but a terminal it draws nothing, and lines are said in its place.
+    let bar = ProgressBar::new(1000);
+    let template = "{bar:24} {percent:>3} %  {msg}, {eta} left";
+    bar.set_style(ProgressStyle::with_template(template).expect("the template is sound"));
+    bar.enable_steady_tick(Duration::from_millis(500));
+    bar
+}
+
+fn table(report: &Report) -> String {
+    let mut lines = vec![format!(
+        "{} decisions in {:.0} s; {} for '{}', seed {}",
+        report.decisions, report.wall_s, report.preset, report.scenario, report.seed
+    )];
+    for score in report.evaluation.iter().flat_map(|scores| &scores.0) {
+        let makespan = score.makespan_s.map_or("-".to_owned(), |makespan| format!("{makespan:.2} s"));
+        lines.push(format!(
+            "{:<10} {:<7} success {:5.1} %  median makespan {makespan}  ({EPISODES} layouts)",
+            score.conditions,
+            score.action,
+            100.0 * score.success
+        ));
+    }
+    lines.push(format!("policy {}", report.policy));
+    lines.join("\n")
+}
