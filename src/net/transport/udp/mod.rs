@@ -1,6 +1,6 @@
 //! UDP, multicast or unicast: the link of real hosts. An actor for what leaves; what has arrived is read by whoever is
-//! told of it. What frames mean, and who may send them, never matters here; a frame that does not get out is counted and
-//! gone, as one that is lost on the air.
+//! told of it. What frames mean, and who may send them, never matters here; a frame that does not get out is counted
+//! and gone, as one that is lost on the air.
 
 mod batch;
 pub mod filter;
