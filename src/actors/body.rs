@@ -1,20 +1,17 @@
-//! Body: one robot's actuator and sensor. It lives where the actuator is: on the robot, or beside the World
-//! that simulates it. What its sensor is like is in `world`; its noise, rate and latency come about here.
+//! Body: one robot's motors, as its driver reaches them. It lives where they hang: on the robot, or beside the World
+//! that simulates it.
 //!
 //! A Body stops its motors when the last command's validity lapses, whichever actor has died upstream, and follows the
 //! emergency stop by itself: a command that is released late drives nobody. Nothing bypasses it.
 
-use std::collections::VecDeque;
-
 use crate::actor::Core;
-use crate::messages::geometry::{Pose, Twist, Vec2};
+use crate::drivers::{self, Driver};
+use crate::messages::geometry::{Pose, Vec2};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{Latch, LatchFollower};
-use crate::messages::local::{Drive, Sample};
-use crate::messages::wire::{MotorCommand, Reading, Stop};
-use crate::random::Stream;
+use crate::messages::local::Drive;
+use crate::messages::wire::{Health, MotorCommand, Reading, Stop};
 use crate::time::{Span, Time};
-use crate::world::Sensor;
 
 /// How often a Body tells a state server that knows less of the emergency stop than it does.
 const CORRECTION_PERIOD: Span = Span::from_millis(200);
@@ -24,8 +21,10 @@ const CORRECTION_PERIOD: Span = Span::from_millis(200);
 pub enum In {
     /// What its motors are to do.
     MotorCommand(MotorCommand),
-    /// Its true state.
-    Sample(Sample),
+    /// Where it was measured, for a driver that has to know its heading.
+    Reading(Reading),
+    /// Something that its driver's worker has said.
+    Packet(Box<[u8]>),
     /// The emergency stop, engaged or taken back.
     Stop(Stop),
     /// The latch as the state server repeats it.
@@ -39,8 +38,10 @@ pub enum In {
 pub enum Out {
     /// To its World.
     Drive(Drive),
-    /// To its Cache.
-    Reading(Reading),
+    /// To its driver's worker.
+    Tell(Box<[u8]>),
+    /// To the host's Status: how the robot is, and what is left of its battery \[%\].
+    Condition(Health, Option<u8>),
     /// To the host's Status: the latch that it follows.
     Follows(Latch),
     /// To everyone: the state server has forgotten a stop.
@@ -48,18 +49,16 @@ pub enum Out {
 }
 
 /// One robot's body.
-#[derive(Debug)]
 pub struct Body {
     robot: RobotId,
     /// The host that it lives on.
     host: HostId,
-    sensor: Sensor,
-    stream: Stream,
-    /// When the sensor has measured, and when it does next, at the earliest.
-    measured: Option<Time>,
-    ready: Time,
-    /// What was measured and is not told yet.
-    pending: VecDeque<(Time, Reading)>,
+    driver: Box<dyn Driver>,
+    said: Vec<drivers::Out>,
+    /// Where the robot was measured last.
+    pose: Option<Pose>,
+    /// What could not be understood of the driver's worker so far.
+    refused: u64,
     /// When the command in force lapses.
     lapses: Option<Time>,
     latch: LatchFollower,
@@ -70,16 +69,15 @@ pub struct Body {
 }
 
 impl Body {
-    /// A body at rest, measured by this sensor; draws its noise from `stream`.
-    pub fn new((host, robot): (HostId, RobotId), sensor: Sensor, stream: Stream) -> Body {
+    /// A body at rest, driven by this driver.
+    pub fn new((host, robot): (HostId, RobotId), driver: Box<dyn Driver>) -> Body {
         Body {
             robot,
             host,
-            sensor,
-            stream,
-            measured: None,
-            ready: Time::ZERO,
-            pending: VecDeque::new(),
+            driver,
+            said: Vec::new(),
+            pose: None,
+            refused: 0,
             lapses: None,
             latch: LatchFollower::default(),
             corrected: None,
@@ -93,15 +91,43 @@ impl Body {
     }
 
     fn obey(&mut self, now: Time, command: &MotorCommand, out: &mut Vec<Out>) {
-        let velocity = if self.may_move() { command.velocity } else { Vec2::zeros() };
+        let velocity = if self.may_move() { self.limited(command.velocity) } else { Vec2::zeros() };
         let until = now + command.valid_for;
         self.lapses = Some(until);
-        out.push(Out::Drive(Drive { robot: self.robot, velocity, until }));
+        self.drive(now, Drive { robot: self.robot, velocity, until }, out);
     }
 
     fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
         self.lapses = None;
-        out.push(Out::Drive(Drive { robot: self.robot, velocity: Vec2::zeros(), until: now }));
+        self.drive(now, Drive { robot: self.robot, velocity: Vec2::zeros(), until: now }, out);
+    }
+
+    /// No faster than the robot can, in the same direction.
+    fn limited(&self, velocity: Vec2) -> Vec2 {
+        let (most, speed) = (self.driver.limits().speed_m_s, velocity.norm());
+        if speed > most { velocity * (most / speed) } else { velocity }
+    }
+
+    fn drive(&mut self, now: Time, drive: Drive, out: &mut Vec<Out>) {
+        self.driver.drive(now, &drive, self.pose.as_ref(), &mut self.said);
+        self.pass_on(out);
+    }
+
+    fn pass_on(&mut self, out: &mut Vec<Out>) {
+        for said in self.said.drain(..) {
+            match said {
+                drivers::Out::Drive(drive) => out.push(Out::Drive(drive)),
+                drivers::Out::Tell(packet) => out.push(Out::Tell(packet)),
+                drivers::Out::Condition(health, battery) => out.push(Out::Condition(health, battery)),
+                drivers::Out::Refused(why) => {
+                    self.refused += 1;
+                    // The first, and then less and less often: a broken robot says nothing else.
+                    if self.refused.is_power_of_two() {
+                        tracing::warn!(refused = self.refused, "what the driver's worker says is refused: {why}");
+                    }
+                }
+            }
+        }
     }
 
     fn latched(&mut self, now: Time, changed: bool, out: &mut Vec<Out>) {
@@ -119,27 +145,6 @@ impl Body {
             out.push(Out::Stop(Stop { by: self.host, latch: own }));
         }
     }
-
-    fn measure(&mut self, now: Time, sample: &Sample, out: &mut Vec<Out>) {
-        // Who is placed is sampled twice at one instant, at two places: the second is where it is.
-        if sample.time < self.ready && self.measured != Some(sample.time) {
-            return;
-        }
-        (self.measured, self.ready) = (Some(sample.time), sample.time + self.sensor.period);
-        let motion = self.sensor.measure(&sample.motion, &mut self.stream);
-        let reading = Reading {
-            robot: self.robot,
-            stamp_ns: sample.time.as_nanos(),
-            pose: Pose { position: motion.position, heading: Some(sample.heading) },
-            twist: Twist { velocity: motion.velocity, yaw_rate: Some(sample.yaw_rate) },
-            deviation: self.sensor.deviation(),
-        };
-        if self.sensor.latency == Span::ZERO {
-            out.push(Out::Reading(reading));
-        } else {
-            self.pending.push_back((now + self.sensor.latency, reading));
-        }
-    }
 }
 
 impl Core for Body {
@@ -149,7 +154,11 @@ impl Core for Body {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::MotorCommand(command) => self.obey(now, &command, out),
-            In::Sample(sample) => self.measure(now, &sample, out),
+            In::Reading(reading) => self.pose = Some(reading.pose),
+            In::Packet(packet) => {
+                self.driver.told(now, &packet, &mut self.said);
+                self.pass_on(out);
+            }
             In::Stop(stop) => {
                 let changed = self.latch.told(stop.latch);
                 self.latched(now, changed, out);
@@ -171,16 +180,12 @@ impl Core for Body {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        let told = self.pending.front().map(|(due, _)| *due);
-        [self.lapses, told].into_iter().flatten().min()
+        self.lapses
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.lapses.is_some_and(|lapses| lapses <= now) {
             self.stand(now, out);
-        }
-        while self.pending.front().is_some_and(|(due, _)| *due <= now) {
-            out.extend(self.pending.pop_front().map(|(_, reading)| Out::Reading(reading)));
         }
     }
 }
@@ -188,12 +193,10 @@ impl Core for Body {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::geometry::Motion;
-    use crate::messages::local::Contacts;
-    use crate::random::Seed;
+    use crate::drivers::simulated::Simulated;
 
-    fn body(sensor: Sensor) -> Body {
-        let mut body = Body::new((HostId(3), RobotId(0)), sensor, Seed::of_run(0).stream("sensor"));
+    fn body() -> Body {
+        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Simulated));
         body.handle(Time::ZERO, In::Latch(Latch::default()), &mut Vec::new());
         body
     }
@@ -218,7 +221,7 @@ mod tests {
 
     #[test]
     fn a_command_that_is_released_after_a_stop_drives_nobody_until_a_resume() {
-        let mut body = body(Sensor::EXACT);
+        let mut body = body();
         assert_eq!(driven(&mut body, 0), 1.0);
         let out = handle(&mut body, 10, In::Stop(Stop::engage(HostId(9), Latch::default())));
         assert!(matches!(&out[0], Out::Drive(drive) if drive.velocity == Vec2::zeros()), "at once");
@@ -232,7 +235,7 @@ mod tests {
 
     #[test]
     fn a_fresh_body_moves_nothing_before_the_state_server_is_heard() {
-        let mut body = Body::new((HostId(3), RobotId(0)), Sensor::EXACT, Seed::of_run(0).stream("sensor"));
+        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Simulated));
         assert_eq!(driven(&mut body, 0), 0.0);
         handle(&mut body, 10, In::Latch(Latch::default()));
         assert_eq!(driven(&mut body, 20), 1.0);
@@ -242,7 +245,7 @@ mod tests {
 
     #[test]
     fn a_state_server_that_has_forgotten_a_hold_is_told() {
-        let mut body = body(Sensor::EXACT);
+        let mut body = body();
         handle(&mut body, 0, In::Latch(Latch::held(2)));
         let told = |out: &[Out]| out.iter().any(|said| matches!(said, Out::Stop(s) if s.latch == Latch::held(2)));
         assert!(told(&handle(&mut body, 100, In::Latch(Latch::default()))));
@@ -251,53 +254,9 @@ mod tests {
         assert!(!told(&handle(&mut body, 600, In::Latch(Latch::held(2)))), "it knows");
     }
 
-    fn sample(ms: u64) -> In {
-        let (motion, time) = (Motion::at_rest(Vec2::new(1.0, 2.0)), Time::ZERO + Span::from_millis(ms));
-        In::Sample(Sample {
-            robot: RobotId(0),
-            time,
-            motion,
-            heading: 0.0,
-            yaw_rate: 0.0,
-            command: Vec2::zeros(),
-            contacts: Contacts::default(),
-        })
-    }
-
-    fn readings(out: &[Out]) -> Vec<Reading> {
-        out.iter()
-            .filter_map(|said| if let Out::Reading(reading) = said { Some(reading.clone()) } else { None })
-            .collect()
-    }
-
-    #[test]
-    fn an_exact_sensor_tells_the_truth_at_once() {
-        let (mut body, mut out) = (body(Sensor::EXACT), Vec::new());
-        body.handle(Time::ZERO, sample(0), &mut out);
-        assert_eq!(readings(&out)[0].motion(), Motion::at_rest(Vec2::new(1.0, 2.0)));
-        assert_eq!(body.wake_at(), None);
-    }
-
-    #[test]
-    fn readings_come_late_with_noise_and_no_faster_than_the_sensor_measures() {
-        let at_ms = |ms| Time::ZERO + Span::from_millis(ms);
-        let slow = Sensor { period: Span::from_millis(100), ..Sensor::MOTION_CAPTURE };
-        let (mut body, mut out) = (body(slow), Vec::new());
-        for ms in [0, 50, 100] {
-            body.handle(at_ms(ms), sample(ms), &mut out);
-            assert_eq!(body.wake_at(), (ms != 50).then(|| at_ms(ms + 10)), "late, and one of two");
-            body.wake(at_ms(ms + 10), &mut out);
-        }
-        let told = readings(&out);
-        assert_eq!(told.iter().map(|reading| reading.stamp_ns).collect::<Vec<_>>(), [0, 100_000_000]);
-        let off = (told[0].motion().position - Vec2::new(1.0, 2.0)).norm();
-        assert!(off > 0.0 && off < 2e-3 && told[0].motion().velocity != Vec2::zeros(), "{off}");
-        assert_eq!(told.len(), out.len(), "and nothing else");
-    }
-
     #[test]
     fn the_motors_stop_when_the_command_lapses() {
-        let mut body = body(Sensor::EXACT);
+        let mut body = body();
         let mut out = Vec::new();
         body.handle(Time::ZERO, command(1.0), &mut out);
         body.handle(Time::ZERO + Span::from_millis(50), command(0.5), &mut out);

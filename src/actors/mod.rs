@@ -6,6 +6,7 @@ pub mod agent;
 pub mod body;
 pub mod cache;
 pub mod controller;
+pub mod localizer;
 pub mod network;
 pub mod order;
 pub mod recorder;

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use crate::actor::Core;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{self, Following, Leading, MAX_BLOCK, Phase, Stop};
+use crate::messages::wire::{self, Following, Health, Leading, MAX_BLOCK, Phase, Stop};
 use crate::time::{Span, Time};
 
 /// How long it waits for what the host's actors make of an operator's message.
@@ -36,6 +36,10 @@ pub enum In {
     Leading(Leading),
     /// The phase that the team is in.
     Mode(Phase),
+    /// How a robot of this host is, and what is left of its battery \[%\].
+    Condition(RobotId, Health, Option<u8>),
+    /// Somebody looks at the team.
+    Observe,
     /// The host is told to end.
     Leave,
 }
@@ -137,6 +141,7 @@ impl Core for Status {
                     self.plan(now, GATHER, HERE_PERIOD);
                 }
             }
+            In::Condition(..) | In::Observe => {}
             In::Leave => {
                 self.leaves = true;
                 self.due = Some(now);

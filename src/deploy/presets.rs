@@ -11,8 +11,7 @@ impl Deployment {
     pub fn preset(mode: &str, robots: usize) -> Option<Deployment> {
         use Kind::*;
         let everyone: Vec<u16> = RobotId::team(robots).map(|robot| robot.0).collect();
-        let host =
-            |name: &str| Host { name: name.to_owned(), agents: Vec::new(), world: Vec::new(), state_server: false };
+        let host = |name: &str| Host { name: name.to_owned(), ..Host::default() };
         let link = |name: &str, carries: &[Kind]| Link {
             name: name.to_owned(),
             carries: carries.to_vec(),
@@ -27,7 +26,7 @@ impl Deployment {
             let agent = |&robot: &u16| Host { agents: vec![vec![robot]], ..host(&format!("{prefix}-{robot}")) };
             everyone.iter().map(agent).collect()
         };
-        let world = Host { world: everyone.clone(), ..host("world") };
+        let world = Host { simulates: everyone.clone(), ..host("world") };
         let world_and_server = Host { state_server: true, ..world.clone() };
         let and = |mut hosts: Vec<Host>, last: Host| {
             hosts.push(last);

@@ -13,16 +13,21 @@ use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 #[derive(Clone, Debug)]
 pub struct Routes {
     robots: usize,
-    /// By robot: the host of its agent, the robots of that agent in the order of their ids, the host of its world.
+    /// By robot: the host of its agent, the robots of that agent in the order of their ids.
     agent_host: Vec<HostId>,
     companions: Vec<Arc<[RobotId]>>,
-    world_host: Vec<HostId>,
+    /// By robot: the host that its motors hang on, the one that measures it, and the one whose World simulates it.
+    actuator_host: Vec<HostId>,
+    localizer_host: Vec<HostId>,
+    world_host: Vec<Option<HostId>>,
+    /// By robot: the hosts that take its readings, in order.
+    readers: Vec<Vec<HostId>>,
     server_host: HostId,
-    /// By host: the robots whose agent or world it runs.
+    /// By host: the robots whose agent it runs, or which it drives or measures.
     robots_of: Vec<Vec<RobotId>>,
     /// By host: how many robots' agents it runs.
     decided: Vec<usize>,
-    /// The hosts that run an agent; those that run an agent or a world; those, and the state server's.
+    /// The hosts that run an agent; those that run an agent or a body; those, and the state server's.
     deciders: Vec<HostId>,
     told: Vec<HostId>,
     stopped: Vec<HostId>,
@@ -49,11 +54,12 @@ impl Takers<'_> {
 }
 
 impl Routes {
-    /// The ways of a deployment. Panics if a robot has no agent or no world, which `Deployment::check` excludes.
+    /// The ways of a deployment. Panics if a robot has no agent or no body, which `Deployment::check` excludes.
     pub fn of(deployment: &Deployment) -> Routes {
         let robots = deployment.robots;
         let number = |index: usize| u16::try_from(index).expect("a checked deployment has few hosts and links");
-        let (mut agent_host, mut world_host) = (vec![None; robots], vec![None; robots]);
+        let [mut agent_host, mut actuator_host, mut localizer_host, mut world_host] =
+            [(); 4].map(|()| vec![None; robots]);
         let mut companions: Vec<Arc<[RobotId]>> = vec![Arc::default(); robots];
         let mut robots_of = Vec::new();
         for (index, host) in deployment.hosts.iter().enumerate() {
@@ -65,10 +71,17 @@ impl Routes {
                     companions[robot.index()] = Arc::clone(&ids);
                 }
             }
-            for robot in &host.world {
-                world_host[usize::from(*robot)] = Some(HostId(number(index)));
+            let me = Some(HostId(number(index)));
+            let mark = |hosts: &mut [Option<HostId>], robots: &[u16]| {
+                robots.iter().for_each(|robot| hosts[usize::from(*robot)] = me);
+            };
+            mark(&mut actuator_host, &host.actuates);
+            mark(&mut localizer_host, &host.localizes);
+            for hosts in [&mut world_host, &mut actuator_host, &mut localizer_host] {
+                mark(hosts, &host.simulates);
             }
-            robots_of.push(host.agents.iter().flatten().chain(&host.world).copied().map(RobotId).collect());
+            let bodies = host.simulates.iter().chain(&host.actuates).chain(&host.localizes);
+            robots_of.push(host.agents.iter().flatten().chain(bodies).copied().map(RobotId).collect());
         }
         let found = |hosts: Vec<Option<HostId>>| -> Vec<HostId> {
             hosts.into_iter().map(|host| host.expect("a checked deployment has a host for everything")).collect()
@@ -77,7 +90,7 @@ impl Routes {
         let server_host = HostId(number(server.expect("a checked deployment has a state server")));
         let carried = |kind: Kind| if kind.follows_the_stop() { Kind::Stop } else { kind };
         let link_of = |kind: Kind| deployment.links.iter().position(|link| link.carries.contains(&carried(kind)));
-        let (agent_host, world_host) = (found(agent_host), found(world_host));
+        let [agent_host, actuator_host, localizer_host] = [agent_host, actuator_host, localizer_host].map(found);
         let hosts = |some: &[HostId], more: &[HostId]| -> Vec<HostId> {
             some.iter().chain(more).copied().collect::<BTreeSet<HostId>>().into_iter().collect()
         };
@@ -88,17 +101,26 @@ impl Routes {
             robots_of,
             decided: deployment.hosts.iter().map(|host| host.agents.iter().map(Vec::len).sum()).collect(),
             deciders: hosts(&agent_host, &[]),
-            told: hosts(&agent_host, &world_host),
+            told: hosts(&agent_host, &actuator_host),
             // Whatever moves, and the one who leads.
-            stopped: hosts(&hosts(&agent_host, &world_host), &[server_host]),
+            stopped: hosts(&hosts(&agent_host, &actuator_host), &[server_host]),
             publishers: Arc::new(Publishers {
                 names: deployment.hosts.iter().map(|host| host.name.clone()).collect(),
                 agents: agent_host.clone(),
-                bodies: world_host.clone(),
+                localizers: localizer_host.clone(),
                 server: server_host,
             }),
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
+            // Who drives a real robot needs its heading; who simulates one does not.
+            readers: RobotId::team(robots)
+                .map(|robot| match world_host[robot.index()] {
+                    Some(_) => vec![agent_host[robot.index()]],
+                    None => hosts(&[agent_host[robot.index()]], &[actuator_host[robot.index()]]),
+                })
+                .collect(),
             agent_host,
+            actuator_host,
+            localizer_host,
             world_host,
         }
     }
@@ -106,8 +128,8 @@ impl Routes {
     fn takers(&self, kind: Kind, robot: RobotId) -> Takers<'_> {
         let (mut hosts, mut but) = (&self.deciders[..], None);
         match kind {
-            Kind::Reading => hosts = std::slice::from_ref(&self.agent_host[robot.index()]),
-            Kind::MotorCommand => hosts = std::slice::from_ref(&self.world_host[robot.index()]),
+            Kind::Reading => hosts = &self.readers[robot.index()],
+            Kind::MotorCommand => hosts = std::slice::from_ref(&self.actuator_host[robot.index()]),
             Kind::Heartbeat | Kind::Status => hosts = std::slice::from_ref(&self.server_host),
             Kind::Mode => hosts = &self.told,
             Kind::Stop | Kind::Observe => hosts = &self.stopped,
@@ -136,8 +158,18 @@ impl Routes {
         self.agent_host[robot.index()]
     }
 
-    /// The host whose World holds the robot.
-    pub fn world_host(&self, robot: RobotId) -> HostId {
+    /// The host that the robot's motors hang on.
+    pub fn actuator_host(&self, robot: RobotId) -> HostId {
+        self.actuator_host[robot.index()]
+    }
+
+    /// The host that measures the robot.
+    pub fn localizer_host(&self, robot: RobotId) -> HostId {
+        self.localizer_host[robot.index()]
+    }
+
+    /// The host whose World simulates the robot; none for a real one.
+    pub fn world_host(&self, robot: RobotId) -> Option<HostId> {
         self.world_host[robot.index()]
     }
 
@@ -154,7 +186,7 @@ impl Routes {
     /// The host that publishes messages of this kind about this robot; `None` if any may.
     fn publisher(&self, kind: Kind, robot: RobotId) -> Option<HostId> {
         match kind {
-            Kind::Reading => Some(self.world_host(robot)),
+            Kind::Reading => Some(self.localizer_host(robot)),
             Kind::Latent | Kind::MotorCommand | Kind::Heartbeat => Some(self.agent_host(robot)),
             Kind::Mode => Some(self.server_host),
             Kind::Stop | Kind::Status | Kind::Observe | Kind::Telemetry => None,

@@ -3,9 +3,11 @@
 
 use std::rc::Rc;
 
+use super::bodies::wire_source;
+use super::devices::Devices;
 use super::process::{Graph, Heard, Process};
 use super::sockets;
-use crate::actors::recorder;
+use crate::actors::{body, localizer, recorder};
 use crate::graph::{Plan, wire_hosts, wire_recorder};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::key::Key;
@@ -14,6 +16,7 @@ use crate::net::transport::udp::Udp;
 use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
+use crate::runtime::shell::Mailbox;
 
 /// A host: which one it is, and its links.
 pub struct Host {
@@ -29,6 +32,8 @@ pub struct Host {
     pub key: Option<Key>,
     /// How its links are set up, in the order of the deployment; none where it has no part in one.
     pub links: Vec<Option<Setup>>,
+    /// Its drivers and sources.
+    pub devices: Devices,
     /// Its sockets by link, for the links that it uses; several for a link that it uses on several interfaces.
     pub sockets: Vec<(LinkId, Udp)>,
 }
@@ -50,15 +55,32 @@ pub fn wire(
         secret: Some(host.secret),
         key: host.key,
         links: Some(host.links),
-        records: plan.deployment.hosts[usize::from(host.id.0)].world.len() == plan.deployment.robots,
+        devices: host.devices,
+        records: plan.deployment.hosts[usize::from(host.id.0)].simulates.len() == plan.deployment.robots,
         hear: Rc::new(heard),
     };
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
+    wire_gates((clock, readers), &graph, &process);
     let mailbox_of = |link: LinkId| graph.transports[usize::from(link.0)].clone();
     sockets::wire_all((clock, readers), host.sockets, mailbox_of, &graph.network_of(host.id));
     if process.records {
         wire_recorder(clock, plan, &graph, said);
     }
     graph
+}
+
+/// What workers say goes to the Bodies and the Localizer that they work for.
+fn wire_gates((clock, readers): (&Clock, &mut Readers), graph: &Graph, process: &Process) {
+    for (robot, device) in &process.devices.drivers {
+        let Some(gate) = device.gate.clone() else { continue };
+        let (bell, body) = (gate.borrow().bell(), graph.bodies[robot.index()].clone());
+        readers.watch(Rc::new(bell), move || gate.borrow_mut().take(|packet| body.send(body::In::Packet(packet))));
+    }
+    if let Some(gate) = process.devices.source.as_ref().and_then(|device| device.gate.clone()) {
+        let (bell, localizer) = (gate.borrow().bell(), Mailbox::new("localizer"));
+        wire_source(clock, graph, process, &localizer);
+        let take = move || gate.borrow_mut().take(|packet| localizer.send(localizer::In::Packet(packet)));
+        readers.watch(Rc::new(bell), take);
+    }
 }

@@ -3,10 +3,11 @@
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use crate::actors::{agent, body, cache, controller, network, recorder, state_server, status, world};
+use crate::actors::{agent, body, cache, controller, localizer, network, recorder, state_server, status, world};
 use crate::deploy::{Deployment, Link, Routes};
 use crate::faults::{ActorFault, Role};
 use crate::graph::Plan;
+use crate::graph::devices::Devices;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
 use crate::messages::wire::{Stop, Wire};
@@ -37,6 +38,8 @@ pub struct Process {
     pub key: Option<Key>,
     /// How its links are set up, none where it has no part in one; `None` for those of the emulated ether.
     pub links: Option<Vec<Option<Setup>>>,
+    /// Its drivers and sources; none where all robots are simulated.
+    pub devices: Devices,
     /// Whether a Recorder runs here.
     pub records: bool,
     /// Is told what reaches the actors and what Networks and guards count.
@@ -64,7 +67,17 @@ impl Process {
     /// Every host of a deployment.
     pub(super) fn whole() -> Process {
         let hear = Rc::new(|_: Heard| {});
-        Process { only: None, team: TEAM, incarnation: 0, secret: None, key: None, links: None, records: true, hear }
+        Process {
+            only: None,
+            team: TEAM,
+            incarnation: 0,
+            secret: None,
+            key: None,
+            links: None,
+            devices: Devices::default(),
+            records: true,
+            hear,
+        }
     }
 
     /// How the links of a host are set up; none where it neither sends nor takes anything.
@@ -85,6 +98,8 @@ pub struct Graph {
     pub(super) agents: Vec<Mailbox<agent::In>>,
     pub(super) controllers: Rc<[Mailbox<controller::In>]>,
     pub(super) bodies: Rc<[Mailbox<body::In>]>,
+    /// By robot: the localizers of simulated ones.
+    pub(super) sensors: Rc<[Mailbox<localizer::In>]>,
     /// By robot, likewise.
     pub(super) worlds: Vec<Mailbox<world::In>>,
     pub(super) server: Mailbox<state_server::In>,
@@ -104,11 +119,13 @@ impl Graph {
         let named = |what: &'static str| move |robot: RobotId| format!("{what} of {robot}");
         let mut agents: Vec<Mailbox<agent::In>> = Vec::new();
         let mut worlds: Vec<Mailbox<world::In>> = Vec::new();
-        let mut by_host: BTreeMap<HostId, Mailbox<world::In>> = BTreeMap::new();
+        let mut by_host: BTreeMap<Result<HostId, RobotId>, Mailbox<world::In>> = BTreeMap::new();
         for robot in team() {
             let agent = agents.get(routes.companions(robot)[0].index());
             agents.push(agent.cloned().unwrap_or_else(|| Mailbox::new(named("agent")(robot))));
-            let world = by_host.entry(routes.world_host(robot)).or_insert_with(|| Mailbox::new(named("world")(robot)));
+            // One of its own, which nobody attends, for a robot that is real.
+            let host = routes.world_host(robot).ok_or(robot);
+            let world = by_host.entry(host).or_insert_with(|| Mailbox::new(named("world")(robot)));
             worlds.push(world.clone());
         }
         let links = deployment.links.iter().map(|link| format!("transport of {}", link.name));
@@ -117,6 +134,7 @@ impl Graph {
             agents,
             controllers: team().map(named("controller")).map(Mailbox::new).collect(),
             bodies: team().map(named("body")).map(Mailbox::new).collect(),
+            sensors: team().map(named("localizer")).map(Mailbox::new).collect(),
             worlds,
             server: Mailbox::new("state server"),
             statuses: deployment.hosts.iter().map(|host| Mailbox::new(format!("status of {}", host.name))).collect(),
@@ -155,6 +173,7 @@ impl Graph {
             .chain(of(&self.agents))
             .chain(of(&self.controllers))
             .chain(of(&self.bodies))
+            .chain(of(&self.sensors))
             .chain(of(&self.worlds))
             .chain(of(&self.statuses))
             .chain(of(&self.networks))
@@ -174,7 +193,7 @@ impl Graph {
     /// Lets a host that runs here leave the team: what it drives stands, and then it says so.
     pub fn leave(&self, host: HostId) {
         for robot in RobotId::team(self.bodies.len()) {
-            if self.routes.world_host(robot) == host {
+            if self.routes.actuator_host(robot) == host {
                 self.bodies[robot.index()].send(body::In::Leave);
             }
             if self.routes.agent_host(robot) == host {
@@ -193,7 +212,11 @@ impl Graph {
             Role::Cache => self.caches[robot].inject(fault),
             Role::Agent => self.agents[robot].inject(fault),
             Role::Controller => self.controllers[robot].inject(fault),
-            Role::Body => self.bodies[robot].inject(fault),
+            // What measures a robot fails with what moves it: both are its body.
+            Role::Body => {
+                self.sensors[robot].inject(fault.clone());
+                self.bodies[robot].inject(fault);
+            }
             Role::World => self.worlds[robot].inject(fault),
             Role::StateServer => self.server.inject(fault),
             Role::Network => self.network_of(self.routes.agent_host(fault.robot)).inject(fault),

@@ -12,6 +12,7 @@ use std::time::Instant;
 
 use crate::actors::recorder::{Out, Steps};
 use crate::deploy::team::{Team, TeamFile};
+use crate::graph::devices::{self, Kinds};
 use crate::graph::host::{self, Host};
 use crate::graph::process::{Graph, Heard};
 use crate::messages::ids::{HostId, RobotId};
@@ -118,6 +119,8 @@ pub fn run(args: &Args) -> Result<Ended> {
             .context("cannot listen for signals")?;
     }
     let links::Fresh { incarnation, seed: secret, .. } = links::Fresh::draw()?;
+    let entry = &team.deployment.hosts[usize::from(id.0)];
+    let (devices, workers) = devices::open(entry, Kinds::BUILT_IN).map_err(|e| BadInput(e.to_string()))?;
 
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, policy.digest, "starts");
     let (mut over, mut stopping, mut told) = (None, None, 0);
@@ -128,7 +131,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     let graph = run_real(
         began,
         |clock, readers| {
-            let host = Host { id, team: team.number, incarnation, secret, key, links, sockets };
+            let host = Host { id, team: team.number, incarnation, secret, key, links, devices, sockets };
             let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
             let graph = host::wire((clock, readers), trial.plan(), host, move |h| heard.hear(h), move |o| said.say(o));
             outlets.notify(&NotifyState::Ready);
@@ -181,6 +184,8 @@ pub fn run(args: &Args) -> Result<Ended> {
         },
     );
     let counted = seen.counted(&graph);
+    drop(graph);
+    workers.join();
     if let Some(error) = lost {
         return Err(error);
     }
@@ -284,7 +289,7 @@ impl Args {
         let fits: Vec<usize> = (0..hosts.len())
             .filter(|&at| match role {
                 Role::Pc => hosts[at].agents.concat().len() > 1,
-                Role::World => !hosts[at].world.is_empty(),
+                Role::World => !hosts[at].simulates.is_empty(),
                 Role::StateServer => hosts[at].state_server,
             })
             .collect();
@@ -298,7 +303,7 @@ impl Args {
 /// Refuses trajectories of a host that does not see the whole team.
 fn sees_whole_team(team: &Team) -> Result<()> {
     let host = &team.deployment.hosts[usize::from(team.host.0)];
-    if host.world.len() != team.deployment.robots {
+    if host.simulates.len() != team.deployment.robots {
         let why = format!("--trajectories: host '{}' does not run the World of the whole team", host.name);
         return Err(BadInput(why).into());
     }

@@ -32,8 +32,8 @@ pub struct Publishers {
     pub names: Vec<String>,
     /// By robot: the host that runs its agent, which says `Latent`, `MotorCommand` and `Heartbeat`.
     pub agents: Vec<HostId>,
-    /// By robot: the host of its body, which says `Reading`.
-    pub bodies: Vec<HostId>,
+    /// By robot: the host that measures it, which says `Reading`.
+    pub localizers: Vec<HostId>,
     /// The host of the state server, which says `Mode`.
     pub server: HostId,
 }
@@ -43,7 +43,7 @@ impl Publishers {
     pub fn permit(&self, sender: HostId, message: &Wire) -> bool {
         let of = |hosts: &[HostId]| hosts.get(message.robot().index()) == Some(&sender);
         match message {
-            Wire::Reading(_) => of(&self.bodies),
+            Wire::Reading(_) => of(&self.localizers),
             Wire::Latent(_) | Wire::MotorCommand(_) | Wire::Heartbeat(_) => of(&self.agents),
             Wire::Mode(_) => sender == self.server,
             // A stop is never refused; only an operator or a host of the team takes one back.
@@ -143,7 +143,7 @@ mod tests {
         Publishers {
             names: ["a", "b", "c"].map(str::to_owned).to_vec(),
             agents: vec![HostId(0), HostId(1)],
-            bodies: vec![HostId(2); 2],
+            localizers: vec![HostId(2); 2],
             server: HostId(2),
         }
     }

@@ -1,0 +1,117 @@
+//! A program of the user's drives the robot: one JSON object a line, in any language.
+//!
+//! It is told `{"robot": 0, "vx": 0.1, "vy": 0.0, "ahead": 0.1, "left": 0.0, "for_s": 0.2}`: the velocity in the world
+//! frame \[m/s\], the same in the robot's own frame (null while its heading is not known), and for how long it holds
+//! \[s\]; after that, and at the end of its input, the robot is to stand. It may say
+//! `{"health": "ready" or "faulty", "battery": 87}` whenever it likes.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Driver, Limits, Made, Out, Settings};
+use crate::config::ConfigError;
+use crate::edge::child::Program;
+use crate::messages::geometry::Pose;
+use crate::messages::ids::RobotId;
+use crate::messages::local::Drive;
+use crate::messages::telemetry::Health;
+use crate::time::Time;
+
+/// What it drives.
+pub const ABOUT: &str = "whatever a program of yours drives: JSON lines on its stdin and stdout";
+
+/// What the team file says of it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Config {
+    /// The program and its arguments.
+    command: Vec<String>,
+    /// The fastest that the robot may be driven \[m/s\].
+    #[serde(default = "unlimited")]
+    speed_m_s: f32,
+}
+
+fn unlimited() -> f32 {
+    f32::INFINITY
+}
+
+/// What the program is told.
+#[derive(Debug, Serialize)]
+struct Line {
+    robot: u16,
+    vx: f32,
+    vy: f32,
+    ahead: Option<f32>,
+    left: Option<f32>,
+    for_s: f64,
+}
+
+/// What the program says.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Word {
+    health: Condition,
+    battery: Option<u8>,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Condition {
+    Ready,
+    Faulty,
+}
+
+struct Lines {
+    robot: RobotId,
+    limits: Limits,
+}
+
+/// Makes it.
+pub fn make(settings: &Settings, robot: RobotId) -> Result<Made, ConfigError> {
+    let config: Config = settings.read()?;
+    if config.command.is_empty() {
+        return Err(ConfigError::field("command", "it is empty; name a program and its arguments".to_owned()));
+    }
+    if config.speed_m_s.is_nan() || config.speed_m_s <= 0.0 {
+        return Err(ConfigError::field("speed_m_s", format!("{} is no speed above zero", config.speed_m_s)));
+    }
+    let limits = Limits { speed_m_s: config.speed_m_s };
+    Ok(Made {
+        driver: Box::new(move || Box::new(Lines { robot, limits })),
+        worker: Some(Box::new(Program { command: config.command })),
+    })
+}
+
+impl Driver for Lines {
+    fn limits(&self) -> Limits {
+        self.limits
+    }
+
+    fn drive(&mut self, now: Time, drive: &Drive, pose: Option<&Pose>, out: &mut Vec<Out>) {
+        let body = pose.and_then(|pose| pose.into_body(drive.velocity));
+        let line = Line {
+            robot: self.robot.0,
+            vx: drive.velocity.x,
+            vy: drive.velocity.y,
+            ahead: body.map(|v| v.x),
+            left: body.map(|v| v.y),
+            for_s: drive.until.since(now).as_secs(),
+        };
+        let mut bytes = serde_json::to_vec(&line).expect("plain numbers are JSON");
+        bytes.push(b'\n');
+        out.push(Out::Tell(bytes.into()));
+    }
+
+    fn told(&mut self, _: Time, packet: &[u8], out: &mut Vec<Out>) {
+        match serde_json::from_slice::<Word>(packet) {
+            Ok(Word { battery: Some(101..), .. }) => out.push(Out::Refused("a battery has at most 100 %")),
+            Ok(Word { health, battery }) => {
+                let health = match health {
+                    Condition::Ready => Health::Ready,
+                    Condition::Faulty => Health::Faulty,
+                };
+                out.push(Out::Condition(health, battery));
+            }
+            Err(_) => out.push(Out::Refused("it is no line of a driver's program")),
+        }
+    }
+}

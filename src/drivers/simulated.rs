@@ -1,0 +1,23 @@
+//! The driver of simulated robots: their World does what it is told.
+
+use super::{Driver, Limits, Out};
+use crate::messages::geometry::Pose;
+use crate::messages::local::Drive;
+use crate::time::Time;
+
+/// Passes on to the World.
+pub struct Simulated;
+
+impl Driver for Simulated {
+    fn limits(&self) -> Limits {
+        Limits { speed_m_s: f32::INFINITY }
+    }
+
+    fn drive(&mut self, _: Time, drive: &Drive, _: Option<&Pose>, out: &mut Vec<Out>) {
+        out.push(Out::Drive(*drive));
+    }
+
+    fn told(&mut self, _: Time, _: &[u8], out: &mut Vec<Out>) {
+        out.push(Out::Refused("a simulated robot has no worker"));
+    }
+}

@@ -1,0 +1,72 @@
+//! A program of the user's as a worker: what it is told stands on its stdin, what it says on its stdout, a line each.
+//!
+//! So a driver or a source can be written in any language. Its stderr is this program's own.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::process::{Child, Command, Stdio};
+use std::thread;
+
+use super::{Mouth, Packet, Port, Worker};
+
+/// The longest line that is taken; a longer one is cut, and so refused by whoever reads it \[bytes\].
+const LONGEST: u64 = 4096;
+
+/// A program and its arguments.
+#[derive(Clone, Debug)]
+pub struct Program {
+    /// The program, and what it is started with.
+    pub command: Vec<String>,
+}
+
+impl Worker for Program {
+    fn run(self: Box<Self>, mut port: Port) {
+        let Some((program, arguments)) = self.command.split_first() else { return };
+        let mut child = match Command::new(program).args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()
+        {
+            Ok(child) => child,
+            Err(error) => {
+                tracing::error!("'{program}' cannot be started: {error}");
+                return;
+            }
+        };
+        let (mouth, says) = (port.mouth(), child.stdout.take());
+        let reader = thread::spawn(move || says.map(|says| read(says, &mouth)));
+        let mut stdin = child.stdin.take();
+        while let Some(line) = port.wait() {
+            let written = stdin.as_mut().map(|stdin| stdin.write_all(&line).and_then(|()| stdin.flush()));
+            if let Some(Err(error)) = written {
+                tracing::error!("'{program}' takes nothing any more: {error}");
+                break;
+            }
+        }
+        // It is told to end by the end of its input.
+        drop(stdin);
+        end(&mut child, program);
+        let _ = reader.join();
+    }
+}
+
+/// Passes lines on until there are no more.
+fn read(says: impl Read, mouth: &Mouth) {
+    let mut says = BufReader::new(says);
+    loop {
+        let mut line = Vec::new();
+        match says.by_ref().take(LONGEST).read_until(b'\n', &mut line) {
+            Ok(0) | Err(_) => return,
+            Ok(_) => mouth.say(Packet::from(line)),
+        }
+    }
+}
+
+/// Waits for a program that has been told to end, which it has a moment for; then it is killed.
+fn end(child: &mut Child, program: &str) {
+    let waited = (0..100).find_map(|_| {
+        thread::park_timeout(std::time::Duration::from_millis(5));
+        child.try_wait().transpose()
+    });
+    if waited.is_none() {
+        tracing::warn!("'{program}' does not end, and is killed");
+        let _ = child.kill();
+        let _ = child.wait();
+    }
+}

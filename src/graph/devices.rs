@@ -1,0 +1,107 @@
+//! The drivers and sources of one process: made of the deployment, with their workers on threads of their own.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::rc::Rc;
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use crate::config::ConfigError;
+use crate::deploy::Host;
+use crate::drivers::{self, Driver};
+use crate::edge::{self, Gate, Worker};
+use crate::localization::{self, Source};
+use crate::messages::ids::RobotId;
+
+/// How a driver or a source is made, and the way to its worker.
+pub struct Device<T: ?Sized> {
+    /// Makes it afresh.
+    pub make: Rc<dyn Fn() -> Box<T>>,
+    /// The way to its worker, if it has one.
+    pub gate: Option<Rc<RefCell<Gate>>>,
+}
+
+impl<T: ?Sized> Clone for Device<T> {
+    fn clone(&self) -> Device<T> {
+        Device { make: Rc::clone(&self.make), gate: self.gate.clone() }
+    }
+}
+
+/// The devices of one process.
+#[derive(Clone, Default)]
+pub struct Devices {
+    /// By robot: its driver.
+    pub drivers: BTreeMap<RobotId, Device<dyn Driver>>,
+    /// The source of the readings of the robots that the host localizes.
+    pub source: Option<Device<dyn Source>>,
+}
+
+/// The threads of the workers. They end once the devices are gone.
+pub struct Workers(Vec<JoinHandle<()>>);
+
+impl Workers {
+    /// Waits until all have ended, which they have a second for. The devices have to be gone.
+    pub fn join(self) {
+        let mut rests = (0..200).map(|_| thread::park_timeout(Duration::from_millis(5)));
+        for worker in self.0 {
+            let name = worker.thread().name().unwrap_or("worker").to_owned();
+            while !worker.is_finished() && rests.next().is_some() {}
+            if !worker.is_finished() {
+                tracing::warn!("the worker of {name} does not end, and is left");
+            } else if worker.join().is_err() {
+                tracing::error!("the worker of {name} has panicked");
+            }
+        }
+    }
+}
+
+/// Why devices could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum DeviceError {
+    /// Settings are wrong.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The machine has no descriptor or thread left.
+    #[error("a worker cannot be started: {0}")]
+    Machine(#[from] std::io::Error),
+}
+
+/// What devices are made from.
+#[derive(Clone, Copy)]
+pub struct Kinds<'a> {
+    /// The drivers that there are.
+    pub drivers: &'a [drivers::Entry],
+    /// The sources that there are.
+    pub sources: &'a [localization::Entry],
+}
+
+impl Kinds<'static> {
+    /// Those that come with the library.
+    pub const BUILT_IN: Kinds<'static> = Kinds { drivers: drivers::REGISTRY, sources: localization::REGISTRY };
+}
+
+/// Makes the devices of a host of a checked deployment and starts their workers.
+pub fn open(host: &Host, kinds: Kinds) -> Result<(Devices, Workers), DeviceError> {
+    let (mut devices, mut workers) = (Devices::default(), Workers(Vec::new()));
+    for &robot in &host.actuates {
+        let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
+        let made = drivers::make(kinds.drivers, "host.driver", settings, RobotId(robot))?;
+        let gate = made.worker.map(|worker| employ(worker, format!("driver {robot}"), &mut workers)).transpose()?;
+        devices.drivers.insert(RobotId(robot), Device { make: Rc::from(made.driver), gate });
+    }
+    if !host.localizes.is_empty() {
+        let settings = host.source.as_ref().expect("a checked host that localizes has a source");
+        let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
+        let made = localization::make(kinds.sources, "host.source", settings, &robots)?;
+        let gate = Some(employ(made.worker, "source".to_owned(), &mut workers)?);
+        devices.source = Some(Device { make: Rc::from(made.source), gate });
+    }
+    Ok((devices, workers))
+}
+
+/// Starts a worker on a thread of its own.
+fn employ(worker: Box<dyn Worker>, name: String, workers: &mut Workers) -> std::io::Result<Rc<RefCell<Gate>>> {
+    let (gate, port) = edge::channel()?;
+    workers.0.push(thread::Builder::new().name(name).spawn(move || worker.run(port))?);
+    Ok(Rc::new(RefCell::new(gate)))
+}

@@ -1,0 +1,96 @@
+//! A program of the user's says where robots are: one JSON object a line, in any language.
+//!
+//! `{"robot": 0, "stamp_s": 12.34, "x": 0.1, "y": -2.0, "vx": 0.0, "vy": 0.3}`: when it was measured on its own clock
+//! \[s\], position \[m\] and velocity \[m/s\] in the world frame. It may add `"heading"` \[rad\], counter-clockwise from the
+//! x axis, `"yaw_rate"` \[rad/s\], and standard deviations `"position_m"`, `"heading_rad"`, `"velocity_m_s"`,
+//! `"yaw_rate_rad_s"`.
+
+use serde::Deserialize;
+
+use super::{In, Made, Out, Source};
+use crate::config::ConfigError;
+use crate::drivers::Settings;
+use crate::edge::child::Program;
+use crate::messages::geometry::{Deviation, Pose, Twist, Vec2};
+use crate::messages::ids::RobotId;
+use crate::messages::wire::{Reading, Wire};
+use crate::time::{Span, Time};
+
+/// What it listens to.
+pub const ABOUT: &str = "whatever a program of yours measures: JSON lines on its stdout";
+
+/// What the team file says of it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Config {
+    /// The program and its arguments.
+    command: Vec<String>,
+}
+
+/// What the program says.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Line {
+    robot: u16,
+    stamp_s: f64,
+    x: f32,
+    y: f32,
+    vx: f32,
+    vy: f32,
+    heading: Option<f32>,
+    yaw_rate: Option<f32>,
+    position_m: Option<f32>,
+    heading_rad: Option<f32>,
+    velocity_m_s: Option<f32>,
+    yaw_rate_rad_s: Option<f32>,
+}
+
+struct Lines {
+    robots: Vec<RobotId>,
+}
+
+/// Makes it.
+pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Made, ConfigError> {
+    let config: Config = settings.read()?;
+    if config.command.is_empty() {
+        return Err(ConfigError::field("command", "it is empty; name a program and its arguments".to_owned()));
+    }
+    let robots = robots.to_vec();
+    Ok(Made {
+        source: Box::new(move || Box::new(Lines { robots: robots.clone() })),
+        worker: Box::new(Program { command: config.command }),
+    })
+}
+
+impl Source for Lines {
+    fn take(&mut self, _: Time, input: In, out: &mut Vec<Out>) {
+        let In::Packet(packet) = input else { return };
+        out.push(match serde_json::from_slice::<Line>(packet) {
+            Err(_) => Out::Refused("it is no line of a source's program"),
+            Ok(line) if !self.robots.contains(&RobotId(line.robot)) => {
+                Out::Refused("it is of a robot of another source")
+            }
+            Ok(line) if !(0.0..1e10).contains(&line.stamp_s) => Out::Refused("its stamp is no time"),
+            Ok(line) => {
+                let reading = reading(&line);
+                let sound = Wire::Reading(reading.clone()).check().is_ok();
+                if sound { Out::Reading(reading) } else { Out::Refused("its numbers are none of a robot") }
+            }
+        });
+    }
+}
+
+fn reading(line: &Line) -> Reading {
+    Reading {
+        robot: RobotId(line.robot),
+        stamp_ns: Span::from_secs(line.stamp_s).as_nanos(),
+        pose: Pose { position: Vec2::new(line.x, line.y), heading: line.heading },
+        twist: Twist { velocity: Vec2::new(line.vx, line.vy), yaw_rate: line.yaw_rate },
+        deviation: Deviation {
+            position_m: line.position_m,
+            heading_rad: line.heading_rad,
+            velocity_m_s: line.velocity_m_s,
+            yaw_rate_rad_s: line.yaw_rate_rad_s,
+        },
+    }
+}
