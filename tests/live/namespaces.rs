@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 
-use crate::alone;
+use crate::beside;
 use crate::crew::{Crew, Said, folder, report};
 use crate::lab;
 use crate::lab::Lab;
@@ -108,7 +108,7 @@ fn result_from(crew: &Crew, first: u32) -> u32 {
 
 #[test]
 fn six_machines_on_two_networks_run_and_survive_partition_leave_and_rejoin() {
-    let _alone = alone();
+    let _beside = beside();
     let on = |networks: &[&str]| networks.iter().map(|to| ((*to).to_owned(), (*to).to_owned())).collect();
     let machines = hosts().into_iter().map(|(host, networks)| (host, on(networks))).collect();
     let Some(lab) = Lab::build("murm", machines) else { return };
