@@ -167,6 +167,25 @@ impl Deployment {
         if world::plant(&self.plant).is_none() {
             return wrong("plant", format!("there is no plant '{}'; there are {}", self.plant, PLANTS.join(", ")));
         }
+        self.check_names()?;
+        let agents = |host: &Host| host.agents.concat();
+        self.once("host.agents", agents, "agent")?;
+        self.once("host.world", |host: &Host| host.world.clone(), "world")?;
+        if let Some(host) = self.hosts.iter().find(|host| host.agents.iter().any(|robots| robots.is_empty())) {
+            return wrong("host.agents", format!("host '{}' has an agent without robots", host.name));
+        }
+        let servers = self.hosts.iter().filter(|host| host.state_server).count();
+        if servers != 1 {
+            return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));
+        }
+        self.links.iter().try_for_each(Link::check)?;
+        self.links.iter().try_for_each(Link::check_radio)?;
+        self.check_ways()
+    }
+
+    /// Checks that hosts and links have names of their own.
+    fn check_names(&self) -> Result<(), ConfigError> {
+        let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         for (field, names) in [
             ("host", self.hosts.iter().map(|host| &host.name).collect::<Vec<_>>()),
             ("link", self.links.iter().map(|link| &link.name).collect()),
@@ -180,60 +199,26 @@ impl Deployment {
                 return wrong(&format!("{field}.name"), why);
             }
         }
-        let agents = |host: &Host| host.agents.concat();
-        self.once("host.agents", agents, "agent")?;
-        self.once("host.world", |host: &Host| host.world.clone(), "world")?;
-        if let Some(host) = self.hosts.iter().find(|host| host.agents.iter().any(|robots| robots.is_empty())) {
-            return wrong("host.agents", format!("host '{}' has an agent without robots", host.name));
-        }
-        let servers = self.hosts.iter().filter(|host| host.state_server).count();
-        if servers != 1 {
-            return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));
-        }
-        for link in &self.links {
-            if !(0.0..=1.0).contains(&link.loss) {
-                return wrong("link.loss", format!("{} on '{}' is not a share of 0 to 1", link.loss, link.name));
-            }
-            if let Some(kind) = link.impairs.iter().find(|kind| !link.carries.contains(kind)) {
-                return wrong("link.impairs", format!("'{}' does not carry {kind:?}", link.name));
-            }
-            if let Some(kind) = link.reliability.keys().find(|kind| !link.carries.contains(kind)) {
-                return wrong("link.reliability", format!("'{}' does not carry {kind:?}", link.name));
-            }
-            if !(0.0..=60.0).contains(&link.delay_s) {
-                return wrong("link.delay_s", format!("{} on '{}' is not 0 to 60 s", link.delay_s, link.name));
-            }
-            if let Some(range_m) = link.range_m {
-                if !(0.0..f32::INFINITY).contains(&range_m) {
-                    return wrong("link.range_m", format!("{range_m} on '{}' is not a distance", link.name));
-                }
-                if link.radio.is_some() {
-                    let why = format!("'{}' is a radio, which has a range of its own: link.radio.range_m", link.name);
-                    return wrong("link.range_m", why);
-                }
-            }
-        }
-        for (link, radio) in self.links.iter().filter_map(|link| Some((link, link.radio.as_ref()?))) {
-            radio.check().map_err(|e| e.within("link.radio"))?;
-            if link.name == WIRES {
-                return wrong("link.radio", format!("'{WIRES}' stands for cables"));
-            }
-        }
+        Ok(())
+    }
+
+    /// Checks that every kind that must cross hosts is carried by one link.
+    fn check_ways(&self) -> Result<(), ConfigError> {
+        let wrong = |reason: String| Err(ConfigError::field("link.carries", reason));
         let routes = Routes::of(self);
         for kind in KINDS {
             if kind == Kind::Status {
                 if let Some(link) = self.links.iter().find(|link| link.carries.contains(&kind)) {
-                    let why = format!("'{}' carries status: leave it out, it goes where 'stop' goes", link.name);
-                    return wrong("link.carries", why);
+                    return wrong(format!("'{}' carries status: leave it out, it goes where 'stop' goes", link.name));
                 }
                 continue;
             }
             let carriers = self.links.iter().flat_map(|link| &link.carries).filter(|carried| **carried == kind).count();
             if carriers > 1 {
-                return wrong("link.carries", format!("{kind:?} is carried {carriers} times; once is the most"));
+                return wrong(format!("{kind:?} is carried {carriers} times; once is the most"));
             }
             if carriers == 0 && routes.crosses(kind) {
-                return wrong("link.carries", format!("{kind:?} must cross hosts, and no link carries it"));
+                return wrong(format!("{kind:?} must cross hosts, and no link carries it"));
             }
         }
         Ok(())
@@ -319,6 +304,42 @@ impl Deployment {
 }
 
 impl Link {
+    /// Checks its numbers, and that it carries what it impairs or repeats.
+    fn check(&self) -> Result<(), ConfigError> {
+        let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
+        if !(0.0..=1.0).contains(&self.loss) {
+            return wrong("link.loss", format!("{} on '{}' is not a share of 0 to 1", self.loss, self.name));
+        }
+        if let Some(kind) = self.impairs.iter().find(|kind| !self.carries.contains(kind)) {
+            return wrong("link.impairs", format!("'{}' does not carry {kind:?}", self.name));
+        }
+        if let Some(kind) = self.reliability.keys().find(|kind| !self.carries.contains(kind)) {
+            return wrong("link.reliability", format!("'{}' does not carry {kind:?}", self.name));
+        }
+        if !(0.0..=60.0).contains(&self.delay_s) {
+            return wrong("link.delay_s", format!("{} on '{}' is not 0 to 60 s", self.delay_s, self.name));
+        }
+        if let Some(range_m) = self.range_m {
+            if !(0.0..f32::INFINITY).contains(&range_m) {
+                return wrong("link.range_m", format!("{range_m} on '{}' is not a distance", self.name));
+            }
+            if self.radio.is_some() {
+                let why = format!("'{}' is a radio, which has a range of its own: link.radio.range_m", self.name);
+                return wrong("link.range_m", why);
+            }
+        }
+        Ok(())
+    }
+
+    fn check_radio(&self) -> Result<(), ConfigError> {
+        let Some(radio) = &self.radio else { return Ok(()) };
+        radio.check().map_err(|e| e.within("link.radio"))?;
+        if self.name == WIRES {
+            return Err(ConfigError::field("link.radio", format!("'{WIRES}' stands for cables")));
+        }
+        Ok(())
+    }
+
     /// What its medium does to frames.
     pub fn impairment(&self) -> Impairment {
         Impairment { delay: Span::from_secs(self.delay_s), loss: self.loss, kinds: self.impairs.clone() }

@@ -1,30 +1,31 @@
-//! Wiring of the state server, of what a host hands in to those of its actors that follow it and the emergency stop,
-//! and of the host's own voice. No logic lives here.
+//! Wiring of the state server, of what a host hands in to its actors (what has arrived, and to those that follow the
+//! state server and the emergency stop what these say), and of the host's own voice. No logic lives here.
 
 use tracing::info_span;
 
 use super::process::Graph;
 use crate::actors::state_server::{self, StateServer};
 use crate::actors::status::{self, Status};
-use crate::actors::{agent, body, controller, network, world};
+use crate::actors::{agent, body, cache, controller, network, world};
+use crate::deploy::Host;
 use crate::graph::Plan;
-use crate::messages::ids::HostId;
+use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Mode, Stop, Wire};
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 
 /// The actors of one host that follow the state server and the emergency stop.
-pub(super) struct Led {
-    pub agents: Vec<Mailbox<agent::In>>,
-    pub controllers: Vec<Mailbox<controller::In>>,
-    pub bodies: Vec<Mailbox<body::In>>,
-    pub world: Option<Mailbox<world::In>>,
-    pub status: Mailbox<status::In>,
+struct Led {
+    agents: Vec<Mailbox<agent::In>>,
+    controllers: Vec<Mailbox<controller::In>>,
+    bodies: Vec<Mailbox<body::In>>,
+    world: Option<Mailbox<world::In>>,
+    status: Mailbox<status::In>,
 }
 
 impl Led {
     /// Hands in an instruction of the state server.
-    pub fn follow(&self, mode: &Mode) {
+    fn follow(&self, mode: &Mode) {
         self.world.iter().for_each(|world| world.send(world::In::Mode(mode.clone())));
         self.agents.iter().for_each(|agent| agent.send(agent::In::Mode(mode.clone())));
         self.controllers.iter().for_each(|controller| controller.send(controller::In::Mode(mode.clone())));
@@ -33,10 +34,54 @@ impl Led {
     }
 
     /// Hands in an emergency stop, a re-arm or a question of an operator.
-    pub fn stop(&self, stop: Stop) {
+    fn stop(&self, stop: Stop) {
         self.controllers.iter().for_each(|controller| controller.send(controller::In::Stop(stop)));
         self.bodies.iter().for_each(|body| body.send(body::In::Stop(stop)));
         self.status.send(status::In::Stop(stop));
+    }
+}
+
+/// What becomes of a message that arrives at a host with these robots: whose it is.
+pub(super) fn deliveries(
+    graph: &Graph,
+    entry: &Host,
+    host: HostId,
+    agents: &[RobotId],
+    simulated: &[RobotId],
+) -> impl Fn(Wire) + use<> {
+    let firsts: Vec<RobotId> =
+        entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
+    // One entry an agent: its robots, and their caches.
+    let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
+    let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
+    let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
+        firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();
+    let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone());
+    let leads = entry.state_server;
+    let team = Led {
+        agents: firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect(),
+        controllers: agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect(),
+        bodies: simulated.iter().map(|robot| graph.bodies[robot.index()].clone()).collect(),
+        world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
+        status: graph.status_of(host),
+    };
+    move |message| match message {
+        Wire::Reading(m) => by_robot.0[m.robot.index()].send(cache::In::Reading(m)),
+        Wire::MotorCommand(m) => by_robot.1[m.robot.index()].send(body::In::MotorCommand(m)),
+        Wire::Heartbeat(m) => by_robot.2.send(state_server::In::Heartbeat(m)),
+        Wire::Latent(m) => {
+            for (_, caches) in caches.iter().filter(|(robots, _)| robots.binary_search(&m.robot).is_err()) {
+                caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
+            }
+        }
+        Wire::Mode(m) => team.follow(&m),
+        Wire::Stop(m) => {
+            team.stop(m);
+            if leads {
+                by_robot.2.send(state_server::In::Stop(m));
+            }
+        }
+        Wire::Status(m) => by_robot.2.send(state_server::In::Status(m)),
     }
 }
 

@@ -19,12 +19,11 @@ use crate::actors::cache::{self, Cache};
 use crate::actors::controller::{self, Controller};
 use crate::actors::network::{self, Network};
 use crate::actors::recorder::{self, Recorder};
-use crate::actors::state_server;
 use crate::actors::status;
 use crate::actors::world::{self, Ground, World};
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::faults::FaultPlan;
-use crate::graph::leading::{Led, wire_server, wire_status};
+use crate::graph::leading::{deliveries, wire_server, wire_status};
 use crate::graph::process::{Graph, Heard, Process};
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
@@ -275,9 +274,23 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
     // In the order of ids, however the deployment lists them: a plant moves its robots in this order.
     let here = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect();
     let (agents, simulated): (Vec<RobotId>, Vec<RobotId>) = (here(&entry.agents.concat()), here(&entry.world));
-    let firsts: Vec<RobotId> =
-        entry.agents.iter().filter_map(|robots| robots.iter().min()).copied().map(RobotId).collect();
+    let deliver = deliveries(graph, entry, host, &agents, &simulated);
+    wire_status(clock, graph, host, status::Config { host, controllers: agents, bodies: simulated.clone() });
+    wire_network(clock, plan, graph, host, process, deliver);
+    if !simulated.is_empty() {
+        wire_world(clock, plan, graph, host, process, simulated);
+    }
+}
 
+/// The Network of a host; what arrives goes to `deliver`.
+fn wire_network(
+    clock: &Clock,
+    plan: &Plan,
+    graph: &Graph,
+    host: HostId,
+    process: &Process,
+    deliver: impl Fn(Wire) + 'static,
+) {
     let config = network::Config {
         me: link::Identity { host, team: process.team, epoch: 0 },
         key: process.key.clone(),
@@ -285,99 +298,63 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
         router: graph.routes.router(host),
     };
     let (seed, incarnation) = (process.secret.unwrap_or(plan.seed), process.incarnation);
-    let (hear, alone) = (Rc::clone(&process.hear), process.only.is_some());
     let make = move |life: u32| {
         let me = link::Identity { epoch: incarnation.wrapping_add(life), ..config.me };
         let stream = seed.stream(&format!("network/{}/{life}", host.0));
         Network::new(network::Config { me, ..config.clone() }, stream)
     };
-    // One entry an agent: its robots, and their caches.
-    let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
-    let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
-    let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
-        firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();
-    let by_robot = (graph.caches.clone(), graph.bodies.clone(), graph.server.clone());
-    let leads = entry.state_server;
-    let team = Led {
-        agents: firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect(),
-        controllers: agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect(),
-        bodies: simulated.iter().map(|robot| graph.bodies[robot.index()].clone()).collect(),
-        world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
-        status: graph.status_of(host),
-    };
-    wire_status(clock, graph, host, status::Config { host, controllers: agents, bodies: simulated.clone() });
+    let (hear, alone) = (Rc::clone(&process.hear), process.only.is_some());
     let (transports, record) = (graph.transports.clone(), graph.record());
-    let name = entry.name.clone();
-    let deliver = move |message: Wire| match message {
-        Wire::Reading(m) => by_robot.0[m.robot.index()].send(cache::In::Reading(m)),
-        Wire::MotorCommand(m) => by_robot.1[m.robot.index()].send(body::In::MotorCommand(m)),
-        Wire::Heartbeat(m) => by_robot.2.send(state_server::In::Heartbeat(m)),
-        Wire::Latent(m) => {
-            for (_, caches) in caches.iter().filter(|(robots, _)| robots.binary_search(&m.robot).is_err()) {
-                caches.iter().for_each(|cache| cache.send(cache::In::Latent(m.clone())));
+    let name = plan.deployment.hosts[usize::from(host.0)].name.clone();
+    let place = &graph.networks[usize::from(host.0)];
+    start(clock, place, info_span!("network", host = name), make, move |out| match out {
+        network::Out::Deliver(message) => {
+            hear(Heard::Message(&message));
+            // What other processes publish is news to a Recorder here.
+            if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
+                record(recorder::In::Heard(message.clone()));
             }
+            deliver(message);
         }
-        Wire::Mode(m) => team.follow(&m),
-        Wire::Stop(m) => {
-            team.stop(m);
-            if leads {
-                by_robot.2.send(state_server::In::Stop(m));
-            }
+        network::Out::Tap(frame) => {
+            hear(Heard::Published);
+            record(recorder::In::Tap(frame));
         }
-        Wire::Status(m) => by_robot.2.send(state_server::In::Status(m)),
-    };
-    start(
-        clock,
-        &graph.networks[usize::from(host.0)],
-        info_span!("network", host = name),
-        make,
-        move |out| match out {
-            network::Out::Deliver(message) => {
-                hear(Heard::Message(&message));
-                // What other processes publish is news to a Recorder here.
-                if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
-                    record(recorder::In::Heard(message.clone()));
-                }
-                deliver(message);
-            }
-            network::Out::Tap(frame) => {
-                hear(Heard::Published);
-                record(recorder::In::Tap(frame));
-            }
-            network::Out::Counts(counts) => {
-                hear(Heard::Counts(&counts));
-                record(recorder::In::Counts(host, counts));
-            }
-            network::Out::Peers(peers) => hear(Heard::Peers(&peers)),
-            network::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
-            network::Out::Admit(link, guest) => {
-                transports[usize::from(link.0)].send(transport::In::Admit(guest));
-            }
-            network::Out::Transmit(link, audience, frame) => {
-                let transmit = Transmit { from: host, audience, frame };
-                transports[usize::from(link.0)].send(transport::In::Transmit(transmit));
-            }
-        },
-    );
+        network::Out::Counts(counts) => {
+            hear(Heard::Counts(&counts));
+            record(recorder::In::Counts(host, counts));
+        }
+        network::Out::Peers(peers) => hear(Heard::Peers(&peers)),
+        network::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
+        network::Out::Admit(link, guest) => {
+            transports[usize::from(link.0)].send(transport::In::Admit(guest));
+        }
+        network::Out::Transmit(link, audience, frame) => {
+            let transmit = Transmit { from: host, audience, frame };
+            transports[usize::from(link.0)].send(transport::In::Transmit(transmit));
+        }
+    });
+}
 
-    if let Some(first) = simulated.first().copied() {
-        let (bodies, record) = (graph.bodies.clone(), graph.record());
-        let ranged = ranged_ethers(plan, graph, process);
-        // On the floor before anything starts, as people would put them there.
-        let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
-        let plant = plants::plant(&plan.deployment.plant).expect("a checked deployment names a plant");
-        let seed = plan.seed.child(&format!("world/{}", host.0));
-        let plant = (plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
-        let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
-        let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
-        start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {
-            world::Out::Sample(sample) => bodies[sample.robot.index()].send(body::In::Sample(sample)),
-            world::Out::Truth(truth) => {
-                ranged.iter().for_each(|ether| ether.send(transport::In::Truth(truth.clone())));
-                record(recorder::In::Truth(truth));
-            }
-        });
-    }
+/// The World of a host, with the robots that it simulates; at least one.
+fn wire_world(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &Process, simulated: Vec<RobotId>) {
+    let (bodies, record) = (graph.bodies.clone(), graph.record());
+    let ranged = ranged_ethers(plan, graph, process);
+    // On the floor before anything starts, as people would put them there.
+    let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
+    let plant = plants::plant(&plan.deployment.plant).expect("a checked deployment names a plant");
+    let seed = plan.seed.child(&format!("world/{}", host.0));
+    let plant = (plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
+    let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
+    let place = &graph.worlds[simulated[0].index()];
+    let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
+    start(clock, place, info_span!("world", host = host.0), make, move |out| match out {
+        world::Out::Sample(sample) => bodies[sample.robot.index()].send(body::In::Sample(sample)),
+        world::Out::Truth(truth) => {
+            ranged.iter().for_each(|ether| ether.send(transport::In::Truth(truth.clone())));
+            record(recorder::In::Truth(truth));
+        }
+    });
 }
 
 /// The emulated links on which it matters where robots are.
