@@ -24,37 +24,55 @@ impl Network {
 
     #[inline(always)]
     fn backward_here<T: Real>(&self, p: &[T], batch: &Batch<T>, d_outputs: &[T], space: &mut Space<T>, g: &mut [T]) {
-        let (nodes, sources, h) = (batch.nodes, batch.sources(self.inputs()), self.hidden());
-        let edges = batch.sender.len();
-        let rows = edges + usize::from(!self.is_full());
-        let [mut d, mut spare] = std::mem::take(&mut space.back);
-        d.clear();
-        d.extend_from_slice(d_outputs);
-
-        // The update network.
+        let (nodes, sources, rows) = (batch.nodes, batch.sources(self.inputs()), self.rows(batch));
+        // The derivatives by what the layer at hand gives, and room for those by what it takes.
+        let mut back = std::mem::take(&mut space.back);
+        back[0].clear();
+        back[0].extend_from_slice(d_outputs);
         for (depth, layer) in self.update.iter().enumerate().skip(1).rev() {
-            let before = &space.update[depth - 1];
-            add_gradient(layer, &d, before, nodes, g);
-            through(p, layer, &d, nodes, before, &mut spare);
-            std::mem::swap(&mut d, &mut spare);
+            layer_back(p, layer, nodes, &space.update[depth - 1], &mut back, g);
         }
+        self.folded_back(p, batch, space, &mut back, g);
+        self.sums_back(batch, space, &mut back);
+        // The layers between, per edge.
+        for (depth, layer) in self.message[1..self.message.len() - 1].iter().enumerate().rev() {
+            layer_back(p, layer, rows, &space.message[depth], &mut back, g);
+        }
+        self.edges_back(batch, space, &back[0]);
+        if self.is_full() {
+            self.full_first_back(p, batch, space, &back[0], g);
+        } else {
+            self.published_first_back(p, batch, space, &back[0], g);
+        }
+        back[0].clear();
+        back[0].extend_from_slice(&space.d_hidden);
+        for (depth, layer) in self.encoder.iter().enumerate().skip(1).rev() {
+            layer_back(p, layer, sources, &space.encoder[depth - 1], &mut back, g);
+        }
+        add_gradient(&self.encoder[0], &back[0], &batch.x, sources, g);
+        space.back = back;
+    }
+
+    /// The last message layer and the first update layer in one, and from it to each of them.
+    #[inline(always)]
+    fn folded_back<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>, back: &mut Back<T>, g: &mut [T]) {
+        let (nodes, sources, h) = (batch.nodes, batch.sources(self.inputs()), self.hidden());
+        let [d, spare] = back;
         let (first, last) = (self.update[0], self.message[self.message.len() - 1]);
-        let hidden = &space.encoder[self.encoder.len() - 1];
-        let d_view = View::new(&d, nodes, first.outputs);
+        let (width, outputs) = (last.inputs, first.outputs);
+        let d_view = View::new(d, nodes, outputs);
         resize(&mut space.d_hidden, sources * h);
         space.d_hidden[nodes * h..].fill(T::zero());
         let from = if self.is_full() { h } else { 0 };
         if self.is_full() {
-            let own = View::new(&hidden[..nodes * h], nodes, h);
+            let own = View::new(&space.encoder[self.encoder.len() - 1][..nodes * h], nodes, h);
             multiply(&mut g[first.at..], first.inputs, Put::Onto, d_view.t(), own);
             multiply(&mut space.d_hidden, h, Put::Over, d_view, first.columns(p, 0, h));
         } else {
             space.d_hidden[..nodes * h].fill(T::zero());
         }
-        add_rows(&d, first.outputs, &mut g[first.bias()..first.end()]);
+        add_rows(d, outputs, &mut g[first.bias()..first.end()]);
 
-        // The two layers in one, and from it to each of them.
-        let (width, outputs) = (last.inputs, first.outputs);
         resize(&mut space.d_folded, outputs * width);
         multiply(&mut space.d_folded, width, Put::Over, d_view.t(), View::new(&space.sum, nodes, width));
         resize(&mut space.d_folded_bias, outputs);
@@ -70,14 +88,19 @@ impl Network {
         multiply(&mut g[first.at + from..], first.inputs, Put::Onto, d_bias, View::new(last.b(p), 1, last.outputs));
         multiply(&mut g[last.at..last.bias()], width, Put::Onto, heard.t(), d_folded);
         multiply(&mut g[last.bias()..last.end()], 1, Put::Onto, heard.t(), d_bias);
-        resize(&mut spare, nodes * width);
-        multiply(&mut spare, width, Put::Over, d_view, View::new(&space.folded, outputs, width));
-        std::mem::swap(&mut d, &mut spare);
+        resize(spare, nodes * width);
+        multiply(spare, width, Put::Over, d_view, View::new(&space.folded, outputs, width));
+        back.swap(0, 1);
+    }
 
-        // From the sums to the edges.
-        let (made, width) = (&space.message[self.message.len() - 2], last.inputs);
-        resize(&mut spare, rows * width);
-        for node in 0..nodes {
+    /// From the sums to the edges.
+    #[inline(always)]
+    fn sums_back<T: Real>(&self, batch: &Batch<T>, space: &Space<T>, back: &mut Back<T>) {
+        let edges = batch.sender.len();
+        let [d, spare] = back;
+        let (made, width) = (&space.message[self.message.len() - 2], self.message[self.message.len() - 1].inputs);
+        resize(spare, self.rows(batch) * width);
+        for node in 0..batch.nodes {
             let d = &d[node * width..][..width];
             for edge in batch.first[node] as usize..batch.first[node + 1] as usize {
                 masked(d, &made[edge * width..][..width], &mut spare[edge * width..][..width]);
@@ -89,24 +112,18 @@ impl Network {
             d.chunks_exact(width).for_each(|d| add(own, d));
             mask(&made[edges * width..], own);
         }
-        std::mem::swap(&mut d, &mut spare);
+        back.swap(0, 1);
+    }
 
-        // The layers between, per edge.
-        for (depth, layer) in self.message[1..self.message.len() - 1].iter().enumerate().rev() {
-            let before = &space.message[depth];
-            add_gradient(layer, &d, before, rows, g);
-            through(p, layer, &d, rows, before, &mut spare);
-            std::mem::swap(&mut d, &mut spare);
-        }
-
-        // The first message layer: from edges back to robots.
-        let first = self.message[0];
-        let width = first.outputs;
-        resize(&mut space.d_theirs, sources * width);
+    /// The first message layer: from edges back to robots, each as one that hears and as one that is heard.
+    #[inline(always)]
+    fn edges_back<T: Real>(&self, batch: &Batch<T>, space: &mut Space<T>, d: &[T]) {
+        let width = self.message[0].outputs;
+        resize(&mut space.d_theirs, batch.sources(self.inputs()) * width);
         space.d_theirs.fill(T::zero());
-        resize(&mut space.d_own, nodes * width);
+        resize(&mut space.d_own, batch.nodes * width);
         space.d_own.fill(T::zero());
-        for node in 0..nodes {
+        for node in 0..batch.nodes {
             let own = &mut space.d_own[node * width..][..width];
             for edge in batch.first[node] as usize..batch.first[node + 1] as usize {
                 let d = &d[edge * width..][..width];
@@ -114,44 +131,55 @@ impl Network {
                 add(&mut space.d_theirs[batch.sender[edge] as usize * width..][..width], d);
             }
         }
-        let hidden_view = View::new(hidden, sources, h);
-        if self.is_full() {
-            add_rows(&space.d_own, width, &mut g[first.bias()..first.end()]);
-            let (d_own, d_theirs) = (View::new(&space.d_own, nodes, width), View::new(&space.d_theirs, sources, width));
-            let own = View::new(&hidden[..nodes * h], nodes, h);
-            multiply(&mut g[first.at..], first.inputs, Put::Onto, d_own.t(), own);
-            multiply(&mut g[first.at + h..], first.inputs, Put::Onto, d_theirs.t(), hidden_view);
-            if self.shape.edge > 0 {
-                let features = View::new(&batch.e, edges, self.shape.edge);
-                let d = View::new(&d, edges, width);
-                multiply(&mut g[first.at + 2 * h..], first.inputs, Put::Onto, d.t(), features);
-            }
-            multiply(&mut space.d_hidden, h, Put::Onto, d_own, first.columns(p, 0, h));
-            multiply(&mut space.d_hidden, h, Put::Onto, d_theirs, first.columns(p, h, h));
-        } else {
-            // theirs - own: what the edges say about a robot itself counts against it.
-            add_rows(&d, width, &mut g[first.bias()..first.end()]);
-            for (theirs, own) in space.d_theirs.iter_mut().zip(&space.d_own) {
-                *theirs -= *own;
-            }
-            let d_theirs = View::new(&space.d_theirs, sources, width);
-            multiply(&mut g[first.at..], first.inputs, Put::Onto, d_theirs.t(), hidden_view);
-            multiply(&mut space.d_hidden, h, Put::Onto, d_theirs, first.w(p));
-        }
-
-        // The encoder.
-        d.clear();
-        d.extend_from_slice(&space.d_hidden);
-        for (depth, layer) in self.encoder.iter().enumerate().rev() {
-            let before = if depth == 0 { &batch.x } else { &space.encoder[depth - 1] };
-            add_gradient(layer, &d, before, sources, g);
-            if depth > 0 {
-                through(p, layer, &d, sources, before, &mut spare);
-                std::mem::swap(&mut d, &mut spare);
-            }
-        }
-        space.back = [d, spare];
     }
+
+    /// The first message layer of the architecture `full`: from robots to its weights and to the encoder.
+    #[inline(always)]
+    fn full_first_back<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>, d: &[T], g: &mut [T]) {
+        let (nodes, sources, h) = (batch.nodes, batch.sources(self.inputs()), self.hidden());
+        let (first, hidden) = (self.message[0], &space.encoder[self.encoder.len() - 1]);
+        let width = first.outputs;
+        add_rows(&space.d_own, width, &mut g[first.bias()..first.end()]);
+        let (d_own, d_theirs) = (View::new(&space.d_own, nodes, width), View::new(&space.d_theirs, sources, width));
+        let own = View::new(&hidden[..nodes * h], nodes, h);
+        multiply(&mut g[first.at..], first.inputs, Put::Onto, d_own.t(), own);
+        multiply(&mut g[first.at + h..], first.inputs, Put::Onto, d_theirs.t(), View::new(hidden, sources, h));
+        if self.shape.edge > 0 {
+            let edges = batch.sender.len();
+            let (d, features) = (View::new(d, edges, width), View::new(&batch.e, edges, self.shape.edge));
+            multiply(&mut g[first.at + 2 * h..], first.inputs, Put::Onto, d.t(), features);
+        }
+        multiply(&mut space.d_hidden, h, Put::Onto, d_own, first.columns(p, 0, h));
+        multiply(&mut space.d_hidden, h, Put::Onto, d_theirs, first.columns(p, h, h));
+    }
+
+    /// The same of the published architecture, where what the edges say about a robot itself counts against it:
+    /// theirs - own.
+    #[inline(always)]
+    fn published_first_back<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>, d: &[T], g: &mut [T]) {
+        let (sources, h) = (batch.sources(self.inputs()), self.hidden());
+        let (first, hidden) = (self.message[0], &space.encoder[self.encoder.len() - 1]);
+        let width = first.outputs;
+        add_rows(d, width, &mut g[first.bias()..first.end()]);
+        for (theirs, own) in space.d_theirs.iter_mut().zip(&space.d_own) {
+            *theirs -= *own;
+        }
+        let d_theirs = View::new(&space.d_theirs, sources, width);
+        multiply(&mut g[first.at..], first.inputs, Put::Onto, d_theirs.t(), View::new(hidden, sources, h));
+        multiply(&mut space.d_hidden, h, Put::Onto, d_theirs, first.w(p));
+    }
+}
+
+/// Derivatives on their way back, and room for the next ones.
+type Back<T> = [Vec<T>; 2];
+
+/// One layer back, to the derivatives by its inputs `x`, which came out of a rectifier.
+#[inline(always)]
+fn layer_back<T: Real>(p: &[T], layer: &Layer, rows: usize, x: &[T], back: &mut Back<T>, g: &mut [T]) {
+    let [d, spare] = back;
+    add_gradient(layer, d, x, rows, g);
+    through(p, layer, d, rows, x, spare);
+    back.swap(0, 1);
 }
 
 /// Adds all rows up.

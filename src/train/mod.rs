@@ -12,6 +12,7 @@ pub mod config;
 pub mod crowd;
 pub mod evaluate;
 mod gradient;
+mod limits;
 pub mod loss;
 pub mod matrix;
 pub mod network;

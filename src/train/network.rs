@@ -170,20 +170,39 @@ impl Network {
         );
     }
 
+    /// How many messages are made: one an edge. The published network hears itself: a difference of zero, the same for
+    /// all, in a last row.
+    #[inline(always)]
+    pub(super) fn rows<T>(&self, batch: &Batch<T>) -> usize {
+        batch.sender.len() + usize::from(!self.is_full())
+    }
+
     #[inline(always)]
     fn forward_here<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
-        let (nodes, sources) = (batch.nodes, batch.sources(self.inputs()));
-        run(p, &self.encoder, &batch.x, sources, &mut space.encoder);
-        let hidden = &space.encoder[self.encoder.len() - 1];
-
-        // The first message layer, per robot, and then per edge.
-        let (h, first) = (self.hidden(), self.message[0]);
-        let width = first.outputs;
-        let edges = batch.sender.len();
-        // The published network hears itself: a difference of zero, the same for all, in a last row.
-        let rows = edges + usize::from(!self.is_full());
+        run(p, &self.encoder, &batch.x, batch.sources(self.inputs()), &mut space.encoder);
         space.message.resize_with(self.message.len() - 1, Vec::new);
-        resize(&mut space.message[0], rows * width);
+        self.first_by_robot(p, batch, space);
+        self.first_by_edge(p, batch, space);
+        // The layers between, per edge.
+        for (depth, layer) in self.message[1..self.message.len() - 1].iter().enumerate() {
+            let (from, to) = space.message.split_at_mut(depth + 1);
+            apply(p, layer, &from[depth], self.rows(batch), &mut to[0], true);
+        }
+        self.sums(batch, space);
+        space.update.resize_with(self.update.len(), Vec::new);
+        self.folded(p, batch, space);
+        for (depth, layer) in self.update.iter().enumerate().skip(1) {
+            let (from, to) = space.update.split_at_mut(depth);
+            apply(p, layer, &from[depth - 1], batch.nodes, &mut to[0], depth + 1 < self.update.len());
+        }
+    }
+
+    /// The first message layer, as far as it is one robot's.
+    #[inline(always)]
+    fn first_by_robot<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
+        let (nodes, sources, h) = (batch.nodes, batch.sources(self.inputs()), self.hidden());
+        let (first, hidden) = (self.message[0], &space.encoder[self.encoder.len() - 1]);
+        let width = first.outputs;
         resize(&mut space.theirs, sources * width);
         let hidden_view = View::new(hidden, sources, h);
         if self.is_full() {
@@ -196,8 +215,16 @@ impl Network {
         } else {
             multiply(&mut space.theirs, width, Put::Over, hidden_view, first.w(p).t());
         }
+    }
+
+    /// The first message layer, put together for every edge.
+    #[inline(always)]
+    fn first_by_edge<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
+        let first = self.message[0];
+        let (width, edges) = (first.outputs, batch.sender.len());
         let made = &mut space.message[0];
-        for node in 0..nodes {
+        resize(made, self.rows(batch) * width);
+        for node in 0..batch.nodes {
             for edge in batch.first[node] as usize..batch.first[node + 1] as usize {
                 let to = &mut made[edge * width..][..width];
                 let theirs = &space.theirs[batch.sender[edge] as usize * width..][..width];
@@ -225,17 +252,14 @@ impl Network {
             made[edges * width..].copy_from_slice(first.b(p));
             made[edges * width..].iter_mut().for_each(|x| *x = relu(*x));
         }
+    }
 
-        // The layers between, per edge.
-        let last = self.message[self.message.len() - 1];
-        for (depth, layer) in self.message[1..self.message.len() - 1].iter().enumerate() {
-            let (from, to) = space.message.split_at_mut(depth + 1);
-            apply(p, layer, &from[depth], rows, &mut to[0], true);
-        }
-
-        // The sum.
-        let (made, width) = (&space.message[self.message.len() - 2], last.inputs);
-        resize(&mut space.sum, nodes * width);
+    /// The sum over the messages that each robot hears.
+    #[inline(always)]
+    fn sums<T: Real>(&self, batch: &Batch<T>, space: &mut Space<T>) {
+        let edges = batch.sender.len();
+        let (made, width) = (&space.message[self.message.len() - 2], self.message[self.message.len() - 1].inputs);
+        resize(&mut space.sum, batch.nodes * width);
         for (node, sum) in space.sum.chunks_exact_mut(width).enumerate() {
             sum.fill(T::zero());
             let range = batch.first[node] as usize..batch.first[node + 1] as usize;
@@ -246,21 +270,26 @@ impl Network {
                 add(sum, &made[edges * width..]);
             }
         }
-        // The last message layer and the first update layer in one, for nothing comes between them.
-        let first = self.update[0];
+    }
+
+    /// The last message layer and the first update layer in one, for nothing comes between them.
+    #[inline(always)]
+    fn folded<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
+        let (nodes, h) = (batch.nodes, self.hidden());
+        let (first, last) = (self.update[0], self.message[self.message.len() - 1]);
+        let width = last.inputs;
         let from = if self.is_full() { h } else { 0 };
         let heard = first.columns(p, from, last.outputs);
         resize(&mut space.folded, first.outputs * width);
         resize(&mut space.folded_bias, first.outputs);
         multiply(&mut space.folded, width, Put::Over, heard, last.w(p));
         multiply(&mut space.folded_bias, 1, Put::Over, heard, View::new(last.b(p), last.outputs, 1));
-        space.update.resize_with(self.update.len(), Vec::new);
         let to = &mut space.update[0];
         resize(to, nodes * first.outputs);
         let folded = View::new(&space.folded, first.outputs, width);
         multiply(to, first.outputs, Put::Over, View::new(&space.sum, nodes, width), folded.t());
         if self.is_full() {
-            let own = View::new(&hidden[..nodes * h], nodes, h);
+            let own = View::new(&space.encoder[self.encoder.len() - 1][..nodes * h], nodes, h);
             multiply(to, first.outputs, Put::Onto, own, first.columns(p, 0, h).t());
         }
         for (node, to) in to.chunks_exact_mut(first.outputs).enumerate() {
@@ -268,10 +297,6 @@ impl Network {
             to.iter_mut().zip(&space.folded_bias).for_each(|(to, bias)| *to += terms * *bias);
         }
         shift(first.b(p), to, self.update.len() > 1);
-        for (depth, layer) in self.update.iter().enumerate().skip(1) {
-            let (from, to) = space.update.split_at_mut(depth);
-            apply(p, layer, &from[depth - 1], nodes, &mut to[0], depth + 1 < self.update.len());
-        }
     }
 
     /// How many terms a robot's sum has.

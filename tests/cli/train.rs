@@ -69,7 +69,7 @@ fn ctrl_c_saves_and_resuming_goes_on_bit_for_bit() {
     let place = Place::new();
     let config = place.at("small.toml");
     let train = |out: &str, more: &[&str]| {
-        let args = ["train", "passage", "--config", &config, "--steps", "40000", "--seed", "4", "--out", out];
+        let args = ["train", "passage", "--config", &config, "--steps", "800", "--seed", "4", "--out", out];
         murmurate(&[&args, more].concat())
     };
     let (whole, halves) = (place.at("whole"), place.at("halves"));
@@ -77,7 +77,7 @@ fn ctrl_c_saves_and_resuming_goes_on_bit_for_bit() {
 
     let mut child =
         train(&halves, &[]).env("MURMURATE_LOG", "murmurate=info").stderr(Stdio::piped()).spawn().expect("it starts");
-    // Once it says that it trains, it listens for Ctrl-C.
+    // Once it says that it trains, it listens for Ctrl-C; five iterations and what is evaluated between take seconds.
     let mut lines = BufReader::new(child.stderr.take().expect("it is piped")).lines();
     assert!(lines.any(|line| line.is_ok_and(|line| line.contains("Ctrl-C saves"))));
     let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill is there");
@@ -87,7 +87,7 @@ fn ctrl_c_saves_and_resuming_goes_on_bit_for_bit() {
     assert!(told.iter().any(|line| line.contains("--resume")), "{told:?}");
 
     refuses(
-        &["train", "passage", "--config", &config, "--steps", "40000", "--out", &halves],
+        &["train", "passage", "--config", &config, "--steps", "800", "--out", &halves],
         &["halves", "holds a training already", "--resume"],
     );
     assert!(train(&halves, &["--resume", "--quiet"]).status().expect("it starts").success());

@@ -8,6 +8,7 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use crate::alone;
+use crate::beside;
 use crate::crew::{Crew, Said, folder, report};
 use crate::program::murmurate;
 use murmurate::report::event::HostEvent;
@@ -234,7 +235,7 @@ fn told_to_end(crew: &mut Crew, after: Option<u32>, victim: &str, team_stands: D
 
 #[test]
 fn the_team_stands_and_waits_for_a_host_that_is_told_to_end_and_runs_the_episode_again() {
-    let _alone = alone();
+    let _beside = beside();
     let (_folder, file) = folder(&team(783));
     let (mut crew, _) = launched(&file);
     let mut last = None;
@@ -255,7 +256,7 @@ fn the_team_stands_and_waits_for_a_host_that_is_told_to_end_and_runs_the_episode
 
 #[test]
 fn nobody_outlives_a_launch_that_was_killed() {
-    let _alone = alone();
+    let _beside = beside();
     let (_folder, file) = folder(&team(782));
     // Inherited by launch and by all that it starts: it is closed when the last of them has gone.
     let (mut all_gone, held) = std::io::pipe().expect("a pipe");

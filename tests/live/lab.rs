@@ -3,6 +3,7 @@
 
 use std::io::Write;
 use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::crew::report;
@@ -24,7 +25,10 @@ impl Lab {
             machines.iter().flat_map(|(_, on)| on.iter().map(|(_, to)| to.clone())).collect();
         networks.sort();
         networks.dedup();
-        let lab = Lab { prefix: format!("{tag}{}", std::process::id()), machines, networks };
+        // Several tests of one process may have a lab at once.
+        static LABS: AtomicUsize = AtomicUsize::new(0);
+        let number = LABS.fetch_add(1, Ordering::Relaxed);
+        let lab = Lab { prefix: format!("{tag}{}-{number}", std::process::id()), machines, networks };
         for (at, network) in lab.networks.iter().enumerate() {
             let hub = lab.space(network);
             if !lab.ip(&["netns", "add", &hub]) {

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::sync::Arc;
 
-use crate::alone;
+use crate::beside;
 use crate::program::{murmurate, text};
 use murmurate::deploy::Deployment;
 use murmurate::policy::gnn::Network;
@@ -63,7 +63,7 @@ fn launched(episodes: u32) -> BTreeMap<u32, (String, String)> {
 
 #[test]
 fn launch_ends_as_one_process_does() {
-    let _alone = alone();
+    let _beside = beside();
     let episodes = std::env::var("MURMURATE_LAUNCHED").map_or(EPISODES, |given| given.parse().expect("a number"));
     let (real, ideal) = (launched(episodes), simulated(episodes));
     assert_eq!((real.len(), ideal.len()), (episodes as usize, episodes as usize), "every episode has a result");

@@ -1,6 +1,7 @@
 //! Teams of real processes in real time, on loopback or between network namespaces.
 //!
-//! What needs root or a tool that is not there skips, and says so. One test runs at a time: see [`alone`].
+//! What needs root or a tool that is not there skips, and says so. A test that judges times to a few milliseconds runs
+//! [`alone`]; the others run [`beside`] one another, each with ports, groups and namespaces of its own.
 #![cfg(target_os = "linux")]
 
 mod crew;
@@ -16,10 +17,18 @@ mod outlets;
 mod program;
 mod stop;
 
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 
-/// Waits until no other test of this program runs: teams in real time would take each other's processors.
-fn alone() -> MutexGuard<'static, ()> {
-    static ALONE: Mutex<()> = Mutex::new(());
-    ALONE.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+static PROCESSORS: RwLock<()> = RwLock::new(());
+
+/// Waits until no other test of this program runs, and keeps all others waiting: for what would be late if other teams
+/// took its processors.
+fn alone() -> RwLockWriteGuard<'static, ()> {
+    PROCESSORS.write().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// Waits until no test runs that has to be alone: for teams that spend their time waiting, and leave the processors to
+/// others.
+fn beside() -> RwLockReadGuard<'static, ()> {
+    PROCESSORS.read().unwrap_or_else(|poisoned| poisoned.into_inner())
 }

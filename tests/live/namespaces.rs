@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 
-use crate::alone;
+use crate::beside;
 use crate::crew::{Crew, Said, folder, report};
 use crate::lab;
 use crate::lab::Lab;
@@ -106,9 +106,24 @@ fn result_from(crew: &Crew, first: u32) -> u32 {
     })
 }
 
+/// What has crossed the two networks: of each link its kinds of messages, to its own group.
+fn each_network_has_its_own(adhoc: &Seen, infra: &Seen) {
+    let told = |name: &str, seen: &Seen| {
+        let Seen { groups, blocks, datagrams, other } = seen;
+        report(&format!("{name}: {datagrams} datagrams to {groups:?} hold {blocks:?}; other frames: {other}"));
+    };
+    told("ad-hoc", adhoc);
+    told("infra", infra);
+    let held = |seen: &Seen| seen.blocks.keys().copied().collect::<Vec<_>>();
+    assert_eq!(held(adhoc), ["latent", "link"]);
+    assert_eq!(held(infra), ["heartbeat, mode or stop", "link", "motor command", "reading"]);
+    assert_eq!(adhoc.groups.iter().collect::<Vec<_>>(), [GROUPS[0]]);
+    assert_eq!(infra.groups.iter().collect::<Vec<_>>(), [GROUPS[1], GROUPS[2]]);
+}
+
 #[test]
 fn six_machines_on_two_networks_run_and_survive_partition_leave_and_rejoin() {
-    let _alone = alone();
+    let _beside = beside();
     let on = |networks: &[&str]| networks.iter().map(|to| ((*to).to_owned(), (*to).to_owned())).collect();
     let machines = hosts().into_iter().map(|(host, networks)| (host, on(networks))).collect();
     let Some(lab) = Lab::build("murm", machines) else { return };
@@ -180,15 +195,5 @@ fn six_machines_on_two_networks_run_and_survive_partition_leave_and_rejoin() {
     }
     stop.store(true, Ordering::Relaxed);
     let [adhoc, infra] = captures.map(|capture| capture.join().expect("it has heard all"));
-    let told = |name: &str, seen: &Seen| {
-        let Seen { groups, blocks, datagrams, other } = seen;
-        report(&format!("{name}: {datagrams} datagrams to {groups:?} hold {blocks:?}; other frames: {other}"));
-    };
-    told("ad-hoc", &adhoc);
-    told("infra", &infra);
-    let held = |seen: &Seen| seen.blocks.keys().copied().collect::<Vec<_>>();
-    assert_eq!(held(&adhoc), ["latent", "link"]);
-    assert_eq!(held(&infra), ["heartbeat, mode or stop", "link", "motor command", "reading"]);
-    assert_eq!(adhoc.groups.iter().collect::<Vec<_>>(), [GROUPS[0]]);
-    assert_eq!(infra.groups.iter().collect::<Vec<_>>(), [GROUPS[1], GROUPS[2]]);
+    each_network_has_its_own(&adhoc, &infra);
 }

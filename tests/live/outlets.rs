@@ -9,6 +9,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::alone;
+use crate::beside;
 use crate::crew::{folder, report};
 use crate::program::{murmurate, run, text};
 use murmurate::report::event::{Counted, HostEvent};
@@ -19,8 +20,8 @@ use nix::unistd::{Pid, mkfifo};
 use serde_json::Value;
 
 const ROBOTS: usize = 12;
-/// How long nobody reads: more steps of the trajectories than a lane holds.
-const STUCK: Duration = Duration::from_secs(25);
+/// How long nobody reads: a lane holds 13 seconds of the trajectories of so many robots.
+const STUCK: Duration = Duration::from_secs(18);
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How long a host may take to end with its pipes stuck: three times half a second of waiting, and what it does anyway.
 const END: Duration = Duration::from_secs(4);
@@ -220,7 +221,7 @@ fn interrupted(mut launch: Process, lines: &Receiver<String>) -> (Option<i32>, V
 
 #[test]
 fn a_launch_tells_what_its_hosts_counted_after_a_stop_a_kill_and_an_interrupt() {
-    let _alone = alone();
+    let _beside = beside();
     let (_folder, file, launch, lines) = launched(1000, 741);
     let mut said = String::new();
     until(&lines, &mut said, &["3 processes run"]);
@@ -247,7 +248,7 @@ fn a_launch_tells_what_its_hosts_counted_after_a_stop_a_kill_and_an_interrupt() 
 
 #[test]
 fn a_launch_whose_log_nobody_reads_ends_with_all_results() {
-    let _alone = alone();
+    let _beside = beside();
     let (_folder, file) = pair(1, 743);
     let log = Full::new();
     let mut command = murmurate(&["launch", &file, "--json"]);
@@ -269,7 +270,7 @@ fn a_launch_whose_log_nobody_reads_ends_with_all_results() {
 
 #[test]
 fn an_interrupt_past_the_last_verdict_is_told_as_one() {
-    let _alone = alone();
+    let _beside = beside();
     let (_folder, _, launch, lines) = launched(1, 742);
     let mut said = String::new();
     until(&lines, &mut said, &["episode 1 of 1"]);

@@ -31,6 +31,7 @@ use nix::sched::{CloneFlags, setns};
 use nix::sys::signal::Signal;
 
 use crate::alone;
+use crate::beside;
 use crate::crew::{Said, report};
 use crate::program::text;
 use crate::stop::team::{Case, OPERATOR, Running};
@@ -178,7 +179,7 @@ fn lies(turn: u64, stops: bool) -> Vec<Wire> {
 
 #[test]
 fn a_member_that_lies_is_named_by_every_host_and_the_stop_works_and_can_be_taken_back() {
-    let _alone = alone();
+    let _beside = beside();
     let Some(team) = case() else { return };
     team.driven();
     // Eight thousand messages a second: seven kinds of lies, 1143 times.
@@ -238,7 +239,7 @@ fn lies_of_a_robot(turn: u64) -> Vec<Wire> {
 
 #[test]
 fn a_captured_robot_that_lies_keeps_nobody_from_stopping_re_arming_and_going_on() {
-    let _alone = alone();
+    let _beside = beside();
     let Some(mut team) = case() else { return };
     team.driven();
     team.crew.signal("agent-4", Signal::SIGKILL);
@@ -278,7 +279,7 @@ fn refusals(team: &Running) -> u64 {
 
 #[test]
 fn operators_act_in_turn_and_ten_at_once_whatever_their_clocks_say() {
-    let _alone = alone();
+    let _beside = beside();
     let (Some(team), Some(_)) = (case(), clock("+0")) else { return };
     team.driven();
     // One operator for as long as it lasts, which asks ten times a second and is to be answered.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use murmurate::report::event::HostEvent;
 
-use crate::alone;
+use crate::beside;
 use crate::crew::{Said, report};
 use crate::stop::in_full;
 use crate::stop::team::{Case, Running};
@@ -127,7 +127,7 @@ fn late(team: &Running) -> u64 {
 
 #[test]
 fn commands_that_a_relay_holds_back_drive_nobody_and_jitter_loses_nothing() {
-    let _alone = alone();
+    let _beside = beside();
     let Some((mut team, mut relay)) = relayed() else { return };
     team.driven();
     let before = late(&team);
@@ -145,7 +145,7 @@ fn commands_that_a_relay_holds_back_for_minutes_drive_nobody() {
     if !in_full("holding back for minutes") {
         return;
     }
-    let _alone = alone();
+    let _beside = beside();
     let Some((mut team, mut relay)) = relayed() else { return };
     for (held_s, rearmed) in
         [(1, false), (1, true), (8, false), (8, true), (45, false), (45, true), (300, false), (300, true)]
