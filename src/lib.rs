@@ -10,7 +10,7 @@
 //! # Rooms
 //! Each may use those before it, never those after:
 //! `time`, `random`, `config`, `messages`, `actor`, `cells`; `hearing`, `faults`; `scenario`, `policy`, `world`,
-//! `safety`; `net::protocol`, `net::transport`, `net::media`; `report`; then [`actors`], and beside
+//! `registry`, `safety`; `net::protocol`, `net::transport`, `net::media`; `report`; then [`actors`], and beside
 //! them [`train`], which knows no actor; `deploy`; `runtime`, which runs actors; `graph`, which wires them; `trial`;
 //! `study`; `program`, the command line.
 //! `tests/tidy.rs` checks it.
@@ -34,6 +34,7 @@ pub mod net;
 pub mod policy;
 pub mod program;
 pub mod random;
+pub mod registry;
 pub mod report;
 pub mod runtime;
 pub mod safety;

@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 }
 
 /// The rooms of the library, each after all that it may use.
-const ROOMS: [&str; 24] = [
+const ROOMS: [&str; 25] = [
     "time",
     "random",
     "config",
@@ -65,6 +65,7 @@ const ROOMS: [&str; 24] = [
     "scenario",
     "policy",
     "world",
+    "registry",
     "safety",
     "net::protocol",
     "net::transport",

@@ -22,7 +22,7 @@ use crate::net::media::medium::Impairment;
 use crate::net::media::radio::{Radio, Topology};
 use crate::net::protocol::reliability::Reliabilities;
 use crate::time::Span;
-use crate::world::{self, PLANTS, Placement};
+use crate::world::{self, Placement};
 
 /// When agents step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -103,7 +103,7 @@ pub struct Deployment {
 }
 
 fn kinematic() -> String {
-    "kinematic".to_owned()
+    world::KINEMATIC.to_owned()
 }
 
 /// The most hosts, and the most links: their numbers are 16 bits wide.
@@ -158,14 +158,12 @@ impl Deployment {
         toml::to_string(self).expect("a deployment is TOML")
     }
 
-    /// Checks that every robot has one agent and one body, and every message a way.
+    /// Checks that every robot has one agent and one body, and every message a way. Whether there is a plant of its
+    /// name, a registry knows.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if self.robots == 0 || self.robots > usize::from(u16::MAX) {
             return wrong("robots", format!("{} is not 1 to {}", self.robots, u16::MAX));
-        }
-        if world::plant(&self.plant).is_none() {
-            return wrong("plant", format!("there is no plant '{}'; there are {}", self.plant, PLANTS.join(", ")));
         }
         for (field, names) in [
             ("host", self.hosts.iter().map(|host| &host.name).collect::<Vec<_>>()),
@@ -373,7 +371,6 @@ mod tests {
         assert!(error(|d| d.hosts[1].name.clear()).starts_with("host.name"));
         assert!(error(|d| d.links[1].carries.push(Kind::Status)).contains("goes where 'stop' goes"));
         assert!(error(|d| d.links[0].impairs.push(Kind::Mode)).starts_with("link.impairs"));
-        assert!(error(|d| d.plant = "water".to_owned()).starts_with("plant"));
     }
 
     #[test]

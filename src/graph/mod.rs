@@ -46,8 +46,7 @@ use crate::safety::{Safety, Switch, guard};
 use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
-use crate::world as plants;
-use crate::world::{Clamp, Physics};
+use crate::world::{Clamp, Entry, Physics};
 
 /// How long a motor command holds: four of the published control periods (design, section 2).
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
@@ -59,6 +58,8 @@ pub struct Plan {
     pub deployment: Deployment,
     /// What the team is to do.
     pub scenario: Arc<dyn Scenario>,
+    /// What simulated robots live in.
+    pub plant: Entry,
     /// What simulated robots are like.
     pub physics: Physics,
     /// What drives it while an episode runs.
@@ -365,9 +366,8 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
         let ranged = ranged_ethers(plan, graph, process);
         // On the floor before anything starts, as people would put them there.
         let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
-        let plant = plants::plant(&plan.deployment.plant).expect("a checked deployment names a plant");
         let seed = plan.seed.child(&format!("world/{}", host.0));
-        let plant = (plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
+        let plant = (plan.plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
         let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
         let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
         start(clock, &graph.worlds[first.index()], info_span!("world", host = host.0), make, move |out| match out {

@@ -18,13 +18,15 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::link::{Duplicate, LinkCounts};
+use crate::policy::Model;
+use crate::registry::Registry;
 use crate::report::event::{Counted, HostEvent, RobotSafety};
 use crate::report::summary::{Run, Summary};
 use crate::report::trial::TrialReport;
 use crate::runtime::real::run_real;
 use crate::safety::guard::SafetyCounts;
+use crate::scenario::Settings;
 use crate::scenario::layout::Layouts;
-use crate::scenario::{self, Settings};
 use crate::time::{Span, Time};
 use crate::trial::Trial;
 use anyhow::{Context, Result, anyhow};
@@ -91,15 +93,15 @@ struct Seen {
 }
 
 /// Runs the host until the team has finished, or until it is told to stop.
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let began = Instant::now();
-    let file = args.team.read()?;
+    let file = args.team.read(registry)?;
     let id = args.host(&file)?;
     let team = args.team.for_host(&file, id)?;
     let name = team.deployment.hosts[usize::from(id.0)].name.clone();
     let key = team::key(&team)?.map(Key::new);
-    let policy = team::policy(&team)?;
-    let mut trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
+    let policy = team::policy(&team, registry)?;
+    let mut trial = trial(&team, policy.model, registry).map_err(|e| BadInput(e.to_string()))?;
     if args.trajectories.is_some() {
         trial.steps = Steps::Reported;
         sees_whole_team(&team)?;
@@ -306,11 +308,11 @@ fn sees_whole_team(team: &Team) -> Result<()> {
 }
 
 /// The run that the team is to make, of which this host does its part.
-fn trial(team: &Team, model: crate::policy::Model) -> Result<Trial> {
+fn trial(team: &Team, model: Model, registry: &Registry) -> Result<Trial> {
     let settings = Settings::of(team.deployment.robots);
-    let scenario = scenario::build(&team.scenario, &settings)?;
+    let scenario = registry.scenario(&team.scenario, &settings)?;
     let simulated = team.simulated;
-    let mut trial = Trial::new(team.deployment.clone(), Arc::clone(&scenario), model);
+    let mut trial = Trial::with_registry(registry, team.deployment.clone(), Arc::clone(&scenario), model);
     trial.physics = simulated.physics;
     let mut trial = trial.clamp(simulated.clamp);
     trial.seed = team.seed;

@@ -1,4 +1,5 @@
-//! What the bodies move in: plants. A plant is one file and one line in `REGISTRY`.
+//! What the bodies move in: plants. A plant is one file and one line in `REGISTRY`; in a crate of one's own, one line
+//! where its `Registry` is made.
 //!
 //! Nothing here knows a task, a policy or a network.
 
@@ -57,9 +58,12 @@ pub trait Plant {
 }
 
 /// A plant by name.
+#[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its name in a deployment.
+    /// Its name on the command line and in a deployment.
     pub name: &'static str,
+    /// One line for the help.
+    pub about: &'static str,
     /// What its robots are like unless someone says otherwise.
     pub physics: fn(&Arena) -> Physics,
     /// What nobody may say otherwise, by its field, and why.
@@ -68,24 +72,23 @@ pub struct Entry {
     pub build: fn(&Arena, &Physics, &[Vec2], Seed) -> Box<dyn Plant>,
 }
 
-/// All plants.
+/// The name of the plant of a deployment that names none: the training world.
+pub const KINEMATIC: &str = "kinematic";
+
+/// The plants of this crate.
 pub const REGISTRY: &[Entry] = &[
-    Entry { name: "kinematic", physics: Physics::published, fixed: &[], build: kinematic::build },
-    Entry { name: "rigid", physics: Physics::robomaster, fixed: rigid::FIXED, build: rigid::build },
+    Entry {
+        name: KINEMATIC,
+        about: "the training world",
+        physics: Physics::published,
+        fixed: &[],
+        build: kinematic::build,
+    },
+    Entry {
+        name: "rigid",
+        about: "rigid bodies with mass, friction and slipping wheels, seen by motion capture",
+        physics: Physics::robomaster,
+        fixed: rigid::FIXED,
+        build: rigid::build,
+    },
 ];
-
-/// The names of all plants.
-pub const PLANTS: [&str; REGISTRY.len()] = {
-    let mut names = [""; REGISTRY.len()];
-    let mut at = 0;
-    while at < names.len() {
-        names[at] = REGISTRY[at].name;
-        at += 1;
-    }
-    names
-};
-
-/// The plant of that name.
-pub fn plant(name: &str) -> Option<&'static Entry> {
-    REGISTRY.iter().find(|entry| entry.name == name)
-}
