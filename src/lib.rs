@@ -12,7 +12,7 @@
 //! `time`, `random`, `config`, `messages`, `actor`, `cells`; `hearing`, `faults`; `scenario`, `policy`, `world`,
 //! `registry`, `safety`; `net::protocol`, `net::transport`, `net::media`; `report`; then [`actors`], and beside
 //! them [`train`], which knows no actor; `deploy`; `runtime`, which runs actors; `graph`, which wires them; `trial`;
-//! `study`; `program`, the command line.
+//! `live`, `study`; `program`, the command line.
 //! `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
@@ -29,6 +29,7 @@ pub mod deploy;
 pub mod faults;
 pub mod graph;
 pub mod hearing;
+pub mod live;
 pub mod messages;
 pub mod net;
 pub mod policy;

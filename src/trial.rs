@@ -19,6 +19,7 @@ use crate::actors::recorder::{Out, Steps};
 use crate::actors::state_server;
 use crate::config::ConfigError;
 use crate::deploy::Deployment;
+use crate::deploy::team::{Simulated, Team};
 use crate::faults::FaultPlan;
 use crate::graph::{self, Plan};
 use crate::hearing::CommRange;
@@ -28,7 +29,6 @@ use crate::policy::Model;
 use crate::random::Seed;
 use crate::registry::Registry;
 use crate::report::episode::Episode;
-use crate::report::trial::Totals;
 pub use crate::report::trial::TrialReport;
 use crate::runtime::drive::{End, run_virtual};
 use crate::safety::Safety;
@@ -113,6 +113,19 @@ fn physics(registry: &Registry, plant: &str, scenario: &dyn Scenario) -> Physics
     entry.map_or(Physics::published as fn(&Arena) -> Physics, |entry| entry.physics)(scenario.arena())
 }
 
+/// Takes down in a trial's report what its recorder says.
+pub fn note(report: &mut TrialReport, out: Out) {
+    match out {
+        Out::Episode(episode, totals) => {
+            report.episodes.push(episode);
+            report.totals = totals;
+        }
+        Out::Step(step) => report.steps.push(step),
+        Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
+        Out::Closed(totals) => report.totals = totals,
+    }
+}
+
 impl Trial {
     /// A trial of one episode in a preset mode, with the scripted policy, the scenario's own team and seed 0.
     pub fn preset(mode: &str, scenario: &str) -> Result<Trial, TrialError> {
@@ -168,6 +181,18 @@ impl Trial {
             until: None,
             steps: Steps::Discarded,
         }
+    }
+
+    /// The run that a team is to make as its team file says, of which each host does its part.
+    pub fn of_host(registry: &Registry, team: &Team, model: Model) -> Result<Trial, TrialError> {
+        let scenario = registry.scenario(&team.scenario, &Settings::of(team.deployment.robots))?;
+        let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
+        let trial = Trial::with_registry(registry, team.deployment.clone(), scenario, model);
+        let Simulated { physics, clamp, handling } = team.simulated;
+        let (seed, safety) = (team.seed, team.safety);
+        let trial = Trial { physics, handling, seed, safety, layouts, ..trial }.clamp(clamp);
+        trial.check()?;
+        Ok(trial)
     }
 
     /// In this plant, whose robots are as they are unless someone says otherwise.
@@ -243,29 +268,10 @@ impl Trial {
     /// shown the episodes so far, says stop.
     pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
         let plan = self.plan();
-        let said = Rc::new(RefCell::new(TrialReport {
-            episodes: Vec::new(),
-            simulated: Span::ZERO,
-            totals: Totals::default(),
-            finished: false,
-            refused: 0,
-            lost: 0,
-            steps: Vec::new(),
-        }));
+        let said = Rc::new(RefCell::new(TrialReport::default()));
         let sink = {
             let said = Rc::clone(&said);
-            move |out| {
-                let mut report = said.borrow_mut();
-                match out {
-                    Out::Episode(episode, totals) => {
-                        report.episodes.push(episode);
-                        report.totals = totals;
-                    }
-                    Out::Step(step) => report.steps.push(step),
-                    Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
-                    Out::Closed(totals) => report.totals = totals,
-                }
-            }
+            move |out| note(&mut said.borrow_mut(), out)
         };
         let deadline = self.deadline();
         let (graph, end) = run_virtual(

@@ -11,7 +11,6 @@ mod jobs;
 mod key;
 mod lane;
 mod launch;
-mod links;
 mod names;
 mod outlets;
 mod output;
@@ -30,6 +29,7 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
+use crate::live::links::LinkError;
 use crate::registry::Registry;
 
 /// Runs message-passing policies on teams of robots.
@@ -163,7 +163,8 @@ fn exit_code(ended: anyhow::Result<Ended>) -> ExitCode {
         Ok(Ended::Interrupted) => ExitCode::from(130),
         Err(error) => {
             output::talk(&format!("error: {error:#}"));
-            ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
+            let wrong = matches!(error.downcast_ref(), Some(LinkError::Wrong(_)));
+            ExitCode::from(if wrong || error.is::<BadInput>() { 2 } else { 1 })
         }
     }
 }

@@ -16,9 +16,9 @@ use crate::runtime::real::run_real;
 use crate::time::{Span, Time};
 use anyhow::{Result, anyhow};
 
+use crate::live::links;
+use crate::live::links::Fresh;
 use crate::program::Ended;
-use crate::program::links;
-use crate::program::links::Fresh;
 use crate::program::output::print;
 use crate::program::team;
 
