@@ -45,3 +45,7 @@ pub mod time;
 pub mod train;
 pub mod trial;
 pub mod world;
+
+#[doc = include_str!("../README.md")]
+#[cfg(doctest)]
+pub struct Readme;

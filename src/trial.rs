@@ -1,15 +1,17 @@
 //! A trial: one deployment in one process under virtual time, from its first episode to its last.
 //!
-//! ```no_run
+//! ```
+//! use murmurate::policy::Model;
 //! use murmurate::trial::Trial;
 //!
-//! let report = Trial::preset("offboard", "passage")?.episodes(4).seed(7).run();
-//! println!("{} of {} episodes succeeded", report.successes(), report.episodes.len());
-//! # Ok::<(), murmurate::trial::TrialError>(())
+//! let trial = Trial::preset("offboard", "passage")?.model(Model::shipped("passage")?);
+//! let report = trial.episodes(4).seed(7).run();
+//! assert_eq!(report.successes(), 4);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Same trial, same report, bit for bit. Faults come from a [`FaultPlan`]; `tests/faults.rs` opens with an
-//! example to copy. Trials are independent of each other: run them on as many threads as there are cores.
+//! Same trial, same report, bit for bit. Faults come from a [`FaultPlan`]; `examples/faults.rs` is an example to
+//! copy. Trials are independent of each other: run them on as many threads as there are cores.
 
 use std::cell::RefCell;
 use std::rc::Rc;

@@ -195,7 +195,7 @@ fn what_touches_the_machine_is_in_its_place() {
 #[test]
 fn nothing_sleeps_and_nothing_is_left_for_later() {
     let here = "tests/tidy.rs";
-    let all = ["src", "tests", "benches"].into_iter().flat_map(sources).filter(|source| source.path != here);
+    let all = ["src", "tests", "benches", "examples"].into_iter().flat_map(sources).filter(|source| source.path != here);
     for source in all {
         for word in ["thread::sleep", "todo!", "unimplemented!", "#[ignore"] {
             assert_eq!(source.lines_with(word), Vec::<String>::new(), "'{word}'");
@@ -208,7 +208,7 @@ fn nothing_sleeps_and_nothing_is_left_for_later() {
 
 #[test]
 fn files_say_what_they_are_and_stay_readable() {
-    for source in ["src", "tests", "benches"].into_iter().flat_map(sources) {
+    for source in ["src", "tests", "benches", "examples"].into_iter().flat_map(sources) {
         assert!(source.text.starts_with("//!"), "{}: the first line says what lives there", source.path);
         for (index, line) in source.text.lines().enumerate() {
             let width = line.chars().count();
