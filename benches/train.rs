@@ -8,6 +8,7 @@ use divan::counter::ItemsCount;
 use murmurate::messages::geometry::Vec2;
 use murmurate::policy::manifest::Architecture;
 use murmurate::random::Seed;
+use murmurate::registry::Registry;
 use murmurate::scenario::{self, Settings};
 use murmurate::train::batch::{Batch, Graphs};
 use murmurate::train::conditions::Episode;
@@ -106,7 +107,7 @@ fn trainer(name: &str, epochs: usize) -> Trainer {
     config.curriculum = vec![Stage { until: 1.0, groups: vec![vec![5]], repeat: 4, gap_m: None, penalties: 1.0 }];
     (config.ppo.epochs, config.ppo.kl_stop) = (epochs, f32::INFINITY);
     let plan = Plan { scenario: "passage".to_owned(), preset: name.to_owned(), config, seed: 1 };
-    Trainer::new(plan).expect("the preset is sound")
+    Trainer::new(plan, &Registry::builtin()).expect("the preset is sound")
 }
 
 /// Whole iterations: collecting, and exactly so many passes over policy and critic. One pass takes what the second

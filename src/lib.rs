@@ -10,9 +10,9 @@
 //! # Rooms
 //! Each may use those before it, never those after:
 //! `time`, `random`, `config`, `messages`, `actor`, `cells`; `hearing`, `faults`; `scenario`, `policy`, `world`,
-//! `safety`; `net::protocol`, `net::transport`, `net::media`; `report`; then [`actors`], and beside
+//! `registry`, `safety`; `net::protocol`, `net::transport`, `net::media`; `report`; then [`actors`], and beside
 //! them [`train`], which knows no actor; `deploy`; `runtime`, which runs actors; `graph`, which wires them; `trial`;
-//! `study`; `program`, the command line.
+//! `live`, `study`; `program`, the command line.
 //! `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
@@ -31,12 +31,15 @@ pub mod edge;
 pub mod faults;
 pub mod graph;
 pub mod hearing;
+pub mod live;
 pub mod localization;
 pub mod messages;
 pub mod net;
 pub mod policy;
+#[cfg(feature = "host")]
 pub mod program;
 pub mod random;
+pub mod registry;
 pub mod report;
 pub mod runtime;
 pub mod safety;
@@ -48,3 +51,7 @@ pub mod time;
 pub mod train;
 pub mod trial;
 pub mod world;
+
+#[doc = include_str!("../README.md")]
+#[cfg(doctest)]
+pub struct Readme;

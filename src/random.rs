@@ -3,6 +3,9 @@
 //! A stream is named for what draws from it ("agent/3/action"), so adding a draw in one place never
 //! shifts the numbers of another. No generator is ever seeded from the machine.
 
+/// What a stream draws with.
+pub use rand::{Rng, RngExt};
+
 use hmac_sha256::Hash;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -47,7 +50,6 @@ impl Seed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::Rng;
 
     #[test]
     fn a_stream_depends_on_its_seed_and_on_its_name_alone() {

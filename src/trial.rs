@@ -1,15 +1,17 @@
 //! A trial: one deployment in one process under virtual time, from its first episode to its last.
 //!
-//! ```no_run
+//! ```
+//! use murmurate::policy::Model;
 //! use murmurate::trial::Trial;
 //!
-//! let report = Trial::preset("offboard", "passage")?.episodes(4).seed(7).run();
-//! println!("{} of {} episodes succeeded", report.successes(), report.episodes.len());
-//! # Ok::<(), murmurate::trial::TrialError>(())
+//! let trial = Trial::preset("offboard", "passage")?.model(Model::shipped("passage")?);
+//! let report = trial.episodes(4).seed(7).run();
+//! assert_eq!(report.successes(), 4);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Same trial, same report, bit for bit. Faults come from a [`FaultPlan`]; `tests/faults.rs` opens with an
-//! example to copy. Trials are independent of each other: run them on as many threads as there are cores.
+//! Same trial, same report, bit for bit. Faults come from a [`FaultPlan`]; `examples/faults.rs` is an example to
+//! copy. Trials are independent of each other: run them on as many threads as there are cores.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -19,6 +21,7 @@ use crate::actors::recorder::{Out, Steps};
 use crate::actors::state_server;
 use crate::config::ConfigError;
 use crate::deploy::Deployment;
+use crate::deploy::team::{Simulated, Team};
 use crate::faults::FaultPlan;
 use crate::graph::{self, Plan};
 use crate::hearing::CommRange;
@@ -26,16 +29,16 @@ use crate::hearing::Handling;
 use crate::messages::wire::Stop;
 use crate::policy::Model;
 use crate::random::Seed;
+use crate::registry::Registry;
 use crate::report::episode::Episode;
-use crate::report::trial::Totals;
 pub use crate::report::trial::TrialReport;
 use crate::runtime::drive::{End, run_virtual};
 use crate::safety::Safety;
 use crate::scenario::judge::Verdict;
 use crate::scenario::layout::Layouts;
-use crate::scenario::{self, Arena, Scenario, ScenarioError, Settings};
+use crate::scenario::{Arena, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
-use crate::world::{self, Clamp, Physics, Placement, kinematic};
+use crate::world::{Clamp, Physics, Placement, kinematic};
 
 /// About how long an episode with its reset takes \[s\].
 const EPISODE_S: f64 = 10.0;
@@ -48,6 +51,8 @@ const LEAST_EPISODE: Span = Span::from_millis(1000);
 pub struct Trial {
     /// Which host runs what.
     pub deployment: Deployment,
+    /// What the deployment's plant is looked up in.
+    pub registry: Registry,
     /// What the team is to do.
     pub scenario: Arc<dyn Scenario>,
     /// What simulated robots are like.
@@ -105,9 +110,22 @@ pub enum Proceed {
 }
 
 /// What the robots of a plant are like; a plant that there is not is refused by `Trial::check`.
-fn physics(plant: &str, scenario: &dyn Scenario) -> Physics {
-    let entry = world::plant(plant);
+fn physics(registry: &Registry, plant: &str, scenario: &dyn Scenario) -> Physics {
+    let entry = registry.plant(plant);
     entry.map_or(Physics::published as fn(&Arena) -> Physics, |entry| entry.physics)(scenario.arena())
+}
+
+/// Takes down in a trial's report what its recorder says.
+pub fn note(report: &mut TrialReport, out: Out) {
+    match out {
+        Out::Episode(episode, totals) => {
+            report.episodes.push(episode);
+            report.totals = totals;
+        }
+        Out::Step(step) => report.steps.push(step),
+        Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
+        Out::Closed(totals) => report.totals = totals,
+    }
 }
 
 impl Trial {
@@ -118,18 +136,39 @@ impl Trial {
 
     /// The same for a team of this size.
     pub fn of_team(mode: &str, scenario: &str, robots: impl Into<Option<usize>>) -> Result<Trial, TrialError> {
-        let scenario = scenario::build(scenario, &Settings { robots: robots.into(), gap_m: None })?;
-        let deployment = Deployment::preset(mode, scenario.robots());
-        let deployment = deployment.ok_or_else(|| TrialError::Mode { name: mode.to_owned() })?;
-        Ok(Trial::new(deployment, scenario, Model::Orca))
+        Trial::among(&Registry::builtin(), mode, scenario, robots)
     }
 
-    /// A trial of one episode with seed 0, in a checked deployment of the scenario's team.
+    /// The same with scenarios and plants from a registry.
+    pub fn among(
+        registry: &Registry,
+        mode: &str,
+        scenario: &str,
+        robots: impl Into<Option<usize>>,
+    ) -> Result<Trial, TrialError> {
+        let scenario = registry.scenario(scenario, &Settings { robots: robots.into(), gap_m: None })?;
+        let deployment = Deployment::preset(mode, scenario.robots());
+        let deployment = deployment.ok_or_else(|| TrialError::Mode { name: mode.to_owned() })?;
+        Ok(Trial::with_registry(registry, deployment, scenario, Model::Orca))
+    }
+
+    /// A trial of one episode with seed 0, in a checked deployment of the scenario's team, in a plant of this crate.
     pub fn new(deployment: Deployment, scenario: Arc<dyn Scenario>, model: Model) -> Trial {
+        Trial::with_registry(&Registry::builtin(), deployment, scenario, model)
+    }
+
+    /// The same in a plant from a registry.
+    pub fn with_registry(
+        registry: &Registry,
+        deployment: Deployment,
+        scenario: Arc<dyn Scenario>,
+        model: Model,
+    ) -> Trial {
         assert_eq!(deployment.robots, scenario.robots(), "a deployment is made for the scenario's team");
         Trial {
             layouts: Layouts::of_scenario(&*scenario, 0, 1),
-            physics: physics(&deployment.plant, &*scenario),
+            physics: physics(registry, &deployment.plant, &*scenario),
+            registry: registry.clone(),
             deployment,
             scenario,
             model,
@@ -146,11 +185,29 @@ impl Trial {
         }
     }
 
+    /// The run that a team is to make as its team file says, of which each host does its part.
+    pub fn of_host(registry: &Registry, team: &Team, model: Model) -> Result<Trial, TrialError> {
+        let scenario = registry.scenario(&team.scenario, &Settings::of(team.deployment.robots))?;
+        let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
+        let trial = Trial::with_registry(registry, team.deployment.clone(), scenario, model);
+        let Simulated { physics, clamp, handling } = team.simulated;
+        let (seed, safety) = (team.seed, team.safety);
+        let trial = Trial { physics, handling, seed, safety, layouts, ..trial }.clamp(clamp);
+        trial.check()?;
+        Ok(trial)
+    }
+
     /// In this plant, whose robots are as they are unless someone says otherwise.
     pub fn plant(mut self, name: &str) -> Trial {
-        (self.physics, self.deployment.plant) = (physics(name, &*self.scenario), name.to_owned());
+        (self.physics, self.deployment.plant) = (physics(&self.registry, name, &*self.scenario), name.to_owned());
         let clamp = self.clamp;
         self.clamp(clamp)
+    }
+
+    /// Driven by this.
+    pub fn model(mut self, model: Model) -> Trial {
+        self.model = model;
+        self
     }
 
     /// With so many of the scenario's own episodes.
@@ -213,29 +270,10 @@ impl Trial {
     /// shown the episodes so far, says stop.
     pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
         let plan = self.plan();
-        let said = Rc::new(RefCell::new(TrialReport {
-            episodes: Vec::new(),
-            simulated: Span::ZERO,
-            totals: Totals::default(),
-            finished: false,
-            refused: 0,
-            lost: 0,
-            steps: Vec::new(),
-        }));
+        let said = Rc::new(RefCell::new(TrialReport::default()));
         let sink = {
             let said = Rc::clone(&said);
-            move |out| {
-                let mut report = said.borrow_mut();
-                match out {
-                    Out::Episode(episode, totals) => {
-                        report.episodes.push(episode);
-                        report.totals = totals;
-                    }
-                    Out::Step(step) => report.steps.push(step),
-                    Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
-                    Out::Closed(totals) => report.totals = totals,
-                }
-            }
+            move |out| note(&mut said.borrow_mut(), out)
         };
         let deadline = self.deadline();
         let (graph, end) = run_virtual(
@@ -280,6 +318,8 @@ impl Trial {
     pub fn check(&self) -> Result<(), ConfigError> {
         let deployment = self.placed();
         deployment.check()?;
+        let plant = self.registry.plant(&deployment.plant);
+        plant.map_err(|error| ConfigError::field("plant", error.to_string()))?;
         self.safety.check()?;
         if let Some((_, stop)) = self.stops.iter().find(|(_, stop)| usize::from(stop.by.0) >= deployment.hosts.len()) {
             let reason = format!("there is no host {}; there are {}, from 0", stop.by.0, deployment.hosts.len());
@@ -298,12 +338,16 @@ impl Trial {
     }
 
     /// What its graph is made of.
+    ///
+    /// # Panics
+    /// If there is no plant of the deployment's name, which `check` says.
     pub fn plan(&self) -> Plan {
         let deployment = self.placed();
         let interface = self.model.interface();
         Plan {
             deployment,
             scenario: Arc::clone(&self.scenario),
+            plant: *self.registry.plant(&self.deployment.plant).unwrap_or_else(|error| panic!("{error}")),
             physics: self.physics,
             run: self.model.clone(),
             reset: Model::Orca,

@@ -91,7 +91,9 @@ impl Body {
     }
 
     fn obey(&mut self, now: Time, command: &MotorCommand, out: &mut Vec<Out>) {
-        let velocity = if self.may_move() { self.limited(command.velocity) } else { Vec2::zeros() };
+        // No faster than the robot can, in the same direction.
+        let most = self.driver.limits().speed_m_s;
+        let velocity = if self.may_move() { command.velocity.cap_magnitude(most) } else { Vec2::zeros() };
         let until = now + command.valid_for;
         self.lapses = Some(until);
         self.drive(now, Drive { robot: self.robot, velocity, until }, out);
@@ -100,12 +102,6 @@ impl Body {
     fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
         self.lapses = None;
         self.drive(now, Drive { robot: self.robot, velocity: Vec2::zeros(), until: now }, out);
-    }
-
-    /// No faster than the robot can, in the same direction.
-    fn limited(&self, velocity: Vec2) -> Vec2 {
-        let (most, speed) = (self.driver.limits().speed_m_s, velocity.norm());
-        if speed > most { velocity * (most / speed) } else { velocity }
     }
 
     fn drive(&mut self, now: Time, drive: Drive, out: &mut Vec<Out>) {

@@ -2,10 +2,13 @@
 
 use std::process::ExitCode;
 
+use murmurate::program;
+use murmurate::registry::Registry;
+
 #[cfg(feature = "mimalloc")]
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
-    murmurate::program::main()
+    program::main(&Registry::builtin())
 }

@@ -116,7 +116,7 @@ pub struct Deployment {
 }
 
 fn kinematic() -> String {
-    "kinematic".to_owned()
+    world::KINEMATIC.to_owned()
 }
 
 /// The most hosts, and the most links: their numbers are 16 bits wide.
@@ -171,14 +171,12 @@ impl Deployment {
         toml::to_string(self).expect("a deployment is TOML")
     }
 
-    /// Checks that every robot has one agent and one body, and every message a way.
+    /// Checks that every robot has one agent and one body, and every message a way. Whether there is a plant of its
+    /// name, a registry knows.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if self.robots == 0 || self.robots > usize::from(u16::MAX) {
             return wrong("robots", format!("{} is not 1 to {}", self.robots, u16::MAX));
-        }
-        if world::plant(&self.plant).is_none() {
-            return wrong("plant", world::lacking(&self.plant));
         }
         self.check_names()?;
         let agents = |host: &Host| host.agents.concat();
@@ -425,7 +423,6 @@ mod tests {
         assert!(error(|d| d.hosts[1].name.clear()).starts_with("host.name"));
         assert!(error(|d| d.links[1].carries.push(Kind::Status)).contains("goes where 'stop' goes"));
         assert!(error(|d| d.links[0].impairs.push(Kind::Mode)).starts_with("link.impairs"));
-        assert!(error(|d| d.plant = "water".to_owned()).starts_with("plant"));
     }
 
     #[test]

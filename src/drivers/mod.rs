@@ -76,7 +76,7 @@ pub struct Made {
 }
 
 /// A driver by name.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// Its name in a deployment.
     pub name: &'static str,

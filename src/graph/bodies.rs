@@ -21,7 +21,6 @@ use crate::messages::wire::Wire;
 use crate::net::transport;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
-use crate::world as plants;
 
 /// Body of one robot, with the driver of its process or the simulated one.
 pub(super) fn wire_body(clock: &Clock, graph: &Graph, robot: RobotId, process: &Process) {
@@ -83,9 +82,8 @@ pub(super) fn wire_world(
     let ranged = ranged_ethers(plan, graph, process);
     // On the floor before anything starts, as people would put them there.
     let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
-    let plant = plants::plant(&plan.deployment.plant).expect("a checked deployment names a plant");
     let seed = plan.seed.child(&format!("world/{}", host.0));
-    let plant = (plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
+    let plant = (plan.plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
     let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
     let place = &graph.worlds[simulated[0].index()];
     let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);

@@ -12,6 +12,7 @@ use crate::drivers::{self, Driver};
 use crate::edge::{self, Gate, Worker};
 use crate::localization::{self, Source};
 use crate::messages::ids::RobotId;
+use crate::registry::Registry;
 
 /// How a driver or a source is made, and the way to its worker.
 pub struct Device<T: ?Sized> {
@@ -66,33 +67,19 @@ pub enum DeviceError {
     Machine(#[from] std::io::Error),
 }
 
-/// What devices are made from.
-#[derive(Clone, Copy)]
-pub struct Kinds<'a> {
-    /// The drivers that there are.
-    pub drivers: &'a [drivers::Entry],
-    /// The sources that there are.
-    pub sources: &'a [localization::Entry],
-}
-
-impl Kinds<'static> {
-    /// Those that come with the library.
-    pub const BUILT_IN: Kinds<'static> = Kinds { drivers: drivers::REGISTRY, sources: localization::REGISTRY };
-}
-
 /// Makes the devices of a host of a checked deployment and starts their workers.
-pub fn open(host: &Host, kinds: Kinds) -> Result<(Devices, Workers), DeviceError> {
+pub fn open(host: &Host, registry: &Registry) -> Result<(Devices, Workers), DeviceError> {
     let (mut devices, mut workers) = (Devices::default(), Workers(Vec::new()));
     for &robot in &host.actuates {
         let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
-        let made = drivers::make(kinds.drivers, "host.driver", settings, RobotId(robot))?;
+        let made = drivers::make(registry.drivers(), "host.driver", settings, RobotId(robot))?;
         let gate = made.worker.map(|worker| employ(worker, format!("driver {robot}"), &mut workers)).transpose()?;
         devices.drivers.insert(RobotId(robot), Device { make: Rc::from(made.driver), gate });
     }
     if !host.localizes.is_empty() {
         let settings = host.source.as_ref().expect("a checked host that localizes has a source");
         let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
-        let made = localization::make(kinds.sources, "host.source", settings, &robots)?;
+        let made = localization::make(registry.sources(), "host.source", settings, &robots)?;
         let gate = Some(employ(made.worker, "source".to_owned(), &mut workers)?);
         devices.source = Some(Device { make: Rc::from(made.source), gate });
     }

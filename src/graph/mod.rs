@@ -43,7 +43,7 @@ use crate::safety::{Safety, Switch, guard};
 use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
-use crate::world::{Clamp, Physics};
+use crate::world::{Clamp, Entry, Physics};
 
 /// How long a motor command holds: four of the published control periods (design, section 2).
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
@@ -55,6 +55,8 @@ pub struct Plan {
     pub deployment: Deployment,
     /// What the team is to do.
     pub scenario: Arc<dyn Scenario>,
+    /// What simulated robots live in.
+    pub plant: Entry,
     /// What simulated robots are like.
     pub physics: Physics,
     /// What drives it while an episode runs.

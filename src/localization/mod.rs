@@ -54,7 +54,7 @@ pub struct Made {
 }
 
 /// A source by name.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// Its name in a deployment.
     pub name: &'static str,

@@ -91,6 +91,12 @@ impl Vec2 {
         self.norm_squared().sqrt()
     }
 
+    /// The same direction, and no longer than `most`.
+    pub fn cap_magnitude(self, most: f32) -> Vec2 {
+        let length = self.norm();
+        if length > most { self * (most / length) } else { self }
+    }
+
     /// The direction, of length 1; of a zero vector not numbers.
     #[inline(always)]
     pub fn normalize(&self) -> Vec2 {

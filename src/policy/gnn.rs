@@ -25,6 +25,8 @@ use crate::time::Span;
 #[derive(Debug)]
 pub struct Network {
     manifest: Manifest,
+    assumed: Option<String>,
+    digest: String,
     interface: Interface,
     encoder: Mlp,
     own: Own,
@@ -65,7 +67,7 @@ struct First {
 impl Network {
     /// The network of a checked file.
     pub fn new(file: PolicyFile) -> Network {
-        let PolicyFile { manifest, networks: [encoder, message, update], .. } = file;
+        let PolicyFile { manifest, assumed, digest, networks: [encoder, message, update] } = file;
         let part = |layers: &[Layer]| (!layers.is_empty()).then(|| Mlp::new(layers.to_vec()));
         let (last, rest) = message.layers().split_last().expect("a perceptron has a layer");
         let (first, update_rest) = update.layers().split_first().expect("a perceptron has a layer");
@@ -85,6 +87,8 @@ impl Network {
         Network {
             interface: interface(&manifest, encoder.outputs()),
             manifest,
+            assumed,
+            digest,
             encoder,
             own,
             message: part(rest),
@@ -102,6 +106,16 @@ impl Network {
     /// What its file said of itself, or what was assumed.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
+    }
+
+    /// What was assumed because its file does not say.
+    pub fn assumed(&self) -> Option<&str> {
+        self.assumed.as_deref()
+    }
+
+    /// A digest of its file.
+    pub fn digest(&self) -> &str {
+        &self.digest
     }
 
     fn first(&self) -> Option<&First> {

@@ -1,5 +1,5 @@
 //! Policies: what a robot says to its neighbours, and how it moves on what it hears. A policy is one file
-//! and one variant of `Model`.
+//! and one line in `REGISTRY`; in a crate of one's own, one line where its `Registry` is made.
 //!
 //! A policy sees the policy frame only. Nothing in this folder knows that there is a network, an actor or a
 //! clock.
@@ -7,20 +7,23 @@
 pub mod gnn;
 pub mod manifest;
 pub mod mlp;
+mod model;
 pub mod orca;
 pub mod route;
 pub mod safetensors;
 pub mod shipped;
 pub mod weights;
 
+pub use model::{Model, ModelError};
+
 use std::sync::Arc;
 
 use crate::messages::geometry::{Motion, Vec2};
 use rand::RngExt;
 
-use self::manifest::{Architecture, Manifest};
+use self::manifest::Manifest;
 use crate::random::{Seed, Stream};
-use crate::scenario::{Arena, Observation};
+use crate::scenario::{Observation, Scenario};
 use crate::time::Span;
 
 /// One neighbour as a policy sees it, in the policy frame.
@@ -72,57 +75,35 @@ pub enum Draw {
     Sample,
 }
 
-/// A policy that every robot of a team can have an instance of.
-#[derive(Clone, Debug)]
-pub enum Model {
-    /// Scripted collision-avoiding navigation.
-    Orca,
-    /// A trained network.
-    Gnn(Arc<gnn::Network>, Draw),
-}
-
-impl Model {
-    /// Its name in reports.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Model::Orca => "orca",
-            Model::Gnn(network, _) => match network.manifest().architecture {
-                Architecture::Published => "gnn",
-                Architecture::Full => "gnn-full",
-            },
-        }
-    }
-
-    /// One robot's instance, for an arena in the policy frame.
-    pub fn instance(&self, arena: &Arena) -> Box<dyn Policy> {
-        match self {
-            Model::Orca => Box::new(orca::Orca::new(arena)),
-            Model::Gnn(network, draw) => Box::new(gnn::Gnn::new(Arc::clone(network), *draw)),
-        }
-    }
-
-    /// What the rest of the system has to know of it.
-    pub fn interface(&self) -> Interface {
-        match self {
-            Model::Orca => orca::INTERFACE,
-            Model::Gnn(network, _) => network.interface(),
-        }
-    }
-}
-
-/// A policy by name, for tests that run over all of them.
+/// A policy by name.
+#[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its name in reports.
+    /// Its name on the command line and in team files.
     pub name: &'static str,
-    /// A model of it that needs no file.
-    pub example: fn() -> Model,
+    /// One line for the help.
+    pub about: &'static str,
+    /// Makes it for a scenario.
+    pub build: fn(&dyn Scenario) -> Result<Model, ModelError>,
 }
 
-/// All policies.
+/// The name of the policy that a scenario has unless someone says otherwise, where it has one.
+pub const SHIPPED: &str = "shipped";
+/// The name of scripted navigation, which every scenario has.
+pub const SCRIPTED: &str = "orca";
+
+/// All policies that have a name; trained ones are files beside.
 pub const REGISTRY: &[Entry] = &[
-    Entry { name: "orca", example: || Model::Orca },
-    Entry { name: "gnn", example: || untrained(1) },
-    Entry { name: "gnn-full", example: || untrained_full(1) },
+    Entry {
+        name: SHIPPED,
+        about: "trained for the scenario, for delay, loss and lag",
+        build: |scenario| Model::shipped(scenario.name()),
+    },
+    Entry {
+        name: "published",
+        about: "trained for the scenario, for the paper's own conditions",
+        build: |scenario| Model::published(scenario.name()),
+    },
+    Entry { name: SCRIPTED, about: "scripted navigation by message passing", build: |_| Ok(Model::Orca) },
 ];
 
 /// A network of the published layout with random weights (uniform, scaled by the width of the input): as

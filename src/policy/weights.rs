@@ -24,6 +24,8 @@ pub struct PolicyFile {
     pub manifest: Manifest,
     /// What was assumed because the file does not say; for the user to read.
     pub assumed: Option<String>,
+    /// A digest of the whole file.
+    pub digest: String,
     /// Encoder, message network and update network.
     pub networks: [Mlp; 3],
 }
@@ -138,7 +140,8 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
             return Err(WeightsError::Hash { found, expected: manifest.sha256 });
         }
     }
-    Ok(PolicyFile { manifest, assumed, networks })
+    let digest = blake3::hash(bytes).to_hex()[..16].to_owned();
+    Ok(PolicyFile { manifest, assumed, digest, networks })
 }
 
 /// The tensors of a network: name of the weight, name of the bias, \[out, in\].

@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use crate::deploy::team::Origin;
 use crate::messages::ids::HostId;
+use crate::registry::Registry;
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use serde_json::json;
@@ -44,15 +45,15 @@ pub struct Show {
 }
 
 /// Checks or shows.
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     match args {
-        Args::Check(args) => check(args),
-        Args::Show(args) => show(args),
+        Args::Check(args) => check(args, registry),
+        Args::Show(args) => show(args, registry),
     }
 }
 
-fn check(args: &Check) -> Result<Ended> {
-    let file = args.team.read()?;
+fn check(args: &Check, registry: &Registry) -> Result<Ended> {
+    let file = args.team.read(registry)?;
     let hosts: Vec<HostId> = args.which.find(&file)?.map_or_else(|| file.hosts().collect(), |host| vec![host]);
     let (mut keys, mut policies, mut seen) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
     for &host in &hosts {
@@ -61,7 +62,7 @@ fn check(args: &Check) -> Result<Ended> {
             seen.extend(team::key(&team)?.map(|key| key::fingerprint(&key)));
         }
         if policies.insert(team.policy.clone()) {
-            let loaded = team::policy(&team)?;
+            let loaded = team::policy(&team, registry)?;
             loaded.assumed.iter().for_each(|assumed| talk(&format!("warning: {assumed}")));
         }
     }
@@ -76,8 +77,8 @@ fn check(args: &Check) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-fn show(args: &Show) -> Result<Ended> {
-    let file = args.team.read()?;
+fn show(args: &Show, registry: &Registry) -> Result<Ended> {
+    let file = args.team.read(registry)?;
     let host = args.which.find(&file)?;
     let path = args.team.path().display();
     let origin = |origin: &Origin| match origin {

@@ -12,37 +12,29 @@ use std::time::Instant;
 
 use crate::actors::recorder::{Out, Steps};
 use crate::deploy::team::{Team, TeamFile};
-use crate::graph::devices::{self, Kinds};
-use crate::graph::host::{self, Host};
 use crate::graph::process::{Graph, Heard};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::link::{Duplicate, LinkCounts};
+use crate::registry::Registry;
 use crate::report::event::{Counted, HostEvent, RobotSafety};
 use crate::report::summary::{Run, Summary};
 use crate::report::trial::TrialReport;
-use crate::runtime::real::run_real;
 use crate::safety::guard::SafetyCounts;
-use crate::scenario::layout::Layouts;
-use crate::scenario::{self, Settings};
 use crate::time::{Span, Time};
-use crate::trial::Trial;
+use crate::trial::{self, Trial};
 use anyhow::{Context, Result, anyhow};
 use clap::ValueEnum;
 use sd_notify::NotifyState;
 use signal_hook::consts::{SIGINT, SIGTERM};
 
+use crate::live::{self, LiveHost};
 use crate::program::BadInput;
 use crate::program::Ended;
-use crate::program::links;
 use crate::program::outlets::Outlets;
 use crate::program::team;
 
-/// How long a host goes on after the last episode: whoever has missed the news hears it again.
-const GRACE: Span = Span::from_millis(500);
-/// The same for the host of the state server, which tells the news.
-const SERVER_GRACE: Span = Span::from_millis(2000);
 /// How long a host that is told to end goes on, for its last commands and its farewell to get out.
 const STOPPING: Span = Span::from_millis(200);
 
@@ -92,23 +84,23 @@ struct Seen {
 }
 
 /// Runs the host until the team has finished, or until it is told to stop.
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let began = Instant::now();
-    let file = args.team.read()?;
+    let file = args.team.read(registry)?;
     let id = args.host(&file)?;
     let team = args.team.for_host(&file, id)?;
     let name = team.deployment.hosts[usize::from(id.0)].name.clone();
     let key = team::key(&team)?.map(Key::new);
-    let policy = team::policy(&team)?;
-    let mut trial = trial(&team, policy.model).map_err(|e| BadInput(e.to_string()))?;
+    let policy = team::policy(&team, registry)?;
+    let digest = policy.model.digest().to_owned();
+    let mut trial = Trial::of_host(registry, &team, policy.model).map_err(|e| BadInput(e.to_string()))?;
     if args.trajectories.is_some() {
         trial.steps = Steps::Reported;
         sees_whole_team(&team)?;
     }
     let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?));
     let outlets = &seen.outlets;
-    let places = team.links.iter().map(Option::as_ref);
-    let (links, sockets) = (links::setups(&team.deployment, places), links::open(&team, team.host)?);
+    let live = LiveHost::open(&team, &trial, key, registry)?;
     let (signal, (rings, bell)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
     let rings = Rc::new(rings);
     rings.set_nonblocking(true).context("cannot make a pipe")?;
@@ -118,22 +110,19 @@ pub fn run(args: &Args) -> Result<Ended> {
             .and_then(|_| signal_hook::low_level::pipe::register(number, bell.try_clone()?))
             .context("cannot listen for signals")?;
     }
-    let links::Fresh { incarnation, seed: secret, .. } = links::Fresh::draw()?;
-    let entry = &team.deployment.hosts[usize::from(id.0)];
-    let (devices, workers) = devices::open(entry, Kinds::BUILT_IN).map_err(|e| BadInput(e.to_string()))?;
 
-    tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, policy.digest, "starts");
+    tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");
     let (mut over, mut stopping, mut told) = (None, None, 0);
     let abandoned = Rc::new(Cell::new(false));
     let watchdog = sd_notify::watchdog_enabled();
     let (mut petted, mut counted) = (Time::ZERO, Time::ZERO);
     let mut lost = None;
-    let graph = run_real(
+    let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
+    let graph = live.run(
         began,
-        |clock, readers| {
-            let host = Host { id, team: team.number, incarnation, secret, key, links, devices, sockets };
-            let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
-            let graph = host::wire((clock, readers), trial.plan(), host, move |h| heard.hear(h), move |o| said.say(o));
+        move |h| heard.hear(h),
+        move |o| said.say(o),
+        |readers| {
             outlets.notify(&NotifyState::Ready);
             let source = Rc::clone(&rings);
             readers.watch(rings, move || {
@@ -145,7 +134,6 @@ pub fn run(args: &Args) -> Result<Ended> {
                 readers.watch_end(Rc::new(std::io::stdout()), move || gone.set(true));
             }
             outlets.tell(&HostEvent::Ready { host: name.clone() });
-            graph
         },
         |graph: &Rc<Graph>, now| {
             while let Some(episode) = seen.report.borrow().episodes.get(told).copied() {
@@ -174,18 +162,15 @@ pub fn run(args: &Args) -> Result<Ended> {
                     graph.stop(id);
                 }
             }
-            let serves = team.deployment.hosts[usize::from(id.0)].state_server;
-            let grace = if serves { SERVER_GRACE } else { GRACE };
             lost = outlets.failure();
             lost.is_some()
                 || seen.duplicate.get().is_some()
-                || over.is_some_and(|at: Time| now.since(at) >= grace)
+                || over.is_some_and(|at: Time| now.since(at) >= live::grace(&team))
                 || stopping.is_some_and(|at: Time| now.since(at) >= STOPPING)
         },
     );
     let counted = seen.counted(&graph);
     drop(graph);
-    workers.join();
     if let Some(error) = lost {
         return Err(error);
     }
@@ -243,13 +228,8 @@ impl Seen {
     fn say(&self, out: Out) {
         let mut report = self.report.borrow_mut();
         match out {
-            Out::Episode(episode, totals) => {
-                report.episodes.push(episode);
-                report.totals = totals;
-            }
             Out::Step(step) => self.outlets.step(&step),
-            Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
-            Out::Closed(totals) => report.totals = totals,
+            out => trial::note(&mut report, out),
         }
         report.simulated = report.totals.end.since(Time::ZERO);
     }
@@ -308,20 +288,4 @@ fn sees_whole_team(team: &Team) -> Result<()> {
         return Err(BadInput(why).into());
     }
     Ok(())
-}
-
-/// The run that the team is to make, of which this host does its part.
-fn trial(team: &Team, model: crate::policy::Model) -> Result<Trial> {
-    let settings = Settings::of(team.deployment.robots);
-    let scenario = scenario::build(&team.scenario, &settings)?;
-    let simulated = team.simulated;
-    let mut trial = Trial::new(team.deployment.clone(), Arc::clone(&scenario), model);
-    trial.physics = simulated.physics;
-    let mut trial = trial.clamp(simulated.clamp);
-    trial.seed = team.seed;
-    trial.layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
-    trial.handling = simulated.handling;
-    trial.safety = team.safety;
-    trial.check()?;
-    Ok(trial)
 }

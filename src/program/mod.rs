@@ -14,7 +14,7 @@ mod key;
 mod lane;
 #[cfg(feature = "sim")]
 mod launch;
-mod links;
+mod names;
 mod outlets;
 mod output;
 mod paths;
@@ -35,10 +35,14 @@ mod whole_file;
 
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
+
+use crate::live;
+use crate::live::links::LinkError;
+use crate::registry::Registry;
 
 /// Runs message-passing policies on teams of robots.
 #[derive(Parser)]
@@ -140,9 +144,9 @@ fn log(wanted: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// Runs the program on the flags that the process was started with.
-pub fn main() -> ExitCode {
-    let cli = match Cli::try_parse() {
+/// Runs the program on the flags that the process was started with: its commands with everything that the registry has.
+pub fn main(registry: &Registry) -> ExitCode {
+    let cli = match parse(registry) {
         Ok(cli) => cli,
         Err(error) => return refuse(&error),
     };
@@ -159,29 +163,35 @@ pub fn main() -> ExitCode {
         output::flush_log();
         return ExitCode::from(2);
     }
-    let status = exit_code(run(cli.command));
+    let status = exit_code(run(cli.command, registry));
     output::flush_log();
     status
 }
 
-fn run(command: Command) -> anyhow::Result<Ended> {
+fn parse(registry: &Registry) -> Result<Cli, clap::Error> {
+    let mut command = names::put(Cli::command(), registry);
+    let found = command.try_get_matches_from_mut(std::env::args_os())?;
+    Cli::from_arg_matches(&found).map_err(|error| error.format(&mut command))
+}
+
+fn run(command: Command, registry: &Registry) -> anyhow::Result<Ended> {
     match command {
         #[cfg(feature = "sim")]
-        Command::Sim(args) => sim::run(&args),
+        Command::Sim(args) => sim::run(&args, registry),
         #[cfg(feature = "sim")]
         Command::Deployment(args) => deployment::run(&args),
         #[cfg(feature = "study")]
-        Command::Study(args) => study::run(&args),
+        Command::Study(args) => study::run(&args, registry),
         #[cfg(feature = "train")]
-        Command::Train(args) => train::run(&args),
-        Command::Host(args) => host::run(&args),
+        Command::Train(args) => train::run(&args, registry),
+        Command::Host(args) => host::run(&args, registry),
         #[cfg(feature = "sim")]
-        Command::Launch(args) => launch::run(&args),
-        Command::Doctor(args) => doctor::run(&args),
-        Command::Stop(args) => stop::run(&args),
-        Command::Resume(args) => stop::resume(&args),
+        Command::Launch(args) => launch::run(&args, registry),
+        Command::Doctor(args) => doctor::run(&args, registry),
+        Command::Stop(args) => stop::run(&args, registry),
+        Command::Resume(args) => stop::resume(&args, registry),
         Command::Key(args) => key::run(&args),
-        Command::Config(args) => config::run(&args),
+        Command::Config(args) => config::run(&args, registry),
         #[cfg(feature = "completions")]
         Command::Completions(args) => shells::complete(&args),
         #[cfg(feature = "completions")]
@@ -197,7 +207,9 @@ fn exit_code(ended: anyhow::Result<Ended>) -> ExitCode {
         Ok(Ended::Interrupted) => ExitCode::from(130),
         Err(error) => {
             output::talk(&format!("error: {error:#}"));
-            ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
+            let wrong = error.downcast_ref().is_some_and(live::OpenError::is_wrong_input)
+                || matches!(error.downcast_ref(), Some(LinkError::Wrong(_)));
+            ExitCode::from(if wrong || error.is::<BadInput>() { 2 } else { 1 })
         }
     }
 }

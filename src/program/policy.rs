@@ -1,12 +1,9 @@
-//! The policy that a user has named, or the scenario's own, from its file to a model.
+//! The policy that a user has named, or the scenario's own, from its name or its file to a model.
 
-use std::borrow::Cow;
 use std::path::Path;
-use std::sync::Arc;
 
-use crate::policy::gnn::Network;
-use crate::policy::shipped::{published, shipped};
-use crate::policy::{Draw, Model, weights};
+use crate::policy::{Draw, Model};
+use crate::registry::Registry;
 use crate::scenario::Scenario;
 use anyhow::Result;
 
@@ -19,52 +16,28 @@ pub struct Loaded {
     pub model: Model,
     /// Its name in reports.
     pub name: String,
-    /// A digest of its file; empty for scripted navigation.
-    pub digest: String,
     /// What its file does not say and was assumed, for a warning.
     pub assumed: Option<String>,
 }
 
-/// Reads the policy: a file, `orca`, `shipped`, `published`, or without any the shipped one of the scenario (`orca` if
-/// there is none). `action` says how actions are drawn (`mean`, `sample`); without it the file does.
-pub fn load(named: Option<&Path>, action: Option<&str>, scenario: &dyn Scenario) -> Result<Loaded> {
-    let own = match named.and_then(Path::to_str) {
-        None | Some("shipped") => shipped(scenario.name()).map(|bytes| ("shipped", bytes)),
-        Some("published") => published(scenario.name()).map(|bytes| ("published", bytes)),
-        Some(_) => None,
-    };
-    let named = named.unwrap_or(Path::new("orca"));
-    let (name, bytes) = match own {
-        Some((name, bytes)) => (name.to_owned(), Cow::Borrowed(bytes)),
-        None if named == Path::new("orca") => {
-            if action.is_some() {
-                let why = "--action: the policy 'orca' draws nothing; leave the flag out";
-                return Err(BadInput(why.to_owned()).into());
-            }
-            let (name, digest) = ("orca".to_owned(), String::new());
-            return Ok(Loaded { model: Model::Orca, name, digest, assumed: None });
-        }
-        None if named == Path::new("shipped") || named == Path::new("published") => {
-            let (name, scenario) = (named.display(), scenario.name());
-            return Err(BadInput(format!("--policy {name}: the scenario '{scenario}' has none; use 'orca'")).into());
-        }
+/// Loads the policy: one that the registry has a name for, or a file; without any the one that the scenario has
+/// usually. `draw` says how actions are drawn; without it the file does.
+pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scenario: &dyn Scenario) -> Result<Loaded> {
+    let named = named.unwrap_or_else(|| Path::new(registry.usual_policy(scenario)));
+    let name = named.display().to_string();
+    let (model, place) = match named.to_str().and_then(|name| registry.policy(name)) {
+        Some(entry) => ((entry.build)(scenario), format!("--policy {name}")),
         None => {
-            let name = named.display().to_string();
-            let bytes = read_bytes(named, "policy file (or name the policy 'orca')")?;
-            (name, Cow::Owned(bytes))
+            let known: Vec<&str> = registry.policies().iter().map(|entry| entry.name).collect();
+            let bytes = read_bytes(named, &format!("policy file (or name a policy: {})", known.join(", ")))?;
+            (Model::from_file(&bytes, scenario.name()), format!("the policy file '{name}'"))
         }
     };
-    let digest = blake3::hash(&bytes).to_hex()[..16].to_owned();
-    let file = weights::read(&bytes).map_err(|e| BadInput(format!("the policy file '{name}': {e}")))?;
-    if file.manifest.scenario != scenario.name() {
-        let (theirs, ours) = (&file.manifest.scenario, scenario.name());
-        return Err(BadInput(format!("the policy file '{name}' is for the scenario '{theirs}', not '{ours}'")).into());
+    let mut model = model.map_err(|error| BadInput(format!("{place}: {error}")))?;
+    if let Some(draw) = draw {
+        let nothing = || BadInput(format!("--action: the policy '{name}' draws nothing; leave the flag out"));
+        model = model.drawing(draw).ok_or_else(nothing)?;
     }
-    let assumed = file.assumed.as_ref().map(|assumed| format!("the policy file '{name}': {assumed}"));
-    let draw = match action {
-        Some("mean") => Draw::Mean,
-        Some(_) => Draw::Sample,
-        None => file.manifest.draw,
-    };
-    Ok(Loaded { model: Model::Gnn(Arc::new(Network::new(file)), draw), name, digest, assumed })
+    let assumed = model.assumed().map(|assumed| format!("{place}: {assumed}"));
+    Ok(Loaded { model, name, assumed })
 }

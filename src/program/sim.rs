@@ -10,13 +10,15 @@ use crate::deploy::{Deployment, Impair, MODES};
 use crate::faults::FaultPlan;
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
+use crate::policy::Draw;
+use crate::registry::Registry;
 use crate::report::episode::Episode;
 use crate::report::summary::{Run, Summary};
 use crate::safety::Safety;
+use crate::scenario::Settings;
 use crate::scenario::layout::Layouts;
-use crate::scenario::{self, Settings};
 use crate::trial::{Proceed, Trial, TrialReport};
-use crate::world::{self, Clamp, ContactRule, Given, PLANTS, Placement, Sensor};
+use crate::world::{Clamp, ContactRule, Given, Placement, Sensor};
 use anyhow::{Context, Result};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -40,15 +42,15 @@ pub struct Args {
     #[arg(long, value_name = "FILE.toml", conflicts_with = "mode")]
     deployment: Option<PathBuf>,
     /// What the team is to do
-    #[arg(long, default_value = "passage", value_parser = scenarios())]
+    #[arg(long, default_value = "passage")]
     scenario: String,
-    /// What drives the robots: a policy file (safetensors), or 'orca' for scripted navigation [default: the shipped
-    /// policy of the scenario, or 'orca' if it has none]
-    #[arg(long, value_name = "FILE|orca")]
+    /// What drives the robots: a policy by its name, or a policy file (safetensors) [default: shipped, or orca where the
+    /// scenario has none]
+    #[arg(long, value_name = "NAME|FILE")]
     policy: Option<PathBuf>,
     /// How actions are drawn from a trained policy [default: as its file says]
-    #[arg(long, value_parser = PossibleValuesParser::new(["mean", "sample"]))]
-    action: Option<String>,
+    #[arg(long, value_parser = choice([("mean", Draw::Mean), ("sample", Draw::Sample)]))]
+    action: Option<Draw>,
     /// Size of the team [default: the scenario's own]
     #[arg(long)]
     robots: Option<usize>,
@@ -64,9 +66,8 @@ pub struct Args {
     /// How robots come to their starts: put there exactly, or driven there [default: as the deployment says]
     #[arg(long, value_parser = choice([("exact", Placement::Exact), ("drive", Placement::Drive)]))]
     placement: Option<Placement>,
-    /// What simulated robots move in: the training world, or one of rigid bodies with mass, friction and slipping
-    /// wheels, seen by motion capture (docs/world.md) [default: as the deployment says, else kinematic]
-    #[arg(long, value_parser = PossibleValuesParser::new(PLANTS))]
+    /// What simulated robots move in (docs/world.md) [default: as the deployment says, else kinematic]
+    #[arg(long)]
     plant: Option<String>,
     /// Time constant of simulated robots' drivetrains: their true velocity follows commands this slowly [s] [default:
     /// as the plant has it: kinematic 0, rigid 0.5]
@@ -142,11 +143,6 @@ pub struct Args {
     quiet: bool,
 }
 
-/// A flag that takes a scenario.
-pub fn scenarios() -> PossibleValuesParser {
-    PossibleValuesParser::new(scenario::REGISTRY.iter().map(|entry| entry.name))
-}
-
 /// A flag that takes one of these names.
 fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
     all: [(&'static str, T); N],
@@ -157,8 +153,8 @@ fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
 }
 
 /// Runs the trials and prints what came of them.
-pub fn run(args: &Args) -> Result<Ended> {
-    let (trial, policy) = trial(args)?;
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    let (trial, policy) = trial(args, registry)?;
     let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
@@ -229,11 +225,12 @@ pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
 }
 
 /// The first trial, of which all others are repeats, and its policy's name in the report.
-fn trial(args: &Args) -> Result<(Trial, String)> {
+fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
     let bad = |text: String| anyhow::Error::from(BadInput(text));
     let file = args.deployment.as_deref().map(read_deployment).transpose()?;
     let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
-    let scenario = scenario::build(&args.scenario, &Settings { robots, gap_m: None })
+    let scenario = registry
+        .scenario(&args.scenario, &Settings { robots, gap_m: None })
         .map_err(|e| bad(format!("--robots: {e}")))?;
     let mut deployment = match file {
         Some(file) if file.robots != scenario.robots() => {
@@ -270,12 +267,13 @@ fn trial(args: &Args) -> Result<(Trial, String)> {
     if let Some(plant) = &args.plant {
         deployment.plant.clone_from(plant);
     }
-    let policy::Loaded { model, name: policy, assumed, .. } =
-        policy::load(args.policy.as_deref(), args.action.as_deref(), &*scenario)?;
+    let policy::Loaded { model, name: policy, assumed } =
+        policy::load(registry, args.policy.as_deref(), args.action, &*scenario)?;
     if let Some(assumed) = assumed.filter(|_| !args.quiet) {
         talk(&format!("warning: {assumed}"));
     }
-    let mut trial = Trial::new(deployment, Arc::clone(&scenario), model).seed(args.seed).episodes(args.episodes);
+    let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), model);
+    trial = trial.seed(args.seed).episodes(args.episodes);
     (trial.handling, trial.safety) = (args.handling, args.safety);
     trial = physics(args, trial)?.clamp(args.clamp);
     if let Some(path) = &args.episodes_file {
@@ -316,7 +314,7 @@ fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
     let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
     let given = Given { lag_s, contacts, wall_radius_m, sensor };
     // A file with a plant that there is not is refused with its other faults, by its name.
-    if let Some(entry) = world::plant(&trial.deployment.plant) {
+    if let Ok(entry) = trial.registry.plant(&trial.deployment.plant) {
         let flag = |field: &str| format!("--{}", field.replace('_', "-"));
         trial.physics = given
             .physics(entry, trial.scenario.arena())

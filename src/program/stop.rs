@@ -11,13 +11,14 @@ use crate::graph::operator::{self, Operator};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Hindrance;
 use crate::net::protocol::key::Key;
+use crate::registry::Registry;
 use crate::runtime::real::run_real;
 use crate::time::{Span, Time};
 use anyhow::{Result, anyhow};
 
+use crate::live::links;
+use crate::live::links::Fresh;
 use crate::program::Ended;
-use crate::program::links;
-use crate::program::links::Fresh;
 use crate::program::output::print;
 use crate::program::team;
 
@@ -57,14 +58,14 @@ pub struct ResumeArgs {
 }
 
 /// Engages the emergency stop, or takes it back.
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let wish = if args.rearm { Wish::Rearm } else { Wish::Stop };
-    Asked { team: &args.team, wish, json: args.json }.run()
+    Asked { team: &args.team, wish, json: args.json }.run(registry)
 }
 
 /// Lets a held team go on.
-pub fn resume(args: &ResumeArgs) -> Result<Ended> {
-    Asked { team: &args.team, wish: Wish::Resume, json: args.json }.run()
+pub fn resume(args: &ResumeArgs, registry: &Registry) -> Result<Ended> {
+    Asked { team: &args.team, wish: Wish::Resume, json: args.json }.run(registry)
 }
 
 /// The request of the user.
@@ -75,8 +76,8 @@ struct Asked<'a> {
 }
 
 impl Asked<'_> {
-    fn run(&self) -> Result<Ended> {
-        let file = self.team.read()?;
+    fn run(&self, registry: &Registry) -> Result<Ended> {
+        let file = self.team.read(registry)?;
         let post = file.post().map_err(|error| self.team.wrong(&error))?;
         let (deployment, fresh) = (file.deployment(), Fresh::draw()?);
         let key = team::key_of(post.key_file.as_deref())?.map(Key::new);

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use crate::config::ConfigError;
 use crate::deploy::team::{Flag, Team, TeamFile};
 use crate::messages::ids::{HostId, RobotId};
-use crate::scenario::{self, Settings};
+use crate::registry::Registry;
+use crate::scenario::Settings;
 use anyhow::Result;
 
 use crate::program::BadInput;
@@ -44,6 +45,12 @@ pub struct Which {
 }
 
 impl TeamArgs {
+    /// A team file that a command with flags of its own has named.
+    #[cfg(feature = "study")]
+    pub fn of(file: PathBuf, set: Vec<String>) -> TeamArgs {
+        TeamArgs { file, set, interface: None, key_file: None }
+    }
+
     /// Whether a flag names the network interface.
     pub fn names_interface(&self) -> bool {
         self.interface.is_some()
@@ -54,8 +61,8 @@ impl TeamArgs {
         &self.file
     }
 
-    /// Reads the team file, the environment and the flags.
-    pub fn read(&self) -> Result<TeamFile> {
+    /// Reads the team file, the environment and the flags; what they name, the registry has.
+    pub fn read(&self, registry: &Registry) -> Result<TeamFile> {
         let text = read_text(&self.file, "team file")?;
         let mut flags = Vec::new();
         for given in &self.set {
@@ -76,7 +83,7 @@ impl TeamArgs {
             .filter(|(name, _)| name.starts_with("MURMURATE_"))
             .collect();
         let folder = self.file.parent().unwrap_or(Path::new(""));
-        TeamFile::read(&text, folder, &variables, &flags).map_err(|e| self.wrong(&e))
+        TeamFile::read(registry, &text, folder, &variables, &flags).map_err(|e| self.wrong(&e))
     }
 
     /// An error of the team file, with its name.
@@ -122,8 +129,8 @@ pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
 }
 
 /// The team's policy.
-pub fn policy(team: &Team) -> Result<policy::Loaded> {
+pub fn policy(team: &Team, registry: &Registry) -> Result<policy::Loaded> {
     let settings = Settings::of(team.deployment.robots);
-    let scenario = scenario::build(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
-    policy::load(team.policy.as_deref(), None, &*scenario)
+    let scenario = registry.scenario(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
+    policy::load(registry, team.policy.as_deref(), None, &*scenario)
 }

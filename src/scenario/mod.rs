@@ -1,5 +1,6 @@
 //! What the robots are to do: arenas, tasks, policy frames, rewards and the rules of judging. A scenario is
-//! one file and one line in `REGISTRY`; `tests/contracts.rs` then tests it.
+//! one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. In a crate of one's own it is one
+//! line where its `Registry` is made.
 //!
 //! Nothing here knows a policy, a network or an actor.
 
@@ -163,16 +164,17 @@ impl Settings {
 }
 
 /// A scenario by name.
+#[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// Its name on the command line.
     pub name: &'static str,
     /// One line for the help.
     pub about: &'static str,
-    /// Makes it.
+    /// Makes it; its `name` is this entry's.
     pub build: fn(&Settings) -> Result<Arc<dyn Scenario>, ScenarioError>,
 }
 
-/// All scenarios.
+/// The scenarios of this crate.
 pub const REGISTRY: &[Entry] = &[
     Entry {
         name: "passage",
@@ -215,13 +217,26 @@ pub enum ScenarioError {
         /// What there could be.
         hint: &'static str,
     },
+    /// What else a scenario has against its settings.
+    #[error("the scenario '{scenario}': {why}")]
+    Refused {
+        /// The scenario.
+        scenario: &'static str,
+        /// Why not.
+        why: String,
+    },
 }
 
-/// Makes the scenario of that name.
+/// Makes the scenario of that name of this crate. Where there may be others, `Registry::scenario` does.
 pub fn build(name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+    build_of(REGISTRY, name, settings)
+}
+
+/// Makes the scenario of that name among these.
+pub fn build_of(all: &[Entry], name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let unknown = || ScenarioError::Unknown {
         name: name.to_owned(),
-        known: REGISTRY.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", "),
+        known: all.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", "),
     };
-    (REGISTRY.iter().find(|entry| entry.name == name).ok_or_else(unknown)?.build)(settings)
+    (all.iter().find(|entry| entry.name == name).ok_or_else(unknown)?.build)(settings)
 }

@@ -70,6 +70,8 @@ pub struct Study {
     pub seed: u64,
     /// The command that makes this study.
     pub command: String,
+    /// What tells programs apart that may compute other numbers; `origin::BUILD` for this crate's own.
+    pub build: String,
 }
 
 /// One trial of a study.
@@ -170,7 +172,7 @@ impl Study {
         Identity {
             study: self.name.to_owned(),
             version: origin::VERSION.to_owned(),
-            build: origin::BUILD.to_owned(),
+            build: self.build.clone(),
             scenario: self.place(),
             layouts: self.episodes(),
             repeats: self.repeats,
@@ -193,7 +195,7 @@ impl Study {
             entrant.handling.name,
             &entrant.policy,
         );
-        Origin::here(self.name, self.seed, &entrant.digest, &conditions)
+        Origin { build: self.build.clone(), ..Origin::here(self.name, self.seed, &entrant.digest, &conditions) }
     }
 
     /// How many layouts, and their digest.

@@ -7,6 +7,7 @@ use super::crowd::Snapshot;
 use super::network::Shape;
 use super::trainer::{Plan, SetupError, Trainer};
 use super::update::Learner;
+use crate::registry::Registry;
 
 /// The version of the format.
 const FORMAT: u32 = 1;
@@ -66,10 +67,10 @@ impl Trainer {
         Ok(())
     }
 
-    /// Goes on from a checkpoint.
-    pub fn resume(bytes: &[u8]) -> Result<Trainer, SetupError> {
+    /// Goes on from a checkpoint; its scenario, the registry has.
+    pub fn resume(bytes: &[u8], registry: &Registry) -> Result<Trainer, SetupError> {
         let state = read_state(bytes)?;
-        let mut trainer = Trainer::new(state.plan)?;
+        let mut trainer = Trainer::new(state.plan, registry)?;
         let broken = |what: &str| SetupError::Format(format!("its {what} do not fit its configuration"));
         if state.stage >= trainer.plan.config.curriculum.len() {
             return Err(broken("stages"));

@@ -15,7 +15,8 @@ use super::update::{Learner, Outcome, Room, initial, update};
 use crate::policy::manifest::Training;
 use crate::policy::weights;
 use crate::random::Seed;
-use crate::scenario::{self, Scenario, ScenarioError, Settings};
+use crate::registry::Registry;
+use crate::scenario::{Scenario, ScenarioError, Settings};
 
 /// What an update that was cut short makes of the learning rate, and one that could have gone farther.
 const SLOWER: f32 = 0.9;
@@ -117,6 +118,7 @@ pub struct Plan {
 #[derive(Debug)]
 pub struct Trainer {
     pub(super) plan: Plan,
+    registry: Registry,
     scenario: Arc<dyn Scenario>,
     pub(super) actor: Learner,
     pub(super) critic: Learner,
@@ -132,10 +134,10 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// A training from its beginning.
-    pub fn new(plan: Plan) -> Result<Trainer, SetupError> {
+    /// A training from its beginning, of a scenario that the registry has.
+    pub fn new(plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
         let settings = Settings { robots: plan.config.robots, gap_m: None };
-        let scenario = scenario::build(&plan.scenario, &settings)?;
+        let scenario = registry.scenario(&plan.scenario, &settings)?;
         let seed = Seed::of_run(plan.seed);
         let (actor, critic) = (Network::new(plan.config.actor()), Network::new(plan.config.critic()));
         let log_std = plan.config.ppo.log_std;
@@ -147,6 +149,7 @@ impl Trainer {
             actor: learner(actor, "actor", &[0.0, 0.0, log_std, log_std]),
             critic: learner(critic, "critic", &[0.0]),
             plan,
+            registry: registry.clone(),
             scenario,
             chunks: Vec::new(),
             stage: 0,
@@ -175,8 +178,8 @@ impl Trainer {
         let mut sizes = stage.groups.concat();
         sizes.sort_unstable();
         sizes.dedup();
-        let build =
-            |robots| scenario::build(&self.plan.scenario, &Settings { robots: Some(robots), gap_m: stage.gap_m });
+        let settings = |robots| Settings { robots: Some(robots), gap_m: stage.gap_m };
+        let build = |robots| self.registry.scenario(&self.plan.scenario, &settings(robots));
         let scenarios = sizes.into_iter().map(build).collect::<Result<Vec<_>, _>>()?;
         let rows = self.plan.config.ppo.environments;
         let rules = self.rules();

@@ -1,4 +1,5 @@
-//! What the bodies move in: plants. A plant is one file and one line in `REGISTRY`.
+//! What the bodies move in: plants. A plant is one file and one line in `REGISTRY`; in a crate of one's own, one line
+//! where its `Registry` is made.
 //!
 //! Nothing here knows a task, a policy or a network.
 
@@ -63,9 +64,12 @@ pub trait Plant {
 }
 
 /// A plant by name.
+#[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its name in a deployment.
+    /// Its name on the command line and in a deployment.
     pub name: &'static str,
+    /// One line for the help.
+    pub about: &'static str,
     /// What its robots are like unless someone says otherwise.
     pub physics: fn(&Arena) -> Physics,
     /// What nobody may say otherwise, by its field, and why.
@@ -74,39 +78,24 @@ pub struct Entry {
     pub build: fn(&Arena, &Physics, &[Vec2], Seed) -> Box<dyn Plant>,
 }
 
-/// All plants that this program was built with.
+/// The name of the plant of a deployment that names none: the training world.
+pub const KINEMATIC: &str = "kinematic";
+
+/// The plants of this crate.
 pub const REGISTRY: &[Entry] = &[
-    Entry { name: "kinematic", physics: Physics::published, fixed: &[], build: kinematic::build },
+    Entry {
+        name: KINEMATIC,
+        about: "the training world",
+        physics: Physics::published,
+        fixed: &[],
+        build: kinematic::build,
+    },
     #[cfg(feature = "rigid")]
-    Entry { name: "rigid", physics: Physics::robomaster, fixed: rigid::FIXED, build: rigid::build },
+    Entry {
+        name: "rigid",
+        about: "rigid bodies with mass, friction and slipping wheels, seen by motion capture",
+        physics: Physics::robomaster,
+        fixed: rigid::FIXED,
+        build: rigid::build,
+    },
 ];
-
-/// The names of all plants, also of those that this program was built without.
-pub const PLANTS: [&str; 2] = ["kinematic", "rigid"];
-
-/// The plant of that name.
-pub fn plant(name: &str) -> Option<&'static Entry> {
-    REGISTRY.iter().find(|entry| entry.name == name)
-}
-
-/// Why there is no plant of that name, for whoever has named it.
-pub fn lacking(name: &str) -> String {
-    if PLANTS.contains(&name) {
-        return format!("this program was built without '{name}'; build one with the feature '{name}'");
-    }
-    format!("there is no plant '{name}'; there are {}", PLANTS.join(", "))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_name_has_a_plant_or_a_feature_to_build_it_with() {
-        let built = |name: &&str| *name == "kinematic" || cfg!(feature = "rigid");
-        let names: Vec<&str> = PLANTS.into_iter().filter(built).collect();
-        assert_eq!(REGISTRY.iter().map(|entry| entry.name).collect::<Vec<_>>(), names);
-        assert!(lacking("rigid").contains("feature 'rigid'"));
-        assert!(lacking("water").contains("kinematic, rigid"));
-    }
-}

@@ -144,12 +144,13 @@ impl Given {
 mod tests {
     use super::*;
     use crate::scenario::{Settings, build};
-    use crate::world::plant;
+    use crate::world::REGISTRY;
 
     #[test]
     fn what_is_given_counts_and_what_a_plant_fixes_is_refused() {
         let passage = build("passage", &Settings::default()).unwrap();
-        let [kinematic, rigid] = ["kinematic", "rigid"].map(|name| plant(name).unwrap());
+        let [kinematic, rigid] =
+            ["kinematic", "rigid"].map(|name| REGISTRY.iter().find(|entry| entry.name == name).unwrap());
         let lag = Given { lag_s: Some(0.2), ..Given::default() };
         let physics = lag.physics(rigid, passage.arena()).unwrap();
         assert_eq!(physics, Physics { lag_s: 0.2, ..Physics::robomaster(passage.arena()) });

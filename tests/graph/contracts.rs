@@ -161,9 +161,9 @@ fn situations(model: &Model) -> Vec<Situation> {
 #[test]
 fn a_policy_is_a_function_of_what_it_sees_and_draws() {
     let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
-    for entry in policy::REGISTRY {
-        let model = (entry.example)();
-        assert_eq!(model.name(), entry.name);
+    let named = policy::REGISTRY.iter().map(|entry| (entry.build)(&*passage).expect("the passage has every policy"));
+    for model in named.chain([policy::untrained(1), policy::untrained_full(1)]) {
+        let name = model.name();
         let interface = model.interface();
         assert!(interface.features > 0 && interface.period > Span::ZERO && interface.hold >= interface.period);
         let act = |situation: &Situation, seed| {
@@ -177,12 +177,12 @@ fn a_policy_is_a_function_of_what_it_sees_and_draws() {
             });
             let heard: Vec<Neighbour> = heard.collect();
             let velocity = policy.act(&situation.0, &features, &heard, &mut Seed::of_run(seed).stream("draw"));
-            assert!(features.iter().all(|float| float.is_finite()), "{}: it writes all features", entry.name);
-            assert!(is_finite(velocity), "{}: {velocity}", entry.name);
+            assert!(features.iter().all(|float| float.is_finite()), "{name}: it writes all features");
+            assert!(is_finite(velocity), "{name}: {velocity}");
             (features, velocity)
         };
         for situation in situations(&model) {
-            assert_eq!(act(&situation, 1), act(&situation, 1), "{}: two instances agree", entry.name);
+            assert_eq!(act(&situation, 1), act(&situation, 1), "{name}: two instances agree");
         }
     }
 }

@@ -11,6 +11,7 @@ use murmurate::policy::gnn;
 use murmurate::policy::manifest::Manifest;
 use murmurate::policy::{Draw, Model, weights};
 use murmurate::random::Seed;
+use murmurate::registry::Registry;
 use murmurate::report::statistics::quantile;
 use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::{self, Settings, Stage};
@@ -99,8 +100,9 @@ fn dynamics_and_reward_are_those_of_the_world() {
 #[test]
 fn the_same_seed_gives_the_same_weights_on_any_number_of_threads() {
     for (preset, _) in PRESETS {
-        let run =
-            |seed, threads| train(Trainer::new(plan(small(preset), seed)).expect("it is sound"), 0..8, 8, threads);
+        let run = |seed, threads| {
+            train(Trainer::new(plan(small(preset), seed), &Registry::builtin()).expect("it is sound"), 0..8, 8, threads)
+        };
         let (one, two, three) = (run(5, 1), run(5, 2), run(5, 3));
         assert!(one == two && one == three, "{preset}: policy and whole state are the same");
         assert_ne!(one.1, run(6, 2).1, "{preset}: another seed is another training");
@@ -111,9 +113,9 @@ fn the_same_seed_gives_the_same_weights_on_any_number_of_threads() {
 fn a_resumed_training_goes_on_bit_for_bit() {
     for (preset, _) in PRESETS {
         for stop in [1, 3, 7] {
-            let begin = || Trainer::new(plan(small(preset), 9)).expect("it is sound");
+            let begin = || Trainer::new(plan(small(preset), 9), &Registry::builtin()).expect("it is sound");
             let (checkpoint, whole) = train(begin(), 0..8, stop, 2);
-            let resumed = Trainer::resume(&checkpoint).expect("it was just written");
+            let resumed = Trainer::resume(&checkpoint, &Registry::builtin()).expect("it was just written");
             assert_eq!(resumed.checkpoint(), checkpoint, "{preset}: nothing is lost on the way");
             assert_eq!(train(resumed, stop..8, 8, 1).1, whole, "{preset}: stopped after {stop} iterations");
         }
@@ -122,10 +124,10 @@ fn a_resumed_training_goes_on_bit_for_bit() {
 
 #[test]
 fn a_damaged_checkpoint_is_refused() {
-    let trainer = Trainer::new(plan(small("robust"), 1)).expect("it is sound");
+    let trainer = Trainer::new(plan(small("robust"), 1), &Registry::builtin()).expect("it is sound");
     let bytes = trainer.checkpoint();
     for length in [0, 1, 100, bytes.len() / 2, bytes.len() - 1] {
-        let error = Trainer::resume(&bytes[..length]).unwrap_err().to_string();
+        let error = Trainer::resume(&bytes[..length], &Registry::builtin()).unwrap_err().to_string();
         assert!(error.contains("checkpoint") && !error.contains('\n'), "{error}");
     }
 }
@@ -135,7 +137,7 @@ fn a_training_that_comes_apart_says_where_and_why() {
     let mut config = small("robust");
     config.ppo.learning_rate = [1.0, 1.0];
     (config.ppo.kl_stop, config.ppo.epochs, config.reward.scale) = (f32::INFINITY, 20, 1e4);
-    let mut trainer = Trainer::new(plan(config, 1)).expect("it is sound");
+    let mut trainer = Trainer::new(plan(config, 1), &Registry::builtin()).expect("it is sound");
     let error = (0..200).find_map(|_| trainer.iterate(0.0, 2).err()).expect("it comes apart").to_string();
     for part in ["iteration", "decisions", "came out as no number", "learning rate"] {
         assert!(error.contains(part), "{error}");
@@ -145,7 +147,8 @@ fn a_training_that_comes_apart_says_where_and_why() {
 #[test]
 fn a_trained_policy_s_file_says_how_it_came_to_be() {
     for (preset, _) in PRESETS {
-        let mut trainer = Trainer::new(plan(Config::preset(preset).expect("it is a preset"), 3)).expect("it is sound");
+        let mut trainer = Trainer::new(plan(Config::preset(preset).expect("it is a preset"), 3), &Registry::builtin())
+            .expect("it is sound");
         let file = weights::read(&trainer.policy_file()).expect("it can be read");
         let training = file.manifest.training.clone().expect("it says so");
         assert_eq!((training.seed, training.decisions), (3, 0));

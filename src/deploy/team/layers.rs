@@ -14,7 +14,7 @@ use toml::de::{DeTable, DeValue};
 use crate::config::{self, ConfigError, syntax};
 use crate::deploy::MODES;
 use crate::net::protocol::reliability::Reliability;
-use crate::world::{PLANTS, Sensor};
+use crate::world::Sensor;
 
 /// Where a value comes from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -123,7 +123,7 @@ const TEAM: [Field; 15] = [
     ("policy", Takes::Text, None),
     ("episodes", Takes::Whole(1, 1_000_000), Some("16")),
     ("seed", Takes::Whole(0, u64::MAX), Some("0")),
-    ("plant", Takes::Choice(&PLANTS), None),
+    ("plant", Takes::Text, None),
     ("lag_s", Takes::Number(0.0, 10.0), None),
     ("contacts", Takes::Choice(&["block", "judge"]), None),
     ("wall_radius_m", Takes::Number(1e-3, 10.0), None),

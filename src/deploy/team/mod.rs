@@ -26,9 +26,10 @@ use crate::hearing::Handling;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::transport::socket::SocketConfig;
+use crate::registry::Registry;
 use crate::safety::Safety;
-use crate::scenario::{self, Scenario, Settings};
-use crate::world::{self, Clamp, ContactRule, Given, Physics, Sensor};
+use crate::scenario::{Scenario, Settings};
+use crate::world::{Clamp, ContactRule, Given, Physics, Sensor};
 
 /// What a host needs to know of its team.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,7 +44,7 @@ pub struct Team {
     pub key_file: Option<PathBuf>,
     /// What it is to do.
     pub scenario: String,
-    /// What drives it: a policy file or `orca`; `None` for the scenario's shipped policy.
+    /// What drives it: a policy file, or the name of a policy; `None` for the one that the scenario has usually.
     pub policy: Option<PathBuf>,
     /// Episodes, one after the other with resets between.
     pub episodes: u32,
@@ -74,6 +75,7 @@ const WHOLE_TABLES: [&str; 2] = ["deployment", "safety"];
 /// A team file with what the environment and the flags say, checked as far as it concerns all hosts.
 #[derive(Clone, Debug)]
 pub struct TeamFile {
+    registry: Registry,
     layers: Layers,
     deployment: Deployment,
     safety: Safety,
@@ -88,8 +90,9 @@ struct Inline {
 }
 
 impl TeamFile {
-    /// Reads a team file that lies in `folder`. `variables` is the environment.
+    /// Reads a team file that lies in `folder`. `variables` is the environment; what is named in them, the registry has.
     pub fn read(
+        registry: &Registry,
         text: &str,
         folder: &Path,
         variables: &[(String, String)],
@@ -99,7 +102,7 @@ impl TeamFile {
         layers.read_environment(variables)?;
         let inline: Inline = config::from_toml(text)?;
         inline.safety.check().map_err(|error| error.within("safety"))?;
-        let (deployment, safety) = (deployment(inline.deployment, &layers)?, inline.safety);
+        let (deployment, safety) = (deployment(registry, inline.deployment, &layers)?, inline.safety);
         let mut fields = vec![layers::EVERY_INTERFACE.to_owned()];
         for link in &deployment.links {
             fields.extend(layers::link_fields().map(|field| format!("link.{}.{field}", link.name)));
@@ -107,9 +110,14 @@ impl TeamFile {
             fields.extend(KINDS.map(|kind| format!("link.{}.reliability.{}", link.name, kebab(kind))));
         }
         layers.read_link_environment(variables, &fields)?;
-        let file = TeamFile { layers, deployment, safety, folder: folder.to_owned() };
+        let file = TeamFile { registry: registry.clone(), layers, deployment, safety, folder: folder.to_owned() };
         file.check_names()?;
         Ok(file)
+    }
+
+    /// What its names are looked up in.
+    pub fn registry(&self) -> &Registry {
+        &self.registry
     }
 
     /// The deployment.
@@ -170,7 +178,7 @@ impl TeamFile {
             return Err(ConfigError::field("key_file", why));
         }
         let policy = find("policy").map(|entry| match text(&entry) {
-            "orca" => PathBuf::from("orca"),
+            name if self.registry.policy(name).is_some() => PathBuf::from(name),
             _ => self.path(&entry),
         });
         Ok(Team {
@@ -190,7 +198,7 @@ impl TeamFile {
 
     fn scenario(&self) -> Result<Arc<dyn Scenario>, ConfigError> {
         let entry = self.layers.find(&self.scopes(None), "scenario").expect("it has a default");
-        build(&entry, Some(self.deployment.robots))
+        build(&self.registry, &entry, Some(self.deployment.robots))
     }
 
     fn simulated(&self, scopes: &[String], scenario: &dyn Scenario) -> Result<Simulated, ConfigError> {
@@ -206,7 +214,7 @@ impl TeamFile {
             wall_radius_m: number("wall_radius_m"),
             sensor: name("sensor").and_then(sensor).map(|(_, sensor)| sensor),
         };
-        let entry = world::plant(&self.deployment.plant).expect("a checked deployment names a plant");
+        let entry = self.registry.plant(&self.deployment.plant).expect("its name was checked when the file was read");
         let physics = given.physics(entry, scenario.arena()).map_err(|error| {
             let origin = find(error.field).expect("it was given").origin;
             ConfigError::field(place(error.field, &origin), error.to_string())
@@ -234,7 +242,7 @@ impl TeamFile {
 }
 
 /// The deployment of the file: a preset, or written out.
-fn deployment(inline: Option<Deployment>, layers: &Layers) -> Result<Deployment, ConfigError> {
+fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) -> Result<Deployment, ConfigError> {
     let find = |key: &str| layers.find(&[String::new()], key);
     let (mode, robots, plant) = (find("mode"), find("robots"), find("plant"));
     if let Some(deployment) = inline {
@@ -247,6 +255,8 @@ fn deployment(inline: Option<Deployment>, layers: &Layers) -> Result<Deployment,
             return Err(ConfigError::field(place("plant", &entry.origin), why));
         }
         deployment.check().map_err(|error| error.within("deployment"))?;
+        let plant = registry.plant(&deployment.plant);
+        plant.map_err(|error| ConfigError::field("deployment.plant", error.to_string()))?;
         let worse = |link: &&Link| link.delay_s > 0.0 || link.loss > 0.0 || link.range_m.is_some();
         if let Some(link) = deployment.links.iter().find(worse) {
             let why = format!(
@@ -269,20 +279,20 @@ fn deployment(inline: Option<Deployment>, layers: &Layers) -> Result<Deployment,
     let scenario = find("scenario").expect("it has a default");
     let robots = match &robots {
         Some(entry) => whole_u16(entry).into(),
-        None => build(&scenario, None)?.robots(),
+        None => build(registry, &scenario, None)?.robots(),
     };
     let preset = Deployment::preset(text(&mode), robots).expect("the fields let only modes through");
     let Some(entry) = plant else { return Ok(preset) };
-    let plant = text(&entry).to_owned();
-    if world::plant(&plant).is_none() {
-        return Err(ConfigError::field(place("plant", &entry.origin), world::lacking(&plant)));
+    match registry.plant(text(&entry)) {
+        Ok(plant) => Ok(Deployment { plant: plant.name.to_owned(), ..preset }),
+        Err(error) => Err(ConfigError::field(place("plant", &entry.origin), error.to_string())),
     }
-    Ok(Deployment { plant, ..preset })
 }
 
 /// The scenario, for a team of this size or of its own.
-fn build(entry: &Entry, robots: Option<usize>) -> Result<Arc<dyn Scenario>, ConfigError> {
-    scenario::build(text(entry), &Settings { robots, gap_m: None })
+fn build(registry: &Registry, entry: &Entry, robots: Option<usize>) -> Result<Arc<dyn Scenario>, ConfigError> {
+    registry
+        .scenario(text(entry), &Settings { robots, gap_m: None })
         .map_err(|error| ConfigError::field(place("scenario", &entry.origin), error.to_string()))
 }
 
@@ -377,7 +387,8 @@ interface = "wlan8"
             .iter()
             .map(|(flag, key, value)| Flag { flag, key: (*key).to_owned(), value: (*value).to_owned() })
             .collect();
-        let file = TeamFile::read(text, Path::new("teams"), &variables, &flags).map_err(|e| e.to_string())?;
+        let file = TeamFile::read(&Registry::builtin(), text, Path::new("teams"), &variables, &flags)
+            .map_err(|e| e.to_string())?;
         file.check().map_err(|e| e.to_string())?;
         Ok(file)
     }

@@ -4,8 +4,7 @@ use super::layers::{self, Origin};
 use super::sockets::default_group;
 use super::{TeamFile, kebab, text};
 use crate::messages::ids::HostId;
-use crate::policy::shipped::shipped;
-use crate::world::{self, ContactRule, Sensor};
+use crate::world::{ContactRule, Sensor};
 
 /// One line of `config show`.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,7 +20,7 @@ pub struct Shown {
 impl TeamFile {
     /// What simulated robots are like where nobody says otherwise.
     fn usual(&self, key: &str) -> Option<String> {
-        let (plant, scenario) = (world::plant(&self.deployment.plant)?, self.scenario().ok()?);
+        let (plant, scenario) = (self.registry.plant(&self.deployment.plant).ok()?, self.scenario().ok()?);
         let physics = (plant.physics)(scenario.arena());
         let contacts = || if physics.contacts == ContactRule::Judge { "judge" } else { "block" };
         let sensor = || Sensor::NAMED.iter().find(|(_, sensor)| *sensor == physics.sensor);
@@ -49,9 +48,7 @@ impl TeamFile {
                 "robots" => Some(self.deployment.robots.to_string()),
                 "mode" => None,
                 "key_file" => Some("none: frames are not authenticated".to_owned()),
-                "policy" => self.scenario().ok().map(|scenario| {
-                    if shipped(scenario.name()).is_some() { "shipped".to_owned() } else { "orca".to_owned() }
-                }),
+                "policy" => self.scenario().ok().map(|scenario| self.registry.usual_policy(&*scenario).to_owned()),
                 "plant" => Some(self.deployment.plant.clone()),
                 "lag_s" | "contacts" | "wall_radius_m" | "sensor" => self.usual(key),
                 _ => None,

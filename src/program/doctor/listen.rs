@@ -21,8 +21,8 @@ use crate::time::{Span, Time};
 use anyhow::{Result, anyhow};
 
 use super::{Found, Status};
+use crate::live::links;
 use crate::program::key;
-use crate::program::links;
 
 /// A loss that is worth a word: where `repeat` begins (docs/wire.md).
 const LOSSY: f64 = 2.0 / 64.0;

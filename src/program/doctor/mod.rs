@@ -13,6 +13,7 @@ use crate::net::protocol::codec::MAX_FRAME_BYTES;
 use crate::net::transport::interface;
 use crate::net::transport::socket::{SocketConfig, Transport};
 use crate::net::transport::udp::{Filter, OpenError, Udp};
+use crate::registry::Registry;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
@@ -63,8 +64,8 @@ struct Check {
 }
 
 /// Checks, and prints what was found.
-pub fn run(args: &Args) -> Result<Ended> {
-    let file = args.team.read()?;
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    let file = args.team.read(registry)?;
     if !(0.0..=3600.0).contains(&args.listen) {
         return Err(BadInput(format!("--listen: {} is not 0 to 3600 seconds", args.listen)).into());
     }
@@ -76,7 +77,7 @@ pub fn run(args: &Args) -> Result<Ended> {
             checks.push(Check { status, host, what, found, advice });
         };
         add(check_key(team));
-        add(check_policy(team));
+        add(check_policy(team, registry));
         for (link, socket) in team.deployment.links.iter().zip(&team.links) {
             if let Some(socket) = socket {
                 check_link(team.host, &link.name, socket).into_iter().for_each(&mut add);
@@ -138,9 +139,9 @@ fn check_key(team: &Team) -> Found {
     }
 }
 
-fn check_policy(team: &Team) -> Found {
+fn check_policy(team: &Team, registry: &Registry) -> Found {
     let found = |status, found: String| (status, "policy".to_owned(), found, String::new());
-    match team::policy(team) {
+    match team::policy(team, registry) {
         Ok(policy) => match policy.assumed {
             Some(assumed) => found(Status::Warn, assumed),
             None => found(Status::Ok, policy.name),

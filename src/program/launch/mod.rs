@@ -13,6 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use crate::deploy::team::Team;
+use crate::registry::Registry;
 use crate::report::episode::Episode;
 use crate::report::event::{Counted, HostEvent, Unwritten};
 use crate::report::summary::{Run, Summary};
@@ -46,10 +47,10 @@ pub struct Args {
 const COLOURS: [u8; 10] = [36, 32, 33, 35, 34, 96, 92, 93, 95, 94];
 
 /// Starts the team, waits for it, and prints what came of it.
-pub fn run(args: &Args) -> Result<Ended> {
-    let file = args.team.read()?;
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    let file = args.team.read(registry)?;
     let teams: Vec<Team> = file.hosts().map(|host| args.team.for_host(&file, host)).collect::<Result<_>>()?;
-    let policy = checked(&teams)?;
+    let policy = checked(&teams, registry)?;
     let program = std::env::current_exe().context("cannot find this program to start it again")?;
     let processes = file.deployment().hosts.iter().map(|host| {
         let (program, mut flags) = (program.clone(), again(&args.team));
@@ -121,7 +122,7 @@ fn again(team: &team::TeamArgs) -> Vec<OsString> {
 }
 
 /// Checks every host's key and policy before anything is started; gives the policy's name.
-fn checked(teams: &[Team]) -> Result<String> {
+fn checked(teams: &[Team], registry: &Registry) -> Result<String> {
     let mut names: Vec<String> = Vec::new();
     let mut seen: Vec<&Team> = Vec::new();
     for team in teams {
@@ -129,7 +130,7 @@ fn checked(teams: &[Team]) -> Result<String> {
             team::key(team)?;
         }
         if !seen.iter().any(|other| other.policy == team.policy) {
-            names.push(team::policy(team)?.name);
+            names.push(team::policy(team, registry)?.name);
         }
         seen.push(team);
     }

@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::policy::Draw;
+use crate::registry::Registry;
 use crate::scenario::layout::Layouts;
-use crate::scenario::{self, Scenario, ScenarioError, Settings};
+use crate::scenario::{Scenario, ScenarioError, Settings};
 use crate::study::columns::{self, Column};
 use crate::study::handling::{self, Preset};
+use crate::study::origin;
 use crate::study::{Entrant, Study};
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 
 use super::run::{Run, Typed, once};
@@ -17,14 +18,12 @@ use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::output::{read_text, talk};
 use crate::program::policy;
-use crate::program::sim;
 
 /// Flags of every study.
 #[derive(clap::Args)]
 pub struct Shared {
-    /// Who is to be compared: 'shipped', 'published' (trained for the paper's conditions), 'orca' (scripted), or a
-    /// policy file; may be given several times. 'NAME@HANDLING' gives one policy a handling of its own
-    /// [default: shipped]
+    /// Who is to be compared: policies by their names, or policy files; may be given several times. 'NAME@HANDLING' gives
+    /// one policy a handling of its own [default: shipped, or orca where the scenario has none]
     #[arg(long = "policy", value_name = "NAME|FILE[@HANDLING]")]
     policies: Vec<String>,
     /// How policies are handled: 'default' (newest message held, mean actions) or 'as-published' (buffer cleared every
@@ -32,7 +31,7 @@ pub struct Shared {
     #[arg(long = "handling", value_parser = PossibleValuesParser::new(handling::PRESETS.iter().map(|p| p.name)))]
     handlings: Vec<String>,
     /// What the team is to do
-    #[arg(long, default_value = "passage", value_parser = sim::scenarios())]
+    #[arg(long, default_value = "passage")]
     scenario: String,
     /// Size of the team [default: the scenario's own]
     #[arg(long)]
@@ -89,7 +88,7 @@ pub struct Range {
 
 impl Modes {
     /// The study that is asked for.
-    pub fn study(&self) -> Result<Study> {
+    pub fn study(&self, registry: &Registry) -> Result<Study> {
         once("--columns", &self.columns)?;
         // In the order of the table, however they were given.
         let wanted = |name: &&str| self.columns.is_empty() || self.columns.iter().any(|column| column == name);
@@ -97,13 +96,13 @@ impl Modes {
         let columns = columns.map(|name| Column::of_table(name).expect("a column of the table")).collect();
         let own =
             if self.columns.is_empty() { String::new() } else { format!(" --columns {}", self.columns.join(",")) };
-        self.shared.study("modes", columns, &own)
+        self.shared.study(registry, "modes", columns, &own)
     }
 }
 
 impl Delay {
     /// The study that is asked for.
-    pub fn study(&self) -> Result<Study> {
+    pub fn study(&self, registry: &Registry) -> Result<Study> {
         let delays_ms = if self.delays_ms.is_empty() {
             columns::DELAYS_S.iter().map(|delay| 1000.0 * delay).collect()
         } else {
@@ -121,19 +120,19 @@ impl Delay {
         let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
         once("--delays-ms, --losses", &names)?;
         let own = list("--delays-ms", &self.delays_ms) + &list("--losses", &self.losses);
-        self.shared.study("delay", columns.clone(), &own)
+        self.shared.study(registry, "delay", columns.clone(), &own)
     }
 }
 
 impl Range {
     /// The study that is asked for.
-    pub fn study(&self) -> Result<Study> {
+    pub fn study(&self, registry: &Registry) -> Result<Study> {
         let ranges_m = if self.ranges_m.is_empty() { columns::RANGES_M.to_vec() } else { self.ranges_m.clone() };
         once("--ranges-m", &ranges_m)?;
         if let Some(range) = ranges_m.iter().find(|range| !(0.0..=1e6).contains(*range)) {
             return bad(format!("--ranges-m: {range} is not 0 to 1000000"));
         }
-        self.shared.study("range", Column::ranges(&ranges_m), &list("--ranges-m", &self.ranges_m))
+        self.shared.study(registry, "range", Column::ranges(&ranges_m), &list("--ranges-m", &self.ranges_m))
     }
 }
 
@@ -143,13 +142,13 @@ fn list<T: ToString>(flag: &str, values: &[T]) -> String {
 }
 
 impl Shared {
-    fn study(&self, name: &'static str, columns: Vec<Column>, own: &str) -> Result<Study> {
+    fn study(&self, registry: &Registry, name: &'static str, columns: Vec<Column>, own: &str) -> Result<Study> {
         let settings = Settings { robots: self.robots, gap_m: self.gap_m };
-        let scenario = scenario::build(&self.scenario, &settings).map_err(|error| {
+        let scenario = registry.scenario(&self.scenario, &settings).map_err(|error| {
             let flag = match error {
                 ScenarioError::Robots { .. } => "--robots",
                 ScenarioError::Gap { .. } => "--gap-m",
-                ScenarioError::Unknown { .. } => "--scenario",
+                ScenarioError::Unknown { .. } | ScenarioError::Refused { .. } => "--scenario",
             };
             BadInput(format!("{flag}: {error}"))
         })?;
@@ -166,11 +165,12 @@ impl Shared {
         let study = Study {
             name,
             columns,
-            entrants: self.entrants(&*scenario)?,
+            entrants: self.entrants(registry, &*scenario)?,
             layouts,
             repeats: self.repeats,
             seed: self.run.seed,
             command: self.command(name, own),
+            build: build(registry)?,
             scenario: Arc::clone(&scenario),
             gap_m: self.gap_m,
         };
@@ -179,11 +179,9 @@ impl Shared {
     }
 
     /// Every policy under every handling that it is to have.
-    fn entrants(&self, scenario: &dyn Scenario) -> Result<Vec<Entrant>> {
-        // As in `sim`: scripted navigation where a scenario has no policy of its own.
-        let own = crate::policy::shipped::shipped(scenario.name()).map_or("orca", |_| "shipped");
-        let shipped = [own.to_owned()];
-        let policies = if self.policies.is_empty() { &shipped[..] } else { &self.policies };
+    fn entrants(&self, registry: &Registry, scenario: &dyn Scenario) -> Result<Vec<Entrant>> {
+        let usual = [registry.usual_policy(scenario).to_owned()];
+        let policies = if self.policies.is_empty() { &usual[..] } else { &self.policies };
         let named = |name: &String| handling::preset(name).expect("the parser lets only presets through");
         let mut handlings: Vec<&'static Preset> = self.handlings.iter().map(named).collect();
         if handlings.is_empty() {
@@ -193,7 +191,7 @@ impl Shared {
         for given in policies {
             let (policy, own) = split(given)?;
             for handling in own.map_or(handlings.clone(), |own| vec![own]) {
-                entrants.push(self.entrant(policy, handling, scenario)?);
+                entrants.push(self.entrant(registry, (policy, handling), scenario)?);
             }
         }
         let names: Vec<String> = entrants.iter().map(Entrant::name).collect();
@@ -201,17 +199,20 @@ impl Shared {
         Ok(entrants)
     }
 
-    fn entrant(&self, policy: &str, handling: &'static Preset, scenario: &dyn Scenario) -> Result<Entrant> {
-        let draw = match handling.draw {
-            Draw::Mean => "mean",
-            Draw::Sample => "sample",
-        };
-        // Scripted navigation draws nothing, whatever the handling.
-        let loaded = policy::load(Some(Path::new(policy)), (policy != "orca").then_some(draw), scenario)?;
+    fn entrant(
+        &self,
+        registry: &Registry,
+        (policy, handling): (&str, &'static Preset),
+        scenario: &dyn Scenario,
+    ) -> Result<Entrant> {
+        let loaded = policy::load(registry, Some(Path::new(policy)), None, scenario)?;
         if let Some(assumed) = loaded.assumed.filter(|_| !self.run.quiet) {
             talk(&format!("warning: {assumed}"));
         }
-        Ok(Entrant { policy: loaded.name, model: loaded.model, digest: loaded.digest, handling })
+        let digest = loaded.model.digest().to_owned();
+        // What draws nothing stays as it is, whatever the handling.
+        let model = loaded.model.clone().drawing(handling.draw).unwrap_or(loaded.model);
+        Ok(Entrant { policy: loaded.name, model, digest, handling })
     }
 
     /// The command that makes the study, whatever it was typed as. Not in it: what makes no difference to the results.
@@ -229,6 +230,16 @@ impl Shared {
         add("seed", Some(self.run.seed.to_string()));
         command.0
     }
+}
+
+/// What tells the records of this program from those of others: its sources, if this crate has all that it runs. The
+/// digest of these says nothing of a scenario or a policy from another crate, so then the program itself counts.
+fn build(registry: &Registry) -> Result<String> {
+    if !registry.is_extended() {
+        return Ok(origin::BUILD.to_owned());
+    }
+    let program = std::env::current_exe().and_then(std::fs::read).context("cannot read this program")?;
+    Ok(format!("{}+{}", origin::BUILD, &blake3::hash(&program).to_hex()[..16]))
 }
 
 /// A policy and the handling that goes with it alone, if one does.

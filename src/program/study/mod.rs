@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use crate::registry::Registry;
 use crate::study::record::Record;
 use crate::study::results::{Results, Row};
 use crate::study::{Job, Study, table};
@@ -52,12 +53,12 @@ struct Report<'a> {
 }
 
 /// Runs a study.
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (study, shared) = match args {
-        Args::Modes(flags) => (flags.study()?, &flags.shared),
-        Args::Delay(flags) => (flags.study()?, &flags.shared),
-        Args::Range(flags) => (flags.study()?, &flags.shared),
-        Args::Network(flags) => return network::run(flags),
+        Args::Modes(flags) => (flags.study(registry)?, &flags.shared),
+        Args::Delay(flags) => (flags.study(registry)?, &flags.shared),
+        Args::Range(flags) => (flags.study(registry)?, &flags.shared),
+        Args::Network(flags) => return network::run(flags, registry),
     };
     let folder = shared.run.out.as_deref().map(|path| trials::open(path, &study)).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));

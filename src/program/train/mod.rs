@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::config::unquoted;
-use crate::scenario;
+use crate::registry::Registry;
 use crate::study::network::conditions;
 use crate::train::config::{Config, PRESETS};
 use crate::train::evaluate::{Scores, quick};
@@ -42,7 +42,6 @@ const TEAM: usize = 5;
 #[command(group = clap::ArgGroup::new("budget").args(["minutes", "steps"]))]
 pub struct Args {
     /// What the team is to learn
-    #[arg(value_parser = PossibleValuesParser::new(scenario::REGISTRY.iter().map(|entry| entry.name)))]
     scenario: String,
     /// What to train for: 'published' for lock step and perfect messages, 'robust' for delay, loss and lag
     /// [default: robust]
@@ -124,18 +123,18 @@ struct Report<'a> {
 }
 
 /// Trains.
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let budget = Budget::of(args)?;
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let threads = args.threads.map_or(cores, usize::from);
     let mut folder = Folder::open(&args.out, args.resume)?;
     let (mut trainer, mut curve) = if args.resume {
-        let trainer = resumed(args, &folder)?;
+        let trainer = resumed(args, &folder, registry)?;
         let curve = folder.curve(trainer.iterations())?;
         (trainer, curve)
     } else {
         let plan = plan(args)?;
-        let mut trainer = Trainer::new(plan).map_err(|e| match &args.config {
+        let mut trainer = Trainer::new(plan, registry).map_err(|e| match &args.config {
             Some(path) => BadInput(format!("the training configuration '{}': {e}", path.display())),
             None => BadInput(e.to_string()),
         })?;
@@ -238,11 +237,11 @@ fn plan(args: &Args) -> Result<Plan> {
 }
 
 /// The training of the folder, if it is the one that the flags ask for.
-fn resumed(args: &Args, folder: &Folder) -> Result<Trainer> {
+fn resumed(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
     let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
     let bytes = std::fs::read(folder.checkpoint())
         .map_err(|e| wrong(format!("{e}; leave --resume out to begin a training")))?;
-    let trainer = Trainer::resume(&bytes).map_err(|e| wrong(unquoted(&e.to_string())))?;
+    let trainer = Trainer::resume(&bytes, registry).map_err(|e| wrong(unquoted(&e.to_string())))?;
     let theirs = trainer.plan();
     let ours = plan(args)?;
     let other = |what: &str, theirs: &str, ours: &str| {

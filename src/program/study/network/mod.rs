@@ -13,6 +13,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use crate::registry::Registry;
 use crate::study::network::fit::Observed;
 use crate::study::network::growth::Growth;
 use crate::study::network::pages::{Findings, Found};
@@ -60,10 +61,10 @@ struct Study<'a> {
 }
 
 /// Runs the study.
-pub fn run(args: &Args) -> Result<Ended> {
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let mut sweep = args.sweep()?;
     let teams = teams::of_sizes(&args.teams()?, sweep.seed)?;
-    let room = args.live.as_ref().map(|file| Room::of(file, args)).transpose()?;
+    let room = args.live.as_ref().map(|file| Room::of(file, args, registry)).transpose()?;
     if let (Some(room), Some(name)) = (&room, &args.host) {
         return live::participate(room.part(name)?, name, args.coordinator, args.run.quiet);
     }

@@ -6,6 +6,7 @@ use crate::deploy::team::TeamFile;
 use crate::messages::ids::HostId;
 use crate::messages::wire::Kind;
 use crate::net::transport::socket::Transport;
+use crate::registry::Registry;
 use crate::study::network::{Addressing, Assurance, Medium, Network, Sweep};
 use anyhow::Result;
 
@@ -27,9 +28,9 @@ pub struct Room {
 
 impl Room {
     /// Reads the team file.
-    pub fn of(path: &Path, args: &Args) -> Result<Room> {
-        let args = TeamArgs { file: path.to_owned(), set: args.set.clone(), interface: None, key_file: None };
-        let file = args.read()?;
+    pub fn of(path: &Path, args: &Args, registry: &Registry) -> Result<Room> {
+        let args = TeamArgs::of(path.to_owned(), args.set.clone());
+        let file = args.read(registry)?;
         let deployment = file.deployment();
         let agents = |host: &HostId| !deployment.hosts[usize::from(host.0)].agents.is_empty();
         let stations: Vec<HostId> = file.hosts().filter(agents).collect();

@@ -28,9 +28,9 @@ use tracing::info_span;
 
 use super::line::{End, Line};
 use super::{Answer, Instruction};
+use crate::live::links;
 use crate::program::BadInput;
 use crate::program::Ended;
-use crate::program::links;
 use crate::program::output::talk;
 
 const LINK: LinkId = LinkId(0);

@@ -11,9 +11,17 @@ use crate::net::transport::socket::{SocketConfig, Transport};
 use crate::net::transport::udp::{Filter, OpenError, Udp};
 use crate::random::Seed;
 use crate::time::Span;
-use anyhow::{Result, anyhow};
 
-use crate::program::BadInput;
+/// Why a process has no part in its links.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// The team file says what cannot be on this machine.
+    #[error("{0}")]
+    Wrong(String),
+    /// It may go well later, as where an interface is down.
+    #[error("{0}")]
+    NotNow(String),
+}
 
 /// Random numbers of the operating system that make a process itself and no other.
 pub struct Fresh {
@@ -27,8 +35,8 @@ pub struct Fresh {
 
 impl Fresh {
     /// Draws them.
-    pub fn draw() -> Result<Fresh> {
-        let no_random = |e| anyhow!("the operating system gives no random bytes: {e}");
+    pub fn draw() -> Result<Fresh, LinkError> {
+        let no_random = |e| LinkError::NotNow(format!("the operating system gives no random bytes: {e}"));
         let (mut seed, mut numbers) = ([0; 32], [0; 8]);
         getrandom::fill(&mut seed).and_then(|()| getrandom::fill(&mut numbers)).map_err(no_random)?;
         let [a, b, c, d, e, f, ..] = numbers;
@@ -83,7 +91,7 @@ pub fn filter(team: &Team) -> Filter {
 }
 
 /// The sockets of the links that the team's host uses, opened for `me`.
-pub fn open(team: &Team, me: HostId) -> Result<Vec<(LinkId, Udp)>> {
+pub fn open(team: &Team, me: HostId) -> Result<Vec<(LinkId, Udp)>, LinkError> {
     let mut sockets = Vec::new();
     for (at, (link, config)) in team.deployment.links.iter().zip(&team.links).enumerate() {
         let Some(config) = config else { continue };
@@ -94,18 +102,18 @@ pub fn open(team: &Team, me: HostId) -> Result<Vec<(LinkId, Udp)>> {
     Ok(sockets)
 }
 
-fn failed(link: &str, error: OpenError) -> anyhow::Error {
+fn failed(link: &str, error: OpenError) -> LinkError {
     let what = format!("link '{link}': {error}");
     match error {
         // It may come up yet; a wrong name stays wrong.
-        OpenError::Interface(InterfaceError::Down { .. }) => anyhow!(what),
-        _ => BadInput(what).into(),
+        OpenError::Interface(InterfaceError::Down { .. }) => LinkError::NotNow(what),
+        _ => LinkError::Wrong(what),
     }
 }
 
 /// The sockets of an operator: on every interface of this machine that the team file names for the link of the stop;
 /// or, where it has none of those, on all that are up. Where a flag has `named` the interface, that one or none.
-pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<(LinkId, Udp)>> {
+pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<(LinkId, Udp)>, LinkError> {
     let interfaces = interface::interfaces().map_err(|error| failed(&link.name, error.into()))?;
     let here = |config: &&SocketConfig| interfaces.iter().any(|i| i.up && i.name == config.interface);
     let addressed = |config: &&SocketConfig| matches!(config.transport, Transport::Unicast { .. });
@@ -130,7 +138,7 @@ pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<(Li
         _ if sockets.is_empty() => {
             let named: Vec<&str> = post.sockets.iter().map(|config| config.interface.as_str()).collect();
             let why = format!("link '{}': no interface of this machine is up; the file names {named:?}", link.name);
-            Err(anyhow!(why))
+            Err(LinkError::NotNow(why))
         }
         _ => Ok(sockets),
     }

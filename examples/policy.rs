@@ -1,0 +1,56 @@
+//! A policy of one's own: robots tell each other how near to their goals they are, and whoever is nearest goes first.
+//! Beside it, scripted navigation in the same scenario. `tests/stranger/` shows how a policy comes to the command line.
+//!
+//!     cargo run --release --example policy
+
+use murmurate::messages::geometry::Vec2;
+use murmurate::policy::{Interface, Model, Neighbour, Policy};
+use murmurate::random::Stream;
+use murmurate::scenario::Observation;
+use murmurate::time::Span;
+use murmurate::trial::Trial;
+
+const INTERFACE: Interface = Interface {
+    features: 1,
+    radius_m: 1.5,
+    period: Span::from_millis(50),
+    limit_m_s: 0.8,
+    // A neighbour's message is of use for so long: some are lost.
+    hold: Span::from_millis(200),
+};
+
+/// One robot's part. It keeps nothing: a robot that was started again is right at once.
+struct NearestFirst;
+
+impl Policy for NearestFirst {
+    fn interface(&self) -> Interface {
+        INTERFACE
+    }
+
+    /// What is broadcast.
+    fn encode(&mut self, own: &Observation, features: &mut [f32]) {
+        features[0] = (own.goal - own.motion.position).norm();
+    }
+
+    /// What is done about what was heard.
+    fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
+        let mut wanted = (own.goal - own.motion.position).cap_magnitude(INTERFACE.limit_m_s);
+        for other in neighbours {
+            let apart = own.motion.position - other.motion.position;
+            let near = (1.2 - apart.norm()).max(0.0);
+            // Who is farther from its goal makes more room; both pass on the same side.
+            let yields = if other.features[0] < features[0] { 3.0 } else { 1.5 };
+            wanted += (apart + Vec2::new(-apart.y, apart.x)).normalize() * near * yields;
+        }
+        wanted.cap_magnitude(INTERFACE.limit_m_s)
+    }
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let own = Model::own("nearest-first", INTERFACE, |_arena| Box::new(NearestFirst));
+    for model in [own, Model::Orca] {
+        let report = Trial::of_team("onboard-adhoc", "swap", 4)?.model(model.clone()).seed(3).episodes(10).run();
+        println!("{:14} {} of {} episodes succeeded", model.name(), report.successes(), report.episodes.len());
+    }
+    Ok(())
+}

@@ -1,0 +1,129 @@
+//! One host of a team in real time: from what a team file says, on this machine's clock and sockets, to its end. The
+//! command line's `host` is made of it, and `examples/host.rs` is a whole team.
+
+pub mod links;
+
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+use std::time::Instant;
+
+use self::links::{Fresh, LinkError};
+use crate::actors::recorder::Out;
+use crate::deploy::team::Team;
+use crate::graph::Plan;
+use crate::graph::devices::{self, DeviceError, Workers};
+use crate::graph::host::{self, Host};
+use crate::graph::process::{Graph, Heard};
+use crate::messages::wire::{Phase, Wire};
+use crate::net::protocol::key::Key;
+use crate::registry::Registry;
+use crate::report::trial::TrialReport;
+use crate::runtime::real::{Readers, run_real};
+use crate::time::{Span, Time};
+use crate::trial::{self, Trial};
+
+/// How long a host goes on after the last episode: whoever has missed the news hears it again.
+const GRACE: Span = Span::from_millis(500);
+/// The same for the host of the state server, which tells the news.
+const SERVER_GRACE: Span = Span::from_millis(2000);
+
+/// How long the team's host goes on after the last episode.
+pub fn grace(team: &Team) -> Span {
+    if team.deployment.hosts[usize::from(team.host.0)].state_server { SERVER_GRACE } else { GRACE }
+}
+
+/// Why a host cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// One of its links cannot.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// One of its drivers or sources cannot.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
+}
+
+impl OpenError {
+    /// Whether a file is wrong, and not the machine.
+    pub fn is_wrong_input(&self) -> bool {
+        matches!(self, OpenError::Link(LinkError::Wrong(_)) | OpenError::Device(DeviceError::Config(_)))
+    }
+}
+
+/// A host whose sockets are open.
+pub struct LiveHost {
+    host: Host,
+    workers: Workers,
+    plan: Plan,
+    grace: Span,
+}
+
+impl LiveHost {
+    /// Opens the sockets of the team's host, for its part of the trial, and its drivers and sources by their names in
+    /// the registry. A team without a key may have no link that leaves
+    /// the machine.
+    pub fn open(team: &Team, trial: &Trial, key: Option<Key>, registry: &Registry) -> Result<LiveHost, OpenError> {
+        let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
+        let sockets = links::open(team, team.host)?;
+        let Fresh { incarnation, seed: secret, .. } = Fresh::draw()?;
+        let entry = &team.deployment.hosts[usize::from(team.host.0)];
+        let (devices, workers) = devices::open(entry, registry)?;
+        let host = Host { id: team.host, team: team.number, incarnation, secret, key, links, devices, sockets };
+        Ok(LiveHost { host, workers, plan: trial.plan(), grace: grace(team) })
+    }
+
+    /// Runs the host on this thread, with its time counted from `origin`. `heard` is told what its Network makes
+    /// known, `said` what the Recorder says, which is there where the whole team is simulated.
+    /// `begun` is called once its actors stand; `done` is asked after every turn.
+    pub fn run(
+        self,
+        origin: Instant,
+        heard: impl Fn(Heard) + 'static,
+        said: impl FnMut(Out) + 'static,
+        begun: impl FnOnce(&mut Readers),
+        done: impl FnMut(&Rc<Graph>, Time) -> bool,
+    ) -> Rc<Graph> {
+        let LiveHost { host, workers, plan, .. } = self;
+        let graph = run_real(
+            origin,
+            |clock, readers| {
+                let graph = host::wire((clock, readers), plan, host, heard, said);
+                begun(readers);
+                graph
+            },
+            done,
+        );
+        workers.join();
+        graph
+    }
+
+    /// Runs the host on this thread until its team has finished. The report has episodes where the whole team is
+    /// simulated.
+    pub fn run_to_the_end(self) -> TrialReport {
+        let (report, news) = (Rc::new(RefCell::new(TrialReport::default())), Rc::new(Cell::new(false)));
+        let (told, grace) = (Rc::clone(&news), self.grace);
+        let heard = move |heard: Heard| match heard {
+            Heard::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => told.set(true),
+            _ => {}
+        };
+        let noted = Rc::clone(&report);
+        let said = move |out| trial::note(&mut noted.borrow_mut(), out);
+        let mut over: Option<Time> = None;
+        let graph = self.run(
+            Instant::now(),
+            heard,
+            said,
+            |_| {},
+            |_, now| {
+                if news.get() {
+                    over.get_or_insert(now);
+                }
+                over.is_some_and(|at| now.since(at) >= grace)
+            },
+        );
+        let mut report = report.borrow().clone();
+        report.simulated = report.totals.end.since(Time::ZERO);
+        (report.refused, report.lost) = graph.undelivered();
+        report
+    }
+}

@@ -1,0 +1,30 @@
+//! What a registry has, in the flags that take a name and in their help.
+
+use clap::builder::{PossibleValue, PossibleValuesParser};
+use clap::{Arg, Command};
+
+use crate::registry::Registry;
+
+/// The command and all below it, with the registry's names where a flag takes one.
+pub fn put(command: Command, registry: &Registry) -> Command {
+    command.mut_args(|arg| named(arg, registry)).mut_subcommands(|below| put(below, registry))
+}
+
+fn named(arg: Arg, registry: &Registry) -> Arg {
+    let one_of = |arg: Arg, names: Vec<(&'static str, &'static str)>| {
+        arg.value_parser(PossibleValuesParser::new(
+            names.into_iter().map(|(name, about)| PossibleValue::new(name).help(about)),
+        ))
+    };
+    match arg.get_id().as_str() {
+        "scenario" => one_of(arg, registry.scenarios().iter().map(|entry| (entry.name, entry.about)).collect()),
+        "plant" => one_of(arg, registry.plants().iter().map(|entry| (entry.name, entry.about)).collect()),
+        "policy" | "policies" => {
+            let named: Vec<String> =
+                registry.policies().iter().map(|entry| format!("'{}' ({})", entry.name, entry.about)).collect();
+            let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
+            arg.help(format!("{help}. Policies with a name: {}", named.join("; ")))
+        }
+        _ => arg,
+    }
+}

@@ -1,0 +1,84 @@
+//! The scenario `round`: robots stand on a circle with one free place, and each goes on to the next.
+
+use std::f32::consts::TAU;
+use std::sync::Arc;
+
+use murmurate::messages::geometry::{Motion, Task, Vec2};
+use murmurate::messages::local::Contacts;
+use murmurate::random::{Rng, Seed};
+use murmurate::scenario::{Arena, Entry, Frame, Rules, Scenario, ScenarioError, Settings, Stage};
+use murmurate::time::Span;
+
+/// Its line in a registry.
+pub const ROUND: Entry = Entry { name: "round", about: "robots on a circle go on to the next place", build };
+
+/// How far places lie from the middle \[m\].
+const RADIUS_M: f32 = 1.5;
+
+#[derive(Debug)]
+struct Round {
+    robots: usize,
+    arena: Arena,
+}
+
+fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+    let robots = settings.robots.unwrap_or(5);
+    if !(1..=8).contains(&robots) {
+        return Err(ScenarioError::Robots { scenario: ROUND.name, least: 1, most: 8, robots });
+    }
+    if let Some(gap_m) = settings.gap_m {
+        return Err(ScenarioError::Gap { scenario: ROUND.name, gap_m, hint: "; it has no walls" });
+    }
+    let half_extent = Vec2::new(2.5, 2.5);
+    let arena = Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), robot_radius_m: 0.25 };
+    Ok(Arc::new(Round { robots, arena }))
+}
+
+impl Round {
+    /// The place that a robot has before this episode \[m\].
+    fn place(&self, seed: u64, episode: u32, robot: usize) -> Vec2 {
+        let turned = Seed::of_run(seed).stream("round/turned").next_u32() as f32 / u32::MAX as f32;
+        let angle = TAU * (turned + (robot as f32 + episode as f32) / (self.robots + 1) as f32);
+        RADIUS_M * Vec2::new(angle.cos(), angle.sin())
+    }
+}
+
+impl Scenario for Round {
+    fn name(&self) -> &'static str {
+        ROUND.name
+    }
+
+    fn robots(&self) -> usize {
+        self.robots
+    }
+
+    fn arena(&self) -> &Arena {
+        &self.arena
+    }
+
+    fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
+        let place = |episode, robot| self.place(seed, episode, robot);
+        (0..self.robots).map(|robot| Task { start: place(episode, robot), goal: place(episode + 1, robot) }).collect()
+    }
+
+    fn frame(&self, _: &Task) -> Frame {
+        Frame::World
+    }
+
+    /// Speed toward the goal, one off for a contact.
+    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32 {
+        if self.reached(task, after.position) {
+            *stage = Stage(1);
+        }
+        let way = (task.goal - after.position).try_normalize(1e-6).unwrap_or_default();
+        way.dot(&after.velocity) - if contacts.robot || contacts.wall { 1.0 } else { 0.0 }
+    }
+
+    fn finished(&self, stage: Stage) -> bool {
+        stage == Stage(1)
+    }
+
+    fn rules(&self) -> Rules {
+        Rules { arrival_m: 0.25, separation_m: 0.32, limit: Span::from_secs(25.0) }
+    }
+}
