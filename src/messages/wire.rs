@@ -31,8 +31,8 @@ pub const MAX_VALIDITY: Span = Span::from_millis(1000);
 pub struct Reading {
     /// The robot that is measured.
     pub robot: RobotId,
-    /// When it was measured \[ns\], on the sensor's clock, which is compared with no other: it tells a new reading from a
-    /// repeated one, and how far apart two are.
+    /// When it was measured \[ns\], on the sensor's clock, which is compared with no other: it tells a new reading from
+    /// a repeated one, and how far apart two are.
     pub stamp_ns: u64,
     /// Where it is and where it points.
     pub pose: Pose,
