@@ -28,6 +28,7 @@ pub mod config;
 pub mod deploy;
 pub mod drivers;
 pub mod edge;
+pub mod estimation;
 pub mod faults;
 pub mod graph;
 pub mod hearing;

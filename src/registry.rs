@@ -14,12 +14,13 @@
 use std::sync::Arc;
 
 use crate::drivers;
+use crate::estimation;
 use crate::localization;
 use crate::policy;
 use crate::scenario::{self, Scenario, ScenarioError, Settings};
 use crate::world;
 
-/// What there is by name: scenarios, plants, policies, drivers and sources.
+/// What there is by name: scenarios, plants, policies, drivers, sources and estimators.
 #[derive(Clone, Debug)]
 pub struct Registry {
     scenarios: Vec<scenario::Entry>,
@@ -27,6 +28,7 @@ pub struct Registry {
     policies: Vec<policy::Entry>,
     drivers: Vec<drivers::Entry>,
     sources: Vec<localization::Entry>,
+    estimators: Vec<estimation::Entry>,
 }
 
 /// There is no plant of that name.
@@ -48,6 +50,7 @@ impl Registry {
             policies: policy::REGISTRY.to_vec(),
             drivers: drivers::REGISTRY.to_vec(),
             sources: localization::REGISTRY.to_vec(),
+            estimators: estimation::REGISTRY.to_vec(),
         }
     }
 
@@ -99,6 +102,21 @@ impl Registry {
         assert!(self.sources.iter().all(|other| other.name != entry.name), "a second source '{}'", entry.name);
         self.sources.push(entry);
         self
+    }
+
+    /// With an estimator more.
+    ///
+    /// # Panics
+    /// If there is one of its name.
+    pub fn with_estimator(mut self, entry: estimation::Entry) -> Registry {
+        assert!(self.estimators.iter().all(|other| other.name != entry.name), "a second estimator '{}'", entry.name);
+        self.estimators.push(entry);
+        self
+    }
+
+    /// All estimators.
+    pub fn estimators(&self) -> &[estimation::Entry] {
+        &self.estimators
     }
 
     /// All drivers of robots that are not simulated.
@@ -159,7 +177,12 @@ impl Registry {
     pub fn is_extended(&self) -> bool {
         let builtin = Registry::builtin();
         let count = |all: &Registry| {
-            all.scenarios.len() + all.plants.len() + all.policies.len() + all.drivers.len() + all.sources.len()
+            all.scenarios.len()
+                + all.plants.len()
+                + all.policies.len()
+                + all.drivers.len()
+                + all.sources.len()
+                + all.estimators.len()
         };
         count(self) != count(&builtin)
     }

@@ -22,6 +22,7 @@ use crate::actors::state_server;
 use crate::config::ConfigError;
 use crate::deploy::Deployment;
 use crate::deploy::team::{Simulated, Team};
+use crate::estimation;
 use crate::faults::FaultPlan;
 use crate::graph::{self, Plan};
 use crate::hearing::CommRange;
@@ -69,6 +70,8 @@ pub struct Trial {
     pub range: Option<CommRange>,
     /// What becomes of neighbours' messages once a robot's agent has seen them.
     pub handling: Handling,
+    /// How a robot's readings become an estimate.
+    pub estimator: estimation::Entry,
     /// How Controllers limit what the policy wants; `Trial::clamp` sets it together with the physics it goes with.
     pub clamp: Clamp,
     /// When robots are stopped or slowed, whatever the policy wants.
@@ -176,6 +179,7 @@ impl Trial {
             repeat: 0,
             range: None,
             handling: Handling::Hold,
+            estimator: estimation::REGISTRY[0],
             clamp: Clamp::Training,
             safety: Safety::emulated(),
             stops: Vec::new(),
@@ -191,8 +195,9 @@ impl Trial {
         let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
         let trial = Trial::with_registry(registry, team.deployment.clone(), scenario, model);
         let Simulated { physics, clamp, handling } = team.simulated;
+        let estimator = team.estimator;
         let (seed, safety) = (team.seed, team.safety);
-        let trial = Trial { physics, handling, seed, safety, layouts, ..trial }.clamp(clamp);
+        let trial = Trial { physics, handling, estimator, seed, safety, layouts, ..trial }.clamp(clamp);
         trial.check()?;
         Ok(trial)
     }
@@ -354,6 +359,7 @@ impl Trial {
             range: self.range.unwrap_or(CommRange::fixed(interface.radius_m)),
             hold: interface.hold,
             handling: self.handling,
+            estimator: self.estimator,
             clamp: self.clamp,
             safety: self.safety,
             stops: self.stops.clone(),

@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 }
 
 /// The rooms of the library, each after all that it may use.
-const ROOMS: [&str; 29] = [
+const ROOMS: [&str; 30] = [
     "time",
     "random",
     "config",
@@ -68,6 +68,7 @@ const ROOMS: [&str; 29] = [
     "safety",
     "edge",
     "drivers",
+    "estimation",
     "localization",
     "registry",
     "net::protocol",

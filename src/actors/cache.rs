@@ -6,8 +6,8 @@
 use std::collections::BTreeMap;
 
 use crate::actor::Core;
+use crate::estimation::{self, Estimator};
 use crate::hearing::{CommRange, Handling};
-use crate::messages::geometry::Motion;
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Heard, Percept};
 use crate::messages::wire::{Latent, Reading};
@@ -41,6 +41,8 @@ pub struct Config {
     pub hold: Span,
     /// What becomes of it within that time.
     pub handling: Handling,
+    /// How readings become an estimate.
+    pub estimator: estimation::Entry,
     /// The oldest own estimate that the robot acts on. Without a younger one it stays silent.
     pub own_age: Span,
 }
@@ -54,32 +56,31 @@ pub enum Out {
     Fresh,
 }
 
-/// One robot's cache and filter.
+/// One robot's cache and estimator.
 #[derive(Debug)]
 pub struct Cache {
     config: Config,
     stream: Stream,
     next: Time,
-    own: Option<(Time, Reading)>,
+    /// When the last new reading has arrived, and its stamp.
+    own: Option<(Time, u64)>,
+    estimator: Box<dyn Estimator>,
     heard: BTreeMap<RobotId, (Time, Latent)>,
 }
 
 impl Cache {
     /// An empty cache; draws random ranges from `stream`.
     pub fn new(config: Config, stream: Stream) -> Cache {
-        Cache { config, stream, next: Time::ZERO + config.phase, own: None, heard: BTreeMap::new() }
-    }
-
-    fn estimate(&self) -> Option<Motion> {
-        self.own.as_ref().map(|(_, reading)| reading.motion())
+        let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)());
+        Cache { config, stream, next, own: None, estimator, heard: BTreeMap::new() }
     }
 
     fn perceive(&self, now: Time) -> Option<Percept> {
-        let (arrived, reading) = self.own.as_ref()?;
-        let age = now.since(*arrived);
-        if age > self.config.own_age {
+        let (arrived, _) = self.own?;
+        if now.since(arrived) > self.config.own_age {
             return None;
         }
+        let estimate = self.estimator.at(now)?;
         let heard = self.heard.values().map(|(arrived, latent)| Heard {
             robot: latent.robot,
             round: latent.round,
@@ -89,7 +90,7 @@ impl Cache {
             age: now.since(*arrived),
         });
         let robot = self.config.robot;
-        Some(Percept { robot, due: self.next, estimate: reading.motion(), heard: heard.collect() })
+        Some(Percept { robot, due: self.next, estimate, heard: heard.collect() })
     }
 }
 
@@ -99,17 +100,17 @@ impl Core for Cache {
 
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
-            In::Reading(reading) => match &mut self.own {
+            In::Reading(reading) => {
+                self.estimator.take(now, &reading);
                 // The same stamp again is the same measurement: it makes the estimate no younger. (A robot that is
                 // placed is measured twice at one instant, at two places.)
-                Some((_, own)) if own.stamp_ns == reading.stamp_ns => *own = reading,
-                own => {
-                    *own = Some((now, reading));
+                if self.own.is_none_or(|(_, stamp_ns)| stamp_ns != reading.stamp_ns) {
+                    self.own = Some((now, reading.stamp_ns));
                     out.push(Out::Fresh);
                 }
-            },
+            }
             In::Latent(latent) => {
-                let Some(own) = self.estimate() else { return };
+                let Some(own) = self.estimator.at(now) else { return };
                 let near = self.config.range.admits(own.position, latent.motion.position, &mut self.stream);
                 let room = self.heard.len() < MAX_NEIGHBOURS || self.heard.contains_key(&latent.robot);
                 if near && room && latent.robot != self.config.robot {
@@ -142,7 +143,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::messages::geometry::Vec2;
+    use crate::messages::geometry::{Motion, Vec2};
     use crate::messages::wire::{Features, Phase, Round};
     use crate::random::Seed;
 
@@ -162,6 +163,7 @@ mod tests {
             range: CommRange::fixed(2.0),
             hold: Span::from_millis(80),
             handling,
+            estimator: estimation::REGISTRY[0],
             own_age: Span::from_millis(100),
         };
         Cache::new(config, Seed::of_run(0).stream("cache"))

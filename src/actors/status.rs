@@ -2,14 +2,15 @@
 //! server that the host leaves or is back.
 //!
 //! It answers every message of an operator, so that a confirmation reaches an operator in every deployment, also where
-//! heartbeats cross no link.
+//! heartbeats cross no link. While an observer is there, it tells where the host's robots are and how they do.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::actor::Core;
+use crate::messages::geometry::Pose;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{self, Following, Health, Leading, MAX_BLOCK, Phase, Stop};
+use crate::messages::wire::{self, Condition, Following, Health, Leading, MAX_BLOCK, Phase, Seen, Stop, Telemetry};
 use crate::time::{Span, Time};
 
 /// How long it waits for what the host's actors make of an operator's message.
@@ -23,6 +24,14 @@ const HERE_PERIOD: Span = Span::from_millis(200);
 /// How long after an actor has told its latch that is worth telling: two of a controller's heartbeats and some.
 const STALE: Span = Span::from_millis(500);
 
+/// How long after an observer was last heard it counts as there: one of its words may be lost.
+const OBSERVED: Span = Span::from_millis(2500);
+/// How often telemetry is told at the most.
+const TELEMETRY_PERIOD: Span = Span::from_millis(200);
+/// Robots in one telling. With a telling every 200 ms it takes at most 570 bytes a second, tag included, whatever the
+/// host has; of more robots some are told each time, in turn.
+const TOLD_AT_ONCE: usize = 2;
+
 /// Everything that a Status accepts.
 #[derive(Clone, Debug)]
 pub enum In {
@@ -32,6 +41,10 @@ pub enum In {
     Controller(RobotId, Latch),
     /// The latch that a robot's body follows.
     Body(RobotId, Latch),
+    /// Where a robot was measured, for the host that runs its agent.
+    Seen(RobotId, Pose),
+    /// How far a robot of an agent of this host has come.
+    Phase(RobotId, Phase),
     /// The state server, which runs here, answers.
     Leading(Leading),
     /// The phase that the team is in.
@@ -58,6 +71,23 @@ pub struct Config {
 /// Something that was told, and when.
 type Told<T> = (Time, T);
 
+/// What is known of one robot for those who look at the team.
+#[derive(Clone, Copy, Debug, Default)]
+struct Known {
+    seen: Option<Told<Pose>>,
+    phase: Option<Phase>,
+    condition: Option<(Health, Option<u8>)>,
+}
+
+/// What a Status says.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Out {
+    /// To operators and the state server.
+    Status(wire::Status),
+    /// To observers.
+    Telemetry(Telemetry),
+}
+
 /// One host's voice.
 #[derive(Debug)]
 pub struct Status {
@@ -71,6 +101,13 @@ pub struct Status {
     waits: bool,
     said: Option<Time>,
     due: Option<Time>,
+    /// By place in `robots`.
+    known: Vec<Known>,
+    /// Until when an observer is there.
+    observed: Option<Time>,
+    /// When telemetry is told next, and of which robot first.
+    telemetry: Time,
+    first: usize,
 }
 
 impl Status {
@@ -79,6 +116,7 @@ impl Status {
         let robots: BTreeSet<RobotId> = config.controllers.iter().chain(&config.bodies).copied().collect();
         Status {
             host: config.host,
+            known: vec![Known::default(); robots.len()],
             robots: robots.into_iter().collect(),
             controllers: BTreeMap::new(),
             bodies: BTreeMap::new(),
@@ -87,7 +125,40 @@ impl Status {
             waits: false,
             said: None,
             due: None,
+            observed: None,
+            telemetry: Time::ZERO,
+            first: 0,
         }
+    }
+
+    /// What is known of a robot of this host.
+    fn know(&mut self, robot: RobotId, note: impl FnOnce(&mut Known)) {
+        if let Ok(place) = self.robots.binary_search(&robot) {
+            note(&mut self.known[place]);
+        }
+    }
+
+    /// Tells of the next robots in turn.
+    fn tell(&mut self, now: Time, out: &mut Vec<Out>) {
+        let count = self.robots.len();
+        let places = (0..count.min(TOLD_AT_ONCE)).map(|nth| (self.first + nth) % count);
+        let condition = |place: usize| {
+            let Known { seen, phase, condition } = self.known[place];
+            let age_ms = |at: Time| u32::try_from(now.since(at).as_nanos() / 1_000_000).unwrap_or(u32::MAX);
+            Condition {
+                robot: self.robots[place],
+                phase,
+                seen: seen.map(|(at, pose)| Seen { pose, age_ms: age_ms(at) }),
+                health: condition.map(|(health, _)| health),
+                battery: condition.and_then(|(_, battery)| battery),
+            }
+        };
+        let robots: Vec<Condition> = places.map(condition).collect();
+        if !robots.is_empty() {
+            out.push(Out::Telemetry(Telemetry { host: self.host, robots }));
+        }
+        self.first = (self.first + TOLD_AT_ONCE.min(count)) % count.max(1);
+        self.telemetry = now + TELEMETRY_PERIOD;
     }
 
     /// Speaks after `wait`, or as soon after the last time as `period` allows.
@@ -96,7 +167,7 @@ impl Status {
         self.due = Some(self.due.map_or(due, |before| before.min(due)));
     }
 
-    fn say(&self, now: Time, out: &mut Vec<wire::Status>) {
+    fn say(&self, now: Time, out: &mut Vec<Out>) {
         let fresh = |told: Option<&Told<Latch>>| told.filter(|(at, _)| now.since(*at) < STALE).map(|(_, latch)| *latch);
         let leading =
             self.leading.as_ref().filter(|(at, _)| now.since(*at) < STALE).map(|(_, leading)| leading.clone());
@@ -110,21 +181,21 @@ impl Status {
                 controller: fresh(self.controllers.get(&robot)),
                 body: fresh(self.bodies.get(&robot)),
             };
-            out.push(wire::Status {
+            out.push(Out::Status(wire::Status {
                 host: self.host,
                 leaves: self.leaves,
                 robots: block.iter().map(following).collect(),
                 leading: leading.clone(),
-            });
+            }));
         }
     }
 }
 
 impl Core for Status {
     type In = In;
-    type Out = wire::Status;
+    type Out = Out;
 
-    fn handle(&mut self, now: Time, input: In, _: &mut Vec<wire::Status>) {
+    fn handle(&mut self, now: Time, input: In, _: &mut Vec<Out>) {
         match input {
             In::Stop(stop) if stop.by.is_operator() => self.plan(now, GATHER, ANSWER_PERIOD),
             In::Stop(_) => {}
@@ -141,7 +212,17 @@ impl Core for Status {
                     self.plan(now, GATHER, HERE_PERIOD);
                 }
             }
-            In::Condition(..) | In::Observe => {}
+            In::Seen(robot, pose) => self.know(robot, |known| known.seen = Some((now, pose))),
+            In::Phase(robot, phase) => self.know(robot, |known| known.phase = Some(phase)),
+            In::Condition(robot, health, battery) => {
+                self.know(robot, |known| known.condition = Some((health, battery)));
+            }
+            In::Observe => {
+                if self.observed.is_none() {
+                    self.telemetry = now.max(self.telemetry);
+                }
+                self.observed = Some(now + OBSERVED);
+            }
             In::Leave => {
                 self.leaves = true;
                 self.due = Some(now);
@@ -150,13 +231,20 @@ impl Core for Status {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        self.due
+        let telemetry = self.observed.map(|_| self.telemetry);
+        [self.due, telemetry].into_iter().flatten().min()
     }
 
-    fn wake(&mut self, now: Time, out: &mut Vec<wire::Status>) {
-        self.say(now, out);
-        self.said = Some(now);
-        self.due = self.leaves.then_some(now + LEAVE_PERIOD);
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
+        if self.due.is_some_and(|due| due <= now) {
+            self.say(now, out);
+            self.said = Some(now);
+            self.due = self.leaves.then_some(now + LEAVE_PERIOD);
+        }
+        if self.observed.is_some() && self.telemetry <= now {
+            self.tell(now, out);
+            self.observed = self.observed.filter(|until| *until > now);
+        }
     }
 }
 
@@ -172,10 +260,49 @@ mod tests {
         status.handle(at_ms(ms), input, &mut Vec::new());
     }
 
-    fn said(status: &mut Status) -> (Time, Vec<wire::Status>) {
+    fn woken(status: &mut Status) -> (Time, Vec<Out>) {
         let (due, mut out) = (status.wake_at().expect("it has something to say"), Vec::new());
         status.wake(due, &mut out);
         (due, out)
+    }
+
+    fn said(status: &mut Status) -> (Time, Vec<wire::Status>) {
+        let (due, out) = woken(status);
+        let said = |out| if let Out::Status(status) = out { status } else { panic!("{out:?}") };
+        (due, out.into_iter().map(said).collect())
+    }
+
+    #[test]
+    fn an_observer_is_told_of_all_robots_in_turn_as_long_as_it_is_there() {
+        let mut status = host(3);
+        let pose = |x: f32| Pose { position: crate::messages::geometry::Vec2::new(x, 0.0), heading: Some(0.5) };
+        handle(&mut status, 900, In::Seen(RobotId(1), pose(7.0)));
+        handle(&mut status, 900, In::Phase(RobotId(1), Phase::Running));
+        handle(&mut status, 900, In::Condition(RobotId(2), Health::Faulty, Some(12)));
+        handle(&mut status, 900, In::Seen(RobotId(9), pose(1.0)));
+        assert_eq!(status.wake_at(), None, "nobody looks");
+        handle(&mut status, 1000, In::Observe);
+        let mut told = Vec::new();
+        while status.wake_at().is_some() {
+            let (due, out) = woken(&mut status);
+            for out in out {
+                let Out::Telemetry(telemetry) = out else { panic!("{out:?}") };
+                told.push((due, telemetry.robots));
+            }
+        }
+        let order: Vec<u16> = told.iter().take(3).flat_map(|(_, robots)| robots.iter().map(|r| r.robot.0)).collect();
+        assert_eq!(order, [0, 1, 2, 0, 1, 2]);
+        let (last, _) = told.last().unwrap();
+        assert_eq!((told[0].0, told[1].0, *last), (at_ms(1000), at_ms(1200), at_ms(3600)), "five times a second");
+        let one = told[0].1[1];
+        assert_eq!((one.phase, one.seen), (Some(Phase::Running), Some(Seen { pose: pose(7.0), age_ms: 100 })));
+        let unknown = told[0].1[0];
+        assert_eq!(
+            (unknown.phase, unknown.seen, unknown.health),
+            (None, None, None),
+            "what is not known is not made up"
+        );
+        assert_eq!((told[1].1[0].health, told[1].1[0].battery), (Some(Health::Faulty), Some(12)));
     }
 
     fn host(robots: u16) -> Status {

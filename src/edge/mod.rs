@@ -1,8 +1,8 @@
 //! What joins the thread that drives a robot with the threads that do its I/O: one bounded channel for each worker.
 //!
-//! The control thread has the [`Gate`], the worker the [`Port`]. Both ways hold `ROOM` packets; what finds none is dropped
-//! and counted, and nobody waits. A packet is a plain value as bytes, so what comes in can be kept and played again like
-//! a datagram. Whatever a worker says rings a descriptor, which the driver of real time watches.
+//! The control thread has the [`Gate`], the worker the [`Port`]. Both ways hold `ROOM` packets; what finds none is
+//! dropped and counted, and nobody waits. A packet is a plain value as bytes, so what comes in can be kept and played
+//! again like a datagram. Whatever a worker says rings a descriptor, which the driver of real time watches.
 
 pub mod child;
 

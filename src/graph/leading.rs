@@ -1,6 +1,7 @@
 //! Wiring of the state server, of what a host hands in to its actors (what has arrived, and to those that follow the
 //! state server and the emergency stop what these say), and of the host's own voice. No logic lives here.
 
+use std::cell::Cell;
 use std::collections::BTreeSet;
 
 use tracing::info_span;
@@ -67,12 +68,17 @@ pub(super) fn deliveries(
         world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
         status: graph.status_of(host),
     };
+    // Readings are told to the host's voice only once somebody has ever looked: they are many.
+    let observed = Cell::new(false);
     move |message| match message {
         Wire::Reading(m) => {
             if real.contains(&m.robot) {
                 by_robot.1[m.robot.index()].send(body::In::Reading(m.clone()));
             }
             if decided.contains(&m.robot) {
+                if observed.get() {
+                    team.status.send(status::In::Seen(m.robot, m.pose));
+                }
                 by_robot.0[m.robot.index()].send(cache::In::Reading(m));
             }
         }
@@ -91,7 +97,10 @@ pub(super) fn deliveries(
             }
         }
         Wire::Status(m) => by_robot.2.send(state_server::In::Status(m)),
-        Wire::Observe(_) => team.status.send(status::In::Observe),
+        Wire::Observe(_) => {
+            observed.set(true);
+            team.status.send(status::In::Observe);
+        }
         // It is for observers, who are no hosts.
         Wire::Telemetry(_) => {}
     }
@@ -101,8 +110,11 @@ pub(super) fn deliveries(
 pub(super) fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: status::Config) {
     let network = graph.network_of(host);
     let make = move |_| Status::new(&config);
-    start(clock, &graph.statuses[usize::from(host.0)], info_span!("status"), make, move |status| {
-        network.send(network::In::Publish(Wire::Status(status)));
+    start(clock, &graph.statuses[usize::from(host.0)], info_span!("status"), make, move |said| {
+        network.send(network::In::Publish(match said {
+            status::Out::Status(status) => Wire::Status(status),
+            status::Out::Telemetry(telemetry) => Wire::Telemetry(telemetry),
+        }));
     });
 }
 

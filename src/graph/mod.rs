@@ -21,6 +21,7 @@ use crate::actors::network::{self, Network};
 use crate::actors::recorder::{self, Recorder};
 use crate::actors::status;
 use crate::deploy::{Deployment, Host, Stepping};
+use crate::estimation;
 use crate::faults::FaultPlan;
 use crate::graph::leading::{deliveries, wire_server, wire_status};
 use crate::graph::process::{Graph, Heard, Process};
@@ -69,6 +70,8 @@ pub struct Plan {
     pub hold: Span,
     /// What becomes of it within that time.
     pub handling: Handling,
+    /// How a robot's readings become an estimate.
+    pub estimator: estimation::Entry,
     /// How Controllers limit what the policies want.
     pub clamp: Clamp,
     /// When robots are stopped or slowed.
@@ -180,6 +183,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
         range: plan.range,
         hold: plan.hold,
         handling: plan.handling,
+        estimator: plan.estimator,
         own_age: Span::from_secs(plan.safety.own_state_s),
     };
     let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
@@ -221,7 +225,10 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
     let make = move |_| Controller::new(config);
     start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
         controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
-        controller::Out::Heartbeat(m) => network.send(network::In::Publish(Wire::Heartbeat(m))),
+        controller::Out::Heartbeat(m) => {
+            status.send(status::In::Phase(robot, m.phase));
+            network.send(network::In::Publish(Wire::Heartbeat(m)));
+        }
         controller::Out::Follows(latch) => status.send(status::In::Controller(robot, latch)),
         controller::Out::Counts(counts) => {
             hear(Heard::Safety(robot, counts));

@@ -12,8 +12,8 @@ use super::process::Heard;
 use super::sockets::{self, Shared};
 use crate::actors::network::{self, Identity, Network};
 use crate::actors::order::Order;
-use crate::messages::ids::LinkId;
-use crate::messages::wire::{Kind, Status, Wire};
+use crate::messages::ids::{HostId, LinkId};
+use crate::messages::wire::{Kind, Observe, Status, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
@@ -23,6 +23,7 @@ use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
+use crate::time::Span;
 
 /// An operator and its links.
 pub struct Operator {
@@ -80,6 +81,16 @@ pub fn wire(
         }
     });
     network
+}
+
+/// How often an observer says that it is there.
+const OBSERVE_PERIOD: Span = Span::from_millis(1000);
+
+/// Makes an operator an observer, whose Network this is: as long as the process runs, hosts tell it of their robots.
+pub fn observe(clock: &Clock, network: &Mailbox<network::In>, by: HostId) {
+    network.send(network::In::Publish(Wire::Observe(Observe { by })));
+    let (again, network) = (clock.clone(), network.clone());
+    clock.call(clock.now() + OBSERVE_PERIOD, Box::new(move || observe(&again, &network, by)));
 }
 
 /// Starts an operator that gives an order, which can be looked at while it is carried out.

@@ -18,6 +18,7 @@ fn named(arg: Arg, registry: &Registry) -> Arg {
     };
     match arg.get_id().as_str() {
         "scenario" => one_of(arg, registry.scenarios().iter().map(|entry| (entry.name, entry.about)).collect()),
+        "estimator" => one_of(arg, registry.estimators().iter().map(|entry| (entry.name, entry.about)).collect()),
         "plant" => one_of(arg, registry.plants().iter().map(|entry| (entry.name, entry.about)).collect()),
         "policy" | "policies" => {
             let named: Vec<String> =

@@ -100,6 +100,9 @@ pub struct Args {
     #[arg(long, default_value = "hold",
         value_parser = choice([("as-published", Handling::AsPublished), ("hold", Handling::Hold)]))]
     handling: Handling,
+    /// What comes of a robot's readings until the next one
+    #[arg(long, default_value = "none")]
+    estimator: String,
     /// The root of all randomness
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -275,6 +278,8 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
     let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), model);
     trial = trial.seed(args.seed).episodes(args.episodes);
     (trial.handling, trial.safety) = (args.handling, args.safety);
+    let estimator = registry.estimators().iter().find(|entry| entry.name == args.estimator);
+    trial.estimator = *estimator.expect("the flag takes names of the registry alone");
     trial = physics(args, trial)?.clamp(args.clamp);
     if let Some(path) = &args.episodes_file {
         let text = read_text(path, "episodes file")?;

@@ -6,6 +6,7 @@ use murmurate::actor::Core;
 use murmurate::actors::cache::{self, Cache};
 use murmurate::actors::controller::{self, Controller};
 use murmurate::deploy::MODES;
+use murmurate::estimation::REGISTRY;
 use murmurate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, Role};
 use murmurate::hearing::{CommRange, Handling};
 use murmurate::messages::geometry::{Motion, Task, Vec2};
@@ -86,7 +87,16 @@ fn without_own_readings_a_robot_stops_within_the_age_of_the_last() {
 fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
     let (robot, round, period) = (RobotId(0), Round { epoch: 1, episode: 0 }, ms(50));
     let (range, hold, handling) = (CommRange::fixed(2.0), ms(200), Handling::Hold);
-    let config = cache::Config { robot, period, phase: Span::ZERO, range, hold, handling, own_age: ms(100) };
+    let config = cache::Config {
+        robot,
+        period,
+        phase: Span::ZERO,
+        range,
+        hold,
+        handling,
+        estimator: REGISTRY[0],
+        own_age: ms(100),
+    };
     let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));
     let (safety, half_extent, clamp) = (Safety::deployed(), Vec2::new(2.0, 3.0), Clamp::Training);
     let guard = guard::Config { safety, half_extent, limit_m_s: 1.5, clamp, period };

@@ -114,7 +114,7 @@ const SENSORS: [&str; 2] = {
 };
 
 /// The fields of the whole team, in the order in which they are shown.
-const TEAM: [Field; 15] = [
+const TEAM: [Field; 16] = [
     ("team", Takes::Whole(0, 65_535), None),
     ("key_file", Takes::Text, None),
     ("mode", Takes::Choice(&MODES), None),
@@ -130,6 +130,7 @@ const TEAM: [Field; 15] = [
     ("sensor", Takes::Choice(&SENSORS), None),
     ("clamp", Takes::Choice(&["training", "deployed"]), Some("training")),
     ("handling", Takes::Choice(&["hold", "as-published"]), Some("hold")),
+    ("estimator", Takes::Text, Some("none")),
 ];
 
 /// The fields of a link, beside its tables `peers` and `reliability`.

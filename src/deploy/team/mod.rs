@@ -22,6 +22,7 @@ use serde::Deserialize;
 use self::layers::{Entry, Layers, Value, place};
 use super::{Deployment, Link, MODES, Routes};
 use crate::config::{self, ConfigError};
+use crate::estimation;
 use crate::hearing::Handling;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
@@ -52,6 +53,8 @@ pub struct Team {
     pub seed: u64,
     /// What simulated robots are like.
     pub simulated: Simulated,
+    /// How the readings of the host's robots become an estimate.
+    pub estimator: estimation::Entry,
     /// What stops and slows every robot.
     pub safety: Safety,
     /// The sockets, by link; `None` for a link on which this host neither sends nor listens.
@@ -191,6 +194,7 @@ impl TeamFile {
             episodes: u32::try_from(whole("episodes")).expect("its range is smaller"),
             seed: whole("seed"),
             simulated: self.simulated(&scopes, &*scenario)?,
+            estimator: self.estimator(&scopes)?,
             safety: self.safety,
             links,
         })
@@ -223,6 +227,17 @@ impl TeamFile {
             physics,
             clamp: if is("clamp", "deployed") { Clamp::Deployed } else { Clamp::Training },
             handling: if is("handling", "as-published") { Handling::AsPublished } else { Handling::Hold },
+        })
+    }
+
+    /// How the host's robots are estimated.
+    fn estimator(&self, scopes: &[String]) -> Result<estimation::Entry, ConfigError> {
+        let entry = self.layers.find(scopes, "estimator").expect("it has a default");
+        let found = self.registry.estimators().iter().find(|estimator| estimator.name == text(&entry));
+        found.copied().ok_or_else(|| {
+            let names: Vec<&str> = self.registry.estimators().iter().map(|entry| entry.name).collect();
+            let why = format!("there is no estimator '{}'; there are: {}", text(&entry), names.join(", "));
+            ConfigError::field(place("estimator", &entry.origin), why)
         })
     }
 

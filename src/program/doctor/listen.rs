@@ -8,9 +8,10 @@ use std::time::Instant;
 
 use crate::deploy::Routes;
 use crate::deploy::team::Team;
-use crate::graph::operator::{Operator, wire};
+use crate::graph::operator::{Operator, observe, wire};
 use crate::graph::process::Heard;
-use crate::messages::ids::LinkId;
+use crate::messages::ids::{LinkId, RobotId};
+use crate::messages::wire::{Condition, Health, Kind, Phase, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::link::LinkCounts;
 use crate::net::protocol::sender::Peer;
@@ -34,6 +35,19 @@ struct Ears {
     counts: LinkCounts,
     /// The number of the operator that answers.
     echo: u16,
+    /// What is known of each robot, from whichever host knows it.
+    robots: BTreeMap<RobotId, Condition>,
+}
+
+impl Ears {
+    /// Joins what one host knows of a robot with what others have told.
+    fn learn(&mut self, told: &Condition) {
+        let known = self.robots.entry(told.robot).or_insert(*told);
+        known.phase = told.phase.or(known.phase);
+        known.seen = told.seen.or(known.seen);
+        known.health = told.health.or(known.health);
+        known.battery = told.battery.or(known.battery);
+    }
 }
 
 /// Listens for so long on the links of `teams`, which are the hosts of this machine, to `all` hosts.
@@ -62,11 +76,19 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> 
         }
     }
     found.extend(refusals(&ears.counts));
+    // Where nobody is heard, that is said of the hosts.
+    if !ears.robots.is_empty() {
+        found.extend(RobotId::team(first.deployment.robots).map(|robot| about_robot(robot, ears.robots.get(&robot))));
+    }
     Ok(found)
 }
 
 fn hear(team: &Team, places: &[Option<SocketConfig>], seconds: f64) -> Result<Ears> {
     let key = team.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
+    // What observers say goes where the stop goes.
+    let carries = team.deployment.links.iter().position(|link| link.carries.contains(&Kind::Stop));
+    let post = carries.filter(|at| places[*at].is_some());
+    let post = post.map(|at| LinkId(u16::try_from(at).expect("links are counted in u16")));
     let operator = || -> Result<Operator> {
         let fresh = links::Fresh::draw()?;
         let mut sockets = Vec::new();
@@ -83,11 +105,11 @@ fn hear(team: &Team, places: &[Option<SocketConfig>], seconds: f64) -> Result<Ea
             key: key.clone(),
             links: links::of_operator(&team.deployment, places.iter().map(Option::as_ref)),
             sockets,
-            stop: None,
+            stop: post,
         })
     };
     let (listener, echo) = (operator()?, operator()?);
-    let answers = echo.me.host.0;
+    let (answers, observer) = (echo.me.host.0, listener.me.host);
     let ears = Rc::new(RefCell::new(Ears::default()));
     let until = Time::ZERO + Span::from_secs(seconds);
     run_real(
@@ -99,9 +121,13 @@ fn hear(team: &Team, places: &[Option<SocketConfig>], seconds: f64) -> Result<Ea
                     heard.borrow_mut().peers = peers.iter().map(|p| ((p.link, p.host), p.clone())).collect();
                 }
                 Heard::Counts(counts) => heard.borrow_mut().counts = *counts,
+                Heard::Message(Wire::Telemetry(telemetry)) => {
+                    telemetry.robots.iter().for_each(|told| heard.borrow_mut().learn(told));
+                }
                 Heard::Message(_) | Heard::Published | Heard::Duplicate(_) | Heard::Safety(..) => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
+            observe(clock, &listener, observer);
             clock.call(until, Box::new(|| {}));
             (listener, echo)
         },
@@ -153,6 +179,48 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
         return (Status::Warn, what, said, advice);
     }
     (Status::Ok, what, said, String::new())
+}
+
+/// A robot, as its hosts tell of it; what nobody tells is unknown.
+fn about_robot(robot: RobotId, known: Option<&Condition>) -> Found {
+    let what = format!("robot {}", robot.0);
+    let Some(known) = known else {
+        let advice = "are the hosts of its agent and of its motors running?".to_owned();
+        return (Status::Warn, what, "nothing is known of it".to_owned(), advice);
+    };
+    let place = known.seen.map_or("place unknown".to_owned(), |seen| {
+        let heading = seen.pose.heading.map_or("unknown".to_owned(), |heading| format!("{heading:.2} rad"));
+        let at = seen.pose.position;
+        format!("at ({:.2}, {:.2}) m, heading {heading}, measured {} ms ago", at.x, at.y, seen.age_ms)
+    });
+    let phase = known.phase.map_or("phase unknown", phase_name);
+    let health = match known.health {
+        None => "health unknown",
+        Some(Health::Ready) => "ready",
+        Some(Health::Faulty) => "faulty",
+        Some(Health::Silent) => "its hardware does not answer",
+    };
+    let battery = known.battery.map_or(String::new(), |battery| format!(", battery {battery} %"));
+    let said = format!("{place}; {phase}; {health}{battery}");
+    match known.health {
+        Some(Health::Faulty | Health::Silent) => {
+            (Status::Fail, what, said, "look at the robot: its driver says that something is wrong".to_owned())
+        }
+        _ => (Status::Ok, what, said, String::new()),
+    }
+}
+
+fn phase_name(phase: Phase) -> &'static str {
+    match phase {
+        Phase::NeedReset => "stands",
+        Phase::Resetting => "drives to its start",
+        Phase::FinishedResetting => "is at its start",
+        Phase::Running => "runs",
+        Phase::FinishedRunning => "has reached its goal",
+        Phase::AbortRunning => "stands, the episode has failed",
+        Phase::EpisodesFinished => "stands, all episodes are over",
+        Phase::Waiting => "stands, the team waits",
+    }
 }
 
 /// What was refused, where that says what is wrong.

@@ -1,0 +1,24 @@
+//! No estimation: the last reading is what is known, as in the published system.
+
+use super::Estimator;
+use crate::messages::geometry::Motion;
+use crate::messages::wire::Reading;
+use crate::time::Time;
+
+#[derive(Debug, Default)]
+struct Last(Option<Motion>);
+
+/// Makes one that knows nothing yet.
+pub fn make() -> Box<dyn Estimator> {
+    Box::<Last>::default()
+}
+
+impl Estimator for Last {
+    fn take(&mut self, _: Time, reading: &Reading) {
+        self.0 = Some(reading.motion());
+    }
+
+    fn at(&self, _: Time) -> Option<Motion> {
+        self.0
+    }
+}
