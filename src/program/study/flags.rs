@@ -22,8 +22,8 @@ use crate::program::policy;
 /// Flags of every study.
 #[derive(clap::Args)]
 pub struct Shared {
-    /// Who is to be compared: policies by their names, or policy files; may be given several times. 'NAME@HANDLING' gives
-    /// one policy a handling of its own [default: shipped, or orca where the scenario has none]
+    /// Who is to be compared: policies by their names, or policy files; may be given several times. 'NAME@HANDLING'
+    /// gives one policy a handling of its own [default: shipped, or orca where the scenario has none]
     #[arg(long = "policy", value_name = "NAME|FILE[@HANDLING]")]
     policies: Vec<String>,
     /// How policies are handled: 'default' (newest message held, mean actions) or 'as-published' (buffer cleared every
