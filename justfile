@@ -44,7 +44,7 @@ robot:
 
 # The link beside raw multicast and Cyclone DDS; NETPEERS names the harness's folder (15 minutes, wants an idle machine)
 full-network:
-    bash tests/netpeers.sh
+    bash netpeer/compare.sh
 
 # Exactly what the gate runs (about 15 minutes on 2 cores)
 ci:

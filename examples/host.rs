@@ -39,7 +39,7 @@ fn host(id: HostId) -> Result<TrialReport, Box<dyn Error + Send + Sync>> {
     let team = TeamFile::read(&registry, TEAM, Path::new(""), &[], &[])?.for_host(id)?;
     let trial = Trial::of_host(&registry, &team, Model::shipped(&team.scenario)?)?;
     println!("host '{}' begins", team.deployment.hosts[usize::from(id.0)].name);
-    Ok(LiveHost::open(&team, &trial, None)?.run_to_the_end())
+    Ok(LiveHost::open(&team, &trial, None, &registry)?.run_to_the_end())
 }
 
 fn main() -> Result<(), Box<dyn Error + Send + Sync>> {

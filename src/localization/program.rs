@@ -1,8 +1,8 @@
 //! A program of the user's says where robots are: one JSON object a line, in any language.
 //!
 //! `{"robot": 0, "stamp_s": 12.34, "x": 0.1, "y": -2.0, "vx": 0.0, "vy": 0.3}`: when it was measured on its own clock
-//! \[s\], position \[m\] and velocity \[m/s\] in the world frame. It may add `"heading"` \[rad\], counter-clockwise from the
-//! x axis, `"yaw_rate"` \[rad/s\], and standard deviations `"position_m"`, `"heading_rad"`, `"velocity_m_s"`,
+//! \[s\], position \[m\] and velocity \[m/s\] in the world frame. It may add `"heading"` \[rad\], counter-clockwise
+//! from the x axis, `"yaw_rate"` \[rad/s\], and standard deviations `"position_m"`, `"heading_rad"`, `"velocity_m_s"`,
 //! `"yaw_rate_rad_s"`.
 
 use serde::Deserialize;

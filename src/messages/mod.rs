@@ -9,6 +9,7 @@ pub mod geometry;
 pub mod ids;
 pub mod latch;
 pub mod local;
+pub mod phase;
 pub mod round;
 pub mod status;
 pub mod telemetry;

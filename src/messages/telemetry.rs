@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::geometry::Pose;
 use super::ids::{HostId, RobotId};
-use super::wire::Phase;
+use super::phase::Phase;
 
 /// Somebody looks at the team: an observer, to everyone, once a second. It changes nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -12,6 +12,7 @@ pub use super::floats::{Features, MAX_FEATURES};
 use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2, is_sound};
 use super::ids::{HostId, RobotId};
 use super::latch::Latch;
+pub use super::phase::Phase;
 use super::round::MAX_EPOCH;
 pub use super::round::Round;
 pub use super::status::{Following, Hindrance, Leading, MAX_HINDRANCES, Status};
@@ -25,59 +26,13 @@ pub const MAX_BLOCK: usize = 64;
 /// The longest validity that a command may claim: a lost team must not roll on for longer.
 pub const MAX_VALIDITY: Span = Span::from_millis(1000);
 
-/// The states of an episode (paper, section IV: the state machine of agents and of the state server).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(into = "u8", try_from = "u8")]
-pub enum Phase {
-    /// Nothing is to be done before a reset; the whole team stands.
-    NeedReset,
-    /// Robots drive to their starts.
-    Resetting,
-    /// A robot is at its start and holds it.
-    FinishedResetting,
-    /// The policy under test drives.
-    Running,
-    /// A robot has reached its goal; the policy still drives.
-    FinishedRunning,
-    /// The episode has failed; the whole team stops.
-    AbortRunning,
-    /// All episodes are done; the whole team stops for good.
-    EpisodesFinished,
-    /// A host has left; the whole team stands until it is back, and then runs the episode that was given up again.
-    Waiting,
-}
-
-const PHASES: [Phase; 8] = [
-    Phase::NeedReset,
-    Phase::Resetting,
-    Phase::FinishedResetting,
-    Phase::Running,
-    Phase::FinishedRunning,
-    Phase::AbortRunning,
-    Phase::EpisodesFinished,
-    Phase::Waiting,
-];
-
-impl From<Phase> for u8 {
-    fn from(phase: Phase) -> u8 {
-        phase as u8
-    }
-}
-
-impl TryFrom<u8> for Phase {
-    type Error = String;
-    fn try_from(byte: u8) -> Result<Phase, String> {
-        PHASES.get(usize::from(byte)).copied().ok_or_else(|| format!("no phase has the number {byte}"))
-    }
-}
-
 /// What a sensor says of a robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
     /// The robot that is measured.
     pub robot: RobotId,
-    /// When it was measured \[ns\], on the sensor's clock, which is compared with no other: it tells a new reading from a
-    /// repeated one, and how far apart two are.
+    /// When it was measured \[ns\], on the sensor's clock, which is compared with no other: it tells a new reading from
+    /// a repeated one, and how far apart two are.
     pub stamp_ns: u64,
     /// Where it is and where it points.
     pub pose: Pose,

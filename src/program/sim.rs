@@ -44,8 +44,8 @@ pub struct Args {
     /// What the team is to do
     #[arg(long, default_value = "passage")]
     scenario: String,
-    /// What drives the robots: a policy by its name, or a policy file (safetensors) [default: shipped, or orca where the
-    /// scenario has none]
+    /// What drives the robots: a policy by its name, or a policy file (safetensors) [default: shipped, or orca
+    /// where the scenario has none]
     #[arg(long, value_name = "NAME|FILE")]
     policy: Option<PathBuf>,
     /// How actions are drawn from a trained policy [default: as its file says]

@@ -252,10 +252,10 @@ fn two_worlds_share_a_team_even_if_one_is_slow() {
     let mut trial = trial("onboard-adhoc", 10).faults(FaultPlan { actors: vec![fault], links: Vec::new() });
     let hosts = &mut trial.deployment.hosts;
     let world = hosts.last_mut().expect("the last host is the world's");
-    world.world = vec![0, 1];
+    world.simulates = vec![0, 1];
     let other = murmurate::deploy::Host {
         name: "other-world".to_owned(),
-        world: vec![2, 3, 4],
+        simulates: vec![2, 3, 4],
         state_server: false,
         ..world.clone()
     };

@@ -17,18 +17,63 @@ mod outlets;
 mod program;
 mod stop;
 
-use std::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Condvar, Mutex, MutexGuard};
 
-static PROCESSORS: RwLock<()> = RwLock::new(());
+/// How many tests run beside one another at the most.
+const BESIDE: usize = 4;
+
+/// Who runs: so many beside one another, or one alone.
+struct Running {
+    beside: usize,
+    alone: bool,
+}
+
+static RUNNING: Mutex<Running> = Mutex::new(Running { beside: 0, alone: false });
+static ENDED: Condvar = Condvar::new();
+
+fn running() -> MutexGuard<'static, Running> {
+    RUNNING.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// A test's permit to run, until it is dropped.
+struct Permit {
+    alone: bool,
+}
+
+impl Permit {
+    fn wait(alone: bool) -> Permit {
+        let busy = |now: &mut Running| now.alone || now.beside >= if alone { 1 } else { BESIDE };
+        let now = ENDED.wait_while(running(), busy);
+        let mut now = now.unwrap_or_else(|poisoned| poisoned.into_inner());
+        if alone {
+            now.alone = true;
+        } else {
+            now.beside += 1;
+        }
+        Permit { alone }
+    }
+}
+
+impl Drop for Permit {
+    fn drop(&mut self) {
+        let mut now = running();
+        if self.alone {
+            now.alone = false;
+        } else {
+            now.beside -= 1;
+        }
+        ENDED.notify_all();
+    }
+}
 
 /// Waits until no other test of this program runs, and keeps all others waiting: for what would be late if other teams
 /// took its processors.
-fn alone() -> RwLockWriteGuard<'static, ()> {
-    PROCESSORS.write().unwrap_or_else(|poisoned| poisoned.into_inner())
+fn alone() -> Permit {
+    Permit::wait(true)
 }
 
-/// Waits until no test runs that has to be alone: for teams that spend their time waiting, and leave the processors to
-/// others.
-fn beside() -> RwLockReadGuard<'static, ()> {
-    PROCESSORS.read().unwrap_or_else(|poisoned| poisoned.into_inner())
+/// Waits until there is room beside others: for teams that spend their time waiting. It does not wait for tests that
+/// wait to be alone, so that these come when most others are over.
+fn beside() -> Permit {
+    Permit::wait(false)
 }

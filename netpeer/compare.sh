@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Compares the link with raw multicast and with Cyclone DDS (best effort), interleaved, and prints medians and ratios.
 #
-#   NETPEERS=/path/to/harness tests/netpeers.sh [PEER ...]       default: raw cyc-be and the `netpeer` of tests/netpeer/
+#   NETPEERS=/path/to/harness netpeer/compare.sh [PEER ...]       default: raw cyc-be and the `netpeer` of netpeer/
 #
 # NETPEERS is a copy of the harness (run.sh, peers.txt) with its peers built into $NETPEERS/.build or $BUILD. Needs root
 # (network namespaces, named after NP_PREFIX, default `mn`). ROUNDS (5), SECONDS_EACH (4) and CASES ("N:RATE ...")
