@@ -31,6 +31,7 @@ pub mod edge;
 pub mod faults;
 pub mod graph;
 pub mod hearing;
+#[cfg(feature = "host")]
 pub mod live;
 pub mod localization;
 pub mod messages;
