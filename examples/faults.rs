@@ -1,5 +1,5 @@
-//! A fault test: a robot's controller crashes in mid-episode. Its motors stop in time, the episode is given up, and the next
-//! one succeeds. Copy it into a test of your own.
+//! A fault test: a robot's controller crashes in mid-episode. Its motors stop in time, the episode is given up, and the
+//! next one succeeds. Copy it into a test of your own.
 //!
 //!     cargo run --release --example faults
 

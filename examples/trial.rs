@@ -1,5 +1,5 @@
-//! A trial and its report: five robots cross a passage, driven by the trained policy, first on a perfect network and then
-//! on one that is slow and loses half of what they tell each other.
+//! A trial and its report: five robots cross a passage, driven by the trained policy, first on a perfect network and
+//! then on one that is slow and loses half of what they tell each other.
 //!
 //!     cargo run --release --example trial
 

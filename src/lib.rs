@@ -32,6 +32,7 @@ pub mod estimation;
 pub mod faults;
 pub mod graph;
 pub mod hearing;
+#[cfg(feature = "host")]
 pub mod live;
 pub mod localization;
 pub mod messages;

@@ -30,9 +30,9 @@ has "$("$program" sim --plant glide --policy give-way --robots 3 --episodes 1 --
 # A wrong name is refused with all that there are.
 has "$("$program" sim --scenario square --quiet 2>&1 || true)" square round passage
 
-team=$(mktemp -d)
-trap 'rm -rf "$team"' EXIT
-cat >"$team/team.toml" <<'TOML'
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+cat >"$folder/team.toml" <<'TOML'
 team = 77
 mode = "centralized"
 scenario = "round"
@@ -41,12 +41,39 @@ plant = "glide"
 robots = 3
 episodes = 1
 TOML
-has "$("$program" config check "$team/team.toml" --interface lo 2>/dev/null)" sound
-has "$("$program" launch "$team/team.toml" --interface lo --json --quiet 2>/dev/null)" '"scenario":"round"' '"successes":1'
+team=("$folder/team.toml" --interface lo)
+has "$("$program" config check "${team[@]}" 2>/dev/null)" sound
+has "$("$program" launch "${team[@]}" --json --quiet 2>/dev/null)" '"scenario":"round"' '"successes":1'
+
+# One robot that is not simulated, all of it on one host: driven by the driver, seen by the source. Two episodes that ran
+# out of time would take 50 s.
+cat >"$folder/robot.toml" <<'TOML'
+team = 78
+scenario = "round"
+policy = "give-way"
+episodes = 2
+
+[deployment]
+mode = "bench"
+robots = 1
+placement = "drive"
+stepping = "seeded"
+
+[[deployment.host]]
+name = "robot"
+agents = [[0]]
+actuates = [0]
+localizes = [0]
+state_server = true
+driver = { name = "datagrams", robot = "127.0.0.1:7781" }
+source = { name = "bench", listens = "127.0.0.1:7781", begins = [0.5, 0.5] }
+TOML
+has "$("$program" config check "$folder/robot.toml")" 'mode bench'
+has "$(timeout 40 "$program" host "$folder/robot.toml" --host robot --json)" '"event":"finished"'
 
 "$program" study delay --scenario round --policy give-way --layouts 1 --repeats 1 --delays-ms 0 --losses 0 \
-    --out "$team/study" --quiet >/dev/null
-"$program" train round --steps 20000 --out "$team/trained" --quiet >/dev/null
-has "$("$program" sim --scenario round --policy "$team/trained/policy.safetensors" --episodes 1 --repeats 1 --quiet)" \
+    --out "$folder/study" --quiet >/dev/null
+"$program" train round --steps 20000 --out "$folder/trained" --quiet >/dev/null
+has "$("$program" sim --scenario round --policy "$folder/trained/policy.safetensors" --episodes 1 --repeats 1 --quiet)" \
     'scenario round'
-echo "a scenario, a policy and a plant from another crate: sim, launch, study and train have them"
+echo "a scenario, a policy, a plant, a driver and a source from another crate: sim, launch, host, study and train have them"

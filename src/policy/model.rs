@@ -27,8 +27,11 @@ pub enum Model {
 pub struct Own {
     name: &'static str,
     interface: Interface,
-    instance: Arc<dyn Fn(&Arena) -> Box<dyn Policy> + Send + Sync>,
+    instance: Arc<Instance>,
 }
+
+/// What makes one robot's instance, for an arena in the policy frame.
+type Instance = dyn Fn(&Arena) -> Box<dyn Policy> + Send + Sync;
 
 impl fmt::Debug for Own {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -168,8 +168,13 @@ pub fn main(registry: &Registry) -> ExitCode {
     status
 }
 
+/// All commands and flags, with the names that the registry has.
+fn command(registry: &Registry) -> clap::Command {
+    names::put(Cli::command(), registry)
+}
+
 fn parse(registry: &Registry) -> Result<Cli, clap::Error> {
-    let mut command = names::put(Cli::command(), registry);
+    let mut command = command(registry);
     let found = command.try_get_matches_from_mut(std::env::args_os())?;
     Cli::from_arg_matches(&found).map_err(|error| error.format(&mut command))
 }
@@ -193,9 +198,9 @@ fn run(command: Command, registry: &Registry) -> anyhow::Result<Ended> {
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args, registry),
         #[cfg(feature = "completions")]
-        Command::Completions(args) => shells::complete(&args),
+        Command::Completions(args) => shells::complete(&args, registry),
         #[cfg(feature = "completions")]
-        Command::Man(args) => shells::manual(&args),
+        Command::Man(args) => shells::manual(&args, registry),
     }
 }
 

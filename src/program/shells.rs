@@ -3,13 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use clap::{Command, CommandFactory};
+use clap::Command;
 use clap_complete::Shell;
 use clap_mangen::Man;
 
 use crate::program::output::{print, talk};
 use crate::program::whole_file::WholeFile;
-use crate::program::{BadInput, Cli, Ended};
+use crate::program::{BadInput, Ended, command};
+use crate::registry::Registry;
 
 /// Flags of `murmurate completions`.
 #[derive(clap::Args)]
@@ -31,8 +32,8 @@ pub struct Manual {
 }
 
 /// Prints what a shell needs to complete commands and flags.
-pub fn complete(args: &Completions) -> Result<Ended> {
-    let (mut command, mut script) = (Cli::command(), Vec::new());
+pub fn complete(args: &Completions, registry: &Registry) -> Result<Ended> {
+    let (mut command, mut script) = (command(registry), Vec::new());
     let name = command.get_name().to_owned();
     clap_complete::generate(args.shell, &mut command, name, &mut script);
     print(String::from_utf8_lossy(&script).trim_end())?;
@@ -40,8 +41,8 @@ pub fn complete(args: &Completions) -> Result<Ended> {
 }
 
 /// Prints the program's page, or writes the pages of all its commands.
-pub fn manual(args: &Manual) -> Result<Ended> {
-    let mut command = Cli::command().disable_help_subcommand(true);
+pub fn manual(args: &Manual, registry: &Registry) -> Result<Ended> {
+    let mut command = command(registry).disable_help_subcommand(true);
     command.build();
     let Some(folder) = &args.out else {
         print(String::from_utf8_lossy(&page(&command)?).trim_end())?;

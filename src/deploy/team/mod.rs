@@ -93,7 +93,8 @@ struct Inline {
 }
 
 impl TeamFile {
-    /// Reads a team file that lies in `folder`. `variables` is the environment; what is named in them, the registry has.
+    /// Reads a team file that lies in `folder`. `variables` is the environment; what is named in them is looked up in
+    /// the registry.
     pub fn read(
         registry: &Registry,
         text: &str,

@@ -1,8 +1,10 @@
-//! Murmurate's program with a scenario, a policy and a plant more. Start from a copy of this crate.
+//! Murmurate's program with a scenario, a policy, a plant, a driver and a source more. Start from a copy of this crate.
 
+mod driver;
 mod plant;
 mod policy;
 mod scenario;
+mod source;
 
 use std::process::ExitCode;
 
@@ -13,6 +15,8 @@ fn main() -> ExitCode {
     let registry = Registry::builtin()
         .with_scenario(scenario::ROUND)
         .with_policy(policy::GIVE_WAY)
-        .with_plant(plant::GLIDE);
+        .with_plant(plant::GLIDE)
+        .with_driver(driver::DATAGRAMS)
+        .with_source(source::BENCH);
     program::main(&registry)
 }

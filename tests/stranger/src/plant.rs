@@ -1,8 +1,7 @@
-//! The plant `glide`: points that follow their commands with a lag, pass through each other, and stop at the edge. The judge
-//! sees how near they come all the same.
+//! The plant `glide`: points that follow their commands with a lag, pass through each other, and stop at the edge. The
+//! judge sees how near they come all the same.
 
 use murmurate::messages::geometry::{Motion, Vec2};
-use murmurate::messages::local::Contacts;
 use murmurate::random::Seed;
 use murmurate::scenario::Arena;
 use murmurate::time::Span;
@@ -28,7 +27,7 @@ struct Glide {
 }
 
 fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> Box<dyn Plant> {
-    let at_rest = |position: &Vec2| PlantState { motion: Motion::at_rest(*position), contacts: Contacts::default() };
+    let at_rest = |position: &Vec2| PlantState { motion: Motion::at_rest(*position), ..PlantState::default() };
     Box::new(Glide {
         half_extent: arena.half_extent,
         gain: physics.gain(PERIOD),

@@ -1,5 +1,5 @@
-//! The policy `give-way`: straight to the goal, slower the nearer someone is ahead. Robots say how far they still have to
-//! go, and whoever is nearer to its goal goes first.
+//! The policy `give-way`: straight to the goal, slower the nearer someone is ahead. Robots say how far they still have
+//! to go, and whoever is nearer to its goal goes first.
 
 use murmurate::messages::geometry::Vec2;
 use murmurate::policy::{Entry, Interface, Model, Neighbour, Policy};

@@ -39,7 +39,7 @@ impl Round {
     fn place(&self, seed: u64, episode: u32, robot: usize) -> Vec2 {
         let turned = Seed::of_run(seed).stream("round/turned").next_u32() as f32 / u32::MAX as f32;
         let angle = TAU * (turned + (robot as f32 + episode as f32) / (self.robots + 1) as f32);
-        RADIUS_M * Vec2::new(angle.cos(), angle.sin())
+        Vec2::new(angle.cos(), angle.sin()) * RADIUS_M
     }
 }
 

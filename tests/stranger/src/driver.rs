@@ -1,0 +1,62 @@
+//! The driver `datagrams`: a robot that takes its velocity as datagrams of two numbers. Such a robot is in `source.rs`.
+
+use std::net::{SocketAddr, UdpSocket};
+
+use murmurate::config::ConfigError;
+use murmurate::drivers::{Driver, Entry, Limits, Made, Out, Settings};
+use murmurate::edge::{Port, Worker};
+use murmurate::messages::geometry::Pose;
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::local::Drive;
+use murmurate::time::Time;
+use serde::Deserialize;
+
+/// Its line in a registry.
+pub const DATAGRAMS: Entry =
+    Entry { name: "datagrams", about: "robots that take their velocity as datagrams of two numbers", make };
+
+/// What a deployment says of it.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Config {
+    /// Where the robot listens.
+    robot: SocketAddr,
+}
+
+fn make(settings: &Settings, _: RobotId) -> Result<Made, ConfigError> {
+    let Config { robot } = settings.read()?;
+    Ok(Made { driver: Box::new(|| Box::new(Datagrams)), worker: Some(Box::new(Sender { robot })) })
+}
+
+/// The part on the control thread: pure.
+struct Datagrams;
+
+impl Driver for Datagrams {
+    fn limits(&self) -> Limits {
+        Limits { speed_m_s: 1.5 }
+    }
+
+    fn drive(&mut self, _: Time, drive: &Drive, _: Option<&Pose>, out: &mut Vec<Out>) {
+        let numbers = drive.velocity.to_array().map(f32::to_le_bytes);
+        out.push(Out::Tell(numbers.concat().into()));
+    }
+
+    fn told(&mut self, _: Time, _: &[u8], out: &mut Vec<Out>) {
+        out.push(Out::Refused("such a robot says nothing"));
+    }
+}
+
+/// The part on a thread of its own: it does the I/O.
+struct Sender {
+    robot: SocketAddr,
+}
+
+impl Worker for Sender {
+    fn run(self: Box<Self>, mut port: Port) {
+        let socket = UdpSocket::bind("127.0.0.1:0").expect("a machine has a loopback interface");
+        while let Some(packet) = port.wait() {
+            // What is lost on the way, the next one makes good.
+            let _ = socket.send_to(&packet, self.robot);
+        }
+    }
+}
