@@ -194,6 +194,40 @@ fn what_touches_the_machine_is_in_its_place() {
     }
 }
 
+/// Modes and links are data: only their presets may name them, and studies those presets that they run.
+#[test]
+fn nothing_asks_for_a_mode_or_a_link_by_name() {
+    let presets = "src/deploy/presets.rs";
+    let rules: [(&[&str], &[&str]); 2] = [
+        (
+            &["\"sim\"", "\"centralized\"", "\"offboard\"", "\"onboard-infra\"", "\"onboard-adhoc\""],
+            &[
+                presets,
+                "src/study/columns.rs",
+                "src/study/published.rs",
+                "src/study/network/growth.rs",
+                // The default of a flag.
+                "src/program/sim.rs",
+            ],
+        ),
+        (&["\"wires\"", "\"infra\"", "\"loopback\"", "\"ad-hoc\""], &[presets]),
+    ];
+    for source in sources("src") {
+        for (words, places) in rules {
+            for word in words.iter().filter(|_| !places.contains(&&*source.path)) {
+                let mut named = source.lines_with(word);
+                named.retain(|line| !line.contains("feature = "));
+                assert_eq!(named, Vec::<String>::new(), "{word} is for the presets to name");
+            }
+        }
+        for asks in ["mode == \"", "match mode {", "mode.as_str()", "mode == BASELINE"] {
+            if source.path != presets {
+                assert_eq!(source.lines_with(asks), Vec::<String>::new(), "'{asks}' asks for a mode by name");
+            }
+        }
+    }
+}
+
 #[test]
 fn nothing_sleeps_and_nothing_is_left_for_later() {
     let here = "tests/tidy.rs";

@@ -1,5 +1,5 @@
 //! Deployments: which host runs what, and which link carries which kind of message. The modes of the paper
-//! are presets of this data; nothing else in the program asks for a mode.
+//! are presets of this data; nothing else in the program asks for a mode or a link by its name.
 //!
 //! A deployment is read from and written to TOML. `presets` holds the paper's modes, `routes` the way of every
 //! message in a deployment.
@@ -8,6 +8,7 @@ mod presets;
 mod routes;
 pub mod team;
 
+pub use presets::MODES;
 pub use routes::Routes;
 
 use std::collections::BTreeSet;
@@ -64,12 +65,41 @@ pub struct Host {
     pub state_server: bool,
 }
 
+/// What a link runs over. It says what may happen to its frames in a simulation; sockets are as the team file says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LinkMedium {
+    /// A radio through an access point.
+    #[default]
+    AccessPoint,
+    /// A radio on which robots talk to each other without an access point.
+    AdHoc,
+    /// Cables, such as those to a simulated World: never impaired, and without a radio.
+    Cable,
+    /// Processes of one machine: they can be impaired, but have no radio.
+    Loopback,
+}
+
+impl LinkMedium {
+    /// How stations share the channel where this is a radio.
+    pub fn topology(self) -> Option<Topology> {
+        match self {
+            LinkMedium::AccessPoint => Some(Topology::Infrastructure),
+            LinkMedium::AdHoc => Some(Topology::AdHoc),
+            LinkMedium::Cable | LinkMedium::Loopback => None,
+        }
+    }
+}
+
 /// One link between all hosts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Link {
     /// Its name.
     pub name: String,
+    /// What it runs over.
+    #[serde(default)]
+    pub medium: LinkMedium,
     /// The kinds of messages that travel on it.
     pub carries: Vec<Kind>,
     /// How long each impaired frame takes \[s\].
@@ -122,16 +152,6 @@ fn kinematic() -> String {
 /// The most hosts, and the most links: their numbers are 16 bits wide.
 const MAX_NAMES: usize = 10_000;
 
-/// The link that stands for cables to a simulated world: it is never impaired.
-pub const WIRES: &str = "wires";
-/// The link between processes of one machine: it has no radio.
-pub const LOOPBACK: &str = "loopback";
-/// The link on which robots talk to each other without an access point.
-pub const AD_HOC: &str = "ad-hoc";
-
-/// The names of the presets.
-pub const MODES: [&str; 5] = ["sim", "centralized", "offboard", "onboard-infra", "onboard-adhoc"];
-
 /// Why links cannot be impaired.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ImpairError {
@@ -154,7 +174,7 @@ pub enum ImpairError {
 pub enum Impair {
     /// What robots tell each other.
     Latent,
-    /// Everything on every link but the wires.
+    /// Everything on every link but cables.
     All,
 }
 
@@ -279,13 +299,13 @@ impl Deployment {
         Targets { robots: self.robots, hosts: self.hosts.len(), links }
     }
 
-    /// Puts such a radio on the links that would have one: every link but the wires and the loopback gets a channel of
-    /// its own. The one named 'ad-hoc' is ad-hoc and has the range; the others go through an access point.
+    /// Puts such a radio on the links that run over one: each gets a channel of its own. Those that are ad-hoc have the
+    /// range; the others go through an access point.
     pub fn with_radio(mut self, radio: &Radio) -> Deployment {
-        for link in self.links.iter_mut().filter(|link| link.name != WIRES && link.name != LOOPBACK) {
-            let ad_hoc = link.name == AD_HOC;
-            let channel = if ad_hoc { Topology::AdHoc } else { Topology::Infrastructure };
-            link.radio = Some(Radio { channel, range_m: radio.range_m.filter(|_| ad_hoc), ..radio.clone() });
+        for link in &mut self.links {
+            let Some(channel) = link.medium.topology() else { continue };
+            let range_m = radio.range_m.filter(|_| channel == Topology::AdHoc);
+            link.radio = Some(Radio { channel, range_m, ..radio.clone() });
         }
         self
     }
@@ -315,7 +335,7 @@ impl Deployment {
         let mut suffers = false;
         let routes = Routes::of(&self);
         let crosses: Vec<Kind> = kinds.iter().copied().filter(|&kind| routes.crosses(kind)).collect();
-        for link in self.links.iter_mut().filter(|link| link.name != WIRES) {
+        for link in self.links.iter_mut().filter(|link| link.medium != LinkMedium::Cable) {
             let struck: Vec<Kind> = link.carries.iter().copied().filter(|kind| crosses.contains(kind)).collect();
             if !struck.is_empty() {
                 link.delay_s = delay_s.unwrap_or(link.delay_s);
@@ -363,8 +383,9 @@ impl Link {
     fn check_radio(&self) -> Result<(), ConfigError> {
         let Some(radio) = &self.radio else { return Ok(()) };
         radio.check().map_err(|e| e.within("link.radio"))?;
-        if self.name == WIRES {
-            return Err(ConfigError::field("link.radio", format!("'{WIRES}' stands for cables")));
+        if self.medium.topology().is_none() {
+            let why = format!("'{}' runs over no radio: its medium is neither access-point nor ad-hoc", self.name);
+            return Err(ConfigError::field("link.radio", why));
         }
         Ok(())
     }
@@ -433,8 +454,14 @@ mod tests {
         assert!(impaired("centralized", Impair::Latent).is_err());
         assert!(impaired("centralized", Impair::All).is_ok());
         let adhoc = impaired("onboard-adhoc", Impair::All).unwrap();
-        let wires = adhoc.links.iter().find(|link| link.name == WIRES).unwrap();
-        assert!(wires.impairs.is_empty(), "the wires are never impaired");
+        let cable = adhoc.links.iter().find(|link| link.medium == LinkMedium::Cable).unwrap();
+        assert!(cable.impairs.is_empty(), "cables are never impaired");
+        let mut renamed = Deployment::preset("onboard-adhoc", 3).unwrap();
+        renamed.links.iter_mut().zip(["wires", "loopback", "ad-hoc"]).for_each(|(link, name)| link.name = name.into());
+        let renamed = renamed.impaired(Some(0.02), Some(0.1), Impair::All).unwrap();
+        let what =
+            |deployment: &Deployment| deployment.links.iter().map(|link| link.impairs.clone()).collect::<Vec<_>>();
+        assert_eq!(what(&renamed), what(&adhoc), "names mean nothing");
         let ranges = |mode: &str| -> Vec<Option<f32>> {
             let ranged = Deployment::preset(mode, 3).unwrap().ranged(4.5).unwrap();
             ranged.links.iter().map(|link| link.range_m).collect()

@@ -1,10 +1,13 @@
-//! The modes of the paper as deployments (section IV): the only place that knows them by name.
+//! The modes of the paper as deployments (section IV): the only place that knows them, and their links, by name.
 
-use super::{AD_HOC, Deployment, Host, LOOPBACK, Link, Stepping, WIRES, kinematic};
+use super::{Deployment, Host, Link, LinkMedium, Stepping, kinematic};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Kind;
 use crate::net::protocol::reliability::Reliabilities;
 use crate::world::Placement;
+
+/// The names of the presets.
+pub const MODES: [&str; 5] = ["sim", "centralized", "offboard", "onboard-infra", "onboard-adhoc"];
 
 impl Deployment {
     /// The preset of that name for a team of `robots`; `None` if there is no such preset.
@@ -12,8 +15,9 @@ impl Deployment {
         use Kind::*;
         let everyone: Vec<u16> = RobotId::team(robots).map(|robot| robot.0).collect();
         let host = |name: &str| Host { name: name.to_owned(), ..Host::default() };
-        let link = |name: &str, carries: &[Kind]| Link {
+        let link = |name: &str, medium: LinkMedium, carries: &[Kind]| Link {
             name: name.to_owned(),
+            medium,
             carries: carries.to_vec(),
             delay_s: 0.0,
             loss: 0.0,
@@ -22,6 +26,8 @@ impl Deployment {
             range_m: None,
             radio: None,
         };
+        let infra = |carries: &[Kind]| link("infra", LinkMedium::AccessPoint, carries);
+        let wires = |carries: &[Kind]| link("wires", LinkMedium::Cable, carries);
         let one_each = |prefix: &str| -> Vec<Host> {
             let agent = |&robot: &u16| Host { agents: vec![vec![robot]], ..host(&format!("{prefix}-{robot}")) };
             everyone.iter().map(agent).collect()
@@ -36,22 +42,25 @@ impl Deployment {
             "sim" => (vec![Host { agents: vec![everyone.clone()], ..world_and_server }], Vec::new()),
             "centralized" => (
                 vec![Host { agents: vec![everyone.clone()], state_server: true, ..host("pc") }, world],
-                vec![link("infra", &[MotorCommand]), link(WIRES, &[Reading, Mode, Stop])],
+                vec![infra(&[MotorCommand]), wires(&[Reading, Mode, Stop])],
             ),
             "offboard" => (
                 and(one_each("agent"), world_and_server),
-                vec![link(LOOPBACK, &[Latent, Reading, Heartbeat, Mode, Stop]), link("infra", &[MotorCommand])],
+                vec![
+                    link("loopback", LinkMedium::Loopback, &[Latent, Reading, Heartbeat, Mode, Stop]),
+                    infra(&[MotorCommand]),
+                ],
             ),
             "onboard-infra" => (
                 and(one_each("robot"), world_and_server),
-                vec![link("infra", &[Reading, Latent, Heartbeat, Mode, Stop]), link(WIRES, &[MotorCommand])],
+                vec![infra(&[Reading, Latent, Heartbeat, Mode, Stop]), wires(&[MotorCommand])],
             ),
             "onboard-adhoc" => (
                 and(one_each("robot"), world_and_server),
                 vec![
-                    link(AD_HOC, &[Latent]),
-                    link("infra", &[Reading, Heartbeat, Mode, Stop]),
-                    link(WIRES, &[MotorCommand]),
+                    link("ad-hoc", LinkMedium::AdHoc, &[Latent]),
+                    infra(&[Reading, Heartbeat, Mode, Stop]),
+                    wires(&[MotorCommand]),
                 ],
             ),
             _ => return None,

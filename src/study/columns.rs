@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Entrant;
 use super::conditions::{self, Medium};
+use crate::deploy::{Deployment, Stepping};
 use crate::hearing::CommRange;
 use crate::scenario::Scenario;
 use crate::trial::Trial;
@@ -121,10 +122,11 @@ impl Column {
 
     /// A trial of an entrant in this column, of one episode.
     pub fn trial(&self, scenario: Arc<dyn Scenario>, entrant: &Entrant) -> Trial {
-        if self.mode == BASELINE {
-            return conditions::training(scenario, entrant);
+        let deployment = Deployment::preset(&self.mode, scenario.robots()).expect("columns name modes");
+        match deployment.stepping {
+            Stepping::Lockstep => conditions::training(deployment, scenario, entrant),
+            Stepping::Seeded => conditions::deployed(deployment, self.medium, self.range.resolved(), scenario, entrant),
         }
-        conditions::deployed(&self.mode, self.medium, self.range.resolved(), scenario, entrant)
     }
 }
 

@@ -48,14 +48,13 @@ pub enum Medium {
 
 /// A trial in a deployed column.
 pub fn deployed(
-    mode: &str,
+    mut deployment: Deployment,
     medium: Medium,
     range: Option<CommRange>,
     scenario: Arc<dyn Scenario>,
     entrant: &Entrant,
 ) -> Trial {
     let shared = Deployed::shared();
-    let mut deployment = Deployment::preset(mode, scenario.robots()).expect("columns name modes");
     match medium {
         Medium::Radio => deployment = deployment.with_radio(&Radio::preset(&shared.radio).expect("it is a preset")),
         Medium::Impaired { delay_s, loss } if delay_s > 0.0 || loss > 0.0 => {
@@ -70,9 +69,8 @@ pub fn deployed(
 }
 
 /// A trial in the conditions of training: lock step, exact placement, perfect messages, and the training world with its
-/// own limit of acceleration.
-pub fn training(scenario: Arc<dyn Scenario>, entrant: &Entrant) -> Trial {
-    let deployment = Deployment::preset("sim", scenario.robots()).expect("it is a preset");
+/// own limit of acceleration. The deployment is one in lock step.
+pub fn training(deployment: Deployment, scenario: Arc<dyn Scenario>, entrant: &Entrant) -> Trial {
     assert_eq!((deployment.stepping, deployment.placement), (Stepping::Lockstep, Placement::Exact));
     let mut trial = Trial::new(deployment, scenario, entrant.model.clone()).clamp(Clamp::Training);
     trial.handling = entrant.handling.messages;

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use murmurate::deploy::{AD_HOC, Deployment, LOOPBACK, MODES, WIRES};
+use murmurate::deploy::{Deployment, LinkMedium, MODES};
 use murmurate::messages::geometry::Vec2;
 use murmurate::net::media::radio::bianchi::Saturation;
 use murmurate::net::media::radio::{Channel, Counting, Delivery, Radio, RadioCounts, To, Topology};
@@ -218,10 +218,10 @@ fn a_radio_comes_to_every_link_that_would_have_one() {
         assert_eq!(deployment.check(), Ok(()), "{mode}");
         assert_eq!(Deployment::from_toml(&deployment.to_toml()), Ok(deployment.clone()), "{mode}");
         for link in &deployment.links {
-            let expected = match link.name.as_str() {
-                WIRES | LOOPBACK => None,
-                AD_HOC => Some((Topology::AdHoc, Some(2.0))),
-                _ => Some((Topology::Infrastructure, None)),
+            let expected = match link.medium {
+                LinkMedium::Cable | LinkMedium::Loopback => None,
+                LinkMedium::AdHoc => Some((Topology::AdHoc, Some(2.0))),
+                LinkMedium::AccessPoint => Some((Topology::Infrastructure, None)),
             };
             assert_eq!(link.radio.as_ref().map(|radio| (radio.channel, radio.range_m)), expected, "{mode}");
         }

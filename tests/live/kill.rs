@@ -41,10 +41,12 @@ fn team(number: u16) -> String {
     }
     text += "[[deployment.host]]\nname = \"world\"\nworld = [0, 1, 2]\n\n";
     text += "[[deployment.host]]\nname = \"server\"\nstate_server = true\n\n";
-    let links =
-        [("loopback", "\"latent\", \"reading\", \"heartbeat\", \"mode\", \"stop\""), ("infra", "\"motor-command\"")];
-    for (name, carries) in links {
-        text += &format!("[[deployment.link]]\nname = \"{name}\"\ncarries = [{carries}]\n\n");
+    let links = [
+        ("loopback", "loopback", "\"latent\", \"reading\", \"heartbeat\", \"mode\", \"stop\""),
+        ("infra", "access-point", "\"motor-command\""),
+    ];
+    for (name, medium, carries) in links {
+        text += &format!("[[deployment.link]]\nname = \"{name}\"\nmedium = \"{medium}\"\ncarries = [{carries}]\n\n");
     }
     for (name, last) in [("loopback", 1), ("infra", 2)] {
         let group = format!("239.255.79.{last}:{}", 40_000 + number);

@@ -11,10 +11,12 @@ pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
     let mut sizes: Vec<usize> = grown.iter().map(|growth| growth.robots).collect();
     sizes.sort_unstable();
     sizes.dedup();
+    let one_host = |mode: &str| grown.iter().any(|growth| growth.mode == mode && growth.deliveries == 0.0);
     let line = |mode: &str, value: fn(&Growth) -> f64| Line {
-        name: match mode {
-            "sim" => "one agent for all robots (sim)".to_owned(),
-            _ => format!("a host for each robot ({mode}), frames carry {} m", growth::range_m()),
+        name: if one_host(mode) {
+            format!("one agent for all robots ({mode})")
+        } else {
+            format!("a host for each robot ({mode}), frames carry {} m", growth::range_m())
         },
         points: sizes
             .iter()

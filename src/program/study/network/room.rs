@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::deploy::LinkMedium;
 use crate::deploy::team::TeamFile;
 use crate::messages::ids::HostId;
 use crate::messages::wire::Kind;
@@ -87,7 +88,8 @@ impl Room {
     /// Leaves of a sweep what can be measured on this link, so that both are of the same cases.
     pub fn restrict(&self, sweep: &mut Sweep, args: &Args) -> Result<()> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
-        let name = &team.deployment.links[self.link].name;
+        let link = &team.deployment.links[self.link];
+        let name = &link.name;
         let socket = team.links[self.link].as_ref();
         let addressing = match socket.map(|socket| &socket.transport) {
             Some(Transport::Unicast { .. }) => Addressing::Unicast,
@@ -110,7 +112,10 @@ impl Room {
         match &sweep.medium {
             Medium::Shaped(_) => {}
             Medium::Radio(radio) => {
-                let network = if name == "ad-hoc" { Network::AdHoc } else { Network::Infrastructure };
+                let network = match link.medium {
+                    LinkMedium::AdHoc => Network::AdHoc,
+                    _ => Network::Infrastructure,
+                };
                 if !args.retries.is_empty() && args.retries != [radio.retries] {
                     return bad(format!(
                         "--retries: what is measured has the retries of its own hardware; the medium says {}",
