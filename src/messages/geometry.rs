@@ -314,8 +314,8 @@ impl Deviation {
     }
 }
 
-/// The largest heading \[rad\]: pi, and what rounding adds to it.
-pub const MAX_HEADING: f32 = 3.141_593;
+/// The largest heading \[rad\]: pi, as an f32 has it, which is a little more.
+pub const MAX_HEADING: f32 = std::f32::consts::PI;
 /// The largest coordinate \[m\] and velocity \[m/s\] that is taken for one: arithmetic in f32 stays finite with it.
 pub const MAX_SIZE: f32 = 1e5;
 
