@@ -20,7 +20,7 @@ mod stop;
 use std::sync::{Condvar, Mutex, MutexGuard};
 
 /// How many tests run beside one another at the most.
-const BESIDE: usize = 4;
+const BESIDE: usize = 6;
 
 /// Who runs: so many beside one another, or one alone.
 struct Running {
