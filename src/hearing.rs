@@ -1,10 +1,10 @@
 //! What a robot hears of its neighbours: the communication range R_COM of the paper (section III), and for how long a
 //! message is of use.
 
-use rand_distr::{Distribution, Normal};
 use serde::{Deserialize, Serialize};
 
 use crate::messages::geometry::Vec2;
+use crate::random;
 use crate::random::Stream;
 
 /// What becomes of neighbours' messages once the agent has seen them.
@@ -37,8 +37,7 @@ impl CommRange {
     /// the published per-robot node drops a message if the distance is greater.
     pub fn admits(&self, receiver: Vec2, sender: Vec2, stream: &mut Stream) -> bool {
         let range = if self.std_m > 0.0 {
-            let normal = Normal::new(self.mean_m, self.std_m).expect("a checked deviation is finite");
-            normal.sample(stream).max(0.0)
+            (self.mean_m + self.std_m * random::normals(stream)[0] as f32).max(0.0)
         } else {
             self.mean_m
         };

@@ -196,6 +196,22 @@ fn what_touches_the_machine_is_in_its_place() {
     }
 }
 
+/// Transcendental functions of the platform are not the same on all of them; `libm` is. Only what nothing is reckoned
+/// from again may use them: reports, studies and output.
+#[test]
+fn no_trace_hangs_on_the_mathematics_of_the_platform() {
+    let functions = [
+        "sin", "cos", "tan", "sin_cos", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "exp2",
+        "exp_m1", "ln", "ln_1p", "log", "log2", "log10", "powf", "cbrt", "hypot",
+    ];
+    let places = ["src/report/", "src/study/", "src/program/"];
+    for source in sources("src").iter().filter(|source| !places.iter().any(|place| source.path.starts_with(place))) {
+        for word in functions.map(|function| format!(".{function}(")).iter().map(String::as_str).chain(["rand_distr"]) {
+            assert_eq!(source.lines_with(word), Vec::<String>::new(), "'{word}': take it from libm or random.rs");
+        }
+    }
+}
+
 /// Modes and links are data: only their presets may name them, and studies those presets that they run.
 #[test]
 fn nothing_asks_for_a_mode_or_a_link_by_name() {

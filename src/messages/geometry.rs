@@ -294,7 +294,7 @@ impl Pose {
     /// A velocity \[m/s\] of the world frame in the frame of a robot with this pose: x ahead, y to the left. None
     /// where the heading is not known.
     pub fn into_body(&self, velocity: Vec2) -> Option<Vec2> {
-        let (sin, cos) = self.heading?.sin_cos();
+        let (sin, cos) = libm::sincosf(self.heading?);
         Some(Vec2::new(cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x))
     }
 }

@@ -10,13 +10,12 @@
 
 use std::sync::Arc;
 
-use rand_distr::{Distribution, StandardNormal};
-
 use super::manifest::{Architecture, EdgeField, Manifest};
 use super::mlp::{Instructions, Layer, Mlp, Relu, Scratch};
 use super::weights::PolicyFile;
 use super::{Draw, Interface, Neighbour, Policy};
 use crate::messages::geometry::Vec2;
+use crate::random;
 use crate::random::Stream;
 use crate::scenario::Observation;
 use crate::time::Span;
@@ -342,11 +341,11 @@ impl Policy for Gnn {
             Draw::Mean => Vec2::new(mean_x, mean_y),
             Draw::Sample => {
                 let max = self.network.manifest.log_std_max;
-                let mut normal = |mean: f32, log_std: f32| -> f32 {
-                    let unit: f32 = StandardNormal.sample(stream);
-                    mean + unit * max.map_or(log_std, |max| log_std.min(max)).exp()
+                let [x, y] = random::normals(stream);
+                let normal = |mean: f32, log_std: f32, unit: f64| -> f32 {
+                    mean + unit as f32 * libm::expf(max.map_or(log_std, |max| log_std.min(max)))
                 };
-                Vec2::new(normal(mean_x, log_std_x), normal(mean_y, log_std_y))
+                Vec2::new(normal(mean_x, log_std_x, x), normal(mean_y, log_std_y, y))
             }
         }
     }

@@ -238,7 +238,7 @@ impl Policy for Orca {
         }
         let said = Vec2::new(features[1], features[2]);
         let preferred = cruising(self.yielding(own, said, neighbours));
-        let (sin, cos) = (-BEAR_RIGHT_RAD).sin_cos();
+        let (sin, cos) = libm::sincosf(-BEAR_RIGHT_RAD);
         let preferred = Vec2::new(cos * preferred.x - sin * preferred.y, sin * preferred.x + cos * preferred.y);
         let agent = |position: Vec2, velocity: Vec2, radius_m: f32, share: f32| Agent {
             position: glam(position),

@@ -110,7 +110,7 @@ fn formation(robots: usize) -> Vec<Vec2> {
 
 /// The formation turned by `angle`, somewhere on `side`; `None` if there is no room for it at that angle.
 fn place(formation: &[Vec2], angle: f32, side: f32, stream: &mut Stream) -> Option<Vec<Vec2>> {
-    let (sin, cos) = angle.sin_cos();
+    let (sin, cos) = libm::sincosf(angle);
     let turned: Vec<Vec2> = formation.iter().map(|p| Vec2::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y)).collect();
     let low = turned.iter().fold(Vec2::zeros(), |low, p| low.inf(p));
     let high = turned.iter().fold(Vec2::zeros(), |high, p| high.sup(p));

@@ -6,7 +6,6 @@
 use std::sync::Arc;
 
 use rand::{Rng, RngExt};
-use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
 use super::conditions::Episode;
@@ -15,6 +14,7 @@ use super::radio::Radio;
 use super::reward::{Part, crowding, earn};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
+use crate::random;
 use crate::random::Stream;
 use crate::scenario::{Scenario, Scored, Stage};
 use crate::world::kinematic::{self, PERIOD};
@@ -238,7 +238,7 @@ impl Crowd {
                 Motion { position: self.position[*first + robot], velocity: self.velocity[*first + robot] };
             let mut noise = |std: f32, to: &mut Vec2| {
                 if std > 0.0 {
-                    *to = to.map(|axis| axis + std * Distribution::<f32>::sample(&StandardNormal, stream));
+                    *to += Vec2::from(random::normals(stream).map(|unit| unit as f32)) * std;
                 }
             };
             noise(episode.position_noise_m, &mut motion.position);

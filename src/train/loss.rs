@@ -46,15 +46,15 @@ pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> P
     for axis in 0..2 {
         free[axis] = outputs[2 + axis] < terms.log_std_max;
         let log_std = if free[axis] { outputs[2 + axis] } else { terms.log_std_max };
-        let unit = (sample.action[axis] - outputs[axis]) * (-log_std).exp();
+        let unit = (sample.action[axis] - outputs[axis]) * (-log_std).exponential();
         log_density = log_density - half * unit * unit - log_std - T::of(HALF_LOG_TWO_PI);
         entropy = entropy + log_std + half + T::of(HALF_LOG_TWO_PI);
         // Of the log density.
-        d_mean[axis] = unit * (-log_std).exp();
+        d_mean[axis] = unit * (-log_std).exponential();
         d_log_std[axis] = unit * unit - T::one();
     }
     let log_ratio = log_density - sample.log_density;
-    let ratio = log_ratio.exp();
+    let ratio = log_ratio.exponential();
     let clipped = ratio.max(T::one() - terms.clip).min(T::one() + terms.clip);
     let (plain, cut) = (ratio * sample.advantage, clipped * sample.advantage);
     // Where the clipped one is the smaller, the ratio has no say.

@@ -11,17 +11,28 @@ use num_traits::Float;
 pub trait Real: Float + AddAssign + SubAssign + Default + Send + Sync + std::fmt::Debug + 'static {
     /// From f32, exactly.
     fn of(value: f32) -> Self;
+
+    /// e to its power, the same on every platform.
+    fn exponential(self) -> Self;
 }
 
 impl Real for f32 {
     fn of(value: f32) -> f32 {
         value
     }
+
+    fn exponential(self) -> f32 {
+        libm::expf(self)
+    }
 }
 
 impl Real for f64 {
     fn of(value: f32) -> f64 {
         f64::from(value)
+    }
+
+    fn exponential(self) -> f64 {
+        libm::exp(self)
     }
 }
 

@@ -5,8 +5,6 @@
 
 use std::sync::Arc;
 
-use rand_distr::{Distribution, StandardNormal};
-
 use super::batch::{Batch, Graphs};
 use super::config::{Config, Reward};
 use super::crowd::Crowd;
@@ -17,6 +15,7 @@ use super::record::{After, Ended, HALF_LOG_TWO_PI, Record};
 use crate::messages::geometry::{Motion, Vec2};
 use crate::policy::Draw;
 use crate::policy::manifest::EdgeField;
+use crate::random;
 use crate::random::Stream;
 use crate::scenario::Scenario;
 
@@ -265,10 +264,11 @@ impl Chunk {
         for (robot, out) in self.space.outputs().chunks_exact(4).enumerate() {
             let mut action = [0.0; 2];
             let mut log_density = 0.0;
+            let units = random::normals(stream);
             for axis in 0..2 {
                 let log_std = out[2 + axis].min(rules.log_std_max);
-                let unit: f32 = StandardNormal.sample(stream);
-                action[axis] = out[axis] + unit * log_std.exp();
+                let unit = units[axis] as f32;
+                action[axis] = out[axis] + unit * libm::expf(log_std);
                 log_density -= 0.5 * unit * unit + log_std + HALF_LOG_TWO_PI;
             }
             self.record.action.push(action);

@@ -237,7 +237,7 @@ impl Trainer {
 
         let ppo = &rules.config.ppo;
         let [from, to] = ppo.learning_rate;
-        let scheduled = from * (to / from).powf(self.progress as f32);
+        let scheduled = from * libm::powf(to / from, self.progress as f32);
         let learning_rate = (self.pace * scheduled).max(to);
         let entropy = between(ppo.entropy, self.progress);
         let mut stream = self.stream(&format!("update/{}", self.iteration));

@@ -4,7 +4,6 @@
 //! the shards, so the sum does not depend on which thread computed which.
 
 use rand::seq::SliceRandom;
-use rand_distr::{Distribution, StandardNormal};
 
 use super::adam::{Adam, cut};
 use super::batch::Batch;
@@ -14,6 +13,7 @@ use super::network::{Network, Space};
 use super::parallel::in_parallel;
 use super::record::Record;
 use super::rollout::{CHUNK, Rules};
+use crate::random;
 use crate::random::{Seed, Stream};
 
 /// Shards of a minibatch: more than threads that are of use, few enough to add up.
@@ -238,8 +238,7 @@ pub fn initial(network: &Network, seed: Seed, bias: &[f32]) -> Vec<f32> {
             let gain = if last { 1.0 } else { 2.0f32 };
             let std = if last && index == 2 { 0.01 } else { (gain / inputs as f32).sqrt() };
             for parameter in &mut parameters[weight..biases] {
-                let unit: f32 = StandardNormal.sample(&mut stream);
-                *parameter = std * unit;
+                *parameter = std * random::normals(&mut stream)[0] as f32;
             }
             if last && index == 2 {
                 parameters[biases..end].copy_from_slice(bias);

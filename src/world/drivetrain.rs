@@ -34,7 +34,8 @@ pub(super) struct Gears {
 impl Gears {
     pub(super) fn new(physics: &Physics, step: Span) -> Gears {
         let step_s = step.as_secs() as f32;
-        let kept = if physics.slip_s > 0.0 { (-step.as_secs() / f64::from(physics.slip_s)).exp() as f32 } else { 0.0 };
+        let kept =
+            if physics.slip_s > 0.0 { libm::exp(-step.as_secs() / f64::from(physics.slip_s)) as f32 } else { 0.0 };
         Gears {
             top_speed_m_s: physics.top_speed_m_s,
             gain: physics.gain(step),

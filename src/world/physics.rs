@@ -94,7 +94,7 @@ impl Physics {
 
     /// The share of a change of velocity that a lagging drivetrain makes in a step: 1 - exp(-period / lag).
     pub fn gain(&self, period: Span) -> f32 {
-        if self.lag_s > 0.0 { -(-period.as_secs() / f64::from(self.lag_s)).exp_m1() as f32 } else { 1.0 }
+        if self.lag_s > 0.0 { -libm::expm1(-period.as_secs() / f64::from(self.lag_s)) as f32 } else { 1.0 }
     }
 }
 

@@ -1,8 +1,7 @@
 //! How a robot's state is measured: noise, rate and latency. A Body measures with it what its World samples.
 
-use rand_distr::{Distribution, StandardNormal};
-
 use crate::messages::geometry::{Deviation, Motion, Vec2};
+use crate::random;
 use crate::random::Stream;
 use crate::time::Span;
 
@@ -59,8 +58,8 @@ impl Sensor {
 
 /// Two numbers of the standard normal distribution.
 pub(super) fn drawn(stream: &mut Stream) -> Vec2 {
-    let x = StandardNormal.sample(stream);
-    Vec2::new(x, StandardNormal.sample(stream))
+    let [x, y] = random::normals(stream);
+    Vec2::new(x as f32, y as f32)
 }
 
 #[cfg(test)]

@@ -319,8 +319,8 @@ impl Said {
 fn backoff(stream: &mut Stream) -> Span {
     /// The size of a group that is assumed.
     const GROUP: f64 = 10.0;
-    let (lambda, longest) = (GROUP.ln() + 1.0, BACKOFF.as_secs());
-    let scale = lambda / (longest * (lambda.exp() - 1.0));
+    let (lambda, longest) = (libm::log(GROUP) + 1.0, BACKOFF.as_secs());
+    let scale = lambda / (longest * (libm::exp(lambda) - 1.0));
     let drawn = stream.random_range(0.0..1.0) * (lambda / longest) + scale;
-    Span::from_secs((longest / lambda * (drawn / scale).ln()).min(longest))
+    Span::from_secs((longest / lambda * libm::log(drawn / scale)).min(longest))
 }

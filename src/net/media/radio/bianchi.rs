@@ -46,14 +46,14 @@ impl Saturation {
         let (mut low, mut high) = (0.0, 1.0);
         for _ in 0..60 {
             let p = f64::midpoint(low, high);
-            let collides = 1.0 - (1.0 - attempt(p, window, stages)).powf(n - 1.0);
+            let collides = 1.0 - libm::pow(1.0 - attempt(p, window, stages), n - 1.0);
             if collides > p { low = p } else { high = p }
         }
         let collision = f64::midpoint(low, high);
         let attempt = attempt(collision, window, stages);
         // Equations (10), (11) and (13).
-        let busy = 1.0 - (1.0 - attempt).powf(n);
-        let alone = n * attempt * (1.0 - attempt).powf(n - 1.0);
+        let busy = 1.0 - libm::pow(1.0 - attempt, n);
+        let alone = n * attempt * libm::pow(1.0 - attempt, n - 1.0);
         let step = (1.0 - busy) * lengths.slot.as_secs()
             + alone * lengths.success.as_secs()
             + (busy - alone) * lengths.collision.as_secs();

@@ -5,13 +5,13 @@
 //! itself, an emulated ether inside of an actor.
 
 use rand::RngExt;
-use rand_distr::{Distribution, Exp1};
 
 use super::counts::RadioCounts;
 pub use super::station::To;
 use super::station::{Hop, Job, Station};
 use super::{Radio, Times, Topology};
 use crate::messages::geometry::Vec2;
+use crate::random;
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
@@ -151,8 +151,7 @@ impl<T: Clone> Channel<T> {
     }
 
     fn next_foreign(&mut self, now: Time) -> Time {
-        let gap: f64 = Exp1.sample(&mut self.foreign);
-        now + Span::from_secs(gap * self.foreign_gap_s)
+        now + Span::from_secs(random::exponential(&mut self.foreign) * self.foreign_gap_s)
     }
 
     fn push_foreign(&mut self, now: Time) {
