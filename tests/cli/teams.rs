@@ -132,13 +132,13 @@ fn a_team_that_cannot_be_is_refused_in_one_line() {
     let robots = "robots = 2\n[robot.1]\npolicy = \"orca\"\n[robot.1]\npolicy = \"orca\"\n[link.infra]";
     refused(("[link.infra]", robots), &["robot", "duplicate"]);
     let twice = "[deployment]\nmode = \"x\"\nrobots = 2\nplacement = \"drive\"\nstepping = \"seeded\"\n\
-                 [[deployment.host]]\nname = \"pc\"\nagents = [[0], [0]]\nworld = [0, 1]\nstate_server = true\n";
+                 [[deployment.host]]\nname = \"pc\"\nagents = [[0], [0]]\nsimulates = [0, 1]\nstate_server = true\n";
     refused(("mode = \"onboard-infra\"\n", twice), &["robot 0 has a second agent on host 'pc'"]);
     refused(("mode = ", "plant = \"water\"\nmode = "), &["plant", "line 3", "rigid"]);
     let hull = "plant = \"rigid\"\nwall_radius_m = 0.2\nmode = ";
     refused(("mode = ", hull), &["wall_radius_m (line 4)", "'rigid'", "leave it out"]);
     let plant = "plant = \"rigid\"\n[deployment]\nmode = \"x\"\nrobots = 1\nplacement = \"drive\"\n\
-                 stepping = \"seeded\"\n[[deployment.host]]\nname = \"pc\"\nagents = [[0]]\nworld = [0]\n\
+                 stepping = \"seeded\"\n[[deployment.host]]\nname = \"pc\"\nagents = [[0]]\nsimulates = [0]\n\
                  state_server = true\n";
     refused(("mode = \"onboard-infra\"\n", plant), &["plant (line 3)", "[deployment]"]);
     refused(("mode = ", "policy = \"nowhere\"\nmode = "), &["policy file", "nowhere"]);

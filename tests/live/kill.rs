@@ -39,7 +39,7 @@ fn team(number: u16) -> String {
     for robot in ROBOTS {
         text += &format!("[[deployment.host]]\nname = \"agent-{robot}\"\nagents = [[{robot}]]\n\n");
     }
-    text += "[[deployment.host]]\nname = \"world\"\nworld = [0, 1, 2]\n\n";
+    text += "[[deployment.host]]\nname = \"world\"\nsimulates = [0, 1, 2]\n\n";
     text += "[[deployment.host]]\nname = \"server\"\nstate_server = true\n\n";
     let links = [
         ("loopback", "loopback", "\"latent\", \"reading\", \"heartbeat\", \"mode\", \"stop\""),
