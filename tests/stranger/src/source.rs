@@ -1,5 +1,5 @@
-//! The source `bench`: a robot on a test bench, which takes its velocity as datagrams of two numbers (`driver.rs`) and says
-//! where it would be. It begins where the deployment says.
+//! The source `bench`: a robot on a test bench, which takes its velocity as datagrams of two numbers (`driver.rs`) and
+//! says where it would be. It begins where the deployment says.
 
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
