@@ -3,6 +3,9 @@
 //! Exit codes: 0 done; 1 the run, one of its processes, its output or a check of `doctor` failed; 2 a flag or a file is
 //! wrong, and nothing was run; 101 a bug (a panic); 130 interrupted, with the results until then printed.
 
+// The comments of flags are their help, for a terminal: [m] is a unit there and <FILE> a name.
+#![allow(rustdoc::broken_intra_doc_links, rustdoc::invalid_html_tags)]
+
 mod config;
 #[cfg(feature = "sim")]
 mod deployment;
