@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::actors::recorder::{Out, Steps};
 use crate::deploy::team::{Team, TeamFile};
@@ -101,22 +101,10 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?));
     let outlets = &seen.outlets;
     let live = LiveHost::open(&team, &trial, key, registry)?;
-    let (signal, (rings, bell)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
-    let rings = Rc::new(rings);
-    rings.set_nonblocking(true).context("cannot make a pipe")?;
-    for number in [SIGINT, SIGTERM] {
-        // First the number, then the bell that wakes this thread to read it.
-        signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
-            .and_then(|_| signal_hook::low_level::pipe::register(number, bell.try_clone()?))
-            .context("cannot listen for signals")?;
-    }
-
+    let (signal, rings) = listen()?;
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");
-    let (mut over, mut stopping, mut told) = (None, None, 0);
     let abandoned = Rc::new(Cell::new(false));
-    let watchdog = sd_notify::watchdog_enabled();
-    let (mut petted, mut counted) = (Time::ZERO, Time::ZERO);
-    let mut lost = None;
+    let mut watch = Watch::new(&team, Rc::clone(&seen), Arc::clone(&signal), Rc::clone(&abandoned));
     let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
     let graph = live.run(
         began,
@@ -135,59 +123,15 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             }
             outlets.tell(&HostEvent::Ready { host: name.clone() });
         },
-        |graph: &Rc<Graph>, now| {
-            while let Some(episode) = seen.report.borrow().episodes.get(told).copied() {
-                told += 1;
-                outlets.tell(&HostEvent::Episode(episode));
-            }
-            if now.since(counted) >= COUNTED_PERIOD {
-                counted = now;
-                outlets.tell(&HostEvent::Counted(seen.counted(graph)));
-            }
-            if let Some(patience) = watchdog
-                && now.since(petted) >= Span::from_secs(patience.as_secs_f64() / 4.0)
-            {
-                petted = now;
-                outlets.notify(&NotifyState::Watchdog);
-            }
-            if seen.over.get() && over.is_none() {
-                over = Some(now);
-            }
-            if (signal.load(Ordering::Relaxed) != 0 || abandoned.get()) && stopping.is_none() {
-                stopping = Some(now);
-                outlets.notify(&NotifyState::Stopping);
-                graph.leave(id);
-                if abandoned.get() {
-                    // The one that looked after the whole team has died.
-                    graph.stop(id);
-                }
-            }
-            lost = outlets.failure();
-            lost.is_some()
-                || seen.duplicate.get().is_some()
-                || over.is_some_and(|at: Time| now.since(at) >= live::grace(&team))
-                || stopping.is_some_and(|at: Time| now.since(at) >= STOPPING)
-        },
+        |graph: &Rc<Graph>, now| watch.turn(graph, now),
     );
     let counted = seen.counted(&graph);
     drop(graph);
-    if let Some(error) = lost {
-        return Err(error);
-    }
-    if let Some(Duplicate { host, .. }) = seen.duplicate.get() {
-        return Err(anyhow!(
-            "another live host is number {} of this team ('{name}') and was started before this one: stop it, or \
-             correct --host or --robot here",
-            host.0
-        ));
-    }
-    if abandoned.get() && !seen.over.get() {
-        return Err(anyhow!("nobody reads what this host prints; it has stopped"));
-    }
+    watch.failure(&name)?;
     let mut report = seen.report.borrow().clone();
     (report.refused, report.lost) = (counted.refused, counted.lost);
     report.totals.safety = counted.safety.iter().map(|robot| robot.counts).sum();
-    let (interrupted, unwritten) = (over.is_none(), counted.unwritten);
+    let (interrupted, unwritten) = (watch.over.is_none(), counted.unwritten);
     outlets.tell(&if interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) });
     if !args.json && !report.episodes.is_empty() {
         let run = Run {
@@ -206,6 +150,114 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     outlets.close()?;
     let by_user = signal.load(Ordering::Relaxed) == SIGINT as usize;
     Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
+}
+
+/// A number that is set by the signals that end a host, and what has something to read when one has come.
+fn listen() -> Result<(Arc<AtomicUsize>, Rc<UnixStream>)> {
+    let (signal, (rings, bell)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
+    rings.set_nonblocking(true).context("cannot make a pipe")?;
+    for number in [SIGINT, SIGTERM] {
+        // First the number, then the bell that wakes this thread to read it.
+        signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
+            .and_then(|_| signal_hook::low_level::pipe::register(number, bell.try_clone()?))
+            .context("cannot listen for signals")?;
+    }
+    Ok((signal, Rc::new(rings)))
+}
+
+/// What is looked at after every turn of a host: what there is to tell, and whether it is to end.
+struct Watch {
+    seen: Rc<Seen>,
+    id: HostId,
+    /// How long it goes on after the last episode.
+    grace: Span,
+    signal: Arc<AtomicUsize>,
+    /// Whether whoever listened to it has died.
+    abandoned: Rc<Cell<bool>>,
+    /// How often the service manager wants to hear of it.
+    watchdog: Option<Duration>,
+    /// How many episodes it has told of.
+    told: usize,
+    petted: Time,
+    counted: Time,
+    over: Option<Time>,
+    stopping: Option<Time>,
+    /// Why its output is lost.
+    lost: Option<anyhow::Error>,
+}
+
+impl Watch {
+    fn new(team: &Team, seen: Rc<Seen>, signal: Arc<AtomicUsize>, abandoned: Rc<Cell<bool>>) -> Watch {
+        Watch {
+            seen,
+            id: team.host,
+            grace: live::grace(team),
+            signal,
+            abandoned,
+            watchdog: sd_notify::watchdog_enabled(),
+            told: 0,
+            petted: Time::ZERO,
+            counted: Time::ZERO,
+            over: None,
+            stopping: None,
+            lost: None,
+        }
+    }
+
+    /// Looks once; whether the host is to end.
+    fn turn(&mut self, graph: &Graph, now: Time) -> bool {
+        let seen = Rc::clone(&self.seen);
+        let outlets = &seen.outlets;
+        while let Some(episode) = seen.report.borrow().episodes.get(self.told).copied() {
+            self.told += 1;
+            outlets.tell(&HostEvent::Episode(episode));
+        }
+        if now.since(self.counted) >= COUNTED_PERIOD {
+            self.counted = now;
+            outlets.tell(&HostEvent::Counted(seen.counted(graph)));
+        }
+        if let Some(patience) = self.watchdog
+            && now.since(self.petted) >= Span::from_secs(patience.as_secs_f64() / 4.0)
+        {
+            self.petted = now;
+            outlets.notify(&NotifyState::Watchdog);
+        }
+        if seen.over.get() && self.over.is_none() {
+            self.over = Some(now);
+        }
+        if (self.signal.load(Ordering::Relaxed) != 0 || self.abandoned.get()) && self.stopping.is_none() {
+            self.stopping = Some(now);
+            outlets.notify(&NotifyState::Stopping);
+            graph.leave(self.id);
+            if self.abandoned.get() {
+                // The one that looked after the whole team has died.
+                graph.stop(self.id);
+            }
+        }
+        self.lost = outlets.failure();
+        self.lost.is_some()
+            || seen.duplicate.get().is_some()
+            || self.over.is_some_and(|at| now.since(at) >= self.grace)
+            || self.stopping.is_some_and(|at| now.since(at) >= STOPPING)
+    }
+
+    /// Why the host of that name has not ended as it should.
+    fn failure(&mut self, name: &str) -> Result<()> {
+        if let Some(error) = self.lost.take() {
+            return Err(error);
+        }
+        if let Some(Duplicate { host, .. }) = self.seen.duplicate.get() {
+            return Err(anyhow!(
+                "another live host is number {} of this team ('{name}') and was started before this one: stop it, or \
+                 correct --host or --robot here",
+                host.0
+            ));
+        }
+        if self.abandoned.get() && !self.seen.over.get() {
+            return Err(anyhow!("nobody reads what this host prints; it has stopped"));
+        }
+        Ok(())
+    }
 }
 
 impl Seen {

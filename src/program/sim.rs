@@ -227,25 +227,13 @@ pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
     bar
 }
 
-/// The first trial, of which all others are repeats, and its policy's name in the report.
-fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
-    let bad = |text: String| anyhow::Error::from(BadInput(text));
-    let file = args.deployment.as_deref().map(read_deployment).transpose()?;
-    let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
-    let scenario = registry
-        .scenario(&args.scenario, &Settings { robots, gap_m: None })
-        .map_err(|e| bad(format!("--robots: {e}")))?;
-    let mut deployment = match file {
-        Some(file) if file.robots != scenario.robots() => {
-            return Err(bad(format!(
-                "--robots: {} robots, but the deployment file has {}",
-                scenario.robots(),
-                file.robots
-            )));
-        }
-        Some(file) => file,
-        None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
-    };
+/// A flag or a file that is wrong.
+fn bad(text: String) -> anyhow::Error {
+    BadInput(text).into()
+}
+
+/// The deployment with links as the flags say.
+fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
         return Err(bad("--impair: there is nothing to suffer from; add --delay-ms or --loss".to_owned()));
     }
@@ -265,7 +253,28 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
     if let Some(range_m) = args.link_range_m {
         deployment = deployment.ranged(range_m).map_err(|e| bad(format!("--link-range-m: {e}")))?;
     }
-    deployment = deployment::with_radio(deployment, &args.radio)?;
+    deployment::with_radio(deployment, &args.radio)
+}
+
+/// The first trial, of which all others are repeats, and its policy's name in the report.
+fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
+    let file = args.deployment.as_deref().map(read_deployment).transpose()?;
+    let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
+    let scenario = registry
+        .scenario(&args.scenario, &Settings { robots, gap_m: None })
+        .map_err(|e| bad(format!("--robots: {e}")))?;
+    let mut deployment = match file {
+        Some(file) if file.robots != scenario.robots() => {
+            return Err(bad(format!(
+                "--robots: {} robots, but the deployment file has {}",
+                scenario.robots(),
+                file.robots
+            )));
+        }
+        Some(file) => file,
+        None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
+    };
+    deployment = network(args, deployment)?;
     deployment.placement = args.placement.unwrap_or(deployment.placement);
     if let Some(plant) = &args.plant {
         deployment.plant.clone_from(plant);
@@ -309,7 +318,6 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
 
 /// The trial with robots as the flags say.
 fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
-    let bad = |text: String| anyhow::Error::from(BadInput(text));
     if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
         return Err(bad(format!("--lag-s: {lag_s} is not 0 to 10")));
     }

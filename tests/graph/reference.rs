@@ -80,6 +80,15 @@ fn the_forward_pass_matches_every_vector() {
     assert!(worst_hidden <= 5e-6, "latents differ by {worst_hidden:e}");
 }
 
+/// Panics unless a position is the expected one to the last bit but one, and a velocity is near the expected one.
+fn agree(place: &str, (position, p): (Vec2, Vec2), (velocity, v): (Vec2, Vec2)) {
+    for axis in 0..2 {
+        let ulp = (p.to_array()[axis].abs() * f32::EPSILON).max(f32::MIN_POSITIVE);
+        assert!((position - p).to_array()[axis].abs() <= ulp, "{place}: position {position} not {p}");
+        assert!((velocity - v).to_array()[axis].abs() <= 2e-5, "{place}: velocity {velocity} not {v}");
+    }
+}
+
 #[test]
 fn every_step_of_the_environment_matches() {
     let Some(vectors) = reference("env_vectors.safetensors") else { return };
@@ -125,19 +134,7 @@ fn every_step_of_the_environment_matches() {
                 let place = format!("rollout {rollout}, step {step}, robot {i}");
                 let (p, v) = (vec2(&pos, after + i), vec2(&vel, after + i));
                 inexact += usize::from(position[i] != p);
-                for axis in 0..2 {
-                    let ulp = (p.to_array()[axis].abs() * f32::EPSILON).max(f32::MIN_POSITIVE);
-                    assert!(
-                        (position[i] - p).to_array()[axis].abs() <= ulp,
-                        "{place}: position {} not {p}",
-                        position[i]
-                    );
-                    assert!(
-                        (velocity[i] - v).to_array()[axis].abs() <= 2e-5,
-                        "{place}: velocity {} not {v}",
-                        velocity[i]
-                    );
-                }
+                agree(&place, (position[i], p), (velocity[i], v));
                 let task = Task { start, goal: vec2(&goal, rollout * ROBOTS + i) };
                 let mut reached = Stage(stage[before + i]);
                 let motion = Motion { position: position[i], velocity: velocity[i] };

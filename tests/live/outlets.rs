@@ -85,8 +85,8 @@ fn team() -> String {
     format!(
         "team = 731\nkey_file = \"team.key\"\nepisodes = 10000\npolicy = \"orca\"\n\n[deployment]\nmode = \"two\"\n\
          robots = {ROBOTS}\nplacement = \"drive\"\nstepping = \"seeded\"\n\n[[deployment.host]]\nname = \"pc\"\n\
-         agents = [[{robots}]]\nstate_server = true\n\n[[deployment.host]]\nname = \"world\"\nsimulates = [{robots}]\n\n\
-         [[deployment.link]]\nname = \"wires\"\nmedium = \"cable\"\ncarries = [{carries}]\n\n\
+         agents = [[{robots}]]\nstate_server = true\n\n[[deployment.host]]\nname = \"world\"\n\
+         simulates = [{robots}]\n\n[[deployment.link]]\nname = \"wires\"\nmedium = \"cable\"\ncarries = [{carries}]\n\n\
          [link.wires]\ninterface = \"lo\"\ngroup = \"239.255.73.1:40731\"\n"
     )
 }

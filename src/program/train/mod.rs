@@ -96,6 +96,14 @@ enum Budget {
 }
 
 impl Budget {
+    /// How much of it is spent, 0 to 1.
+    fn progress(self, elapsed_s: f64, trained: u64) -> f64 {
+        match self {
+            Budget::Minutes(minutes) => elapsed_s / (60.0 * minutes),
+            Budget::Decisions(decisions) => trained as f64 / decisions as f64,
+        }
+    }
+
     fn of(args: &Args) -> Result<Budget> {
         match (args.minutes, args.steps) {
             (Some(minutes), _) if (1e-3..=1e6).contains(&minutes) => Ok(Budget::Minutes(minutes)),
@@ -133,16 +141,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let curve = folder.curve(trainer.iterations())?;
         (trainer, curve)
     } else {
-        let plan = plan(args)?;
-        let mut trainer = Trainer::new(plan, registry).map_err(|e| match &args.config {
-            Some(path) => BadInput(format!("the training configuration '{}': {e}", path.display())),
-            None => BadInput(e.to_string()),
-        })?;
-        if let Some(path) = &args.from {
-            let wrong = |why: String| BadInput(format!("cannot begin with '{}': {why}", path.display()));
-            let bytes = read_bytes(path, "policy file")?;
-            trainer.begin_with(&bytes).map_err(|e| wrong(e.to_string()))?;
-        }
+        let trainer = begun(args, registry)?;
         folder.write_config(&trainer.plan().config)?;
         (trainer, Curve::default())
     };
@@ -161,10 +160,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let mut saved = Instant::now();
     let mut interrupted = false;
     loop {
-        let progress = match budget {
-            Budget::Minutes(minutes) => elapsed_s() / (60.0 * minutes),
-            Budget::Decisions(decisions) => trainer.decisions() as f64 / decisions as f64,
-        };
+        let progress = budget.progress(elapsed_s(), trainer.decisions());
         if progress >= 1.0 {
             break;
         }
@@ -197,6 +193,17 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     scores.iter().for_each(|scores| curve.evaluate_last(scores));
     folder.save(&trainer, &curve)?;
     bar.finish_and_clear();
+    tell(args, &folder, &trainer, (elapsed_s(), scores.as_ref(), interrupted))?;
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+/// Prints what came of the training.
+fn tell(
+    args: &Args,
+    folder: &Folder,
+    trainer: &Trainer,
+    (wall_s, evaluation, interrupted): (f64, Option<&Scores>, bool),
+) -> Result<()> {
     let plan = trainer.plan();
     let report = Report {
         policy: folder.policy().display().to_string(),
@@ -205,15 +212,15 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         seed: plan.seed,
         decisions: trainer.decisions(),
         iterations: trainer.iterations(),
-        wall_s: elapsed_s(),
-        evaluation: scores.as_ref(),
+        wall_s,
+        evaluation,
         interrupted,
     };
     print(&if args.json { serde_json::to_string(&report).context("a report is JSON")? } else { table(&report) })?;
     if interrupted && !args.quiet {
         talk("interrupted; everything is saved: the same command with --resume goes on from here");
     }
-    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+    Ok(())
 }
 
 fn plan(args: &Args) -> Result<Plan> {
@@ -234,6 +241,21 @@ fn plan(args: &Args) -> Result<Plan> {
     }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
+}
+
+/// A training from its beginning.
+fn begun(args: &Args, registry: &Registry) -> Result<Trainer> {
+    let plan = plan(args)?;
+    let mut trainer = Trainer::new(plan, registry).map_err(|e| match &args.config {
+        Some(path) => BadInput(format!("the training configuration '{}': {e}", path.display())),
+        None => BadInput(e.to_string()),
+    })?;
+    if let Some(path) = &args.from {
+        let wrong = |why: String| BadInput(format!("cannot begin with '{}': {why}", path.display()));
+        let bytes = read_bytes(path, "policy file")?;
+        trainer.begin_with(&bytes).map_err(|e| wrong(e.to_string()))?;
+    }
+    Ok(trainer)
 }
 
 /// The training of the folder, if it is the one that the flags ask for.
