@@ -3,6 +3,7 @@
 mod common;
 mod contracts;
 mod determinism;
+mod devices;
 mod faults;
 #[cfg(feature = "study")]
 mod growth;

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A relay between two networks that has no key: passes all frames on, or holds motor commands back.
 
-Run with the names of its two interfaces; told what to do by lines on standard input:
+Run with the names of its two interfaces and the version of the wire; told what to do by lines on standard input:
   pass         everything goes on at once
   hold         motor commands from the first interface are kept; all else goes on
   hold-bare    the same, but those with a link report on board go on
@@ -11,6 +11,7 @@ Each command is answered by a line with the number of frames that are kept."""
 import heapq, random, select, socket, sys, time
 
 MOTOR_COMMAND, REPORTS = 2, (0x80, 0x84)
+VERSION = int(sys.argv[3])
 
 
 def blocks(frame):
@@ -19,7 +20,7 @@ def blocks(frame):
         return []
     udp = 14 + 4 * (frame[14] & 15)
     payload = frame[udp + 8:udp + int.from_bytes(frame[udp + 4:udp + 6], "big")]
-    if len(payload) < 30 or payload[0] != 3:
+    if len(payload) < 30 or payload[0] != VERSION:
         return []
     held, at, end = [], 14, len(payload) - 16
     while at + 3 <= end:

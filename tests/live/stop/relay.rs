@@ -2,6 +2,8 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Stdio};
+
+use murmurate::net::protocol::codec::VERSION;
 use std::time::Duration;
 
 use murmurate::report::event::HostEvent;
@@ -22,7 +24,7 @@ impl Relay {
     fn start(team: &Running) -> Relay {
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/live/stop/relay.py");
         let mut command = team.lab.command("relay", "python3");
-        command.args([script, "left", "right"]).stdin(Stdio::piped()).stdout(Stdio::piped());
+        command.args([script, "left", "right", &VERSION.to_string()]).stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().expect("there is python3");
         let (tell, hear) = (child.stdin.take().expect("it is piped"), child.stdout.take().expect("it is piped"));
         let mut relay = Relay { child, tell, hear: BufReader::new(hear) };

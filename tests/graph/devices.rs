@@ -1,0 +1,173 @@
+//! What every driver, source and estimator of the registry keeps to, and user programs as drivers and sources.
+
+use std::os::fd::AsFd;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use murmurate::drivers::{self, Settings};
+use murmurate::edge::{self, Gate, Worker};
+use murmurate::localization::{self, In};
+use murmurate::messages::geometry::{Motion, Pose, Vec2};
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::local::Drive;
+use murmurate::messages::telemetry::Health;
+use murmurate::messages::wire::Reading;
+use murmurate::registry::Registry;
+use murmurate::time::{Span, Time};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+
+const ROBOT: RobotId = RobotId(3);
+
+/// Settings that each driver and source of this crate can be made with.
+fn settings(name: &str) -> Settings {
+    match name {
+        "program" => program("while read line; do :; done"),
+        _ => panic!("'{name}' is new: say here what it can be made with"),
+    }
+}
+
+fn program(script: &str) -> Settings {
+    let command = ["sh", "-c", script].map(|word| toml::Value::String(word.to_owned())).to_vec();
+    let table = [("command".to_owned(), toml::Value::Array(command))].into_iter().collect();
+    Settings { name: "program".to_owned(), table }
+}
+
+fn with(mut settings: Settings, field: &str, value: impl Into<toml::Value>) -> Settings {
+    settings.table.insert(field.to_owned(), value.into());
+    settings
+}
+
+fn driver(settings: &Settings) -> Result<drivers::Made, murmurate::config::ConfigError> {
+    drivers::make(Registry::builtin().drivers(), "host.driver", settings, ROBOT)
+}
+
+fn source(settings: &Settings) -> Result<localization::Made, murmurate::config::ConfigError> {
+    localization::make(Registry::builtin().sources(), "host.source", settings, &[ROBOT])
+}
+
+fn drive(x: f32) -> Drive {
+    Drive { robot: ROBOT, velocity: Vec2::new(x, 0.0), until: Time::ZERO + Span::from_millis(200) }
+}
+
+/// Starts a worker; the gate to it, and what ends when it does.
+fn employ(worker: Box<dyn Worker>) -> (Gate, thread::JoinHandle<()>) {
+    let (gate, port) = edge::channel().expect("there are descriptors left");
+    (gate, thread::spawn(move || worker.run(port)))
+}
+
+/// The next packets of a worker, which has five seconds for each.
+fn next<const COUNT: usize>(gate: &mut Gate) -> [Vec<u8>; COUNT] {
+    let mut packets = Vec::new();
+    while packets.len() < COUNT {
+        let bell = gate.bell();
+        let mut watched = [PollFd::new(bell.as_fd(), PollFlags::POLLIN)];
+        assert_eq!(poll(&mut watched, PollTimeout::from(5000u16)), Ok(1), "the worker says something");
+        gate.take(|packet| packets.push(packet.into_vec()));
+    }
+    packets.try_into().expect("it says no more than that")
+}
+
+#[test]
+fn every_driver_stands_survives_noise_and_ends_with_its_host() {
+    for entry in Registry::builtin().drivers() {
+        let made = driver(&settings(entry.name)).expect("its settings are sound");
+        let (mut driver, mut out) = ((made.driver)(), Vec::new());
+        assert!(driver.limits().speed_m_s > 0.0, "{}", entry.name);
+        driver.drive(Time::ZERO, &drive(0.0), None, &mut out);
+        assert!(!out.is_empty(), "{}: to stand is an order, too", entry.name);
+        for noise in [&b""[..], b"\n", b"{}", &[0xff; 5000], b"{\"health\": 7}"] {
+            driver.told(Time::ZERO, noise, &mut out);
+        }
+        if let Some(worker) = made.worker {
+            let (gate, worker) = employ(worker);
+            let begun = Instant::now();
+            drop(gate);
+            worker.join().expect("it does not panic");
+            assert!(begun.elapsed() < Duration::from_secs(1), "{}: it ends with its host", entry.name);
+        }
+        let error = driver_error(&with(settings(entry.name), "colour", "red"));
+        assert!(error.contains("host.driver") && error.contains("colour"), "{error}");
+    }
+}
+
+fn driver_error(settings: &Settings) -> String {
+    driver(settings).err().expect("it is refused").to_string()
+}
+
+#[test]
+fn every_source_survives_noise_and_says_nothing_of_it() {
+    for entry in Registry::builtin().sources() {
+        let made = source(&settings(entry.name)).expect("its settings are sound");
+        let (mut source, mut out) = ((made.source)(), Vec::new());
+        for noise in [&b""[..], b"\n", b"{}", &[0xff; 5000], b"{\"robot\": 3}"] {
+            source.take(Time::ZERO, In::Packet(noise), &mut out);
+        }
+        assert!(out.iter().all(|said| matches!(said, localization::Out::Refused(_))), "{}: {out:?}", entry.name);
+    }
+}
+
+#[test]
+fn every_estimator_knows_nothing_at_first_and_keeps_one_that_stands_where_it_is() {
+    for entry in Registry::builtin().estimators() {
+        let mut estimator = (entry.make)();
+        assert_eq!(estimator.at(Time::ZERO), None, "{}", entry.name);
+        let motion = Motion::at_rest(Vec2::new(1.5, -2.0));
+        estimator.take(Time::ZERO, &Reading::of_point(ROBOT, 1, motion));
+        for ms in [0, 50, 5000] {
+            assert_eq!(estimator.at(Time::ZERO + Span::from_millis(ms)), Some(motion), "{}", entry.name);
+        }
+    }
+}
+
+#[test]
+fn wrong_settings_are_refused_by_their_field() {
+    let unknown = Settings { name: "telepathy".to_owned(), table: toml::Table::new() };
+    let error = driver_error(&unknown);
+    assert!(error.contains("host.driver.name") && error.contains("there are program"), "{error}");
+    let error = driver_error(&with(settings("program"), "speed_m_s", -1.0));
+    assert!(error.contains("speed_m_s"), "{error}");
+    let error = source(&with(settings("program"), "command", toml::Value::Array(Vec::new()))).err();
+    assert!(error.expect("it is refused").to_string().contains("command"));
+}
+
+#[test]
+fn a_program_drives_a_robot_and_tells_how_it_is() {
+    let script = "while read line; do echo \"$line\" >&3; echo '{\"health\": \"faulty\", \"battery\": 12}'; done 3>&1";
+    let made = driver(&with(program(script), "speed_m_s", 0.5)).expect("it is sound");
+    let (mut driver, mut out) = ((made.driver)(), Vec::new());
+    assert_eq!(driver.limits().speed_m_s, 0.5);
+    let north = Pose { position: Vec2::zeros(), heading: Some(std::f32::consts::FRAC_PI_2) };
+    driver.drive(Time::ZERO, &drive(0.25), Some(&north), &mut out);
+    let Some(drivers::Out::Tell(line)) = out.pop() else { panic!("it tells its program") };
+    let (mut gate, worker) = employ(made.worker.expect("a program is a worker"));
+    gate.tell(line);
+    let [line, word] = next(&mut gate);
+    let said: serde_json::Value = serde_json::from_slice(&line).expect("a line is JSON");
+    assert_eq!((said["robot"].as_u64(), said["vx"].as_f64(), said["for_s"].as_f64()), (Some(3), Some(0.25), Some(0.2)));
+    let [ahead, left] = ["ahead", "left"].map(|field| said[field].as_f64().expect("the heading is known"));
+    assert!(ahead.abs() < 1e-6 && (left + 0.25).abs() < 1e-6, "east is to the right of who points north: {said}");
+    driver.told(Time::ZERO, &word, &mut out);
+    assert_eq!(out.pop(), Some(drivers::Out::Condition(Health::Faulty, Some(12))));
+    drop(gate);
+    worker.join().expect("it does not panic");
+}
+
+#[test]
+fn a_program_says_where_robots_are() {
+    let script = "echo '{\"robot\": 3, \"stamp_s\": 1.5, \"x\": 1, \"y\": 2, \"vx\": 0.5, \"vy\": 0, \"heading\": 0.25}'; \
+                  echo '{\"robot\": 4, \"stamp_s\": 1.5, \"x\": 1, \"y\": 2, \"vx\": 0, \"vy\": 0}'; \
+                  echo '{\"robot\": 3, \"stamp_s\": 1.6, \"x\": 1e9, \"y\": 2, \"vx\": 0, \"vy\": 0}'; cat";
+    let made = source(&program(script)).expect("it is sound");
+    let (mut source, mut out) = ((made.source)(), Vec::new());
+    let (mut gate, worker) = employ(made.worker);
+    for packet in next::<3>(&mut gate) {
+        source.take(Time::ZERO, In::Packet(&packet), &mut out);
+    }
+    let localization::Out::Reading(reading) = &out[0] else { panic!("{out:?}") };
+    assert_eq!((reading.robot, reading.stamp_ns, reading.pose.heading), (ROBOT, 1_500_000_000, Some(0.25)));
+    assert_eq!((reading.twist.yaw_rate, reading.deviation.position_m), (None, None), "what is not said is unknown");
+    let refused = |said: &localization::Out| matches!(said, localization::Out::Refused(_));
+    assert!(refused(&out[1]) && refused(&out[2]), "another's robot, and a place that is none: {out:?}");
+    drop(gate);
+    worker.join().expect("it does not panic");
+}
