@@ -26,10 +26,10 @@ const STALE: Span = Span::from_millis(500);
 
 /// How long after an observer was last heard it counts as there: one of its words may be lost.
 const OBSERVED: Span = Span::from_millis(2500);
-/// How often telemetry is told at the most.
-const TELEMETRY_PERIOD: Span = Span::from_millis(200);
-/// Robots in one telling. With a telling every 200 ms it takes at most 570 bytes a second, tag included, whatever the
-/// host has; of more robots some are told each time, in turn.
+/// How often telemetry is told of one robot, and of several. With it a host says less than 330 bytes a second, tag
+/// included: what the budget of soft state has left in a team of 50 (docs/wire.md).
+const TELEMETRY_PERIODS: [Span; 2] = [Span::from_millis(200), Span::from_millis(300)];
+/// Robots in one telling; of more, some are told each time, in turn.
 const TOLD_AT_ONCE: usize = 2;
 
 /// Everything that a Status accepts.
@@ -158,7 +158,7 @@ impl Status {
             out.push(Out::Telemetry(Telemetry { host: self.host, robots }));
         }
         self.first = (self.first + TOLD_AT_ONCE.min(count)) % count.max(1);
-        self.telemetry = now + TELEMETRY_PERIOD;
+        self.telemetry = now + TELEMETRY_PERIODS[usize::from(count > 1)];
     }
 
     /// Speaks after `wait`, or as soon after the last time as `period` allows.
@@ -251,6 +251,8 @@ impl Core for Status {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::messages::wire::Wire;
+    use crate::net::protocol::codec::{self, Flags, Header};
 
     fn at_ms(ms: u64) -> Time {
         Time::ZERO + Span::from_millis(ms)
@@ -293,7 +295,11 @@ mod tests {
         let order: Vec<u16> = told.iter().take(3).flat_map(|(_, robots)| robots.iter().map(|r| r.robot.0)).collect();
         assert_eq!(order, [0, 1, 2, 0, 1, 2]);
         let (last, _) = told.last().unwrap();
-        assert_eq!((told[0].0, told[1].0, *last), (at_ms(1000), at_ms(1200), at_ms(3600)), "five times a second");
+        assert_eq!((told[0].0, told[1].0, *last), (at_ms(1000), at_ms(1300), at_ms(3700)));
+        let header = Header { flags: Flags(0), team: 7, sender: HostId(4), epoch: u32::MAX, sequence: u32::MAX };
+        let message = Wire::Telemetry(Telemetry { host: HostId(4), robots: told[0].1.clone() });
+        let bytes = codec::encode(&header, &message).unwrap().len() + codec::TAG_BYTES;
+        assert!(bytes * 10 / 3 < 330, "{bytes} bytes a telling");
         let one = told[0].1[1];
         assert_eq!((one.phase, one.seen), (Some(Phase::Running), Some(Seen { pose: pose(7.0), age_ms: 100 })));
         let unknown = told[0].1[0];

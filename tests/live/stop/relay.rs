@@ -2,10 +2,9 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Stdio};
-
-use murmurate::net::protocol::codec::VERSION;
 use std::time::Duration;
 
+use murmurate::net::protocol::codec::VERSION;
 use murmurate::report::event::HostEvent;
 
 use crate::beside;
