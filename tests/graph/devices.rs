@@ -154,9 +154,11 @@ fn a_program_drives_a_robot_and_tells_how_it_is() {
 
 #[test]
 fn a_program_says_where_robots_are() {
-    let script = "echo '{\"robot\": 3, \"stamp_s\": 1.5, \"x\": 1, \"y\": 2, \"vx\": 0.5, \"vy\": 0, \"heading\": 0.25}';\
-                  echo '{\"robot\": 4, \"stamp_s\": 1.5, \"x\": 1, \"y\": 2, \"vx\": 0, \"vy\": 0}'; \
-                  echo '{\"robot\": 3, \"stamp_s\": 1.6, \"x\": 1e9, \"y\": 2, \"vx\": 0, \"vy\": 0}'; cat";
+    let script = r#"
+        echo '{"robot": 3, "stamp_s": 1.5, "x": 1, "y": 2, "vx": 0.5, "vy": 0, "heading": 0.25}'
+        echo '{"robot": 4, "stamp_s": 1.5, "x": 1, "y": 2, "vx": 0, "vy": 0}'
+        echo '{"robot": 3, "stamp_s": 1.6, "x": 1e9, "y": 2, "vx": 0, "vy": 0}'
+        cat"#;
     let made = source(&program(script)).expect("it is sound");
     let (mut source, mut out) = ((made.source)(), Vec::new());
     let (mut gate, worker) = employ(made.worker);
