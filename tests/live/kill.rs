@@ -258,7 +258,8 @@ fn the_team_stands_and_waits_for_a_host_that_is_told_to_end_and_runs_the_episode
 
 #[test]
 fn nobody_outlives_a_launch_that_was_killed() {
-    let _beside = beside();
+    // Whatever another test starts meanwhile would inherit the pipe, too.
+    let _alone = alone();
     let (_folder, file) = folder(&team(782));
     // Inherited by launch and by all that it starts: it is closed when the last of them has gone.
     let (mut all_gone, held) = std::io::pipe().expect("a pipe");

@@ -5,7 +5,7 @@ use std::process::{Command, Output, Stdio};
 
 pub fn murmurate(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_murmurate"));
-    command.args(args).env_remove("MURMURATE_LOG").stdin(Stdio::null());
+    command.args(args).env_remove("MURMURATE_LOG").env_remove("MURMURATE_REFERENCE").stdin(Stdio::null());
     command
 }
 
