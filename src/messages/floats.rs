@@ -32,12 +32,21 @@ impl<T> Visitor<'_> for Bytes<T> {
     }
 }
 
-fn pack<const BYTES: usize>(floats: &[f32]) -> [u8; BYTES] {
-    let mut bytes = [0; BYTES];
-    for (four, float) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(floats) {
-        *four = float.to_le_bytes();
-    }
-    bytes
+/// What is a fixed number of floats on the wire.
+trait Floats<const N: usize>: Sized {
+    /// What they are, for whoever reads others.
+    const EXPECTED: &'static str;
+    fn floats(&self) -> [f32; N];
+    /// None of floats that are written otherwise.
+    fn of(floats: [f32; N]) -> Option<Self>;
+}
+
+fn write<const N: usize, T: Floats<N>, S: Serializer>(value: &T, s: S) -> Result<S::Ok, S::Error> {
+    s.serialize_bytes(value.floats().map(f32::to_le_bytes).as_flattened())
+}
+
+fn read<'de, const N: usize, T: Floats<N>, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
+    d.deserialize_bytes(Bytes(|bytes| T::of(unpack_exactly(bytes)?), T::EXPECTED))
 }
 
 fn unpack(bytes: &[u8]) -> impl Iterator<Item = f32> + '_ {
@@ -45,29 +54,9 @@ fn unpack(bytes: &[u8]) -> impl Iterator<Item = f32> + '_ {
 }
 
 fn unpack_exactly<const N: usize>(bytes: &[u8]) -> Option<[f32; N]> {
-    if bytes.len() != 4 * N {
-        return None;
-    }
-    let mut floats = [0.0; N];
-    floats.iter_mut().zip(unpack(bytes)).for_each(|(to, from)| *to = from);
-    Some(floats)
-}
-
-impl Serialize for Motion {
-    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let (p, v) = (self.position, self.velocity);
-        s.serialize_bytes(&pack::<16>(&[p.x, p.y, v.x, v.y]))
-    }
-}
-
-impl<'de> Deserialize<'de> for Motion {
-    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Motion, D::Error> {
-        let parse = |bytes: &[u8]| {
-            let [px, py, vx, vy] = unpack_exactly(bytes)?;
-            Some(Motion { position: Vec2::new(px, py), velocity: Vec2::new(vx, vy) })
-        };
-        d.deserialize_bytes(Bytes(parse, "16 bytes: position and velocity"))
-    }
+    let (fours, rest) = bytes.as_chunks::<4>();
+    let fours: &[[u8; 4]; N] = fours.try_into().ok().filter(|_| rest.is_empty())?;
+    Some(fours.map(f32::from_le_bytes))
 }
 
 /// How a number is written that may be unknown: as this NaN, and no other.
@@ -83,59 +72,88 @@ fn known(float: f32) -> Option<Option<f32>> {
     }
 }
 
-impl Serialize for Pose {
-    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        s.serialize_bytes(&pack::<12>(&[self.position.x, self.position.y, unknown(self.heading)]))
+impl Floats<2> for Vec2 {
+    const EXPECTED: &'static str = "8 bytes: x and y";
+
+    fn floats(&self) -> [f32; 2] {
+        self.to_array()
+    }
+
+    fn of([x, y]: [f32; 2]) -> Option<Vec2> {
+        Some(Vec2::new(x, y))
     }
 }
 
-impl<'de> Deserialize<'de> for Pose {
-    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Pose, D::Error> {
-        let parse = |bytes: &[u8]| {
-            let [x, y, heading] = unpack_exactly(bytes)?;
-            Some(Pose { position: Vec2::new(x, y), heading: known(heading)? })
-        };
-        d.deserialize_bytes(Bytes(parse, "12 bytes: position and heading"))
+impl Floats<4> for Motion {
+    const EXPECTED: &'static str = "16 bytes: position and velocity";
+
+    fn floats(&self) -> [f32; 4] {
+        [self.position.x, self.position.y, self.velocity.x, self.velocity.y]
+    }
+
+    fn of([px, py, vx, vy]: [f32; 4]) -> Option<Motion> {
+        Some(Motion { position: Vec2::new(px, py), velocity: Vec2::new(vx, vy) })
     }
 }
 
-impl Serialize for Twist {
-    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        s.serialize_bytes(&pack::<12>(&[self.velocity.x, self.velocity.y, unknown(self.yaw_rate)]))
+impl Floats<3> for Pose {
+    const EXPECTED: &'static str = "12 bytes: position and heading";
+
+    fn floats(&self) -> [f32; 3] {
+        [self.position.x, self.position.y, unknown(self.heading)]
+    }
+
+    fn of([x, y, heading]: [f32; 3]) -> Option<Pose> {
+        Some(Pose { position: Vec2::new(x, y), heading: known(heading)? })
     }
 }
 
-impl<'de> Deserialize<'de> for Twist {
-    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Twist, D::Error> {
-        let parse = |bytes: &[u8]| {
-            let [x, y, yaw_rate] = unpack_exactly(bytes)?;
-            Some(Twist { velocity: Vec2::new(x, y), yaw_rate: known(yaw_rate)? })
-        };
-        d.deserialize_bytes(Bytes(parse, "12 bytes: velocity and yaw rate"))
+impl Floats<3> for Twist {
+    const EXPECTED: &'static str = "12 bytes: velocity and yaw rate";
+
+    fn floats(&self) -> [f32; 3] {
+        [self.velocity.x, self.velocity.y, unknown(self.yaw_rate)]
+    }
+
+    fn of([x, y, yaw_rate]: [f32; 3]) -> Option<Twist> {
+        Some(Twist { velocity: Vec2::new(x, y), yaw_rate: known(yaw_rate)? })
     }
 }
 
-impl Serialize for Deviation {
-    fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
-        let all = [self.position_m, self.heading_rad, self.velocity_m_s, self.yaw_rate_rad_s];
-        s.serialize_bytes(&pack::<16>(&all.map(unknown)))
+impl Floats<4> for Deviation {
+    const EXPECTED: &'static str = "16 bytes: four standard deviations";
+
+    fn floats(&self) -> [f32; 4] {
+        [self.position_m, self.heading_rad, self.velocity_m_s, self.yaw_rate_rad_s].map(unknown)
+    }
+
+    fn of([position_m, heading_rad, velocity_m_s, yaw_rate_rad_s]: [f32; 4]) -> Option<Deviation> {
+        Some(Deviation {
+            position_m: known(position_m)?,
+            heading_rad: known(heading_rad)?,
+            velocity_m_s: known(velocity_m_s)?,
+            yaw_rate_rad_s: known(yaw_rate_rad_s)?,
+        })
     }
 }
 
-impl<'de> Deserialize<'de> for Deviation {
-    fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Deviation, D::Error> {
-        let parse = |bytes: &[u8]| {
-            let [position_m, heading_rad, velocity_m_s, yaw_rate_rad_s] = unpack_exactly(bytes)?;
-            Some(Deviation {
-                position_m: known(position_m)?,
-                heading_rad: known(heading_rad)?,
-                velocity_m_s: known(velocity_m_s)?,
-                yaw_rate_rad_s: known(yaw_rate_rad_s)?,
-            })
-        };
-        d.deserialize_bytes(Bytes(parse, "16 bytes: four standard deviations"))
-    }
+macro_rules! as_floats {
+    ($($value:ty),*) => {
+        $(impl Serialize for $value {
+            fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
+                write(self, s)
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $value {
+            fn deserialize<D: Deserializer<'de>>(d: D) -> Result<$value, D::Error> {
+                read(d)
+            }
+        })*
+    };
 }
+
+as_floats!(Motion, Pose, Twist, Deviation);
 
 impl Serialize for Features {
     fn serialize<S: Serializer>(&self, s: S) -> Result<S::Ok, S::Error> {
@@ -163,12 +181,11 @@ pub(super) mod vec2 {
     use super::*;
 
     pub fn serialize<S: Serializer>(v: &Vec2, s: S) -> Result<S::Ok, S::Error> {
-        s.serialize_bytes(&pack::<8>(&[v.x, v.y]))
+        write(v, s)
     }
 
     pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Vec2, D::Error> {
-        let parse = |bytes: &[u8]| unpack_exactly(bytes).map(|[x, y]| Vec2::new(x, y));
-        d.deserialize_bytes(Bytes(parse, "8 bytes: x and y"))
+        read(d)
     }
 }
 
@@ -177,9 +194,9 @@ pub(super) mod tasks {
     use super::*;
 
     pub fn serialize<S: Serializer>(tasks: &Arc<[Task]>, s: S) -> Result<S::Ok, S::Error> {
-        let bytes: Vec<u8> =
-            tasks.iter().flat_map(|task| pack::<16>(&[task.start.x, task.start.y, task.goal.x, task.goal.y])).collect();
-        s.serialize_bytes(&bytes)
+        let floats = |task: &Task| [task.start.x, task.start.y, task.goal.x, task.goal.y];
+        let bytes: Vec<[u8; 4]> = tasks.iter().flat_map(floats).map(f32::to_le_bytes).collect();
+        s.serialize_bytes(bytes.as_flattened())
     }
 
     pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Arc<[Task]>, D::Error> {
