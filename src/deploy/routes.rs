@@ -107,6 +107,7 @@ impl Routes {
             publishers: Arc::new(Publishers {
                 names: deployment.hosts.iter().map(|host| host.name.clone()).collect(),
                 agents: agent_host.clone(),
+                actuators: actuator_host.clone(),
                 localizers: localizer_host.clone(),
                 server: server_host,
             }),

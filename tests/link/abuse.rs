@@ -282,7 +282,8 @@ fn team_of_four(key: Option<Key>, setup: Setup) -> Config {
     let mut config = config(0, 4, 1, key, setup);
     let agents: Vec<HostId> = (0..4).map(HostId).collect();
     let names = agents.iter().map(|host| format!("host {}", host.0)).collect();
-    let publishers = Publishers { names, localizers: agents.clone(), agents, server: HostId(0) };
+    let publishers =
+        Publishers { names, actuators: agents.clone(), localizers: agents.clone(), agents, server: HostId(0) };
     let all = |_, robot: RobotId| Route { local: robot != RobotId(0), leaves: None };
     let router = Router::new(4, |kind, robot| if kind == Kind::Stop { STOP } else { all(kind, robot) });
     config.router = router.with_publishers(Arc::new(publishers));

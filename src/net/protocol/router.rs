@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::wire::{KINDS, Kind, Wire};
+use crate::messages::wire::{Condition, KINDS, Kind, Wire};
 
 /// The hosts that a frame is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,6 +32,8 @@ pub struct Publishers {
     pub names: Vec<String>,
     /// By robot: the host that runs its agent, which says `Latent`, `MotorCommand` and `Heartbeat`.
     pub agents: Vec<HostId>,
+    /// By robot: the host that its motors hang on, which tells how it does.
+    pub actuators: Vec<HostId>,
     /// By robot: the host that measures it, which says `Reading`.
     pub localizers: Vec<HostId>,
     /// The host of the state server, which says `Mode`.
@@ -52,8 +54,18 @@ impl Publishers {
             }
             Wire::Status(status) => status.host == sender && self.knows(sender),
             Wire::Observe(observe) => observe.by == sender && sender.is_operator(),
-            Wire::Telemetry(telemetry) => telemetry.host == sender && self.knows(sender),
+            Wire::Telemetry(telemetry) => {
+                telemetry.host == sender && telemetry.robots.iter().all(|told| self.owns(sender, told))
+            }
         }
+    }
+
+    /// Whether what is told of a robot is for this host to tell.
+    fn owns(&self, host: HostId, told: &Condition) -> bool {
+        let of = |hosts: &[HostId]| hosts.get(told.robot.index()) == Some(&host);
+        let decided = told.phase.is_none() && told.seen.is_none() || of(&self.agents);
+        let moved = told.health.is_none() && told.battery.is_none() || of(&self.actuators);
+        decided && moved
     }
 
     fn knows(&self, host: HostId) -> bool {
@@ -143,6 +155,7 @@ mod tests {
         Publishers {
             names: ["a", "b", "c"].map(str::to_owned).to_vec(),
             agents: vec![HostId(0), HostId(1)],
+            actuators: vec![HostId(2); 2],
             localizers: vec![HostId(2); 2],
             server: HostId(2),
         }
