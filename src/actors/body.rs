@@ -25,6 +25,8 @@ pub enum In {
     Reading(Reading),
     /// Something that its driver's worker has said.
     Packet(Box<[u8]>),
+    /// Its driver's worker has ended.
+    WorkerEnded,
     /// The emergency stop, engaged or taken back.
     Stop(Stop),
     /// The latch as the state server repeats it.
@@ -151,6 +153,13 @@ impl Core for Body {
         match input {
             In::MotorCommand(command) => self.obey(now, &command, out),
             In::Reading(reading) => self.pose = Some(reading.pose),
+            In::WorkerEnded => {
+                tracing::error!(
+                    "the driver of {} has ended: it cannot be driven any more; restart the host",
+                    self.robot
+                );
+                out.push(Out::Condition(Health::Silent, None));
+            }
             In::Packet(packet) => {
                 self.driver.told(now, &packet, &mut self.said);
                 self.pass_on(out);

@@ -5,8 +5,10 @@
 //! again like a datagram. Whatever a worker says rings a descriptor, which the driver of real time watches.
 
 pub mod child;
+mod settings;
 
-use std::os::fd::{AsFd, BorrowedFd};
+pub use settings::Settings;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -31,6 +33,18 @@ pub trait Worker: Send {
 pub struct Port {
     told: mpsc::Receiver<Packet>,
     mouth: Mouth,
+    /// Dropped last: whoever looks then finds that the worker is gone.
+    _last: LastRing,
+}
+
+/// Rings when the worker has ended.
+#[derive(Debug)]
+struct LastRing(Arc<EventFd>);
+
+impl Drop for LastRing {
+    fn drop(&mut self) {
+        let _ = self.0.write(1);
+    }
 }
 
 /// A worker's way to the control thread, of which it may have several.
@@ -39,6 +53,15 @@ pub struct Mouth {
     says: mpsc::Sender<Packet>,
     bell: Arc<EventFd>,
     dropped: Arc<AtomicU64>,
+}
+
+/// Whether a worker works.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Worked {
+    /// It does.
+    On,
+    /// It has ended, and all that it has said was taken.
+    Ended,
 }
 
 /// The control thread's end of a channel.
@@ -59,8 +82,8 @@ pub fn channel() -> std::io::Result<(Gate, Port)> {
     let flags = EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC;
     let bell = Arc::new(EventFd::from_flags(flags)?);
     let dropped = Arc::new(AtomicU64::new(0));
-    let mouth = Mouth { says, bell: Arc::clone(&bell), dropped: Arc::clone(&dropped) };
-    Ok((Gate { tells, heard, bell, refused: 0, dropped }, Port { told, mouth }))
+    let (mouth, last) = (Mouth { says, bell: Arc::clone(&bell), dropped: Arc::clone(&dropped) }, Arc::clone(&bell));
+    Ok((Gate { tells, heard, bell, refused: 0, dropped }, Port { told, mouth, _last: LastRing(last) }))
 }
 
 impl Port {
@@ -89,7 +112,10 @@ impl Mouth {
                 let _ = self.bell.write(1);
             }
             Err(mpsc::error::TrySendError::Full(_)) => {
-                self.dropped.fetch_add(1, Ordering::Relaxed);
+                let dropped = self.dropped.fetch_add(1, Ordering::Relaxed) + 1;
+                if dropped.is_power_of_two() {
+                    tracing::warn!(dropped, "a worker says more than is read");
+                }
             }
             Err(mpsc::error::TrySendError::Closed(_)) => {}
         }
@@ -104,22 +130,27 @@ impl Mouth {
 impl Gate {
     /// Tells the worker something. It is dropped and counted where the worker has not kept up.
     pub fn tell(&mut self, packet: Packet) {
-        if self.tells.try_send(packet).is_err() {
+        if let Err(mpsc::error::TrySendError::Full(_)) = self.tells.try_send(packet) {
             self.refused += 1;
+            if self.refused.is_power_of_two() {
+                tracing::warn!(refused = self.refused, "a worker does not keep up with what it is told");
+            }
         }
     }
 
     /// Takes what the worker has said: at most `ROOM` packets, so that a worker that never stops holds up nobody.
-    pub fn take(&mut self, mut each: impl FnMut(Packet)) {
+    pub fn take(&mut self, mut each: impl FnMut(Packet)) -> Worked {
         // Before the packets: what comes between rings again.
         let _ = self.bell.read();
         for _ in 0..ROOM {
             match self.heard.try_recv() {
                 Ok(packet) => each(packet),
-                Err(TryRecvError::Empty | TryRecvError::Disconnected) => return,
+                Err(TryRecvError::Empty) => return Worked::On,
+                Err(TryRecvError::Disconnected) => return Worked::Ended,
             }
         }
         let _ = self.bell.write(1);
+        Worked::On
     }
 
     /// Packets that have found no room: to the worker, and from it.
@@ -130,12 +161,6 @@ impl Gate {
     /// What has something to read when the worker has said something.
     pub fn bell(&self) -> Arc<EventFd> {
         Arc::clone(&self.bell)
-    }
-}
-
-impl AsFd for Gate {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        self.bell.as_fd()
     }
 }
 
@@ -172,6 +197,20 @@ mod tests {
         });
         drop(gate);
         assert!(worker.join().unwrap());
+    }
+
+    #[test]
+    fn the_end_of_a_worker_rings_and_is_found_behind_its_last_word() {
+        let (mut gate, port) = channel().unwrap();
+        let mouth = port.mouth();
+        mouth.say(packet(7));
+        drop(mouth);
+        drop(port);
+        assert_eq!(gate.bell().read(), Ok(2));
+        let mut heard = Vec::new();
+        assert_eq!((gate.take(|packet| heard.push(packet)), heard), (Worked::Ended, vec![packet(7)]));
+        gate.tell(packet(8));
+        assert_eq!(gate.dropped(), (0, 0), "there is nobody to keep up");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! One host of a deployment as a process of its own: its part of the graph, in real time, on sockets. What an actor
 //! does never lives here, nor what a person is shown.
 
+use std::cell::Cell;
 use std::rc::Rc;
 
 use super::bodies::wire_source;
@@ -8,6 +9,7 @@ use super::devices::Devices;
 use super::process::{Graph, Heard, Process};
 use super::sockets;
 use crate::actors::{body, localizer, recorder};
+use crate::edge::Worked;
 use crate::graph::{Plan, wire_hosts, wire_recorder};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::key::Key;
@@ -75,12 +77,23 @@ fn wire_gates((clock, readers): (&Clock, &mut Readers), graph: &Graph, process: 
     for (robot, device) in &process.devices.drivers {
         let Some(gate) = device.gate.clone() else { continue };
         let (bell, body) = (gate.borrow().bell(), graph.bodies[robot.index()].clone());
-        readers.watch(Rc::new(bell), move || gate.borrow_mut().take(|packet| body.send(body::In::Packet(packet))));
+        let ended = Cell::new(false);
+        readers.watch(Rc::new(bell), move || {
+            let worked = gate.borrow_mut().take(|packet| body.send(body::In::Packet(packet)));
+            if worked == Worked::Ended && !ended.replace(true) {
+                body.send(body::In::WorkerEnded);
+            }
+        });
     }
     if let Some(gate) = process.devices.source.as_ref().and_then(|device| device.gate.clone()) {
         let (bell, localizer) = (gate.borrow().bell(), Mailbox::new("localizer"));
         wire_source(clock, graph, process, &localizer);
-        let take = move || gate.borrow_mut().take(|packet| localizer.send(localizer::In::Packet(packet)));
-        readers.watch(Rc::new(bell), take);
+        let ended = Cell::new(false);
+        readers.watch(Rc::new(bell), move || {
+            let worked = gate.borrow_mut().take(|packet| localizer.send(localizer::In::Packet(packet)));
+            if worked == Worked::Ended && !ended.replace(true) {
+                tracing::error!("the source of this host has ended: no robot is measured any more; restart the host");
+            }
+        });
     }
 }
