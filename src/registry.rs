@@ -13,11 +13,14 @@
 
 use std::sync::Arc;
 
+use crate::config::ConfigError;
 use crate::drivers;
+use crate::edge::Settings;
 use crate::estimation;
 use crate::localization;
+use crate::messages::ids::RobotId;
 use crate::policy;
-use crate::scenario::{self, Scenario, ScenarioError, Settings};
+use crate::scenario::{self, Scenario, ScenarioError};
 use crate::world;
 
 /// What there is by name: scenarios, plants, policies, drivers, sources and estimators.
@@ -31,14 +34,57 @@ pub struct Registry {
     estimators: Vec<estimation::Entry>,
 }
 
-/// There is no plant of that name.
+/// Nothing of its kind has that name.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("there is no plant '{name}'; there are: {known}")]
-pub struct UnknownPlant {
-    /// What was asked for.
+#[error("there is no {kind} '{name}'; there are: {known}")]
+pub struct Unknown {
+    /// What was asked for: a plant, a driver.
+    pub kind: &'static str,
+    /// The name.
     pub name: String,
-    /// What there is.
+    /// The names that there are.
     pub known: String,
+}
+
+/// An entry of a registry.
+trait Entry {
+    /// What it is an entry of, in the singular.
+    const KIND: &'static str;
+    fn name(&self) -> &'static str;
+}
+
+macro_rules! entries {
+    ($($entry:ty, $kind:literal;)*) => {
+        $(impl Entry for $entry {
+            const KIND: &'static str = $kind;
+            fn name(&self) -> &'static str {
+                self.name
+            }
+        })*
+    };
+}
+
+entries! {
+    scenario::Entry, "scenario";
+    world::Entry, "plant";
+    policy::Entry, "policy";
+    drivers::Entry, "driver";
+    localization::Entry, "source";
+    estimation::Entry, "estimator";
+}
+
+/// Adds an entry. Panics if there is one of its name.
+fn add<E: Entry>(entries: &mut Vec<E>, entry: E) {
+    assert!(entries.iter().all(|other| other.name() != entry.name()), "a second {} '{}'", E::KIND, entry.name());
+    entries.push(entry);
+}
+
+fn find<'a, E: Entry>(entries: &'a [E], name: &str) -> Result<&'a E, Unknown> {
+    entries.iter().find(|entry| entry.name() == name).ok_or_else(|| Unknown {
+        kind: E::KIND,
+        name: name.to_owned(),
+        known: entries.iter().map(E::name).collect::<Vec<_>>().join(", "),
+    })
 }
 
 impl Registry {
@@ -59,8 +105,7 @@ impl Registry {
     /// # Panics
     /// If there is one of its name.
     pub fn with_scenario(mut self, entry: scenario::Entry) -> Registry {
-        assert!(self.scenarios.iter().all(|other| other.name != entry.name), "a second scenario '{}'", entry.name);
-        self.scenarios.push(entry);
+        add(&mut self.scenarios, entry);
         self
     }
 
@@ -69,8 +114,7 @@ impl Registry {
     /// # Panics
     /// If there is one of its name.
     pub fn with_plant(mut self, entry: world::Entry) -> Registry {
-        assert!(self.plants.iter().all(|other| other.name != entry.name), "a second plant '{}'", entry.name);
-        self.plants.push(entry);
+        add(&mut self.plants, entry);
         self
     }
 
@@ -79,8 +123,7 @@ impl Registry {
     /// # Panics
     /// If there is one of its name.
     pub fn with_policy(mut self, entry: policy::Entry) -> Registry {
-        assert!(self.policies.iter().all(|other| other.name != entry.name), "a second policy '{}'", entry.name);
-        self.policies.push(entry);
+        add(&mut self.policies, entry);
         self
     }
 
@@ -89,8 +132,7 @@ impl Registry {
     /// # Panics
     /// If there is one of its name.
     pub fn with_driver(mut self, entry: drivers::Entry) -> Registry {
-        assert!(self.drivers.iter().all(|other| other.name != entry.name), "a second driver '{}'", entry.name);
-        self.drivers.push(entry);
+        add(&mut self.drivers, entry);
         self
     }
 
@@ -99,8 +141,7 @@ impl Registry {
     /// # Panics
     /// If there is one of its name.
     pub fn with_source(mut self, entry: localization::Entry) -> Registry {
-        assert!(self.sources.iter().all(|other| other.name != entry.name), "a second source '{}'", entry.name);
-        self.sources.push(entry);
+        add(&mut self.sources, entry);
         self
     }
 
@@ -109,8 +150,7 @@ impl Registry {
     /// # Panics
     /// If there is one of its name.
     pub fn with_estimator(mut self, entry: estimation::Entry) -> Registry {
-        assert!(self.estimators.iter().all(|other| other.name != entry.name), "a second estimator '{}'", entry.name);
-        self.estimators.push(entry);
+        add(&mut self.estimators, entry);
         self
     }
 
@@ -145,26 +185,44 @@ impl Registry {
     }
 
     /// Makes the scenario of that name.
-    pub fn scenario(&self, name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+    pub fn scenario(&self, name: &str, settings: &scenario::Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
         let scenario = scenario::build_of(&self.scenarios, name, settings)?;
         assert_eq!(scenario.name(), name, "a scenario goes by the name that it has in its registry");
         Ok(scenario)
     }
 
     /// The plant of that name.
-    pub fn plant(&self, name: &str) -> Result<&world::Entry, UnknownPlant> {
-        let names = || self.plants.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", ");
-        let known = || match name {
-            "rigid" => format!("{}, and 'rigid' where the program is built with the feature 'rigid'", names()),
-            _ => names(),
-        };
-        let unknown = || UnknownPlant { name: name.to_owned(), known: known() };
-        self.plants.iter().find(|entry| entry.name == name).ok_or_else(unknown)
+    pub fn plant(&self, name: &str) -> Result<&world::Entry, Unknown> {
+        find(&self.plants, name).map_err(|mut unknown| {
+            if name == "rigid" {
+                unknown.known += ", and 'rigid' where the program is built with the feature 'rigid'";
+            }
+            unknown
+        })
+    }
+
+    /// The estimator of that name.
+    pub fn estimator(&self, name: &str) -> Result<&estimation::Entry, Unknown> {
+        find(&self.estimators, name)
+    }
+
+    /// The driver of a robot that these settings name. An error names the field, within the table of a host.
+    pub fn driver(&self, settings: &Settings, robot: RobotId) -> Result<drivers::Made, ConfigError> {
+        let entry =
+            find(&self.drivers, &settings.name).map_err(|e| ConfigError::field("driver.name", e.to_string()))?;
+        (entry.make)(settings, robot).map_err(|error| error.within("driver"))
+    }
+
+    /// The source for some robots that these settings name, likewise.
+    pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Made, ConfigError> {
+        let entry =
+            find(&self.sources, &settings.name).map_err(|e| ConfigError::field("source.name", e.to_string()))?;
+        (entry.make)(settings, robots).map_err(|error| error.within("source"))
     }
 
     /// The policy of that name; whatever has none here is a file.
     pub fn policy(&self, name: &str) -> Option<&policy::Entry> {
-        self.policies.iter().find(|entry| entry.name == name)
+        find(&self.policies, name).ok()
     }
 
     /// The name of the policy that drives a scenario unless someone says otherwise.
@@ -175,15 +233,10 @@ impl Registry {
 
     /// Whether there is something that this crate does not have.
     pub fn is_extended(&self) -> bool {
-        let builtin = Registry::builtin();
-        let count = |all: &Registry| {
-            all.scenarios.len()
-                + all.plants.len()
-                + all.policies.len()
-                + all.drivers.len()
-                + all.sources.len()
-                + all.estimators.len()
+        let sizes = |all: &Registry| {
+            let Registry { scenarios, plants, policies, drivers, sources, estimators } = all;
+            [scenarios.len(), plants.len(), policies.len(), drivers.len(), sources.len(), estimators.len()]
         };
-        count(self) != count(&builtin)
+        sizes(self) != sizes(&Registry::builtin())
     }
 }

@@ -16,7 +16,7 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{self, ConfigError};
-use crate::drivers::Settings;
+use crate::edge::Settings;
 use crate::faults::Targets;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{KINDS, Kind};
@@ -208,20 +208,7 @@ impl Deployment {
         if let Some(host) = self.hosts.iter().find(|host| host.agents.iter().any(|robots| robots.is_empty())) {
             return wrong("host.agents", format!("host '{}' has an agent without robots", host.name));
         }
-        for host in &self.hosts {
-            for (robots, settings, role, what) in [
-                (&host.actuates, &host.driver, "actuates", "driver"),
-                (&host.localizes, &host.source, "localizes", "source"),
-            ] {
-                if !robots.is_empty() && settings.is_none() {
-                    let why = format!(
-                        "missing: host '{}' {role} robots; name what with: {what} = {{ name = ... }}",
-                        host.name
-                    );
-                    return wrong(&format!("host.{what}"), why);
-                }
-            }
-        }
+        self.hosts.iter().try_for_each(Host::check_devices)?;
         let servers = self.hosts.iter().filter(|host| host.state_server).count();
         if servers != 1 {
             return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));
@@ -229,6 +216,15 @@ impl Deployment {
         self.links.iter().try_for_each(Link::check)?;
         self.links.iter().try_for_each(Link::check_radio)?;
         self.check_ways()
+    }
+
+    /// Checks that all robots are simulated, as they are in one process under virtual time.
+    pub fn check_simulated(&self) -> Result<(), ConfigError> {
+        let real = |host: &&Host| !host.actuates.is_empty() || !host.localizes.is_empty();
+        self.hosts.iter().find(real).map_or(Ok(()), |host| {
+            let why = format!("'{}' has real robots, which only 'murmurate host' drives and measures", host.name);
+            Err(ConfigError::field("host.actuates and host.localizes", why))
+        })
     }
 
     /// Checks that hosts and links have names of their own.
@@ -349,6 +345,25 @@ impl Deployment {
         }
         self.check()?;
         Ok(self)
+    }
+}
+
+impl Host {
+    /// Checks that there is a driver for the robots that it actuates, and a source for those that it localizes.
+    fn check_devices(&self) -> Result<(), ConfigError> {
+        for (robots, settings, role, what) in [
+            (&self.actuates, &self.driver, "actuates", "driver"),
+            (&self.localizes, &self.source, "localizes", "source"),
+        ] {
+            if robots.is_empty() != settings.is_none() {
+                let why = match settings {
+                    None => format!("missing: '{}' {role} robots; write {what} = {{ name = ... }}", self.name),
+                    Some(_) => format!("'{}' {role} no robot; name some, or leave it out", self.name),
+                };
+                return Err(ConfigError::field(format!("host.{what}"), why));
+            }
+        }
+        Ok(())
     }
 }
 

@@ -6,10 +6,8 @@
 pub mod program;
 pub mod simulated;
 
-use serde::{Deserialize, Serialize};
-
 use crate::config::ConfigError;
-use crate::edge::{Packet, Worker};
+use crate::edge::{Packet, Settings, Worker};
 use crate::messages::geometry::Pose;
 use crate::messages::ids::RobotId;
 use crate::messages::local::Drive;
@@ -49,24 +47,6 @@ pub trait Driver {
     fn told(&mut self, now: Time, packet: &[u8], out: &mut Vec<Out>);
 }
 
-/// The settings of a driver or a source: a table of a deployment, its `name` aside.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Settings {
-    /// Which one, by its name in the registry.
-    pub name: String,
-    /// What it wants to know.
-    #[serde(flatten)]
-    pub table: toml::Table,
-}
-
-impl Settings {
-    /// The settings as a type of the driver's or source's own; a mistake is an error of the field.
-    pub fn read<T: for<'a> Deserialize<'a>>(&self) -> Result<T, ConfigError> {
-        let table = toml::Value::Table(self.table.clone());
-        table.try_into().map_err(|error: toml::de::Error| ConfigError::field(&self.name, error.message().to_owned()))
-    }
-}
-
 /// What is made of settings: the pure part, as often as its actor is started, and the one that does the I/O.
 pub struct Made {
     /// Makes the driver afresh.
@@ -88,13 +68,3 @@ pub struct Entry {
 
 /// All drivers of robots that are not simulated.
 pub const REGISTRY: &[Entry] = &[Entry { name: "program", about: program::ABOUT, make: program::make }];
-
-/// The driver that these settings name, made for a robot. `field` is where they stand.
-pub fn make(registry: &[Entry], field: &str, settings: &Settings, robot: RobotId) -> Result<Made, ConfigError> {
-    let Some(entry) = registry.iter().find(|entry| entry.name == settings.name) else {
-        let names: Vec<&str> = registry.iter().map(|entry| entry.name).collect();
-        let why = format!("there is no driver '{}'; there are {}", settings.name, names.join(", "));
-        return Err(ConfigError::field(format!("{field}.name"), why));
-    };
-    (entry.make)(settings, robot).map_err(|error| error.within(field))
-}

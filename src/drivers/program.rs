@@ -7,8 +7,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Driver, Limits, Made, Out, Settings};
+use super::{Driver, Limits, Made, Out};
 use crate::config::ConfigError;
+use crate::edge::Settings;
 use crate::edge::child::Program;
 use crate::messages::geometry::Pose;
 use crate::messages::ids::RobotId;

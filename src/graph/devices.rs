@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use crate::config::ConfigError;
 use crate::deploy::Host;
-use crate::drivers::{self, Driver};
+use crate::drivers::Driver;
 use crate::edge::{self, Gate, Worker};
-use crate::localization::{self, Source};
+use crate::localization::Source;
 use crate::messages::ids::RobotId;
 use crate::registry::Registry;
 
@@ -72,14 +72,14 @@ pub fn open(host: &Host, registry: &Registry) -> Result<(Devices, Workers), Devi
     let (mut devices, mut workers) = (Devices::default(), Workers(Vec::new()));
     for &robot in &host.actuates {
         let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
-        let made = drivers::make(registry.drivers(), "host.driver", settings, RobotId(robot))?;
+        let made = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
         let gate = made.worker.map(|worker| employ(worker, format!("driver {robot}"), &mut workers)).transpose()?;
         devices.drivers.insert(RobotId(robot), Device { make: Rc::from(made.driver), gate });
     }
     if !host.localizes.is_empty() {
         let settings = host.source.as_ref().expect("a checked host that localizes has a source");
         let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
-        let made = localization::make(registry.sources(), "host.source", settings, &robots)?;
+        let made = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
         let gate = Some(employ(made.worker, "source".to_owned(), &mut workers)?);
         devices.source = Some(Device { make: Rc::from(made.source), gate });
     }

@@ -60,8 +60,7 @@ pub struct LiveHost {
 
 impl LiveHost {
     /// Opens the sockets of the team's host, for its part of the trial, and its drivers and sources by their names in
-    /// the registry. A team without a key may have no link that leaves
-    /// the machine.
+    /// the registry. A team without a key may have no link that leaves the machine.
     pub fn open(team: &Team, trial: &Trial, key: Option<Key>, registry: &Registry) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
         let sockets = links::open(team, team.host)?;

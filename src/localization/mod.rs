@@ -6,8 +6,7 @@ pub mod program;
 pub mod simulated;
 
 use crate::config::ConfigError;
-use crate::drivers::Settings;
-use crate::edge::Worker;
+use crate::edge::{Settings, Worker};
 use crate::messages::ids::RobotId;
 use crate::messages::local::Sample;
 use crate::messages::wire::Reading;
@@ -66,13 +65,3 @@ pub struct Entry {
 
 /// All sources of readings of robots that are not simulated.
 pub const REGISTRY: &[Entry] = &[Entry { name: "program", about: program::ABOUT, make: program::make }];
-
-/// The source that these settings name, made for some robots. `field` is where they stand.
-pub fn make(registry: &[Entry], field: &str, settings: &Settings, robots: &[RobotId]) -> Result<Made, ConfigError> {
-    let Some(entry) = registry.iter().find(|entry| entry.name == settings.name) else {
-        let names: Vec<&str> = registry.iter().map(|entry| entry.name).collect();
-        let why = format!("there is no source '{}'; there are {}", settings.name, names.join(", "));
-        return Err(ConfigError::field(format!("{field}.name"), why));
-    };
-    (entry.make)(settings, robots).map_err(|error| error.within(field))
-}

@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use super::{In, Made, Out, Source};
 use crate::config::ConfigError;
-use crate::drivers::Settings;
+use crate::edge::Settings;
 use crate::edge::child::Program;
 use crate::messages::geometry::{Deviation, Pose, Twist, Vec2};
 use crate::messages::ids::RobotId;

@@ -25,6 +25,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::program::BadInput;
 use crate::program::Ended;
+use crate::program::bad;
 use crate::program::deployment;
 use crate::program::jobs;
 use crate::program::output::{print, read_text, talk};
@@ -227,19 +228,14 @@ pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
     bar
 }
 
-/// A flag or a file that is wrong.
-fn bad(text: String) -> anyhow::Error {
-    BadInput(text).into()
-}
-
 /// The deployment with links as the flags say.
 fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
-        return Err(bad("--impair: there is nothing to suffer from; add --delay-ms or --loss".to_owned()));
+        return bad("--impair: there is nothing to suffer from; add --delay-ms or --loss".to_owned());
     }
     for (flag, value, most) in [("--delay-ms", args.delay_ms, 60_000.0), ("--loss", args.loss, 1.0)] {
         if !(0.0..=most).contains(&value) {
-            return Err(bad(format!("{flag}: {value} is not 0 to {most}")));
+            return bad(format!("{flag}: {value} is not 0 to {most}"));
         }
     }
     if args.delay_ms > 0.0 || args.loss > 0.0 {
@@ -248,10 +244,10 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
         let given = |value: f64| Some(value).filter(|value| *value > 0.0);
         deployment = deployment
             .impaired(given(args.delay_ms / 1000.0), given(args.loss), impair)
-            .map_err(|e| bad(format!("{flag}: {e}")))?;
+            .map_err(|e| BadInput(format!("{flag}: {e}")))?;
     }
     if let Some(range_m) = args.link_range_m {
-        deployment = deployment.ranged(range_m).map_err(|e| bad(format!("--link-range-m: {e}")))?;
+        deployment = deployment.ranged(range_m).map_err(|e| BadInput(format!("--link-range-m: {e}")))?;
     }
     deployment::with_radio(deployment, &args.radio)
 }
@@ -262,14 +258,10 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
     let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
     let scenario = registry
         .scenario(&args.scenario, &Settings { robots, gap_m: None })
-        .map_err(|e| bad(format!("--robots: {e}")))?;
+        .map_err(|e| BadInput(format!("--robots: {e}")))?;
     let mut deployment = match file {
         Some(file) if file.robots != scenario.robots() => {
-            return Err(bad(format!(
-                "--robots: {} robots, but the deployment file has {}",
-                scenario.robots(),
-                file.robots
-            )));
+            return bad(format!("--robots: {} robots, but the deployment file has {}", scenario.robots(), file.robots));
         }
         Some(file) => file,
         None => Deployment::preset(&args.mode, scenario.robots()).expect("the parser lets only modes through"),
@@ -287,16 +279,15 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
     let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), model);
     trial = trial.seed(args.seed).episodes(args.episodes);
     (trial.handling, trial.safety) = (args.handling, args.safety);
-    let estimator = registry.estimators().iter().find(|entry| entry.name == args.estimator);
-    trial.estimator = *estimator.expect("the flag takes names of the registry alone");
+    trial.estimator = *registry.estimator(&args.estimator).expect("the flag takes names of the registry alone");
     trial = physics(args, trial)?.clamp(args.clamp);
     if let Some(path) = &args.episodes_file {
         let text = read_text(path, "episodes file")?;
         trial.layouts = Layouts::from_json(&text, &*scenario, args.episodes)
-            .map_err(|e| bad(format!("the episodes file '{}': {e}", path.display())))?;
+            .map_err(|e| BadInput(format!("the episodes file '{}': {e}", path.display())))?;
         if args.placement == Some(Placement::Drive) && !trial.layouts.chained() {
             let reason = "its episodes do not start where those before them have ended";
-            return Err(bad(format!("--placement drive: the episodes file '{}': {reason}", path.display())));
+            return bad(format!("--placement drive: the episodes file '{}': {reason}", path.display()));
         }
     }
     // Once before the faults and once with them, so that the error names the file that is wrong.
@@ -304,11 +295,11 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
         Some(path) => format!("the deployment file '{}'", path.display()),
         None => format!("mode '{}'", args.mode),
     };
-    trial.check().map_err(|e| bad(format!("{place}: {e}")))?;
+    trial.check().map_err(|e| BadInput(format!("{place}: {e}")))?;
     trial.range = range(args, &trial)?;
     if let Some(given) = &args.faults {
         trial.faults = faults(given, &trial)?;
-        trial.check().map_err(|e| bad(format!("the fault plan '{given}': {e}")))?;
+        trial.check().map_err(|e| BadInput(format!("the fault plan '{given}': {e}")))?;
     }
     if args.trajectories.is_some() {
         trial.steps = Steps::Reported;
@@ -319,10 +310,10 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
 /// The trial with robots as the flags say.
 fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
     if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
-        return Err(bad(format!("--lag-s: {lag_s} is not 0 to 10")));
+        return bad(format!("--lag-s: {lag_s} is not 0 to 10"));
     }
     if let Some(radius_m) = args.wall_radius_m.filter(|radius_m| !(*radius_m > 0.0 && *radius_m <= 10.0)) {
-        return Err(bad(format!("--wall-radius-m: {radius_m} is not above 0 and at most 10")));
+        return bad(format!("--wall-radius-m: {radius_m} is not above 0 and at most 10"));
     }
     let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
     let given = Given { lag_s, contacts, wall_radius_m, sensor };
@@ -331,15 +322,17 @@ fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
         let flag = |field: &str| format!("--{}", field.replace('_', "-"));
         trial.physics = given
             .physics(entry, trial.scenario.arena())
-            .map_err(|error| bad(format!("{}: {error}", flag(error.field))))?;
+            .map_err(|error| BadInput(format!("{}: {error}", flag(error.field))))?;
     }
     Ok(trial)
 }
 
 fn read_deployment(path: &Path) -> Result<Deployment> {
     let text = read_text(path, "deployment file")?;
-    Deployment::from_toml(&text)
-        .map_err(|e| BadInput(format!("the deployment file '{}': {}", path.display(), e)).into())
+    let wrong = |error| BadInput(format!("the deployment file '{}': {error}", path.display()));
+    let deployment = Deployment::from_toml(&text).map_err(wrong)?;
+    deployment.check_simulated().map_err(wrong)?;
+    Ok(deployment)
 }
 
 fn range(args: &Args, trial: &Trial) -> Result<Option<CommRange>> {

@@ -4,8 +4,8 @@ use std::os::fd::AsFd;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use murmurate::drivers::{self, Settings};
-use murmurate::edge::{self, Gate, Worker};
+use murmurate::drivers;
+use murmurate::edge::{self, Gate, Settings, Worker};
 use murmurate::localization::{self, In};
 use murmurate::messages::geometry::{Motion, Pose, Vec2};
 use murmurate::messages::ids::RobotId;
@@ -38,11 +38,11 @@ fn with(mut settings: Settings, field: &str, value: impl Into<toml::Value>) -> S
 }
 
 fn driver(settings: &Settings) -> Result<drivers::Made, murmurate::config::ConfigError> {
-    drivers::make(Registry::builtin().drivers(), "host.driver", settings, ROBOT)
+    Registry::builtin().driver(settings, ROBOT)
 }
 
 fn source(settings: &Settings) -> Result<localization::Made, murmurate::config::ConfigError> {
-    localization::make(Registry::builtin().sources(), "host.source", settings, &[ROBOT])
+    Registry::builtin().source(settings, &[ROBOT])
 }
 
 fn drive(x: f32) -> Drive {
@@ -86,7 +86,7 @@ fn every_driver_stands_survives_noise_and_ends_with_its_host() {
             assert!(begun.elapsed() < Duration::from_secs(1), "{}: it ends with its host", entry.name);
         }
         let error = driver_error(&with(settings(entry.name), "colour", "red"));
-        assert!(error.contains("host.driver") && error.contains("colour"), "{error}");
+        assert!(error.contains("driver.program") && error.contains("colour"), "{error}");
     }
 }
 
@@ -123,7 +123,7 @@ fn every_estimator_knows_nothing_at_first_and_keeps_one_that_stands_where_it_is(
 fn wrong_settings_are_refused_by_their_field() {
     let unknown = Settings { name: "telepathy".to_owned(), table: toml::Table::new() };
     let error = driver_error(&unknown);
-    assert!(error.contains("host.driver.name") && error.contains("there are program"), "{error}");
+    assert!(error.contains("driver.name") && error.contains("there are: program"), "{error}");
     let error = driver_error(&with(settings("program"), "speed_m_s", -1.0));
     assert!(error.contains("speed_m_s"), "{error}");
     let error = source(&with(settings("program"), "command", toml::Value::Array(Vec::new()))).err();

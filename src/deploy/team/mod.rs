@@ -234,12 +234,8 @@ impl TeamFile {
     /// How the host's robots are estimated.
     fn estimator(&self, scopes: &[String]) -> Result<estimation::Entry, ConfigError> {
         let entry = self.layers.find(scopes, "estimator").expect("it has a default");
-        let found = self.registry.estimators().iter().find(|estimator| estimator.name == text(&entry));
-        found.copied().ok_or_else(|| {
-            let names: Vec<&str> = self.registry.estimators().iter().map(|entry| entry.name).collect();
-            let why = format!("there is no estimator '{}'; there are: {}", text(&entry), names.join(", "));
-            ConfigError::field(place("estimator", &entry.origin), why)
-        })
+        let found = self.registry.estimator(text(&entry)).copied();
+        found.map_err(|error| ConfigError::field(place("estimator", &entry.origin), error.to_string()))
     }
 
     /// The prefixes under which a host finds its values, the narrowest first.
@@ -273,6 +269,7 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
         deployment.check().map_err(|error| error.within("deployment"))?;
         let plant = registry.plant(&deployment.plant);
         plant.map_err(|error| ConfigError::field("deployment.plant", error.to_string()))?;
+        check_devices(registry, &deployment).map_err(|error| error.within("deployment.host"))?;
         let worse = |link: &&Link| link.delay_s > 0.0 || link.loss > 0.0 || link.range_m.is_some();
         if let Some(link) = deployment.links.iter().find(worse) {
             let why = format!(
@@ -303,6 +300,18 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
         Ok(plant) => Ok(Deployment { plant: plant.name.to_owned(), ..preset }),
         Err(error) => Err(ConfigError::field(place("plant", &entry.origin), error.to_string())),
     }
+}
+
+/// Checks the settings of drivers and sources, by making them; no worker is started.
+fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), ConfigError> {
+    let ids = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<Vec<_>>();
+    for host in &deployment.hosts {
+        for robot in ids(&host.actuates) {
+            host.driver.iter().try_for_each(|settings| registry.driver(settings, robot).map(drop))?;
+        }
+        host.source.iter().try_for_each(|settings| registry.source(settings, &ids(&host.localizes)).map(drop))?;
+    }
+    Ok(())
 }
 
 /// The scenario, for a team of this size or of its own.

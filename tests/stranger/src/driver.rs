@@ -3,8 +3,8 @@
 use std::net::{SocketAddr, UdpSocket};
 
 use murmurate::config::ConfigError;
-use murmurate::drivers::{Driver, Entry, Limits, Made, Out, Settings};
-use murmurate::edge::{Port, Worker};
+use murmurate::drivers::{Driver, Entry, Limits, Made, Out};
+use murmurate::edge::{Port, Settings, Worker};
 use murmurate::messages::geometry::Pose;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::Drive;

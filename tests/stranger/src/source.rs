@@ -5,8 +5,7 @@ use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
 use murmurate::config::ConfigError;
-use murmurate::drivers::Settings;
-use murmurate::edge::{Port, Worker};
+use murmurate::edge::{Port, Settings, Worker};
 use murmurate::localization::{Entry, In, Made, Out, Source};
 use murmurate::messages::geometry::{Deviation, Pose, Twist, Vec2};
 use murmurate::messages::ids::RobotId;
