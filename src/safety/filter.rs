@@ -1,6 +1,6 @@
-//! The geometry of the guard: limits of a velocity along directions, from the ground's edge and from neighbours.
+//! The safety filter: limits of a velocity along directions, from the edge of the ground and from neighbours.
 //!
-//! A limit is never below zero: a filter takes motion away and adds none that nobody has wanted. So standing is
+//! A limit is never below zero: the filter takes motion away and adds none that nobody has wanted. So standing is
 //! always within all limits. After the velocity barriers of Wang, Ames, Egerstedt, IEEE T-RO 2017, in first order.
 
 use crate::messages::geometry::{Motion, Vec2};

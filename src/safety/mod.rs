@@ -1,5 +1,5 @@
 //! Safety on the robot's side: what stops or slows a robot whatever its policy and its operator want. `guard` is the
-//! one state machine, `filter` its geometry; here is what may be configured.
+//! one state machine, `filter` the safety filter of commands; here is what may be configured.
 //!
 //! `docs/safety.md` has every trigger in one table. No actor lives here, and no clock: the Controller owns a guard.
 
