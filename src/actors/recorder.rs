@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::actor::Core;
-use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::geometry::Vec2;
+use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::local::{Contacts, Sample, Truth};
 use crate::messages::wire::{KINDS, Kind, Phase, Reading, Round, Wire};
 use crate::net::media::radio::RadioCounts;
@@ -405,6 +405,14 @@ mod tests {
         out
     }
 
+    /// A reading of a robot arrives, measured as it arrives.
+    fn read(recorder: &mut Recorder, ms: u64, robot: u16, position: Vec2) -> Vec<Out> {
+        let mut out = Vec::new();
+        let reading = Reading::of_point(RobotId(robot), at_ms(ms).as_nanos(), Motion::at_rest(position));
+        recorder.handle(at_ms(ms), In::Reading(reading), &mut out);
+        out
+    }
+
     fn verdicts(out: &[Out]) -> Vec<(u32, Verdict, Option<f64>)> {
         let result = |said: &Out| match said {
             Out::Episode(episode, _) => Some((episode.episode, episode.verdict, episode.makespan_s)),
@@ -439,5 +447,38 @@ mod tests {
         assert_eq!(verdicts(&out), [aborted(1), aborted(2)]);
         assert!(matches!(out.last(), Some(Out::Finished(totals)) if totals.messages == 4 && totals.end == at_ms(300)));
         assert!(say(&mut recorder, 400, 3, Phase::EpisodesFinished).is_empty());
+    }
+    #[test]
+    fn readings_come_to_verdicts_and_what_nobody_has_seen_is_no_success() {
+        let mut recorder = recorder(Judged::Readings);
+        let tasks = recorder.config.layouts.episode(0).to_vec();
+        let goals: Vec<Vec2> = tasks.iter().map(|task| task.goal).collect();
+        say(&mut recorder, 0, 0, Phase::Running);
+        read(&mut recorder, 50, 0, goals[0]);
+        see(&mut recorder, 50, 0, goals[0]);
+        assert!(verdicts(&see(&mut recorder, 50, 1, goals[1])).is_empty(), "true states are not judged");
+        let out = read(&mut recorder, 60, 1, goals[1]);
+        assert_eq!(verdicts(&out), [(0, Verdict::Success, Some(0.06))]);
+        assert!(matches!(&out[0], Out::Episode(episode, _) if episode.judged == Judged::Readings));
+        let goals: Vec<Vec2> = recorder.config.layouts.episode(1).iter().map(|task| task.goal).collect();
+        say(&mut recorder, 1000, 1, Phase::Running);
+        read(&mut recorder, 1050, 0, goals[0]);
+        for ms in (1050..2100).step_by(50) {
+            assert!(verdicts(&read(&mut recorder, ms, 1, goals[1] - Vec2::new(1.0, 0.0))).is_empty());
+        }
+        let out = read(&mut recorder, 2200, 1, goals[1]);
+        assert_eq!(verdicts(&out), [(1, Verdict::Unseen, None)], "robot 0 may have been anywhere");
+        say(&mut recorder, 3000, 2, Phase::Running);
+        assert_eq!(verdicts(&say(&mut recorder, 3900, 2, Phase::AbortRunning)), [(2, Verdict::Aborted, None)]);
+    }
+
+    #[test]
+    fn nothing_is_made_up_of_robots_whose_true_state_is_never_told() {
+        let mut recorder = recorder(Judged::Readings);
+        say(&mut recorder, 0, 0, Phase::Running);
+        see(&mut recorder, 50, 0, Vec2::zeros());
+        let out = say(&mut recorder, 5000, 3, Phase::EpisodesFinished);
+        assert_eq!(verdicts(&out)[0], (0, Verdict::Unseen, None), "no reading has ever come");
+        assert!(matches!(out.last(), Some(Out::Finished(totals)) if totals.oldest_command.is_none()));
     }
 }

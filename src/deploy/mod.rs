@@ -4,6 +4,7 @@
 //! A deployment is read from and written to TOML. `presets` holds the paper's modes, `routes` the way of every
 //! message in a deployment.
 
+mod judging;
 mod presets;
 mod routes;
 pub mod team;
@@ -18,12 +19,11 @@ use serde::{Deserialize, Serialize};
 use crate::config::{self, ConfigError};
 use crate::edge::Settings;
 use crate::faults::Targets;
-use crate::messages::ids::{HostId, RobotId};
+use crate::messages::ids::RobotId;
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::media::medium::Impairment;
 use crate::net::media::radio::{Radio, Topology};
 use crate::net::protocol::reliability::Reliabilities;
-use crate::report::episode::Judged;
 use crate::time::Span;
 use crate::world::{self, Placement};
 
@@ -219,25 +219,6 @@ impl Deployment {
         self.check_ways()
     }
 
-    /// What verdicts are found from: true states where one World has them all, and elsewhere readings.
-    pub fn judged(&self) -> Judged {
-        match self.hosts.iter().any(|host| host.simulates.len() == self.robots) {
-            true => Judged::Truth,
-            false => Judged::Readings,
-        }
-    }
-
-    /// The host that judges: the one whose World has all robots, or else that of the state server, to which all readings
-    /// go. The deployment has to have a state server, which `check` sees to.
-    pub fn judge(&self) -> HostId {
-        let judges = |host: &Host| match self.judged() {
-            Judged::Truth => host.simulates.len() == self.robots,
-            Judged::Readings => host.state_server,
-        };
-        let found = self.hosts.iter().position(judges).expect("a checked deployment has a state server");
-        HostId(u16::try_from(found).expect("a checked deployment has few hosts"))
-    }
-
     /// Checks that all robots are simulated, as they are in one process under virtual time.
     pub fn check_simulated(&self) -> Result<(), ConfigError> {
         let real = |host: &&Host| !host.actuates.is_empty() || !host.localizes.is_empty();
@@ -283,13 +264,7 @@ impl Deployment {
                 return wrong(format!("{kind:?} is carried {carriers} times; once is the most"));
             }
             if carriers == 0 && routes.crosses(kind) {
-                let judge = match (kind, self.judged()) {
-                    (Kind::Reading, Judged::Readings) => {
-                        let judge = &self.hosts[usize::from(self.judge().0)].name;
-                        format!("; host '{judge}' judges the episodes by all readings")
-                    }
-                    _ => String::new(),
-                };
+                let judge = self.needed_by_judge(kind);
                 return wrong(format!("{kind:?} must cross hosts, and no link carries it{judge}"));
             }
         }
