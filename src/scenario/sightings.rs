@@ -11,13 +11,15 @@
 //! up to 1 / r and the delay of the link. Noise makes the least distance of a pair smaller than it was: with a standard
 //! deviation s along each axis, one step is off by about sqrt(2) s, and the least of many steps by several times that.
 
+use std::cmp::Ordering;
+
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
 /// The longest that a robot may be out of sight in an episode that is to succeed. A robot without readings of its own
-/// stands long before (`safety`), and of iid readings at 20 Hz no 20 in a row are lost.
+/// stands long before (`safety`). Chance alone hardly ever loses all 20 readings of a second.
 pub const SIGHT: Span = Span::from_millis(1000);
 
 /// How far from its start a robot is seen at the most that was put there \[m\].
@@ -52,7 +54,8 @@ struct Known {
 pub struct Sightings {
     /// By robot.
     team: Vec<Known>,
-    /// When a robot was last seen in the step that is not over.
+    /// How many robots were seen in the step that is not over, and when the last of them was.
+    here: usize,
     at: Time,
     /// Whether a robot was out of sight for too long.
     lapsed: bool,
@@ -61,13 +64,13 @@ pub struct Sightings {
 impl Sightings {
     /// Nothing yet of a team of so many robots.
     pub fn new(robots: usize) -> Sightings {
-        Sightings { team: vec![Known::default(); robots], at: Time::ZERO, lapsed: false }
+        Sightings { team: vec![Known::default(); robots], here: 0, at: Time::ZERO, lapsed: false }
     }
 
     /// An episode begins: what was seen before is not of it. Robots that are `placed` at their starts are seen once they
     /// are seen there: what was measured before may still be on its way.
     pub fn begin(&mut self, now: Time, placed: Option<&[Vec2]>) {
-        self.lapsed = false;
+        (self.here, self.lapsed) = (0, false);
         for (at, known) in self.team.iter_mut().enumerate() {
             (known.since, known.here, known.start) = (now, None, placed.map(|starts| starts[at]));
         }
@@ -95,14 +98,16 @@ impl Sightings {
         let over = if known.here.is_some() && !again { self.close() } else { None };
         let known = &mut self.team[at];
         self.lapsed |= now.since(known.since) > SIGHT;
-        (known.since, known.here, self.at) = (now, Some(position), now);
+        (known.since, self.at) = (now, now);
+        self.here += usize::from(known.here.replace(position).is_none());
         // Whoever was seen a second time is alone in its step, and a team of one is never seen a second time.
-        over.or_else(|| if self.team.iter().all(|known| known.here.is_some()) { self.close() } else { None })
+        over.or_else(|| if self.here == self.team.len() { self.close() } else { None })
     }
 
     /// Ends a step that somebody was seen in.
     fn close(&mut self) -> Option<Sighting> {
         let lapsed = self.lapsed(self.at);
+        self.here = 0;
         let ids = RobotId::team(self.team.len());
         let here = ids.zip(&mut self.team).filter_map(|(robot, known)| Some((robot, known.here.take()?)));
         Some(Sighting { at: self.at, robots: here.collect(), lapsed })
@@ -115,10 +120,10 @@ impl Known {
     fn is_news(&self, now: Time, reading: &Reading) -> bool {
         let Some((arrived, stamp_ns, position)) = self.newest else { return true };
         match reading.stamp_ns.cmp(&stamp_ns) {
-            std::cmp::Ordering::Greater => true,
+            Ordering::Greater => true,
             // The same measurement, said again, shows nobody where the robot is.
-            std::cmp::Ordering::Equal => reading.pose.position != position,
-            std::cmp::Ordering::Less => now.since(arrived) > SIGHT,
+            Ordering::Equal => reading.pose.position != position,
+            Ordering::Less => now.since(arrived) > SIGHT,
         }
     }
 }
