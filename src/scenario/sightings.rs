@@ -4,12 +4,12 @@
 //! would be seen a second time; then the judge sees all of it at once, as of its last arrival. So no robot is in one
 //! step twice, and where readings are lost, those that were seen are still judged with each other.
 //!
-//! How good a verdict is that was found in this way: it is as good as the readings. Robots of one step were measured up
-//! to one period of the fastest source apart, by clocks that are compared with no other, and come late by what their
-//! links take. A robot at speed v that is measured at rate r moves by v / r between two readings: at 1 m/s and 20 Hz
-//! 5 cm. By so much two robots can come nearer to each other, or to a wall, than is ever seen, and a makespan is late by
-//! up to 1 / r and the delay of the link. Noise makes the least distance of a pair smaller than it was: with a standard
-//! deviation s along each axis, one step is off by about sqrt(2) s, and the least of many steps by several times that.
+//! A verdict that is found in this way is as good as the readings. Robots of one step were measured up to one period of
+//! the fastest source apart, by clocks that are compared with no other, and come late by what their links take. A robot
+//! at speed v that is measured at rate r moves by v / r between two readings: at 1 m/s and 20 Hz 5 cm. By so much two
+//! robots can come nearer to each other, or to a wall, than is ever seen, and a makespan is late by up to 1 / r and the
+//! delay of the link. Noise makes the least distance of a pair smaller than it was: with a standard deviation s along
+//! each axis, one step is off by about sqrt(2) s, and the least of many steps by several times that.
 
 use std::cmp::Ordering;
 
