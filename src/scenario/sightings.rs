@@ -67,8 +67,8 @@ impl Sightings {
         Sightings { team: vec![Known::default(); robots], here: 0, at: Time::ZERO, lapsed: false }
     }
 
-    /// An episode begins: what was seen before is not of it. Robots that are `placed` at their starts count as seen once
-    /// they are seen there: what was measured before may still be on its way.
+    /// An episode begins: what was seen before is not of it. Robots that are `placed` at their starts count as seen
+    /// once they are seen there: what was measured before may still be on its way.
     pub fn begin(&mut self, now: Time, placed: Option<&[Vec2]>) {
         (self.here, self.lapsed) = (0, false);
         for (at, known) in self.team.iter_mut().enumerate() {
