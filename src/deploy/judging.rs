@@ -14,8 +14,8 @@ impl Deployment {
         }
     }
 
-    /// The host that judges: the one whose World has all robots, or else that of the state server, to which all readings
-    /// go. The deployment has to have a state server, which `check` sees to.
+    /// The host that judges: the one whose World has all robots, or else that of the state server, to which all
+    /// readings go. The deployment has to have a state server, which `check` sees to.
     pub fn judge(&self) -> HostId {
         let judges = |host: &Host| match self.judged() {
             Judged::Truth => host.simulates.len() == self.robots,
