@@ -69,7 +69,9 @@ driver = { name = "datagrams", robot = "127.0.0.1:7781" }
 source = { name = "bench", listens = "127.0.0.1:7781", begins = [0.5, 0.5] }
 TOML
 has "$("$program" config check "$folder/robot.toml")" 'mode bench'
-has "$(timeout 40 "$program" host "$folder/robot.toml" --host robot --json)" '"event":"finished"'
+# Nobody simulates it, so its verdicts come from what is measured.
+has "$(timeout 40 "$program" host "$folder/robot.toml" --host robot --json)" '"event":"finished"' \
+    '"event":"episode"' '"episode":1' '"verdict":"success"' '"judged":"readings"' '"oldest_command_s":null'
 
 "$program" study delay --scenario round --policy give-way --layouts 1 --repeats 1 --delays-ms 0 --losses 0 \
     --out "$folder/study" --quiet >/dev/null

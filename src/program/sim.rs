@@ -174,6 +174,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         scenario: trial.scenario.name().to_owned(),
         policy,
         robots: trial.scenario.robots(),
+        judged: trial.deployment.judged(),
         seed: args.seed,
         wall_s: began.elapsed().as_secs_f64(),
         interrupted,
