@@ -14,7 +14,7 @@ use crate::trial::{Trial, TrialReport};
 
 /// Flags for pictures.
 #[derive(clap::Args)]
-pub struct Args {
+pub struct Flags {
     /// Makes an animation of one episode: a page that plays it (.html), or a picture that moves (.svg)
     #[arg(long, value_name = "FILE.html|FILE.svg")]
     animate: Option<PathBuf>,
@@ -37,7 +37,7 @@ pub struct Pictures {
 
 impl Pictures {
     /// Opens their files, for a run of so many episodes.
-    pub fn open(args: &Args, episodes: u32) -> Result<Pictures> {
+    pub fn open(args: &Flags, episodes: u32) -> Result<Pictures> {
         let film: (&str, Draw) = ("html", film);
         let files = [
             ("--animate", &args.animate, vec![film, ("svg", moving)]),

@@ -142,7 +142,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE.csv")]
     trajectories: Option<PathBuf>,
     #[command(flatten)]
-    pictures: picture::Args,
+    pictures: picture::Flags,
     /// Prints one JSON object in place of the table
     #[arg(long)]
     json: bool,

@@ -75,7 +75,8 @@ fn an_episode_is_a_page_that_loads_nothing_and_is_the_same_again() {
     assert!(frames > 60, "{frames} frames");
     assert_eq!(data["paths"].as_array().expect("paths").len(), 5);
     assert_eq!(data["walls"].as_array().expect("walls").len(), 2);
-    let heard: Vec<&str> = data["links"].as_array().expect("links").iter().filter_map(|link| link[3].as_str()).collect();
+    let heard: Vec<&str> =
+        data["links"].as_array().expect("links").iter().filter_map(|link| link[3].as_str()).collect();
     // 60 ms are 7 of 24 steps of the window of 0.2 s: nothing is heard that is younger.
     let youngest = heard.iter().flat_map(|ages| ages.to_lowercase().into_bytes()).filter(|age| *age != b'.').min();
     assert_eq!(youngest.map(char::from), Some('h'));

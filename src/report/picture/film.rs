@@ -22,10 +22,7 @@ pub fn film(scene: &Scene) -> String {
     });
     // What ends a script would end it in a string, too.
     let data = data.replace('<', "\\u003c");
-    PLAYER
-        .replacen("{title}", &escaped(&scene.stage.title), 1)
-        .replacen("{look}", LOOK, 1)
-        .replacen("{data}", &data, 1)
+    PLAYER.replacen("{title}", &escaped(&scene.stage.title), 1).replacen("{look}", LOOK, 1).replacen("{data}", &data, 1)
 }
 
 /// Millimetres.
@@ -47,9 +44,14 @@ fn data(scene: &Scene, stride: usize) -> Value {
     let last = scene.frames.len() - 1;
     let shown = |(at, _): &(usize, &Frame)| at.is_multiple_of(stride) || *at == last;
     let frames: Vec<&Frame> = scene.frames.iter().enumerate().filter(shown).map(|(_, frame)| frame).collect();
-    let walls: Vec<[i64; 4]> = walls(stage).iter().map(|[min, max]| [mm(min.x), mm(min.y), mm(max.x), mm(max.y)]).collect();
-    let rings: Vec<Value> =
-        scene.ending.rings.iter().map(|ring| json!([ms(ring.from), mm(ring.at.x), mm(ring.at.y), mm(ring.radius_m)])).collect();
+    let walls: Vec<[i64; 4]> =
+        walls(stage).iter().map(|[min, max]| [mm(min.x), mm(min.y), mm(max.x), mm(max.y)]).collect();
+    let rings: Vec<Value> = scene
+        .ending
+        .rings
+        .iter()
+        .map(|ring| json!([ms(ring.from), mm(ring.at.x), mm(ring.at.y), mm(ring.radius_m)]))
+        .collect();
     json!({
         "title": stage.title,
         "caption": stage.caption,
@@ -77,7 +79,10 @@ fn differences(numbers: impl Iterator<Item = i64>) -> Vec<i64> {
 }
 
 fn path(frames: &[&Frame], robot: usize) -> [Vec<i64>; 2] {
-    [differences(frames.iter().map(|frame| mm(frame.at[robot].x))), differences(frames.iter().map(|frame| mm(frame.at[robot].y)))]
+    [
+        differences(frames.iter().map(|frame| mm(frame.at[robot].x))),
+        differences(frames.iter().map(|frame| mm(frame.at[robot].y))),
+    ]
 }
 
 /// A pair, the first frame in which one hears the other, and from there a letter a frame: how old the newest message

@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 
 use super::scene::{Frame, Link, Scene};
-use super::sheet::{AGES, COLOURS, View, legend, px, sheet, verdict};
-use super::still::{drawn, goal, goal_width, path};
+use super::sheet::{AGES, COLOURS, View, goal_mark, goals, legend, px, sheet, verdict};
+use super::still::{drawn, path};
 use crate::messages::geometry::Vec2;
 use crate::time::Span;
 
@@ -13,10 +13,10 @@ const REST_S: f64 = 2.5;
 /// Between two samples at the least \[s\]; in between, everything goes in straight lines.
 const LEAST_S: f64 = 0.1;
 /// About what all samples may take \[bytes\].
-const ROOM: usize = 200_000;
+const ROOM: usize = 190_000;
 /// About what one sample of a robot and one of a pair takes \[bytes\].
-const ROBOT: usize = 18;
-const PAIR: usize = 32;
+const ROBOT: usize = 24;
+const PAIR: usize = 36;
 /// The clock shows so many numbers at the most.
 const READINGS: f64 = 130.0;
 
@@ -61,11 +61,14 @@ impl<'a> Reel<'a> {
 
     /// One attribute that changes at these times \[s\].
     fn changes(&self, attribute: &str, values: &[(&str, f64)]) -> String {
-        let keys: Vec<String> = values.iter().map(|(_, at)| format!("{:.4}", (at / self.lasts_s).clamp(0.0, 1.0))).collect();
+        let keys: Vec<String> =
+            values.iter().map(|(_, at)| format!("{:.4}", (at / self.lasts_s).clamp(0.0, 1.0))).collect();
         let values: Vec<&str> = values.iter().map(|(value, _)| *value).collect();
         let (keys, values) = (keys.join(";"), values.join(";"));
         let rest = self.round();
-        format!("<animate attributeName=\"{attribute}\" calcMode=\"discrete\" values=\"{values}\" keyTimes=\"{keys}\" {rest}/>")
+        format!(
+            "<animate attributeName=\"{attribute}\" calcMode=\"discrete\" values=\"{values}\" keyTimes=\"{keys}\" {rest}/>"
+        )
     }
 
     fn round(&self) -> String {
@@ -85,8 +88,9 @@ impl<'a> Reel<'a> {
 pub fn moving(scene: &Scene) -> String {
     let view = View::new(&scene.stage);
     let reel = Reel::new(scene);
-    let mut text = format!("<g class=\"still\">{}{}</g>\n<g class=\"moving\">\n", drawn(scene, &view), verdict(&view, scene, ""));
-    text += &goals(&reel, &view);
+    let mut text =
+        format!("<g class=\"still\">{}{}</g>\n<g class=\"moving\">\n", drawn(scene, &view), verdict(&view, scene, ""));
+    text += &aims(&reel, &view);
     for robot in 0..scene.robots() {
         text += &trail(&reel, &view, robot);
     }
@@ -103,36 +107,28 @@ pub fn moving(scene: &Scene) -> String {
     text += &verdict(&view, scene, &reel.shown_from(scene.length()));
     text += &clock(&reel, &view);
     text += "</g>\n";
-    let style = ".still{display:none}@media(prefers-reduced-motion:reduce){.still{display:inline}.moving{display:none}}";
-    sheet(&view, scene, style, &text, &legend(&view, &pieces(scene)))
+    let style = ".still{display:none}@media(prefers-reduced-motion:reduce){.still{display:inline}.moving{display:none}}.clock{font-size:26px}";
+    sheet(&view, scene, style, &text, &legend(&view, &marks(scene)))
 }
 
-fn pieces(scene: &Scene) -> [(f32, String); 3] {
-    let scale: String = AGES
-        .iter()
-        .enumerate()
-        .map(|(at, colour)| format!("<path d=\"M{0} 0h22\" stroke=\"{colour}\" stroke-width=\"4\"/>", 40 + 24 * at))
-        .collect();
-    let window = format!("{} s and older", scene.stage.window.as_secs());
-    let words = format!(
-        "<text class=\"soft\" x=\"-8\" dominant-baseline=\"central\">new</text>{scale}<text class=\"soft\" x=\"168\" \
-         dominant-baseline=\"central\">{window}: the message that a robot has of the other</text>"
-    );
-    let blank = (0.0, String::new());
-    [(goal_width(scene), goal(scene)), (0.0, words), blank]
+/// What links mean, and goals.
+fn marks(scene: &Scene) -> [(String, f32, String); 3] {
+    let line = |(at, strong): (usize, &&str)| {
+        format!("<path class=\"link\" d=\"M{} 0h26\" stroke-width=\"3\" stroke-opacity=\"{strong}\"/>", 28 * at)
+    };
+    let lines = AGES.iter().enumerate().map(line).collect();
+    let heard = format!("heard, new to {} s old", scene.stage.window.as_secs());
+    let dashed = "<path class=\"link\" d=\"M0 0h30\" stroke-width=\"3\" stroke-dasharray=\"7 6\"/>".to_owned();
+    [goal_mark(scene), (lines, 138.0, heard), (dashed, 30.0, "one way".to_owned())]
 }
 
-fn goals(reel: &Reel, view: &View) -> String {
-    let stage = &reel.scene.stage;
-    let mut text = String::new();
-    for (robot, (task, arrival)) in stage.tasks.iter().zip(reel.scene.arrivals()).enumerate() {
-        let goal = view.circle("goal", task.goal, stage.rules.arrival_m, " stroke-width=\"2\" stroke-dasharray=\"5 4\"");
-        let solid = arrival.map(|at| reel.changes("stroke-dasharray", &[("5 4", 0.0), ("none", at.as_secs())]));
-        let goal = goal.replace("/>", &format!(">{}</circle>", solid.unwrap_or_default()));
-        let dot = view.circle("dot", task.goal, 0.03, "");
-        let _ = writeln!(text, "<g class=\"c{}\">{goal}{dot}</g>", robot % COLOURS);
-    }
-    text
+/// The goals, each of which is drawn through once its robot has arrived.
+fn aims(reel: &Reel, view: &View) -> String {
+    let arrivals = reel.scene.arrivals();
+    goals(view, reel.scene, |robot| {
+        let solid = arrivals[robot].map(|at| reel.changes("stroke-dasharray", &[("5 4", 0.0), ("none", at.as_secs())]));
+        solid.unwrap_or_default()
+    })
 }
 
 /// The way up to now: all of it, of which a growing dash is seen.
@@ -167,16 +163,17 @@ fn link(reel: &Reel, view: &View, (one, other): (usize, usize)) -> String {
         let frame = if *share < 1.0 { from } else { to };
         frame.links.iter().find(|link| (link.one, link.other) == (one, other))
     });
-    let colour = |link: &Option<&Link>| link.map_or("none", |link| AGES[level(link.age, reel.scene.stage.window)]).to_owned();
-    let dash = |link: &Option<&Link>| if link.is_some_and(|link| !link.mutual) { "7 6" } else { "none" }.to_owned();
+    let strong =
+        |link: &Option<&Link>| link.map_or("0", |link| AGES[level(link.age, reel.scene.stage.window)]).to_owned();
+    let dash = |link: &Option<&Link>| if link.is_some_and(|link| !link.mutual) { "7 6" } else { "0" }.to_owned();
     let links: Vec<Option<&Link>> = links.collect();
-    let colours = reel.follows("stroke", true, &links.iter().map(colour).collect::<Vec<_>>());
+    let strengths = reel.follows("stroke-opacity", true, &links.iter().map(strong).collect::<Vec<_>>());
     let dashes = reel.follows("stroke-dasharray", true, &links.iter().map(dash).collect::<Vec<_>>());
     let moves = reel.follows("d", false, &lines);
-    format!("<path class=\"link\" stroke-width=\"2.5\" stroke=\"none\" d=\"{}\">{moves}{colours}{dashes}</path>\n", lines[0])
+    format!("<path class=\"link\" stroke-width=\"2.5\" d=\"{}\">{moves}{strengths}{dashes}</path>\n", lines[0])
 }
 
-/// The colour of a message of this age.
+/// How strong a link with a message of this age is, as an index.
 fn level(age: Span, window: Span) -> usize {
     let levels = AGES.len() as u64;
     (age.as_nanos() * levels / window.as_nanos().max(1)).min(levels - 1) as usize
@@ -205,7 +202,8 @@ fn disc(reel: &Reel, view: &View, robot: usize) -> String {
 /// The time, as one text for each number that it shows.
 fn clock(reel: &Reel, view: &View) -> String {
     let length_s = reel.scene.length().as_secs();
-    let step_s = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|step| length_s / step <= READINGS).unwrap_or(60.0);
+    let step_s =
+        [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|step| length_s / step <= READINGS).unwrap_or(60.0);
     let count = (length_s / step_s + 1e-6) as usize;
     let (x, mut text) = (px(view.size.x - 24.0), String::new());
     for index in 0..=count {

@@ -16,6 +16,9 @@ const JUMP_M: f32 = 0.1;
 /// How much longer than the robots' radius the radius of a ring about a failure is.
 const WIDER: f32 = 1.45;
 
+/// So many robots are named that have not arrived.
+const NAMED: usize = 8;
+
 /// What an episode happens on, and how it is judged.
 #[derive(Clone, Debug)]
 pub struct Stage<'a> {
@@ -111,11 +114,13 @@ impl<'a> Scene<'a> {
             (None, _) => steps.first().map_or(Time::ZERO, time),
         };
         let mut judge = Judge::new(stage.rules, stage.tasks.iter().map(|task| task.goal).collect());
-        let (mut frames, mut contact, mut arrived): (Vec<Frame>, _, _) = (Vec::new(), None, vec![false; stage.tasks.len()]);
+        let (mut frames, mut contact, mut arrived): (Vec<Frame>, _, _) =
+            (Vec::new(), None, vec![false; stage.tasks.len()]);
         frames.extend(before.map(|step| frame(Span::ZERO, step)));
         for step in steps {
             let after = time(step).since(began);
-            let seen: Vec<Seen> = step.samples.iter().map(|s| Seen { position: s.motion.position, contacts: s.contacts }).collect();
+            let seen: Vec<Seen> =
+                step.samples.iter().map(|s| Seen { position: s.motion.position, contacts: s.contacts }).collect();
             for ((arrived, task), seen) in arrived.iter_mut().zip(stage.tasks).zip(&seen) {
                 *arrived |= (task.goal - seen.position).norm() <= stage.rules.arrival_m;
             }
@@ -223,7 +228,10 @@ fn touching(stage: &Stage, after: Span, seen: &[Seen]) -> Option<Contact> {
 /// How an episode ended, in words and in places.
 fn ending(stage: &Stage, episode: &Episode, contact: Option<Contact>, arrived: &[bool], last: &Frame) -> Ending {
     let late: Vec<usize> = (0..arrived.len()).filter(|robot| !arrived[*robot]).collect();
-    let names = late.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
+    let mut names = late.iter().take(NAMED).map(usize::to_string).collect::<Vec<_>>().join(", ");
+    if late.len() > NAMED {
+        names += &format!(" and {} more", late.len() - NAMED);
+    }
     let ring = |from, at, apart_m: f32| vec![Ring { from, at, radius_m: stage.radius_m * WIDER + apart_m / 2.0 }];
     let (text, rings) = match (episode.verdict, contact) {
         (Verdict::Success, _) => {

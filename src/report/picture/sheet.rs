@@ -10,17 +10,20 @@ use crate::messages::geometry::Vec2;
 pub const LOOK: &str = include_str!("look.css");
 /// How many colours robots have; after that they begin again, and numbers tell.
 pub const COLOURS: usize = 8;
-/// Links by age, from the newest message to the oldest: `LOOK` has the same.
-pub const AGES: [&str; 5] = ["#07b", "#49b", "#999", "#c95", "#d70"];
+/// How strong links are by age, from the newest message to the oldest: `LOOK` has the same.
+pub const AGES: [&str; 5] = ["1", ".7", ".46", ".28", ".16"];
 
 /// What is around the ground, above it and below it \[pixels\].
 const MARGIN: f32 = 24.0;
-const HEAD: f32 = 92.0;
-const FOOT: f32 = 64.0;
+const HEAD: f32 = 88.0;
+const FOOT: f32 = 88.0;
 /// The ground is no larger than this \[pixels\].
 const LARGEST: Vec2 = Vec2::new(1000.0, 640.0);
 /// The sheet is no narrower than its words \[pixels\].
-const NARROWEST: f32 = 760.0;
+const NARROWEST: f32 = 860.0;
+
+/// A letter is about this wide \[pixels\]; fonts differ.
+const LETTER: f32 = 9.8;
 
 /// Text that stands for itself in XML.
 pub fn escaped(text: &str) -> String {
@@ -113,41 +116,60 @@ impl View {
 pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) -> String {
     let [w, h] = [view.size.x, view.size.y].map(px);
     let stage = &scene.stage;
-    let (title, caption) = (escaped(&stage.title), escaped(&stage.caption));
+    let (title, caption, below) = (escaped(&stage.title), escaped(&stage.caption), px(view.size.y - 20.0));
     let mut text = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"look\" viewBox=\"0 0 {w} {h}\" role=\"img\">\n\
-         <title>{title}: {}</title>\n<style>{LOOK}svg{{background:var(--paper)}}text{{fill:var(--ink);font-size:15px}}\n\
-         .soft{{fill:var(--soft)}}.number{{fill:var(--on)}}{more}</style>\n\
+         <title>{title}: {}</title>\n<style>{LOOK}svg{{background:var(--paper)}}text{{fill:var(--ink);font-size:18px}}\n\
+         .soft{{fill:var(--soft)}}.number{{fill:var(--on)}}.whose{{fill:var(--soft)}}{more}</style>\n\
          <rect width=\"{w}\" height=\"{h}\" fill=\"var(--paper)\"/>\n\
-         <text x=\"{MARGIN}\" y=\"38\" style=\"font-size:22px;font-weight:650\">{title}</text>\n\
-         <text class=\"soft\" x=\"{MARGIN}\" y=\"{HEAD}\" dy=\"-28\">{caption}</text>\n",
+         <text x=\"{MARGIN}\" y=\"38\" style=\"font-size:26px;font-weight:650\">{title}</text>\n\
+         <text class=\"soft\" x=\"{MARGIN}\" y=\"{below}\">{caption}</text>\n",
         escaped(&scene.ending.text)
     );
     let _ = write!(text, "{}{drawn}{legend}</svg>\n", view.ground(stage));
     text
 }
 
-/// The verdict, right above the ground.
+/// The verdict, above the ground.
 pub fn verdict(view: &View, scene: &Scene, rest: &str) -> String {
     let colour = if scene.ending.success { "good" } else { "bad" };
-    let (x, y) = (px(view.size.x - MARGIN), px(HEAD - 28.0));
-    let text = escaped(&scene.ending.text);
-    let style = format!("style=\"fill:var(--{colour});font-weight:650;text-anchor:end\"");
-    format!("<text x=\"{x}\" y=\"{y}\" {style}>{text}{rest}</text>\n")
+    let (y, text) = (px(HEAD - 24.0), escaped(&scene.ending.text));
+    let style = format!("style=\"fill:var(--{colour});font-weight:650\"");
+    format!("<text x=\"{MARGIN}\" y=\"{y}\" {style}>{text}{rest}</text>\n")
 }
 
-/// A row of the legend under the ground: pieces of a given width, each drawn about the point (0, 0).
-pub fn legend(view: &View, pieces: &[(f32, String)]) -> String {
-    let (mut x, y) = (MARGIN + 8.0, px(view.size.y - FOOT / 2.0));
+/// The legend under the ground: marks, each drawn from the point (0, 0) on and so many pixels wide, with what they mean.
+pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
+    let (mut x, y) = (MARGIN, px(view.size.y - FOOT + 27.0));
     let mut text = String::new();
-    for (width, piece) in pieces {
-        let _ = writeln!(text, "<g transform=\"translate({},{y})\">{piece}</g>", px(x));
-        x += width;
+    for (mark, width, means) in marks {
+        let (at, right, means) = (px(x), px(width + 8.0), escaped(means));
+        let _ = writeln!(
+            text,
+            "<g transform=\"translate({at},{y})\">{mark}<text class=\"soft\" x=\"{right}\" y=\"6\">{means}</text></g>"
+        );
+        x += width + 8.0 + LETTER * means.chars().count() as f32 + 26.0;
     }
     text
 }
 
-/// What a mark means, right of it.
-pub fn means(text: &str) -> String {
-    format!("<text class=\"soft\" x=\"20\" dominant-baseline=\"central\">{}</text>", escaped(text))
+/// The goals, with the numbers of their robots; `more` is what is in the circle of each.
+pub fn goals(view: &View, scene: &Scene, more: impl Fn(usize) -> String) -> String {
+    let (mut text, stage) = (String::new(), &scene.stage);
+    for (robot, task) in stage.tasks.iter().enumerate() {
+        let ring =
+            view.circle("goal", task.goal, stage.rules.arrival_m, " stroke-width=\"2\" stroke-dasharray=\"5 4\"");
+        let ring = ring.replace("/>", &format!(">{}</circle>", more(robot)));
+        let (at, size) = (view.at(task.goal), px(stage.rules.arrival_m * view.scale * 0.62));
+        let (x, y) = (px(at.x), px(at.y));
+        let whose = format!("<text class=\"whose\" x=\"{x}\" y=\"{y}\" style=\"font-size:{size}px\">{robot}</text>");
+        let _ = writeln!(text, "<g class=\"c{}\">{ring}{whose}</g>", robot % COLOURS);
+    }
+    text
+}
+
+/// The legend's mark for goals.
+pub fn goal_mark(scene: &Scene) -> (String, f32, String) {
+    let mark = "<circle class=\"goal c7\" cx=\"10\" r=\"9\" stroke-width=\"2\" stroke-dasharray=\"5 4\"/>".to_owned();
+    (mark, 20.0, format!("goal, to within {} m", scene.stage.rules.arrival_m))
 }

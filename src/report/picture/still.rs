@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::scene::{Frame, Scene};
-use super::sheet::{COLOURS, View, legend, means, px, sheet, verdict};
+use super::sheet::{COLOURS, View, goal_mark, goals, legend, px, sheet, verdict};
 use crate::time::Span;
 
 /// A robot is drawn at about so many moments.
@@ -20,25 +20,21 @@ pub fn still(scene: &Scene) -> String {
     let between = between(scene.length());
     let drawn = drawn(scene, &view) + &verdict(&view, scene, "");
     let every = format!("every {} s, darker with time", between.as_secs());
-    let dot = |x: f32, opacity: f32| format!("<circle class=\"dot c7\" cx=\"{x}\" r=\"8\" opacity=\"{opacity}\"/>");
-    let pieces = [
-        (90.0, "<circle class=\"start c7\" r=\"9\" stroke-width=\"2\"/>".to_owned() + &means("start")),
-        (goal_width(scene), goal(scene)),
-        (0.0, format!("<g transform=\"translate(14,0)\">{}{}{}", dot(-14.0, 0.15), dot(-4.0, 0.4), dot(6.0, 1.0)) + &means(&every) + "</g>"),
-    ];
-    sheet(&view, scene, "", &drawn, &legend(&view, &pieces))
+    let dot = |x: u32, opacity: f32| format!("<circle class=\"dot c7\" cx=\"{x}\" r=\"9\" opacity=\"{opacity}\"/>");
+    let start = "<circle class=\"start c7\" cx=\"10\" r=\"9\" stroke-width=\"2\"/>".to_owned();
+    let dots = dot(10, 0.15) + &dot(20, 0.4) + &dot(30, 1.0);
+    let marks = [(start, 20.0, "start".to_owned()), goal_mark(scene), (dots, 40.0, every)];
+    sheet(&view, scene, "", &drawn, &legend(&view, &marks))
 }
 
 /// Everything on the ground; an animation shows it where nothing is to move.
 pub fn drawn(scene: &Scene, view: &View) -> String {
     let stage = &scene.stage;
     let last = &scene.frames[scene.frames.len() - 1];
-    let mut text = String::new();
-    for (robot, task) in stage.tasks.iter().enumerate() {
-        let goal = view.circle("goal", task.goal, stage.rules.arrival_m, " stroke-width=\"2\" stroke-dasharray=\"5 4\"");
-        let dot = view.circle("dot", task.goal, 0.03, "");
-        let start = view.circle("start", scene.frames[0].at[robot], stage.radius_m, " stroke-width=\"2\"");
-        let _ = writeln!(text, "<g class=\"c{}\">{goal}{dot}{start}</g>", robot % COLOURS);
+    let mut text = goals(view, scene, |_| String::new());
+    for (robot, at) in scene.frames[0].at.iter().enumerate() {
+        let start = view.circle("start", *at, stage.radius_m, " stroke-width=\"2\"");
+        let _ = writeln!(text, "<g class=\"c{}\">{start}</g>", robot % COLOURS);
     }
     let between = between(scene.length());
     let mut moments: Vec<&Frame> = Vec::new();
@@ -90,16 +86,4 @@ pub fn path(scene: &Scene, view: &View, robot: usize) -> String {
 fn between(length: Span) -> Span {
     let fits = |ms: &&u64| length.as_nanos() / (**ms * 1_000_000) <= MOMENTS;
     Span::from_millis(*BETWEEN_MS.iter().find(fits).unwrap_or(&BETWEEN_MS[BETWEEN_MS.len() - 1]))
-}
-
-/// The legend's piece for goals.
-pub fn goal(scene: &Scene) -> String {
-    let circle = "<circle class=\"goal c7\" r=\"9\" stroke-width=\"2\" stroke-dasharray=\"5 4\"/>";
-    let text = format!("goal: arrived within {} m", scene.stage.rules.arrival_m);
-    circle.to_owned() + "<circle class=\"dot c7\" r=\"2.5\"/>" + &means(&text)
-}
-
-/// How wide it is \[pixels\].
-pub fn goal_width(_: &Scene) -> f32 {
-    225.0
 }
