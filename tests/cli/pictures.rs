@@ -77,9 +77,9 @@ fn an_episode_is_a_page_that_loads_nothing_and_is_the_same_again() {
     assert_eq!(data["walls"].as_array().expect("walls").len(), 2);
     let heard: Vec<&str> =
         data["links"].as_array().expect("links").iter().filter_map(|link| link[3].as_str()).collect();
-    // 60 ms are 7 of 24 steps of the window of 0.2 s: nothing is heard that is younger.
+    // 60 ms are between 3 and 4 of 24 steps of the policy's window of 0.4 s: nothing is heard that is younger.
     let youngest = heard.iter().flat_map(|ages| ages.to_lowercase().into_bytes()).filter(|age| *age != b'.').min();
-    assert_eq!(youngest.map(char::from), Some('h'));
+    assert!(youngest.is_some_and(|age| (b'd'..=b'f').contains(&age)), "{youngest:?}");
     let (again, unchanged) = drawn(folder.path(), "--animate", "again.html", &flags);
     assert!(page == again, "the same run makes the same file");
     // A picture changes nothing in the run that it is of.

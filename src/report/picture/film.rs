@@ -13,15 +13,17 @@ const PLAYER: &str = include_str!("player.html");
 const LETTERS: u64 = 24;
 /// Larger files are made of fewer frames \[bytes of data\].
 const ROOM: usize = 260_000;
+/// Which share of the frames is left, one after the other until there is room; of the last it is one a second.
+const STRIDES: [usize; 4] = [2, 4, 10, 20];
 
 /// The episode as a page: it plays by itself, with a slider, a speed and keys, and loads nothing.
 pub fn film(scene: &Scene) -> String {
-    // A second is short enough to go in a straight line at the least.
-    let data = [1, 2, 4, 10, 20].map(|stride| (stride, ())).iter().fold(String::new(), |made, (stride, ())| {
-        if made.is_empty() || made.len() > ROOM { data(scene, *stride).to_string() } else { made }
-    });
-    // What ends a script would end it in a string, too.
-    let data = data.replace('<', "\\u003c");
+    let mut data = json(scene, 1);
+    for stride in STRIDES {
+        if data.len() > ROOM {
+            data = json(scene, stride);
+        }
+    }
     PLAYER.replacen("{title}", &escaped(&scene.stage.title), 1).replacen("{look}", LOOK, 1).replacen("{data}", &data, 1)
 }
 
@@ -39,7 +41,7 @@ fn ms(span: Span) -> u64 {
 }
 
 /// All numbers in whole millimetres and milliseconds, of every `stride`th frame and the last.
-fn data(scene: &Scene, stride: usize) -> Value {
+fn json(scene: &Scene, stride: usize) -> String {
     let stage = &scene.stage;
     let last = scene.frames.len() - 1;
     let shown = |(at, _): &(usize, &Frame)| at.is_multiple_of(stride) || *at == last;
@@ -52,7 +54,7 @@ fn data(scene: &Scene, stride: usize) -> Value {
         .iter()
         .map(|ring| json!([ms(ring.from), mm(ring.at.x), mm(ring.at.y), mm(ring.radius_m)]))
         .collect();
-    json!({
+    let data = json!({
         "title": stage.title,
         "caption": stage.caption,
         "half": point(stage.arena.half_extent),
@@ -69,7 +71,9 @@ fn data(scene: &Scene, stride: usize) -> Value {
         "success": scene.ending.success,
         "verdict": scene.ending.text,
         "rings": rings,
-    })
+    });
+    // What ends a script would end it in a string, too.
+    data.to_string().replace('<', "\\u003c")
 }
 
 /// The first number and then by how much each is more than the one before.

@@ -125,7 +125,7 @@ fn marks(scene: &Scene) -> [(String, f32, String); 3] {
 /// The goals, each of which is drawn through once its robot has arrived.
 fn aims(reel: &Reel, view: &View) -> String {
     let arrivals = reel.scene.arrivals();
-    goals(view, reel.scene, |robot| {
+    goals(view, reel.scene, false, |robot| {
         let solid = arrivals[robot].map(|at| reel.changes("stroke-dasharray", &[("5 4", 0.0), ("none", at.as_secs())]));
         solid.unwrap_or_default()
     })

@@ -110,7 +110,10 @@ impl<'a> Scene<'a> {
         let began = match (before, steps) {
             (Some(before), _) => time(before),
             // Without a step before it the first one is taken to be as long as the second.
-            (None, [first, second, ..]) => Time::ZERO + time(first).since(Time::ZERO + time(second).since(time(first))),
+            (None, [first, second, ..]) => {
+                let step = time(second).since(time(first));
+                Time::ZERO + time(first).since(Time::ZERO + step)
+            }
             (None, _) => steps.first().map_or(Time::ZERO, time),
         };
         let mut judge = Judge::new(stage.rules, stage.tasks.iter().map(|task| task.goal).collect());
@@ -126,7 +129,7 @@ impl<'a> Scene<'a> {
             }
             let over = judge.see(after, &seen).is_some();
             let touches = contact.is_none().then(|| touching(&stage, after, &seen)).flatten();
-            let due = frames.last().is_none_or(|last| Time::ZERO + last.time + FRAME <= Time::ZERO + after);
+            let due = frames.last().is_none_or(|last| last.time + FRAME <= after);
             if due || over || touches.is_some() {
                 frames.push(frame(after, step));
             }

@@ -153,8 +153,9 @@ pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     text
 }
 
-/// The goals, with the numbers of their robots; `more` is what is in the circle of each.
-pub fn goals(view: &View, scene: &Scene, more: impl Fn(usize) -> String) -> String {
+/// The goals, with the numbers of their robots unless these stay at them for good; `more` is what is in the circle of
+/// each.
+pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> String) -> String {
     let (mut text, stage) = (String::new(), &scene.stage);
     for (robot, task) in stage.tasks.iter().enumerate() {
         let ring =
@@ -163,6 +164,8 @@ pub fn goals(view: &View, scene: &Scene, more: impl Fn(usize) -> String) -> Stri
         let (at, size) = (view.at(task.goal), px(stage.rules.arrival_m * view.scale * 0.62));
         let (x, y) = (px(at.x), px(at.y));
         let whose = format!("<text class=\"whose\" x=\"{x}\" y=\"{y}\" style=\"font-size:{size}px\">{robot}</text>");
+        let covered = (task.goal - scene.frames[scene.frames.len() - 1].at[robot]).norm() < 2.0 * stage.radius_m;
+        let whose = if stay && covered { "" } else { &whose };
         let _ = writeln!(text, "<g class=\"c{}\">{ring}{whose}</g>", robot % COLOURS);
     }
     text

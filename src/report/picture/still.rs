@@ -31,7 +31,7 @@ pub fn still(scene: &Scene) -> String {
 pub fn drawn(scene: &Scene, view: &View) -> String {
     let stage = &scene.stage;
     let last = &scene.frames[scene.frames.len() - 1];
-    let mut text = goals(view, scene, |_| String::new());
+    let mut text = goals(view, scene, true, |_| String::new());
     for (robot, at) in scene.frames[0].at.iter().enumerate() {
         let start = view.circle("start", *at, stage.radius_m, " stroke-width=\"2\"");
         let _ = writeln!(text, "<g class=\"c{}\">{start}</g>", robot % COLOURS);
