@@ -94,9 +94,13 @@ pub fn moving(scene: &Scene) -> String {
     for robot in 0..scene.robots() {
         text += &trail(&reel, &view, robot);
     }
+    // Many lines are thinner.
+    let (width, opacity) = if scene.robots() > COLOURS { ("1.3", ".6") } else { ("2.5", "1") };
+    let _ = writeln!(text, "<g stroke-width=\"{width}\" opacity=\"{opacity}\">");
     for pair in scene.pairs() {
         text += &link(&reel, &view, pair);
     }
+    text += "</g>\n";
     for robot in 0..scene.robots() {
         text += &disc(&reel, &view, robot);
     }
@@ -170,7 +174,7 @@ fn link(reel: &Reel, view: &View, (one, other): (usize, usize)) -> String {
     let strengths = reel.follows("stroke-opacity", true, &links.iter().map(strong).collect::<Vec<_>>());
     let dashes = reel.follows("stroke-dasharray", true, &links.iter().map(dash).collect::<Vec<_>>());
     let moves = reel.follows("d", false, &lines);
-    format!("<path class=\"link\" stroke-width=\"2.5\" d=\"{}\">{moves}{strengths}{dashes}</path>\n", lines[0])
+    format!("<path class=\"link\" d=\"{}\">{moves}{strengths}{dashes}</path>\n", lines[0])
 }
 
 /// How strong a link with a message of this age is, as an index.

@@ -1,4 +1,4 @@
-//! An episode as a still: paths, with robots at some moments along them, darker with time.
+//! An episode as a still: paths, with robots at some moments along them, stronger with time.
 
 use std::fmt::Write as _;
 
@@ -19,7 +19,7 @@ pub fn still(scene: &Scene) -> String {
     let view = View::new(&scene.stage);
     let between = between(scene.length());
     let drawn = drawn(scene, &view) + &verdict(&view, scene, "");
-    let every = format!("every {} s, darker with time", between.as_secs());
+    let every = format!("every {} s, stronger with time", between.as_secs());
     let dot = |x: u32, opacity: f32| format!("<circle class=\"dot c7\" cx=\"{x}\" r=\"9\" opacity=\"{opacity}\"/>");
     let start = "<circle class=\"start c7\" cx=\"10\" r=\"9\" stroke-width=\"2\"/>".to_owned();
     let dots = dot(10, 0.15) + &dot(20, 0.4) + &dot(30, 1.0);
