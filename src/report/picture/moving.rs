@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::scene::{Frame, Link, Scene};
 use super::sheet::{AGES, COLOURS, View, goal_mark, goals, legend, px, sheet, verdict};
-use super::still::{drawn, path};
+use super::still::{self, drawn, path};
 use crate::messages::geometry::Vec2;
 use crate::time::Span;
 
@@ -112,7 +112,10 @@ pub fn moving(scene: &Scene) -> String {
     text += &clock(&reel, &view);
     text += "</g>\n";
     let style = ".still{display:none}@media(prefers-reduced-motion:reduce){.still{display:inline}.moving{display:none}}.clock{font-size:26px}";
-    sheet(&view, scene, style, &text, &legend(&view, &marks(scene)))
+    let legends = [("still", still::marks(scene)), ("moving", marks(scene))];
+    let legends =
+        legends.map(|(class, marks)| format!("<g class=\"{class}\">{}</g>\n", legend(&view, &marks))).concat();
+    sheet(&view, scene, style, &text, &legends)
 }
 
 /// What links mean, and goals.

@@ -258,3 +258,61 @@ fn ending(stage: &Stage, episode: &Episode, contact: Option<Contact>, arrived: &
     };
     Ending { success: episode.verdict == Verdict::Success, text, rings }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::messages::local::{Contacts, Sample};
+
+    fn step(ms: u64, phase: Phase, xs: [f32; 2]) -> Step {
+        let sample = |(robot, x): (RobotId, f32)| Sample {
+            robot,
+            time: Time::ZERO + Span::from_millis(ms),
+            motion: Motion::at_rest(Vec2::new(x, 0.0)),
+            heading: 0.0,
+            yaw_rate: 0.0,
+            command: Vec2::zeros(),
+            contacts: Contacts::default(),
+        };
+        let hearing = vec![
+            Hearing { robot: RobotId(0), of: RobotId(1), age: Span::from_millis(20) },
+            Hearing { robot: RobotId(1), of: RobotId(0), age: Span::from_millis(70) },
+        ];
+        Step { episode: 0, phase, samples: RobotId::team(2).zip(xs).map(sample).collect(), hearing }
+    }
+
+    #[test]
+    fn an_episode_begins_where_the_robots_were_and_ends_with_its_judging() {
+        let passage = crate::scenario::build("passage", &crate::scenario::Settings::of(2)).unwrap();
+        let task = |x| Task { start: Vec2::new(x, 0.0), goal: Vec2::new(x + 0.5, 0.0) };
+        let tasks = [task(0.0), task(1.0)];
+        let stage = Stage {
+            title: String::new(),
+            caption: String::new(),
+            arena: passage.arena(),
+            rules: passage.rules(),
+            radius_m: 0.16,
+            window: Span::from_millis(200),
+            tasks: &tasks,
+        };
+        let steps = [
+            step(1000, Phase::Resetting, [0.0, 1.0]),
+            step(1050, Phase::Running, [0.05, 1.0]),
+            step(1060, Phase::Running, [0.05, 1.0]),
+            step(1100, Phase::Running, [0.5, 0.8]),
+            step(1150, Phase::Running, [0.5, 1.5]),
+            step(1200, Phase::Running, [0.5, 1.6]),
+        ];
+        let (verdict, makespan_s) = (Verdict::RobotCollision, None);
+        let episode = Episode { repeat: 0, episode: 0, verdict, makespan_s, reset_s: 0.0, min_separation_m: 0.3 };
+        let scene = Scene::new(stage, &episode, &steps);
+        let times: Vec<u64> = scene.frames.iter().map(|frame| frame.time.as_nanos() / 1_000_000).collect();
+        assert_eq!(times, [0, 50, 100, 150]);
+        assert_eq!(scene.arrivals(), [Some(Span::from_millis(100)), Some(Span::from_millis(100))]);
+        let link = Link { one: 0, other: 1, age: Span::from_millis(70), mutual: true };
+        assert_eq!(scene.frames[1].links, [link]);
+        assert!(scene.ending.text.contains("robots 0 and 1 collide after 0.10 s"), "{}", scene.ending.text);
+        assert_eq!((scene.ending.rings.len(), scene.ending.rings[0].from), (1, Span::from_millis(100)));
+    }
+}

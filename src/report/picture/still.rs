@@ -17,14 +17,17 @@ const STRONG: f32 = 0.55;
 /// The episode as an SVG file.
 pub fn still(scene: &Scene) -> String {
     let view = View::new(&scene.stage);
-    let between = between(scene.length());
     let drawn = drawn(scene, &view) + &verdict(&view, scene, "");
-    let every = format!("every {} s, stronger with time", between.as_secs());
+    sheet(&view, scene, "", &drawn, &legend(&view, &marks(scene)))
+}
+
+/// What starts, goals and robots in between look like.
+pub fn marks(scene: &Scene) -> [(String, f32, String); 3] {
+    let every = format!("every {} s, stronger with time", between(scene.length()).as_secs());
     let dot = |x: u32, opacity: f32| format!("<circle class=\"dot c7\" cx=\"{x}\" r=\"9\" opacity=\"{opacity}\"/>");
     let start = "<circle class=\"start c7\" cx=\"10\" r=\"9\" stroke-width=\"2\"/>".to_owned();
     let dots = dot(10, 0.15) + &dot(20, 0.4) + &dot(30, 1.0);
-    let marks = [(start, 20.0, "start".to_owned()), goal_mark(scene), (dots, 40.0, every)];
-    sheet(&view, scene, "", &drawn, &legend(&view, &marks))
+    [(start, 20.0, "start".to_owned()), goal_mark(scene), (dots, 40.0, every)]
 }
 
 /// Everything on the ground; an animation shows it where nothing is to move.
