@@ -89,7 +89,7 @@ pub fn moving(scene: &Scene) -> String {
     let view = View::new(&scene.stage);
     let reel = Reel::new(scene);
     let mut text =
-        format!("<g class=\"still\">{}{}</g>\n<g class=\"moving\">\n", drawn(scene, &view), verdict(&view, scene, ""));
+        format!("<g class=\"still\">{}{}</g>\n<g class=\"moving\">\n", drawn(scene, &view), verdict(scene, ""));
     text += &aims(&reel, &view);
     for robot in 0..scene.robots() {
         text += &trail(&reel, &view, robot);
@@ -108,7 +108,7 @@ pub fn moving(scene: &Scene) -> String {
         let circle = view.circle("ring", ring.at, ring.radius_m, " stroke-width=\"4\"");
         text += &circle.replace("/>", &format!(">{}</circle>\n", reel.shown_from(ring.from)));
     }
-    text += &verdict(&view, scene, &reel.shown_from(scene.length()));
+    text += &verdict(scene, &reel.shown_from(scene.length()));
     text += &clock(&reel, &view);
     text += "</g>\n";
     let style = ".still{display:none}@media(prefers-reduced-motion:reduce){.still{display:inline}.moving{display:none}}.clock{font-size:26px}";

@@ -131,7 +131,7 @@ pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) 
 }
 
 /// The verdict, above the ground.
-pub fn verdict(view: &View, scene: &Scene, rest: &str) -> String {
+pub fn verdict(scene: &Scene, rest: &str) -> String {
     let colour = if scene.ending.success { "good" } else { "bad" };
     let (y, text) = (px(HEAD - 24.0), escaped(&scene.ending.text));
     let style = format!("style=\"fill:var(--{colour});font-weight:650\"");

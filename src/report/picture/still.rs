@@ -17,7 +17,7 @@ const STRONG: f32 = 0.55;
 /// The episode as an SVG file.
 pub fn still(scene: &Scene) -> String {
     let view = View::new(&scene.stage);
-    let drawn = drawn(scene, &view) + &verdict(&view, scene, "");
+    let drawn = drawn(scene, &view) + &verdict(scene, "");
     sheet(&view, scene, "", &drawn, &legend(&view, &marks(scene)))
 }
 
