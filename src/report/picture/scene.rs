@@ -309,7 +309,7 @@ mod tests {
         let scene = Scene::new(stage, &episode, &steps);
         let times: Vec<u64> = scene.frames.iter().map(|frame| frame.time.as_nanos() / 1_000_000).collect();
         assert_eq!(times, [0, 50, 100, 150]);
-        assert_eq!(scene.arrivals(), [Some(Span::from_millis(100)), Some(Span::from_millis(100))]);
+        assert_eq!(scene.arrivals(), [100, 150].map(|ms| Some(Span::from_millis(ms))));
         let link = Link { one: 0, other: 1, age: Span::from_millis(70), mutual: true };
         assert_eq!(scene.frames[1].links, [link]);
         assert!(scene.ending.text.contains("robots 0 and 1 collide after 0.10 s"), "{}", scene.ending.text);
