@@ -126,7 +126,7 @@ pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) 
          <text class=\"soft\" x=\"{MARGIN}\" y=\"{below}\">{caption}</text>\n",
         escaped(&scene.ending.text)
     );
-    let _ = write!(text, "{}{drawn}{legend}</svg>\n", view.ground(stage));
+    let _ = writeln!(text, "{}{drawn}{legend}</svg>", view.ground(stage));
     text
 }
 
