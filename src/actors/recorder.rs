@@ -22,7 +22,7 @@ use crate::net::protocol::link::LinkCounts;
 use crate::report::episode::{Episode, Judged};
 use crate::report::listening::{Datagram, Listener};
 pub use crate::report::trial::Told as Out;
-use crate::report::trial::{Said, Step, Totals};
+use crate::report::trial::{Hearing, Said, Step, Totals};
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::{Finding, Judge, Seen, Verdict};
 use crate::scenario::layout::Layouts;
@@ -49,8 +49,8 @@ pub enum In {
     Closing,
     /// A datagram has arrived at a host of this process.
     Arrived(HostId, Frame),
-    /// A Cache has handed a percept on at a host: whom it has heard, and how long ago that arrived.
-    Perceived(HostId, Box<[(RobotId, Span)]>),
+    /// A robot's Cache has handed a percept on at a host: whom it has heard, and how long ago that arrived.
+    Perceived(HostId, RobotId, Box<[(RobotId, Span)]>),
     /// A reading has arrived at the host of the state server, where readings are judged.
     Reading(Reading),
 }
@@ -83,9 +83,21 @@ pub struct Config {
 pub enum Steps {
     /// It is told, and stands in the report.
     Reported,
+    /// The same, with which robots hear each other: several times the memory, for pictures.
+    WithHearing,
     /// It is judged and forgotten.
     Discarded,
 }
+
+impl Steps {
+    /// Whether they are told.
+    pub fn kept(self) -> bool {
+        self != Steps::Discarded
+    }
+}
+
+/// A robot that has taken no control step for so long hears nobody.
+const DEAF: Span = Span::from_millis(250);
 
 /// The recorder of one trial.
 pub struct Recorder {
@@ -105,6 +117,8 @@ pub struct Recorder {
     oldest_command: Span,
     sightings: Sightings,
     listener: Listener,
+    /// By robot: whom its last control step had a message of, how old these were, and when that was.
+    heard: Vec<(Time, Vec<(RobotId, Span)>)>,
     round: Round,
     phase: Phase,
     since: Time,
@@ -132,6 +146,7 @@ impl Recorder {
             safety: BTreeMap::new(),
             oldest_command: Span::ZERO,
             sightings: Sightings::new(robots),
+            heard: vec![(Time::ZERO, Vec::new()); robots],
             round: Round::default(),
             phase: Phase::NeedReset,
             since: Time::ZERO,
@@ -163,7 +178,7 @@ impl Recorder {
 
     /// Whether messages between robots are followed: it costs a little, and only who keeps steps looks at it.
     fn listens(&self) -> bool {
-        self.config.steps == Steps::Reported && self.phase == Phase::Running
+        self.config.steps.kept() && self.phase == Phase::Running
     }
 
     fn hear(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {
@@ -204,6 +219,9 @@ impl Recorder {
         if phase == Phase::EpisodesFinished {
             self.finished = true;
             out.push(Out::Finished(self.totals(now)));
+        }
+        if !goes_on {
+            self.heard.iter_mut().for_each(|(_, heard)| heard.clear());
         }
         // A new epoch of the same instruction changes nothing.
         self.since = if goes_on { self.since } else { now };
@@ -283,8 +301,9 @@ impl Recorder {
                 self.close(now, finding, out);
             }
         }
-        if self.config.steps == Steps::Reported {
-            out.push(Out::Step(Step { episode: self.round.episode, phase: self.phase, samples }));
+        if self.config.steps.kept() {
+            let hearing = self.hearing(now);
+            out.push(Out::Step(Step { episode: self.round.episode, phase: self.phase, samples, hearing }));
         }
     }
 
@@ -304,6 +323,19 @@ impl Recorder {
         if let Some(finding) = judge.see_some(at.since(self.since), &seen) {
             self.close(now, finding, out);
         }
+    }
+
+    /// Who hears whom at this instant, if that is to be told.
+    fn hearing(&self, now: Time) -> Vec<Hearing> {
+        if self.config.steps != Steps::WithHearing || self.phase != Phase::Running {
+            return Vec::new();
+        }
+        let recent = RobotId::team(self.heard.len()).zip(&self.heard).filter(|(_, (at, _))| now.since(*at) <= DEAF);
+        recent
+            .flat_map(|(robot, (at, heard))| {
+                heard.iter().map(move |(of, age)| Hearing { robot, of: *of, age: *age + now.since(*at) })
+            })
+            .collect()
     }
 }
 
@@ -338,9 +370,9 @@ impl Core for Recorder {
                     self.listener.arrived(now, to, datagram(&header));
                 }
             }
-            In::Perceived(at, heard) => {
+            In::Perceived(at, robot, heard) => {
                 if self.listens() {
-                    self.listener.stepped(now, at, &heard);
+                    self.heard[robot.index()] = (now, self.listener.stepped(now, at, &heard));
                 }
             }
         }

@@ -194,13 +194,13 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
     let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
     let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
     let watched = plan.safety.own_state == Switch::On;
-    let (record, observed) = (graph.record(), plan.steps == recorder::Steps::Reported);
+    let (record, observed) = (graph.record(), plan.steps.kept());
     let host = graph.routes.agent_host(robot);
     start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |out| match out {
         cache::Out::Percept(percept) => {
             if observed {
                 let heard = percept.heard.iter().map(|heard| (heard.robot, heard.age)).collect();
-                record(recorder::In::Perceived(host, heard));
+                record(recorder::In::Perceived(host, robot, heard));
             }
             agent.send(agent::In::Percept(percept));
         }
@@ -358,7 +358,7 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
             Ether::new(medium, air, reach, |kind| routes.listeners(kind))
         };
         let (networks, record) = (graph.networks.clone(), graph.record());
-        let observed = plan.steps == recorder::Steps::Reported && link.carries.contains(&Kind::Latent);
+        let observed = plan.steps.kept() && link.carries.contains(&Kind::Latent);
         start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
             ether::Out::Arrive(Arrive { to, from, frame }) => {
                 if observed {

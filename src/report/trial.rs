@@ -4,6 +4,7 @@
 use super::episode::Episode;
 use super::event::Counted;
 use super::listening::Listening;
+use crate::messages::ids::RobotId;
 use crate::messages::local::Sample;
 use crate::messages::wire::{KINDS, Phase};
 use crate::net::media::radio::RadioCounts;
@@ -101,6 +102,19 @@ pub struct Step {
     pub phase: Phase,
     /// By robot id.
     pub samples: Vec<Sample>,
+    /// Who hears whom while an episode runs, by the hearing robot; empty unless it was to be kept.
+    pub hearing: Vec<Hearing>,
+}
+
+/// A robot that has a message of another robot in its last control step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Hearing {
+    /// The robot that hears.
+    pub robot: RobotId,
+    /// Whom it hears.
+    pub of: RobotId,
+    /// Since the message was published.
+    pub age: Span,
 }
 
 /// What a whole trial comes to.
