@@ -466,7 +466,8 @@ mod tests {
         for ms in (1050..2100).step_by(50) {
             assert!(verdicts(&read(&mut recorder, ms, 1, goals[1] - Vec2::new(1.0, 0.0))).is_empty());
         }
-        let out = read(&mut recorder, 2200, 1, goals[1]);
+        assert!(verdicts(&read(&mut recorder, 2200, 1, goals[1])).is_empty(), "robot 0 may still be seen in this step");
+        let out = read(&mut recorder, 2250, 1, goals[1]);
         assert_eq!(verdicts(&out), [(1, Verdict::Unseen, None)], "robot 0 may have been anywhere");
         say(&mut recorder, 3000, 2, Phase::Running);
         assert_eq!(verdicts(&say(&mut recorder, 3900, 2, Phase::AbortRunning)), [(2, Verdict::Aborted, None)]);
