@@ -64,8 +64,7 @@ pub fn wire(
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
     wire_gates((clock, readers), &graph, &process);
-    let mailbox_of = |link: LinkId| graph.transports[usize::from(link.0)].clone();
-    sockets::wire_all((clock, readers), host.sockets, mailbox_of, &graph.network_of(host.id));
+    sockets::wire_all((clock, readers), host.sockets, &graph.transports, &graph.network_of(host.id));
     if process.records {
         wire_recorder(clock, plan, &graph, said);
     }

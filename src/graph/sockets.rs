@@ -17,12 +17,12 @@ use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 use crate::time::{Span, Time};
 
-/// Starts the transports of a host behind the mailboxes of their links; what arrives goes to the Network. A link may
-/// have several, one an interface: what is said on it leaves through each.
+/// Starts the transports of a host behind the mailboxes of their links, which are in the order of the deployment; what
+/// arrives goes to the Network. A link may have several, one an interface: what is said on it leaves through each.
 pub fn wire_all(
     (clock, readers): (&Clock, &mut Readers),
     sockets: Vec<(LinkId, Udp)>,
-    mailbox_of: impl Fn(LinkId) -> Mailbox<transport::In>,
+    mailboxes: &[Mailbox<transport::In>],
     network: &Mailbox<network::In>,
 ) {
     let mut links: BTreeMap<LinkId, Vec<Udp>> = BTreeMap::new();
@@ -30,11 +30,11 @@ pub fn wire_all(
         links.entry(link).or_default().push(udp);
     }
     for (link, mut transports) in links {
-        let mailbox = mailbox_of(link);
+        let mailbox = &mailboxes[usize::from(link.0)];
         if transports.len() == 1
             && let Some(udp) = transports.pop()
         {
-            wire((clock, readers), (link, udp), &mailbox, network);
+            wire((clock, readers), (link, udp), mailbox, network);
             continue;
         }
         let all: Vec<Mailbox<transport::In>> = (0..transports.len())
@@ -45,7 +45,7 @@ pub fn wire_all(
         }
         start(
             clock,
-            &mailbox,
+            mailbox,
             info_span!("interfaces", link = link.0),
             |_| Fan,
             move |said: transport::In| {
@@ -56,7 +56,7 @@ pub fn wire_all(
 }
 
 /// Starts the one transport of a link behind its mailbox; what arrives goes to the Network.
-pub fn wire(
+fn wire(
     (clock, readers): (&Clock, &mut Readers),
     (link, udp): (LinkId, Udp),
     mailbox: &Mailbox<transport::In>,
@@ -169,15 +169,16 @@ mod tests {
         for port in [47_752, 47_753] {
             peer.send_to(b"to the team", at(port)).unwrap();
         }
-        let (link, network) = (Mailbox::new("link"), Mailbox::new("network"));
+        let links: Vec<Mailbox<transport::In>> = (0..4).map(|link| Mailbox::new(format!("link {link}"))).collect();
+        let network = Mailbox::new("network");
         let arrived = Rc::new(Cell::new(0));
         let frame: crate::net::protocol::codec::Frame = b"to the peer"[..].into();
-        link.send(transport::In::Transmit(Transmit { from: HostId(1), audience: Audience::All, frame }));
+        links[3].send(transport::In::Transmit(Transmit { from: HostId(1), audience: Audience::All, frame }));
         let (count, begun) = (Rc::clone(&arrived), Instant::now());
         run_real(
             begun,
             |clock, readers| {
-                wire_all((clock, readers), sockets, |_| link.clone(), &network);
+                wire_all((clock, readers), sockets, &links, &network);
                 start(clock, &network, info_span!("network"), move |_| Count(Rc::clone(&count)), |()| {});
             },
             |(), now| arrived.get() == 2 || now.as_secs() > 5.0,

@@ -64,14 +64,11 @@ pub struct Udp {
 enum To {
     /// Through a socket of its own, so that its port tells this process's frames from those of others on the same
     /// machine.
-    Group {
-        mouth: UdpSocket,
-        own: SocketAddr,
-        loopback: Loopback,
-    },
+    Group { mouth: UdpSocket, own: SocketAddr, loopback: Loopback },
     Peers {
         peers: BTreeMap<HostId, SocketAddr>,
-        guests: Guests,
+        /// None where this process is a guest itself: it is answered, and answers nobody else.
+        guests: Option<Guests>,
     },
 }
 
@@ -96,7 +93,7 @@ impl Udp {
                 let own = mouth.local_addr().map_err(failed("learn the own port".to_owned()))?;
                 (Some(own), To::Group { mouth, own, loopback: Loopback::new(interface.loopback) })
             }
-            Transport::Unicast { peers, .. } => (None, To::peers(host, peers)),
+            Transport::Unicast { peers, .. } => (None, To::peers(host, peers, Some(Guests::default()))),
         };
         filter.attach(&ears, own);
         Udp::new(ears, to, config).map_err(failed("ask for the size of the buffer".to_owned()))
@@ -113,7 +110,7 @@ impl Udp {
         };
         let ears = guest(*listen, config.receive_buffer_bytes).map_err(failed)?;
         filter.attach(&ears, None);
-        Udp::new(ears, To::peers(host, peers), config).map_err(failed)
+        Udp::new(ears, To::peers(host, peers, None), config).map_err(failed)
     }
 
     fn new(ears: Socket, to: To, config: &SocketConfig) -> io::Result<Udp> {
@@ -205,9 +202,9 @@ impl Flood {
 }
 
 impl To {
-    fn peers(own: HostId, peers: &BTreeMap<HostId, SocketAddr>) -> To {
+    fn peers(own: HostId, peers: &BTreeMap<HostId, SocketAddr>, guests: Option<Guests>) -> To {
         let others = peers.iter().filter(|(peer, _)| **peer != own).map(|(peer, at)| (*peer, *at));
-        To::Peers { peers: others.collect(), guests: Guests::default() }
+        To::Peers { peers: others.collect(), guests }
     }
 
     fn transmit(&mut self, now: Time, ears: &UdpSocket, Transmit { audience, frame, .. }: &Transmit) -> io::Result<()> {
@@ -220,7 +217,7 @@ impl To {
                 mouth.send(frame).map(drop)
             }
             (To::Peers { peers, guests }, Audience::Host(host)) => {
-                let at = peers.get(host).copied().or_else(|| guests.find(now, *host));
+                let at = peers.get(host).copied().or_else(|| guests.as_ref()?.find(now, *host));
                 let at =
                     at.ok_or_else(|| io::Error::new(io::ErrorKind::AddrNotAvailable, "the host has no address"))?;
                 ears.send_to(frame, at).map(drop)
@@ -228,12 +225,12 @@ impl To {
             (To::Peers { peers, guests }, Audience::All) => {
                 // One that cannot be reached keeps nobody else from hearing.
                 let mut all = Ok(());
-                for at in peers.values().copied().chain(guests.proven(now)) {
+                for at in peers.values().copied().chain(guests.iter_mut().flat_map(|guests| guests.proven(now))) {
                     all = all.and(ears.send_to(frame, at).map(drop));
                 }
                 // What has to be echoed is in a report, and nothing else is for one that is not believed yet.
                 if matches!(codec::first(frame), Ok(Content::Report | Content::NumberedReport)) {
-                    for at in guests.unproven(now) {
+                    for at in guests.iter_mut().flat_map(|guests| guests.unproven(now)) {
                         all = all.and(ears.send_to(frame, at).map(drop));
                     }
                 }
@@ -257,7 +254,7 @@ impl To {
 
     fn admit(&mut self, now: Time, guest: Guest) {
         // The address in the file stands, and a group is heard by everyone.
-        if let To::Peers { peers, guests } = self
+        if let To::Peers { peers, guests: Some(guests) } = self
             && !peers.contains_key(&guest.host)
         {
             guests.admit(now, guest);

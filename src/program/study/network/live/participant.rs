@@ -6,16 +6,16 @@ use std::net::{SocketAddr, TcpStream};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use crate::actors::network::{self, Network};
+use crate::actors::network;
 use crate::deploy::team::Team;
-use crate::graph::sockets::{self, Shared};
+use crate::graph::sockets::Shared;
+use crate::graph::station::{self, Station};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Latent, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::router::{Audience, Route, Router};
 use crate::net::transport::socket::{SocketConfig, Transport};
 use crate::net::transport::udp::{Filter, Udp};
-use crate::net::transport::{self, Transmit};
 use crate::runtime::clock::Clock;
 use crate::runtime::real::{Readers, run_real};
 use crate::runtime::shell::{Mailbox, start};
@@ -112,7 +112,6 @@ fn wire(
     peer: &Rc<RefCell<Peer>>,
     (part, task): (&Part, &Task),
 ) -> Mailbox<Latent> {
-    let (to_network, to_udp) = (Mailbox::<network::In>::new("network"), Mailbox::<transport::In>::new("udp"));
     let to_peer = Mailbox::<Latent>::new("peer");
     let router = Router::new(usize::from(task.stations), |kind, robot| {
         let own = robot == RobotId(station);
@@ -121,24 +120,22 @@ fn wire(
     });
     let host = part.team.host;
     let fresh = links::Fresh::draw().expect("the operating system gives random bytes");
-    let config = network::Config {
+    let station = Station {
         me: network::Identity { host, team: part.team.number, epoch: fresh.incarnation },
         key: part.key.map(Key::new),
         links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
         router,
+        seed: fresh.seed,
+        stream: format!("network/{}", host.0),
+        span: info_span!("network"),
     };
-    let seed = fresh.seed;
-    let make = move |life| Network::new(config.clone(), seed.stream(&format!("network/{}/{life}", host.0)));
-    let (outward, inward) = (to_udp.clone(), to_peer.clone());
-    start(clock, &to_network, info_span!("network"), make, move |said| match said {
-        network::Out::Deliver(Wire::Latent(latent)) => inward.send(latent),
-        network::Out::Transmit(_, audience, frame) => {
-            outward.send(transport::In::Transmit(Transmit { from: host, audience, frame }));
+    let inward = to_peer.clone();
+    let network = station.open((clock, readers), vec![(LINK, udp)], move |said| {
+        if let station::Out::Deliver(Wire::Latent(latent)) = said {
+            inward.send(latent);
         }
-        _ => {}
     });
-    sockets::wire((clock, readers), (LINK, udp), &to_udp, &to_network);
-    let (peer, network) = (Rc::clone(peer), to_network);
+    let peer = Rc::clone(peer);
     let make = move |_| Shared(Rc::clone(&peer));
     start(clock, &to_peer, info_span!("talker"), make, move |message| network.send(network::In::Publish(message)));
     to_peer
