@@ -26,8 +26,8 @@ use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Mode, Phase, 
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::reliability::{Reliabilities, Reliability, Setup};
 use murmurate::net::protocol::router::{Audience, Route, Router};
-use murmurate::net::transport::socket::{SocketConfig, Transport};
-use murmurate::net::transport::udp::{Filter, Udp};
+use murmurate::net::transport::udp::multicast;
+use murmurate::net::transport::{Filter, Transport};
 use murmurate::random::Seed;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::{Readers, run_real};
@@ -329,20 +329,14 @@ fn main() {
     let folder: PathBuf = variable("NP_DIR", PathBuf::from("."));
     sleep_until(variable("NP_START_NS", 0));
     let group = SocketAddr::from((Ipv4Addr::new(239, 192, 7, 8), 45_451));
-    let socket = SocketConfig {
-        transport: Transport::Multicast { group },
-        interface: variable("NP_IFACE", "lo".to_owned()),
-        receive_buffer_bytes: 4 << 20,
-        reliability: Reliabilities::new(),
-    };
-    let udp = Udp::open(HostId(id), &socket, Filter::Team { number: 1, tagged: true })
-        .unwrap_or_else(|error| panic!("{error}"));
+    let way = multicast::way(group, &variable("NP_IFACE", "lo".to_owned()), 4 << 20);
+    let open = way.open(HostId(id), Filter::Team { number: 1, tagged: true }).unwrap_or_else(|error| panic!("{error}"));
     let (origin, zero_ns) = (Instant::now(), monotonic_ns());
     let peer = Rc::new(RefCell::new(Peer::new(id, participants, zero_ns)));
     let (mut ready, mut told) = (false, false);
     run_real(
         origin,
-        |clock, readers| wire(clock, readers, udp, &peer, (id, participants)),
+        |clock, readers| wire(clock, readers, open, &peer, (id, participants)),
         |mailbox, now| {
             let (mesh_ns, going, over) = {
                 let peer = peer.borrow();
@@ -376,7 +370,7 @@ fn put(folder: &std::path::Path, id: u16, name: &str, text: &str) {
 fn wire(
     clock: &Clock,
     readers: &mut Readers,
-    udp: Udp,
+    open: Box<dyn Transport>,
     peer: &Rc<RefCell<Peer>>,
     (id, participants): (u16, usize),
 ) -> Mailbox<In> {
@@ -402,7 +396,7 @@ fn wire(
         span: info_span!("network"),
     };
     let inward = to_peer.clone();
-    let network = station.open((clock, readers), vec![(LINK, udp)], move |said| {
+    let network = station.open((clock, readers), vec![(LINK, open)], move |said| {
         if let station::Out::Deliver(Wire::Latent(latent)) = said {
             inward.send(In::Arrived(latent));
         }

@@ -18,7 +18,7 @@ use crate::messages::wire::{Kind, Observe, Status, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
-use crate::net::transport::udp::Udp;
+use crate::net::transport::Transport;
 use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
@@ -39,8 +39,8 @@ pub struct Operator {
     pub key: Option<Key>,
     /// How the links are set up, in the order of the deployment; none where it has no part in one.
     pub links: Vec<Option<Setup>>,
-    /// The sockets by link; several for one link where it is joined on several interfaces.
-    pub sockets: Vec<(LinkId, Udp)>,
+    /// What is open of its links; several for one link where it is joined on several interfaces.
+    pub transports: Vec<(LinkId, Box<dyn Transport>)>,
     /// The link that carries the emergency stop, if it is to speak on it.
     pub stop: Option<LinkId>,
 }
@@ -51,7 +51,7 @@ pub fn wire(
     operator: Operator,
     heard: impl Fn(Heard) + 'static,
 ) -> Mailbox<network::In> {
-    let Operator { me, seed, robots, publishers, key, links, sockets, stop } = operator;
+    let Operator { me, seed, robots, publishers, key, links, transports, stop } = operator;
     let router = Router::new(robots, |kind, _| match kind {
         Kind::Stop | Kind::Observe => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
         Kind::Heartbeat | Kind::Mode | Kind::Status | Kind::Telemetry => Route { local: true, leaves: None },
@@ -60,7 +60,7 @@ pub fn wire(
     let router = router.with_publishers(publishers);
     let (stream, span) = ("operator".to_owned(), info_span!("network"));
     let station = Station { me, key, links, router, seed, stream, span };
-    station.open((clock, readers), sockets, move |out| match out {
+    station.open((clock, readers), transports, move |out| match out {
         station::Out::Deliver(message) => heard(Heard::Message(&message)),
         station::Out::Counts(counts) => heard(Heard::Counts(&counts)),
         station::Out::Peers(peers) => heard(Heard::Peers(&peers)),

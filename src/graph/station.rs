@@ -13,8 +13,7 @@ use crate::net::protocol::link::{Duplicate, LinkCounts};
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::router::Router;
 use crate::net::protocol::sender::Peer;
-use crate::net::transport::udp::Udp;
-use crate::net::transport::{self, Transmit};
+use crate::net::transport::{self, Transmit, Transport};
 use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
@@ -83,17 +82,17 @@ impl Station {
         });
     }
 
-    /// Starts the Network and its own transports in real time; the way to the Network. A link may have several
-    /// sockets, one an interface.
+    /// Starts the Network and the transports that are open for it, in real time; the way to the Network. A link may have
+    /// several, one an interface.
     pub fn open(
         self,
         (clock, readers): (&Clock, &mut Readers),
-        sockets: Vec<(LinkId, Udp)>,
+        open: Vec<(LinkId, Box<dyn Transport>)>,
         said: impl FnMut(Out) + 'static,
     ) -> Mailbox<network::In> {
         let network = Mailbox::new("network");
         let transports: Rc<[_]> = (0..self.links.len()).map(|link| Mailbox::new(format!("transport {link}"))).collect();
-        sockets::wire_all((clock, readers), sockets, &transports, &network);
+        sockets::wire_all((clock, readers), open, &transports, &network);
         self.start(clock, &network, transports, said);
         network
     }

@@ -13,3 +13,4 @@ mod radio;
 mod reference;
 mod safety;
 mod shell;
+mod transports;
