@@ -82,8 +82,8 @@ impl Station {
         });
     }
 
-    /// Starts the Network and the transports that are open for it, in real time; the way to the Network. A link may have
-    /// several, one an interface.
+    /// Starts the Network and the transports that are open for it, in real time; the way to the Network. A link may
+    /// have several, one an interface.
     pub fn open(
         self,
         (clock, readers): (&Clock, &mut Readers),

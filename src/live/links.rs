@@ -23,6 +23,9 @@ pub enum LinkError {
     NotNow(String),
 }
 
+/// A link and what is open of it.
+pub type Open = (LinkId, Box<dyn Transport>);
+
 /// Random numbers of the operating system that make a process itself and no other.
 pub struct Fresh {
     /// Its incarnation on every link. No clock is asked: many robots have none that survives a restart.
@@ -80,7 +83,7 @@ pub fn filter(team: &Team) -> Filter {
 }
 
 /// Opens the links that the team's host uses, for `me`.
-pub fn open(team: &Team, me: HostId) -> Result<Vec<(LinkId, Box<dyn Transport>)>, LinkError> {
+pub fn open(team: &Team, me: HostId) -> Result<Vec<Open>, LinkError> {
     let mut open = Vec::new();
     for (at, (link, place)) in team.deployment.links.iter().zip(&team.links).enumerate() {
         let Some(place) = place else { continue };
@@ -98,9 +101,9 @@ fn failed(link: &str, error: OpenError) -> LinkError {
     }
 }
 
-/// Opens the link of the stop for an operator: by every way of the team file that this machine has; or, where it has none
-/// of those, by all that it has. Where a flag has `named` the interface, by that one or none.
-pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<(LinkId, Box<dyn Transport>)>, LinkError> {
+/// Opens the link of the stop for an operator: by every way of the team file that this machine has; or, where it has
+/// none of those, by all that it has. Where a flag has `named` the interface, by that one or none.
+pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
     let all = || post.places.iter().map(|place| &place.way);
     let mut ways: Vec<Arc<dyn Way>> = all().filter(|way| way.is_here()).cloned().collect();
     if ways.is_empty() {

@@ -1,5 +1,5 @@
-//! What fields a team file may have, and what they take: those of the whole team, and those of a link, most of which are
-//! its transport's.
+//! What fields a team file may have, and what they take: those of the whole team, and those of a link, most of which
+//! are its transport's.
 
 use crate::config::fields::Takes;
 use crate::deploy::MODES;

@@ -432,7 +432,7 @@ interface = "wlan8"
         assert_eq!((first.number, first.seed, first.episodes), (3, 4, 16));
         assert_eq!(first.key_file.as_deref(), Some(Path::new("teams/keys/team.key")), "from the file's folder");
         assert_eq!(third.key_file.as_deref(), Some(Path::new("teams/own.key")));
-        assert_eq!((first.policy, third.policy.as_deref()), (None, Some(Path::new("orca"))));
+        assert_eq!((first.policy.as_deref(), third.policy.as_deref()), (None, Some(Path::new("orca"))));
         let buffer = |key: &str| {
             let values = file.values(Some(HostId(0)));
             values.into_iter().find(|shown| shown.key == key).map(|shown| shown.value)

@@ -31,8 +31,8 @@ pub trait Transport {
     /// The descriptor that is watched: whenever it has something to read, `receive` is to be called.
     fn bell(&self) -> Rc<dyn AsFd>;
 
-    /// Hands over what has arrived, each frame with the address that it came from, where the transport has addresses: no
-    /// more at once than a quarter of a millisecond of work, so that the other actors have their turn. What is left
+    /// Hands over what has arrived, each frame with the address that it came from, where the transport has addresses:
+    /// no more at once than a quarter of a millisecond of work, so that the other actors have their turn. What is left
     /// rings again.
     fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8]));
 
@@ -41,8 +41,8 @@ pub trait Transport {
         None
     }
 
-    /// Does what a Network says: sends a frame to everyone or to one host, or from now on to a guest, too. What does not
-    /// get out is counted and gone, as a frame that is lost on the air.
+    /// Does what a Network says: sends a frame to everyone or to one host, or from now on to a guest, too. What does
+    /// not get out is counted and gone, as a frame that is lost on the air.
     fn handle(&mut self, now: Time, input: In);
 
     /// What it has counted so far.

@@ -23,8 +23,8 @@ const GREATER: u16 = 0x25;
 const AT_LEAST: u16 = 0x35;
 const RETURN: u16 = 0x06;
 
-/// Attaches a filter to a socket. What comes from `own` is an echo of this process and is dropped, too. Where the kernel
-/// refuses the filter, the link layer drops the same, at a higher cost.
+/// Attaches a filter to a socket. What comes from `own` is an echo of this process and is dropped, too. Where the
+/// kernel refuses the filter, the link layer drops the same, at a higher cost.
 pub(super) fn attach(filter: Filter, socket: &Socket, own: Option<SocketAddr>) {
     if let Err(error) = socket.attach_filter(&program(filter, own)) {
         tracing::debug!("the kernel takes no filter: {error}");

@@ -8,7 +8,7 @@ use crate::net::protocol::codec::MAX_FRAME_BYTES;
 use crate::net::transport::interface;
 use crate::net::transport::{Finding, Fitness};
 
-/// What is found of the sockets of this host on the link of this name, as [`crate::net::transport::Way::examine`] has it.
+/// What is found of the sockets of this host on the link of this name, for a person.
 pub(super) fn examine(
     config: &SocketConfig,
     (host, link): (HostId, &str),

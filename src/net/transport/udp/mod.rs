@@ -1,5 +1,5 @@
-//! UDP: the sockets of one link of one host, open. `socket.rs` has them as data, `multicast.rs` and `unicast.rs` are the
-//! transports that are made of them. What frames mean, and who may send them, never matters here.
+//! UDP: the sockets of one link of one host, open. `socket.rs` has them as data, `multicast.rs` and `unicast.rs` are
+//! the transports that are made of them. What frames mean, and who may send them, never matters here.
 
 mod batch;
 mod filter;
@@ -127,6 +127,7 @@ impl Udp {
                 config.receive_buffer_bytes
             );
         }
+        tracing::info!(interface = config.interface, receive_buffer_bytes = granted, "the sockets of a link are open");
         let (ears, batch) = (Rc::new(UdpSocket::from(ears)), Batch::new());
         Ok(Udp { ears, to, granted, batch, looked: Time::ZERO, flood: Flood::default(), unsent: 0 })
     }
