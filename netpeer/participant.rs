@@ -16,8 +16,9 @@ use std::str::FromStr;
 use std::time::{Duration, Instant};
 
 use murmurate::actor::Core;
-use murmurate::actors::network::{self, Network};
-use murmurate::graph::sockets::{self, Shared};
+use murmurate::actors::network;
+use murmurate::graph::sockets::Shared;
+use murmurate::graph::station::{self, Station};
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
@@ -25,9 +26,8 @@ use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Mode, Phase, 
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::reliability::{Reliabilities, Reliability, Setup};
 use murmurate::net::protocol::router::{Audience, Route, Router};
-use murmurate::net::transport::socket::{SocketConfig, Transport};
-use murmurate::net::transport::udp::{Filter, Udp};
-use murmurate::net::transport::{self, Transmit};
+use murmurate::net::transport::udp::multicast;
+use murmurate::net::transport::{Filter, Transport};
 use murmurate::random::Seed;
 use murmurate::runtime::clock::Clock;
 use murmurate::runtime::real::{Readers, run_real};
@@ -329,20 +329,14 @@ fn main() {
     let folder: PathBuf = variable("NP_DIR", PathBuf::from("."));
     sleep_until(variable("NP_START_NS", 0));
     let group = SocketAddr::from((Ipv4Addr::new(239, 192, 7, 8), 45_451));
-    let socket = SocketConfig {
-        transport: Transport::Multicast { group },
-        interface: variable("NP_IFACE", "lo".to_owned()),
-        receive_buffer_bytes: 4 << 20,
-        reliability: Reliabilities::new(),
-    };
-    let udp = Udp::open(HostId(id), &socket, Filter::Team { number: 1, tagged: true })
-        .unwrap_or_else(|error| panic!("{error}"));
+    let way = multicast::way(group, &variable("NP_IFACE", "lo".to_owned()), 4 << 20);
+    let open = way.open(HostId(id), Filter::Team { number: 1, tagged: true }).unwrap_or_else(|error| panic!("{error}"));
     let (origin, zero_ns) = (Instant::now(), monotonic_ns());
     let peer = Rc::new(RefCell::new(Peer::new(id, participants, zero_ns)));
     let (mut ready, mut told) = (false, false);
     run_real(
         origin,
-        |clock, readers| wire(clock, readers, udp, &peer, (id, participants)),
+        |clock, readers| wire(clock, readers, open, &peer, (id, participants)),
         |mailbox, now| {
             let (mesh_ns, going, over) = {
                 let peer = peer.borrow();
@@ -376,12 +370,11 @@ fn put(folder: &std::path::Path, id: u16, name: &str, text: &str) {
 fn wire(
     clock: &Clock,
     readers: &mut Readers,
-    udp: Udp,
+    open: Box<dyn Transport>,
     peer: &Rc<RefCell<Peer>>,
     (id, participants): (u16, usize),
 ) -> Mailbox<In> {
-    let (to_network, to_udp, to_peer) =
-        (Mailbox::<network::In>::new("network"), Mailbox::<transport::In>::new("udp"), Mailbox::<In>::new("peer"));
+    let to_peer = Mailbox::<In>::new("peer");
     let router = Router::new(participants, |kind, robot| {
         let own = robot == RobotId(id);
         let (local, leaves) = match kind {
@@ -393,26 +386,22 @@ fn wire(
         Route { local, leaves: leaves.then_some((LINK, Audience::All)) }
     });
     let reliability = Reliabilities::from([(Kind::Latent, Reliability::Repeat)]);
-    let config = network::Config {
+    let station = Station {
         me: network::Identity { host: HostId(id), team: 1, epoch: 1 },
         key: Some(Key::new(KEY)),
         links: vec![Some(Setup::multicast(reliability))],
         router,
+        seed: Seed::of_run(u64::from(id)),
+        stream: "network".to_owned(),
+        span: info_span!("network"),
     };
-    let make = move |life| {
-        let stream = Seed::of_run(u64::from(id)).stream(&format!("network/{life}"));
-        Network::new(config.clone(), stream)
-    };
-    let (outward, inward) = (to_udp.clone(), to_peer.clone());
-    start(clock, &to_network, info_span!("network"), make, move |said| match said {
-        network::Out::Deliver(Wire::Latent(latent)) => inward.send(In::Arrived(latent)),
-        network::Out::Transmit(_, audience, frame) => {
-            outward.send(transport::In::Transmit(Transmit { from: HostId(id), audience, frame }));
+    let inward = to_peer.clone();
+    let network = station.open((clock, readers), vec![(LINK, open)], move |said| {
+        if let station::Out::Deliver(Wire::Latent(latent)) = said {
+            inward.send(In::Arrived(latent));
         }
-        _ => {}
     });
-    sockets::wire((clock, readers), (LINK, udp), &to_udp, &to_network);
-    let (peer, network) = (Rc::clone(peer), to_network);
+    let peer = Rc::clone(peer);
     let make = move |_| Shared(Rc::clone(&peer));
     start(clock, &to_peer, info_span!("peer"), make, move |message| network.send(network::In::Publish(message)));
     to_peer

@@ -10,9 +10,9 @@
 //! # Rooms
 //! Each may use those before it, never those after:
 //! `time`, `random`, `config`, `messages`, `actor`, `cells`; `hearing`, `faults`; `scenario`, `policy`, `world`,
-//! `registry`, `safety`; `net::protocol`, `net::transport`, `net::media`; `report`; then [`actors`], and beside
-//! them [`train`], which knows no actor; `deploy`; `runtime`, which runs actors; `graph`, which wires them; `trial`;
-//! `live`, `study`; `program`, the command line.
+//! `safety`; `edge`, `drivers`; `net::protocol`, `net::transport`, `registry`, `net::media`; `report`; then
+//! [`actors`], and beside them [`train`], which knows no actor; `deploy`; `runtime`, which runs actors; `graph`, which
+//! wires them; `trial`; `live`, `study`; `program`, the command line.
 //! `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading

@@ -19,11 +19,12 @@ use crate::edge::Settings;
 use crate::estimation;
 use crate::localization;
 use crate::messages::ids::RobotId;
+use crate::net::transport;
 use crate::policy;
 use crate::scenario::{self, Scenario, ScenarioError};
 use crate::world;
 
-/// What there is by name: scenarios, plants, policies, drivers, sources and estimators.
+/// What there is by name: scenarios, plants, policies, drivers, sources, estimators and transports.
 #[derive(Clone, Debug)]
 pub struct Registry {
     scenarios: Vec<scenario::Entry>,
@@ -32,6 +33,7 @@ pub struct Registry {
     drivers: Vec<drivers::Entry>,
     sources: Vec<localization::Entry>,
     estimators: Vec<estimation::Entry>,
+    transports: Vec<transport::Entry>,
 }
 
 /// Nothing of its kind has that name.
@@ -71,6 +73,7 @@ entries! {
     drivers::Entry, "driver";
     localization::Entry, "source";
     estimation::Entry, "estimator";
+    transport::Entry, "transport";
 }
 
 /// Adds an entry. Panics if there is one of its name.
@@ -97,6 +100,7 @@ impl Registry {
             drivers: drivers::REGISTRY.to_vec(),
             sources: localization::REGISTRY.to_vec(),
             estimators: estimation::REGISTRY.to_vec(),
+            transports: transport::REGISTRY.to_vec(),
         }
     }
 
@@ -152,6 +156,31 @@ impl Registry {
     pub fn with_estimator(mut self, entry: estimation::Entry) -> Registry {
         add(&mut self.estimators, entry);
         self
+    }
+
+    /// With a transport more.
+    ///
+    /// # Panics
+    /// If there is one of its name, or one with a field of the same name that takes something else.
+    pub fn with_transport(mut self, entry: transport::Entry) -> Registry {
+        for field in entry.fields {
+            let others = || self.transports.iter().flat_map(|other| other.fields);
+            let own = !transport::RESERVED.contains(&field.name);
+            let agrees = others().filter(|other| other.name == field.name).all(|other| other.agrees(field));
+            assert!(own && agrees, "the field '{}' of '{}' is another's", field.name, entry.name);
+        }
+        add(&mut self.transports, entry);
+        self
+    }
+
+    /// All transports.
+    pub fn transports(&self) -> &[transport::Entry] {
+        &self.transports
+    }
+
+    /// The transport of that name.
+    pub fn transport(&self, name: &str) -> Result<&transport::Entry, Unknown> {
+        find(&self.transports, name)
     }
 
     /// All estimators.
@@ -234,8 +263,9 @@ impl Registry {
     /// Whether there is something that this crate does not have.
     pub fn is_extended(&self) -> bool {
         let sizes = |all: &Registry| {
-            let Registry { scenarios, plants, policies, drivers, sources, estimators } = all;
-            [scenarios.len(), plants.len(), policies.len(), drivers.len(), sources.len(), estimators.len()]
+            let Registry { scenarios, plants, policies, drivers, sources, estimators, transports } = all;
+            let devices = [drivers.len(), sources.len(), estimators.len(), transports.len()];
+            ([scenarios.len(), plants.len(), policies.len()], devices)
         };
         sizes(self) != sizes(&Registry::builtin())
     }

@@ -14,7 +14,7 @@ use crate::graph::{Plan, wire_hosts, wire_recorder};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::reliability::Setup;
-use crate::net::transport::udp::Udp;
+use crate::net::transport::Transport;
 use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
@@ -36,8 +36,8 @@ pub struct Host {
     pub links: Vec<Option<Setup>>,
     /// Its drivers and sources.
     pub devices: Devices,
-    /// Its sockets by link, for the links that it uses; several for a link that it uses on several interfaces.
-    pub sockets: Vec<(LinkId, Udp)>,
+    /// What is open of the links that it uses; several for a link that it uses on several interfaces.
+    pub transports: Vec<(LinkId, Box<dyn Transport>)>,
 }
 
 /// Starts the actors of one host. `heard` is told what its Network makes known; `said` takes what the Recorder says,
@@ -64,8 +64,7 @@ pub fn wire(
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
     wire_gates((clock, readers), &graph, &process);
-    let mailbox_of = |link: LinkId| graph.transports[usize::from(link.0)].clone();
-    sockets::wire_all((clock, readers), host.sockets, mailbox_of, &graph.network_of(host.id));
+    sockets::wire_all((clock, readers), host.transports, &graph.transports, &graph.network_of(host.id));
     if process.records {
         wire_recorder(clock, plan, &graph, said);
     }

@@ -7,6 +7,7 @@ mod leading;
 pub mod operator;
 pub mod process;
 pub mod sockets;
+pub mod station;
 
 use std::collections::BTreeSet;
 use std::rc::Rc;
@@ -17,7 +18,7 @@ use tracing::info_span;
 use crate::actors::agent::{self, Agent, Pilot};
 use crate::actors::cache::{self, Cache};
 use crate::actors::controller::{self, Controller};
-use crate::actors::network::{self, Network};
+use crate::actors::network;
 use crate::actors::recorder::{self, Recorder};
 use crate::actors::status;
 use crate::deploy::{Deployment, Host, Stepping};
@@ -25,6 +26,7 @@ use crate::estimation;
 use crate::faults::FaultPlan;
 use crate::graph::leading::{deliveries, wire_server, wire_status};
 use crate::graph::process::{Graph, Heard, Process};
+use crate::graph::station::Station;
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -34,8 +36,7 @@ use crate::net::media::ether::{self, Ether};
 use crate::net::media::medium::Medium;
 use crate::net::media::reach::Reach;
 use crate::net::protocol::codec::Frame;
-use crate::net::protocol::link;
-use crate::net::transport::{self, Arrive, Transmit};
+use crate::net::transport::Arrive;
 use crate::policy::Model;
 use crate::random::Seed;
 use crate::report::episode::Judged;
@@ -291,25 +292,20 @@ fn wire_network(
     process: &Process,
     deliver: impl Fn(Wire) + 'static,
 ) {
-    let config = network::Config {
-        me: link::Identity { host, team: process.team, epoch: 0 },
+    let name = plan.deployment.hosts[usize::from(host.0)].name.clone();
+    let station = Station {
+        me: network::Identity { host, team: process.team, epoch: process.incarnation },
         key: process.key.clone(),
         links: process.setups(&plan.deployment, &graph.routes, host),
         router: graph.routes.router(host),
+        seed: process.secret.unwrap_or(plan.seed),
+        stream: format!("network/{}", host.0),
+        span: info_span!("network", host = name),
     };
-    let (seed, incarnation) = (process.secret.unwrap_or(plan.seed), process.incarnation);
-    let make = move |life: u32| {
-        let me = link::Identity { epoch: incarnation.wrapping_add(life), ..config.me };
-        let stream = seed.stream(&format!("network/{}/{life}", host.0));
-        Network::new(network::Config { me, ..config.clone() }, stream)
-    };
-    let (hear, alone) = (Rc::clone(&process.hear), process.only.is_some());
-    let (transports, record) = (graph.transports.clone(), graph.record());
+    let (hear, alone, record) = (Rc::clone(&process.hear), process.only.is_some(), graph.record());
     let judges = plan.deployment.judged() == Judged::Readings && plan.deployment.judge() == host;
-    let name = plan.deployment.hosts[usize::from(host.0)].name.clone();
-    let place = &graph.networks[usize::from(host.0)];
-    start(clock, place, info_span!("network", host = name), make, move |out| match out {
-        network::Out::Deliver(message) => {
+    station.start(clock, &graph.networks[usize::from(host.0)], Rc::clone(&graph.transports), move |out| match out {
+        station::Out::Deliver(message) => {
             hear(Heard::Message(&message));
             // What other processes publish is news to a Recorder here.
             if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
@@ -320,23 +316,16 @@ fn wire_network(
             }
             deliver(message);
         }
-        network::Out::Tap(frame) => {
+        station::Out::Tap(frame) => {
             hear(Heard::Published);
             record(recorder::In::Tap(frame));
         }
-        network::Out::Counts(counts) => {
+        station::Out::Counts(counts) => {
             hear(Heard::Counts(&counts));
             record(recorder::In::Counts(host, counts));
         }
-        network::Out::Peers(peers) => hear(Heard::Peers(&peers)),
-        network::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
-        network::Out::Admit(link, guest) => {
-            transports[usize::from(link.0)].send(transport::In::Admit(guest));
-        }
-        network::Out::Transmit(link, audience, frame) => {
-            let transmit = Transmit { from: host, audience, frame };
-            transports[usize::from(link.0)].send(transport::In::Transmit(transmit));
-        }
+        station::Out::Peers(peers) => hear(Heard::Peers(&peers)),
+        station::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
     });
 }
 

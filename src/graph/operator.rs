@@ -9,16 +9,16 @@ use std::sync::Arc;
 use tracing::info_span;
 
 use super::process::Heard;
-use super::sockets::{self, Shared};
-use crate::actors::network::{self, Identity, Network};
+use super::sockets::Shared;
+use super::station::{self, Station};
+use crate::actors::network::{self, Identity};
 use crate::actors::order::Order;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Observe, Status, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
-use crate::net::transport::udp::Udp;
-use crate::net::transport::{self, Transmit};
+use crate::net::transport::Transport;
 use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
@@ -39,8 +39,8 @@ pub struct Operator {
     pub key: Option<Key>,
     /// How the links are set up, in the order of the deployment; none where it has no part in one.
     pub links: Vec<Option<Setup>>,
-    /// The sockets by link; several for one link where it is joined on several interfaces.
-    pub sockets: Vec<(LinkId, Udp)>,
+    /// What is open of its links; several for one link where it is joined on several interfaces.
+    pub transports: Vec<(LinkId, Box<dyn Transport>)>,
     /// The link that carries the emergency stop, if it is to speak on it.
     pub stop: Option<LinkId>,
 }
@@ -51,36 +51,22 @@ pub fn wire(
     operator: Operator,
     heard: impl Fn(Heard) + 'static,
 ) -> Mailbox<network::In> {
-    let Operator { me, seed, robots, publishers, key, links, sockets, stop } = operator;
+    let Operator { me, seed, robots, publishers, key, links, transports, stop } = operator;
     let router = Router::new(robots, |kind, _| match kind {
         Kind::Stop | Kind::Observe => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
         Kind::Heartbeat | Kind::Mode | Kind::Status | Kind::Telemetry => Route { local: true, leaves: None },
         _ => Route::default(),
     });
     let router = router.with_publishers(publishers);
-    let count = links.len();
-    let config = network::Config { me, key, links, router };
-    let make = move |life: u32| {
-        let me = Identity { epoch: me.epoch.wrapping_add(life), ..me };
-        Network::new(network::Config { me, ..config.clone() }, seed.stream(&format!("operator/{life}")))
-    };
-    let network = Mailbox::new("network of the operator");
-    let transports: Vec<Mailbox<transport::In>> = (0..count).map(|_| Mailbox::new("udp of the operator")).collect();
-    sockets::wire_all((clock, readers), sockets, |link| transports[usize::from(link.0)].clone(), &network);
-    start(clock, &network, info_span!("network"), make, move |out| match out {
-        network::Out::Deliver(message) => heard(Heard::Message(&message)),
-        network::Out::Counts(counts) => heard(Heard::Counts(&counts)),
-        network::Out::Peers(peers) => heard(Heard::Peers(&peers)),
-        network::Out::Duplicate(duplicate) => heard(Heard::Duplicate(duplicate)),
-        network::Out::Tap(_) => heard(Heard::Published),
-        // An operator answers operators of multicast links alone, which need no address.
-        network::Out::Admit(..) => {}
-        network::Out::Transmit(link, audience, frame) => {
-            let transmit = Transmit { from: me.host, audience, frame };
-            transports[usize::from(link.0)].send(transport::In::Transmit(transmit));
-        }
-    });
-    network
+    let (stream, span) = ("operator".to_owned(), info_span!("network"));
+    let station = Station { me, key, links, router, seed, stream, span };
+    station.open((clock, readers), transports, move |out| match out {
+        station::Out::Deliver(message) => heard(Heard::Message(&message)),
+        station::Out::Counts(counts) => heard(Heard::Counts(&counts)),
+        station::Out::Peers(peers) => heard(Heard::Peers(&peers)),
+        station::Out::Duplicate(duplicate) => heard(Heard::Duplicate(duplicate)),
+        station::Out::Tap(_) => heard(Heard::Published),
+    })
 }
 
 /// How often an observer says that it is there.

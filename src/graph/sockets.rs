@@ -1,8 +1,9 @@
-//! A process's sockets as actors: one transport a link, between the Network and the driver of real time. What travels
-//! on them never lives here.
+//! A process's open transports as actors, between its Network and the driver of real time. What travels on them never
+//! lives here.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::rc::Rc;
 
 use tracing::info_span;
@@ -10,42 +11,41 @@ use tracing::info_span;
 use crate::actor::Core;
 use crate::actors::network;
 use crate::messages::ids::LinkId;
-use crate::net::transport;
-use crate::net::transport::udp::Udp;
+use crate::net::transport::{self, Transport};
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 use crate::time::{Span, Time};
 
-/// Starts the transports of a host behind the mailboxes of their links; what arrives goes to the Network. A link may
-/// have several, one an interface: what is said on it leaves through each.
+/// Starts the transports of a host behind the mailboxes of their links, which are in the order of the deployment; what
+/// arrives goes to the Network. A link may have several, one an interface: what is said on it leaves through each.
 pub fn wire_all(
     (clock, readers): (&Clock, &mut Readers),
-    sockets: Vec<(LinkId, Udp)>,
-    mailbox_of: impl Fn(LinkId) -> Mailbox<transport::In>,
+    open: Vec<(LinkId, Box<dyn Transport>)>,
+    mailboxes: &[Mailbox<transport::In>],
     network: &Mailbox<network::In>,
 ) {
-    let mut links: BTreeMap<LinkId, Vec<Udp>> = BTreeMap::new();
-    for (link, udp) in sockets {
-        links.entry(link).or_default().push(udp);
+    let mut links: BTreeMap<LinkId, Vec<Box<dyn Transport>>> = BTreeMap::new();
+    for (link, transport) in open {
+        links.entry(link).or_default().push(transport);
     }
     for (link, mut transports) in links {
-        let mailbox = mailbox_of(link);
+        let mailbox = &mailboxes[usize::from(link.0)];
         if transports.len() == 1
-            && let Some(udp) = transports.pop()
+            && let Some(transport) = transports.pop()
         {
-            wire((clock, readers), (link, udp), &mailbox, network);
+            wire((clock, readers), (link, transport), mailbox, network);
             continue;
         }
         let all: Vec<Mailbox<transport::In>> = (0..transports.len())
             .map(|index| Mailbox::new(format!("{} by interface {index}", mailbox.name())))
             .collect();
-        for (udp, mailbox) in transports.into_iter().zip(&all) {
-            wire((clock, readers), (link, udp), mailbox, network);
+        for (transport, mailbox) in transports.into_iter().zip(&all) {
+            wire((clock, readers), (link, transport), mailbox, network);
         }
         start(
             clock,
-            &mailbox,
+            mailbox,
             info_span!("interfaces", link = link.0),
             |_| Fan,
             move |said: transport::In| {
@@ -56,25 +56,48 @@ pub fn wire_all(
 }
 
 /// Starts the one transport of a link behind its mailbox; what arrives goes to the Network.
-pub fn wire(
+fn wire(
     (clock, readers): (&Clock, &mut Readers),
-    (link, udp): (LinkId, Udp),
+    (link, transport): (LinkId, Box<dyn Transport>),
     mailbox: &Mailbox<transport::In>,
     network: &Mailbox<network::In>,
 ) {
-    let (time, network, ears, span) = (clock.clone(), network.clone(), udp.ears(), info_span!("udp", link = link.0));
-    // A socket outlives its actor: what waits in it would be lost with it.
-    let udp = Rc::new(RefCell::new(udp));
-    let (flooded, heard, inside) = (Rc::clone(&udp), Rc::clone(&udp), span.clone());
+    let (time, network, bell) = (clock.clone(), network.clone(), transport.bell());
+    let span = info_span!("transport", link = link.0);
+    // It outlives its actor: what waits in a socket would be lost with it.
+    let transport = Rc::new(RefCell::new(transport));
+    let (flooded, heard, inside) = (Rc::clone(&transport), Rc::clone(&transport), span.clone());
+    let told = Cell::new(0);
     // What has arrived is read where it is told of: a turn of the transport for it would cost a tenth of a delivery.
     let ring = move || {
         let _inside = inside.enter();
-        let take = |from, frame: &[u8]| network.send(network::In::Frame(link, frame.into(), Some(from)));
-        heard.borrow_mut().receive(time.now(), take);
+        let mut heard = heard.borrow_mut();
+        heard.receive(time.now(), &mut |from, frame| network.send(network::In::Frame(link, frame.into(), from)));
+        let dropped = heard.counts().dropped;
+        if dropped > told.get() {
+            network.send(network::In::Dropped(link, dropped - told.replace(dropped)));
+        }
     };
-    readers.watch_link(ears, move || flooded.borrow().rests_until(), ring);
-    let make = move |_| Shared(Rc::clone(&udp));
-    start(clock, mailbox, span, make, |never| match never {});
+    readers.watch_link(bell, move || flooded.borrow().rests_until(), ring);
+    start(clock, mailbox, span, move |_| Outward(Rc::clone(&transport)), |never| match never {});
+}
+
+/// Hands a transport what leaves through it.
+struct Outward(Rc<RefCell<Box<dyn Transport>>>);
+
+impl Core for Outward {
+    type In = transport::In;
+    type Out = Infallible;
+
+    fn handle(&mut self, now: Time, input: transport::In, _: &mut Vec<Infallible>) {
+        self.0.borrow_mut().handle(now, input);
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        None
+    }
+
+    fn wake(&mut self, _: Time, _: &mut Vec<Infallible>) {}
 }
 
 /// Passes on what it is told, to each of a link's transports.
@@ -121,17 +144,15 @@ impl<C: Core> Core for Shared<C> {
 
 #[cfg(test)]
 mod tests {
-    use std::cell::Cell;
     use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
     use std::time::Instant;
 
     use super::*;
+    use crate::config::fields::Value;
     use crate::messages::ids::HostId;
-    use crate::net::protocol::reliability::Reliabilities;
     use crate::net::protocol::router::Audience;
-    use crate::net::transport::Transmit;
-    use crate::net::transport::socket::{SocketConfig, Transport};
-    use crate::net::transport::udp::Filter;
+    use crate::net::transport::settings::Said;
+    use crate::net::transport::{Filter, Given, Transmit, udp};
     use crate::runtime::real::run_real;
 
     /// Counts the frames that have arrived.
@@ -160,24 +181,31 @@ mod tests {
         let peer = UdpSocket::bind(at(47_751)).unwrap();
         peer.set_nonblocking(true).unwrap();
         let open = |port: u16| {
-            let transport = Transport::Unicast { listen: at(port), peers: [(HostId(9), at(47_751))].into() };
-            let (interface, reliability) = ("lo".to_owned(), Reliabilities::new());
-            let config = SocketConfig { transport, interface, receive_buffer_bytes: 1 << 16, reliability };
-            (LinkId(3), Udp::open(HostId(1), &config, Filter::All).unwrap())
+            let said = |value| Said { value, place: String::new() };
+            let values = [
+                ("interface".to_owned(), said(Value::Text("lo".to_owned()))),
+                ("receive_buffer_bytes".to_owned(), said(Value::Whole(1 << 16))),
+                ("peers.here".to_owned(), said(Value::Address(at(port)))),
+                ("peers.there".to_owned(), said(Value::Address(at(47_751)))),
+            ];
+            let given = Given { link: "test", host: HostId(0), hosts: vec!["here", "there"], values: values.into() };
+            let way = (udp::unicast::ENTRY.read)(&given).unwrap();
+            (LinkId(3), way.open(HostId(0), Filter::All).unwrap())
         };
         let sockets = vec![open(47_752), open(47_753)];
         for port in [47_752, 47_753] {
             peer.send_to(b"to the team", at(port)).unwrap();
         }
-        let (link, network) = (Mailbox::new("link"), Mailbox::new("network"));
+        let links: Vec<Mailbox<transport::In>> = (0..4).map(|link| Mailbox::new(format!("link {link}"))).collect();
+        let network = Mailbox::new("network");
         let arrived = Rc::new(Cell::new(0));
         let frame: crate::net::protocol::codec::Frame = b"to the peer"[..].into();
-        link.send(transport::In::Transmit(Transmit { from: HostId(1), audience: Audience::All, frame }));
+        links[3].send(transport::In::Transmit(Transmit { from: HostId(0), audience: Audience::All, frame }));
         let (count, begun) = (Rc::clone(&arrived), Instant::now());
         run_real(
             begun,
             |clock, readers| {
-                wire_all((clock, readers), sockets, |_| link.clone(), &network);
+                wire_all((clock, readers), sockets, &links, &network);
                 start(clock, &network, info_span!("network"), move |_| Count(Rc::clone(&count)), |()| {});
             },
             |(), now| arrived.get() == 2 || now.as_secs() > 5.0,

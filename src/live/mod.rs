@@ -63,11 +63,11 @@ impl LiveHost {
     /// the registry. A team without a key may have no link that leaves the machine.
     pub fn open(team: &Team, trial: &Trial, key: Option<Key>, registry: &Registry) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
-        let sockets = links::open(team, team.host)?;
+        let transports = links::open(team, team.host)?;
         let Fresh { incarnation, seed: secret, .. } = Fresh::draw()?;
         let entry = &team.deployment.hosts[usize::from(team.host.0)];
         let (devices, workers) = devices::open(entry, registry)?;
-        let host = Host { id: team.host, team: team.number, incarnation, secret, key, links, devices, sockets };
+        let host = Host { id: team.host, team: team.number, incarnation, secret, key, links, devices, transports };
         Ok(LiveHost { host, workers, plan: trial.plan(), grace: grace(team) })
     }
 

@@ -90,7 +90,7 @@ impl Asked<'_> {
             publishers: Routes::of(deployment).publishers(),
             key,
             links: links::of_operator(deployment, links::at_post(&post, deployment)),
-            sockets: links::join(&post, link, me.host, self.team.names_interface())?,
+            transports: links::join(&post, link, me.host, self.team.names_interface())?,
             stop: Some(post.link),
         };
         let order = Rc::new(RefCell::new(Order::new(me.host, self.wish, deployment.robots)));

@@ -14,3 +14,4 @@ mod radio;
 mod reference;
 mod safety;
 mod shell;
+mod transports;

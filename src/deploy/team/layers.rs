@@ -1,20 +1,19 @@
 //! The values of a team file in layers: flag over environment over file, each with where it came from. What fields
-//! there are and what they take stands here and nowhere else; what they mean for a team is in `team`.
+//! there are and what they take is in `fields`; what they mean for a team is in `team`.
 //!
 //! Pure: the file's text, the environment and the flags are handed in.
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::net::SocketAddr;
 use std::ops::Range;
 
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use crate::config::{self, ConfigError, syntax};
-use crate::deploy::MODES;
-use crate::net::protocol::reliability::Reliability;
-use crate::world::Sensor;
+use super::fields::{EVERY_INTERFACE, Fields, team_fields};
+use crate::config::fields::{Takes, Value};
+use crate::config::{ConfigError, syntax};
+use crate::net::transport;
 
 /// Where a value comes from.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -40,30 +39,6 @@ impl fmt::Display for Origin {
     }
 }
 
-/// The value of a field.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Value {
-    /// A whole number.
-    Whole(u64),
-    /// A number.
-    Number(f64),
-    /// A text: a name, a path, one of a few words.
-    Text(String),
-    /// An address with its port.
-    Address(SocketAddr),
-}
-
-impl fmt::Display for Value {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Value::Whole(whole) => write!(f, "{whole}"),
-            Value::Number(number) => write!(f, "{number}"),
-            Value::Text(text) => f.write_str(text),
-            Value::Address(address) => write!(f, "{address}"),
-        }
-    }
-}
-
 /// A value and where it comes from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {
@@ -84,163 +59,8 @@ pub struct Flag {
     pub value: String,
 }
 
-/// What a field takes.
-#[derive(Clone, Copy, Debug)]
-enum Takes {
-    Whole(u64, u64),
-    Number(f64, f64),
-    Text,
-    Interface,
-    Choice(&'static [&'static str]),
-    Address,
-}
-
-/// A field: its name, what it takes, and its default as it would be written.
-type Field = (&'static str, Takes, Option<&'static str>);
-
-/// The name of the field that stands for every link's interface in flags and in the environment.
-pub const EVERY_INTERFACE: &str = "interface";
-
-/// How a kind of message is made to arrive.
-pub const RELIABILITIES: [&str; 4] = {
-    let [(a, _), (b, _), (c, _), (d, _)] = Reliability::NAMED;
-    [a, b, c, d]
-};
-
-/// How the states of simulated robots are measured.
-const SENSORS: [&str; 2] = {
-    let [(a, _), (b, _)] = Sensor::NAMED;
-    [a, b]
-};
-
-/// The fields of the whole team, in the order in which they are shown.
-const TEAM: [Field; 16] = [
-    ("team", Takes::Whole(0, 65_535), None),
-    ("key_file", Takes::Text, None),
-    ("mode", Takes::Choice(&MODES), None),
-    ("robots", Takes::Whole(1, 65_535), None),
-    ("scenario", Takes::Text, Some("passage")),
-    ("policy", Takes::Text, None),
-    ("episodes", Takes::Whole(1, 1_000_000), Some("16")),
-    ("seed", Takes::Whole(0, u64::MAX), Some("0")),
-    ("plant", Takes::Text, None),
-    ("lag_s", Takes::Number(0.0, 10.0), None),
-    ("contacts", Takes::Choice(&["block", "judge"]), None),
-    ("wall_radius_m", Takes::Number(1e-3, 10.0), None),
-    ("sensor", Takes::Choice(&SENSORS), None),
-    ("clamp", Takes::Choice(&["training", "deployed"]), Some("training")),
-    ("handling", Takes::Choice(&["hold", "as-published"]), Some("hold")),
-    ("estimator", Takes::Text, Some("none")),
-];
-
-/// The fields of a link, beside its tables `peers` and `reliability`.
-const LINK: [Field; 4] = [
-    ("transport", Takes::Choice(&["multicast", "unicast"]), Some("multicast")),
-    ("interface", Takes::Interface, None),
-    ("group", Takes::Address, None),
-    ("receive_buffer_bytes", Takes::Whole(4096, 1 << 30), Some("4194304")),
-];
-
-/// What of the team a robot or a host may have otherwise, beside its links.
-const OVERRIDES: [&str; 2] = ["key_file", "policy"];
-
 /// Variables of the environment that are no fields.
 const OTHER_VARIABLES: [&str; 1] = ["MURMURATE_LOG"];
-
-/// The names of the fields of the whole team.
-pub fn team_fields() -> impl Iterator<Item = &'static str> {
-    TEAM.iter().map(|(name, ..)| *name)
-}
-
-/// The names of the fields of a link.
-pub fn link_fields() -> impl Iterator<Item = &'static str> {
-    LINK.iter().map(|(name, ..)| *name)
-}
-
-/// What a field takes and its default; `None` if there is no such field.
-fn field(key: &str) -> Option<(Takes, Option<&'static str>)> {
-    let named = |fields: &[Field], name: &str| {
-        fields.iter().find(|(field, ..)| *field == name).map(|(_, takes, default)| (*takes, *default))
-    };
-    match key.split('.').collect::<Vec<_>>()[..] {
-        [name] => named(&TEAM, name),
-        ["link", _, name] => named(&LINK, name),
-        ["link", _, "peers", _] => Some((Takes::Address, None)),
-        ["link", _, "reliability", _] => Some((Takes::Choice(&RELIABILITIES), None)),
-        ["robot" | "host", _, name] if OVERRIDES.contains(&name) => named(&TEAM, name),
-        // What senders and receivers must agree on is of the whole team.
-        ["robot" | "host", _, "link", _, "reliability", ..] => None,
-        ["robot" | "host", _, "link", ..] => field(key.splitn(3, '.').nth(2)?),
-        _ => None,
-    }
-}
-
-/// What there is where there is no such field.
-fn siblings(key: &str) -> String {
-    let names = match key.split('.').collect::<Vec<_>>()[..] {
-        ["link", _, "reliability", ..] => return "a kind of message is followed by its reliability".to_owned(),
-        ["link", name, ..] => {
-            let fields: Vec<&str> = link_fields().chain(["peers", "reliability"]).collect();
-            return format!("link.{name} has {}", fields.join(", "));
-        }
-        ["robot" | "host", name, ..] => return format!("{name} may have {}, link", OVERRIDES.join(", ")),
-        _ => team_fields().chain(["deployment", "link", "robot", "host"]),
-    };
-    format!("there are {}", names.collect::<Vec<_>>().join(", "))
-}
-
-impl Takes {
-    /// Reads a value; the error says what is wrong.
-    fn read(self, text: &str) -> Result<Value, String> {
-        match self {
-            Takes::Whole(least, most) => match text.parse::<u64>() {
-                Ok(whole) if (least..=most).contains(&whole) => Ok(Value::Whole(whole)),
-                _ => Err(format!("'{text}' is no whole number of {least} to {most}")),
-            },
-            Takes::Number(least, most) => match text.parse::<f64>() {
-                Ok(number) if (least..=most).contains(&number) => Ok(Value::Number(number)),
-                _ => Err(format!("'{text}' is no number of {least} to {most}")),
-            },
-            Takes::Text if text.is_empty() => Err("it is empty; leave it out or fill it in".to_owned()),
-            Takes::Text if config::is_key(text.as_bytes()) => {
-                Err("it is a key itself, where the name of something belongs: keep it in a file and name that"
-                    .to_owned())
-            }
-            Takes::Text => Ok(Value::Text(text.to_owned())),
-            // As Linux has it: IFNAMSIZ is 16 with its end, and these characters are refused.
-            Takes::Interface => {
-                let fits = (1..16).contains(&text.len()) && !text.contains(|c: char| c.is_whitespace() || c == '/');
-                if fits { Ok(Value::Text(text.to_owned())) } else { Err(format!("'{text}' is no interface's name")) }
-            }
-            Takes::Choice(names) if names.contains(&text) => Ok(Value::Text(text.to_owned())),
-            Takes::Choice(names) => Err(format!("'{text}' is not one of {}", names.join(", "))),
-            Takes::Address => match text.parse::<SocketAddr>() {
-                Ok(address) if address.port() > 0 => Ok(Value::Address(address)),
-                _ => Err(format!("'{text}' is no address with a port, such as 239.255.77.1:7700 or [ff02::4d75]:7700")),
-            },
-        }
-    }
-
-    /// Reads a value of the file, where numbers are numbers and texts have quotes.
-    fn read_toml(self, value: &DeValue<'_>) -> Result<Value, String> {
-        let wanted = match self {
-            Takes::Whole(..) => "a whole number",
-            Takes::Number(..) => "a number",
-            _ => "a text in quotes",
-        };
-        match (self, value) {
-            (Takes::Whole(..), DeValue::Integer(whole)) => {
-                let read = u64::from_str_radix(whole.as_str().trim_start_matches('+'), whole.radix());
-                self.read(&read.map_or_else(|_| whole.as_str().to_owned(), |whole| whole.to_string()))
-            }
-            (Takes::Number(..), DeValue::Integer(number)) => self.read(number.as_str()),
-            (Takes::Number(..), DeValue::Float(number)) => self.read(number.as_str()),
-            (Takes::Whole(..) | Takes::Number(..), _) => Err(format!("a {} where {wanted} belongs", value.type_str())),
-            (_, DeValue::String(text)) => self.read(text),
-            _ => Err(format!("a {} where {wanted} belongs", value.type_str())),
-        }
-    }
-}
 
 /// How errors name a field.
 pub fn place(key: &str, origin: &Origin) -> String {
@@ -252,8 +72,9 @@ pub fn place(key: &str, origin: &Origin) -> String {
 }
 
 /// The layers.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Layers {
+    fields: Fields,
     flags: BTreeMap<String, Entry>,
     environment: BTreeMap<String, Entry>,
     file: BTreeMap<String, Entry>,
@@ -264,14 +85,25 @@ pub struct Layers {
 impl Layers {
     /// Reads the file and the flags; the environment's `MURMURATE_…` follow once the links are known. The tables in
     /// `whole` are left to others.
-    pub fn read(text: &str, flags: &[Flag], whole: &[&str]) -> Result<Layers, ConfigError> {
-        let mut layers = Layers::default();
+    pub fn read(
+        text: &str,
+        flags: &[Flag],
+        whole: &[&str],
+        transports: &[transport::Entry],
+    ) -> Result<Layers, ConfigError> {
+        let mut layers = Layers {
+            fields: Fields::of(transports),
+            flags: BTreeMap::new(),
+            environment: BTreeMap::new(),
+            file: BTreeMap::new(),
+            tables: BTreeMap::new(),
+        };
         let table = DeTable::parse(text).map_err(|error| syntax(text, &error))?;
         layers.flatten(text, "", table.get_ref(), whole)?;
         for Flag { flag, key, value } in flags {
             let origin = Origin::Flag(flag);
-            let takes = if key == EVERY_INTERFACE { Some((Takes::Interface, None)) } else { field(key) };
-            let (takes, _) = takes.ok_or_else(|| unknown(key, &origin))?;
+            let takes = if key == EVERY_INTERFACE { Some((Takes::Interface, None)) } else { layers.fields.field(key) };
+            let (takes, _) = takes.ok_or_else(|| layers.unknown(key, &origin))?;
             let value = takes.read(value).map_err(|why| ConfigError::field(place(key, &origin), why))?;
             layers.flags.insert(key.clone(), Entry { value, origin });
         }
@@ -297,13 +129,15 @@ impl Layers {
                 self.tables.insert(key, line);
                 continue;
             }
-            match (field(&key), value.get_ref()) {
+            match (self.fields.field(&key), value.get_ref()) {
                 (Some((takes, _)), value) => {
                     let value = takes.read_toml(value).map_err(|why| ConfigError::field(place(&key, &origin), why))?;
                     self.file.insert(key, Entry { value, origin });
                 }
-                (None, DeValue::Table(inner)) if holds_fields(&key) => self.flatten(text, &key, inner, whole)?,
-                (None, _) => return Err(unknown(&key, &origin)),
+                (None, DeValue::Table(inner)) if self.fields.holds_fields(&key) => {
+                    self.flatten(text, &key, inner, whole)?
+                }
+                (None, _) => return Err(self.unknown(&key, &origin)),
             }
         }
         Ok(())
@@ -341,15 +175,26 @@ impl Layers {
             let name = variable(key);
             let Some((_, value)) = variables.iter().find(|(other, _)| *other == name) else { continue };
             let origin = Origin::Environment(name);
-            let takes = field(key).map_or(Takes::Interface, |(takes, _)| takes);
+            let takes = self.fields.field(key).map_or(Takes::Interface, |(takes, _)| takes);
             let value = takes.read(value).map_err(|why| ConfigError::field(place(key, &origin), why))?;
             self.environment.insert(key.clone(), Entry { value, origin });
         }
         Ok(())
     }
 
+    /// What fields there may be.
+    pub fn fields(&self) -> &Fields {
+        &self.fields
+    }
+
+    fn unknown(&self, key: &str, origin: &Origin) -> ConfigError {
+        let place = format!("{key} ({origin})");
+        ConfigError::field(place, format!("there is no such field; {}", self.fields.siblings(key)))
+    }
+
     /// The value of a field as these scopes see it, the narrowest first (each a prefix such as `host.pc.`, the last
-    /// one empty): a higher layer counts before a narrower scope, and a default last.
+    /// one empty): a higher layer counts before a narrower scope, and a default last. A transport's own fields have
+    /// theirs in its entry.
     pub fn find(&self, scopes: &[String], key: &str) -> Option<Entry> {
         let every = (key.starts_with("link.") && key.ends_with(".interface")).then_some(EVERY_INTERFACE);
         for layer in [&self.flags, &self.environment, &self.file] {
@@ -358,7 +203,7 @@ impl Layers {
                 return Some(entry.clone());
             }
         }
-        let (takes, default) = field(key)?;
+        let (takes, default) = self.fields.field(key)?;
         let value = takes.read(default?).expect("defaults are sound");
         Some(Entry { value, origin: Origin::Default })
     }
@@ -387,24 +232,4 @@ pub fn variable(key: &str) -> String {
 
 fn line_of(text: &str, span: &Range<usize>) -> usize {
     text[..span.start].matches('\n').count() + 1
-}
-
-/// Whether a table of this name holds fields.
-fn holds_fields(key: &str) -> bool {
-    let parts: Vec<&str> = key.split('.').collect();
-    match parts[..] {
-        ["robot" | "host"] | ["robot" | "host", _] => true,
-        // What senders and receivers must agree on is of the whole team.
-        ["robot" | "host", _, ref link @ ..] => link.last() != Some(&"reliability") && holds_link_fields(link),
-        ref link => holds_link_fields(link),
-    }
-}
-
-fn holds_link_fields(parts: &[&str]) -> bool {
-    matches!(parts, ["link"] | ["link", _] | ["link", _, "peers" | "reliability"])
-}
-
-fn unknown(key: &str, origin: &Origin) -> ConfigError {
-    let place = format!("{key} ({origin})");
-    ConfigError::field(place, format!("there is no such field; {}", siblings(key)))
 }

@@ -1,39 +1,40 @@
 //! A team file: a deployment, what the team is to do, and how each link's sockets are set up, resolved for one host.
 //!
-//! Pure data and its checks: no file, socket or environment is touched here. `layers` holds the fields and where each
-//! value comes from, `names` whether what they name is there, `sockets` what a host needs on each link, `show` all of
-//! it for a person.
+//! Pure data and its checks: no file, socket or environment is touched here. `fields` says what may be there, `layers`
+//! where each value comes from, `names` whether what they name is there, `places` how a host takes part in each link,
+//! `show` all of it for a person.
 
+mod fields;
 pub mod layers;
 mod names;
+mod places;
 mod show;
-mod sockets;
 
 pub use layers::{Flag, Origin};
+pub use places::Post;
 pub use show::Shown;
-pub use sockets::Post;
 
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::Deserialize;
 
-use self::layers::{Entry, Layers, Value, place};
-use super::{Deployment, Link, MODES, Routes};
+use self::fields::EVERY_INTERFACE;
+use self::layers::{Entry, Layers, place};
+use super::{Deployment, Host, Link, MODES, Routes};
 use crate::config::{self, ConfigError};
 use crate::estimation;
 use crate::hearing::Handling;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
-use crate::net::transport::socket::SocketConfig;
+use crate::net::transport::Place;
 use crate::registry::Registry;
 use crate::safety::Safety;
 use crate::scenario::{Scenario, Settings};
 use crate::world::{Clamp, ContactRule, Given, Physics, Sensor};
 
 /// What a host needs to know of its team.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Team {
     /// The host.
     pub host: HostId,
@@ -57,8 +58,8 @@ pub struct Team {
     pub estimator: estimation::Entry,
     /// What stops and slows every robot.
     pub safety: Safety,
-    /// The sockets, by link; `None` for a link on which this host neither sends nor listens.
-    pub links: Vec<Option<SocketConfig>>,
+    /// The host's places, by link; `None` for a link on which this host neither sends nor listens.
+    pub links: Vec<Option<Place>>,
 }
 
 /// What simulated robots are like, and how messages and commands are handled.
@@ -102,15 +103,18 @@ impl TeamFile {
         variables: &[(String, String)],
         flags: &[Flag],
     ) -> Result<TeamFile, ConfigError> {
-        let mut layers = Layers::read(text, flags, &WHOLE_TABLES)?;
+        let mut layers = Layers::read(text, flags, &WHOLE_TABLES, registry.transports())?;
         layers.read_environment(variables)?;
         let inline: Inline = config::from_toml(text)?;
         inline.safety.check().map_err(|error| error.within("safety"))?;
         let (deployment, safety) = (deployment(registry, inline.deployment, &layers)?, inline.safety);
-        let mut fields = vec![layers::EVERY_INTERFACE.to_owned()];
+        let mut fields = vec![EVERY_INTERFACE.to_owned()];
         for link in &deployment.links {
-            fields.extend(layers::link_fields().map(|field| format!("link.{}.{field}", link.name)));
-            fields.extend(deployment.hosts.iter().map(|host| format!("link.{}.peers.{}", link.name, host.name)));
+            fields.extend(layers.fields().of_link().map(|field| format!("link.{}.{field}", link.name)));
+            for table in layers.fields().by_host() {
+                let of = |host: &Host| format!("link.{}.{table}.{}", link.name, host.name);
+                fields.extend(deployment.hosts.iter().map(of));
+            }
             fields.extend(KINDS.map(|kind| format!("link.{}.reliability.{}", link.name, kebab(kind))));
         }
         layers.read_link_environment(variables, &fields)?;
@@ -167,12 +171,12 @@ impl TeamFile {
         let routes = Routes::of(&self.deployment);
         let links = self.deployment.links.iter().enumerate().map(|(at, link)| {
             let used = link.carries.iter().any(|&kind| routes.exchanges(host, kind));
-            used.then(|| self.socket(host, at)).transpose()
+            used.then(|| self.place(host, at)).transpose()
         });
-        let links: Vec<Option<SocketConfig>> = links.collect::<Result<_, _>>()?;
+        let links: Vec<Option<Place>> = links.collect::<Result<_, _>>()?;
         self.check_apart(host, &links)?;
         let key_file = find("key_file").map(|entry| self.path(&entry));
-        let outside = links.iter().position(|link| link.as_ref().is_some_and(|link| !link.stays_on_loopback()));
+        let outside = links.iter().position(|link| link.as_ref().is_some_and(|place| !place.way.stays_here()));
         if let (None, Some(at)) = (&key_file, outside) {
             let (host, link) = (&self.deployment.hosts[usize::from(host.0)].name, &self.deployment.links[at].name);
             let why = format!(
@@ -344,13 +348,11 @@ fn kebab(kind: Kind) -> String {
 }
 
 fn text(entry: &Entry) -> &str {
-    let Value::Text(text) = &entry.value else { panic!("the fields let only texts through") };
-    text
+    entry.value.text()
 }
 
 fn whole(entry: &Entry) -> u64 {
-    let Value::Whole(whole) = entry.value else { panic!("the fields let only whole numbers through") };
-    whole
+    entry.value.whole()
 }
 
 fn whole_u16(entry: &Entry) -> u16 {
@@ -358,19 +360,12 @@ fn whole_u16(entry: &Entry) -> u16 {
 }
 
 fn number(entry: &Entry) -> f32 {
-    let Value::Number(number) = entry.value else { panic!("the fields let only numbers through") };
-    number as f32
-}
-
-fn address(entry: &Entry) -> SocketAddr {
-    let Value::Address(address) = entry.value else { panic!("the fields let only addresses through") };
-    address
+    entry.value.number() as f32
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::net::transport::socket::Transport;
 
     const ADHOC: &str = r#"
 team = 3
@@ -423,7 +418,11 @@ interface = "wlan8"
     }
 
     fn interface(team: &Team, link: usize) -> &str {
-        &team.links[link].as_ref().unwrap().interface
+        team.links[link].as_ref().unwrap().way.interface().unwrap()
+    }
+
+    fn claim(team: &Team, link: usize) -> String {
+        team.links[link].as_ref().unwrap().way.claim().what
     }
 
     #[test]
@@ -433,20 +432,23 @@ interface = "wlan8"
         assert_eq!((first.number, first.seed, first.episodes), (3, 4, 16));
         assert_eq!(first.key_file.as_deref(), Some(Path::new("teams/keys/team.key")), "from the file's folder");
         assert_eq!(third.key_file.as_deref(), Some(Path::new("teams/own.key")));
-        assert_eq!((first.policy, third.policy.as_deref()), (None, Some(Path::new("orca"))));
-        let infra = first.links[1].as_ref().unwrap();
-        assert_eq!((infra.interface.as_str(), infra.receive_buffer_bytes), ("wlan0", 65536));
-        let latent = first.links[0].as_ref().unwrap();
-        assert_eq!(latent.transport, Transport::Multicast { group: "[ff02::4d75]:7700".parse().unwrap() });
-        assert_eq!(latent.receive_buffer_bytes, 4 << 20);
+        assert_eq!((first.policy.as_deref(), third.policy.as_deref()), (None, Some(Path::new("orca"))));
+        let buffer = |key: &str| {
+            let values = file.values(Some(HostId(0)));
+            values.into_iter().find(|shown| shown.key == key).map(|shown| shown.value)
+        };
+        assert_eq!(interface(&first, 1), "wlan0");
+        assert_eq!(buffer("link.infra.receive_buffer_bytes").as_deref(), Some("65536"));
+        assert_eq!(claim(&first, 0), "[ff02::4d75]:7700");
+        assert_eq!(buffer("link.ad-hoc.receive_buffer_bytes").as_deref(), Some("4194304"));
         assert_eq!(
-            latent.reliability.get(&Kind::Latent),
+            first.links[0].as_ref().unwrap().reliability.get(&Kind::Latent),
             Some(&crate::net::protocol::reliability::Reliability::Repeat)
         );
         assert_eq!(interface(&third, 1), "wlan7", "a robot's override is narrower than its host's");
-        let Transport::Unicast { listen, peers } = &third.links[2].as_ref().unwrap().transport else { panic!() };
-        assert_eq!(listen.port(), 3);
-        assert_eq!(peers.keys().copied().collect::<Vec<_>>(), [HostId(0), HostId(1), HostId(3)]);
+        assert_eq!(claim(&third, 2), "127.0.0.1:3", "where it listens");
+        let guest = third.links[2].as_ref().unwrap().for_guest(third.host);
+        assert_eq!(guest.way.claim().what, "127.0.0.1:1, 127.0.0.1:2, 127.0.0.1:3, 127.0.0.1:4");
         assert_eq!(file.host_of(RobotId(2)), Ok(HostId(2)));
         assert!(file.host_of(RobotId(3)).is_err() && file.host_named("pc").is_err());
     }
@@ -454,7 +456,7 @@ interface = "wlan8"
     #[test]
     fn a_host_needs_no_socket_on_a_link_that_it_has_no_part_in() {
         let file = read(ADHOC, &[], &[]).unwrap();
-        assert_eq!(team(&file, "world").links[0], None, "the world hears no latents");
+        assert!(team(&file, "world").links[0].is_none(), "the world hears no latents");
         assert!(team(&file, "world").links[1].is_some());
     }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::layers::place;
-use super::{TeamFile, kebab, only_robot};
+use super::{TeamFile, kebab, only_robot, text};
 use crate::config::ConfigError;
 use crate::messages::ids::RobotId;
 
@@ -30,10 +30,15 @@ impl TeamFile {
                 _ => Ok(()),
             };
             let rest = match *inner {
-                ["link", link, "peers", host] => known("link", &links, link).and_then(|()| known("host", &hosts, host)),
+                ["link", link, "transport"] => known("link", &links, link).and_then(|()| {
+                    let found = self.registry.transport(text(entry)).map(drop);
+                    found.map_err(|unknown| unknown.to_string())
+                }),
                 ["link", link, "reliability", kind] => {
                     known("link", &links, link).and_then(|()| self.check_carries(link, kind))
                 }
+                // A table of its transport.
+                ["link", link, _, host] => known("link", &links, link).and_then(|()| known("host", &hosts, host)),
                 ["link", link, ..] => known("link", &links, link),
                 _ => Ok(()),
             };

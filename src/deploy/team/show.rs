@@ -1,8 +1,8 @@
 //! Every value in effect with where it comes from, for people who wonder.
 
-use super::layers::{self, Origin};
-use super::sockets::default_group;
-use super::{TeamFile, kebab, text};
+use super::fields::team_fields;
+use super::layers::Origin;
+use super::{TeamFile, kebab};
 use crate::messages::ids::HostId;
 use crate::world::{ContactRule, Sensor};
 
@@ -43,7 +43,7 @@ impl TeamFile {
             }
         };
         let inline = self.layers.table("deployment");
-        for key in layers::team_fields() {
+        for key in team_fields() {
             let default = match key {
                 "robots" => Some(self.deployment.robots.to_string()),
                 "mode" => None,
@@ -56,14 +56,12 @@ impl TeamFile {
             show(key.to_owned(), default);
         }
         for (at, link) in self.deployment.links.iter().enumerate() {
-            let unicast = self.layers.find(&scopes, &format!("link.{}.transport", link.name));
-            let unicast = unicast.is_some_and(|entry| text(&entry) == "unicast");
-            for field in layers::link_fields().filter(|field| !(unicast && *field == "group")) {
-                let default = (field == "group").then(|| default_group(at).to_string());
-                show(format!("link.{}.{field}", link.name), default);
-            }
-            for host in self.deployment.hosts.iter().filter(|_| unicast) {
-                show(format!("link.{}.peers.{}", link.name, host.name), None);
+            show(format!("link.{}.transport", link.name), None);
+            for field in self.transport(&scopes, link).fields {
+                let default = field.default.map(|default| default(at));
+                self.names_of(field)
+                    .iter()
+                    .for_each(|name| show(format!("link.{}.{name}", link.name), default.clone()));
             }
             for kind in &link.carries {
                 show(format!("link.{}.reliability.{}", link.name, kebab(*kind)), None);

@@ -6,6 +6,8 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use nix::ifaddrs::getifaddrs;
 use nix::net::if_::{InterfaceFlags, if_nametoindex};
 
+/// The name of the loopback interface.
+pub const LOOPBACK: &str = "lo";
 /// The interface name that stands for the only one that could be meant.
 pub const AUTO: &str = "auto";
 

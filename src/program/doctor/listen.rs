@@ -14,9 +14,9 @@ use crate::messages::ids::{LinkId, RobotId};
 use crate::messages::wire::{Condition, Health, Kind, Phase, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::link::LinkCounts;
+use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::sender::Peer;
-use crate::net::transport::socket::{SocketConfig, Transport};
-use crate::net::transport::udp::{Filter, Udp};
+use crate::net::transport::{Filter, Place};
 use crate::runtime::real::run_real;
 use crate::time::{Span, Time};
 use anyhow::{Result, anyhow};
@@ -53,20 +53,20 @@ impl Ears {
 /// Listens for so long on the links of `teams`, which are the hosts of this machine, to `all` hosts.
 pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> {
     let first = &teams[0];
-    let place = |at: usize| teams.iter().find_map(|team| Some(team.links[at].clone()?.of_guest(team.host)));
-    let places: Vec<Option<SocketConfig>> = (0..first.links.len()).map(place).collect();
-    let multicast =
-        |at: usize| places[at].as_ref().is_some_and(|place| matches!(place.transport, Transport::Multicast { .. }));
+    let place = |at: usize| teams.iter().find_map(|team| Some(team.links[at].as_ref()?.for_guest(team.host)));
+    let places: Vec<Option<Place>> = (0..first.links.len()).map(place).collect();
     let names: Vec<&str> = first.deployment.links.iter().map(|link| &*link.name).collect();
     if places.iter().all(Option::is_none) {
         return Ok(Vec::new());
     }
+    let setups = links::of_operator(&first.deployment, places.iter().map(Option::as_ref));
     let mut found = Vec::new();
-    let ears = hear(first, &places, seconds)?;
+    let ears = hear(first, &places, &setups, seconds)?;
     for (at, name) in names.iter().enumerate().filter(|(at, _)| places[*at].is_some()) {
         let link = u16::try_from(at).expect("links are counted in u16");
-        // Operators of a unicast link do not hear each other.
-        found.extend(multicast(at).then(|| loop_back(name, ears.peers.get(&(link, ears.echo)))));
+        // Operators of an addressed link do not hear each other.
+        let open = setups[at].as_ref().is_some_and(|setup| !setup.is_addressed());
+        found.extend(open.then(|| loop_back(name, ears.peers.get(&(link, ears.echo)))));
         for (number, host) in first.deployment.hosts.iter().enumerate() {
             let uses = all.iter().any(|team| usize::from(team.host.0) == number && team.links[at].is_some());
             let peer = ears.peers.get(&(link, u16::try_from(number).expect("hosts are counted in u16")));
@@ -83,7 +83,7 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> 
     Ok(found)
 }
 
-fn hear(team: &Team, places: &[Option<SocketConfig>], seconds: f64) -> Result<Ears> {
+fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds: f64) -> Result<Ears> {
     let key = team.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
     // What observers say goes where the stop goes.
     let carries = team.deployment.links.iter().position(|link| link.carries.contains(&Kind::Stop));
@@ -91,11 +91,11 @@ fn hear(team: &Team, places: &[Option<SocketConfig>], seconds: f64) -> Result<Ea
     let post = post.map(|at| LinkId(u16::try_from(at).expect("links are counted in u16")));
     let operator = || -> Result<Operator> {
         let fresh = links::Fresh::draw()?;
-        let mut sockets = Vec::new();
+        let mut transports = Vec::new();
         for (at, place) in places.iter().enumerate() {
             let Some(place) = place else { continue };
-            let udp = Udp::open_guest(fresh.operator, place, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
-            sockets.push((LinkId(u16::try_from(at).expect("links are counted in u16")), udp));
+            let open = place.way.open(fresh.operator, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
+            transports.push((LinkId(u16::try_from(at).expect("links are counted in u16")), open));
         }
         Ok(Operator {
             me: fresh.operator_of(team.number),
@@ -103,8 +103,8 @@ fn hear(team: &Team, places: &[Option<SocketConfig>], seconds: f64) -> Result<Ea
             robots: team.deployment.robots,
             publishers: Routes::of(&team.deployment).publishers(),
             key: key.clone(),
-            links: links::of_operator(&team.deployment, places.iter().map(Option::as_ref)),
-            sockets,
+            links: setups.to_vec(),
+            transports,
             stop: post,
         })
     };

@@ -9,10 +9,7 @@ use std::path::Path;
 
 use crate::deploy::team::{Team, TeamFile};
 use crate::messages::ids::HostId;
-use crate::net::protocol::codec::MAX_FRAME_BYTES;
-use crate::net::transport::interface;
-use crate::net::transport::socket::{SocketConfig, Transport};
-use crate::net::transport::udp::{Filter, OpenError, Udp};
+use crate::net::transport::{Finding, Fitness, Place};
 use crate::registry::Registry;
 use anyhow::{Context, Result};
 use serde::Serialize;
@@ -78,9 +75,9 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         };
         add(check_key(team));
         add(check_policy(team, registry));
-        for (link, socket) in team.deployment.links.iter().zip(&team.links) {
-            if let Some(socket) = socket {
-                check_link(team.host, &link.name, socket).into_iter().for_each(&mut add);
+        for (link, place) in team.deployment.links.iter().zip(&team.links) {
+            if let Some(place) = place {
+                check_link(team.host, &link.name, place).into_iter().for_each(&mut add);
             }
         }
     }
@@ -107,7 +104,7 @@ fn teams(args: &Args, file: &TeamFile) -> Result<Vec<Team>> {
         return Ok(vec![args.team.for_host(file, host)?]);
     }
     let teams: Vec<Team> = file.hosts().map(|host| args.team.for_host(file, host)).collect::<Result<_>>()?;
-    let leaves = |team: &Team| team.links.iter().flatten().any(|socket| !socket.stays_on_loopback());
+    let leaves = |team: &Team| team.links.iter().flatten().any(|place| !place.way.stays_here());
     if teams.iter().any(leaves) {
         let names: Vec<&str> = file.deployment().hosts.iter().map(|host| host.name.as_str()).collect();
         let why = "--host: the team has several machines; say which host this one is, or --robot N; there are";
@@ -150,62 +147,16 @@ fn check_policy(team: &Team, registry: &Registry) -> Found {
     }
 }
 
-fn check_link(host: HostId, link: &str, socket: &SocketConfig) -> Vec<Found> {
-    let mut all = Vec::new();
-    let mut add = |status, what: &str, found: String, advice: String| {
-        all.push((status, format!("link {link}, {what}"), found, advice));
+fn check_link(host: HostId, link: &str, place: &Place) -> Vec<Found> {
+    let found = |Finding { fitness, what, found, advice }: Finding| {
+        let status = match fitness {
+            Fitness::Ok => Status::Ok,
+            Fitness::Warn => Status::Warn,
+            Fitness::Fail => Status::Fail,
+        };
+        (status, format!("link {link}, {what}"), found, advice)
     };
-    let address = match &socket.transport {
-        Transport::Multicast { group } => *group,
-        Transport::Unicast { listen, .. } => *listen,
-    };
-    let found = interface::interfaces().and_then(|all| interface::find(&all, &socket.interface, address.is_ipv6()));
-    let found = match found {
-        Ok(found) => found,
-        Err(error) => {
-            let advice = format!("bring it up, or name another as link.{link}.interface");
-            add(Status::Fail, "interface", error.to_string(), advice);
-            return all;
-        }
-    };
-    add(Status::Ok, "interface", format!("'{}' is up", found.name), String::new());
-    let headers = if address.is_ipv6() { 48 } else { 28 };
-    let needed = MAX_FRAME_BYTES + headers;
-    match mtu(&found.name) {
-        Some(mtu) if mtu >= needed => {
-            add(Status::Ok, "MTU", format!("{mtu} bytes; a packet has at most {needed}"), String::new());
-        }
-        Some(mtu) => add(
-            Status::Warn,
-            "MTU",
-            format!("{mtu} bytes, and a packet may have {needed}: large ones go in pieces and are lost more often"),
-            format!("ip link set {} mtu {needed}", found.name),
-        ),
-        None => add(Status::Warn, "MTU", "unknown".to_owned(), format!("see that it is {needed} bytes or more")),
-    }
-    let what = if address.ip().is_multicast() { "group" } else { "address" };
-    match Udp::open(host, socket, Filter::All) {
-        Ok(udp) => {
-            let said = if address.ip().is_multicast() { "joined" } else { "free" };
-            add(Status::Ok, what, format!("{address} {said}"), String::new());
-            // The kernel doubles what it is asked for, to keep its own books in, and tells the double.
-            let (granted, wanted) = (udp.granted_bytes() / 2, socket.receive_buffer_bytes);
-            if granted >= wanted {
-                add(Status::Ok, "receive buffer", format!("{granted} bytes"), String::new());
-            } else {
-                let advice = format!("sysctl -w net.core.rmem_max={wanted}, and the same in /etc/sysctl.d");
-                let found = format!("the kernel grants {granted} of {wanted} bytes: bursts may be lost");
-                add(Status::Warn, "receive buffer", found, advice);
-            }
-        }
-        Err(error) => {
-            let busy = matches!(&error, OpenError::Socket { error, .. }
-                if error.kind() == std::io::ErrorKind::AddrInUse);
-            let advice = if busy { "stop what listens there; is this host running already?" } else { "" };
-            add(Status::Fail, what, error.to_string(), advice.to_owned());
-        }
-    }
-    all
+    place.way.examine(host, link, &mtu).into_iter().map(found).collect()
 }
 
 /// The largest packet of an interface \[bytes\].

@@ -22,7 +22,8 @@ use murmurate::messages::wire::{
 };
 use murmurate::net::protocol::key::Key;
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
-use murmurate::net::transport::udp::{Filter, Udp};
+use murmurate::net::transport::Filter;
+use murmurate::net::transport::udp::multicast;
 use murmurate::random::Seed;
 use murmurate::report::event::HostEvent;
 use murmurate::runtime::real::run_real;
@@ -94,15 +95,9 @@ fn speak(
     hears: impl Fn(&Wire) + 'static,
     over: &AtomicBool,
 ) {
-    use murmurate::net::transport::socket::{SocketConfig, Transport};
     let deployment = Deployment::preset("offboard", 5).expect("it is a preset");
-    let place = SocketConfig {
-        transport: Transport::Multicast { group: "239.255.77.1:7700".parse().expect("an address") },
-        interface: "loopback".to_owned(),
-        receive_buffer_bytes: 4 << 20,
-        reliability: Reliabilities::new(),
-    };
-    let udp = Udp::open(host, &place, Filter::All).expect("it can be opened");
+    let group = "239.255.77.1:7700".parse().expect("an address");
+    let open = multicast::way(group, "loopback", 4 << 20).open(host, Filter::All).expect("it can be opened");
     let setup = Setup { report_rides: Span::ZERO, ..Setup::multicast(Reliabilities::new()) };
     let mut bytes = [0; 32];
     getrandom::fill(&mut bytes).expect("there are random numbers");
@@ -113,7 +108,7 @@ fn speak(
         publishers: Routes::of(&deployment).publishers(),
         key: Some(key),
         links: vec![Some(setup), None],
-        sockets: vec![(LinkId(0), udp)],
+        transports: vec![(LinkId(0), open)],
         stop: Some(LinkId(0)),
     };
     let (mut turn, mut next) = (0, Time::ZERO);

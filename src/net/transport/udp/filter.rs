@@ -7,20 +7,7 @@ use socket2::{SockFilter, Socket};
 
 use crate::net::protocol::codec::TAG_BYTES;
 use crate::net::protocol::codec::{HEADER_BYTES, MAX_FRAME_BYTES, VERSION};
-
-/// The datagrams that the kernel lets through to a link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Filter {
-    /// All of them, so that the link layer can tell what is wrong with those that it refuses.
-    All,
-    /// Those that can be of this team.
-    Team {
-        /// The team's number.
-        number: u16,
-        /// Whether the team has a key, so that each of them ends with a tag.
-        tagged: bool,
-    },
-}
+use crate::net::transport::Filter;
 
 /// Bytes of the header of UDP, where the datagram begins as filters see it (RFC 768).
 const UDP_BYTES: usize = 8;
@@ -36,37 +23,35 @@ const GREATER: u16 = 0x25;
 const AT_LEAST: u16 = 0x35;
 const RETURN: u16 = 0x06;
 
-impl Filter {
-    /// Attaches the filter to a socket. What comes from `own` is an echo of this process and is dropped, too. Where the
-    /// kernel refuses the filter, the link layer drops the same, at a higher cost.
-    pub(super) fn attach(self, socket: &Socket, own: Option<SocketAddr>) {
-        if let Err(error) = socket.attach_filter(&self.program(own)) {
-            tracing::debug!("the kernel takes no filter: {error}");
-        }
+/// Attaches a filter to a socket. What comes from `own` is an echo of this process and is dropped, too. Where the
+/// kernel refuses the filter, the link layer drops the same, at a higher cost.
+pub(super) fn attach(filter: Filter, socket: &Socket, own: Option<SocketAddr>) {
+    if let Err(error) = socket.attach_filter(&program(filter, own)) {
+        tracing::debug!("the kernel takes no filter: {error}");
     }
+}
 
-    fn program(self, own: Option<SocketAddr>) -> Vec<SockFilter> {
-        let mut program = match self {
-            Filter::All => Vec::new(),
-            Filter::Team { number, tagged } => of_team(number, tagged),
-        };
-        if let Some(own) = own {
-            let (offset, words) = source(own);
-            // To the end, which accepts, as soon as anything differs: behind each comparison are two instructions for
-            // each further word, and the one that drops.
-            let mut left = words.len() as u8;
-            program.push(SockFilter::new(LOAD_HALF, 0, 0, 0));
-            program.push(SockFilter::new(EQUAL, 0, 2 * left + 1, u32::from(own.port())));
-            for (index, word) in (0u32..).zip(words) {
-                left -= 1;
-                program.push(SockFilter::new(LOAD_WORD, 0, 0, NETWORK + offset + 4 * index));
-                program.push(SockFilter::new(EQUAL, 0, 2 * left + 1, word));
-            }
-            program.push(SockFilter::new(RETURN, 0, 0, 0));
+fn program(filter: Filter, own: Option<SocketAddr>) -> Vec<SockFilter> {
+    let mut program = match filter {
+        Filter::All => Vec::new(),
+        Filter::Team { number, tagged } => of_team(number, tagged),
+    };
+    if let Some(own) = own {
+        let (offset, words) = source(own);
+        // To the end, which accepts, as soon as anything differs: behind each comparison are two instructions for each
+        // further word, and the one that drops.
+        let mut left = words.len() as u8;
+        program.push(SockFilter::new(LOAD_HALF, 0, 0, 0));
+        program.push(SockFilter::new(EQUAL, 0, 2 * left + 1, u32::from(own.port())));
+        for (index, word) in (0u32..).zip(words) {
+            left -= 1;
+            program.push(SockFilter::new(LOAD_WORD, 0, 0, NETWORK + offset + 4 * index));
+            program.push(SockFilter::new(EQUAL, 0, 2 * left + 1, word));
         }
-        program.push(SockFilter::new(RETURN, 0, 0, u32::MAX));
-        program
+        program.push(SockFilter::new(RETURN, 0, 0, 0));
     }
+    program.push(SockFilter::new(RETURN, 0, 0, u32::MAX));
+    program
 }
 
 fn of_team(number: u16, tagged: bool) -> Vec<SockFilter> {

@@ -1,35 +1,35 @@
-//! UDP, multicast or unicast: the link of real hosts. An actor for what leaves; what has arrived is read by whoever is
-//! told of it. What frames mean, and who may send them, never matters here; a frame that does not get out is counted
-//! and gone, as one that is lost on the air.
+//! UDP: the sockets of one link of one host, open. `socket.rs` has them as data, `multicast.rs` and `unicast.rs` are
+//! the transports that are made of them. What frames mean, and who may send them, never matters here.
 
 mod batch;
-pub mod filter;
+mod filter;
+mod fitness;
 pub mod guests;
 mod loopback;
+pub mod multicast;
 mod open;
+mod socket;
+pub mod unicast;
 
 use std::collections::BTreeMap;
-use std::convert::Infallible;
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
+use std::os::fd::AsFd;
 use std::rc::Rc;
 
 use socket2::{SockRef, Socket};
 
 use super::interface;
-use super::{In, Transmit};
-use crate::actor::Core;
 use crate::messages::ids::HostId;
 use crate::net::protocol::codec::{self, Content};
 use crate::net::protocol::link::Guest;
 use crate::net::protocol::router::Audience;
-use crate::net::transport::socket::{SocketConfig, Transport};
 use crate::net::transport::udp::batch::Batch;
-pub use crate::net::transport::udp::filter::Filter;
 use crate::net::transport::udp::guests::Guests;
 use crate::net::transport::udp::loopback::Loopback;
-pub use crate::net::transport::udp::open::OpenError;
-use crate::net::transport::udp::open::{guest, listener, speaker};
+use crate::net::transport::udp::open::{OpenError, guest, listener, speaker};
+use crate::net::transport::udp::socket::{SocketConfig, Whom};
+use crate::net::transport::{Counts, Filter, In, Transmit, Transport};
 use crate::time::{Span, Time};
 
 /// Datagrams that are read before the other actors have their turn: a quarter of a millisecond of work.
@@ -47,7 +47,7 @@ const EBB: usize = 10;
 
 /// The sockets of one link on one host.
 #[derive(Debug)]
-pub struct Udp {
+struct Udp {
     /// Hears what the others send.
     ears: Rc<UdpSocket>,
     to: To,
@@ -64,56 +64,57 @@ pub struct Udp {
 enum To {
     /// Through a socket of its own, so that its port tells this process's frames from those of others on the same
     /// machine.
-    Group {
-        mouth: UdpSocket,
-        own: SocketAddr,
-        loopback: Loopback,
-    },
+    Group { mouth: UdpSocket, own: SocketAddr, loopback: Loopback },
     Peers {
         peers: BTreeMap<HostId, SocketAddr>,
-        guests: Guests,
+        /// None where this process is a guest itself: it is answered, and answers nobody else.
+        guests: Option<Guests>,
     },
 }
 
 impl Udp {
     /// Opens the sockets of a link for this host.
-    pub fn open(host: HostId, config: &SocketConfig, filter: Filter) -> Result<Udp, OpenError> {
-        let address = match &config.transport {
-            Transport::Multicast { group } if !group.ip().is_multicast() => return Err(OpenError::NoGroup(*group)),
-            Transport::Multicast { group } => *group,
-            Transport::Unicast { listen, .. } => *listen,
+    pub(super) fn open(host: HostId, config: &SocketConfig, filter: Filter) -> Result<Udp, OpenError> {
+        let (address, peers) = match &config.whom {
+            Whom::Group(group) if !group.ip().is_multicast() => return Err(OpenError::NoGroup(*group)),
+            Whom::Group(group) => (*group, None),
+            Whom::Each { listen, peers } => (*listen, Some(peers)),
+            Whom::FromAnywhere { peers } => return Udp::open_guest((host, peers), config, filter),
         };
         let interface = interface::find(&interface::interfaces()?, &config.interface, address.is_ipv6())?;
         let failed = |what: String| {
             let interface = interface.name.clone();
             move |error| OpenError::Socket { what, interface, error }
         };
-        let ears = listener(&config.transport, address, &interface, config.receive_buffer_bytes)
+        let ears = listener(address, &interface, config.receive_buffer_bytes)
             .map_err(failed(format!("listen to {address}")))?;
-        let (own, to) = match &config.transport {
-            Transport::Multicast { group } => {
-                let mouth = speaker(*group, &interface).map_err(failed(format!("send to {group}")))?;
+        let (own, to) = match peers {
+            Some(peers) => (None, To::peers(host, peers, Some(Guests::default()))),
+            None => {
+                let mouth = speaker(address, &interface).map_err(failed(format!("send to {address}")))?;
                 let own = mouth.local_addr().map_err(failed("learn the own port".to_owned()))?;
                 (Some(own), To::Group { mouth, own, loopback: Loopback::new(interface.loopback) })
             }
-            Transport::Unicast { peers, .. } => (None, To::peers(host, peers)),
         };
-        filter.attach(&ears, own);
+        filter::attach(filter, &ears, own);
         Udp::new(ears, to, config).map_err(failed("ask for the size of the buffer".to_owned()))
     }
 
-    /// Opens the socket of a host that is in no file, an operator, on a unicast link: at whatever address the machine
-    /// has, to all hosts of the link. On a multicast link it is a host like any other.
-    pub fn open_guest(host: HostId, config: &SocketConfig, filter: Filter) -> Result<Udp, OpenError> {
-        let Transport::Unicast { listen, peers } = &config.transport else { return Udp::open(host, config, filter) };
+    /// Opens the socket of a host that is in no file: at whatever address the machine has, to all hosts of the link.
+    fn open_guest(
+        (host, peers): (HostId, &BTreeMap<HostId, SocketAddr>),
+        config: &SocketConfig,
+        filter: Filter,
+    ) -> Result<Udp, OpenError> {
         let failed = |error| OpenError::Socket {
             what: "open a port for an operator".to_owned(),
             interface: "any".to_owned(),
             error,
         };
-        let ears = guest(*listen, config.receive_buffer_bytes).map_err(failed)?;
-        filter.attach(&ears, None);
-        Udp::new(ears, To::peers(host, peers), config).map_err(failed)
+        let v6 = peers.values().any(SocketAddr::is_ipv6);
+        let ears = guest(v6, config.receive_buffer_bytes).map_err(failed)?;
+        filter::attach(filter, &ears, None);
+        Udp::new(ears, To::peers(host, peers, None), config).map_err(failed)
     }
 
     fn new(ears: Socket, to: To, config: &SocketConfig) -> io::Result<Udp> {
@@ -126,23 +127,14 @@ impl Udp {
                 config.receive_buffer_bytes
             );
         }
+        tracing::info!(interface = config.interface, receive_buffer_bytes = granted, "the sockets of a link are open");
         let (ears, batch) = (Rc::new(UdpSocket::from(ears)), Batch::new());
         Ok(Udp { ears, to, granted, batch, looked: Time::ZERO, flood: Flood::default(), unsent: 0 })
     }
 
-    /// The socket that is to be watched: whenever it has something to read, `receive` is to be called.
-    pub fn ears(&self) -> Rc<UdpSocket> {
-        Rc::clone(&self.ears)
-    }
-
     /// How much the kernel keeps of what has arrived and is not read \[bytes\].
-    pub fn granted_bytes(&self) -> usize {
+    fn granted_bytes(&self) -> usize {
         self.granted
-    }
-
-    /// Until when the socket is to be left alone, because more arrives than is worth a wake-up each.
-    pub fn rests_until(&self) -> Option<Time> {
-        self.flood.on.then(|| self.looked + REST)
     }
 
     fn transmit(&mut self, now: Time, transmit: &Transmit) {
@@ -152,31 +144,6 @@ impl Udp {
             if self.unsent.is_power_of_two() {
                 tracing::warn!(unsent = self.unsent, "a frame did not get out: {error}");
             }
-        }
-    }
-
-    /// Reads what has arrived and hands it over with the address that it came from. To ask the kernel in vain costs as
-    /// much as to read, so a quiet link is read once a ring, and only a busy one until nothing is left or it is the
-    /// others' turn.
-    pub fn receive(&mut self, now: Time, mut take: impl FnMut(SocketAddr, &[u8])) {
-        let busy = now.since(self.looked) < BUSY || self.flood.on;
-        self.looked = now;
-        let to = &mut self.to;
-        let take = |from: SocketAddr, frame: &[u8]| {
-            if to.hears(now, from) {
-                take(from, frame);
-            }
-        };
-        let read = if busy {
-            self.batch.many(&self.ears, READ_AT_ONCE, take)
-        } else {
-            self.batch.one(&self.ears, take).map(|()| 1)
-        };
-        match read {
-            Ok(count) => self.flood.read(now, count),
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => self.flood.read(now, 0),
-            // What a former datagram has met on its way (a closed port, a lost route) says nothing of the next.
-            Err(error) => tracing::debug!("an error has arrived in place of a frame: {error}"),
         }
     }
 }
@@ -205,9 +172,9 @@ impl Flood {
 }
 
 impl To {
-    fn peers(own: HostId, peers: &BTreeMap<HostId, SocketAddr>) -> To {
+    fn peers(own: HostId, peers: &BTreeMap<HostId, SocketAddr>, guests: Option<Guests>) -> To {
         let others = peers.iter().filter(|(peer, _)| **peer != own).map(|(peer, at)| (*peer, *at));
-        To::Peers { peers: others.collect(), guests: Guests::default() }
+        To::Peers { peers: others.collect(), guests }
     }
 
     fn transmit(&mut self, now: Time, ears: &UdpSocket, Transmit { audience, frame, .. }: &Transmit) -> io::Result<()> {
@@ -220,7 +187,7 @@ impl To {
                 mouth.send(frame).map(drop)
             }
             (To::Peers { peers, guests }, Audience::Host(host)) => {
-                let at = peers.get(host).copied().or_else(|| guests.find(now, *host));
+                let at = peers.get(host).copied().or_else(|| guests.as_ref()?.find(now, *host));
                 let at =
                     at.ok_or_else(|| io::Error::new(io::ErrorKind::AddrNotAvailable, "the host has no address"))?;
                 ears.send_to(frame, at).map(drop)
@@ -228,12 +195,12 @@ impl To {
             (To::Peers { peers, guests }, Audience::All) => {
                 // One that cannot be reached keeps nobody else from hearing.
                 let mut all = Ok(());
-                for at in peers.values().copied().chain(guests.proven(now)) {
+                for at in peers.values().copied().chain(guests.iter_mut().flat_map(|guests| guests.proven(now))) {
                     all = all.and(ears.send_to(frame, at).map(drop));
                 }
                 // What has to be echoed is in a report, and nothing else is for one that is not believed yet.
                 if matches!(codec::first(frame), Ok(Content::Report | Content::NumberedReport)) {
-                    for at in guests.unproven(now) {
+                    for at in guests.iter_mut().flat_map(|guests| guests.unproven(now)) {
                         all = all.and(ears.send_to(frame, at).map(drop));
                     }
                 }
@@ -257,7 +224,7 @@ impl To {
 
     fn admit(&mut self, now: Time, guest: Guest) {
         // The address in the file stands, and a group is heard by everyone.
-        if let To::Peers { peers, guests } = self
+        if let To::Peers { peers, guests: Some(guests) } = self
             && !peers.contains_key(&guest.host)
         {
             guests.admit(now, guest);
@@ -265,24 +232,51 @@ impl To {
     }
 }
 
-impl Core for Udp {
-    type In = In;
-    type Out = Infallible;
+impl Transport for Udp {
+    fn bell(&self) -> Rc<dyn AsFd> {
+        Rc::clone(&self.ears) as Rc<dyn AsFd>
+    }
 
-    fn handle(&mut self, now: Time, input: In, _: &mut Vec<Infallible>) {
+    /// To ask the kernel in vain costs as
+    /// much as to read, so a quiet link is read once a ring, and only a busy one until nothing is left or it is the
+    /// others' turn.
+    fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
+        let busy = now.since(self.looked) < BUSY || self.flood.on;
+        self.looked = now;
+        let to = &mut self.to;
+        let take = |from: SocketAddr, frame: &[u8]| {
+            if to.hears(now, from) {
+                take(Some(from), frame);
+            }
+        };
+        let read = if busy {
+            self.batch.many(&self.ears, READ_AT_ONCE, take)
+        } else {
+            self.batch.one(&self.ears, take).map(|()| 1)
+        };
+        match read {
+            Ok(count) => self.flood.read(now, count),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => self.flood.read(now, 0),
+            // What a former datagram has met on its way (a closed port, a lost route) says nothing of the next.
+            Err(error) => tracing::debug!("an error has arrived in place of a frame: {error}"),
+        }
+    }
+
+    fn rests_until(&self) -> Option<Time> {
+        self.flood.on.then(|| self.looked + REST)
+    }
+
+    fn handle(&mut self, now: Time, input: In) {
         match input {
             In::Transmit(transmit) => self.transmit(now, &transmit),
             In::Admit(guest) => self.to.admit(now, guest),
-            // Real waves know where they are.
             In::Truth(_) => {}
         }
     }
 
-    fn wake_at(&self) -> Option<Time> {
-        None
+    fn counts(&self) -> Counts {
+        Counts { unsent: self.unsent, dropped: 0 }
     }
-
-    fn wake(&mut self, _: Time, _: &mut Vec<Infallible>) {}
 }
 
 #[cfg(test)]
@@ -298,13 +292,8 @@ mod tests {
     const FILTER: Filter = Filter::Team { number: TEAM, tagged: true };
 
     fn multicast(group: &str) -> SocketConfig {
-        let transport = Transport::Multicast { group: group.parse().unwrap() };
-        SocketConfig {
-            transport,
-            interface: "lo".to_owned(),
-            receive_buffer_bytes: 1 << 16,
-            reliability: BTreeMap::new(),
-        }
+        let whom = Whom::Group(group.parse().unwrap());
+        SocketConfig { whom, interface: "lo".to_owned(), receive_buffer_bytes: 1 << 16 }
     }
 
     fn at(port: u16) -> SocketAddr {
@@ -312,14 +301,14 @@ mod tests {
     }
 
     fn unicast(listen: SocketAddr, ports: &[(HostId, SocketAddr)]) -> SocketConfig {
-        let transport = Transport::Unicast { listen, peers: ports.iter().copied().collect() };
-        SocketConfig { transport, ..multicast("239.0.0.1:1") }
+        let whom = Whom::Each { listen, peers: ports.iter().copied().collect() };
+        SocketConfig { whom, ..multicast("239.0.0.1:1") }
     }
 
     type Arrived = Vec<(SocketAddr, Vec<u8>)>;
 
     fn read(udp: &mut Udp, now: Time, out: &mut Arrived) {
-        udp.receive(now, |from, frame| out.push((from, frame.to_vec())));
+        udp.receive(now, &mut |from, frame| out.push((from.expect("it came from somewhere"), frame.to_vec())));
     }
 
     fn arrivals(udp: &mut Udp) -> Arrived {
@@ -335,7 +324,7 @@ mod tests {
 
     fn say(udp: &mut Udp, audience: Audience, frame: &[u8]) {
         let transmit = Transmit { from: HostId(0), audience, frame: frame.into() };
-        udp.handle(Time::ZERO, In::Transmit(transmit), &mut Vec::new());
+        udp.handle(Time::ZERO, In::Transmit(transmit));
     }
 
     /// A datagram of this length that could be of the team.
@@ -432,7 +421,9 @@ mod tests {
         let open = |(host, listen)| Udp::open(host, &unicast(listen, &ports), FILTER).unwrap();
         let [mut one, mut two] = ports.map(open);
         let operator = HostId::operator(5);
-        let mut guest = Udp::open_guest(operator, &unicast(ports[0].1, &ports), FILTER).unwrap();
+        let whom = Whom::FromAnywhere { peers: ports.into() };
+        let guest = SocketConfig { whom, ..unicast(ports[0].1, &ports) };
+        let mut guest = Udp::open(operator, &guest, FILTER).unwrap();
         say(&mut guest, Audience::All, &frame(40, 1));
         assert_eq!(hear(&mut two), [frame(40, 1)]);
         let arrived = arrivals(&mut one);
@@ -440,7 +431,7 @@ mod tests {
         say(&mut one, Audience::All, &frame(40, 2));
         assert!(hear(&mut guest).is_empty(), "it is not admitted yet");
         let admit = |one: &mut Udp, host, standing| {
-            one.handle(Time::ZERO, In::Admit(Guest { host, at: from, standing }), &mut Vec::new());
+            one.handle(Time::ZERO, In::Admit(Guest { host, at: from, standing }));
         };
         admit(&mut one, operator, Standing::Unproven);
         say(&mut one, Audience::All, &frame(40, 2));

@@ -6,8 +6,8 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV6, UdpSocket};
 
 use socket2::{Domain, Protocol, Socket, Type};
 
+use crate::net::transport;
 use crate::net::transport::interface::{Interface, InterfaceError};
-use crate::net::transport::socket::Transport;
 
 /// Why a socket cannot be opened.
 #[derive(Debug, thiserror::Error)]
@@ -28,6 +28,17 @@ pub enum OpenError {
         /// What the kernel says.
         error: io::Error,
     },
+}
+
+impl From<OpenError> for transport::OpenError {
+    fn from(error: OpenError) -> transport::OpenError {
+        let why = error.to_string();
+        match error {
+            // It may come up yet; a wrong name stays wrong.
+            OpenError::Interface(InterfaceError::Down { .. }) => transport::OpenError::NotNow(why),
+            _ => transport::OpenError::Wrong(why),
+        }
+    }
 }
 
 /// A group of IPv6 is a group of one interface.
@@ -59,34 +70,28 @@ fn first_v4(interface: &Interface) -> Ipv4Addr {
     interface.v4.first().copied().unwrap_or(Ipv4Addr::UNSPECIFIED)
 }
 
-/// A socket that receives what is sent to the link at `address`.
-pub(super) fn listener(
-    transport: &Transport,
-    address: SocketAddr,
-    interface: &Interface,
-    buffer_bytes: usize,
-) -> io::Result<Socket> {
+/// A socket that receives what is sent to the link at `address`: a group, or an address of this host.
+pub(super) fn listener(address: SocketAddr, interface: &Interface, buffer_bytes: usize) -> io::Result<Socket> {
     let socket = socket(address)?;
     pin(&socket, interface)?;
     socket.set_recv_buffer_size(buffer_bytes)?;
-    match transport {
-        Transport::Multicast { .. } => {
-            // Every process of the machine hears a group; all of them have to say so.
-            socket.set_reuse_address(true)?;
-            socket.set_reuse_port(true)?;
-            socket.bind(&scoped(address, interface).into())?;
-            match address.ip() {
-                IpAddr::V4(group) => {
-                    socket.set_multicast_all_v4(false)?;
-                    socket.join_multicast_v4(&group, &first_v4(interface))?;
-                }
-                IpAddr::V6(group) => {
-                    socket.set_multicast_all_v6(false)?;
-                    socket.join_multicast_v6(&group, interface.index)?;
-                }
-            }
+    if !address.ip().is_multicast() {
+        socket.bind(&address.into())?;
+        return Ok(socket);
+    }
+    // Every process of the machine hears a group; all of them have to say so.
+    socket.set_reuse_address(true)?;
+    socket.set_reuse_port(true)?;
+    socket.bind(&scoped(address, interface).into())?;
+    match address.ip() {
+        IpAddr::V4(group) => {
+            socket.set_multicast_all_v4(false)?;
+            socket.join_multicast_v4(&group, &first_v4(interface))?;
         }
-        Transport::Unicast { .. } => socket.bind(&address.into())?,
+        IpAddr::V6(group) => {
+            socket.set_multicast_all_v6(false)?;
+            socket.join_multicast_v6(&group, interface.index)?;
+        }
     }
     Ok(socket)
 }
@@ -117,10 +122,11 @@ pub(super) fn speaker(group: SocketAddr, interface: &Interface) -> io::Result<Ud
 }
 
 /// A socket that sends and receives, at a port that the kernel chooses, on whatever interface leads to the others.
-pub(super) fn guest(family_of: SocketAddr, buffer_bytes: usize) -> io::Result<Socket> {
-    let socket = socket(family_of)?;
+pub(super) fn guest(v6: bool, buffer_bytes: usize) -> io::Result<Socket> {
+    let any: IpAddr = if v6 { Ipv6Addr::UNSPECIFIED.into() } else { Ipv4Addr::UNSPECIFIED.into() };
+    let any = SocketAddr::from((any, 0));
+    let socket = socket(any)?;
     socket.set_recv_buffer_size(buffer_bytes)?;
-    let any: IpAddr = if family_of.is_ipv6() { Ipv6Addr::UNSPECIFIED.into() } else { Ipv4Addr::UNSPECIFIED.into() };
-    socket.bind(&SocketAddr::from((any, 0)).into())?;
+    socket.bind(&any.into())?;
     Ok(socket)
 }

@@ -6,7 +6,6 @@ use crate::deploy::LinkMedium;
 use crate::deploy::team::TeamFile;
 use crate::messages::ids::HostId;
 use crate::messages::wire::Kind;
-use crate::net::transport::socket::Transport;
 use crate::registry::Registry;
 use crate::study::network::{Addressing, Assurance, Medium, Network, Sweep};
 use anyhow::Result;
@@ -59,8 +58,8 @@ impl Room {
     /// What it is that is measured: who takes part, and a digest of the link as the first of them has it.
     pub fn link(&self) -> Result<String> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
-        let socket = format!("{:?}", team.links[self.link]);
-        Ok(format!("{}: {}", self.names().join(", "), blake3::hash(socket.as_bytes()).to_hex()))
+        let place = format!("{:?}", team.links[self.link]);
+        Ok(format!("{}: {}", self.names().join(", "), blake3::hash(place.as_bytes()).to_hex()))
     }
 
     /// The team's key.
@@ -76,13 +75,13 @@ impl Room {
         }
         let team = self.args.for_host(&self.file, host)?;
         let key = team::key(&team)?;
-        let Some(socket) = team.links[self.link].clone() else {
+        let Some(place) = team.links[self.link].clone() else {
             return bad(format!(
-                "--live: host '{name}' has no socket on link '{}'",
+                "--live: host '{name}' has no place on link '{}'",
                 team.deployment.links[self.link].name
             ));
         };
-        Ok(Part { team, key, socket, stations: self.stations.clone() })
+        Ok(Part { team, key, place, stations: self.stations.clone() })
     }
 
     /// Leaves of a sweep what can be measured on this link, so that both are of the same cases.
@@ -90,11 +89,9 @@ impl Room {
         let team = self.args.for_host(&self.file, self.stations[0])?;
         let link = &team.deployment.links[self.link];
         let name = &link.name;
-        let socket = team.links[self.link].as_ref();
-        let addressing = match socket.map(|socket| &socket.transport) {
-            Some(Transport::Unicast { .. }) => Addressing::Unicast,
-            _ => Addressing::Multicast,
-        };
+        let setup = team.links[self.link].as_ref().map(|place| place.setup(&link.reliability));
+        let addressed = setup.is_some_and(|setup| setup.is_addressed());
+        let addressing = if addressed { Addressing::Unicast } else { Addressing::Multicast };
         if !sweep.addressings.contains(&addressing) {
             return bad(format!("--addressing: link '{name}' of the team file is {addressing}"));
         }

@@ -1,4 +1,4 @@
-//! A participant of a measurement: Network actor, link and UDP transport of `murmurate host`, with a talker in place of
+//! A participant of a measurement: Network actor, link and transport of `murmurate host`, with a talker in place of
 //! a robot.
 
 use std::cell::RefCell;
@@ -6,16 +6,15 @@ use std::net::{SocketAddr, TcpStream};
 use std::rc::Rc;
 use std::time::{Duration, Instant};
 
-use crate::actors::network::{self, Network};
+use crate::actors::network;
 use crate::deploy::team::Team;
-use crate::graph::sockets::{self, Shared};
+use crate::graph::sockets::Shared;
+use crate::graph::station::{self, Station};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Latent, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::router::{Audience, Route, Router};
-use crate::net::transport::socket::{SocketConfig, Transport};
-use crate::net::transport::udp::{Filter, Udp};
-use crate::net::transport::{self, Transmit};
+use crate::net::transport::{Place, Transport};
 use crate::runtime::clock::Clock;
 use crate::runtime::real::{Readers, run_real};
 use crate::runtime::shell::{Mailbox, start};
@@ -44,17 +43,15 @@ pub struct Part {
     pub team: Team,
     /// Its key.
     pub key: Option<[u8; 32]>,
-    /// Its socket on the link that carries latents.
-    pub socket: SocketConfig,
+    /// Its place on the link that carries latents.
+    pub place: Place,
     /// The hosts that take part, in the order of their stations.
     pub stations: Vec<HostId>,
 }
 
 /// Measures what the coordinator says, until it says that that was all.
 pub fn participate(mut part: Part, name: &str, address: SocketAddr, quiet: bool) -> Result<Ended> {
-    if let Transport::Unicast { peers, .. } = &mut part.socket.transport {
-        peers.retain(|host, _| part.stations.contains(host));
-    }
+    part.place.way = part.place.way.among(&part.stations);
     let origin = Instant::now();
     let mut line = Line::open(connect(address)?, End::Participant, part.key.as_ref())?;
     line.say(&Answer::Host(name.to_owned()))?;
@@ -92,12 +89,11 @@ fn connect(address: SocketAddr) -> Result<TcpStream> {
 fn measure(part: &Part, task: Task, begin: Time, origin: Instant) -> Result<Notes> {
     let at = part.stations.iter().position(|host| *host == part.team.host);
     let station = at.and_then(|at| u16::try_from(at).ok()).context("this host runs no agent")?;
-    let filter = Filter::Team { number: part.team.number, tagged: part.key.is_some() };
-    let udp = Udp::open(part.team.host, &part.socket, filter).map_err(|error| anyhow!("{error}"))?;
+    let open = part.place.way.open(part.team.host, links::filter(&part.team)).map_err(|error| anyhow!("{error}"))?;
     let peer = Rc::new(RefCell::new(Peer::new(task, station, begin)));
     run_real(
         origin,
-        |clock, readers| wire(clock, readers, (udp, station), &peer, (part, &task)),
+        |clock, readers| wire(clock, readers, (open, station), &peer, (part, &task)),
         |_, now| peer.borrow().is_over(now),
     );
     let notes = peer.borrow().notes().clone();
@@ -108,11 +104,10 @@ fn measure(part: &Part, task: Task, begin: Time, origin: Instant) -> Result<Note
 fn wire(
     clock: &Clock,
     readers: &mut Readers,
-    (udp, station): (Udp, u16),
+    (open, station): (Box<dyn Transport>, u16),
     peer: &Rc<RefCell<Peer>>,
     (part, task): (&Part, &Task),
 ) -> Mailbox<Latent> {
-    let (to_network, to_udp) = (Mailbox::<network::In>::new("network"), Mailbox::<transport::In>::new("udp"));
     let to_peer = Mailbox::<Latent>::new("peer");
     let router = Router::new(usize::from(task.stations), |kind, robot| {
         let own = robot == RobotId(station);
@@ -121,24 +116,22 @@ fn wire(
     });
     let host = part.team.host;
     let fresh = links::Fresh::draw().expect("the operating system gives random bytes");
-    let config = network::Config {
+    let station = Station {
         me: network::Identity { host, team: part.team.number, epoch: fresh.incarnation },
         key: part.key.map(Key::new),
         links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
         router,
+        seed: fresh.seed,
+        stream: format!("network/{}", host.0),
+        span: info_span!("network"),
     };
-    let seed = fresh.seed;
-    let make = move |life| Network::new(config.clone(), seed.stream(&format!("network/{}/{life}", host.0)));
-    let (outward, inward) = (to_udp.clone(), to_peer.clone());
-    start(clock, &to_network, info_span!("network"), make, move |said| match said {
-        network::Out::Deliver(Wire::Latent(latent)) => inward.send(latent),
-        network::Out::Transmit(_, audience, frame) => {
-            outward.send(transport::In::Transmit(Transmit { from: host, audience, frame }));
+    let inward = to_peer.clone();
+    let network = station.open((clock, readers), vec![(LINK, open)], move |said| {
+        if let station::Out::Deliver(Wire::Latent(latent)) = said {
+            inward.send(latent);
         }
-        _ => {}
     });
-    sockets::wire((clock, readers), (LINK, udp), &to_udp, &to_network);
-    let (peer, network) = (Rc::clone(peer), to_network);
+    let peer = Rc::clone(peer);
     let make = move |_| Shared(Rc::clone(&peer));
     start(clock, &to_peer, info_span!("talker"), make, move |message| network.send(network::In::Publish(message)));
     to_peer

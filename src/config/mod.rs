@@ -1,6 +1,8 @@
 //! Reading configuration: TOML and JSON, and errors that fit on one line, name the line or the field that is wrong, and
 //! show nothing of a text that may be a key.
 
+pub mod fields;
+
 use std::borrow::Cow;
 
 use serde::de::DeserializeOwned;

@@ -1,0 +1,143 @@
+//! What fields a team file may have, and what they take: those of the whole team, and those of a link, most of which
+//! are its transport's.
+
+use crate::config::fields::Takes;
+use crate::deploy::MODES;
+use crate::net::protocol::reliability::Reliability;
+use crate::net::transport;
+use crate::world::Sensor;
+
+/// A field: its name, what it takes, and its default as it would be written.
+type Field = (&'static str, Takes, Option<&'static str>);
+
+/// The name of the field that stands for every link's interface in flags and in the environment.
+pub const EVERY_INTERFACE: &str = "interface";
+
+/// How a kind of message is made to arrive.
+const RELIABILITIES: [&str; 4] = {
+    let [(a, _), (b, _), (c, _), (d, _)] = Reliability::NAMED;
+    [a, b, c, d]
+};
+
+/// How the states of simulated robots are measured.
+const SENSORS: [&str; 2] = {
+    let [(a, _), (b, _)] = Sensor::NAMED;
+    [a, b]
+};
+
+/// The fields of the whole team, in the order in which they are shown.
+const TEAM: [Field; 16] = [
+    ("team", Takes::Whole(0, 65_535), None),
+    ("key_file", Takes::Text, None),
+    ("mode", Takes::Choice(&MODES), None),
+    ("robots", Takes::Whole(1, 65_535), None),
+    ("scenario", Takes::Text, Some("passage")),
+    ("policy", Takes::Text, None),
+    ("episodes", Takes::Whole(1, 1_000_000), Some("16")),
+    ("seed", Takes::Whole(0, u64::MAX), Some("0")),
+    ("plant", Takes::Text, None),
+    ("lag_s", Takes::Number(0.0, 10.0), None),
+    ("contacts", Takes::Choice(&["block", "judge"]), None),
+    ("wall_radius_m", Takes::Number(1e-3, 10.0), None),
+    ("sensor", Takes::Choice(&SENSORS), None),
+    ("clamp", Takes::Choice(&["training", "deployed"]), Some("training")),
+    ("handling", Takes::Choice(&["hold", "as-published"]), Some("hold")),
+    ("estimator", Takes::Text, Some("none")),
+];
+
+/// What of the team a robot or a host may have otherwise, beside its links.
+const OVERRIDES: [&str; 2] = ["key_file", "policy"];
+
+/// The names of the fields of the whole team.
+pub fn team_fields() -> impl Iterator<Item = &'static str> {
+    TEAM.iter().map(|(name, ..)| *name)
+}
+
+/// The fields of a team file.
+#[derive(Clone, Debug)]
+pub struct Fields {
+    /// The fields of links that belong to transports, each once.
+    own: Vec<transport::Field>,
+}
+
+impl Fields {
+    /// The fields of teams whose links have these transports.
+    pub fn of(transports: &[transport::Entry]) -> Fields {
+        let mut own: Vec<transport::Field> = Vec::new();
+        for field in transports.iter().flat_map(|entry| entry.fields) {
+            if own.iter().all(|other| other.name != field.name) {
+                own.push(*field);
+            }
+        }
+        Fields { own }
+    }
+
+    /// The names of the fields of a link that have one value.
+    pub fn of_link(&self) -> impl Iterator<Item = &'static str> {
+        ["transport"].into_iter().chain(self.own.iter().filter(|field| !field.by_host).map(|field| field.name))
+    }
+
+    /// The names of the tables of a link that have a value for each host.
+    pub fn by_host(&self) -> impl Iterator<Item = &'static str> {
+        self.own.iter().filter(|field| field.by_host).map(|field| field.name)
+    }
+
+    fn takes(&self, name: &str, by_host: bool) -> Option<Takes> {
+        let named = |field: &&transport::Field| field.name == name && field.by_host == by_host;
+        self.own.iter().find(named).map(|field| field.takes)
+    }
+
+    /// What a field takes and its default; `None` if there is no such field. A transport's own fields have their
+    /// defaults in its entry.
+    pub fn field(&self, key: &str) -> Option<(Takes, Option<&'static str>)> {
+        let of_team =
+            |name: &str| TEAM.iter().find(|(field, ..)| *field == name).map(|(_, takes, default)| (*takes, *default));
+        let own = |takes: Option<Takes>| takes.map(|takes| (takes, None));
+        match key.split('.').collect::<Vec<_>>()[..] {
+            [name] => of_team(name),
+            // Whether there is one of that name, the registry knows.
+            ["link", _, "transport"] => Some((Takes::Text, Some(transport::USUAL))),
+            ["link", _, name] => own(self.takes(name, false)),
+            ["link", _, "reliability", _] => Some((Takes::Choice(&RELIABILITIES), None)),
+            ["link", _, table, _] => own(self.takes(table, true)),
+            ["robot" | "host", _, name] if OVERRIDES.contains(&name) => of_team(name),
+            // What senders and receivers must agree on is of the whole team.
+            ["robot" | "host", _, "link", _, "reliability", ..] => None,
+            ["robot" | "host", _, "link", ..] => self.field(key.splitn(3, '.').nth(2)?),
+            _ => None,
+        }
+    }
+
+    /// What there is where there is no such field.
+    pub fn siblings(&self, key: &str) -> String {
+        let names = match key.split('.').collect::<Vec<_>>()[..] {
+            ["link", _, "reliability", ..] => return "a kind of message is followed by its reliability".to_owned(),
+            ["link", name, ..] => {
+                let fields: Vec<&str> = self.of_link().chain(self.by_host()).chain(["reliability"]).collect();
+                return format!("link.{name} has {}", fields.join(", "));
+            }
+            ["robot" | "host", name, ..] => return format!("{name} may have {}, link", OVERRIDES.join(", ")),
+            _ => team_fields().chain(["deployment", "link", "robot", "host"]),
+        };
+        format!("there are {}", names.collect::<Vec<_>>().join(", "))
+    }
+
+    /// Whether a table of this name holds fields.
+    pub fn holds_fields(&self, key: &str) -> bool {
+        let parts: Vec<&str> = key.split('.').collect();
+        match parts[..] {
+            ["robot" | "host"] | ["robot" | "host", _] => true,
+            // What senders and receivers must agree on is of the whole team.
+            ["robot" | "host", _, ref link @ ..] => link.last() != Some(&"reliability") && self.holds_link_fields(link),
+            ref link => self.holds_link_fields(link),
+        }
+    }
+
+    fn holds_link_fields(&self, parts: &[&str]) -> bool {
+        match parts {
+            ["link"] | ["link", _] | ["link", _, "reliability"] => true,
+            ["link", _, table] => self.by_host().any(|name| name == *table),
+            _ => false,
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! The place of a host on each link, as its transport reads it, and the mistakes that can be seen without opening one.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use super::layers::{Entry, Origin, place};
+use super::{TeamFile, kebab, text, whole_u16};
+use crate::config::ConfigError;
+use crate::deploy::Link;
+use crate::deploy::Routes;
+use crate::messages::ids::{HostId, LinkId};
+use crate::messages::wire::{KINDS, Kind};
+use crate::net::protocol::reliability::Reliability;
+use crate::net::transport;
+use crate::net::transport::settings::Said;
+use crate::net::transport::{Field, Given, Place};
+
+/// The link of the emergency stop, as an operator joins it from whatever machine it runs on.
+#[derive(Clone, Debug)]
+pub struct Post {
+    /// The link.
+    pub link: LinkId,
+    /// The team's number on the wire.
+    pub number: u16,
+    /// Where its key is; `None` for a team without one.
+    pub key_file: Option<PathBuf>,
+    /// The ways onto the link: one for each interface that a host has on it, or a single one that addresses each host.
+    pub places: Vec<Place>,
+}
+
+impl TeamFile {
+    /// The transport of a link, as these scopes see it.
+    pub(super) fn transport(&self, scopes: &[String], link: &Link) -> &transport::Entry {
+        let name = self.layers.find(scopes, &format!("link.{}.transport", link.name)).expect("it has a default");
+        self.registry.transport(text(&name)).expect("its name was checked when the file was read")
+    }
+
+    /// The names of the values that a field has on a link: one, or one for each host.
+    pub(super) fn names_of(&self, field: &Field) -> Vec<String> {
+        let hosts = self.deployment.hosts.iter().filter(|_| field.by_host);
+        let names: Vec<String> = hosts.map(|host| format!("{}.{}", field.name, host.name)).collect();
+        if field.by_host { names } else { vec![field.name.to_owned()] }
+    }
+
+    /// The value of a field of the transport of the link at this place.
+    pub(super) fn of_link(&self, scopes: &[String], at: usize, (field, name): (&Field, &str)) -> Option<Entry> {
+        let key = format!("link.{}.{name}", self.deployment.links[at].name);
+        self.layers.find(scopes, &key).or_else(|| {
+            let value = field.takes.read(&field.default?(at)).expect("defaults are sound");
+            Some(Entry { value, origin: Origin::Default })
+        })
+    }
+
+    /// The place of a host on its link at this place.
+    pub(super) fn place(&self, host: HostId, at: usize) -> Result<Place, ConfigError> {
+        let link = &self.deployment.links[at];
+        let scopes = self.scopes(Some(host));
+        let transport = self.transport(&scopes, link);
+        let mut values = BTreeMap::new();
+        for (field, name) in
+            transport.fields.iter().flat_map(|field| self.names_of(field).into_iter().map(move |n| (field, n)))
+        {
+            let Some(Entry { value, origin }) = self.of_link(&scopes, at, (field, &name)) else { continue };
+            let said = Said { value, place: place(&format!("link.{}.{name}", link.name), &origin) };
+            values.insert(name, said);
+        }
+        let hosts = self.deployment.hosts.iter().map(|host| host.name.as_str()).collect();
+        let way = (transport.read)(&Given { link: &link.name, host, hosts, values })?;
+        let reliability = KINDS.iter().filter_map(|&kind| {
+            let entry = self.layers.find(&scopes, &format!("link.{}.reliability.{}", link.name, kebab(kind)))?;
+            let named = Reliability::NAMED.iter().find(|(name, _)| *name == text(&entry));
+            Some((kind, named.expect("the fields let only reliabilities through").1))
+        });
+        Ok(Place { way, reliability: reliability.collect() })
+    }
+
+    /// Where an operator joins the team: on the link that carries the emergency stop, and on no other.
+    pub fn post(&self) -> Result<Post, ConfigError> {
+        let carries = |link: &Link| link.carries.contains(&Kind::Stop);
+        let at = self.deployment.links.iter().position(carries).ok_or_else(|| {
+            ConfigError::field("deployment.link.carries", "no link carries 'stop': this team runs in one process")
+        })?;
+        let routes = Routes::of(&self.deployment);
+        let hosts: Vec<HostId> = self.hosts().filter(|&host| routes.exchanges(host, Kind::Stop)).collect();
+        let mut places: Vec<Place> = Vec::new();
+        for &host in &hosts {
+            let place = self.place(host, at)?.for_guest(host);
+            if places.iter().all(|other| other.way.claim() != place.way.claim()) {
+                places.push(place);
+            }
+        }
+        let number = self.layers.find(&self.scopes(None), "team");
+        let number = number.ok_or_else(|| ConfigError::field("team", "missing; give the team a number"))?;
+        let mut scopes = std::iter::once(None).chain(hosts.into_iter().map(Some));
+        let key_file = scopes.find_map(|host| self.layers.find(&self.scopes(host), "key_file"));
+        Ok(Post {
+            link: LinkId(u16::try_from(at).expect("links are counted in u16")),
+            number: whole_u16(&number),
+            key_file: key_file.map(|entry| self.path(&entry)),
+            places,
+        })
+    }
+
+    /// Two links of a host that hear each other's frames are a mistake.
+    pub(super) fn check_apart(&self, host: HostId, places: &[Option<Place>]) -> Result<(), ConfigError> {
+        let scopes = self.scopes(Some(host));
+        let mut seen: BTreeMap<(String, String), &str> = BTreeMap::new();
+        for (link, place_on) in self.deployment.links.iter().zip(places) {
+            let Some(place_on) = place_on else { continue };
+            let claim = place_on.way.claim();
+            let Some(twin) = seen.insert((claim.what.clone(), claim.on), &link.name) else { continue };
+            let fields = self.transport(&scopes, link).fields;
+            let by_host = fields.iter().any(|field| field.name == claim.field && field.by_host);
+            let own = &self.deployment.hosts[usize::from(host.0)].name;
+            let name = if by_host { format!("{}.{own}", claim.field) } else { claim.field.to_owned() };
+            let key = format!("link.{}.{name}", link.name);
+            let origin = self.layers.find(&scopes, &key).map_or(Origin::Default, |entry| entry.origin);
+            let why = format!("{} is link '{twin}' already; give each its own {}", claim.what, claim.field);
+            return Err(ConfigError::field(place(&key, &origin), why));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,74 @@
+//! Whether this machine is fit for the sockets of a link: its interface, the size of packets, the address, the buffer.
+
+use super::open::OpenError;
+use super::socket::{SocketConfig, Whom};
+use super::{Filter, Udp};
+use crate::messages::ids::HostId;
+use crate::net::protocol::codec::MAX_FRAME_BYTES;
+use crate::net::transport::interface;
+use crate::net::transport::{Finding, Fitness};
+
+/// What is found of the sockets of this host on the link of this name, for a person.
+pub(super) fn examine(
+    config: &SocketConfig,
+    (host, link): (HostId, &str),
+    mtu: &dyn Fn(&str) -> Option<usize>,
+) -> Vec<Finding> {
+    let mut all = Vec::new();
+    let mut add = |fitness, what, found: String, advice: String| all.push(Finding { fitness, what, found, advice });
+    let address = match &config.whom {
+        Whom::Group(group) => Some(*group),
+        Whom::Each { listen, .. } => Some(*listen),
+        Whom::FromAnywhere { .. } => None,
+    };
+    let v6 = address.is_some_and(|address| address.is_ipv6());
+    let found = interface::interfaces().and_then(|all| interface::find(&all, &config.interface, v6));
+    let found = match found {
+        Ok(found) => found,
+        Err(error) => {
+            let advice = format!("bring it up, or name another as link.{link}.interface");
+            add(Fitness::Fail, "interface", error.to_string(), advice);
+            return all;
+        }
+    };
+    add(Fitness::Ok, "interface", format!("'{}' is up", found.name), String::new());
+    let needed = MAX_FRAME_BYTES + if v6 { 48 } else { 28 };
+    match mtu(&found.name) {
+        Some(mtu) if mtu >= needed => {
+            add(Fitness::Ok, "MTU", format!("{mtu} bytes; a packet has at most {needed}"), String::new());
+        }
+        Some(mtu) => add(
+            Fitness::Warn,
+            "MTU",
+            format!("{mtu} bytes, and a packet may have {needed}: large ones go in pieces and are lost more often"),
+            format!("ip link set {} mtu {needed}", found.name),
+        ),
+        None => add(Fitness::Warn, "MTU", "unknown".to_owned(), format!("see that it is {needed} bytes or more")),
+    }
+    let (what, said) = match &config.whom {
+        Whom::Group(group) => ("group", format!("{group} joined")),
+        Whom::Each { listen, .. } => ("address", format!("{listen} free")),
+        Whom::FromAnywhere { .. } => ("address", "any".to_owned()),
+    };
+    match Udp::open(host, config, Filter::All) {
+        Ok(udp) => {
+            add(Fitness::Ok, what, said, String::new());
+            // The kernel doubles what it is asked for, to keep its own books in, and tells the double.
+            let (granted, wanted) = (udp.granted_bytes() / 2, config.receive_buffer_bytes);
+            if granted >= wanted {
+                add(Fitness::Ok, "receive buffer", format!("{granted} bytes"), String::new());
+            } else {
+                let advice = format!("sysctl -w net.core.rmem_max={wanted}, and the same in /etc/sysctl.d");
+                let found = format!("the kernel grants {granted} of {wanted} bytes: bursts may be lost");
+                add(Fitness::Warn, "receive buffer", found, advice);
+            }
+        }
+        Err(error) => {
+            let busy = matches!(&error, OpenError::Socket { error, .. }
+                if error.kind() == std::io::ErrorKind::AddrInUse);
+            let advice = if busy { "stop what listens there; is this host running already?" } else { "" };
+            add(Fitness::Fail, what, error.to_string(), advice.to_owned());
+        }
+    }
+    all
+}

@@ -1,0 +1,288 @@
+//! What every transport of the registry keeps to, and one that does its work on a thread of its own.
+
+use std::net::SocketAddr;
+use std::os::fd::AsFd;
+use std::path::Path;
+use std::rc::Rc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+
+use murmurate::config::ConfigError;
+use murmurate::config::fields::Takes;
+use murmurate::deploy::team::TeamFile;
+use murmurate::edge::{self, Gate, Mouth, Port};
+use murmurate::messages::ids::HostId;
+use murmurate::net::protocol::link::{Guest, Standing};
+use murmurate::net::protocol::reliability::{Reliabilities, Setup};
+use murmurate::net::protocol::router::Audience;
+use murmurate::net::transport::{
+    self, Claim, Counts, Field, Filter, Given, In, OpenError, Place, Transmit, Transport, Way,
+};
+use murmurate::registry::Registry;
+use murmurate::time::Time;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+
+/// How long a frame may take, and how long is waited for one that should not come \[ms\].
+const PATIENCE: u16 = 5000;
+const SURPLUS: u16 = 30;
+
+/// What the team file says of a link with each transport, in a team of three robots and a World; and mistakes, with how
+/// the error begins.
+fn lines(name: &str) -> (&'static str, &'static [(&'static str, &'static str, &'static str)]) {
+    match name {
+        "multicast" => (
+            "interface = \"lo\"\ngroup = \"239.255.77.91:47811\"",
+            &[
+                ("239.255.77.91:", "10.0.0.1:", "link.infra.group (line 8): 10.0.0.1 is no multicast group"),
+                ("interface = \"lo\"", "", "link.infra.interface: missing"),
+            ],
+        ),
+        "unicast" => (
+            "interface = \"lo\"\npeers.robot-0 = \"127.0.0.1:47821\"\npeers.robot-1 = \"127.0.0.1:47822\"\n\
+             peers.robot-2 = \"127.0.0.1:47823\"\npeers.world = \"127.0.0.1:47824\"",
+            &[
+                ("47822", "47821", "link.infra.peers.robot-1 (line 9): 127.0.0.1:47821 is where host 'robot-0'"),
+                ("peers.world", "peers.nobody", "link.infra.peers.nobody (line 11): there is no host"),
+                ("127.0.0.1:47824", "0.0.0.0:1", "link.infra.peers.world (line 11): 0.0.0.0 is no address"),
+            ],
+        ),
+        "hub" => ("hub = \"one\"", &[("hub = \"one\"", "", "link.infra.hub: missing; name the hub")]),
+        _ => panic!("'{name}' is new: say here what a link of it needs, and what would be wrong"),
+    }
+}
+
+/// Held by a test that opens links: others would hear what it says.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn registry() -> Registry {
+    Registry::builtin().with_transport(HUB)
+}
+
+fn text(name: &str) -> String {
+    let (lines, _) = lines(name);
+    format!(
+        "team = 1\nmode = \"onboard-infra\"\nrobots = 3\n\n[link.infra]\ntransport = \"{name}\"\n{lines}\n\
+         [link.wires]\ninterface = \"lo\"\n"
+    )
+}
+
+fn read(text: &str) -> Result<TeamFile, ConfigError> {
+    let file = TeamFile::read(&registry(), text, Path::new(""), &[], &[])?;
+    file.check()?;
+    Ok(file)
+}
+
+/// The places of the three robots' hosts on the link that is tried.
+fn places(name: &str) -> Vec<Place> {
+    let file = read(&text(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let at = file.deployment().links.iter().position(|link| link.name == "infra").expect("the preset has it");
+    let place = |host| file.for_host(HostId(host)).expect("it is sound").links[at].clone().expect("it takes part");
+    (0..3).map(place).collect()
+}
+
+fn open(places: &[Place]) -> Vec<Box<dyn Transport>> {
+    let hosts = (0..).map(HostId);
+    hosts.zip(places).map(|(host, place)| place.way.open(host, Filter::All).expect("it can be opened")).collect()
+}
+
+fn say(transport: &mut dyn Transport, audience: Audience, frame: &[u8]) {
+    transport.handle(Time::ZERO, In::Transmit(Transmit { from: HostId(0), audience, frame: frame.into() }));
+}
+
+/// What arrives: so many frames, and whatever comes soon after them.
+fn hear(transport: &mut dyn Transport, count: usize) -> Vec<(Option<SocketAddr>, Vec<u8>)> {
+    let mut heard = Vec::new();
+    loop {
+        let bell = transport.bell();
+        let mut watched = [PollFd::new(bell.as_fd(), PollFlags::POLLIN)];
+        let patience = if heard.len() < count { PATIENCE } else { SURPLUS };
+        match poll(&mut watched, PollTimeout::from(patience)).expect("it can be watched") {
+            0 => return heard,
+            _ => transport.receive(Time::ZERO, &mut |from, frame| heard.push((from, frame.to_vec()))),
+        }
+    }
+}
+
+fn frames(transport: &mut dyn Transport, count: usize) -> Vec<Vec<u8>> {
+    hear(transport, count).into_iter().map(|(_, frame)| frame).collect()
+}
+
+#[test]
+fn what_is_said_to_all_arrives_once_at_each_other_host() {
+    let _alone = alone();
+    for entry in registry().transports() {
+        let mut hosts = open(&places(entry.name));
+        say(&mut *hosts[0], Audience::All, b"to all");
+        say(&mut *hosts[0], Audience::All, b"again");
+        for (host, heard) in hosts.iter_mut().zip([0, 2, 2]) {
+            let frames = frames(&mut **host, heard);
+            assert_eq!(frames, [&b"to all"[..], b"again"][..heard], "{}", entry.name);
+        }
+        assert_eq!(hosts[0].counts(), Counts::default(), "{}", entry.name);
+    }
+}
+
+#[test]
+fn what_is_for_one_reaches_that_one_and_no_other_where_the_link_is_addressed() {
+    let _alone = alone();
+    for entry in registry().transports() {
+        let places = places(entry.name);
+        let addressed = places[0].setup(&Reliabilities::new()).is_addressed();
+        let mut hosts = open(&places);
+        say(&mut *hosts[0], Audience::Host(HostId(1)), b"to one");
+        let others = usize::from(!addressed);
+        for (host, heard) in hosts.iter_mut().zip([0, 1, others]) {
+            assert_eq!(frames(&mut **host, heard).len(), heard, "{}", entry.name);
+        }
+    }
+}
+
+#[test]
+fn a_guest_is_heard_by_all_and_answered_once_it_is_admitted() {
+    let _alone = alone();
+    for entry in registry().transports() {
+        let places = places(entry.name);
+        let mut hosts = open(&places);
+        let operator = HostId::operator(9);
+        let guest = places[0].for_guest(HostId(0)).way;
+        assert_eq!(guest.claim(), places[1].for_guest(HostId(1)).way.claim(), "{}: it is one link", entry.name);
+        let mut guest = guest.open(operator, Filter::All).expect("it can be opened");
+        say(&mut *guest, Audience::All, b"hello");
+        for host in &mut hosts {
+            let heard = hear(&mut **host, 1);
+            assert_eq!(heard.len(), 1, "{}", entry.name);
+            if let Some(at) = heard[0].0 {
+                let admitted = Guest { host: operator, at, standing: Standing::Proven };
+                host.handle(Time::ZERO, In::Admit(admitted));
+            }
+        }
+        say(&mut *hosts[1], Audience::All, b"welcome");
+        assert_eq!(frames(&mut *guest, 1), [b"welcome"], "{}", entry.name);
+    }
+}
+
+#[test]
+fn what_a_team_file_says_wrong_is_refused_by_its_field() {
+    for entry in registry().transports() {
+        let sound = text(entry.name);
+        for (from, to, start) in lines(entry.name).1 {
+            assert!(sound.contains(from), "{from}");
+            let error = read(&sound.replacen(from, to, 1)).expect_err("it is refused").to_string();
+            // A field that is left out leaves its line empty.
+            assert!(error.starts_with(start), "{}: {error}", entry.name);
+        }
+        let transport = format!("transport = \"{}\"", entry.name);
+        let with = |line: &str| read(&sound.replace(&transport, line)).expect_err("it is refused").to_string();
+        let error = with(&format!("{transport}\ncolour = \"red\""));
+        assert!(error.starts_with("link.infra.colour (line 7): there is no such field"), "{error}");
+        let error = with("transport = \"pigeon\"");
+        assert!(error.contains("there is no transport 'pigeon'; there are: multicast, unicast, hub"), "{error}");
+    }
+}
+
+#[test]
+fn transports_whose_fields_have_one_name_take_the_same_there() {
+    let mut all = Registry::builtin();
+    for entry in transport::REGISTRY {
+        // A copy under another name is let in only if its fields agree with all others.
+        let name = Box::leak(format!("{}-copy", entry.name).into_boxed_str());
+        all = all.with_transport(transport::Entry { name, ..*entry });
+    }
+    assert_eq!(all.transports().len(), 2 * transport::REGISTRY.len());
+}
+
+/// A transport whose work is done on a thread of its own, as an asynchronous library's is: hosts of this process meet
+/// at hubs that have names.
+const HUB: transport::Entry = transport::Entry {
+    name: "hub",
+    about: "a thread for each host of this process",
+    fields: &[Field::new("hub", Takes::Text)],
+    read: |given: &Given| {
+        let name = given.need("hub", || "; name the hub".to_owned())?.text().to_owned();
+        Ok(Arc::new(Hub { name }))
+    },
+};
+
+/// Everyone who is at a hub.
+static MEMBERS: Mutex<Vec<(Hub, HostId, Mouth)>> = Mutex::new(Vec::new());
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Hub {
+    name: String,
+}
+
+impl Way for Hub {
+    fn open(&self, host: HostId, _: Filter) -> Result<Box<dyn Transport>, OpenError> {
+        let (gate, port) = edge::channel().map_err(|error| OpenError::NotNow(error.to_string()))?;
+        let mut members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
+        members.retain(|(_, _, mouth)| !mouth.is_closed());
+        members.push((self.clone(), host, port.mouth()));
+        let hub = self.clone();
+        thread::spawn(move || hub.work(host, port));
+        Ok(Box::new(Line { gate, counts: Counts::default() }))
+    }
+
+    fn for_guest(&self, _: HostId) -> Arc<dyn Way> {
+        Arc::new(self.clone())
+    }
+
+    fn setup(&self, reliability: Reliabilities) -> Setup {
+        Setup::unicast(reliability)
+    }
+
+    fn stays_here(&self) -> bool {
+        true
+    }
+
+    fn claim(&self) -> Claim {
+        Claim { field: "hub", what: self.name.clone(), on: String::new() }
+    }
+
+    fn among(&self, _: &[HostId]) -> Arc<dyn Way> {
+        Arc::new(self.clone())
+    }
+}
+
+impl Hub {
+    /// Passes on what `host` says, each packet with whom it is for in front.
+    fn work(&self, host: HostId, mut port: Port) {
+        while let Some(packet) = port.wait() {
+            let to = u16::from_le_bytes([packet[0], packet[1]]);
+            let members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
+            let others = members.iter().filter(|(hub, other, _)| hub == self && *other != host);
+            for (_, _, mouth) in others.filter(|(_, other, _)| to == u16::MAX || other.0 == to) {
+                mouth.say(packet[2..].into());
+            }
+        }
+    }
+}
+
+struct Line {
+    gate: Gate,
+    counts: Counts,
+}
+
+impl Transport for Line {
+    fn bell(&self) -> Rc<dyn AsFd> {
+        Rc::new(self.gate.bell())
+    }
+
+    fn receive(&mut self, _: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
+        self.gate.take(|packet| take(None, &packet));
+        (self.counts.unsent, self.counts.dropped) = self.gate.dropped();
+    }
+
+    fn handle(&mut self, _: Time, input: In) {
+        if let In::Transmit(Transmit { audience, frame, .. }) = input {
+            let to = if let Audience::Host(host) = audience { host.0 } else { u16::MAX };
+            self.gate.tell([&to.to_le_bytes()[..], &frame].concat().into());
+        }
+    }
+
+    fn counts(&self) -> Counts {
+        self.counts
+    }
+}
