@@ -99,7 +99,7 @@ fn separation(robots: &[Seen], bound_m: f32) -> f32 {
         least = least.min((robots[one].position - robots[other].position).norm_squared());
     };
     let all = || robots.iter().map(|robot| robot.position);
-    match Cells::new(bound_m, all()).filter(|_| robots.len() > cells::FEW) {
+    match Cells::new(bound_m, all()).filter(|_| robots.len() > cells::LINEAR_SEARCH_MAX) {
         None => (0..robots.len()).for_each(|one| (one + 1..robots.len()).for_each(|other| between(one, other))),
         Some(grid) => {
             let mut near = Vec::new();

@@ -52,7 +52,7 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
         ContactRule::Block => (true, 2.0 * arena.robot_radius_m),
         ContactRule::Judge => (false, 2.0 * physics.wall_radius_m),
     };
-    if team.position.len() <= cells::FEW || !meet_by_cells(apart, blocks, team) {
+    if team.position.len() <= cells::LINEAR_SEARCH_MAX || !meet_by_cells(apart, blocks, team) {
         meet_all(apart, blocks, team);
     }
     let half = arena.half_extent;
