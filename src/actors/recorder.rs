@@ -20,7 +20,7 @@ use crate::report::trial::Said;
 use crate::report::trial::{Step, Totals};
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::Rules;
-use crate::scenario::judge::{Finding, Judge, Seen, Verdict};
+use crate::scenario::judge::{Finding, Judge, JudgedRobot, Verdict};
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 
@@ -267,9 +267,9 @@ impl Recorder {
         if self.phase == Phase::Running
             && let Some(judge) = &mut self.judge
         {
-            let seen: Vec<Seen> =
-                samples.iter().map(|s| Seen { position: s.motion.position, contacts: s.contacts }).collect();
-            if let Some(finding) = judge.see(now.since(self.since), &seen) {
+            let seen: Vec<JudgedRobot> =
+                samples.iter().map(|s| JudgedRobot { position: s.motion.position, contacts: s.contacts }).collect();
+            if let Some(finding) = judge.update(now.since(self.since), &seen) {
                 self.close(now, finding, out);
             }
         }

@@ -16,7 +16,7 @@ use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random;
 use crate::random::Stream;
-use crate::scenario::{Scenario, Scored, Stage};
+use crate::scenario::{Scenario, Stage, TeamAfterStep};
 use crate::world::kinematic::{self, PERIOD};
 use crate::world::{Clamp, Physics};
 
@@ -198,7 +198,7 @@ impl Crowd {
         let tasks = &self.tasks[range.clone()];
         if weights.scenario > 0.0 {
             let (velocity, stage) = (&self.velocity[range.clone()], &mut self.stage[range.clone()]);
-            let after = Scored { tasks, position, velocity, contacts, stage };
+            let after = TeamAfterStep { tasks, position, velocity, contacts, stage };
             scenario.rewards(after, &mut self.reward[range.clone()]);
         }
         scenario.arrivals(tasks, position, &mut self.reached[range.clone()]);

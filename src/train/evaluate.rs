@@ -13,7 +13,7 @@ use crate::policy::Draw;
 use crate::random::Seed;
 use crate::report::statistics::quantile;
 use crate::scenario::Scenario;
-use crate::scenario::judge::{Finding, Judge, Seen, Verdict};
+use crate::scenario::judge::{Finding, Judge, JudgedRobot, Verdict};
 use crate::time::Span;
 use crate::world::kinematic::PERIOD;
 
@@ -70,10 +70,13 @@ impl Examination<'_> {
                 }
                 chunk.step(rules, team, &mut stream);
                 let range = chunk.crowd.teams[team].range();
-                let seen: Vec<Seen> = range
-                    .map(|robot| Seen { position: chunk.crowd.position[robot], contacts: chunk.crowd.contacts[robot] })
+                let seen: Vec<JudgedRobot> = range
+                    .map(|robot| JudgedRobot {
+                        position: chunk.crowd.position[robot],
+                        contacts: chunk.crowd.contacts[robot],
+                    })
                     .collect();
-                findings[team] = judges[team].see(after, &seen);
+                findings[team] = judges[team].update(after, &seen);
             }
         }
         findings.into_iter().flatten().collect()
