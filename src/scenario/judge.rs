@@ -1,8 +1,8 @@
 //! The judge of an episode, which turns the true states, step by step, into one verdict.
 //!
 //! An episode succeeds if every robot arrives in time, no two robots come nearer than the rules allow, and no robot
-//! touches a wall. Judging ends with the last arrival or at the time limit; later states do not count. The code is pure,
-//! and the Recorder and the trainer both use it.
+//! touches a wall. Judging ends with the last arrival or at the time limit; later states do not count. The code is
+//! pure, and the Recorder and the trainer both use it.
 
 use serde::{Deserialize, Serialize};
 
@@ -64,8 +64,8 @@ impl Judge {
         Judge { rules, arrived: vec![false; goals.len()], goals, failure: None, min_separation_m: f32::INFINITY }
     }
 
-    /// Processes one step: all robots in the order of their ids, at time `after` since the start of the episode. Returns
-    /// the finding once judging has ended.
+    /// Processes one step: all robots in the order of their ids, at time `after` since the start of the episode.
+    /// Returns the finding once judging has ended.
     pub fn update(&mut self, after: Span, robots: &[JudgedRobot]) -> Option<Finding> {
         assert_eq!(robots.len(), self.goals.len(), "the judge gets the states of the whole team");
         self.min_separation_m = self.min_separation_m.min(separation(robots, self.min_separation_m));

@@ -110,8 +110,8 @@ fn formation(robots: usize) -> Vec<Vec2> {
     points.into_iter().map(|(x, y)| Vec2::new(x as f32, y as f32) * SPACING_M).collect()
 }
 
-/// The formation rotated by `angle` \[rad\] at a random position on `side` (the sign of y); `None` if it does not fit at
-/// that angle.
+/// The formation rotated by `angle` \[rad\] at a random position on `side` (the sign of y); `None` if it does not fit
+/// at that angle.
 fn place(formation: &[Vec2], angle: f32, side: f32, stream: &mut Stream) -> Option<Vec<Vec2>> {
     let (sin, cos) = libm::sincosf(angle);
     let turned: Vec<Vec2> = formation.iter().map(|p| Vec2::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y)).collect();
@@ -182,8 +182,8 @@ impl Scenario for Passage {
         reward
     }
 
-    /// Length of the path to the gap, straight through it, and on to the goal \[m\]. It decreases continuously along the
-    /// path, at any lateral position in the lane.
+    /// Length of the path to the gap, straight through it, and on to the goal \[m\]. It decreases continuously along
+    /// the path, at any lateral position in the lane.
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
         let frame = self.frame(task);
         let (at, goal) = (frame.turn(position), frame.turn(task.goal));

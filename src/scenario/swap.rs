@@ -14,8 +14,8 @@ use crate::messages::local::Contacts;
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Side of the square of ground per robot \[m\]: five robots have about the area of the passage's arena. Places have this
-/// width. Their depth is smaller by up to a quarter if the last row is not full.
+/// Side of the square of ground per robot \[m\]: five robots have about the area of the passage's arena. Places have
+/// this width. Their depth is smaller by up to a quarter if the last row is not full.
 const PITCH_M: f32 = 2.0;
 /// Largest offset of a place from its grid point along each axis, as a fraction of the pitch: neighbours stay 0.9 m
 /// apart.
@@ -73,8 +73,8 @@ impl Swap {
         .collect()
     }
 
-    /// The place of each robot between episodes `index - 1` and `index`: a cyclic shift, by a random number, of places in
-    /// a random order. Consecutive shifts differ, so every robot moves.
+    /// The place of each robot between episodes `index - 1` and `index`: a cyclic shift, by a random number, of places
+    /// in a random order. Consecutive shifts differ, so every robot moves.
     fn assignment(&self, seed: u64, index: u32) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.robots).collect();
         order.shuffle(&mut Seed::of_run(seed).stream("swap/order"));

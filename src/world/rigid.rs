@@ -38,7 +38,8 @@ pub struct Rigid {
     states: Vec<PlantState>,
 }
 
-/// Makes the rigid-body world with robots at rest at these positions \[m\]; each drivetrain has its own stream of `seed`.
+/// Makes the rigid-body world with robots at rest at these positions \[m\]; each drivetrain has its own stream of
+/// `seed`.
 pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -> Box<dyn Plant> {
     let period_s = PERIOD.as_secs() as f32;
     let mut world = PhysicsWorld::new();
@@ -98,8 +99,8 @@ impl Rigid {
         }
     }
 
-    /// Updates the contact flags from the distances between hulls, as under `ContactRule::Judge`. The rails do not count
-    /// as walls.
+    /// Updates the contact flags from the distances between hulls, as under `ContactRule::Judge`. The rails do not
+    /// count as walls.
     fn update_contacts(&mut self) {
         let radius_m = self.physics.wall_radius_m;
         for robot in 0..self.states.len() {
