@@ -102,25 +102,25 @@ pub fn redacted(text: &str) -> Cow<'_, str> {
 /// Returns a parser's message without the values that it quotes from the text. Short field names and the parser's own
 /// words stay.
 pub fn unquoted(message: &str) -> String {
-    let (mut said, mut rest) = (String::new(), message);
+    let (mut kept, mut rest) = (String::new(), message);
     while let Some(at) = rest.find(['"', '`']) {
         let (before, quoted) = rest.split_at(at);
         let mark = &quoted[..1];
         let Some(end) = closing(&quoted[1..], mark) else {
             // A quotation without an end is taken as a value up to the end.
-            return redacted((said + before).trim_end()).into_owned();
+            return redacted((kept + before).trim_end()).into_owned();
         };
         let (inside, after) = (&quoted[1..=end], &quoted[end + 2..]);
         let own = mark == "`" && !REPEATS.iter().any(|word| before.ends_with(word));
         let name = before.ends_with(UNKNOWN_FIELD) && inside.len() <= SHOWN_NAME;
         if own || name && mark == "`" {
-            said += &format!("{before}{mark}{inside}{mark}");
+            kept += &format!("{before}{mark}{inside}{mark}");
         } else {
-            said += before.trim_end();
+            kept += before.trim_end();
         }
         rest = after;
     }
-    redacted(&(said + rest)).into_owned()
+    redacted(&(kept + rest)).into_owned()
 }
 
 /// Words of serde's messages after which a value of the text follows in backticks.
@@ -183,15 +183,15 @@ mod tests {
                 assert!(toml.starts_with("line ") || toml.contains("missing field"), "{toml}");
                 let json = text.replacen(" = ", "\":", 1);
                 let json = super::json(&serde_json::from_str::<Table>(&format!("{{\"{json}}}")).unwrap_err());
-                for said in [toml, json] {
-                    assert!(!said.contains("0f1e2d3c") && !said.contains('\n'), "{text}: {said}");
+                for error in [toml, json] {
+                    assert!(!error.contains("0f1e2d3c") && !error.contains('\n'), "{text}: {error}");
                 }
             }
         }
-        let said = from_toml::<Table>("robotz = 5").unwrap_err().to_string();
-        assert_eq!(said, "line 1, column 1 (robotz): unknown field `robotz`, expected `robots` or `kind`");
-        let said = from_toml::<Table>("robots = 5\nkind = \"ad-hok\"").unwrap_err().to_string();
-        assert_eq!(said, "line 2, column 8 (kind): unknown variant, expected `ad-hoc`");
+        let error = from_toml::<Table>("robotz = 5").unwrap_err().to_string();
+        assert_eq!(error, "line 1, column 1 (robotz): unknown field `robotz`, expected `robots` or `kind`");
+        let error = from_toml::<Table>("robots = 5\nkind = \"ad-hok\"").unwrap_err().to_string();
+        assert_eq!(error, "line 2, column 8 (kind): unknown variant, expected `ad-hoc`");
     }
 
     #[test]

@@ -79,9 +79,10 @@ mod tests {
 
     #[test]
     fn normal_and_exponential_numbers_have_their_moments_and_tails() {
-        let close = |found: [f64; 3], meant: [f64; 3]| {
-            let off = found.iter().zip(meant).map(|(found, meant)| (found - meant).abs()).fold(0.0, f64::max);
-            assert!(off < 0.01, "{found:?}, not {meant:?}");
+        let close = |actual: [f64; 3], expected: [f64; 3]| {
+            let off =
+                actual.iter().zip(expected).map(|(actual, expected)| (actual - expected).abs()).fold(0.0, f64::max);
+            assert!(off < 0.01, "{actual:?}, not {expected:?}");
         };
         let mut stream = Seed::of_run(3).stream("numbers");
         let pairs: Vec<[f64; 2]> = (0..200_000).map(|_| normals(&mut stream)).collect();

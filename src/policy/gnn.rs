@@ -5,8 +5,8 @@
 //! update([h_i, sum over j of message([h_i, h_j, e_ij])]), and the sum has no own term.
 //!
 //! In both, the last message layer is linear, so it is applied once, after the sum. The first update layer is linear
-//! too, so both are folded into one layer. In the full architecture, the contribution of h_i to the first layers of the
-//! message and the update network is computed once a step, and each neighbour's sums start from it.
+//! too, so both are folded into one layer. In the full architecture, h_i contributes to the first layers of the message
+//! and the update network. This part is computed once a step, and each neighbour's sums start from it.
 
 use std::sync::Arc;
 

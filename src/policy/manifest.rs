@@ -213,7 +213,7 @@ impl Manifest {
             }
         }
         if ends(&self.update).1 != 4 {
-            return Err(format!("update: output of {}; a diagonal normal in the plane takes 4", ends(&self.update).1));
+            return Err(format!("update: output of {}; a diagonal normal distribution needs 4", ends(&self.update).1));
         }
         if hidden > crate::messages::wire::MAX_FEATURES {
             return Err(format!(

@@ -93,8 +93,8 @@ impl Model {
     /// Makes a model of a policy in code. `instance` makes one robot's instance, for an arena in the policy frame.
     ///
     /// # Panics
-    /// If no team could run the interface: more features than a message carries, a period outside 1 to 100 ms, a hold
-    /// time shorter than the period, or a radius or a speed that is not above zero.
+    /// If no team could run the interface. The features must fit into a message, and the period must be 1 to 100 ms.
+    /// The hold time must be at least the period, and radius and speed above zero.
     pub fn custom(
         name: &'static str,
         interface: Interface,

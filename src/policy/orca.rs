@@ -94,8 +94,8 @@ impl Orca {
             vertices: vec![corner(min.x, min.y), corner(max.x, min.y), corner(max.x, max.y), corner(min.x, max.y)],
         };
         let reach = arena.half_extent + Vec2::repeat(arena.robot_radius_m + WALL_MARGIN_M);
-        // Clockwise vertices: solid outside. The world clamps robots to the ground, at times into another robot, and
-        // two that overlap are stuck for ever, because no move that leaves them overlapping is made.
+        // Clockwise vertices: solid outside. The world clamps robots to the ground, at times into another robot.
+        // Two that overlap are stuck for ever, because no move that leaves them overlapping is made.
         let ground = Obstacle::Closed {
             vertices: vec![
                 corner(-reach.x, -reach.y),

@@ -1,5 +1,7 @@
-//! Path planning through an arena for the scripted policy: the next point to steer for, crossings of bottlenecks, and
-//! commands from which a robot can still brake before a wall. Geometry and kinematics only.
+//! Path planning through an arena for the scripted policy, with geometry and kinematics only.
+//!
+//! It gives the next point to steer for, the crossings of bottlenecks, and commands from which a robot can still brake
+//! before a wall.
 
 use crate::messages::geometry::{Motion, Vec2};
 use crate::scenario::{Arena, Portal};
@@ -62,8 +64,8 @@ impl Crossing {
         (aim - at).norm() + (self.exit - aim).norm() + (to - self.exit).norm()
     }
 
-    /// Whether a robot at `at` with the direction `heading` (a unit vector) and a remaining path of `path_m` \[m\] is
-    /// going to use this crossing: through both mouths, or straight through to its destination.
+    /// Whether a robot is going to use this crossing, through both mouths or straight through to its destination. It is
+    /// at `at` \[m\] with the direction `heading` (a unit vector) and a remaining path of `path_m` \[m\].
     pub fn is_ahead_of(&self, arena: &Arena, at: Vec2, heading: Vec2, path_m: f32) -> bool {
         let (along, middle) = (self.exit - self.entry, (self.entry + self.exit) / 2.0);
         if (self.exit - at).dot(&along) <= 0.0 {

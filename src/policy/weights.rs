@@ -15,7 +15,7 @@ use crate::config;
 
 /// Tensor name prefixes of the three networks, in the order of use.
 const NAMES: [&str; 3] = ["encoder", "message", "update"];
-/// The same in the published file.
+/// Tensor name prefixes of the three networks in the published file.
 const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
 
 /// The content of a checked policy file.
@@ -35,7 +35,7 @@ pub struct PolicyFile {
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
     /// The file is not in the safetensors format, or is truncated.
-    #[error("not a whole safetensors file: {0}")]
+    #[error("not a complete safetensors file: {0}")]
     Format(String),
     /// The manifest cannot be parsed or is inconsistent.
     #[error("the manifest (metadata key '{key}') is wrong: {0}", key = manifest::KEY)]
@@ -43,9 +43,9 @@ pub enum WeightsError {
     /// A tensor is missing.
     #[error("the tensor '{name}' is missing; expected one of shape {expected:?}{hint}")]
     Missing {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
-        /// The shape that it should have.
+        /// The correct shape.
         expected: Vec<usize>,
         /// Possible cause, as the end of the message.
         hint: &'static str,
@@ -53,29 +53,29 @@ pub enum WeightsError {
     /// A tensor has the wrong shape.
     #[error("the tensor '{name}' has shape {found:?}; expected {expected:?}")]
     Shape {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
-        /// The shape that it has.
+        /// The tensor's shape.
         found: Vec<usize>,
-        /// The shape that it should have.
+        /// The correct shape.
         expected: Vec<usize>,
     },
     /// A tensor is not of 32-bit floats.
     #[error("the tensor '{name}' holds {found}; expected F32 of shape {expected:?}")]
     Type {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
-        /// The type that it has.
+        /// The tensor's data type.
         found: String,
-        /// The shape that it should have.
+        /// The correct shape.
         expected: Vec<usize>,
     },
     /// A tensor holds NaN or infinity.
     #[error("the tensor '{name}' of shape {expected:?} holds {value} at index {index}; expected finite numbers")]
     NotFinite {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
-        /// Its shape.
+        /// The tensor's shape.
         expected: Vec<usize>,
         /// Index of the value, row-major.
         index: usize,
@@ -83,7 +83,7 @@ pub enum WeightsError {
         value: f32,
     },
     /// A tensor is not part of the network.
-    #[error("the tensor '{0}' has no place in the network; take it out of the file")]
+    #[error("the tensor '{0}' is not part of the network; remove it from the file")]
     Unknown(String),
     /// The hash of the tensors differs from that in the manifest.
     #[error("the tensors' SHA-256 begins with {found:.16} and is not that of the manifest: the file was changed")]

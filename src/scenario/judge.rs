@@ -97,9 +97,9 @@ impl Judge {
 /// The smallest distance between two robots \[m\]. In a large team only pairs within about `bound_m` are compared, and
 /// the result is infinite if there are none.
 fn separation(robots: &[JudgedRobot], bound_m: f32) -> f32 {
-    let mut least = f32::INFINITY;
+    let mut smallest = f32::INFINITY;
     let mut between = |one: usize, other: usize| {
-        least = least.min((robots[one].position - robots[other].position).norm_squared());
+        smallest = smallest.min((robots[one].position - robots[other].position).norm_squared());
     };
     let all = || robots.iter().map(|robot| robot.position);
     match Cells::new(bound_m, all()).filter(|_| robots.len() > cells::LINEAR_SEARCH_MAX) {
@@ -112,7 +112,7 @@ fn separation(robots: &[JudgedRobot], bound_m: f32) -> f32 {
             }
         }
     }
-    least.sqrt()
+    smallest.sqrt()
 }
 
 #[cfg(test)]
@@ -153,18 +153,18 @@ mod tests {
         use rand::RngExt;
         let mut stream = crate::random::Seed::of_run(3).stream("judge");
         let mut judge = Judge::new(RULES, vec![Vec2::repeat(99.0); 100]);
-        let mut least = f32::INFINITY;
+        let mut smallest = f32::INFINITY;
         for step in 0..20 {
             let mut point = || Vec2::new(stream.random_range(0.0..20.0), stream.random_range(0.0..20.0));
             let robots: Vec<JudgedRobot> =
                 (0..100).map(|_| JudgedRobot { position: point(), contacts: Contacts::default() }).collect();
             for (index, robot) in robots.iter().enumerate() {
                 for other in &robots[..index] {
-                    least = least.min((robot.position - other.position).norm());
+                    smallest = smallest.min((robot.position - other.position).norm());
                 }
             }
             judge.update(Span::from_millis(step), &robots);
-            assert_eq!(judge.min_separation_m, least);
+            assert_eq!(judge.min_separation_m, smallest);
         }
     }
 

@@ -180,7 +180,7 @@ pub const REGISTRY: &[Entry] = &[
         about: "a team crosses a narrow gap in a wall (the paper's case study)",
         build: passage::build,
     },
-    Entry { name: "swap", about: "robots trade places on an open square of constant density", build: swap::build },
+    Entry { name: "swap", about: "robots exchange places on open ground of constant density", build: swap::build },
 ];
 
 /// Error of a scenario that cannot be made.
@@ -195,14 +195,14 @@ pub enum ScenarioError {
         known: String,
     },
     /// The scenario does not support this number of robots.
-    #[error("the scenario '{scenario}' takes {least} to {most} robots, not {robots}")]
+    #[error("the scenario '{scenario}' takes {min} to {max} robots, not {robots}")]
     Robots {
         /// The scenario.
         scenario: &'static str,
         /// Smallest supported number.
-        least: usize,
+        min: usize,
         /// Largest supported number.
-        most: usize,
+        max: usize,
         /// The requested number.
         robots: usize,
     },

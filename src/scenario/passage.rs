@@ -61,7 +61,7 @@ pub struct Passage {
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = settings.robots.unwrap_or(PUBLISHED_ROBOTS);
     if !(ROBOTS.0..=ROBOTS.1).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: "passage", least: ROBOTS.0, most: ROBOTS.1, robots });
+        return Err(ScenarioError::Robots { scenario: "passage", min: ROBOTS.0, max: ROBOTS.1, robots });
     }
     let gap_m = settings.gap_m.unwrap_or(GAP_M);
     if !(GAPS_M.0..=GAPS_M.1).contains(&gap_m) {

@@ -43,7 +43,7 @@ pub struct Swap {
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = settings.robots.unwrap_or(8);
     if !(ROBOTS.0..=ROBOTS.1).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: "swap", least: ROBOTS.0, most: ROBOTS.1, robots });
+        return Err(ScenarioError::Robots { scenario: "swap", min: ROBOTS.0, max: ROBOTS.1, robots });
     }
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: "swap", gap_m, hint: "; it has no walls" });

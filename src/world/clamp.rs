@@ -29,8 +29,8 @@ impl Clamp {
         match self {
             Clamp::Training => within(wanted),
             Clamp::Deployed => {
-                let most = DEPLOYED_ACCELERATION_M_S2;
-                let change = ((within(wanted) - measured) * DEPLOYED_GAIN_PER_S).map(|axis| axis.clamp(-most, most));
+                let max = DEPLOYED_ACCELERATION_M_S2;
+                let change = ((within(wanted) - measured) * DEPLOYED_GAIN_PER_S).map(|axis| axis.clamp(-max, max));
                 // Limited again, because the measured velocity may have any value.
                 within(measured + change / DEPLOYED_GAIN_PER_S)
             }

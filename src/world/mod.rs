@@ -93,7 +93,7 @@ pub const REGISTRY: &[Entry] = &[
     #[cfg(feature = "rigid")]
     Entry {
         name: "rigid",
-        about: "rigid bodies with mass, friction and slipping wheels, seen by motion capture",
+        about: "rigid bodies with mass, friction and slipping wheels, measured by motion capture",
         physics: Physics::robomaster,
         fixed: rigid::FIXED,
         build: rigid::build,

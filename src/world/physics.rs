@@ -101,19 +101,19 @@ impl Physics {
 /// The user's overrides of simulated robots' parameters; `None` leaves the plant's default.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Overrides {
-    /// As in `Physics`.
+    /// Override of `Physics::lag_s` \[s\].
     pub lag_s: Option<f32>,
-    /// As in `Physics`.
+    /// Override of `Physics::contacts`.
     pub contacts: Option<ContactRule>,
-    /// As in `Physics`.
+    /// Override of `Physics::wall_radius_m` \[m\].
     pub wall_radius_m: Option<f32>,
-    /// As in `Physics`.
+    /// Override of `Physics::sensor`.
     pub sensor: Option<Sensor>,
 }
 
 /// Error of a field that a plant does not let a user override.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{why}; leave it out, or take another plant")]
+#[error("{why}; leave it out, or use another plant")]
 pub struct OverrideError {
     /// Name of the field.
     pub field: &'static str,

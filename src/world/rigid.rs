@@ -45,7 +45,7 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -
     let mut world = PhysicsWorld::new();
     world.gravity = Vector::ZERO;
     // One step a period, which the solver divides into four substeps. The prediction distance covers the motion of a
-    // whole step, so any two bodies that can collide within it, also if pushed by a third, are contact pairs from its
+    // whole step. So any two bodies that can collide within it, also if pushed by a third, are contact pairs at its
     // start. Therefore continuous collision detection and the reuse of the last step's contacts are off.
     world.integration_parameters = IntegrationParameters {
         dt: period_s,
