@@ -13,7 +13,7 @@ use murmurate::scenario::{self, Settings};
 use murmurate::train::batch::{Batch, Graphs};
 use murmurate::train::conditions::Episode;
 use murmurate::train::config::{Config, Reward, Stage};
-use murmurate::train::crowd::Crowd;
+use murmurate::train::environments::Environments;
 use murmurate::train::network::{Network, Space};
 use murmurate::train::rollout::CHUNK;
 use murmurate::train::trainer::{Plan, Trainer};
@@ -38,33 +38,33 @@ fn rollout(bencher: Bencher, reward: &str) {
         let none = config.reward.with_penalties(0.0);
         config.reward = Reward { scenario: 1.0, progress: 0.0, shared: 0.0, ..none };
     }
-    // As the trainer has it: crowds of a chunk each go through their decisions by themselves, actions held four steps.
+    // As in the trainer: the environments of each chunk are stepped independently, with actions held for four steps.
     let mut stream = Seed::of_run(1).stream("bench");
-    let mut crowds: Vec<Crowd> = (0..ENVIRONMENTS / CHUNK)
+    let mut chunks: Vec<Environments> = (0..ENVIRONMENTS / CHUNK)
         .map(|chunk| {
-            let mut crowd = Crowd::new(CHUNK, &[vec![5]], std::slice::from_ref(&passage));
+            let mut environments = Environments::new(CHUNK, &[vec![5]], std::slice::from_ref(&passage));
             for team in 0..CHUNK {
-                crowd.place(team, ((chunk * CHUNK + team) as u64, 0), Episode::perfect(5), &mut stream);
+                environments.place(team, ((chunk * CHUNK + team) as u64, 0), Episode::perfect(5), &mut stream);
             }
-            crowd
+            environments
         })
         .collect();
-    let mut actions: Vec<Vec2> = crowds[0].position.iter().map(|at| Vec2::new(-at.x, 1.0)).collect();
+    let mut actions: Vec<Vec2> = chunks[0].position.iter().map(|at| Vec2::new(-at.x, 1.0)).collect();
     let mut steps = 0u32;
     bencher.counter(ItemsCount::new(ENVIRONMENTS * 20)).bench_local(|| {
         steps += 20;
         if steps.is_multiple_of(100) {
             actions.iter_mut().for_each(|action| *action = -*action);
         }
-        for crowd in &mut crowds {
+        for environments in &mut chunks {
             for _decision in 0..5 {
                 for team in 0..CHUNK {
-                    (0..4).for_each(|_| crowd.step(team, &actions, &config.reward, 1.5, &mut stream));
+                    (0..4).for_each(|_| environments.step(team, &actions, &config.reward, 1.5, &mut stream));
                 }
             }
         }
     });
-    assert!(crowds.iter().all(|crowd| crowd.teams[0].step >= 20), "every team has moved on");
+    assert!(chunks.iter().all(|environments| environments.teams[0].step >= 20), "every team has moved on");
 }
 
 /// The policy for 4096 environments of five robots that all hear each other, one thread, in both architectures.

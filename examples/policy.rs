@@ -47,8 +47,8 @@ impl Policy for NearestFirst {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let own = Model::own("nearest-first", INTERFACE, |_arena| Box::new(NearestFirst));
-    for model in [own, Model::Orca] {
+    let custom = Model::custom("nearest-first", INTERFACE, |_arena| Box::new(NearestFirst));
+    for model in [custom, Model::Orca] {
         let report = Trial::of_team("onboard-adhoc", "swap", 4)?.model(model.clone()).seed(3).episodes(10).run();
         println!("{:14} {} of {} episodes succeeded", model.name(), report.successes(), report.episodes.len());
     }

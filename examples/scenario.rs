@@ -23,7 +23,7 @@ struct Rows {
 fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = settings.robots.unwrap_or(6);
     if !(2..=12).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: ROWS.name, least: 2, most: 12, robots });
+        return Err(ScenarioError::Robots { scenario: ROWS.name, min: 2, max: 12, robots });
     }
     let half_extent = Vec2::new(2.0 + robots as f32 / 2.0, 3.0);
     let arena = Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), robot_radius_m: 0.25 };

@@ -1,10 +1,10 @@
-//! Randomness: one seed gives every part of a run its own named, independent stream.
+//! Pseudo-random numbers: independent, named streams that derive from one seed.
 //!
-//! A stream is named for what draws from it ("agent/3/action"), so adding a draw in one place never
-//! shifts the numbers of another. No generator is ever seeded from the machine, and no distribution asks the platform's
-//! mathematical library, so that a stream gives the same numbers everywhere.
+//! A stream's name states its user ("agent/3/action"), so an added draw in one place never shifts the numbers of
+//! another. No generator is seeded from the machine. No distribution calls the platform's mathematical library, so a
+//! stream gives the same numbers on every machine.
 
-/// What a stream draws with.
+/// The traits with the draw methods of a stream.
 pub use rand::{Rng, RngExt};
 
 use hmac_sha256::Hash;
@@ -14,17 +14,17 @@ use rand_chacha::ChaCha8Rng;
 /// A deterministic random stream (ChaCha with 8 rounds: the same numbers on every machine).
 pub type Stream = ChaCha8Rng;
 
-/// The root of all randomness of one run.
+/// A 256-bit seed, from which streams and further seeds derive by SHA-256 and a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seed([u8; 32]);
 
 impl Seed {
-    /// The seed of a whole run, as the user states it.
+    /// The seed of a whole run, from the number that the user gives.
     pub fn of_run(seed: u64) -> Seed {
         Seed(Hash::hash(&seed.to_le_bytes()))
     }
 
-    /// A seed of these bytes, for a process that draws what nobody else may know.
+    /// A seed of the given bytes, for a process whose draws must be secret.
     pub fn of_bytes(bytes: [u8; 32]) -> Seed {
         Seed(bytes)
     }
@@ -42,7 +42,7 @@ impl Seed {
         Seed(hash.finalize())
     }
 
-    /// The stream of that name.
+    /// The random stream of the given name.
     pub fn stream(&self, name: &str) -> Stream {
         Stream::from_seed(self.child(name).0)
     }
@@ -60,7 +60,7 @@ pub fn normals(stream: &mut Stream) -> [f64; 2] {
     }
 }
 
-/// A number of the exponential distribution with mean 1.
+/// One number of the exponential distribution with mean 1 (inversion method).
 pub fn exponential(stream: &mut Stream) -> f64 {
     -libm::log(1.0 - stream.random::<f64>())
 }
@@ -69,7 +69,7 @@ pub fn exponential(stream: &mut Stream) -> f64 {
 mod tests {
     use super::*;
 
-    /// Mean, variance and the share above `limit` of so many numbers.
+    /// Mean, variance and the fraction above `limit` of some numbers.
     fn figures(numbers: &[f64], limit: f64) -> [f64; 3] {
         let n = numbers.len() as f64;
         let mean = numbers.iter().sum::<f64>() / n;
@@ -78,10 +78,11 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_distributed_as_they_are_named() {
-        let close = |found: [f64; 3], meant: [f64; 3]| {
-            let off = found.iter().zip(meant).map(|(found, meant)| (found - meant).abs()).fold(0.0, f64::max);
-            assert!(off < 0.01, "{found:?}, not {meant:?}");
+    fn normal_and_exponential_numbers_have_their_moments_and_tails() {
+        let close = |actual: [f64; 3], expected: [f64; 3]| {
+            let off =
+                actual.iter().zip(expected).map(|(actual, expected)| (actual - expected).abs()).fold(0.0, f64::max);
+            assert!(off < 0.01, "{actual:?}, not {expected:?}");
         };
         let mut stream = Seed::of_run(3).stream("numbers");
         let pairs: Vec<[f64; 2]> = (0..200_000).map(|_| normals(&mut stream)).collect();
@@ -91,13 +92,13 @@ mod tests {
             close(figures(&numbers, 2.0), [0.0, 1.0, 0.02275]);
         }
         let both = pairs.iter().map(|[x, y]| x * y).sum::<f64>() / pairs.len() as f64;
-        assert!(both.abs() < 0.01, "the two know nothing of each other: {both}");
+        assert!(both.abs() < 0.01, "the two are uncorrelated: {both}");
         let numbers: Vec<f64> = (0..400_000).map(|_| exponential(&mut stream)).collect();
         close(figures(&numbers, 3.0), [1.0, 1.0, 0.0498]);
     }
 
     #[test]
-    fn a_stream_depends_on_its_seed_and_on_its_name_alone() {
+    fn a_stream_depends_on_its_seed_and_its_name_only() {
         let draw = |seed: u64, name: &str| Seed::of_run(seed).stream(name).next_u64();
         assert_eq!(draw(1, "a"), draw(1, "a"));
         assert_ne!(draw(1, "a"), draw(2, "a"));

@@ -1,26 +1,24 @@
-//! Time as a type: instants and spans in whole nanoseconds since the start of the run.
+//! Instants and durations as types, in whole nanoseconds since the start of the run.
 //!
-//! Here live the two types and their arithmetic. No clock is read here: cores are handed `now`, and
-//! the one place that advances it is `actors::clock`.
+//! No clock is read here: cores are given `now`, and only `runtime::clock` advances it.
 
 use std::fmt;
 use std::ops::{Add, AddAssign, Mul, Sub};
 
 use serde::{Deserialize, Serialize};
 
-/// An instant \[ns since the start of the run\], on the clock of one host. Instants of two hosts are
-/// never compared.
+/// An instant \[ns since the start of the run\] on the clock of one host. Instants of two hosts are never compared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Time(u64);
 
-/// A length of time \[ns\], never negative.
+/// A duration \[ns\], never negative.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Span(u64);
 
 impl Time {
     /// The start of the run.
     pub const ZERO: Time = Time(0);
-    /// Later than every instant that a run reaches.
+    /// The largest instant, later than any that a run reaches.
     pub const MAX: Time = Time(u64::MAX);
 
     /// The instant `ns` nanoseconds after the start of the run.
@@ -38,7 +36,7 @@ impl Time {
         self.0 as f64 * 1e-9
     }
 
-    /// The span since `earlier`; zero when `earlier` is not earlier.
+    /// The duration since `earlier`; zero if `earlier` is later than `self`.
     pub const fn since(self, earlier: Time) -> Span {
         Span(self.0.saturating_sub(earlier.0))
     }
@@ -56,30 +54,30 @@ impl Time {
 }
 
 impl Span {
-    /// No time at all.
+    /// The duration zero.
     pub const ZERO: Span = Span(0);
 
-    /// A span of `ns` nanoseconds.
+    /// A duration of `ns` nanoseconds.
     pub const fn from_nanos(ns: u64) -> Span {
         Span(ns)
     }
 
-    /// A span of `ms` milliseconds.
+    /// A duration of `ms` milliseconds.
     pub const fn from_millis(ms: u64) -> Span {
         Span(ms * 1_000_000)
     }
 
-    /// A span of `s` seconds, to the nearest nanosecond; zero for negative or non-finite `s`.
+    /// A duration of `s` seconds, to the nearest nanosecond; zero for negative or non-finite `s`.
     pub fn from_secs(s: f64) -> Span {
         if s.is_finite() && s > 0.0 { Span((s * 1e9).round() as u64) } else { Span::ZERO }
     }
 
-    /// Nanoseconds.
+    /// The duration in nanoseconds \[ns\].
     pub const fn as_nanos(self) -> u64 {
         self.0
     }
 
-    /// Seconds \[s\].
+    /// The duration in seconds \[s\].
     pub fn as_secs(self) -> f64 {
         self.0 as f64 * 1e-9
     }

@@ -174,7 +174,7 @@ impl Agent {
     /// Where everyone is that has perceived, to look at those alone who can be heard or met. A range that is drawn for
     /// every message has no bound.
     fn locate(&self) -> Option<Cells> {
-        if self.seats.len() <= cells::FEW || self.range.std_m > 0.0 {
+        if self.seats.len() <= cells::LINEAR_SEARCH_MAX || self.range.std_m > 0.0 {
             return None;
         }
         let nowhere = Vec2::repeat(f32::NAN);

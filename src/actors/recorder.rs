@@ -24,7 +24,7 @@ use crate::report::listening::{Datagram, Listener};
 pub use crate::report::trial::Told as Out;
 use crate::report::trial::{Hearing, Said, Step, Totals};
 use crate::safety::guard::SafetyCounts;
-use crate::scenario::judge::{Finding, Judge, Seen, Verdict};
+use crate::scenario::judge::{Finding, Judge, JudgedRobot, Verdict};
 use crate::scenario::layout::Layouts;
 use crate::scenario::sightings::{Sighting, Sightings};
 use crate::scenario::{Arena, Rules};
@@ -295,9 +295,9 @@ impl Recorder {
             && self.config.judged == Judged::Truth
             && let Some(judge) = &mut self.judge
         {
-            let seen: Vec<Seen> =
-                samples.iter().map(|s| Seen { position: s.motion.position, contacts: s.contacts }).collect();
-            if let Some(finding) = judge.see(now.since(self.since), &seen) {
+            let seen: Vec<JudgedRobot> =
+                samples.iter().map(|s| JudgedRobot { position: s.motion.position, contacts: s.contacts }).collect();
+            if let Some(finding) = judge.update(now.since(self.since), &seen) {
                 self.close(now, finding, out);
             }
         }
@@ -313,14 +313,14 @@ impl Recorder {
         let (arena, radius_m) = (&self.config.arena, self.config.wall_radius_m);
         let seen = |(robot, position): (RobotId, Vec2)| {
             let contacts = Contacts { wall: arena.clearance(position) <= radius_m, robot: false };
-            (robot, Seen { position, contacts })
+            (robot, JudgedRobot { position, contacts })
         };
         let Some(judge) = self.judge.as_mut().filter(|_| self.phase == Phase::Running) else { return };
         if lapsed {
             judge.fail(Verdict::Unseen);
         }
-        let seen: Vec<(RobotId, Seen)> = robots.into_iter().map(seen).collect();
-        if let Some(finding) = judge.see_some(at.since(self.since), &seen) {
+        let seen: Vec<(RobotId, JudgedRobot)> = robots.into_iter().map(seen).collect();
+        if let Some(finding) = judge.update_some(at.since(self.since), &seen) {
             self.close(now, finding, out);
         }
     }

@@ -1,5 +1,6 @@
-//! Reading configuration: TOML and JSON, and errors that fit on one line, name the line or the field that is wrong, and
-//! show nothing of a text that may be a key.
+//! Configuration parsing: TOML and JSON, with errors of one line that name the wrong line or field.
+//!
+//! The text may be a team key by mistake, so no error quotes a value of it.
 
 pub mod fields;
 
@@ -7,29 +8,29 @@ use std::borrow::Cow;
 
 use serde::de::DeserializeOwned;
 
-/// Why a configuration cannot be used.
+/// Error of a configuration that cannot be used.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigError {
     /// Not TOML, or a field is missing, unknown or of the wrong type.
     #[error("{0}")]
     Syntax(String),
-    /// A field's value makes no sense.
+    /// The value of a field is invalid.
     #[error("{field}: {reason}")]
     Field {
-        /// Where.
+        /// Path of the field, with dots between tables.
         field: String,
-        /// What is wrong with it, and what would be right.
+        /// The fault and the permitted values.
         reason: String,
     },
 }
 
 impl ConfigError {
-    /// The error of a field.
+    /// Makes the error of a field.
     pub fn field(field: impl Into<String>, reason: impl Into<String>) -> ConfigError {
         ConfigError::Field { field: field.into(), reason: reason.into() }
     }
 
-    /// The same error of a table inside of another.
+    /// Returns the error with `table` put before the field's path, for a nested table.
     pub fn within(self, table: &str) -> ConfigError {
         match self {
             ConfigError::Field { field, reason } => ConfigError::field(format!("{table}.{field}"), reason),
@@ -38,19 +39,19 @@ impl ConfigError {
     }
 }
 
-/// Hexadecimal digits of a team key.
+/// Number of hexadecimal digits of a team key.
 pub const KEY_DIGITS: usize = 64;
-/// Longest run of hexadecimal digits that a message may show: that of a digest of 128 bits. A key is twice as long.
+/// Longest run of hexadecimal digits that a message may show: a digest of 128 bits. A key is twice as long.
 const SHOWN_DIGITS: usize = 32;
 /// Longest name of an unknown field that an error repeats \[characters\].
 const SHOWN_NAME: usize = 32;
 
-/// Reads a value; the error says which line and column is wrong and what belongs there, and quotes nothing.
+/// Parses a value from TOML; the error names line, column and expected type, and quotes no value.
 pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     toml::from_str(text).map_err(|error| syntax(text, &error))
 }
 
-/// The error of a text that is no TOML, or not of this shape. The text may be a key by mistake: no value is quoted.
+/// Converts an error of the TOML parser, with line and column. The text may be a key by mistake: no value is quoted.
 pub fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
     let why = unquoted(&error.message().replace('\n', ": "));
     let Some(span) = error.span() else { return ConfigError::Syntax(why) };
@@ -61,8 +62,8 @@ pub fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
     ConfigError::Syntax(format!("line {line}, column {column}{field}: {why}"))
 }
 
-/// The name of the field that a line sets or of the table that it begins, for an error; empty if it does neither, or if
-/// the name is no ordinary one.
+/// The name of the field or table that a line begins with, in parentheses for an error. Empty if there is none or if
+/// it has unusual characters.
 fn field_of(line: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
     let table = line.trim().strip_prefix('[').map(|rest| rest.trim_matches(['[', ']']));
@@ -71,7 +72,7 @@ fn field_of(line: &str) -> String {
     name.map_or_else(String::new, |name| format!(" ({name})"))
 }
 
-/// The error of a text that is no JSON, or not of this shape, likewise without a word of the text.
+/// Converts an error of the JSON parser to text; likewise no value is quoted.
 pub fn json(error: &serde_json::Error) -> String {
     unquoted(&error.to_string())
 }
@@ -82,7 +83,7 @@ pub fn is_key(bytes: &[u8]) -> bool {
     text.len() == KEY_DIGITS && text.iter().all(u8::is_ascii_hexdigit)
 }
 
-/// A text for people with every run of hexadecimal digits hidden that is long enough to be a key.
+/// Returns the text with every run of more than `SHOWN_DIGITS` hexadecimal digits replaced by "(hidden)".
 pub fn redacted(text: &str) -> Cow<'_, str> {
     let is_digit = |c: char| c.is_ascii_hexdigit();
     if !text.split(|c| !is_digit(c)).any(|run| run.len() > SHOWN_DIGITS) {
@@ -100,35 +101,35 @@ pub fn redacted(text: &str) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// A parser's message without the values that it repeats from the text. Short names of fields are left, and the
-/// parser's own words.
+/// Returns a parser's message without the values that it quotes from the text. Short field names and the parser's own
+/// words stay.
 pub fn unquoted(message: &str) -> String {
-    let (mut said, mut rest) = (String::new(), message);
+    let (mut kept, mut rest) = (String::new(), message);
     while let Some(at) = rest.find(['"', '`']) {
         let (before, quoted) = rest.split_at(at);
         let mark = &quoted[..1];
         let Some(end) = closing(&quoted[1..], mark) else {
-            // A quotation without an end is all value.
-            return redacted((said + before).trim_end()).into_owned();
+            // A quotation without an end is taken as a value up to the end.
+            return redacted((kept + before).trim_end()).into_owned();
         };
         let (inside, after) = (&quoted[1..=end], &quoted[end + 2..]);
         let own = mark == "`" && !REPEATS.iter().any(|word| before.ends_with(word));
         let name = before.ends_with(UNKNOWN_FIELD) && inside.len() <= SHOWN_NAME;
         if own || name && mark == "`" {
-            said += &format!("{before}{mark}{inside}{mark}");
+            kept += &format!("{before}{mark}{inside}{mark}");
         } else {
-            said += before.trim_end();
+            kept += before.trim_end();
         }
         rest = after;
     }
-    redacted(&(said + rest)).into_owned()
+    redacted(&(kept + rest)).into_owned()
 }
 
-/// After these words of serde a value of the text stands in backticks.
+/// Words of serde's messages after which a value of the text follows in backticks.
 const REPEATS: [&str; 6] = [UNKNOWN_FIELD, "unknown variant ", "integer ", "floating point ", "boolean ", "character "];
 const UNKNOWN_FIELD: &str = "unknown field ";
 
-/// Where a quotation ends; a mark behind a backslash is part of it.
+/// Byte index of the closing quotation mark. A mark after a backslash is part of the quotation.
 fn closing(text: &str, mark: &str) -> Option<usize> {
     let mut escaped = false;
     text.char_indices().find_map(|(at, c)| {
@@ -148,14 +149,14 @@ mod tests {
     const KEY: &str = "0f1e2d3c4b5a69788796a5b4c3d2e1f00f1e2d3c4b5a69788796a5b4c3d2e1f0";
 
     #[test]
-    fn an_error_shows_the_place_and_what_belongs_there() {
+    fn an_error_shows_line_column_and_expected_type() {
         let error = from_toml::<BTreeMap<String, u32>>("robots = 5\nhosts = \"five\"\n").unwrap_err().to_string();
         assert_eq!(error, "line 2, column 9 (hosts): invalid type: string, expected u32");
     }
 
     #[derive(Debug, Deserialize)]
     #[serde(deny_unknown_fields)]
-    #[allow(dead_code)] // It is only ever read, and never well.
+    #[allow(dead_code)] // Only the errors of its parser are tested.
     struct Table {
         robots: u32,
         kind: Option<Kind>,
@@ -184,19 +185,19 @@ mod tests {
                 assert!(toml.starts_with("line ") || toml.contains("missing field"), "{toml}");
                 let json = text.replacen(" = ", "\":", 1);
                 let json = super::json(&serde_json::from_str::<Table>(&format!("{{\"{json}}}")).unwrap_err());
-                for said in [toml, json] {
-                    assert!(!said.contains("0f1e2d3c") && !said.contains('\n'), "{text}: {said}");
+                for error in [toml, json] {
+                    assert!(!error.contains("0f1e2d3c") && !error.contains('\n'), "{text}: {error}");
                 }
             }
         }
-        let said = from_toml::<Table>("robotz = 5").unwrap_err().to_string();
-        assert_eq!(said, "line 1, column 1 (robotz): unknown field `robotz`, expected `robots` or `kind`");
-        let said = from_toml::<Table>("robots = 5\nkind = \"ad-hok\"").unwrap_err().to_string();
-        assert_eq!(said, "line 2, column 8 (kind): unknown variant, expected `ad-hoc`");
+        let error = from_toml::<Table>("robotz = 5").unwrap_err().to_string();
+        assert_eq!(error, "line 1, column 1 (robotz): unknown field `robotz`, expected `robots` or `kind`");
+        let error = from_toml::<Table>("robots = 5\nkind = \"ad-hok\"").unwrap_err().to_string();
+        assert_eq!(error, "line 2, column 8 (kind): unknown variant, expected `ad-hoc`");
     }
 
     #[test]
-    fn a_key_is_recognised_and_hidden_and_a_digest_is_not() {
+    fn a_key_is_recognised_and_hidden_but_a_digest_is_not() {
         assert!(is_key(format!("{KEY}\n").as_bytes()) && !is_key(&KEY.as_bytes()[1..]) && !is_key(&[0xff; 64]));
         assert_eq!(redacted(&format!("a {KEY}, b 12ab")), "a (hidden), b 12ab");
         assert_eq!(redacted(&KEY[..32]), KEY[..32]);

@@ -1,12 +1,12 @@
 //! The message-passing network of the paper (section III), evaluated for one robot, in its two architectures.
 //!
-//! h_i = encoder(x_i) is broadcast. Published: the action is update(sum over j of message(h_j - h_i)), with the
-//! robot's own term among the sum: message(0), a constant that is not zero. Full, equation (1): it is
+//! h_i = encoder(x_i) is broadcast. Published: the action is update(sum over j of message(h_j - h_i)), where the sum
+//! includes the robot's own term message(0), a constant that is not zero. Full, equation (1): the action is
 //! update([h_i, sum over j of message([h_i, h_j, e_ij])]), and the sum has no own term.
 //!
-//! In both, the last message layer is linear, so it is applied once, after the sum; and as the first update layer
-//! is linear too, the two are one. In the full one, what h_i adds to the first layers of the message and the update
-//! network is reckoned once a step, and each neighbour's sums begin there.
+//! In both, the last message layer is linear, so it is applied once, after the sum. The first update layer is linear
+//! too, so both are folded into one layer. In the full architecture, h_i contributes to the first layers of the message
+//! and the update network. This part is computed once a step, and each neighbour's sums start from it.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ use crate::random::Stream;
 use crate::scenario::Observation;
 use crate::time::Span;
 
-/// The weights that a whole team shares.
+/// The weights of a trained network, shared by all robots of a team.
 #[derive(Debug)]
 pub struct Network {
     manifest: Manifest,
@@ -28,61 +28,61 @@ pub struct Network {
     digest: String,
     interface: Interface,
     encoder: Mlp,
-    own: Own,
+    own: OwnLatent,
     /// All message layers but the last, which is linear. Full: without the first as well.
     message: Option<Mlp>,
-    /// The last message layer and the first update layer in one. Full: without the robot's own part.
-    heard: Layer,
-    /// What each term of the sum adds behind it: the last message layer's bias.
+    /// The last message layer and the first update layer folded into one. Full: without the robot's own part.
+    aggregate: Layer,
+    /// Contribution of each term of the sum to the output of `aggregate`: the bias of the last message layer.
     term_bias: Vec<f32>,
     /// All update layers but the first.
     update: Option<Mlp>,
 }
 
-/// What the robot's own latent does.
+/// Use of the robot's own latent.
 #[derive(Debug)]
-enum Own {
-    /// Published: it is subtracted from each neighbour's, and makes a term of its own: what message(0) adds to the
-    /// sum, which is the same at every step.
+enum OwnLatent {
+    /// Published: it is subtracted from each neighbour's latent. Holds the robot's own term of the sum, message(0)
+    /// before the last layer, which is the same at every step.
     Term(Vec<f32>),
-    /// Full: it goes into both networks.
+    /// Full: it is an input of both networks.
     Parts {
-        /// The first message layer; none if that is also the last, which is folded as a whole.
-        message: Option<First>,
+        /// The first message layer; `None` if that is also the last, which is folded as a whole.
+        message: Option<FirstLayer>,
         /// Its part of the first update layer.
         update: Layer,
     },
 }
 
-/// The first message layer of the full architecture.
+/// The first message layer of the full architecture, split by its inputs.
 #[derive(Debug)]
-struct First {
-    /// The part of the robot's own latent, and the bias.
+struct FirstLayer {
+    /// The part for the robot's own latent, with the bias.
     own: Layer,
-    /// The part of the neighbour's latent and of the edge.
-    theirs: Layer,
+    /// The part for the neighbour's latent and the edge features.
+    neighbour: Layer,
 }
 
 impl Network {
-    /// The network of a checked file.
+    /// Makes the network of a checked file.
     pub fn new(file: PolicyFile) -> Network {
         let PolicyFile { manifest, assumed, digest, networks: [encoder, message, update] } = file;
         let part = |layers: &[Layer]| (!layers.is_empty()).then(|| Mlp::new(layers.to_vec()));
         let (last, rest) = message.layers().split_last().expect("a perceptron has a layer");
         let (first, update_rest) = update.layers().split_first().expect("a perceptron has a layer");
         let (own, rest, first) = match manifest.architecture {
-            Architecture::Published => (Own::Term(own_term(rest, message.inputs())), rest, first.clone()),
+            Architecture::Published => (OwnLatent::Term(own_term(rest, message.inputs())), rest, first.clone()),
             Architecture::Full => {
                 let split = |layer: &Layer| {
-                    let (own, theirs) = layer.split(encoder.outputs());
-                    First { own, theirs }
+                    let (own, neighbour) = layer.split(encoder.outputs());
+                    FirstLayer { own, neighbour }
                 };
-                let (update, heard) = first.split(encoder.outputs());
-                let own = Own::Parts { message: rest.first().map(split), update };
-                (own, rest.get(1..).unwrap_or_default(), heard)
+                let (update, aggregate) = first.split(encoder.outputs());
+                let own = OwnLatent::Parts { message: rest.first().map(split), update };
+                (own, rest.get(1..).unwrap_or_default(), aggregate)
             }
         };
-        let (heard, term_bias) = first.after(last);
+        let (aggregate, term_bias) = first.fold_after(last);
         Network {
             interface: interface(&manifest, encoder.outputs()),
             manifest,
@@ -91,46 +91,46 @@ impl Network {
             encoder,
             own,
             message: part(rest),
-            heard,
+            aggregate,
             term_bias,
             update: part(update_rest),
         }
     }
 
-    /// What the rest of the system has to know.
+    /// Parameters of the policy that the rest of the system depends on.
     pub fn interface(&self) -> Interface {
         self.interface
     }
 
-    /// What its file said of itself, or what was assumed.
+    /// The manifest of its file, or the assumed one.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }
 
-    /// What was assumed because its file does not say.
+    /// Assumptions made because its file has no manifest, as text; `None` if it has one.
     pub fn assumed(&self) -> Option<&str> {
         self.assumed.as_deref()
     }
 
-    /// A digest of its file.
+    /// Digest of its file.
     pub fn digest(&self) -> &str {
         &self.digest
     }
 
-    fn first(&self) -> Option<&First> {
+    fn first_message_layer(&self) -> Option<&FirstLayer> {
         match &self.own {
-            Own::Term(_) => None,
-            Own::Parts { message, .. } => message.as_ref(),
+            OwnLatent::Term(_) => None,
+            OwnLatent::Parts { message, .. } => message.as_ref(),
         }
     }
 
-    /// Width of what goes into `message`, or into the sum if there is none.
-    fn row(&self) -> usize {
-        self.message.as_ref().map_or(self.heard.inputs(), Mlp::inputs)
+    /// Width of the input of `message`, or of the sum if there is no `message`.
+    fn row_width(&self) -> usize {
+        self.message.as_ref().map_or(self.aggregate.inputs(), Mlp::inputs)
     }
 }
 
-/// What a zero difference of `width` floats gives behind all message layers but the last.
+/// Output of all message layers but the last for an input of `width` zeros.
 fn own_term(rest: &[Layer], width: usize) -> Vec<f32> {
     let zeros = vec![0.0; width];
     if rest.is_empty() {
@@ -152,7 +152,7 @@ fn interface(manifest: &Manifest, features: usize) -> Interface {
     }
 }
 
-/// One robot's part of the network.
+/// One robot's instance of the network.
 #[derive(Debug)]
 pub struct Gnn {
     network: Arc<Network>,
@@ -161,58 +161,60 @@ pub struct Gnn {
     space: Space,
 }
 
-/// Room for everything in between, so that a step allocates nothing once it has seen its most neighbours.
+/// Buffers for intermediate values. A step allocates nothing unless it has more neighbours than any before.
 #[derive(Debug)]
 struct Space {
-    seen: Vec<f32>,
+    observation: Vec<f32>,
     encoder: Scratch,
-    /// Full: latent and edge, a row for each neighbour.
-    said: Vec<f32>,
-    /// What goes into the network's `message`, a row for each neighbour.
+    /// Full: latent and edge features, one row per neighbour.
+    neighbours: Vec<f32>,
+    /// Input of the network's `message`, one row per neighbour.
     rows: Vec<f32>,
     message: Scratch,
-    /// What comes out of all message layers but the last, a row for each neighbour.
+    /// Output of all message layers but the last, one row per neighbour.
     edges: Vec<f32>,
     sum: Vec<f32>,
-    heard: Vec<f32>,
+    /// Output of the network's `aggregate`.
+    aggregate: Vec<f32>,
     update: Scratch,
-    /// Full: what the robot's own latent gives in the first message layer and in the first update layer.
+    /// Full: contribution of the robot's own latent to the first message layer.
     own_message: Vec<f32>,
+    /// Full: contribution of the robot's own latent to the first update layer.
     own_update: Vec<f32>,
-    /// How many neighbours there is room for.
-    most: usize,
+    /// Number of neighbours that the buffers have room for.
+    capacity: usize,
 }
 
 impl Gnn {
-    /// One robot's instance.
+    /// Makes one robot's instance.
     pub fn new(network: Arc<Network>, draw: Draw) -> Gnn {
         Gnn::with_instructions(network, draw, Instructions::Detected)
     }
 
-    /// The same, compiled for chosen instructions; the results are equal bit for bit.
+    /// Makes an instance that runs on the given instruction set; the results are the same bit for bit.
     pub fn with_instructions(network: Arc<Network>, draw: Draw, instructions: Instructions) -> Gnn {
-        let own_message = network.first().map_or(0, |first| first.own.outputs());
+        let own_message = network.first_message_layer().map_or(0, |first| first.own.outputs());
         let space = Space {
-            seen: vec![0.0; network.encoder.inputs()],
+            observation: vec![0.0; network.encoder.inputs()],
             encoder: network.encoder.scratch(1),
-            said: Vec::new(),
+            neighbours: Vec::new(),
             rows: Vec::new(),
             message: Scratch::default(),
             edges: Vec::new(),
-            sum: vec![0.0; network.heard.inputs()],
-            heard: vec![0.0; network.heard.outputs()],
+            sum: vec![0.0; network.aggregate.inputs()],
+            aggregate: vec![0.0; network.aggregate.outputs()],
             update: network.update.as_ref().map(|update| update.scratch(1)).unwrap_or_default(),
             own_message: vec![0.0; own_message],
-            own_update: vec![0.0; network.heard.outputs()],
-            most: 0,
+            own_update: vec![0.0; network.aggregate.outputs()],
+            capacity: 0,
         };
         Gnn { network, draw, instructions, space }
     }
 
-    /// The network's outputs, \[mean_x, mean_y, log_std_x, log_std_y\] \[m/s\], as they are: the manifest's
-    /// largest log standard deviation is for sampling. Takes what [`Policy::act`] takes.
+    /// The network's raw outputs, \[mean_x, mean_y, log_std_x, log_std_y\] of a velocity \[m/s\]; the manifest's upper
+    /// limit of the log standard deviation is not applied. Takes the arguments of [`Policy::act`].
     pub fn outputs(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) -> [f32; 4] {
-        self.make_room(neighbours.len());
+        self.reserve(neighbours.len());
         let (network, space) = (&*self.network, &mut self.space);
         self.instructions.run(
             #[inline(always)]
@@ -220,16 +222,16 @@ impl Gnn {
         )
     }
 
-    fn make_room(&mut self, most: usize) {
-        if most > self.space.most {
+    fn reserve(&mut self, neighbours: usize) {
+        if neighbours > self.space.capacity {
             let space = &mut self.space;
-            space.most = most;
-            let said = self.network.first().map_or(0, |first| first.theirs.inputs());
-            space.said.resize(most * said, 0.0);
-            space.rows.resize(most * self.network.row(), 0.0);
-            space.edges.resize(most * self.network.heard.inputs(), 0.0);
+            space.capacity = neighbours;
+            let width = self.network.first_message_layer().map_or(0, |first| first.neighbour.inputs());
+            space.neighbours.resize(neighbours * width, 0.0);
+            space.rows.resize(neighbours * self.network.row_width(), 0.0);
+            space.edges.resize(neighbours * self.network.aggregate.inputs(), 0.0);
             if let Some(message) = &self.network.message {
-                space.message = message.scratch(most);
+                space.message = message.scratch(neighbours);
             }
         }
     }
@@ -243,9 +245,9 @@ fn outputs(
     features: &[f32],
     neighbours: &[Neighbour],
 ) -> [f32; 4] {
-    let (count, width) = (neighbours.len(), network.row());
+    let (count, width) = (neighbours.len(), network.row_width());
     match &network.own {
-        Own::Term(term) => {
+        OwnLatent::Term(term) => {
             for (row, neighbour) in space.rows.chunks_exact_mut(width).zip(neighbours) {
                 for ((to, theirs), mine) in row.iter_mut().zip(neighbour.features).zip(features) {
                     *to = theirs - mine;
@@ -253,21 +255,21 @@ fn outputs(
             }
             space.sum.copy_from_slice(term);
         }
-        Own::Parts { message, .. } => {
+        OwnLatent::Parts { message, .. } => {
             let edge = &network.manifest.edge;
             match message {
-                Some(First { own, theirs }) => {
+                Some(FirstLayer { own, neighbour: layer }) => {
                     own.apply(1, features, &mut space.own_message, Relu::None);
-                    for (row, neighbour) in space.said.chunks_exact_mut(theirs.inputs()).zip(neighbours) {
-                        describe(edge, position, neighbour, row);
+                    for (row, neighbour) in space.neighbours.chunks_exact_mut(layer.inputs()).zip(neighbours) {
+                        write_neighbour(edge, position, neighbour, row);
                     }
-                    theirs.apply_from(&space.own_message, count, &space.said, &mut space.rows, Relu::After);
+                    layer.apply_from(&space.own_message, count, &space.neighbours, &mut space.rows, Relu::After);
                 }
                 None => {
                     for (row, neighbour) in space.rows.chunks_exact_mut(width).zip(neighbours) {
-                        let (mine, said) = row.split_at_mut(features.len());
+                        let (mine, theirs) = row.split_at_mut(features.len());
                         mine.copy_from_slice(features);
-                        describe(edge, position, neighbour, said);
+                        write_neighbour(edge, position, neighbour, theirs);
                     }
                 }
             }
@@ -282,31 +284,31 @@ fn outputs(
     for edge in space.edges.chunks_exact(space.sum.len()).take(count) {
         space.sum.iter_mut().zip(edge).for_each(|(sum, term)| *sum += term);
     }
-    network.heard.apply(1, &space.sum, &mut space.heard, Relu::None);
+    network.aggregate.apply(1, &space.sum, &mut space.aggregate, Relu::None);
     let terms = match &network.own {
-        Own::Term(_) => count + 1,
-        Own::Parts { update, .. } => {
+        OwnLatent::Term(_) => count + 1,
+        OwnLatent::Parts { update, .. } => {
             update.apply(1, features, &mut space.own_update, Relu::None);
-            space.heard.iter_mut().zip(&space.own_update).for_each(|(heard, own)| *heard += own);
+            space.aggregate.iter_mut().zip(&space.own_update).for_each(|(sum, own)| *sum += own);
             count
         }
     };
     let terms = terms as f32;
-    space.heard.iter_mut().zip(&network.term_bias).for_each(|(heard, bias)| *heard += terms * bias);
+    space.aggregate.iter_mut().zip(&network.term_bias).for_each(|(sum, bias)| *sum += terms * bias);
     let mut out = [0.0; 4];
     match &network.update {
-        None => out.copy_from_slice(&space.heard),
+        None => out.copy_from_slice(&space.aggregate),
         Some(update) => {
-            space.heard.iter_mut().for_each(|heard| *heard = heard.max(0.0));
-            update.apply(1, &space.heard, &mut out, &mut space.update, Relu::None);
+            space.aggregate.iter_mut().for_each(|sum| *sum = sum.max(0.0));
+            update.apply(1, &space.aggregate, &mut out, &mut space.update, Relu::None);
         }
     }
     out
 }
 
-/// Writes what a robot at `position` knows of a neighbour: its latent, and then the edge to it.
+/// Writes the input row of a neighbour: its latent, then the features of the edge from a robot at `position` \[m\].
 #[inline(always)]
-fn describe(edge: &[EdgeField], position: Vec2, neighbour: &Neighbour, row: &mut [f32]) {
+fn write_neighbour(edge: &[EdgeField], position: Vec2, neighbour: &Neighbour, row: &mut [f32]) {
     let (latent, mut row) = row.split_at_mut(neighbour.features.len());
     latent.copy_from_slice(neighbour.features);
     for field in edge {
@@ -326,12 +328,12 @@ impl Policy for Gnn {
 
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
         let (network, space) = (&*self.network, &mut self.space);
-        for (two, field) in space.seen.chunks_exact_mut(2).zip(&network.manifest.observation) {
-            two.copy_from_slice(&field.of(own).to_array());
+        for (entry, field) in space.observation.chunks_exact_mut(2).zip(&network.manifest.observation) {
+            entry.copy_from_slice(&field.of(own).to_array());
         }
         self.instructions.run(
             #[inline(always)]
-            || network.encoder.apply(1, &space.seen, features, &mut space.encoder, Relu::None),
+            || network.encoder.apply(1, &space.observation, features, &mut space.encoder, Relu::None),
         );
     }
 
@@ -366,7 +368,7 @@ mod tests {
         Arc::new(Network::new(file))
     }
 
-    /// All layers one after the other, ReLU between.
+    /// Applies all layers in turn, with ReLU between them.
     fn perceptron(layers: &[(Vec<f32>, Vec<f32>)], mut x: Vec<f64>) -> Vec<f64> {
         for (depth, (weight, bias)) in layers.iter().enumerate() {
             let row = |(row, bias): (&[f32], &f32)| -> f64 {
@@ -379,11 +381,11 @@ mod tests {
         x
     }
 
-    fn wide(floats: &[f32]) -> Vec<f64> {
+    fn to_f64(floats: &[f32]) -> Vec<f64> {
         floats.iter().map(|float| f64::from(*float)).collect()
     }
 
-    /// The architectures' formulas as they are written.
+    /// Direct evaluation of the architectures' formulas, in f64.
     fn naive(manifest: &Manifest, tensors: &Tensors, at: Vec2, own: &[f32], neighbours: &[Neighbour]) -> Vec<f64> {
         let [_, message, update] = tensors;
         let mut inputs: Vec<Vec<f64>> = Vec::new();
@@ -394,7 +396,7 @@ mod tests {
                     own.iter().zip(theirs).map(|(h, hj)| f64::from(*hj) - f64::from(*h)).collect()
                 }
                 Architecture::Full => {
-                    let mut input = [wide(own), wide(theirs)].concat();
+                    let mut input = [to_f64(own), to_f64(theirs)].concat();
                     for field in &manifest.edge {
                         match field {
                             EdgeField::Age => input.push(neighbour.age.as_secs()),
@@ -408,7 +410,7 @@ mod tests {
                 }
             });
         }
-        let mut start = wide(own);
+        let mut start = to_f64(own);
         if manifest.architecture == Architecture::Published {
             inputs.push(vec![0.0; own.len()]);
             start.clear();
@@ -420,7 +422,7 @@ mod tests {
         perceptron(update, [start, sum].concat())
     }
 
-    /// Manifests of both architectures: with the published widths, of few layers, of a single one.
+    /// Manifests of both architectures, with the published widths, with two layers and with one.
     fn manifests() -> Vec<Manifest> {
         let (published, full) = (Manifest::published(), Manifest::full());
         let small = |manifest: &Manifest, message: &[usize], update: &[usize]| Manifest {
@@ -443,30 +445,30 @@ mod tests {
     }
 
     #[test]
-    fn a_step_is_the_formula_and_the_same_bits_on_all_instructions() {
+    fn a_step_equals_the_formula_and_has_the_same_bits_on_all_instruction_sets() {
         let mut stream = Seed::of_run(3).stream("test");
-        let mut reach = |most: f32| stream.random_range(-most..most);
+        let mut random = |max: f32| stream.random_range(-max..max);
         for (seed, manifest) in manifests().into_iter().enumerate() {
             assert_eq!(manifest.check(), Ok(()));
             let tensors = random_tensors(&manifest, seed as u64);
             let network = network(&manifest, &tensors);
             let [mut baseline, mut detected] = [Instructions::Baseline, Instructions::Detected]
                 .map(|instructions| Gnn::with_instructions(Arc::clone(&network), Draw::Mean, instructions));
-            // More and then fewer, so that what is left in the scratch space would show.
+            // More and then fewer neighbours, so that stale values in the buffers would show.
             for count in [0, 1, 2, 6, 3, 5, 4, 0] {
-                let motion = Motion::at_rest(Vec2::new(reach(3.0), reach(3.0)));
-                let own = Observation { motion, goal: Vec2::new(reach(3.0), reach(3.0)) };
+                let motion = Motion::at_rest(Vec2::new(random(3.0), random(3.0)));
+                let own = Observation { motion, goal: Vec2::new(random(3.0), random(3.0)) };
                 let mut features = vec![0.0; network.interface().features];
                 detected.encode(&own, &mut features);
-                let said: Vec<(Vec2, Vec<f32>)> = (0..count)
-                    .map(|_| (Vec2::new(reach(3.0), reach(3.0)), features.iter().map(|_| reach(1.0)).collect()))
+                let broadcasts: Vec<(Vec2, Vec<f32>)> = (0..count)
+                    .map(|_| (Vec2::new(random(3.0), random(3.0)), features.iter().map(|_| random(1.0)).collect()))
                     .collect();
-                let heard = said.iter().enumerate().map(|(k, (position, features))| Neighbour {
+                let neighbours = broadcasts.iter().enumerate().map(|(k, (position, features))| Neighbour {
                     motion: Motion::at_rest(*position),
                     features,
                     age: Span::from_millis(37 * k as u64),
                 });
-                let neighbours: Vec<Neighbour> = heard.collect();
+                let neighbours: Vec<Neighbour> = neighbours.collect();
                 let found = detected.outputs(&own, &features, &neighbours);
                 assert_eq!(found, baseline.outputs(&own, &features, &neighbours));
                 for (found, expected) in
@@ -480,7 +482,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_log_standard_deviation_caps_those_that_actions_are_sampled_with() {
+    fn log_std_max_clamps_the_log_standard_deviation_of_samples() {
         let action = |log_std_max: Option<f32>, log_std: f32| {
             let manifest = Manifest { log_std_max, ..Manifest::full() };
             let mut tensors = random_tensors(&manifest, 1);
@@ -489,7 +491,7 @@ mod tests {
             bias.copy_from_slice(&[0.0, 0.0, log_std, log_std]);
             let mut gnn = Gnn::new(network(&manifest, &tensors), Draw::Sample);
             let own = Observation { motion: Motion::default(), goal: Vec2::zeros() };
-            assert_eq!(gnn.outputs(&own, &[0.5; 32], &[])[2], log_std, "the outputs are as they are");
+            assert_eq!(gnn.outputs(&own, &[0.5; 32], &[])[2], log_std, "the raw outputs are not clamped");
             gnn.act(&own, &[0.5; 32], &[], &mut Seed::of_run(1).stream("draw"))
         };
         assert_ne!(action(Some(-1.0), 2.0), action(None, 2.0));
@@ -498,7 +500,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_policy_comes_back_from_its_file_as_it_went() {
+    fn a_manifest_is_unchanged_after_writing_and_reading() {
         let training = Training {
             program: "a-trainer 0.1".to_owned(),
             preset: "passage".to_owned(),

@@ -1,7 +1,7 @@
-//! What a policy file says of itself: the manifest, one JSON object in the safetensors metadata.
+//! The manifest of a policy file: one JSON object in the safetensors metadata.
 //!
-//! It holds all that is needed to run the tensors beside it, so that no file is ever run on assumptions,
-//! except the published one, which has no manifest and is known by its shapes.
+//! It holds all parameters that are needed to run the tensors beside it. Only the published file has no manifest; it is
+//! recognised by its shapes, and its parameters are assumed.
 
 use serde::{Deserialize, Serialize};
 
@@ -14,14 +14,14 @@ pub const KEY: &str = "murmurate";
 /// The version of the manifest's format.
 pub const FORMAT: u32 = 1;
 
-/// How the message passing is laid out.
+/// Layout of the message passing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Architecture {
     /// The published layers: update(sum over neighbours and self of message(h_j - h_i)).
     Published,
-    /// Equation (1) of the paper: update(\[h_i, sum over neighbours of message(\[h_i, h_j, e_ij\])\]), where e_ij
-    /// is what is known of the edge. The robot itself is no term of the sum.
+    /// Equation (1) of the paper: update(\[h_i, sum over neighbours of message(\[h_i, h_j, e_ij\])\]), where e_ij are
+    /// the features of the edge. The robot itself is not a term of the sum.
     Full,
 }
 
@@ -38,29 +38,30 @@ pub enum Field {
 }
 
 impl Field {
-    /// Its value, in the policy frame.
-    pub fn of(self, seen: &Observation) -> Vec2 {
+    /// The value of the entry \[m\], in the policy frame.
+    pub fn of(self, observation: &Observation) -> Vec2 {
         match self {
-            Field::GoalMinusPosition => seen.goal - seen.motion.position,
-            Field::Position => seen.motion.position,
+            Field::GoalMinusPosition => observation.goal - observation.motion.position,
+            Field::Position => observation.motion.position,
             // The velocity counts as metres, that is, times one second.
-            Field::PositionPlusVelocity => seen.motion.position + seen.motion.velocity,
+            Field::PositionPlusVelocity => observation.motion.position + observation.motion.velocity,
         }
     }
 }
 
-/// One entry of what is known of an edge, from the robot to a neighbour that it hears.
+/// One feature of an edge between the robot and a neighbour in range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum EdgeField {
-    /// How long ago the neighbour's message arrived \[s\], one float.
+    /// Time since the neighbour's message arrived \[s\], one float.
     Age,
-    /// The neighbour's position when it spoke - the robot's own position, in the policy frame \[m\], two floats.
+    /// The neighbour's position when it sent its message minus the robot's own position, policy frame \[m\], two
+    /// floats.
     RelativePosition,
 }
 
 impl EdgeField {
-    /// How many floats it takes.
+    /// Number of floats of the feature.
     pub const fn floats(self) -> usize {
         match self {
             EdgeField::Age => 1,
@@ -69,25 +70,25 @@ impl EdgeField {
     }
 }
 
-/// How a policy file came to be. Nothing here changes what the policy does.
+/// Origin of a policy file, for information only.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Training {
     /// The program that trained it, with its version.
     pub program: String,
-    /// The preset that its settings began from.
+    /// The preset from which its settings were derived.
     pub preset: String,
     /// The seed of the run.
     pub seed: u64,
-    /// How many decisions it learned from: one for each robot and step.
+    /// Number of decisions in the training data: one per robot and step.
     pub decisions: u64,
-    /// How many steps of a whole team's environment these took.
+    /// Number of steps of a team's environment in the training data.
     pub env_steps: u64,
-    /// All settings of the run, in the words of the program that trained it.
+    /// All settings of the run, in the format of the program that trained it.
     pub configuration: serde_json::Value,
 }
 
-/// What the last layer's outputs mean.
+/// Action distribution that the last layer's outputs parametrize.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Distribution {
@@ -99,15 +100,15 @@ pub enum Distribution {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// `FORMAT`.
+    /// Version of the format, `FORMAT`.
     pub format: u32,
-    /// The scenario that it was trained for.
+    /// Scenario for which the policy was trained.
     pub scenario: String,
-    /// How the message passing is laid out.
+    /// Layout of the message passing.
     pub architecture: Architecture,
-    /// The observation's entries, in order.
+    /// Entries of the observation, in order.
     pub observation: Vec<Field>,
-    /// The edge's entries, in order; the published architecture has none.
+    /// Features of an edge, in order; the published architecture has none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub edge: Vec<EdgeField>,
     /// Widths of the encoder, input first.
@@ -116,11 +117,11 @@ pub struct Manifest {
     pub message: Vec<usize>,
     /// Widths of the update network, input first.
     pub update: Vec<usize>,
-    /// What the outputs mean.
+    /// Action distribution that the outputs parametrize.
     pub distribution: Distribution,
-    /// How actions are drawn unless the user says otherwise.
+    /// Default method of drawing actions.
     pub draw: Draw,
-    /// The largest log standard deviation that actions are sampled with; larger outputs count as this.
+    /// Upper limit of the log standard deviation for sampling; larger outputs are clamped to it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub log_std_max: Option<f32>,
     /// Communication radius \[m\].
@@ -129,17 +130,17 @@ pub struct Manifest {
     pub rate_hz: f64,
     /// Largest velocity along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// How long a neighbour's message is of use \[s\].
+    /// Age up to which a neighbour's message is used \[s\].
     pub hold_s: f64,
     /// SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.
     pub sha256: String,
-    /// How the file came to be.
+    /// Origin of the file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub training: Option<Training>,
 }
 
 impl Manifest {
-    /// What the published passage policy would say of itself; every figure from the release's data.
+    /// The manifest for the published passage policy, which has none; every value is from the release's data.
     pub fn published() -> Manifest {
         Manifest {
             format: FORMAT,
@@ -162,7 +163,8 @@ impl Manifest {
         }
     }
 
-    /// The published conditions with equation (1) of the paper in full, edges of age and relative position.
+    /// The published conditions with the architecture of equation (1) in full and edge features age and relative
+    /// position.
     pub fn full() -> Manifest {
         Manifest {
             architecture: Architecture::Full,
@@ -173,7 +175,7 @@ impl Manifest {
         }
     }
 
-    /// Checks that the numbers make sense together; the error names the field.
+    /// Checks the fields and their consistency; the error names the field.
     pub fn check(&self) -> Result<(), String> {
         let positive = |field: &str, value: f64| {
             if value.is_finite() && value > 0.0 { Ok(()) } else { Err(format!("{field}: {value} is not above 0")) }
@@ -183,21 +185,21 @@ impl Manifest {
         }
         for (field, widths) in [("encoder", &self.encoder), ("message", &self.message), ("update", &self.update)] {
             if widths.len() < 2 || widths.iter().any(|&width| width == 0 || width > 4096) {
-                return Err(format!("{field}: {widths:?} are no layer widths (two or more of 1 to 4096)"));
+                return Err(format!("{field}: {widths:?} are not valid layer widths (two or more, each 1 to 4096)"));
             }
         }
         let ends = |widths: &[usize]| (widths[0], widths[widths.len() - 1]);
         let (observed, hidden) = ends(&self.encoder);
         if self.architecture == Architecture::Published && !self.edge.is_empty() {
-            return Err("edge: the published architecture knows nothing of an edge; leave it out".to_owned());
+            return Err("edge: the published architecture has no edge features; leave it out".to_owned());
         }
         let edge: usize = self.edge.iter().map(|field| field.floats()).sum();
-        let said = ends(&self.message).1;
+        let messages = ends(&self.message).1;
         let (to_message, to_update) = match self.architecture {
-            Architecture::Published => (("the encoder's output", hidden), ("the message network's output", said)),
+            Architecture::Published => (("the encoder's output", hidden), ("the message network's output", messages)),
             Architecture::Full => (
                 ("the encoder's output twice and the edge", 2 * hidden + edge),
-                ("the encoder's output and the message network's", hidden + said),
+                ("the encoder's output and the message network's", hidden + messages),
             ),
         };
         let chain = [
@@ -211,7 +213,7 @@ impl Manifest {
             }
         }
         if ends(&self.update).1 != 4 {
-            return Err(format!("update: output of {}; a diagonal normal in the plane takes 4", ends(&self.update).1));
+            return Err(format!("update: output of {}; a diagonal normal distribution needs 4", ends(&self.update).1));
         }
         if hidden > crate::messages::wire::MAX_FEATURES {
             return Err(format!(
@@ -226,7 +228,7 @@ impl Manifest {
         positive("limit_m_s", f64::from(self.limit_m_s))?;
         positive("rate_hz", self.rate_hz)?;
         positive("hold_s", self.hold_s)?;
-        // A motor command holds 200 ms: a robot must act twice in that time.
+        // A motor command is valid for 200 ms, and a robot must act at least twice in that time.
         if !(10.0..=1000.0).contains(&self.rate_hz) {
             return Err(format!("rate_hz: {} is not 10 to 1000", self.rate_hz));
         }
@@ -242,7 +244,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_manifest_that_contradicts_itself_is_refused_by_its_field() {
+    fn an_inconsistent_manifest_is_refused_with_the_name_of_the_field() {
         let changed = |mut manifest: Manifest, change: fn(&mut Manifest)| {
             assert_eq!(manifest.check(), Ok(()));
             change(&mut manifest);
@@ -268,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_manifest_need_not_say_is_not_written_and_not_missed() {
+    fn optional_fields_without_a_value_are_not_written_and_not_required() {
         let text = serde_json::to_string(&Manifest::published()).expect("a manifest is JSON");
         for field in ["edge", "log_std_max", "training"] {
             assert!(!text.contains(field), "{field} is left out: {text}");

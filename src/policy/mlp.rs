@@ -1,31 +1,30 @@
-//! Multi-layer perceptrons on the control path: small, allocation-free, and the same bits on every machine.
+//! Multi-layer perceptrons on the control path: small, without allocation, and with the same bits on every machine.
 //!
-//! Every output is a sum over the inputs in their order, by multiplication and addition alone (no fused
-//! operations), so blocking and vector width change the speed and nothing else. `Instructions` picks the
-//! vector width at run time.
+//! Every output is a sum over the inputs in their order, with multiplications and additions only (none fused). So
+//! blocking and vector width change the speed, not the result. `Instructions` selects the vector width at run time.
 
-/// Outputs computed at once: eight 128-bit or four 256-bit registers a row.
+/// Number of outputs computed at once: eight 128-bit or four 256-bit registers per row.
 const BLOCK: usize = 32;
 
 type Lanes = [f32; BLOCK];
 
-/// Which instructions the loops are compiled for.
+/// Instruction set for which the loops are compiled.
 #[derive(Clone, Copy, Debug)]
 pub enum Instructions {
-    /// Those that every machine of this target has.
+    /// The instructions that every machine of this target has.
     Baseline,
-    /// The widest that this machine was found to have; in a program without the feature `wide`, those of the baseline.
+    /// The widest vector instructions of this machine; in a program without the feature `wide`, those of the baseline.
     Detected,
 }
 
 impl Instructions {
-    /// Runs `work`, compiled for these instructions.
+    /// Runs `work`, compiled for this instruction set.
     #[inline(always)]
     pub fn run<R>(self, work: impl FnOnce() -> R) -> R {
         match self {
             #[cfg(feature = "wide")]
             Instructions::Detected => {
-                // The closure's result travels in an option, because a dispatched operation takes no type of its own.
+                // The result is returned through an option, because the dispatched closure's type is not generic.
                 let mut result = None;
                 pulp::Arch::new().dispatch(
                     #[inline(always)]
@@ -38,18 +37,18 @@ impl Instructions {
     }
 }
 
-/// One layer, y = W x + b, and ReLU unless it is the last.
+/// One linear layer, y = W x + b.
 #[derive(Clone, Debug)]
 pub struct Layer {
     inputs: usize,
     outputs: usize,
-    /// By block of outputs, then by input, then by output in the block; padded with zeros.
+    /// Weights by block of outputs, then by input, then by output in the block; padded with zeros.
     weight: Vec<Lanes>,
     bias: Vec<Lanes>,
 }
 
 impl Layer {
-    /// A layer from a row-major \[outputs, inputs\] matrix.
+    /// Makes a layer from a row-major \[outputs, inputs\] matrix and biases \[outputs\].
     pub fn new(weight: &[f32], bias: &[f32]) -> Layer {
         let outputs = bias.len();
         let inputs = weight.len() / outputs;
@@ -87,7 +86,7 @@ impl Layer {
         }
     }
 
-    /// The same with each row's sums begun at `start` \[outputs\] instead of at the bias.
+    /// Applies the layer like `apply`, but with each row's sums started from `start` \[outputs\] instead of the bias.
     #[inline(always)]
     pub fn apply_from(&self, start: &[f32], rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
         for (block, start) in start[..self.outputs].chunks(BLOCK).enumerate() {
@@ -103,27 +102,27 @@ impl Layer {
         let weight = &self.weight[block * self.inputs..(block + 1) * self.inputs];
         let from = block * BLOCK;
         let to = self.outputs.min(from + BLOCK);
-        // Two rows at once, so that each weight that is loaded serves both; then the odd one.
+        // Two rows at once, so that each loaded weight is used twice; then the odd row.
         let (mut x_pairs, mut y_pairs) = (x.chunks_exact(2 * self.inputs), y.chunks_exact_mut(2 * self.outputs));
         for (x, y) in (&mut x_pairs).zip(&mut y_pairs) {
             let (x, y) = (x.split_at(self.inputs), y.split_at_mut(self.outputs));
             let (first, second) = two_rows(weight, start, x);
-            relu.put(first, &mut y.0[from..to]);
-            relu.put(second, &mut y.1[from..to]);
+            relu.store(first, &mut y.0[from..to]);
+            relu.store(second, &mut y.1[from..to]);
         }
         let (x, y) = (x_pairs.remainder(), y_pairs.into_remainder());
         if !x.is_empty() {
-            relu.put(one_row(weight, start, x), &mut y[from..to]);
+            relu.store(one_row(weight, start, x), &mut y[from..to]);
         }
     }
 
-    /// The matrix entry from an input to an output.
+    /// The weight from an input to an output.
     fn entry(&self, output: usize, input: usize) -> f32 {
         self.weight[output / BLOCK * self.inputs + input][output % BLOCK]
     }
 
-    /// Two layers that are this one in turn: the first takes the inputs before `at` and holds the bias, the
-    /// second takes the rest and starts from what the first gives. Nothing is rounded otherwise than in one piece.
+    /// Splits the layer by its inputs. The first part takes the inputs before `at` and has the bias. The second takes
+    /// the rest and is applied with `apply_from` the output of the first. The result has the same bits as one layer.
     pub fn split(&self, at: usize) -> (Layer, Layer) {
         let part = |inputs: std::ops::Range<usize>, bias: &[f32]| {
             let row = |output: usize| inputs.clone().map(move |input| self.entry(output, input));
@@ -133,11 +132,11 @@ impl Layer {
         (part(0..at, bias), part(at..self.inputs, &vec![0.0; self.outputs]))
     }
 
-    /// The one linear layer that does what `inner` and then this layer do, if nothing comes between; its bias
-    /// is this layer's part alone, and `inner`'s bias as seen behind this layer is given beside it.
+    /// Folds `inner` followed by this layer, without an activation between, into one layer. Its bias is that of this
+    /// layer; returned beside it is `inner`'s bias multiplied by this layer's weights.
     ///
-    /// Reckoned in f64, so that a network keeps its accuracy.
-    pub fn after(&self, inner: &Layer) -> (Layer, Vec<f32>) {
+    /// Computed in f64, so that a network keeps its accuracy.
+    pub fn fold_after(&self, inner: &Layer) -> (Layer, Vec<f32>) {
         assert_eq!(inner.outputs, self.inputs, "layers fit each other");
         let sum = |output: usize, term: &dyn Fn(usize) -> f32| -> f32 {
             (0..self.inputs).map(|k| f64::from(self.entry(output, k)) * f64::from(term(k))).sum::<f64>() as f32
@@ -176,48 +175,48 @@ fn two_rows(weight: &[Lanes], bias: &Lanes, x: (&[f32], &[f32])) -> (Lanes, Lane
     (first, second)
 }
 
-/// Whether a layer's output is rectified.
+/// Activation of a layer's output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Relu {
     /// max(0, y).
     After,
-    /// y as it is.
+    /// No activation.
     None,
 }
 
 impl Relu {
     #[inline(always)]
-    fn put(self, mut sum: Lanes, y: &mut [f32]) {
+    fn store(self, mut sum: Lanes, y: &mut [f32]) {
         if self == Relu::After {
             sum.iter_mut().for_each(|lane| *lane = lane.max(0.0));
         }
         match <&mut Lanes>::try_from(&mut *y) {
-            // A length known at compile time spares a call.
+            // A length known at compile time avoids a call to memcpy.
             Ok(whole) => *whole = sum,
             Err(_) => y.copy_from_slice(&sum[..y.len()]),
         }
     }
 }
 
-/// Layers in a row.
+/// A multi-layer perceptron: layers applied in turn.
 #[derive(Clone, Debug)]
 pub struct Mlp {
     layers: Vec<Layer>,
 }
 
-/// Space for the values between layers, two rows of alternating use.
+/// Two buffers of alternating use for the values between layers.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch(Vec<f32>, Vec<f32>);
 
 impl Mlp {
-    /// A perceptron of these layers; each takes what the one before gives.
+    /// Makes a perceptron of these layers, each with inputs as wide as the outputs of the one before.
     pub fn new(layers: Vec<Layer>) -> Mlp {
         assert!(!layers.is_empty(), "a perceptron has a layer");
         assert!(layers.windows(2).all(|pair| pair[0].outputs == pair[1].inputs), "layers fit each other");
         Mlp { layers }
     }
 
-    /// The layers, first one first.
+    /// The layers, in order.
     pub fn layers(&self) -> &[Layer] {
         &self.layers
     }
@@ -232,13 +231,14 @@ impl Mlp {
         self.layers[self.layers.len() - 1].outputs
     }
 
-    /// Scratch space for `rows` rows through the widest layer.
+    /// Makes scratch space for `rows` rows of the widest layer.
     pub fn scratch(&self, rows: usize) -> Scratch {
         let widest = self.layers.iter().map(|layer| layer.outputs).max().unwrap_or(0) * rows;
         Scratch(vec![0.0; widest], vec![0.0; widest])
     }
 
-    /// Applies all layers to `rows` rows, rectified between; the last one as `last` says.
+    /// Applies all layers to `rows` rows, with ReLU between them and the activation `last` after the last one: `x` is
+    /// \[rows, inputs\], `y` is \[rows, outputs\], both row-major.
     #[inline(always)]
     pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], scratch: &mut Scratch, last: Relu) {
         let (mut from, mut to) = (&mut scratch.0, &mut scratch.1);
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn a_layer_in_two_parts_is_the_layer_bit_for_bit() {
+    fn a_split_layer_gives_the_same_bits_as_the_whole() {
         let pseudo = |k: usize| ((k * 7919 + 13) % 1009) as f32 / 500.0 - 1.0;
         let weight: Vec<f32> = (0..37 * 9).map(pseudo).collect();
         let layer = Layer::new(&weight, &weight[5..42]);
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bits_depend_neither_on_instructions_nor_on_rows_at_once() {
+    fn the_bits_depend_neither_on_the_instruction_set_nor_on_the_number_of_rows() {
         let pseudo = |k: usize| ((k * 7919 + 13) % 1009) as f32 / 500.0 - 1.0;
         let layer = |inputs: usize, outputs: usize| {
             let weight: Vec<f32> = (0..inputs * outputs).map(pseudo).collect();

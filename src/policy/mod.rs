@@ -1,8 +1,7 @@
-//! Policies: what a robot says to its neighbours, and how it moves on what it hears. A policy is one file
-//! and one line in `REGISTRY`; in a crate of one's own, one line where its `Registry` is made.
+//! Policies: a robot's broadcast to its neighbours, and its velocity as a function of their broadcasts.
 //!
-//! A policy sees the policy frame only. Nothing in this folder knows that there is a network, an actor or a
-//! clock.
+//! A policy is one file and one line in `REGISTRY`; in another crate, one line where its `Registry` is made. It works
+//! in the policy frame only. Nothing in this folder knows that there is a network, an actor or a clock.
 
 pub mod gnn;
 pub mod manifest;
@@ -26,72 +25,72 @@ use crate::random::{Seed, Stream};
 use crate::scenario::{Observation, Scenario};
 use crate::time::Span;
 
-/// One neighbour as a policy sees it, in the policy frame.
+/// A neighbour's last message, as input to a policy, in the policy frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Neighbour<'a> {
-    /// The neighbour's own estimate when it spoke.
+    /// The neighbour's estimate of its own motion when it sent the message.
     pub motion: Motion,
-    /// What it said.
+    /// The features that it broadcast.
     pub features: &'a [f32],
-    /// How old that is.
+    /// Time since the message arrived.
     pub age: Span,
 }
 
-/// What the rest of the system has to know of a policy.
+/// Parameters of a policy that the rest of the system depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interface {
-    /// How many floats a robot broadcasts.
+    /// Number of floats that a robot broadcasts.
     pub features: usize,
-    /// How far a robot hears \[m\].
+    /// Communication radius \[m\].
     pub radius_m: f32,
-    /// How often a robot acts.
+    /// Time between two actions of a robot.
     pub period: Span,
     /// Largest wanted speed along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// How long a neighbour's message is of use.
+    /// Age up to which a neighbour's message is used.
     pub hold: Span,
 }
 
-/// A message-passing policy: one robot's part of it. It may keep scratch space, but no memory of the past.
+/// One robot's instance of a message-passing policy. It may keep scratch space, but no state between steps.
 pub trait Policy {
-    /// What the rest of the system has to know.
+    /// Parameters that the rest of the system depends on.
     fn interface(&self) -> Interface;
 
-    /// Writes what the robot broadcasts; `features` is as long as the interface says.
+    /// Writes the features that the robot broadcasts; `features` has the length that the interface gives.
     fn encode(&mut self, own: &Observation, features: &mut [f32]);
 
-    /// The wanted velocity \[m/s\]. `features` are those just encoded; neighbours come in the order of their
-    /// ids, and their features are as long as the interface says.
+    /// Returns the wanted velocity \[m/s\], policy frame. `features` are those just encoded. Neighbours are in the
+    /// order of their ids, with features of the length that the interface gives.
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2;
 }
 
-/// How actions are drawn from a policy's distribution.
+/// Method by which actions are drawn from a policy's distribution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Draw {
-    /// The mean.
+    /// The mean of the distribution.
     Mean,
-    /// A sample.
+    /// A random sample.
     Sample,
 }
 
-/// A policy by name.
+/// A registry entry of a policy.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its name on the command line and in team files.
+    /// Name on the command line and in team files.
     pub name: &'static str,
     /// One line for the help.
     pub about: &'static str,
-    /// Makes it for a scenario.
+    /// Makes the policy for a scenario.
     pub build: fn(&dyn Scenario) -> Result<Model, ModelError>,
 }
 
-/// The name of the policy that a scenario has unless someone says otherwise, where it has one.
+/// Name of the default policy of a scenario that has a trained one.
 pub const SHIPPED: &str = "shipped";
-/// The name of scripted navigation, which every scenario has.
+/// Name of scripted navigation, which works in every scenario.
 pub const SCRIPTED: &str = "orca";
 
-/// All policies that have a name; trained ones are files beside.
+/// The policies of this crate that have a name; others are loaded from files.
 pub const REGISTRY: &[Entry] = &[
     Entry {
         name: SHIPPED,
@@ -106,18 +105,18 @@ pub const REGISTRY: &[Entry] = &[
     Entry { name: SCRIPTED, about: "scripted navigation by message passing", build: |_| Ok(Model::Orca) },
 ];
 
-/// A network of the published layout with random weights (uniform, scaled by the width of the input): as
-/// good as noise, but the same for the same seed. For tests and benchmarks.
+/// A network of the published architecture with random weights (uniform, scaled by the width of the input), the same
+/// for the same seed. For tests and benchmarks.
 pub fn untrained(seed: u64) -> Model {
-    noise(&Manifest::published(), seed)
+    random_model(&Manifest::published(), seed)
 }
 
-/// The same for the paper's equation (1) in full.
+/// A network with random weights of the architecture of the paper's equation (1) in full. For tests and benchmarks.
 pub fn untrained_full(seed: u64) -> Model {
-    noise(&Manifest::full(), seed)
+    random_model(&Manifest::full(), seed)
 }
 
-fn noise(manifest: &Manifest, seed: u64) -> Model {
+fn random_model(manifest: &Manifest, seed: u64) -> Model {
     let bytes = weights::write(manifest, &random_tensors(manifest, seed));
     let file = weights::read(&bytes).expect("a file that was just written can be read");
     Model::Gnn(Arc::new(gnn::Network::new(file)), Draw::Sample)
@@ -127,9 +126,9 @@ fn random_tensors(manifest: &Manifest, seed: u64) -> weights::Tensors {
     let mut stream = Seed::of_run(seed).stream("policy/untrained");
     [&manifest.encoder, &manifest.message, &manifest.update].map(|widths| {
         let pairs = widths.windows(2).map(|pair| {
-            let reach = 1.0 / (pair[0] as f32).sqrt();
+            let bound = 1.0 / (pair[0] as f32).sqrt();
             let mut floats =
-                |count: usize| (0..count).map(|_| stream.random_range(-reach..reach)).collect::<Vec<f32>>();
+                |count: usize| (0..count).map(|_| stream.random_range(-bound..bound)).collect::<Vec<f32>>();
             (floats(pair[0] * pair[1]), floats(pair[1]))
         });
         pairs.collect()

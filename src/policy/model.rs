@@ -1,4 +1,4 @@
-//! Models: policies of which every robot of a team has an instance, each the same.
+//! Models: policies from which every robot of a team gets its own, identical instance.
 
 use std::fmt;
 use std::sync::Arc;
@@ -11,66 +11,66 @@ use crate::messages::wire::MAX_FEATURES;
 use crate::scenario::Arena;
 use crate::time::Span;
 
-/// A policy that every robot of a team can have an instance of.
+/// A policy from which instances for robots can be made.
 #[derive(Clone, Debug)]
 pub enum Model {
     /// Scripted collision-avoiding navigation.
     Orca,
     /// A trained network.
     Gnn(Arc<Network>, Draw),
-    /// One that the program was built with.
-    Own(Own),
+    /// A policy that another crate implements in code.
+    Custom(Custom),
 }
 
-/// A policy in code: its name, what the rest has to know of it, and what makes an instance.
+/// A policy in code: its name, its interface, and the constructor of an instance.
 #[derive(Clone)]
-pub struct Own {
+pub struct Custom {
     name: &'static str,
     interface: Interface,
     instance: Arc<Instance>,
 }
 
-/// What makes one robot's instance, for an arena in the policy frame.
+/// Constructor of one robot's instance, for an arena in the policy frame.
 type Instance = dyn Fn(&Arena) -> Box<dyn Policy> + Send + Sync;
 
-impl fmt::Debug for Own {
+impl fmt::Debug for Custom {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Own").field("name", &self.name).field("interface", &self.interface).finish_non_exhaustive()
+        f.debug_struct("Custom").field("name", &self.name).field("interface", &self.interface).finish_non_exhaustive()
     }
 }
 
-/// Why there is no such model.
+/// Error of a model that cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
-    /// The scenario has no policy of its own.
+    /// No trained policy is shipped for the scenario.
     #[error("the scenario '{scenario}' has none; use 'orca'")]
     None {
         /// The scenario.
         scenario: String,
     },
-    /// The file is no policy.
+    /// The file is not a policy file.
     #[error(transparent)]
     File(#[from] WeightsError),
-    /// The policy is for something else.
+    /// The policy is for another scenario.
     #[error("it is for the scenario '{theirs}', not '{ours}'")]
     Scenario {
-        /// What it is for.
+        /// Scenario of the policy file.
         theirs: String,
-        /// What it was to do.
+        /// Scenario that it was to be used in.
         ours: String,
     },
-    /// What a policy in code has against it.
+    /// A policy in code refuses the scenario, with this reason.
     #[error("{0}")]
     Refused(String),
 }
 
 impl Model {
-    /// The policy that comes with the program for the scenario of this name.
+    /// The default trained policy that is built into the program for the scenario of this name.
     pub fn shipped(scenario: &str) -> Result<Model, ModelError> {
         Model::of_scenario(shipped::shipped(scenario), scenario)
     }
 
-    /// The same, trained for the paper's own conditions: lock step, perfect messages.
+    /// The built-in policy for the scenario that was trained for the paper's conditions: lock step, perfect messages.
     pub fn published(scenario: &str) -> Result<Model, ModelError> {
         Model::of_scenario(shipped::published(scenario), scenario)
     }
@@ -80,7 +80,7 @@ impl Model {
         Model::from_file(bytes.ok_or_else(none)?, scenario)
     }
 
-    /// The policy in a file of these bytes, for the scenario of this name; it draws as the file says.
+    /// Reads a policy file from `bytes` for the scenario of this name; actions are drawn as the file says.
     pub fn from_file(bytes: &[u8], scenario: &str) -> Result<Model, ModelError> {
         let file = weights::read(bytes)?;
         if file.manifest.scenario != scenario {
@@ -90,26 +90,26 @@ impl Model {
         Ok(Model::Gnn(Arc::new(Network::new(file)), draw))
     }
 
-    /// A policy in code. `instance` makes one robot's, for an arena in the policy frame.
+    /// Makes a model of a policy in code. `instance` makes one robot's instance, for an arena in the policy frame.
     ///
     /// # Panics
-    /// If the interface is one that no team could run: more features than a message carries, a period that is not 1 to
-    /// 100 ms, a message that is of no use for one step, or a radius or a speed that is not above zero.
-    pub fn own(
+    /// If no team could run the interface. The features must fit into a message, and the period must be 1 to 100 ms.
+    /// The hold time must be at least the period, and radius and speed above zero.
+    pub fn custom(
         name: &'static str,
         interface: Interface,
         instance: impl Fn(&Arena) -> Box<dyn Policy> + Send + Sync + 'static,
     ) -> Model {
         let Interface { features, radius_m, period, limit_m_s, hold } = interface;
         assert!(features <= MAX_FEATURES, "policy '{name}': a message carries {MAX_FEATURES} features");
-        let sound = (Span::from_millis(1)..=Span::from_millis(100)).contains(&period);
-        assert!(sound, "policy '{name}': its period is not 1 to 100 ms, so motor commands would expire");
-        assert!(hold >= period, "policy '{name}': a message is of use for one step at least");
-        assert!(radius_m > 0.0 && limit_m_s > 0.0, "policy '{name}': its radius and its speed are above zero");
-        Model::Own(Own { name, interface, instance: Arc::new(instance) })
+        let period_is_valid = (Span::from_millis(1)..=Span::from_millis(100)).contains(&period);
+        assert!(period_is_valid, "policy '{name}': its period is not 1 to 100 ms, so motor commands would expire");
+        assert!(hold >= period, "policy '{name}': its hold time must be at least one period");
+        assert!(radius_m > 0.0 && limit_m_s > 0.0, "policy '{name}': its radius and its speed must be above zero");
+        Model::Custom(Custom { name, interface, instance: Arc::new(instance) })
     }
 
-    /// Its name in reports.
+    /// Name of the model in reports.
     pub fn name(&self) -> &'static str {
         match self {
             Model::Orca => "orca",
@@ -117,42 +117,42 @@ impl Model {
                 Architecture::Published => "gnn",
                 Architecture::Full => "gnn-full",
             },
-            Model::Own(own) => own.name,
+            Model::Custom(custom) => custom.name,
         }
     }
 
-    /// One robot's instance, for an arena in the policy frame.
+    /// Makes one robot's instance, for an arena in the policy frame.
     pub fn instance(&self, arena: &Arena) -> Box<dyn Policy> {
         match self {
             Model::Orca => Box::new(orca::Orca::new(arena)),
             Model::Gnn(network, draw) => Box::new(Gnn::new(Arc::clone(network), *draw)),
-            Model::Own(own) => (own.instance)(arena),
+            Model::Custom(custom) => (custom.instance)(arena),
         }
     }
 
-    /// What the rest of the system has to know of it.
+    /// Parameters of the policy that the rest of the system depends on.
     pub fn interface(&self) -> Interface {
         match self {
             Model::Orca => orca::INTERFACE,
             Model::Gnn(network, _) => network.interface(),
-            Model::Own(own) => own.interface,
+            Model::Custom(custom) => custom.interface,
         }
     }
 
-    /// The same with actions drawn like this; `None` if it draws none.
-    pub fn drawing(self, draw: Draw) -> Option<Model> {
+    /// Returns the model with another method of drawing actions; `None` if it has no distribution to draw from.
+    pub fn with_draw(self, draw: Draw) -> Option<Model> {
         match self {
             Model::Gnn(network, _) => Some(Model::Gnn(network, draw)),
-            Model::Orca | Model::Own(_) => None,
+            Model::Orca | Model::Custom(_) => None,
         }
     }
 
-    /// A digest of its file; empty for a policy in code.
+    /// Digest of the policy file; empty for a policy in code.
     pub fn digest(&self) -> &str {
         self.network().map_or("", Network::digest)
     }
 
-    /// What its file does not say and was assumed, for a warning.
+    /// Assumptions made because the policy file has no manifest, for a warning; `None` if it has one.
     pub fn assumed(&self) -> Option<&str> {
         self.network()?.assumed()
     }
@@ -160,7 +160,7 @@ impl Model {
     fn network(&self) -> Option<&Network> {
         match self {
             Model::Gnn(network, _) => Some(network),
-            Model::Orca | Model::Own(_) => None,
+            Model::Orca | Model::Custom(_) => None,
         }
     }
 }

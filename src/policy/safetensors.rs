@@ -1,8 +1,7 @@
-//! The file format safetensors: named tensors of numbers behind a header in JSON, and notes about them.
+//! The safetensors file format: a JSON header with metadata, followed by named tensors.
 //!
 //! A file is the length of its header (8 bytes, little-endian), the header, and the tensors one after the other
-//! without a gap. Everything is checked before a tensor is handed out; nothing is allocated that the file is not long
-//! enough to fill.
+//! without gaps. Everything is checked before a tensor is returned, and no allocation is larger than the file.
 
 use std::collections::BTreeMap;
 
@@ -10,11 +9,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::config;
 
-/// The bytes that say how long the header is.
+/// Size of the field with the length of the header \[bytes\].
 const LENGTH_BYTES: usize = 8;
-/// The longest header that is read \[bytes\], as everyone has it who reads this format.
-const MOST_BYTES: u64 = 100_000_000;
-/// The types that there are, with the bytes of one number.
+/// Longest header that is accepted \[bytes\], the same limit as in the reference library.
+const MAX_HEADER_BYTES: u64 = 100_000_000;
+/// The data types of the format, with the size of one number \[bytes\].
 const TYPES: [(&str, usize); 15] = [
     ("BOOL", 1),
     ("U8", 1),
@@ -33,30 +32,30 @@ const TYPES: [(&str, usize); 15] = [
     ("F64", 8),
 ];
 
-/// The type of 32-bit floats.
+/// The data type of 32-bit floats.
 pub const F32: &str = "F32";
 
-/// A file that has been checked.
+/// The content of a checked file.
 #[derive(Debug)]
 pub struct SafeTensors<'a> {
-    /// Notes by name.
+    /// Metadata texts by name.
     pub metadata: BTreeMap<String, String>,
     /// Tensors by name.
     pub tensors: BTreeMap<String, Tensor<'a>>,
 }
 
-/// Numbers of one type.
+/// A tensor of numbers of one data type.
 #[derive(Debug, PartialEq)]
 pub struct Tensor<'a> {
-    /// The type, by its name in the file.
+    /// Data type, by its name in the file.
     pub kind: String,
-    /// How many there are along each axis; the last one runs fastest.
+    /// Size along each axis; row-major, so the last index varies fastest.
     pub shape: Vec<usize>,
-    /// The numbers, little-endian: as many as the shape says.
+    /// The numbers, little-endian; as many as the shape gives.
     pub data: &'a [u8],
 }
 
-/// What is before the tensors.
+/// The JSON header.
 #[derive(Serialize, Deserialize)]
 struct Header {
     #[serde(rename = "__metadata__", default, skip_serializing_if = "Option::is_none")]
@@ -65,55 +64,55 @@ struct Header {
     tensors: BTreeMap<String, Entry>,
 }
 
-/// A tensor in the header.
+/// Entry of a tensor in the header.
 #[derive(Serialize, Deserialize)]
 struct Entry {
     dtype: String,
     shape: Vec<usize>,
-    /// From where to where, in the bytes behind the header.
+    /// Begin and end of its data, in bytes from the end of the header.
     data_offsets: [usize; 2],
 }
 
-/// Reads a file; the error says what is wrong with it, and quotes nothing of it.
+/// Parses a file; the error states the fault and quotes nothing of the file.
 pub fn read(bytes: &[u8]) -> Result<SafeTensors<'_>, String> {
-    let (length, rest) = bytes.split_first_chunk::<LENGTH_BYTES>().ok_or("it is shorter than any")?;
+    let (length, rest) = bytes.split_first_chunk::<LENGTH_BYTES>().ok_or("it is shorter than 8 bytes")?;
     let length = u64::from_le_bytes(*length);
-    if length > MOST_BYTES {
+    if length > MAX_HEADER_BYTES {
         return Err(format!("its header would have {length} bytes"));
     }
     let length = usize::try_from(length).map_err(|e| e.to_string())?;
-    let (header, data) = rest.split_at_checked(length).ok_or("it ends in its header")?;
+    let (header, data) = rest.split_at_checked(length).ok_or("it ends within its header")?;
     let header: Header = serde_json::from_slice(header).map_err(|e| format!("its header: {}", config::json(&e)))?;
     let mut entries: Vec<(String, Entry)> = header.tensors.into_iter().collect();
     entries.sort_by_key(|(_, entry)| entry.data_offsets);
     let (mut tensors, mut at) = (BTreeMap::new(), 0);
     for (name, Entry { dtype, shape, data_offsets: [from, to] }) in entries {
         let Some((_, size)) = TYPES.iter().find(|(kind, _)| *kind == dtype) else {
-            return Err("a tensor is of a type that is not known".to_owned());
+            return Err("a tensor has an unknown data type".to_owned());
         };
         let wanted = shape.iter().try_fold(*size, |bytes, along| bytes.checked_mul(*along));
         if from != at || to < from || wanted != Some(to - from) {
-            return Err("a tensor has not the place of its shape, right behind the one before".to_owned());
+            return Err("the offsets of a tensor do not match its shape and the end of the one before".to_owned());
         }
-        let Some(data) = data.get(from..to) else { return Err("it ends in a tensor".to_owned()) };
+        let Some(data) = data.get(from..to) else { return Err("it ends within a tensor".to_owned()) };
         at = to;
         tensors.insert(name, Tensor { kind: dtype, shape, data });
     }
     if at != data.len() {
-        return Err("something follows the last tensor".to_owned());
+        return Err("there are bytes after the last tensor".to_owned());
     }
     Ok(SafeTensors { metadata: header.metadata.unwrap_or_default(), tensors })
 }
 
-/// Writes a file, its tensors in the order of their names.
+/// Returns the bytes of a file, with the tensors in the order of their names.
 ///
 /// # Panics
-/// If a tensor is of no known type, or not as long as its shape says.
+/// If a tensor has an unknown data type, or data of a length that its shape does not give.
 pub fn write(file: &SafeTensors) -> Vec<u8> {
     let mut at = 0;
     let tensors = file.tensors.iter().map(|(name, Tensor { kind, shape, data })| {
         let size = TYPES.iter().find(|(known, _)| known == kind).expect("the type is known").1;
-        assert_eq!(shape.iter().product::<usize>() * size, data.len(), "'{name}' is as long as its shape says");
+        assert_eq!(shape.iter().product::<usize>() * size, data.len(), "'{name}' has the length that its shape gives");
         let from = at;
         at += data.len();
         (name.clone(), Entry { dtype: kind.clone(), shape: shape.clone(), data_offsets: [from, at] })
@@ -121,7 +120,7 @@ pub fn write(file: &SafeTensors) -> Vec<u8> {
     let tensors = tensors.collect();
     let metadata = Some(file.metadata.clone()).filter(|metadata| !metadata.is_empty());
     let mut header = serde_json::to_vec(&Header { metadata, tensors }).expect("a header is JSON");
-    // The tensors begin where every number is aligned.
+    // Padded so that the tensors are aligned for every data type.
     header.resize(header.len().next_multiple_of(LENGTH_BYTES), b' ');
     let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
     bytes.append(&mut header);
@@ -139,9 +138,9 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_written_again_is_the_same() {
+    fn a_file_that_is_read_and_written_is_unchanged() {
         let shipped = shipped("passage").unwrap();
-        assert!(write(&read(shipped).unwrap()) == shipped, "as the reference library has written it");
+        assert!(write(&read(shipped).unwrap()) == shipped, "as written by the reference library");
         let published = published("passage").unwrap();
         let file = read(published).unwrap();
         let again = write(&file);
@@ -149,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_contradicts_itself_is_refused_and_never_quoted() {
+    fn an_inconsistent_file_is_refused_and_never_quoted() {
         let one = |kind: &str, shape: &str, offsets: &str| {
             format!(r#"{{"secret":{{"dtype":"{kind}","shape":{shape},"data_offsets":{offsets}}}}}"#)
         };

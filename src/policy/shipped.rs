@@ -1,6 +1,6 @@
-//! The policies that come with the program, one a scenario that has one. `policies/README.md` says how they were made.
+//! Files of the trained policies that are built into the program. `policies/README.md` says how they were made.
 
-/// The file of the shipped policy for a scenario.
+/// The file of the default policy for a scenario, if there is one.
 pub fn shipped(scenario: &str) -> Option<&'static [u8]> {
     match scenario {
         "passage" => Some(include_bytes!("../../policies/passage.safetensors")),
@@ -8,7 +8,7 @@ pub fn shipped(scenario: &str) -> Option<&'static [u8]> {
     }
 }
 
-/// The file of the policy for a scenario that was trained for the paper's own conditions: lock step, perfect messages.
+/// The file of the policy for a scenario that was trained for the paper's conditions: lock step, perfect messages.
 pub fn published(scenario: &str) -> Option<&'static [u8]> {
     match scenario {
         "passage" => Some(include_bytes!("../../policies/passage-published.safetensors")),

@@ -1,8 +1,8 @@
-//! Policy files: safetensors in, a checked network out, and back.
+//! Reading and writing of policy files: safetensors with a manifest, checked completely.
 //!
 //! Tensors are `encoder.N.weight` \[out, in\] and `encoder.N.bias` \[out\], likewise `message` and `update`, with N
 //! counting 0, 2, 4, ... as in a PyTorch `Sequential` with its ReLUs. The published file calls the latter two
-//! `gnn` and `post` and has no manifest. Pure: bytes are handed in.
+//! `gnn` and `post` and has no manifest. No file is opened here: the caller passes its bytes.
 
 use std::collections::BTreeMap;
 
@@ -13,83 +13,84 @@ use super::mlp::{Layer, Mlp};
 use super::safetensors::{self, F32, SafeTensors, Tensor};
 use crate::config;
 
-/// The three networks of a file, in the order of use.
-const OWN_NAMES: [&str; 3] = ["encoder", "message", "update"];
+/// Tensor name prefixes of the three networks, in the order of use.
+const NAMES: [&str; 3] = ["encoder", "message", "update"];
+/// Tensor name prefixes of the three networks in the published file.
 const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
 
-/// A policy file that has been checked.
+/// The content of a checked policy file.
 #[derive(Debug)]
 pub struct PolicyFile {
-    /// What it says of itself, or what was assumed.
+    /// The file's manifest, or the assumed one.
     pub manifest: Manifest,
-    /// What was assumed because the file does not say; for the user to read.
+    /// Assumptions made because the file has no manifest, as text for the user; `None` if it has one.
     pub assumed: Option<String>,
-    /// A digest of the whole file.
+    /// Digest of the whole file (first 64 bits of its BLAKE3 hash, in hexadecimal).
     pub digest: String,
     /// Encoder, message network and update network.
     pub networks: [Mlp; 3],
 }
 
-/// Why a file is no policy.
+/// Error of a file that is not a valid policy file.
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
-    /// Not a safetensors file, or cut short.
-    #[error("not a whole safetensors file: {0}")]
+    /// The file is not in the safetensors format, or is truncated.
+    #[error("not a complete safetensors file: {0}")]
     Format(String),
-    /// The manifest cannot be read or contradicts itself.
+    /// The manifest cannot be parsed or is inconsistent.
     #[error("the manifest (metadata key '{key}') is wrong: {0}", key = manifest::KEY)]
     Manifest(String),
     /// A tensor is missing.
     #[error("the tensor '{name}' is missing; expected one of shape {expected:?}{hint}")]
     Missing {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
-        /// The shape that it should have.
+        /// The correct shape.
         expected: Vec<usize>,
-        /// What else may be amiss.
+        /// Possible cause, as the end of the message.
         hint: &'static str,
     },
-    /// A tensor has another shape.
+    /// A tensor has the wrong shape.
     #[error("the tensor '{name}' has shape {found:?}; expected {expected:?}")]
     Shape {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
-        /// The shape that it has.
+        /// The tensor's shape.
         found: Vec<usize>,
-        /// The shape that it should have.
+        /// The correct shape.
         expected: Vec<usize>,
     },
     /// A tensor is not of 32-bit floats.
     #[error("the tensor '{name}' holds {found}; expected F32 of shape {expected:?}")]
     Type {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
-        /// The type that it has.
+        /// The tensor's data type.
         found: String,
-        /// The shape that it should have.
+        /// The correct shape.
         expected: Vec<usize>,
     },
     /// A tensor holds NaN or infinity.
     #[error("the tensor '{name}' of shape {expected:?} holds {value} at index {index}; expected finite numbers")]
     NotFinite {
-        /// Its name.
+        /// Name of the tensor.
         name: String,
-        /// Its shape.
+        /// The tensor's shape.
         expected: Vec<usize>,
-        /// Where.
+        /// Index of the value, row-major.
         index: usize,
-        /// What.
+        /// The value.
         value: f32,
     },
-    /// A tensor has no place in the network.
-    #[error("the tensor '{0}' has no place in the network; take it out of the file")]
+    /// A tensor is not part of the network.
+    #[error("the tensor '{0}' is not part of the network; remove it from the file")]
     Unknown(String),
-    /// The tensors are not those that the manifest was written for.
+    /// The hash of the tensors differs from that in the manifest.
     #[error("the tensors' SHA-256 begins with {found:.16} and is not that of the manifest: the file was changed")]
     Hash {
-        /// Of the tensors.
+        /// SHA-256 of the tensors, in hexadecimal.
         found: String,
-        /// In the manifest.
+        /// SHA-256 in the manifest.
         expected: String,
     },
 }
@@ -102,7 +103,7 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
             let manifest: Manifest =
                 serde_json::from_str(text).map_err(|e| WeightsError::Manifest(config::json(&e)))?;
             manifest.check().map_err(WeightsError::Manifest)?;
-            (manifest, OWN_NAMES, None)
+            (manifest, NAMES, None)
         }
         None => {
             let manifest = Manifest::published();
@@ -144,7 +145,7 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
     Ok(PolicyFile { manifest, assumed, digest, networks })
 }
 
-/// The tensors of a network: name of the weight, name of the bias, \[out, in\].
+/// Names and shape of each layer's tensors: name of the weight, name of the bias, \[out, in\].
 fn layer_names<'a>(name: &'a str, widths: &'a [usize]) -> impl Iterator<Item = (String, String, [usize; 2])> + 'a {
     widths.windows(2).enumerate().map(move |(depth, pair)| {
         let at = 2 * depth;
@@ -153,16 +154,16 @@ fn layer_names<'a>(name: &'a str, widths: &'a [usize]) -> impl Iterator<Item = (
 }
 
 /// Tensors by name.
-type Named<'a> = BTreeMap<String, Tensor<'a>>;
+type TensorsByName<'a> = BTreeMap<String, Tensor<'a>>;
 
-fn network(tensors: &Named, name: &str, widths: &[usize], hint: &'static str) -> Result<Mlp, WeightsError> {
+fn network(tensors: &TensorsByName, name: &str, widths: &[usize], hint: &'static str) -> Result<Mlp, WeightsError> {
     let layers = layer_names(name, widths).map(|(weight, bias, shape)| {
         Ok(Layer::new(&floats(tensors, &weight, &shape, hint)?, &floats(tensors, &bias, &shape[..1], hint)?))
     });
     Ok(Mlp::new(layers.collect::<Result<_, WeightsError>>()?))
 }
 
-fn floats(tensors: &Named, name: &str, shape: &[usize], hint: &'static str) -> Result<Vec<f32>, WeightsError> {
+fn floats(tensors: &TensorsByName, name: &str, shape: &[usize], hint: &'static str) -> Result<Vec<f32>, WeightsError> {
     let (name, expected) = (name.to_owned(), shape.to_vec());
     let Some(tensor) = tensors.get(&name) else { return Err(WeightsError::Missing { name, expected, hint }) };
     if tensor.kind != F32 {
@@ -178,8 +179,8 @@ fn floats(tensors: &Named, name: &str, shape: &[usize], hint: &'static str) -> R
     Ok(floats)
 }
 
-/// The SHA-256 of all numbers, in the order of the tensors' names.
-fn hash(tensors: &Named) -> String {
+/// SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.
+fn hash(tensors: &TensorsByName) -> String {
     let mut hash = Hash::new();
     tensors.values().for_each(|tensor| hash.update(tensor.data));
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
@@ -188,16 +189,16 @@ fn hash(tensors: &Named) -> String {
 /// Row-major weights \[out, in\] and biases \[out\] by layer, for the encoder, the message and the update network.
 pub type Tensors = [Vec<(Vec<f32>, Vec<f32>)>; 3];
 
-/// Writes a policy file; the manifest's hash is filled in.
+/// Returns the bytes of a policy file, with the manifest's hash filled in.
 ///
 /// # Panics
-/// If the tensors are not of the manifest's shapes.
+/// If the tensors do not have the manifest's shapes.
 pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
     let widths = [&manifest.encoder, &manifest.message, &manifest.update];
     let mut entries: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
     for (network, layers) in tensors.iter().enumerate() {
         for ((weight_name, bias_name, shape), (weight, bias)) in
-            layer_names(OWN_NAMES[network], widths[network]).zip(layers)
+            layer_names(NAMES[network], widths[network]).zip(layers)
         {
             let bytes = |floats: &[f32]| floats.iter().flat_map(|float| float.to_le_bytes()).collect::<Vec<u8>>();
             assert_eq!((weight.len(), bias.len()), (shape[0] * shape[1], shape[0]), "{weight_name} has its shape");
@@ -209,7 +210,7 @@ pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
         let tensor = Tensor { kind: F32.to_owned(), shape: shape.clone(), data };
         (name.clone(), tensor)
     });
-    let tensors: Named = tensors.collect();
+    let tensors: TensorsByName = tensors.collect();
     let sha256 = hash(&tensors);
     let manifest = Manifest { sha256, ..manifest.clone() };
     let json = serde_json::to_string(&manifest).expect("a manifest is JSON");

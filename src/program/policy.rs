@@ -36,7 +36,7 @@ pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scena
     let mut model = model.map_err(|error| BadInput(format!("{place}: {error}")))?;
     if let Some(draw) = draw {
         let nothing = || BadInput(format!("--action: the policy '{name}' draws nothing; leave the flag out"));
-        model = model.drawing(draw).ok_or_else(nothing)?;
+        model = model.with_draw(draw).ok_or_else(nothing)?;
     }
     let assumed = model.assumed().map(|assumed| format!("{place}: {assumed}"));
     Ok(Loaded { model, name, assumed })

@@ -18,7 +18,7 @@ use crate::safety::Safety;
 use crate::scenario::Settings;
 use crate::scenario::layout::Layouts;
 use crate::trial::{Proceed, Trial, TrialReport};
-use crate::world::{Clamp, ContactRule, Given, Placement, Sensor};
+use crate::world::{Clamp, ContactRule, Overrides, Placement, Sensor};
 use anyhow::{Context, Result};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -324,11 +324,11 @@ fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
         return bad(format!("--wall-radius-m: {radius_m} is not above 0 and at most 10"));
     }
     let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
-    let given = Given { lag_s, contacts, wall_radius_m, sensor };
+    let overrides = Overrides { lag_s, contacts, wall_radius_m, sensor };
     // A file with a plant that there is not is refused with its other faults, by its name.
     if let Ok(entry) = trial.registry.plant(&trial.deployment.plant) {
         let flag = |field: &str| format!("--{}", field.replace('_', "-"));
-        trial.physics = given
+        trial.physics = overrides
             .physics(entry, trial.scenario.arena())
             .map_err(|error| BadInput(format!("{}: {error}", flag(error.field))))?;
     }

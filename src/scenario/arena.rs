@@ -1,8 +1,8 @@
-//! Where a scenario happens: the ground, what must not be touched, and the bottlenecks between. World frame.
+//! The arena of a scenario: ground, solid blocks and the bottlenecks between them, in the world frame.
 
 use crate::messages::geometry::Vec2;
 
-/// A solid, axis-parallel block.
+/// A solid, axis-aligned block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KeepOut {
     /// Lower left corner \[m\].
@@ -11,7 +11,7 @@ pub struct KeepOut {
     pub max: Vec2,
 }
 
-/// A bottleneck that one robot at a time can pass, along the straight line between its two mouths.
+/// A bottleneck that one robot at a time can pass, along the straight line between its two ends (mouths).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Portal {
     /// One mouth \[m\].
@@ -20,12 +20,12 @@ pub struct Portal {
     pub far: Vec2,
 }
 
-/// The ground and what stands on it.
+/// The ground, with its blocks and bottlenecks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Arena {
-    /// Robots' centres stay within this distance of the origin along x and y \[m\].
+    /// Half the size of the ground \[m\]: largest distance of a robot's centre from the origin along x and y.
     pub half_extent: Vec2,
-    /// Blocks that must not be touched.
+    /// Blocks that robots must not touch.
     pub keep_outs: Vec<KeepOut>,
     /// Bottlenecks between the blocks.
     pub portals: Vec<Portal>,
@@ -44,9 +44,9 @@ impl KeepOut {
         point.sup(&self.min).inf(&self.max)
     }
 
-    /// Whether the straight way between two points comes nearer to the block than `margin_m` along an axis.
+    /// Whether the straight line between two points intersects the block enlarged by `margin_m` on each side.
     pub fn blocks(&self, from: Vec2, to: Vec2, margin_m: f32) -> bool {
-        // Slab test: the part of the way that is inside the grown block along both axes.
+        // Slab method: the part of the line that is inside the enlarged block along both axes.
         let (mut enter, mut leave) = (0.0f32, 1.0f32);
         for axis in 0..2 {
             let [min, max, from, to] = [self.min, self.max, from, to].map(|point| point.to_array()[axis]);
@@ -72,7 +72,7 @@ impl Arena {
         self.keep_outs.iter().map(|block| block.distance(point)).fold(f32::INFINITY, f32::min)
     }
 
-    /// Whether a robot's centre may be there: on the ground and touching no block.
+    /// Whether a robot's centre may be at `point` \[m\]: on the ground and touching no block.
     pub fn admits(&self, point: Vec2) -> bool {
         point.x.abs() <= self.half_extent.x
             && point.y.abs() <= self.half_extent.y
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_block_stands_in_the_way_or_does_not() {
+    fn a_block_intersects_the_lines_that_come_within_the_margin() {
         let block = KeepOut { min: Vec2::new(0.5, -0.15), max: Vec2::new(2.0, 0.15) };
         assert!(block.blocks(Vec2::new(1.0, -1.0), Vec2::new(1.0, 1.0), 0.0));
         assert!(!block.blocks(Vec2::new(0.0, -1.0), Vec2::new(0.0, 1.0), 0.25));

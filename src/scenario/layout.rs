@@ -1,4 +1,4 @@
-//! The episodes of a trial: every robot's start and goal in each, from a scenario or from a file.
+//! Layouts of a trial's episodes: every robot's start and goal, from a scenario or from a file.
 //!
 //! A file is JSON: `{"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}`, world frame, metres.
 
@@ -10,16 +10,16 @@ use super::Scenario;
 use crate::config;
 use crate::messages::geometry::{Task, Vec2, is_finite};
 
-/// Starts of an episode and goals of the one before are the same within this distance \[m\].
+/// Largest distance between the start of an episode and the goal of the one before that count as equal \[m\].
 const CHAIN_M: f32 = 1e-3;
 
-/// The episodes of a trial.
+/// The tasks of all robots in all episodes of a trial.
 #[derive(Clone, Debug)]
 pub struct Layouts {
     episodes: Arc<[Vec<Task>]>,
 }
 
-/// Why a file of layouts cannot be used.
+/// Error of a layout file that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum LayoutError {
     /// Not JSON, or a field is missing, unknown or of the wrong type.
@@ -28,17 +28,17 @@ pub enum LayoutError {
     /// Too few episodes.
     #[error("it holds {held} episodes; {wanted} are wanted (use --episodes {held} or fewer)")]
     TooFew {
-        /// In the file.
+        /// Number of episodes in the file.
         held: usize,
-        /// Asked for.
+        /// Number of episodes requested.
         wanted: usize,
     },
-    /// A robot cannot be where the file puts it.
+    /// An episode has a wrong number of robots or an invalid start or goal.
     #[error("episodes[{episode}]: {reason}")]
     Episode {
-        /// Counted from zero.
+        /// Index of the episode, from zero.
         episode: usize,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
 }
@@ -57,12 +57,12 @@ struct Entry {
 }
 
 impl Layouts {
-    /// The scenario's own layouts.
+    /// Layouts that the scenario draws from this seed.
     pub fn of_scenario(scenario: &dyn Scenario, seed: u64, episodes: u32) -> Layouts {
         Layouts { episodes: (0..episodes).map(|episode| scenario.tasks(seed, episode)).collect() }
     }
 
-    /// The first `episodes` layouts of a JSON text, checked against the scenario.
+    /// Reads the first `episodes` layouts of a JSON text and checks them against the scenario.
     pub fn from_json(text: &str, scenario: &dyn Scenario, episodes: u32) -> Result<Layouts, LayoutError> {
         let file: File = serde_json::from_str(text).map_err(|e| LayoutError::Syntax(config::json(&e)))?;
         let wanted = episodes as usize;
@@ -79,22 +79,22 @@ impl Layouts {
         Ok(Layouts { episodes: episodes? })
     }
 
-    /// How many episodes there are.
+    /// Number of episodes.
     pub fn len(&self) -> u32 {
         u32::try_from(self.episodes.len()).expect("episodes were counted in u32")
     }
 
-    /// Whether there is none.
+    /// Whether there are no episodes.
     pub fn is_empty(&self) -> bool {
         self.episodes.is_empty()
     }
 
-    /// The tasks of an episode, by robot.
+    /// The tasks of an episode, in the order of robot ids.
     pub fn episode(&self, episode: u32) -> &[Task] {
         &self.episodes[episode as usize]
     }
 
-    /// Whether every episode starts where the one before has ended, so that robots can drive there.
+    /// Whether every episode starts at the goals of the one before, so that robots can drive there.
     pub fn chained(&self) -> bool {
         self.episodes.windows(2).all(|pair| {
             pair[0].iter().zip(&pair[1]).all(|(before, after)| (before.goal - after.start).norm() <= CHAIN_M)
@@ -106,15 +106,15 @@ fn check(scenario: &dyn Scenario, tasks: &[Task]) -> Result<(), String> {
     if tasks.len() != scenario.robots() {
         return Err(format!("{} robots; the team has {}", tasks.len(), scenario.robots()));
     }
-    for (what, pick) in [("start", (|task| task.start) as fn(&Task) -> Vec2), ("goal", |task| task.goal)] {
+    for (end, pick) in [("start", (|task| task.start) as fn(&Task) -> Vec2), ("goal", |task| task.goal)] {
         for (robot, task) in tasks.iter().enumerate() {
             let at = pick(task);
             if !is_finite(at) || !scenario.arena().admits(at) {
-                return Err(format!("robot {robot} cannot have its {what} at ({}, {})", at.x, at.y));
+                return Err(format!("robot {robot} cannot have its {end} at ({}, {})", at.x, at.y));
             }
             let near = |other: &&Task| (pick(other) - at).norm() < 2.0 * scenario.arena().robot_radius_m;
             if let Some(other) = tasks[..robot].iter().position(|task| near(&task)) {
-                return Err(format!("robots {other} and {robot} overlap at their {what}s"));
+                return Err(format!("robots {other} and {robot} overlap at their {end}s"));
             }
         }
     }

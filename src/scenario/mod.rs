@@ -1,8 +1,7 @@
-//! What the robots are to do: arenas, tasks, policy frames, rewards and the rules of judging. A scenario is
-//! one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. In a crate of one's own it is one
-//! line where its `Registry` is made.
+//! Scenarios: arenas, tasks, policy frames, rewards and the rules of judging.
 //!
-//! Nothing here knows a policy, a network or an actor.
+//! A scenario is one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. In another crate it is
+//! one line where its `Registry` is made. Nothing here knows a policy, a network or an actor.
 
 pub mod arena;
 pub mod judge;
@@ -20,17 +19,17 @@ use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::time::Span;
 
-/// The frame in which a policy sees the world. Each is its own inverse.
+/// Transformation between the world frame and the policy frame. Each is its own inverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Frame {
-    /// The world frame itself.
+    /// Identity: the policy frame is the world frame.
     World,
-    /// The world turned by half a turn about the origin.
+    /// Rotation by half a turn about the origin.
     HalfTurn,
 }
 
 impl Frame {
-    /// Takes a point or velocity from the world frame to this one, or back.
+    /// Transforms a point or velocity from the world frame to the policy frame, or back.
     pub fn turn(self, v: Vec2) -> Vec2 {
         match self {
             Frame::World => v,
@@ -38,75 +37,75 @@ impl Frame {
         }
     }
 
-    /// The same for position and velocity.
+    /// Transforms position and velocity of a motion likewise.
     pub fn turn_motion(self, motion: &Motion) -> Motion {
         Motion { position: self.turn(motion.position), velocity: self.turn(motion.velocity) }
     }
 }
 
-/// What a policy sees of its own robot, in the policy frame.
+/// A policy's input about its own robot, in the policy frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// Own estimate.
+    /// Estimated position and velocity of the robot.
     pub motion: Motion,
-    /// Where to go \[m\].
+    /// Goal position \[m\].
     pub goal: Vec2,
 }
 
-/// How far a robot has come in an episode, for the reward: zero at the start, counted up by the scenario.
+/// Progress of a robot in an episode, for the reward: zero at the start, incremented by the scenario.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Stage(pub u8);
 
-/// When an episode succeeds and when it fails.
+/// Criteria for success and failure of an episode.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rules {
-    /// A robot has arrived when it first comes within this distance of its goal \[m\].
+    /// Distance from its goal within which a robot has arrived \[m\]; an arrival latches.
     pub arrival_m: f32,
-    /// Two robots nearer than this have collided \[m\].
+    /// Distance between two robots below which they have collided \[m\].
     pub separation_m: f32,
-    /// All must have arrived by then.
+    /// Time limit for all arrivals, from the start of the episode.
     pub limit: Span,
 }
 
-/// A team after a step, by robot.
+/// State of a team after a step, one entry per robot in each slice, for the reward.
 #[derive(Debug)]
-pub struct Scored<'a> {
-    /// What each is to do.
+pub struct TeamAfterStep<'a> {
+    /// Tasks.
     pub tasks: &'a [Task],
-    /// Positions \[m\].
+    /// Positions \[m\], world frame.
     pub position: &'a [Vec2],
-    /// Velocities \[m/s\].
+    /// Velocities \[m/s\], world frame.
     pub velocity: &'a [Vec2],
-    /// What each touched.
+    /// Contacts in the step.
     pub contacts: &'a [Contacts],
-    /// How far each has come; moved on.
+    /// Stages, which the reward updates.
     pub stage: &'a mut [Stage],
 }
 
-/// A task for a team, and the place where it is done.
+/// A task for a team, with its arena, reward and rules.
 pub trait Scenario: Debug + Send + Sync {
-    /// Its name on the command line.
+    /// Name on the command line.
     fn name(&self) -> &'static str;
 
-    /// How many robots take part.
+    /// Number of robots.
     fn robots(&self) -> usize;
 
-    /// Where it happens.
+    /// The arena.
     fn arena(&self) -> &Arena;
 
     /// Start and goal of every robot in an episode. Starts are the goals of the episode before.
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task>;
 
-    /// The frame in which a policy sees a robot with this task.
+    /// The policy frame of a robot with this task.
     fn frame(&self, task: &Task) -> Frame;
 
-    /// What a robot's policy sees: the inverse of `steer`.
+    /// The policy's observation for an estimate in the world frame; the inverse of `steer`.
     fn observe(&self, task: &Task, estimate: &Motion) -> Observation {
         let frame = self.frame(task);
         Observation { motion: frame.turn_motion(estimate), goal: frame.turn(task.goal) }
     }
 
-    /// The policy's velocity \[m/s\] in the world frame.
+    /// Transforms the policy's velocity \[m/s\] to the world frame.
     fn steer(&self, task: &Task, velocity: Vec2) -> Vec2 {
         self.frame(task).turn(velocity)
     }
@@ -116,11 +115,11 @@ pub trait Scenario: Debug + Send + Sync {
         (task.goal - position).norm() <= self.rules().arrival_m
     }
 
-    /// The reward of one robot for one step that has brought it to `after`; moves its stage on.
+    /// The reward of one robot for one step that ends in `after`; updates its stage.
     fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32;
 
-    /// `reward` for all robots of a team: mass rollouts ask once a team where they would ask once a robot.
-    fn rewards(&self, team: Scored, rewards: &mut [f32]) {
+    /// `reward` for all robots of a team: one dynamic call per team instead of one per robot, for fast rollouts.
+    fn rewards(&self, team: TeamAfterStep, rewards: &mut [f32]) {
         let states = team.position.iter().zip(team.velocity).zip(team.contacts);
         for (((task, ((&position, &velocity), &contacts)), stage), reward) in
             team.tasks.iter().zip(states).zip(team.stage).zip(rewards)
@@ -129,49 +128,49 @@ pub trait Scenario: Debug + Send + Sync {
         }
     }
 
-    /// `reached` for all robots of a team.
+    /// `reached` for all robots of a team, in one call.
     fn arrivals(&self, tasks: &[Task], position: &[Vec2], reached: &mut [bool]) {
         for ((task, position), reached) in tasks.iter().zip(position).zip(reached) {
             *reached = self.reached(task, *position);
         }
     }
 
-    /// How far a robot at `position` \[m\] still has to go, along the way that it is to take \[m\].
+    /// Length of the remaining path of a robot at `position` \[m\] to its goal \[m\].
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
         (task.goal - position).norm()
     }
 
-    /// Whether a robot at `stage` has nothing left to earn.
+    /// Whether a robot at `stage` can receive no more reward for progress.
     fn finished(&self, stage: Stage) -> bool;
 
-    /// How an episode is judged.
+    /// Criteria for success and failure of an episode.
     fn rules(&self) -> Rules;
 }
 
-/// What a user may choose about a scenario.
+/// The user's settings of a scenario.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
-    /// Team size; `None` for the scenario's own.
+    /// Team size; `None` for the scenario's default.
     pub robots: Option<usize>,
-    /// Width of its bottleneck \[m\]; `None` for the scenario's own.
+    /// Width of its bottleneck \[m\]; `None` for the scenario's default.
     pub gap_m: Option<f32>,
 }
 
 impl Settings {
-    /// A team of this size; everything else as the scenario has it.
+    /// Settings with this team size and defaults otherwise.
     pub fn of(robots: usize) -> Settings {
         Settings { robots: Some(robots), ..Settings::default() }
     }
 }
 
-/// A scenario by name.
+/// A registry entry of a scenario.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its name on the command line.
+    /// Name on the command line.
     pub name: &'static str,
     /// One line for the help.
     pub about: &'static str,
-    /// Makes it; its `name` is this entry's.
+    /// Makes the scenario, which has the same name as this entry.
     pub build: fn(&Settings) -> Result<Arc<dyn Scenario>, ScenarioError>,
 }
 
@@ -182,58 +181,58 @@ pub const REGISTRY: &[Entry] = &[
         about: "a team crosses a narrow gap in a wall (the paper's case study)",
         build: passage::build,
     },
-    Entry { name: "swap", about: "robots trade places on an open square of constant density", build: swap::build },
+    Entry { name: "swap", about: "robots exchange places on open ground of constant density", build: swap::build },
 ];
 
-/// Why a scenario cannot be made.
+/// Error of a scenario that cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
     /// No scenario has that name.
     #[error("there is no scenario '{name}'; there are: {known}")]
     Unknown {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// What there is.
+        /// The existing names.
         known: String,
     },
-    /// The scenario is not for that many robots.
-    #[error("the scenario '{scenario}' takes {least} to {most} robots, not {robots}")]
+    /// The scenario does not support this number of robots.
+    #[error("the scenario '{scenario}' takes {min} to {max} robots, not {robots}")]
     Robots {
         /// The scenario.
         scenario: &'static str,
-        /// The fewest.
-        least: usize,
-        /// The most.
-        most: usize,
-        /// What was asked for.
+        /// Smallest supported number.
+        min: usize,
+        /// Largest supported number.
+        max: usize,
+        /// The requested number.
         robots: usize,
     },
-    /// The scenario has no bottleneck of that width.
+    /// The scenario does not support this width of its bottleneck, or has none.
     #[error("the scenario '{scenario}' has no gap of {gap_m} m{hint}")]
     Gap {
         /// The scenario.
         scenario: &'static str,
-        /// What was asked for \[m\].
+        /// The requested width \[m\].
         gap_m: f32,
-        /// What there could be.
+        /// The supported widths, as the end of the message.
         hint: &'static str,
     },
-    /// What else a scenario has against its settings.
+    /// The scenario refuses its settings for another reason.
     #[error("the scenario '{scenario}': {why}")]
     Refused {
         /// The scenario.
         scenario: &'static str,
-        /// Why not.
+        /// Reason.
         why: String,
     },
 }
 
-/// Makes the scenario of that name of this crate. Where there may be others, `Registry::scenario` does.
+/// Makes the scenario of this name from this crate. `Registry::scenario` also knows those of other crates.
 pub fn build(name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     build_of(REGISTRY, name, settings)
 }
 
-/// Makes the scenario of that name among these.
+/// Makes the scenario of this name from these entries.
 pub fn build_of(all: &[Entry], name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let unknown = || ScenarioError::Unknown {
         name: name.to_owned(),

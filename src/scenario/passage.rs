@@ -16,50 +16,52 @@ use crate::time::Span;
 
 /// Half the arena \[m\]: 4 m across, 6 m along (paper, section V).
 const HALF_EXTENT: Vec2 = Vec2::new(2.0, 3.0);
-/// Width of the gap \[m\], and the widths that it may have.
+/// Default width of the gap \[m\].
 const GAP_M: f32 = 1.0;
+/// Smallest and largest width of the gap \[m\].
 const GAPS_M: (f32, f32) = (0.6, 3.0);
 /// Half the thickness of the wall \[m\].
 const WALL_HALF_M: f32 = 0.15;
 /// Radius of a robot \[m\].
 const ROBOT_RADIUS_M: f32 = 0.25;
-/// Grid of a formation \[m\]: robots stand on the points of a square lattice whose coordinates add up to an even
-/// number.
+/// Spacing of the lattice of a formation \[m\]: robots stand on lattice points whose coordinates have an even sum.
 const SPACING_M: f32 = 0.6;
-/// Where the centre of a formation may lie \[m\]: x within +-1, |y| from 1.5 to 2.
+/// Largest |x| of the centre of a formation \[m\].
 const CENTRE_X_M: f32 = 1.0;
+/// Smallest and largest |y| of the centre of a formation \[m\].
 const CENTRE_Y_M: (f32, f32) = (1.5, 2.0);
-/// Clearance between a start or goal and the wall's face \[m\]: a robot's radius and room to be turned loose.
+/// Distance between a start or goal and the wall's face \[m\]: a robot's radius and some room to move.
 const WALL_CLEARANCE_M: f32 = 0.3;
-/// The straight way through the gap begins and ends this far from the wall's middle \[m\]: just clear of its corners.
+/// Distance from the middle of the wall at which the straight path through the gap begins and ends \[m\]: just clear of
+/// the wall's corners.
 const MOUTH_M: f32 = WALL_HALF_M + ROBOT_RADIUS_M + 0.05;
-/// Clearance that the way through the gap keeps from the wall's ends \[m\], beyond a robot's radius.
+/// Clearance of the path through the gap from the wall's ends \[m\], beyond a robot's radius.
 const LANE_M: f32 = 0.1;
-/// Team sizes: as many as the lattice offers and half of the arena holds.
+/// Smallest and largest team, limited by the lattice and by the room in half of the arena.
 const ROBOTS: (usize, usize) = (2, 12);
-/// The published team.
+/// Size of the published team.
 const PUBLISHED_ROBOTS: usize = 5;
-/// The reward's waypoints lie this far before and behind the wall's middle \[m\] (published environment).
+/// Distance of the reward's waypoints from the middle of the wall, on both sides \[m\] (published environment).
 const WAYPOINT_M: f32 = 0.4;
-/// A robot within this distance of its target has done a stage \[m\] (published environment; reward only).
+/// Distance from its target within which a robot completes a stage \[m\] (published environment; reward only).
 const STAGE_M: f32 = 0.1;
-/// The last stage, in which nothing is left to earn.
+/// The last stage, with no reward left for progress.
 const LAST_STAGE: Stage = Stage(4);
 
-/// The narrow passage.
+/// The narrow passage scenario.
 #[derive(Debug)]
 pub struct Passage {
     robots: usize,
-    /// Half the width of the way through the gap \[m\].
+    /// Half the width of the lane through the gap in which robots' centres move \[m\].
     lane_half_m: f32,
     arena: Arena,
 }
 
-/// Makes the scenario.
+/// Makes the scenario; an error names an unsupported team size or gap.
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = settings.robots.unwrap_or(PUBLISHED_ROBOTS);
     if !(ROBOTS.0..=ROBOTS.1).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: "passage", least: ROBOTS.0, most: ROBOTS.1, robots });
+        return Err(ScenarioError::Robots { scenario: "passage", min: ROBOTS.0, max: ROBOTS.1, robots });
     }
     let gap_m = settings.gap_m.unwrap_or(GAP_M);
     if !(GAPS_M.0..=GAPS_M.1).contains(&gap_m) {
@@ -97,7 +99,7 @@ impl Passage {
     }
 }
 
-/// The nearest `robots` points of the lattice to its origin \[m\], in the order of the published cross for five.
+/// The `robots` lattice points nearest to the origin \[m\]; for five, the published cross in the published order.
 fn formation(robots: usize) -> Vec<Vec2> {
     let reach = -3..=3i32;
     let mut points: Vec<(i32, i32)> =
@@ -108,7 +110,8 @@ fn formation(robots: usize) -> Vec<Vec2> {
     points.into_iter().map(|(x, y)| Vec2::new(x as f32, y as f32) * SPACING_M).collect()
 }
 
-/// The formation turned by `angle`, somewhere on `side`; `None` if there is no room for it at that angle.
+/// The formation rotated by `angle` \[rad\] at a random position on `side` (the sign of y); `None` if it does not fit
+/// at that angle.
 fn place(formation: &[Vec2], angle: f32, side: f32, stream: &mut Stream) -> Option<Vec<Vec2>> {
     let (sin, cos) = libm::sincosf(angle);
     let turned: Vec<Vec2> = formation.iter().map(|p| Vec2::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y)).collect();
@@ -116,7 +119,7 @@ fn place(formation: &[Vec2], angle: f32, side: f32, stream: &mut Stream) -> Opti
     let high = turned.iter().fold(Vec2::zeros(), |high, p| high.sup(p));
     let nearest_y = WALL_HALF_M + WALL_CLEARANCE_M;
     let x = ((-HALF_EXTENT.x - low.x).max(-CENTRE_X_M), (HALF_EXTENT.x - high.x).min(CENTRE_X_M));
-    // Reckoned on the side of y > 0 and turned over for the other.
+    // Computed for the side y > 0 and mirrored for the other.
     let (toward_wall, away) = if side > 0.0 { (-low.y, high.y) } else { (high.y, -low.y) };
     let y = ((nearest_y + toward_wall).max(CENTRE_Y_M.0), (HALF_EXTENT.y - away).min(CENTRE_Y_M.1));
     if x.0 > x.1 || y.0 > y.1 {
@@ -148,7 +151,7 @@ impl Scenario for Passage {
         if task.start.y > 0.0 { Frame::HalfTurn } else { Frame::World }
     }
 
-    /// The published reward: speed toward the next waypoint, penalties for being blocked, ten for arriving.
+    /// The published reward: speed toward the next waypoint \[m/s\], penalties for blocked moves, 10 for arriving.
     fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32 {
         let seen = self.observe(task, after);
         let target = match stage.0 {
@@ -179,8 +182,8 @@ impl Scenario for Passage {
         reward
     }
 
-    /// To the gap, straight through it, and on to the goal. It falls steadily on the way, whichever side of the lane
-    /// the robot keeps to.
+    /// Length of the path to the gap, straight through it, and on to the goal \[m\]. It decreases continuously along
+    /// the path, at any lateral position in the lane.
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
         let frame = self.frame(task);
         let (at, goal) = (frame.turn(position), frame.turn(task.goal));
@@ -218,14 +221,14 @@ mod tests {
     }
 
     #[test]
-    fn the_way_leads_through_the_gap_and_has_no_jumps() {
+    fn the_path_length_decreases_through_the_gap_without_jumps() {
         let passage = Passage::new(5, GAP_M);
         let task = Task { start: Vec2::new(1.0, 1.7), goal: Vec2::new(-1.0, -1.7) };
         let mut last = passage.distance_to_go(&task, task.start);
         assert!(last > (task.goal - task.start).norm());
-        // Seen from y > 0: in to the lane, through it, and out to the goal, 5 cm a step.
-        let way = [task.start, Vec2::new(0.1, MOUTH_M), Vec2::new(0.1, -MOUTH_M), task.goal];
-        for leg in way.windows(2) {
+        // From y > 0: to the lane, through it, and on to the goal, 5 cm a step.
+        let path = [task.start, Vec2::new(0.1, MOUTH_M), Vec2::new(0.1, -MOUTH_M), task.goal];
+        for leg in path.windows(2) {
             let steps = ((leg[1] - leg[0]).norm() / 0.05).ceil();
             for step in 1..=steps as usize {
                 let left = passage.distance_to_go(&task, leg[0] + (leg[1] - leg[0]) * (step as f32 / steps));
@@ -241,10 +244,10 @@ mod tests {
         let passage = Passage::new(5, GAP_M);
         let task = Task { start: Vec2::new(0.3, 1.7), goal: Vec2::new(-0.3, -1.7) };
         let mut stage = Stage(0);
-        // Seen from y > 0 everything is mirrored: the first waypoint is at y = +0.4.
+        // For a start at y > 0 everything is mirrored: the first waypoint is at y = +0.4.
         let at = |y| Motion { position: Vec2::new(0.0, y), velocity: Vec2::new(0.0, -1.0) };
         let reward = passage.reward(&task, &at(0.9), Contacts::default(), &mut stage);
-        assert!((reward - 1.0).abs() < 1e-6, "moving straight at the waypoint earns its speed, not {reward}");
+        assert!((reward - 1.0).abs() < 1e-6, "moving straight to the waypoint is rewarded by its speed, not {reward}");
         passage.reward(&task, &at(0.45), Contacts::default(), &mut stage);
         assert_eq!(stage, Stage(1));
     }

@@ -1,7 +1,7 @@
-//! Robots trade places on open ground, of which every robot has the same, however large the team.
+//! The swap scenario: robots exchange places on open ground with a constant area per robot.
 //!
-//! Places form a grid, about as wide as it is deep; every episode deals them out anew, and no robot keeps its own.
-//! There are no walls and one policy frame.
+//! Places form a grid, about as wide as deep. Every episode assigns them anew, and no robot keeps its place. There are
+//! no walls, and the policy frame is the world frame.
 
 use std::sync::Arc;
 
@@ -14,35 +14,36 @@ use crate::messages::local::Contacts;
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Every robot has the square of this of ground \[m\]: five robots have about that of the passage's arena. A row is
-/// this wide for each of its places, and less deep by what the last row is short of: by a quarter at the most.
+/// Side of the square of ground per robot \[m\]: five robots have about the area of the passage's arena. Places have
+/// this width. Their depth is smaller by up to a quarter if the last row is not full.
 const PITCH_M: f32 = 2.0;
-/// How far a place may lie off its grid point along each axis, of what it has there: neighbours stay 0.9 m apart.
+/// Largest offset of a place from its grid point along each axis, as a fraction of the pitch: neighbours stay 0.9 m
+/// apart.
 const JITTER: f32 = 0.2;
 /// Radius of a robot \[m\], as in the passage.
 const ROBOT_RADIUS_M: f32 = 0.25;
-/// Speed that every robot can keep up across the square \[m/s\]: it sets the time limit.
+/// Average speed across the arena's diagonal from which the time limit follows \[m/s\].
 const SLOWEST_M_S: f32 = 0.2;
-/// Team sizes.
+/// Smallest and largest team.
 const ROBOTS: (usize, usize) = (2, 2000);
-/// Nothing is left to earn.
+/// The last stage, with no reward left for progress.
 const LAST_STAGE: Stage = Stage(2);
 
-/// Robots trade places.
+/// The swap scenario.
 #[derive(Debug)]
 pub struct Swap {
     robots: usize,
     per_row: usize,
-    /// How wide and deep a place is \[m\].
+    /// Width and depth of a place \[m\].
     pitch: Vec2,
     arena: Arena,
 }
 
-/// Makes the scenario.
+/// Makes the scenario; an error names an unsupported team size or a gap, which it has not.
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = settings.robots.unwrap_or(8);
     if !(ROBOTS.0..=ROBOTS.1).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: "swap", least: ROBOTS.0, most: ROBOTS.1, robots });
+        return Err(ScenarioError::Robots { scenario: "swap", min: ROBOTS.0, max: ROBOTS.1, robots });
     }
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: "swap", gap_m, hint: "; it has no walls" });
@@ -72,16 +73,16 @@ impl Swap {
         .collect()
     }
 
-    /// Which robot has which place between two episodes. Between two deals every robot moves: the places lie
-    /// in a circle of random order, and everyone is the same random number of them from where the circle began.
-    fn deal(&self, seed: u64, index: u32) -> Vec<usize> {
+    /// The place of each robot between episodes `index - 1` and `index`: a cyclic shift, by a random number, of places
+    /// in a random order. Consecutive shifts differ, so every robot moves.
+    fn assignment(&self, seed: u64, index: u32) -> Vec<usize> {
         let mut order: Vec<usize> = (0..self.robots).collect();
         order.shuffle(&mut Seed::of_run(seed).stream("swap/order"));
-        // Even deals draw from one half of the circle and odd ones from the other, so no two in a row are equal.
+        // Even shifts are in the lower half of their range and odd ones in the upper, so no two in a row are equal.
         let half = self.robots / 2;
         let mut stream = Seed::of_run(seed).stream(&format!("swap/deal/{index}"));
-        let gone = stream.random_range(if index.is_multiple_of(2) { 0..half } else { half..self.robots });
-        (0..self.robots).map(|robot| order[(robot + gone) % self.robots]).collect()
+        let shift = stream.random_range(if index.is_multiple_of(2) { 0..half } else { half..self.robots });
+        (0..self.robots).map(|robot| order[(robot + shift) % self.robots]).collect()
     }
 }
 
@@ -100,7 +101,7 @@ impl Scenario for Swap {
 
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
         let places = self.places(seed);
-        let (starts, goals) = (self.deal(seed, episode), self.deal(seed, episode + 1));
+        let (starts, goals) = (self.assignment(seed, episode), self.assignment(seed, episode + 1));
         starts.into_iter().zip(goals).map(|(start, goal)| Task { start: places[start], goal: places[goal] }).collect()
     }
 
@@ -108,7 +109,7 @@ impl Scenario for Swap {
         Frame::World
     }
 
-    /// Speed toward the goal, one off for a blocked move, ten for arriving.
+    /// Speed toward the goal \[m/s\], -1 for a blocked move, 10 for arriving.
     fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32 {
         let offset = task.goal - after.position;
         let distance = offset.norm();
@@ -146,16 +147,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_robot_has_the_same_ground_however_many_there_are() {
+    fn the_area_per_robot_does_not_depend_on_the_team_size() {
         for robots in (2..60).chain([200, 1000, 2000]) {
             let swap = build(&Settings::of(robots)).unwrap();
             let half = swap.arena().half_extent;
             let each = 4.0 * half.x * half.y / robots as f32;
             assert!((each - PITCH_M * PITCH_M).abs() < 1e-3, "{each} m^2 for each of {robots}");
-            let ways: Vec<Task> = swap.tasks(1, 0);
-            for (robot, way) in ways.iter().enumerate().take(100) {
-                let near = |other: &Task| (other.start - way.start).norm() < 0.89;
-                assert!(!ways[..robot].iter().any(near), "robot {robot} of {robots} starts beside another");
+            let tasks: Vec<Task> = swap.tasks(1, 0);
+            for (robot, task) in tasks.iter().enumerate().take(100) {
+                let near = |other: &Task| (other.start - task.start).norm() < 0.89;
+                assert!(!tasks[..robot].iter().any(near), "robot {robot} of {robots} starts beside another");
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Adam (Kingma and Ba, arXiv 1412.6980, algorithm 1), and the cut of a gradient that is too long.
+//! The Adam optimiser (Kingma and Ba, arXiv 1412.6980, algorithm 1), and gradient clipping by norm.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;
 const EPSILON: f32 = 1e-8;
 
-/// The moments of a vector of parameters.
+/// Optimiser state: estimates of the first and second moments of a gradient.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Adam {
     first: Vec<f32>,
@@ -15,17 +15,17 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// For so many parameters.
+    /// Makes the initial state for this number of parameters.
     pub fn new(parameters: usize) -> Adam {
         Adam { first: vec![0.0; parameters], second: vec![0.0; parameters], steps: 0 }
     }
 
-    /// Whether it is for so many parameters.
+    /// Whether the state is for this number of parameters.
     pub fn fits(&self, parameters: usize) -> bool {
         self.first.len() == parameters && self.second.len() == parameters
     }
 
-    /// Goes one step down the gradient.
+    /// Updates the parameters by one step along the negative gradient.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], learning_rate: f32) {
         self.steps += 1;
         let (correct_1, correct_2) = (1.0 - BETA_1.powi(self.steps), 1.0 - BETA_2.powi(self.steps));
@@ -38,13 +38,13 @@ impl Adam {
     }
 }
 
-/// Cuts a gradient to a norm; the norm that it had.
-pub fn cut(gradient: &mut [f32], norm: f32) -> f32 {
-    let long = gradient.iter().map(|g| f64::from(*g) * f64::from(*g)).sum::<f64>().sqrt() as f32;
-    if long > norm {
-        gradient.iter_mut().for_each(|g| *g *= norm / long);
+/// Scales a gradient down to at most the norm `max`; returns the norm before.
+pub fn clip(gradient: &mut [f32], max: f32) -> f32 {
+    let norm = gradient.iter().map(|g| f64::from(*g) * f64::from(*g)).sum::<f64>().sqrt() as f32;
+    if norm > max {
+        gradient.iter_mut().for_each(|g| *g *= max / norm);
     }
-    long
+    norm
 }
 
 #[cfg(test)]
@@ -52,23 +52,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_finds_the_bottom_of_a_bowl() {
+    fn it_minimises_a_quadratic_function() {
         let (mut adam, mut at) = (Adam::new(2), [3.0f32, -2.0]);
         for _ in 0..2000 {
             let mut gradient = [at[0] - 1.0, 10.0 * (at[1] - 0.5)];
-            cut(&mut gradient, 1.0);
+            clip(&mut gradient, 1.0);
             adam.step(&mut at, &gradient, 0.01);
         }
         assert!((at[0] - 1.0).abs() < 1e-2 && (at[1] - 0.5).abs() < 1e-2, "{at:?}");
     }
 
     #[test]
-    fn a_long_gradient_is_cut_and_a_short_one_is_not() {
+    fn a_long_gradient_is_clipped_and_a_short_one_is_not() {
         let mut long = [3.0, 4.0];
-        assert!((cut(&mut long, 0.5) - 5.0).abs() < 1e-6);
+        assert!((clip(&mut long, 0.5) - 5.0).abs() < 1e-6);
         assert!((long[0] - 0.3).abs() < 1e-6 && (long[1] - 0.4).abs() < 1e-6);
         let mut short = [0.1, 0.2];
-        cut(&mut short, 0.5);
+        clip(&mut short, 0.5);
         assert_eq!(short, [0.1, 0.2]);
     }
 }

@@ -1,50 +1,51 @@
-//! Many observation graphs in a row, as a network takes them: who observed what, and who heard whom.
+//! Observation graphs of many decisions, and batches of them as input of a network.
 //!
-//! A graph is one decision of one team. Its first sources are the robots' own observations, in the order of the
-//! robots; further ones are observations of an earlier moment that someone still acts on.
+//! A graph is one decision of one team. Its nodes are the robots; an edge is a message that a robot uses. A source is
+//! an observation from which a message is encoded. A graph's first sources are the robots' current observations, in the
+//! order of the robots. Further ones are earlier observations whose messages are still in use.
 
 use std::ops::Range;
 
 use super::matrix::Real;
 
-/// Graphs as they are recorded, one after the other.
+/// A recorded sequence of graphs.
 #[derive(Clone, Debug, Default)]
 pub struct Graphs {
-    /// Robots of a graph.
+    /// Number of robots in a graph.
     pub robots: usize,
-    /// Floats of an observation.
+    /// Number of floats of an observation.
     pub inputs: usize,
-    /// Floats of an edge.
+    /// Number of features of an edge.
     pub edge_inputs: usize,
-    /// Where each graph's sources begin; one entry more than graphs.
+    /// Index of each graph's first source; one entry more than graphs.
     source_start: Vec<u32>,
-    /// Where each graph's edges begin; one entry more than graphs.
+    /// Index of each graph's first edge; one entry more than graphs.
     edge_start: Vec<u32>,
     observations: Vec<f32>,
-    /// By edge: who hears, counted within the graph; never falling.
+    /// Receiving robot of each edge, numbered within the graph; in ascending order.
     receivers: Vec<u16>,
-    /// By edge: which source is heard, counted within the graph.
+    /// Source of each edge, numbered within the graph.
     senders: Vec<u16>,
     edges: Vec<f32>,
 }
 
 impl Graphs {
-    /// No graphs yet.
+    /// Makes an empty sequence.
     pub fn new(robots: usize, inputs: usize, edge_inputs: usize) -> Graphs {
         Graphs { robots, inputs, edge_inputs, source_start: vec![0], edge_start: vec![0], ..Graphs::default() }
     }
 
-    /// How many graphs are complete.
+    /// Number of complete graphs.
     pub fn len(&self) -> usize {
         self.source_start.len() - 1
     }
 
-    /// Whether there is none.
+    /// Whether there are no complete graphs.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Forgets all graphs and keeps their room.
+    /// Removes all graphs and keeps the allocated memory.
     pub fn clear(&mut self) {
         self.source_start.truncate(1);
         self.edge_start.truncate(1);
@@ -54,7 +55,7 @@ impl Graphs {
         self.edges.clear();
     }
 
-    /// Adds all graphs of another record.
+    /// Appends all graphs of another sequence.
     pub fn append(&mut self, other: &Graphs) {
         let (sources, edges) = (self.source_start[self.len()], self.edge_start[self.len()]);
         self.source_start.extend(other.source_start[1..].iter().map(|start| sources + start));
@@ -65,7 +66,7 @@ impl Graphs {
         self.edges.extend_from_slice(&other.edges);
     }
 
-    /// Adds a source to the graph that is being made, to be written; its number within the graph.
+    /// Adds a source to the unfinished graph. Returns its number within the graph, and its observation to be written.
     pub fn source(&mut self) -> (u16, &mut [f32]) {
         let at = self.observations.len();
         let first = self.source_start[self.source_start.len() - 1] as usize;
@@ -74,7 +75,7 @@ impl Graphs {
         (index, &mut self.observations[at..])
     }
 
-    /// Adds an edge to the graph that is being made; its features are to be written.
+    /// Adds an edge to the unfinished graph. Returns its features to be written.
     pub fn edge(&mut self, receiver: usize, sender: u16) -> &mut [f32] {
         self.receivers.push(u16::try_from(receiver).expect("a graph has few robots"));
         self.senders.push(sender);
@@ -83,7 +84,7 @@ impl Graphs {
         &mut self.edges[at..]
     }
 
-    /// Ends the graph that is being made.
+    /// Completes the unfinished graph.
     pub fn end(&mut self) {
         let count = |len: usize| u32::try_from(len).expect("a rollout is far below 2^32 edges");
         self.source_start.push(count(self.observations.len() / self.inputs));
@@ -94,28 +95,28 @@ impl Graphs {
     }
 }
 
-/// Some graphs side by side, ready for a network.
+/// A batch of graphs as input of a network.
 #[derive(Clone, Debug, Default)]
 pub struct Batch<T> {
-    /// How many robots, of all graphs.
+    /// Number of robots in all graphs.
     pub nodes: usize,
-    /// Observations, \[sources, inputs\]: the robots' own first.
+    /// Observations, \[sources, inputs\], row-major: the robots' current ones first.
     pub x: Vec<T>,
-    /// Where each robot's edges begin; one entry more than nodes.
+    /// Index of each robot's first edge; one entry more than nodes.
     pub first: Vec<u32>,
-    /// By edge: which source is heard.
+    /// Source of each edge.
     pub sender: Vec<u32>,
     /// Edge features, \[edges, edge inputs\].
     pub e: Vec<T>,
 }
 
 impl<T: Real> Batch<T> {
-    /// How many sources there are.
+    /// Number of sources.
     pub fn sources(&self, inputs: usize) -> usize {
         self.x.len() / inputs
     }
 
-    /// Replaces the batch by these graphs, given by their record and their number in it.
+    /// Replaces the batch by the given graphs, each a sequence and an index in it.
     pub fn gather<'a>(&mut self, which: impl Iterator<Item = (&'a Graphs, usize)> + Clone) {
         self.x.clear();
         self.first.clear();
@@ -149,7 +150,7 @@ impl<T: Real> Batch<T> {
                 }
                 self.first.push(self.sender.len() as u32);
             }
-            assert_eq!(edge, edges.end, "edges come in the order of who hears");
+            assert_eq!(edge, edges.end, "edges are in the order of receivers");
             node += robots;
             extra += late.len();
             self.x.extend(numbers(&graphs.observations[floats(late, graphs.inputs)]));

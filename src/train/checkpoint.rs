@@ -1,9 +1,9 @@
-//! A training's state as bytes, and back: what goes on from them goes on bit for bit.
+//! Checkpoints: the state of a training as bytes, from which it resumes bit for bit.
 
 use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
-use super::crowd::Snapshot;
+use super::environments::Snapshot;
 use super::network::Shape;
 use super::trainer::{Plan, SetupError, Trainer};
 use super::update::Learner;
@@ -24,11 +24,11 @@ struct State {
     decisions: u64,
     env_steps: u64,
     progress: f64,
-    pace: f32,
+    rate_factor: f32,
 }
 
 impl Trainer {
-    /// Everything that is needed to go on exactly from here.
+    /// Returns the complete state, from which `resume` continues exactly.
     pub fn checkpoint(&self) -> Vec<u8> {
         let of = |learner: &Learner| (learner.parameters.clone(), learner.adam.clone());
         let state = State {
@@ -36,20 +36,20 @@ impl Trainer {
             plan: self.plan.clone(),
             actor: of(&self.actor),
             critic: of(&self.critic),
-            chunks: self.chunks.iter().map(|chunk| chunk.crowd.snapshot()).collect(),
+            chunks: self.chunks.iter().map(|chunk| chunk.environments.snapshot()).collect(),
             stage: self.stage,
             iteration: self.iteration,
             decisions: self.decisions,
             env_steps: self.env_steps,
             progress: self.progress,
-            pace: self.pace,
+            rate_factor: self.rate_factor,
         };
         rmp_serde::to_vec(&state).expect("a state is plain data")
     }
 
-    /// Begins with the weights of another training's checkpoint, whose networks have the same layers: to go on under
-    /// other conditions. The optimiser begins anew.
-    pub fn begin_with(&mut self, bytes: &[u8]) -> Result<(), SetupError> {
+    /// Takes the weights from another training's checkpoint with networks of the same shape, to continue under other
+    /// conditions. The optimiser's state is not taken.
+    pub fn initialize_from(&mut self, bytes: &[u8]) -> Result<(), SetupError> {
         let state = read_state(bytes)?;
         let config = &self.plan.config;
         let layers = |what: &'static str, theirs: &Shape, ours: &Shape| {
@@ -60,18 +60,18 @@ impl Trainer {
         layers("the critic's network", &state.plan.config.critic(), &config.critic())?;
         for (learner, (parameters, _)) in [(&mut self.actor, state.actor), (&mut self.critic, state.critic)] {
             if parameters.len() != learner.parameters.len() {
-                return Err(SetupError::Format("its weights do not fit its configuration".to_owned()));
+                return Err(SetupError::Format("its weights do not match its configuration".to_owned()));
             }
             learner.parameters = parameters;
         }
         Ok(())
     }
 
-    /// Goes on from a checkpoint; its scenario, the registry has.
+    /// Makes the trainer of a checkpoint; the registry provides its scenario.
     pub fn resume(bytes: &[u8], registry: &Registry) -> Result<Trainer, SetupError> {
         let state = read_state(bytes)?;
         let mut trainer = Trainer::new(state.plan, registry)?;
-        let broken = |what: &str| SetupError::Format(format!("its {what} do not fit its configuration"));
+        let broken = |part: &str| SetupError::Format(format!("its {part} do not match its configuration"));
         if state.stage >= trainer.plan.config.curriculum.len() {
             return Err(broken("stages"));
         }
@@ -88,12 +88,13 @@ impl Trainer {
             return Err(broken("environments"));
         }
         for (chunk, snapshot) in trainer.chunks.iter_mut().zip(state.chunks) {
-            if !chunk.crowd.restore(snapshot) {
+            if !chunk.environments.restore(snapshot) {
                 return Err(broken("environments"));
             }
         }
         (trainer.iteration, trainer.decisions) = (state.iteration, state.decisions);
-        (trainer.env_steps, trainer.progress, trainer.pace) = (state.env_steps, state.progress, state.pace);
+        (trainer.env_steps, trainer.progress, trainer.rate_factor) =
+            (state.env_steps, state.progress, state.rate_factor);
         Ok(trainer)
     }
 }

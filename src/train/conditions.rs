@@ -1,4 +1,4 @@
-//! What one episode is like: drawn from the configured ranges, once an episode.
+//! Conditions of one episode, drawn at its start from the configured ranges.
 
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
@@ -9,18 +9,18 @@ use crate::scenario::Arena;
 use crate::world::kinematic::{MAX_ACCELERATION_M_S2, PERIOD};
 use crate::world::{Clamp, ContactRule, Physics};
 
-/// The conditions of one episode of one team.
+/// Conditions of one episode of one team.
 ///
-/// The seam for a radio medium: whatever else decides when messages arrive fills `edges`.
+/// Another model of message arrivals, such as an emulated radio, would fill `edges`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Episode {
-    /// All robots act at one moment on perfect messages.
+    /// Whether all robots act at the same time on messages without delay and loss.
     pub lockstep: bool,
-    /// Deployed robots' physics and clamp, with this drivetrain lag \[s\]; `None` for those of training.
+    /// Drivetrain lag of deployed robots \[s\], with their physics and clamp; `None` for the training environment's.
     pub lag_s: Option<f32>,
-    /// How near to a wall is a contact \[m\], for deployed robots.
+    /// Distance of a robot's centre from a wall below which it touches it \[m\], for deployed robots.
     pub wall_radius_m: f32,
-    /// How long a message is held \[s\].
+    /// Time for which a message is used \[s\].
     pub hold_s: f32,
     /// Standard deviation of the communication radius \[m\].
     pub range_std_m: f32,
@@ -28,25 +28,25 @@ pub struct Episode {
     pub position_noise_m: f32,
     /// Standard deviation of a measured velocity \[m/s\].
     pub velocity_noise_m_s: f32,
-    /// When in each step a robot acts \[s\].
+    /// Time of each robot's action within a step \[s\].
     pub phase_s: Vec<f32>,
-    /// Delay \[s\] and loss of messages, by receiver and then by sender.
+    /// Delay \[s\] and loss probability of messages, by receiver and then by sender.
     pub edges: Vec<(f32, f32)>,
-    /// Who hears whom.
+    /// Range of communication.
     #[serde(default)]
-    pub reach: Reach,
-    /// What limits the acceleration of deployed robots.
+    pub connectivity: Connectivity,
+    /// Limit on the acceleration of deployed robots.
     #[serde(default)]
     pub clamp: Clamp,
 }
 
-/// Who hears whom in an episode.
+/// Range of communication in an episode. The variants' names are in checkpoints.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Reach {
-    /// Those within the policy's communication radius.
+pub enum Connectivity {
+    /// Robots within the policy's communication radius receive each other's messages.
     #[default]
     Radius,
-    /// Everyone hears everyone.
+    /// All robots receive each other's messages.
     Everyone,
 }
 
@@ -55,7 +55,7 @@ fn draw([low, high]: Range, stream: &mut Stream) -> f32 {
 }
 
 impl Episode {
-    /// Perfect conditions, as published.
+    /// The published conditions: lock step and perfect messages.
     pub fn perfect(robots: usize) -> Episode {
         Episode {
             lockstep: true,
@@ -69,8 +69,9 @@ impl Episode {
     /// Draws the conditions of an episode.
     pub fn draw(conditions: &Conditions, robots: usize, stream: &mut Stream) -> Episode {
         let mut episode = Episode::perfect(robots);
-        // Nothing is drawn for what never happens: a configuration without it keeps its random numbers.
-        let happens = |share: f32, stream: &mut Stream| share > 0.0 && stream.random::<f32>() < share;
+        // Nothing is drawn for a probability of zero, so a configuration without a newer field keeps its random
+        // numbers.
+        let happens = |probability: f32, stream: &mut Stream| probability > 0.0 && stream.random::<f32>() < probability;
         episode.lockstep = stream.random::<f32>() < conditions.clean;
         if stream.random::<f32>() < conditions.deployed {
             episode.lag_s = Some(draw(conditions.lag_s, stream));
@@ -79,7 +80,7 @@ impl Episode {
             episode.clamp = if wheels { Clamp::Training } else { Clamp::Deployed };
         }
         if happens(conditions.everyone, stream) {
-            episode.reach = Reach::Everyone;
+            episode.connectivity = Connectivity::Everyone;
         }
         if episode.lockstep {
             return episode;
@@ -90,8 +91,8 @@ impl Episode {
         episode.velocity_noise_m_s = draw(conditions.velocity_noise_m_s, stream);
         let (delay_s, loss) = (draw(conditions.delay_s, stream), draw(conditions.loss, stream));
         for edge in &mut episode.edges {
-            let mut spread = || 1.0 + conditions.edge_spread * stream.random_range(-1.0f32..1.0);
-            *edge = ((delay_s * spread()).min(0.5), (loss * spread()).min(1.0));
+            let mut factor = || 1.0 + conditions.edge_spread * stream.random_range(-1.0f32..1.0);
+            *edge = ((delay_s * factor()).min(0.5), (loss * factor()).min(1.0));
         }
         for phase in &mut episode.phase_s {
             *phase = stream.random_range(0.0..PERIOD.as_secs() as f32);
@@ -99,7 +100,7 @@ impl Episode {
         episode
     }
 
-    /// The physics of its robots.
+    /// Physical parameters of its robots.
     pub fn physics(&self, arena: &Arena) -> Physics {
         match self.lag_s {
             None => Physics::published(arena),
@@ -116,7 +117,7 @@ impl Episode {
         }
     }
 
-    /// Mean delay \[s\] and loss of its messages.
+    /// Mean delay \[s\] and mean loss probability of its messages.
     pub fn mean_edge(&self) -> (f32, f32) {
         let count = self.edges.len().max(1) as f32;
         let sum = self.edges.iter().fold((0.0, 0.0), |sum, edge| (sum.0 + edge.0, sum.1 + edge.1));

@@ -1,5 +1,5 @@
-//! What a training run is made of, as data: one TOML file, two presets. Every run of one configuration, seed and
-//! number of steps gives the same weights.
+//! Configuration of a training: one TOML file, with two presets. The same configuration, seed and number of steps give
+//! the same weights.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,51 +8,51 @@ use crate::config::{self, ConfigError};
 use crate::policy::Draw;
 use crate::policy::manifest::{Architecture, EdgeField, Field, Manifest};
 
-/// The presets by name, each a committed file.
+/// Presets: name and text of each, from a committed file.
 pub const PRESETS: &[(&str, &str)] = &[
     ("published", include_str!("../../policies/published.toml")),
     ("robust", include_str!("../../policies/robust.toml")),
 ];
 
-/// A closed range that something is drawn from, uniformly.
+/// Bounds of a uniform distribution, \[low, high\].
 pub type Range = [f32; 2];
 
-/// A training run.
+/// Configuration of a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// Size of the team; the scenario's own if left out.
+    /// Size of the team; the scenario's default if left out.
     #[serde(default)]
     pub robots: Option<usize>,
-    /// How long an episode lasts at most \[s\]; its end is no failure, what comes after is estimated.
+    /// Longest duration of an episode \[s\]. The episode is then truncated: the value of its last state is estimated.
     pub episode_s: f32,
-    /// The network.
+    /// The policy's network and interface.
     pub policy: Policy,
-    /// The critic's network; the policy's widths if left out.
+    /// Widths of the critic's network; those of the policy if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub critic: Option<Critic>,
-    /// Proximal policy optimisation.
+    /// Parameters of proximal policy optimisation.
     pub ppo: Ppo,
-    /// What a robot earns.
+    /// Weights of the reward's terms.
     pub reward: Reward,
-    /// What episodes are like.
+    /// Distribution of the episodes' conditions.
     pub conditions: Conditions,
-    /// What is trained when.
+    /// Stages of the training.
     pub curriculum: Vec<Stage>,
 }
 
-/// The network and what its file will say of it.
+/// The policy's network, and the parameters for its manifest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Policy {
-    /// How the message passing is laid out.
+    /// Layout of the message passing.
     pub architecture: Architecture,
-    /// The observation's entries.
+    /// Entries of the observation.
     pub observation: Vec<Field>,
-    /// The message's edge features.
+    /// Features of an edge.
     #[serde(default)]
     pub edge: Vec<EdgeField>,
-    /// Widths of the encoder's layers, the last one the message's.
+    /// Widths of the encoder's layers; the last one is that of the broadcast latent.
     pub encoder: Vec<usize>,
     /// Widths of the message network's layers.
     pub message: Vec<usize>,
@@ -62,106 +62,107 @@ pub struct Policy {
     pub radius_m: f32,
     /// Largest velocity along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// How long a message is held when the policy runs \[s\].
+    /// Age up to which a message is used when the policy runs \[s\].
     pub hold_s: f64,
-    /// How actions are drawn when the policy runs.
+    /// Method of drawing actions when the policy runs.
     pub draw: Draw,
 }
 
-/// Widths of the network that estimates what is still to be earned. It is thrown away after the training and sees
-/// the whole team anyway, so it may be the lighter one.
+/// Widths of the critic's network, which estimates values. It is not used after the training and observes the whole
+/// team, so it may be smaller than the policy's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Critic {
-    /// Of the encoder's layers.
+    /// Widths of the encoder's layers.
     pub encoder: Vec<usize>,
-    /// Of the message network's layers; with two of them no product is left to do per edge.
+    /// Widths of the message network's layers; with two layers, no matrix product is computed per edge.
     pub message: Vec<usize>,
-    /// Of the update network's layers but the last.
+    /// Widths of the update network's layers but the last.
     pub update: Vec<usize>,
 }
 
-/// Proximal policy optimisation (Schulman et al., arXiv 1707.06347) with generalised advantages (arXiv 1506.02438).
+/// Parameters of proximal policy optimisation (Schulman et al., arXiv 1707.06347) with generalised advantage estimation
+/// (arXiv 1506.02438).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ppo {
-    /// Teams side by side.
+    /// Number of parallel environments, each with a row of robots.
     pub environments: usize,
-    /// Decisions of each before an update.
+    /// Number of decisions of each environment in a rollout.
     pub decisions: usize,
-    /// Decisions in a minibatch.
+    /// Number of decisions in a minibatch.
     pub minibatch: usize,
-    /// Passes over the decisions, at most.
+    /// Largest number of epochs of an update.
     pub epochs: usize,
-    /// Divergence from the old policy at which an update ends early; infinite for never.
+    /// KL divergence from the old policy at which an update stops early; may be infinite.
     pub kl_stop: f32,
-    /// How far the probability of an action may move, as a ratio.
+    /// Clipping range of the probability ratio around 1.
     pub clip: f32,
-    /// Discount of a step of 50 ms.
+    /// Discount factor for a step of 50 ms.
     pub gamma: f32,
-    /// Weight of later advantages.
+    /// Decay factor lambda of generalised advantage estimation.
     pub lambda: f32,
-    /// Learning rate at the beginning and at the end; in between it falls geometrically.
+    /// Learning rate at the beginning and at the end, interpolated geometrically.
     pub learning_rate: [f32; 2],
-    /// Norm that a gradient is cut to.
+    /// Largest norm of a gradient; longer ones are scaled down to it.
     pub gradient_clip: f32,
-    /// Weight of the entropy, at the beginning and at the end.
+    /// Weight of the entropy at the beginning and at the end, interpolated linearly.
     pub entropy: [f32; 2],
-    /// Log standard deviation of actions at the beginning.
+    /// Initial log standard deviation of actions.
     pub log_std: f32,
-    /// Cap on it, at the beginning and at the end.
+    /// Upper limit of the log standard deviation at the beginning and at the end, interpolated linearly.
     pub log_std_max: [f32; 2],
 }
 
-/// What a robot earns in a step; weights may be zero.
+/// Weights of the terms of a robot's reward in a step; each may be zero.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reward {
-    /// Factor over everything.
+    /// Factor on the sum of all terms.
     pub scale: f32,
-    /// The scenario's own reward.
+    /// Weight of the scenario's own reward.
     pub scenario: f32,
-    /// For each metre of its way that it has put behind it.
+    /// Reward per metre by which the remaining path becomes shorter \[1/m\].
     pub progress: f32,
-    /// For arriving, once.
+    /// Reward for the arrival, once.
     pub arrival: f32,
-    /// For each second before it has arrived, taken away.
+    /// Penalty per second before the arrival \[1/s\].
     pub time: f32,
-    /// For touching a wall, taken away in each step.
+    /// Penalty for each step with a wall contact.
     pub wall: f32,
-    /// For touching a robot, taken away in each step.
+    /// Penalty for each step with a robot contact.
     pub robot: f32,
-    /// For coming near to a robot: for each second at no distance, less in proportion farther off.
+    /// Penalty per second for another robot at distance zero \[1/s\]; decreases linearly to zero at `proximity_m`.
     pub proximity: f32,
-    /// How near is near \[m\].
+    /// Distance between robots' centres from which the penalty is zero \[m\].
     pub proximity_m: f32,
-    /// For coming near to a wall, likewise.
+    /// Penalty per second for a wall at distance zero \[1/s\]; decreases linearly to zero at `wall_proximity_m`.
     pub wall_proximity: f32,
-    /// How near is near \[m\].
+    /// Distance of a robot's centre from a wall from which the penalty is zero \[m\].
     pub wall_proximity_m: f32,
-    /// Share of its reward that a robot takes from the mean of its team, 0 to 1.
+    /// Weight of the team's mean reward in a robot's reward, 0 to 1.
     pub shared: f32,
 }
 
-/// What episodes are like; every range is drawn from for each episode.
+/// Distribution of the episodes' conditions; a value is drawn from every range for each episode.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Conditions {
-    /// Share of episodes in lock step with perfect messages.
+    /// Probability of lock step with perfect messages.
     pub clean: f32,
-    /// Share of episodes with the physics below; the others have the training environment's.
+    /// Probability of deployed physics, with the two fields below; the other episodes have the training environment's.
     pub deployed: f32,
-    /// How near to a wall is a contact in those \[m\].
+    /// Distance of a robot's centre from a wall below which it touches it \[m\], with deployed physics.
     pub wall_radius_m: f32,
-    /// Drivetrain lag in those \[s\].
+    /// Drivetrain lag \[s\], with deployed physics.
     pub lag_s: Range,
-    /// How long a message takes \[s\].
+    /// Delay of messages \[s\].
     pub delay_s: Range,
-    /// Share of messages lost.
+    /// Loss probability of messages.
     pub loss: Range,
-    /// How much delay and loss differ from one pair of robots to the next, 0 to 1.
+    /// Largest relative deviation of a pair of robots' delay and loss from those of the episode, 0 to 1.
     pub edge_spread: f32,
-    /// How long a message is held \[s\].
+    /// Age up to which a message is used \[s\].
     pub hold_s: Range,
     /// Standard deviation of the communication radius \[m\].
     pub range_std_m: Range,
@@ -169,33 +170,34 @@ pub struct Conditions {
     pub position_noise_m: Range,
     /// Standard deviation of a measured velocity \[m/s\].
     pub velocity_noise_m_s: Range,
-    /// Share of all episodes in which everyone hears everyone, however far away.
+    /// Probability that an episode has unlimited communication range.
     #[serde(default)]
     pub everyone: f32,
-    /// Share of the deployed episodes in which the wheels limit acceleration, as in training, and no controller does.
+    /// Probability, with deployed physics, that the world limits acceleration instead of the controller.
     #[serde(default)]
     pub wheels: f32,
 }
 
-/// A stretch of training.
+/// A stage of the curriculum.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
-    /// It ends at this share of the whole training; the last one's is 1.
+    /// Progress of the training at which the stage ends; 1 for the last stage.
     pub until: f64,
-    /// How the robots of an environment are split into teams; environments take these in turn.
+    /// Sizes of the teams into which an environment's robots are split; environments take the entries in turn.
     pub groups: Vec<Vec<usize>>,
-    /// World steps that an action is held.
+    /// Number of world steps for which an action is held.
     pub repeat: u32,
-    /// Width of the bottleneck \[m\]; the scenario's own if left out.
+    /// Width of the bottleneck \[m\]; the scenario's default if left out.
     #[serde(default)]
     pub gap_m: Option<f32>,
-    /// Factor over the penalties for touching and for coming near: small ones let beginners move at all.
+    /// Factor on the penalties for contacts and proximity. With large penalties, an untrained policy learns to stand
+    /// still.
     pub penalties: f32,
 }
 
 impl Reward {
-    /// With all penalties for touching and for coming near multiplied.
+    /// Returns the weights with all penalties for contacts and proximity multiplied by `factor`.
     pub fn with_penalties(self, factor: f32) -> Reward {
         Reward {
             wall: factor * self.wall,
@@ -208,26 +210,26 @@ impl Reward {
 }
 
 impl Config {
-    /// The configuration of that name.
+    /// The preset of this name.
     pub fn preset(name: &str) -> Option<Config> {
         let (_, text) = PRESETS.iter().find(|(preset, _)| *preset == name)?;
-        Some(Config::from_toml(text).expect("the committed presets are sound; a test reads them all"))
+        Some(Config::from_toml(text).expect("the committed presets are valid; a test reads them all"))
     }
 
-    /// Reads and checks a configuration.
+    /// Parses and checks a configuration.
     pub fn from_toml(text: &str) -> Result<Config, ConfigError> {
         let config: Config = config::from_toml(text)?;
         config.check()?;
         Ok(config)
     }
 
-    /// The stage at this share of the whole training.
+    /// Index of the stage at this progress of the training, 0 to 1.
     pub fn stage(&self, progress: f64) -> usize {
         let last = self.curriculum.len() - 1;
         self.curriculum.iter().position(|stage| progress < stage.until).unwrap_or(last)
     }
 
-    /// What the file of a trained policy will say, but for its training and its hash.
+    /// The manifest of a trained policy, without its origin and its hash.
     pub fn manifest(&self, scenario: &str) -> Manifest {
         let policy = &self.policy;
         let shape = self.actor();
@@ -248,7 +250,7 @@ impl Config {
         }
     }
 
-    /// The policy's network.
+    /// Shape of the policy's network.
     pub fn actor(&self) -> Shape {
         let policy = &self.policy;
         let edge = policy.edge.iter().map(|field| field.floats()).sum();
@@ -256,7 +258,7 @@ impl Config {
         shape(policy.architecture, 2 * policy.observation.len(), edge, widths, 4)
     }
 
-    /// The network that estimates what is still to be earned: it sees all of its team, and more of each.
+    /// Shape of the critic's network, which observes all robots of its team and privileged information about each.
     pub fn critic(&self) -> Shape {
         let policy = &self.policy;
         let widths = match &self.critic {
@@ -268,7 +270,7 @@ impl Config {
     }
 }
 
-/// A network's widths from those of its hidden layers: encoder, message and update network.
+/// The shape of a network from the widths of its hidden layers: encoder, message and update network.
 fn shape(
     architecture: Architecture,
     inputs: usize,
@@ -278,11 +280,11 @@ fn shape(
 ) -> Shape {
     let widths = |input: usize, rest: &[usize]| [&[input], rest].concat();
     let last = |widths: &[usize]| widths.last().copied().unwrap_or(0);
-    let (hidden, heard) = (last(encoder), last(message));
-    let (gathered, updated) = match architecture {
-        Architecture::Published => (hidden, heard),
-        Architecture::Full => (2 * hidden + edge, hidden + heard),
+    let (hidden, messages) = (last(encoder), last(message));
+    let (message_inputs, update_inputs) = match architecture {
+        Architecture::Published => (hidden, messages),
+        Architecture::Full => (2 * hidden + edge, hidden + messages),
     };
-    let update = [&widths(updated, update)[..], &[outputs]].concat();
-    Shape { architecture, encoder: widths(inputs, encoder), message: widths(gathered, message), update, edge }
+    let update = [&widths(update_inputs, update)[..], &[outputs]].concat();
+    Shape { architecture, encoder: widths(inputs, encoder), message: widths(message_inputs, message), update, edge }
 }

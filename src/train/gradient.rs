@@ -1,13 +1,14 @@
-//! The network backward: every derivative by hand. `tests/gradients.rs` checks each against central differences.
+//! Backward pass of the network, with derivatives written by hand. `tests/learning/gradients.rs` checks each against
+//! central differences.
 
 use super::batch::Batch;
-use super::matrix::{Put, Real, View, multiply};
+use super::matrix::{Output, Real, View, multiply};
 use super::network::{Layer, Network, Space, add, resize};
 use crate::policy::mlp::Instructions;
 
 impl Network {
-    /// Adds the derivatives of a loss to `gradient`, from its derivatives `d_outputs` by the outputs of the forward
-    /// pass that `space` holds.
+    /// Adds the gradient of a loss by the parameters to `gradient`. `d_outputs` are its derivatives by the outputs of
+    /// the forward pass that `space` holds.
     pub fn backward<T: Real>(
         &self,
         parameters: &[T],
@@ -25,7 +26,7 @@ impl Network {
     #[inline(always)]
     fn backward_here<T: Real>(&self, p: &[T], batch: &Batch<T>, d_outputs: &[T], space: &mut Space<T>, g: &mut [T]) {
         let (nodes, sources, rows) = (batch.nodes, batch.sources(self.inputs()), self.rows(batch));
-        // The derivatives by what the layer at hand gives, and room for those by what it takes.
+        // The derivatives by the current layer's outputs, and a buffer for those by its inputs.
         let mut back = std::mem::take(&mut space.back);
         back[0].clear();
         back[0].extend_from_slice(d_outputs);
@@ -33,8 +34,8 @@ impl Network {
             layer_back(p, layer, nodes, &space.update[depth - 1], &mut back, g);
         }
         self.folded_back(p, batch, space, &mut back, g);
-        self.sums_back(batch, space, &mut back);
-        // The layers between, per edge.
+        self.aggregate_back(batch, space, &mut back);
+        // The layers between the first and the last, per edge.
         for (depth, layer) in self.message[1..self.message.len() - 1].iter().enumerate().rev() {
             layer_back(p, layer, rows, &space.message[depth], &mut back, g);
         }
@@ -53,7 +54,7 @@ impl Network {
         space.back = back;
     }
 
-    /// The last message layer and the first update layer in one, and from it to each of them.
+    /// Backward pass of the folded layer, with the gradients of the last message layer and the first update layer.
     #[inline(always)]
     fn folded_back<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>, back: &mut Back<T>, g: &mut [T]) {
         let (nodes, sources, h) = (batch.nodes, batch.sources(self.inputs()), self.hidden());
@@ -66,15 +67,15 @@ impl Network {
         let from = if self.is_full() { h } else { 0 };
         if self.is_full() {
             let own = View::new(&space.encoder[self.encoder.len() - 1][..nodes * h], nodes, h);
-            multiply(&mut g[first.at..], first.inputs, Put::Onto, d_view.t(), own);
-            multiply(&mut space.d_hidden, h, Put::Over, d_view, first.columns(p, 0, h));
+            multiply(&mut g[first.at..], first.inputs, Output::Add, d_view.t(), own);
+            multiply(&mut space.d_hidden, h, Output::Replace, d_view, first.columns(p, 0, h));
         } else {
             space.d_hidden[..nodes * h].fill(T::zero());
         }
         add_rows(d, outputs, &mut g[first.bias()..first.end()]);
 
         resize(&mut space.d_folded, outputs * width);
-        multiply(&mut space.d_folded, width, Put::Over, d_view.t(), View::new(&space.sum, nodes, width));
+        multiply(&mut space.d_folded, width, Output::Replace, d_view.t(), View::new(&space.sum, nodes, width));
         resize(&mut space.d_folded_bias, outputs);
         space.d_folded_bias.fill(T::zero());
         for (node, d) in d.chunks_exact(outputs).enumerate() {
@@ -83,39 +84,39 @@ impl Network {
         }
         let d_folded = View::new(&space.d_folded, outputs, width);
         let d_bias = View::new(&space.d_folded_bias, outputs, 1);
-        let heard = first.columns(p, from, last.outputs);
-        multiply(&mut g[first.at + from..], first.inputs, Put::Onto, d_folded, last.w(p).t());
-        multiply(&mut g[first.at + from..], first.inputs, Put::Onto, d_bias, View::new(last.b(p), 1, last.outputs));
-        multiply(&mut g[last.at..last.bias()], width, Put::Onto, heard.t(), d_folded);
-        multiply(&mut g[last.bias()..last.end()], 1, Put::Onto, heard.t(), d_bias);
+        let aggregate = first.columns(p, from, last.outputs);
+        multiply(&mut g[first.at + from..], first.inputs, Output::Add, d_folded, last.w(p).t());
+        multiply(&mut g[first.at + from..], first.inputs, Output::Add, d_bias, View::new(last.b(p), 1, last.outputs));
+        multiply(&mut g[last.at..last.bias()], width, Output::Add, aggregate.t(), d_folded);
+        multiply(&mut g[last.bias()..last.end()], 1, Output::Add, aggregate.t(), d_bias);
         resize(spare, nodes * width);
-        multiply(spare, width, Put::Over, d_view, View::new(&space.folded, outputs, width));
+        multiply(spare, width, Output::Replace, d_view, View::new(&space.folded, outputs, width));
         back.swap(0, 1);
     }
 
-    /// From the sums to the edges.
+    /// Backward pass of the aggregation, from the sums to the messages.
     #[inline(always)]
-    fn sums_back<T: Real>(&self, batch: &Batch<T>, space: &Space<T>, back: &mut Back<T>) {
+    fn aggregate_back<T: Real>(&self, batch: &Batch<T>, space: &Space<T>, back: &mut Back<T>) {
         let edges = batch.sender.len();
         let [d, spare] = back;
-        let (made, width) = (&space.message[self.message.len() - 2], self.message[self.message.len() - 1].inputs);
+        let (messages, width) = (&space.message[self.message.len() - 2], self.message[self.message.len() - 1].inputs);
         resize(spare, self.rows(batch) * width);
         for node in 0..batch.nodes {
             let d = &d[node * width..][..width];
             for edge in batch.first[node] as usize..batch.first[node + 1] as usize {
-                masked(d, &made[edge * width..][..width], &mut spare[edge * width..][..width]);
+                write_masked(d, &messages[edge * width..][..width], &mut spare[edge * width..][..width]);
             }
         }
         if !self.is_full() {
             let own = &mut spare[edges * width..];
             own.fill(T::zero());
             d.chunks_exact(width).for_each(|d| add(own, d));
-            mask(&made[edges * width..], own);
+            mask(&messages[edges * width..], own);
         }
         back.swap(0, 1);
     }
 
-    /// The first message layer: from edges back to robots, each as one that hears and as one that is heard.
+    /// Backward pass of the first message layer from edges to robots, as receivers and as senders.
     #[inline(always)]
     fn edges_back<T: Real>(&self, batch: &Batch<T>, space: &mut Space<T>, d: &[T]) {
         let width = self.message[0].outputs;
@@ -133,7 +134,7 @@ impl Network {
         }
     }
 
-    /// The first message layer of the architecture `full`: from robots to its weights and to the encoder.
+    /// Backward pass of the first message layer of the architecture `full`, from robots to its weights and the encoder.
     #[inline(always)]
     fn full_first_back<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>, d: &[T], g: &mut [T]) {
         let (nodes, sources, h) = (batch.nodes, batch.sources(self.inputs()), self.hidden());
@@ -142,19 +143,19 @@ impl Network {
         add_rows(&space.d_own, width, &mut g[first.bias()..first.end()]);
         let (d_own, d_theirs) = (View::new(&space.d_own, nodes, width), View::new(&space.d_theirs, sources, width));
         let own = View::new(&hidden[..nodes * h], nodes, h);
-        multiply(&mut g[first.at..], first.inputs, Put::Onto, d_own.t(), own);
-        multiply(&mut g[first.at + h..], first.inputs, Put::Onto, d_theirs.t(), View::new(hidden, sources, h));
+        multiply(&mut g[first.at..], first.inputs, Output::Add, d_own.t(), own);
+        multiply(&mut g[first.at + h..], first.inputs, Output::Add, d_theirs.t(), View::new(hidden, sources, h));
         if self.shape.edge > 0 {
             let edges = batch.sender.len();
             let (d, features) = (View::new(d, edges, width), View::new(&batch.e, edges, self.shape.edge));
-            multiply(&mut g[first.at + 2 * h..], first.inputs, Put::Onto, d.t(), features);
+            multiply(&mut g[first.at + 2 * h..], first.inputs, Output::Add, d.t(), features);
         }
-        multiply(&mut space.d_hidden, h, Put::Onto, d_own, first.columns(p, 0, h));
-        multiply(&mut space.d_hidden, h, Put::Onto, d_theirs, first.columns(p, h, h));
+        multiply(&mut space.d_hidden, h, Output::Add, d_own, first.columns(p, 0, h));
+        multiply(&mut space.d_hidden, h, Output::Add, d_theirs, first.columns(p, h, h));
     }
 
-    /// The same of the published architecture, where what the edges say about a robot itself counts against it:
-    /// theirs - own.
+    /// Backward pass of the first message layer of the published architecture, whose input is the difference theirs -
+    /// own.
     #[inline(always)]
     fn published_first_back<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>, d: &[T], g: &mut [T]) {
         let (sources, h) = (batch.sources(self.inputs()), self.hidden());
@@ -165,38 +166,38 @@ impl Network {
             *theirs -= *own;
         }
         let d_theirs = View::new(&space.d_theirs, sources, width);
-        multiply(&mut g[first.at..], first.inputs, Put::Onto, d_theirs.t(), View::new(hidden, sources, h));
-        multiply(&mut space.d_hidden, h, Put::Onto, d_theirs, first.w(p));
+        multiply(&mut g[first.at..], first.inputs, Output::Add, d_theirs.t(), View::new(hidden, sources, h));
+        multiply(&mut space.d_hidden, h, Output::Add, d_theirs, first.w(p));
     }
 }
 
-/// Derivatives on their way back, and room for the next ones.
+/// The current derivatives, and a buffer for the next ones.
 type Back<T> = [Vec<T>; 2];
 
-/// One layer back, to the derivatives by its inputs `x`, which came out of a rectifier.
+/// Backward pass of one layer, to the derivatives by its inputs `x`, which are outputs of a ReLU.
 #[inline(always)]
 fn layer_back<T: Real>(p: &[T], layer: &Layer, rows: usize, x: &[T], back: &mut Back<T>, g: &mut [T]) {
     let [d, spare] = back;
     add_gradient(layer, d, x, rows, g);
-    through(p, layer, d, rows, x, spare);
+    input_derivatives(p, layer, d, rows, x, spare);
     back.swap(0, 1);
 }
 
-/// Adds all rows up.
+/// Adds all rows to `sum`.
 #[inline(always)]
 fn add_rows<T: Real>(rows: &[T], width: usize, sum: &mut [T]) {
     rows.chunks_exact(width).for_each(|row| add(sum, row));
 }
 
-/// `to` = `d` where the unit was active.
+/// Writes `d` where the unit was active and zero elsewhere.
 #[inline(always)]
-fn masked<T: Real>(d: &[T], active: &[T], to: &mut [T]) {
+fn write_masked<T: Real>(d: &[T], active: &[T], to: &mut [T]) {
     for ((to, d), active) in to.iter_mut().zip(d).zip(active) {
         *to = if *active > T::zero() { *d } else { T::zero() };
     }
 }
 
-/// Leaves `d` only where the unit was active.
+/// Sets `d` to zero where the unit was not active.
 #[inline(always)]
 fn mask<T: Real>(active: &[T], d: &mut [T]) {
     for (d, active) in d.iter_mut().zip(active) {
@@ -204,18 +205,18 @@ fn mask<T: Real>(active: &[T], d: &mut [T]) {
     }
 }
 
-/// Adds a layer's derivatives, from those by its outputs.
+/// Adds the gradient of a layer's parameters, from the derivatives by its outputs.
 #[inline(always)]
 fn add_gradient<T: Real>(layer: &Layer, d: &[T], x: &[T], rows: usize, g: &mut [T]) {
     let (d_view, x) = (View::new(d, rows, layer.outputs), View::new(x, rows, layer.inputs));
-    multiply(&mut g[layer.at..layer.bias()], layer.inputs, Put::Onto, d_view.t(), x);
+    multiply(&mut g[layer.at..layer.bias()], layer.inputs, Output::Add, d_view.t(), x);
     add_rows(d, layer.outputs, &mut g[layer.bias()..layer.end()]);
 }
 
-/// The derivatives by a layer's rectified inputs.
+/// Computes the derivatives by a layer's inputs, which are outputs of a ReLU.
 #[inline(always)]
-fn through<T: Real>(p: &[T], layer: &Layer, d: &[T], rows: usize, before: &[T], to: &mut Vec<T>) {
+fn input_derivatives<T: Real>(p: &[T], layer: &Layer, d: &[T], rows: usize, before: &[T], to: &mut Vec<T>) {
     resize(to, rows * layer.inputs);
-    multiply(to, layer.inputs, Put::Over, View::new(d, rows, layer.outputs), layer.w(p));
+    multiply(to, layer.inputs, Output::Replace, View::new(d, rows, layer.outputs), layer.w(p));
     mask(before, to);
 }

@@ -1,10 +1,10 @@
-//! What numbers a training run may have: the checks of its configuration.
+//! Validation of a training's configuration: the permitted values of its fields.
 
 use super::config::{Conditions, Config, Critic, Ppo, Reward};
 use crate::config::ConfigError;
 
 impl Config {
-    /// Checks every number; the error names the field.
+    /// Checks all fields; the error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         within("episode_s", self.episode_s, 0.1, 3600.0)?;
         self.ppo.check()?;
@@ -17,10 +17,10 @@ impl Config {
     fn check_networks(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if self.policy.message.len() < 2 {
-            return wrong("policy.message", "a message network that is trained has two layers or more".to_owned());
+            return wrong("policy.message", "training needs a message network of two or more layers".to_owned());
         }
         if self.policy.encoder.is_empty() {
-            return wrong("policy.encoder", "an encoder has a layer".to_owned());
+            return wrong("policy.encoder", "the encoder needs at least one layer".to_owned());
         }
         if let Some(Critic { encoder, message, update }) = &self.critic {
             let fields = [("encoder", encoder, 1), ("message", message, 2), ("update", update, 0)];
@@ -44,18 +44,18 @@ impl Config {
             Err(ConfigError::field(format!("curriculum[{at}].{field}"), reason))
         };
         if self.curriculum.is_empty() {
-            return Err(ConfigError::field("curriculum", "a training has a stage".to_owned()));
+            return Err(ConfigError::field("curriculum", "at least one stage is needed".to_owned()));
         }
-        let mut begins = 0.0;
+        let mut start = 0.0;
         for (at, stage) in self.curriculum.iter().enumerate() {
-            if stage.until.is_nan() || stage.until <= begins || stage.until > 1.0 {
-                return wrong(at, "until", format!("{} is not above {begins} and up to 1", stage.until));
+            if stage.until.is_nan() || stage.until <= start || stage.until > 1.0 {
+                return wrong(at, "until", format!("{} is not above {start} and at most 1", stage.until));
             }
-            begins = stage.until;
+            start = stage.until;
             let robots = |groups: &Vec<usize>| groups.iter().sum::<usize>();
             let team = stage.groups.first().map_or(0, robots);
             if team == 0 || stage.groups.iter().any(|groups| robots(groups) != team || groups.contains(&0)) {
-                return wrong(at, "groups", format!("{:?} do not each make up the same team", stage.groups));
+                return wrong(at, "groups", format!("{:?} do not all have the same total, above 0", stage.groups));
             }
             if !(0.0..=100.0).contains(&stage.penalties) {
                 return wrong(at, "penalties", format!("{} is not 0 to 100", stage.penalties));
@@ -64,14 +64,14 @@ impl Config {
                 return wrong(at, "repeat", format!("{} is not 1 to 20", stage.repeat));
             }
         }
-        if begins < 1.0 {
-            return wrong(self.curriculum.len() - 1, "until", format!("the last stage ends at 1, not at {begins}"));
+        if start < 1.0 {
+            return wrong(self.curriculum.len() - 1, "until", format!("the last stage must end at 1, not at {start}"));
         }
         Ok(())
     }
 }
 
-/// Checks that a number is within its bounds; the error names the field.
+/// Checks that a value is within its bounds; the error names the field.
 fn within(field: &str, value: f32, low: f32, high: f32) -> Result<(), ConfigError> {
     if (low..=high).contains(&value) {
         Ok(())
@@ -89,9 +89,9 @@ impl Ppo {
             ("ppo.minibatch", self.minibatch, 1 << 24),
             ("ppo.epochs", self.epochs, 100),
         ];
-        for (field, value, most) in counts {
-            if value == 0 || value > most {
-                return wrong(field, format!("{value} is not 1 to {most}"));
+        for (field, value, max) in counts {
+            if value == 0 || value > max {
+                return wrong(field, format!("{value} is not 1 to {max}"));
             }
         }
         if self.environments.saturating_mul(self.decisions) > 1 << 22 {
@@ -134,9 +134,9 @@ impl Conditions {
             ("conditions.position_noise_m", self.position_noise_m, 10.0),
             ("conditions.velocity_noise_m_s", self.velocity_noise_m_s, 10.0),
         ];
-        for (field, [low, high], most) in ranges {
-            within(field, low, 0.0, most)?;
-            within(field, high, low, most)?;
+        for (field, [low, high], max) in ranges {
+            within(field, low, 0.0, max)?;
+            within(field, high, low, max)?;
         }
         Ok(())
     }

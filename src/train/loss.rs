@@ -1,44 +1,45 @@
-//! The losses of proximal policy optimisation and their derivatives, for one robot and one decision.
+//! Losses of proximal policy optimisation and their derivatives, for one robot and one decision.
 
 use super::matrix::Real;
 use super::record::HALF_LOG_TWO_PI;
 
-/// What was done, and what came of it.
+/// A recorded action with its advantage.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample<T> {
-    /// The action as drawn \[m/s\].
+    /// The action as drawn \[m/s\], policy frame.
     pub action: [T; 2],
-    /// Its log density when it was drawn.
+    /// Its log density under the policy that drew it.
     pub log_density: T,
-    /// How much better than expected it was.
+    /// Its advantage, normalised.
     pub advantage: T,
 }
 
-/// The policy's settings of the moment.
+/// Current coefficients of the policy's loss.
 #[derive(Clone, Copy, Debug)]
 pub struct Terms<T> {
-    /// How far the ratio may move.
+    /// Clipping range of the probability ratio around 1.
     pub clip: T,
     /// Weight of the entropy.
     pub entropy: T,
-    /// Cap on the log standard deviation.
+    /// Upper limit of the log standard deviation.
     pub log_std_max: T,
 }
 
-/// The policy's loss of one sample.
+/// The policy's loss for one sample.
 #[derive(Clone, Copy, Debug)]
 pub struct PolicyLoss<T> {
-    /// The loss: to be made small.
+    /// The loss, to be minimised.
     pub loss: T,
     /// Its derivatives by \[mean_x, mean_y, log_std_x, log_std_y\].
     pub d_outputs: [T; 4],
-    /// Estimate of the divergence from the old policy (Schulman, "Approximating KL divergence", k3).
+    /// Estimate of the KL divergence from the old policy (Schulman, "Approximating KL divergence", k3).
     pub divergence: T,
     /// Entropy of the distribution.
     pub entropy: T,
 }
 
-/// The clipped surrogate (arXiv 1707.06347, equation 7) less the weighed entropy of a diagonal normal.
+/// Computes the clipped surrogate loss (Schulman et al., arXiv 1707.06347, equation 7) minus the weighted entropy of a
+/// diagonal normal distribution.
 pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> PolicyLoss<T> {
     let half = T::of(0.5);
     let (mut log_density, mut entropy) = (T::zero(), T::zero());
@@ -49,16 +50,16 @@ pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> P
         let unit = (sample.action[axis] - outputs[axis]) * (-log_std).exponential();
         log_density = log_density - half * unit * unit - log_std - T::of(HALF_LOG_TWO_PI);
         entropy = entropy + log_std + half + T::of(HALF_LOG_TWO_PI);
-        // Of the log density.
+        // Derivatives of the log density.
         d_mean[axis] = unit * (-log_std).exponential();
         d_log_std[axis] = unit * unit - T::one();
     }
     let log_ratio = log_density - sample.log_density;
     let ratio = log_ratio.exponential();
     let clipped = ratio.max(T::one() - terms.clip).min(T::one() + terms.clip);
-    let (plain, cut) = (ratio * sample.advantage, clipped * sample.advantage);
-    // Where the clipped one is the smaller, the ratio has no say.
-    let d_log_density = if plain <= cut { -plain } else { T::zero() };
+    let (surrogate, clipped) = (ratio * sample.advantage, clipped * sample.advantage);
+    // If the clipped one is smaller, the loss does not depend on the ratio.
+    let d_log_density = if surrogate <= clipped { -surrogate } else { T::zero() };
     let mut d_outputs = [T::zero(); 4];
     for axis in 0..2 {
         d_outputs[axis] = d_log_density * d_mean[axis];
@@ -67,14 +68,14 @@ pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> P
         }
     }
     PolicyLoss {
-        loss: -plain.min(cut) - terms.entropy * entropy,
+        loss: -surrogate.min(clipped) - terms.entropy * entropy,
         d_outputs,
         divergence: ratio - T::one() - log_ratio,
         entropy,
     }
 }
 
-/// The critic's loss, half the square of its error, and its derivative by the estimate.
+/// Computes the critic's loss, half the squared error, and its derivative by the estimate.
 pub fn value<T: Real>(estimate: T, target: T) -> (T, T) {
     let error = estimate - target;
     (T::of(0.5) * error * error, error)

@@ -1,18 +1,18 @@
-//! Matrices as views of slices, and their product. The only file with `unsafe` in it: the product is a foreign
-//! kernel that takes pointers, and every view is checked against its slice before it gets one.
+//! Matrices as views of slices, and their product. This is the only file with `unsafe`: the kernel of the product takes
+//! pointers, and every view is checked against its slice before.
 //!
-//! Generic over the number, so that gradients can be checked in f64 by the code that runs in f32.
+//! Generic over the number type, so that a test can check gradients in f64 with the code that runs in f32.
 
 use std::ops::{AddAssign, SubAssign};
 
 use num_traits::Float;
 
-/// A number that networks are computed in: f32, or f64 for checks.
+/// Number type of network computations: f32, or f64 for checks.
 pub trait Real: Float + AddAssign + SubAssign + Default + Send + Sync + std::fmt::Debug + 'static {
-    /// From f32, exactly.
+    /// Converts from f32, exactly.
     fn of(value: f32) -> Self;
 
-    /// e to its power, the same on every platform.
+    /// Exponential function, with the same result on every platform.
     fn exponential(self) -> Self;
 }
 
@@ -36,7 +36,7 @@ impl Real for f64 {
     }
 }
 
-/// A matrix that is read.
+/// A read-only matrix.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a, T> {
     data: &'a [T],
@@ -47,12 +47,12 @@ pub struct View<'a, T> {
 }
 
 impl<'a, T> View<'a, T> {
-    /// `rows` x `columns`, row by row without gaps.
+    /// Makes a view of `rows` x `columns`, row-major without gaps.
     pub fn new(data: &'a [T], rows: usize, columns: usize) -> View<'a, T> {
         View::strided(data, rows, columns, columns)
     }
 
-    /// `rows` x `columns`, each row `stride` after the one before: some columns of a wider matrix.
+    /// Makes a view of `rows` x `columns` whose rows begin `stride` entries apart: some columns of a wider matrix.
     pub fn strided(data: &'a [T], rows: usize, columns: usize, stride: usize) -> View<'a, T> {
         let view = View { data, rows, columns, row_stride: stride, column_stride: 1 };
         assert!(within(data.len(), rows, columns, stride), "a view lies inside its slice");
@@ -75,24 +75,24 @@ fn within(len: usize, rows: usize, columns: usize, stride: usize) -> bool {
     rows == 0 || columns == 0 || ((rows - 1) * stride + columns <= len && (columns <= stride || rows == 1))
 }
 
-/// Whether a product replaces what is there or is added to it.
+/// Use of a product's previous output values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Put {
-    /// Replaces it.
-    Over,
-    /// Is added to it.
-    Onto,
+pub enum Output {
+    /// The product replaces them.
+    Replace,
+    /// The product is added to them.
+    Add,
 }
 
-/// Puts `a` `b` into `into`, whose rows lie `stride` apart.
+/// Computes the product of `a` and `b` into `into`, whose rows begin `stride` entries apart.
 ///
 /// # Panics
-/// If the shapes do not fit each other or the slice.
+/// If the shapes do not match each other or the slice.
 #[expect(unsafe_code, reason = "the kernel takes pointers; every view is checked before it gets one")]
-pub fn multiply<T: Real>(into: &mut [T], stride: usize, put: Put, a: View<T>, b: View<T>) {
+pub fn multiply<T: Real>(into: &mut [T], stride: usize, output: Output, a: View<T>, b: View<T>) {
     let (m, n, k) = (a.rows, b.columns, a.columns);
-    assert_eq!(k, b.rows, "the factors fit each other");
-    assert!(within(into.len(), m, n, stride), "the product fits its place");
+    assert_eq!(k, b.rows, "the shapes of the factors match");
+    assert!(within(into.len(), m, n, stride), "the product lies inside its slice");
     if m == 0 || n == 0 {
         return;
     }
@@ -108,7 +108,7 @@ pub fn multiply<T: Real>(into: &mut [T], stride: usize, put: Put, a: View<T>, b:
             into.as_mut_ptr(),
             1,
             signed(stride),
-            put == Put::Onto,
+            output == Output::Add,
             a.data.as_ptr(),
             signed(a.column_stride),
             signed(a.row_stride),
@@ -136,9 +136,9 @@ mod tests {
         let mut c = [1.0f64; 6];
         // The last two columns of a 2 x 3 matrix, times a 2 x 2 matrix transposed.
         let columns = View::strided(&a[1..], 2, 2, 3);
-        multiply(&mut c, 3, Put::Onto, columns, View::new(&b, 2, 2).t());
+        multiply(&mut c, 3, Output::Add, columns, View::new(&b, 2, 2).t());
         assert_eq!(c, [1.0 - 1.0, 1.0 + 7.0, 1.0, 1.0 - 1.0, 1.0 + 14.5, 1.0]);
-        multiply(&mut c, 2, Put::Over, View::new(&a, 2, 3).t(), View::new(&b, 2, 2));
+        multiply(&mut c, 2, Output::Replace, View::new(&a, 2, 3).t(), View::new(&b, 2, 2));
         assert_eq!(c, [3.0, 7.0, 4.5, 8.0, 6.0, 9.0]);
     }
 

@@ -1,24 +1,24 @@
-//! Training: proximal policy optimisation over many teams at once, on the very dynamics and rewards that a run
-//! has, under delay, loss, asynchrony and lag from the start.
+//! Training: proximal policy optimisation over many teams at once. Dynamics and rewards are those of a run, with delay,
+//! loss, asynchrony and lag from the start.
 //!
-//! Pure: no clock, file or actor. `trainer` is the whole; whoever drives it says how far it has come, writes what
-//! it says, and stops it.
+//! Pure: no clock, file or actor. `trainer` is the entry point. Its caller passes in the progress, writes the files,
+//! and decides when to stop.
 
 pub mod adam;
 pub mod batch;
 mod checkpoint;
 pub mod conditions;
 pub mod config;
-pub mod crowd;
+pub mod environments;
 pub mod evaluate;
 mod gradient;
 mod limits;
 pub mod loss;
 pub mod matrix;
+pub mod message_buffer;
 pub mod network;
 pub mod observe;
 pub mod parallel;
-pub mod radio;
 pub mod record;
 pub mod reward;
 pub mod rollout;

@@ -1,27 +1,27 @@
-//! The message-passing network over many graphs at once, forward; `gradient` goes backward through it.
+//! Forward pass of the message-passing network over a batch of graphs; `gradient` has the backward pass.
 //!
-//! Everything that is linear is done once per robot: the first message layer before the edges are made, the
-//! last one after they are summed. Only the layers between work per edge. Equations in `docs/training.md`.
+//! Linear parts are computed once per robot: the first message layer before messages are combined per edge, the last
+//! one after the aggregation. Only the layers between are computed per edge. Equations in `docs/training.md`.
 
 use std::fmt;
 
 use super::batch::Batch;
-use super::matrix::{Put, Real, View, multiply};
+use super::matrix::{Output, Real, View, multiply};
 use crate::policy::manifest::Architecture;
 use crate::policy::mlp::Instructions;
 
 /// Widths of a network, input first.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// How the message passing is laid out.
+    /// Layout of the message passing.
     pub architecture: Architecture,
-    /// Of the encoder.
+    /// Widths of the encoder.
     pub encoder: Vec<usize>,
-    /// Of the message network, which has at least two layers.
+    /// Widths of the message network, which has at least two layers.
     pub message: Vec<usize>,
-    /// Of the update network.
+    /// Widths of the update network.
     pub update: Vec<usize>,
-    /// How many of the message network's inputs are edge features.
+    /// Number of edge features among the message network's inputs.
     pub edge: usize,
 }
 
@@ -32,7 +32,7 @@ impl fmt::Display for Shape {
     }
 }
 
-/// One layer's place among the parameters: weight \[outputs, inputs\], then bias.
+/// Position of a layer in the parameter vector: weight \[outputs, inputs\], then bias \[outputs\].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layer {
     pub(super) inputs: usize,
@@ -53,7 +53,7 @@ impl Layer {
         View::new(&parameters[self.at..self.bias()], self.outputs, self.inputs)
     }
 
-    /// Columns `from..from + width` of the weight.
+    /// View of columns `from..from + width` of the weight.
     pub(super) fn columns<'a, T>(&self, parameters: &'a [T], from: usize, width: usize) -> View<'a, T> {
         View::strided(&parameters[self.at + from..self.bias()], self.outputs, width, self.inputs)
     }
@@ -63,7 +63,7 @@ impl Layer {
     }
 }
 
-/// A network's layout. Its parameters are one flat vector that is handed in.
+/// Layout of a network. Its parameters are one flat vector, which the caller passes in.
 #[derive(Clone, Debug)]
 pub struct Network {
     pub(super) shape: Shape,
@@ -73,11 +73,13 @@ pub struct Network {
     parameters: usize,
 }
 
-/// Room for everything between input and output, and for the derivatives.
+/// Buffers for the activations and the derivatives of a batch.
 #[derive(Debug, Default)]
 pub struct Space<T> {
     pub(super) encoder: Vec<Vec<T>>,
+    /// Contribution of each source to the first message layer, as a sender.
     theirs: Vec<T>,
+    /// Contribution of each robot to the first message layer, as the receiver.
     own: Vec<T>,
     edge_weight: Vec<T>,
     pub(super) message: Vec<Vec<T>>,
@@ -94,17 +96,17 @@ pub struct Space<T> {
 }
 
 impl<T> Space<T> {
-    /// The outputs of the last forward pass, \[robots, outputs\].
+    /// Outputs of the last forward pass, \[robots, outputs\], row-major.
     pub fn outputs(&self) -> &[T] {
         self.update.last().map_or(&[], |outputs| outputs)
     }
 }
 
 impl Network {
-    /// The layout of these widths.
+    /// Makes the layout for these widths.
     ///
     /// # Panics
-    /// If they contradict each other; a checked configuration never does.
+    /// If they are inconsistent, which those of a checked configuration never are.
     pub fn new(shape: Shape) -> Network {
         let mut at = 0;
         let mut layers = |widths: &[usize]| -> Vec<Layer> {
@@ -117,17 +119,17 @@ impl Network {
         };
         let (encoder, message, update) = (layers(&shape.encoder), layers(&shape.message), layers(&shape.update));
         let network = Network { encoder, message, update, parameters: at, shape };
-        let (hidden, heard) = (network.hidden(), network.message[network.message.len() - 1].outputs);
+        let (hidden, messages) = (network.hidden(), network.message[network.message.len() - 1].outputs);
         let (message, update) = match network.shape.architecture {
-            Architecture::Published => (hidden, heard),
-            Architecture::Full => (2 * hidden + network.shape.edge, hidden + heard),
+            Architecture::Published => (hidden, messages),
+            Architecture::Full => (2 * hidden + network.shape.edge, hidden + messages),
         };
         assert!(network.message.len() >= 2, "a message network that is trained has at least two layers");
         assert_eq!((network.message[0].inputs, network.update[0].inputs), (message, update), "layers fit each other");
         network
     }
 
-    /// How many parameters it has.
+    /// Number of parameters.
     pub fn parameters(&self) -> usize {
         self.parameters
     }
@@ -142,7 +144,7 @@ impl Network {
         self.update[self.update.len() - 1].outputs
     }
 
-    /// The widths.
+    /// Widths of the network.
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
@@ -151,8 +153,8 @@ impl Network {
         self.encoder[self.encoder.len() - 1].outputs
     }
 
-    /// Every layer as (inputs, where its weight begins, where its bias begins, where it ends): encoder, message
-    /// and update network.
+    /// Layers of the encoder, message and update network. Each is (number of inputs, first parameter of the weight,
+    /// first of the bias, first after the layer).
     pub fn layers(&self) -> [Vec<(usize, usize, usize, usize)>; 3] {
         [&self.encoder, &self.message, &self.update]
             .map(|layers| layers.iter().map(|layer| (layer.inputs, layer.at, layer.bias(), layer.end())).collect())
@@ -162,7 +164,7 @@ impl Network {
         self.shape.architecture == Architecture::Full
     }
 
-    /// Computes all outputs into `space`.
+    /// Computes all activations and outputs into `space`.
     pub fn forward<T: Real>(&self, parameters: &[T], batch: &Batch<T>, space: &mut Space<T>) {
         Instructions::Detected.run(
             #[inline(always)]
@@ -170,8 +172,8 @@ impl Network {
         );
     }
 
-    /// How many messages are made: one an edge. The published network hears itself: a difference of zero, the same for
-    /// all, in a last row.
+    /// Number of rows of messages: one per edge. The published network also has each robot's message to itself; its
+    /// input is zero and so the same for all, in one last row.
     #[inline(always)]
     pub(super) fn rows<T>(&self, batch: &Batch<T>) -> usize {
         batch.sender.len() + usize::from(!self.is_full())
@@ -181,14 +183,14 @@ impl Network {
     fn forward_here<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
         run(p, &self.encoder, &batch.x, batch.sources(self.inputs()), &mut space.encoder);
         space.message.resize_with(self.message.len() - 1, Vec::new);
-        self.first_by_robot(p, batch, space);
-        self.first_by_edge(p, batch, space);
-        // The layers between, per edge.
+        self.first_layer_per_robot(p, batch, space);
+        self.first_layer_per_edge(p, batch, space);
+        // The layers between the first and the last, per edge.
         for (depth, layer) in self.message[1..self.message.len() - 1].iter().enumerate() {
             let (from, to) = space.message.split_at_mut(depth + 1);
             apply(p, layer, &from[depth], self.rows(batch), &mut to[0], true);
         }
-        self.sums(batch, space);
+        self.aggregate(batch, space);
         space.update.resize_with(self.update.len(), Vec::new);
         self.folded(p, batch, space);
         for (depth, layer) in self.update.iter().enumerate().skip(1) {
@@ -197,36 +199,36 @@ impl Network {
         }
     }
 
-    /// The first message layer, as far as it is one robot's.
+    /// Computes the parts of the first message layer that depend on one robot only.
     #[inline(always)]
-    fn first_by_robot<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
+    fn first_layer_per_robot<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
         let (nodes, sources, h) = (batch.nodes, batch.sources(self.inputs()), self.hidden());
         let (first, hidden) = (self.message[0], &space.encoder[self.encoder.len() - 1]);
         let width = first.outputs;
         resize(&mut space.theirs, sources * width);
         let hidden_view = View::new(hidden, sources, h);
         if self.is_full() {
-            multiply(&mut space.theirs, width, Put::Over, hidden_view, first.columns(p, h, h).t());
+            multiply(&mut space.theirs, width, Output::Replace, hidden_view, first.columns(p, h, h).t());
             resize(&mut space.own, nodes * width);
-            spread(first.b(p), &mut space.own);
+            fill_rows(first.b(p), &mut space.own);
             let own = View::new(&hidden[..nodes * h], nodes, h);
-            multiply(&mut space.own, width, Put::Onto, own, first.columns(p, 0, h).t());
+            multiply(&mut space.own, width, Output::Add, own, first.columns(p, 0, h).t());
             transpose_columns(p, &first, 2 * h, &mut space.edge_weight);
         } else {
-            multiply(&mut space.theirs, width, Put::Over, hidden_view, first.w(p).t());
+            multiply(&mut space.theirs, width, Output::Replace, hidden_view, first.w(p).t());
         }
     }
 
-    /// The first message layer, put together for every edge.
+    /// Combines the parts of the first message layer for every edge.
     #[inline(always)]
-    fn first_by_edge<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
+    fn first_layer_per_edge<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
         let first = self.message[0];
         let (width, edges) = (first.outputs, batch.sender.len());
-        let made = &mut space.message[0];
-        resize(made, self.rows(batch) * width);
+        let messages = &mut space.message[0];
+        resize(messages, self.rows(batch) * width);
         for node in 0..batch.nodes {
             for edge in batch.first[node] as usize..batch.first[node + 1] as usize {
-                let to = &mut made[edge * width..][..width];
+                let to = &mut messages[edge * width..][..width];
                 let theirs = &space.theirs[batch.sender[edge] as usize * width..][..width];
                 if self.is_full() {
                     let own = &space.own[node * width..][..width];
@@ -249,57 +251,58 @@ impl Network {
             }
         }
         if !self.is_full() {
-            made[edges * width..].copy_from_slice(first.b(p));
-            made[edges * width..].iter_mut().for_each(|x| *x = relu(*x));
+            messages[edges * width..].copy_from_slice(first.b(p));
+            messages[edges * width..].iter_mut().for_each(|x| *x = relu(*x));
         }
     }
 
-    /// The sum over the messages that each robot hears.
+    /// Sums the messages that each robot receives.
     #[inline(always)]
-    fn sums<T: Real>(&self, batch: &Batch<T>, space: &mut Space<T>) {
+    fn aggregate<T: Real>(&self, batch: &Batch<T>, space: &mut Space<T>) {
         let edges = batch.sender.len();
-        let (made, width) = (&space.message[self.message.len() - 2], self.message[self.message.len() - 1].inputs);
+        let (messages, width) = (&space.message[self.message.len() - 2], self.message[self.message.len() - 1].inputs);
         resize(&mut space.sum, batch.nodes * width);
         for (node, sum) in space.sum.chunks_exact_mut(width).enumerate() {
             sum.fill(T::zero());
             let range = batch.first[node] as usize..batch.first[node + 1] as usize;
-            for term in made[range.start * width..range.end * width].chunks_exact(width) {
+            for term in messages[range.start * width..range.end * width].chunks_exact(width) {
                 add(sum, term);
             }
             if !self.is_full() {
-                add(sum, &made[edges * width..]);
+                add(sum, &messages[edges * width..]);
             }
         }
     }
 
-    /// The last message layer and the first update layer in one, for nothing comes between them.
+    /// Folds the last message layer and the first update layer into one, as no activation is between them, and applies
+    /// it.
     #[inline(always)]
     fn folded<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
         let (nodes, h) = (batch.nodes, self.hidden());
         let (first, last) = (self.update[0], self.message[self.message.len() - 1]);
         let width = last.inputs;
         let from = if self.is_full() { h } else { 0 };
-        let heard = first.columns(p, from, last.outputs);
+        let aggregate = first.columns(p, from, last.outputs);
         resize(&mut space.folded, first.outputs * width);
         resize(&mut space.folded_bias, first.outputs);
-        multiply(&mut space.folded, width, Put::Over, heard, last.w(p));
-        multiply(&mut space.folded_bias, 1, Put::Over, heard, View::new(last.b(p), last.outputs, 1));
+        multiply(&mut space.folded, width, Output::Replace, aggregate, last.w(p));
+        multiply(&mut space.folded_bias, 1, Output::Replace, aggregate, View::new(last.b(p), last.outputs, 1));
         let to = &mut space.update[0];
         resize(to, nodes * first.outputs);
         let folded = View::new(&space.folded, first.outputs, width);
-        multiply(to, first.outputs, Put::Over, View::new(&space.sum, nodes, width), folded.t());
+        multiply(to, first.outputs, Output::Replace, View::new(&space.sum, nodes, width), folded.t());
         if self.is_full() {
             let own = View::new(&space.encoder[self.encoder.len() - 1][..nodes * h], nodes, h);
-            multiply(to, first.outputs, Put::Onto, own, first.columns(p, 0, h).t());
+            multiply(to, first.outputs, Output::Add, own, first.columns(p, 0, h).t());
         }
         for (node, to) in to.chunks_exact_mut(first.outputs).enumerate() {
             let terms = self.terms::<T>(batch, node);
             to.iter_mut().zip(&space.folded_bias).for_each(|(to, bias)| *to += terms * *bias);
         }
-        shift(first.b(p), to, self.update.len() > 1);
+        add_bias(first.b(p), to, self.update.len() > 1);
     }
 
-    /// How many terms a robot's sum has.
+    /// Number of terms of a robot's sum.
     #[inline(always)]
     pub(super) fn terms<T: Real>(&self, batch: &Batch<T>, node: usize) -> T {
         let terms = batch.first[node + 1] - batch.first[node] + u32::from(!self.is_full());
@@ -312,7 +315,7 @@ fn relu<T: Real>(x: T) -> T {
     if x > T::zero() { x } else { T::zero() }
 }
 
-/// Gives a vector a length; what is in it is of no account.
+/// Resizes a vector whose content will be overwritten.
 #[inline(always)]
 pub(super) fn resize<T: Real>(vector: &mut Vec<T>, length: usize) {
     vector.resize(length, T::zero());
@@ -323,15 +326,15 @@ pub(super) fn add<T: Real>(to: &mut [T], from: &[T]) {
     to.iter_mut().zip(from).for_each(|(to, from)| *to += *from);
 }
 
-/// Puts `bias` into every row.
+/// Copies `bias` into every row.
 #[inline(always)]
-fn spread<T: Real>(bias: &[T], rows: &mut [T]) {
+fn fill_rows<T: Real>(bias: &[T], rows: &mut [T]) {
     rows.chunks_exact_mut(bias.len()).for_each(|row| row.copy_from_slice(bias));
 }
 
-/// Adds `bias` to every row, and rectifies them.
+/// Adds `bias` to every row and applies ReLU if `rectify` is set.
 #[inline(always)]
-fn shift<T: Real>(bias: &[T], rows: &mut [T], rectify: bool) {
+fn add_bias<T: Real>(bias: &[T], rows: &mut [T], rectify: bool) {
     let width = bias.len();
     for row in rows.chunks_exact_mut(width) {
         if rectify {
@@ -346,15 +349,15 @@ fn shift<T: Real>(bias: &[T], rows: &mut [T], rectify: bool) {
     }
 }
 
-/// One layer over all rows.
+/// Applies one layer to all rows.
 #[inline(always)]
 fn apply<T: Real>(p: &[T], layer: &Layer, x: &[T], rows: usize, y: &mut Vec<T>, rectify: bool) {
     resize(y, rows * layer.outputs);
-    multiply(y, layer.outputs, Put::Over, View::new(x, rows, layer.inputs), layer.w(p).t());
-    shift(layer.b(p), y, rectify);
+    multiply(y, layer.outputs, Output::Replace, View::new(x, rows, layer.inputs), layer.w(p).t());
+    add_bias(layer.b(p), y, rectify);
 }
 
-/// Layers in a row, rectified between; keeps what each gives.
+/// Applies layers in turn with ReLU between them; keeps the output of each.
 #[inline(always)]
 fn run<T: Real>(p: &[T], layers: &[Layer], x: &[T], rows: usize, outputs: &mut Vec<Vec<T>>) {
     outputs.resize_with(layers.len(), Vec::new);
@@ -365,7 +368,7 @@ fn run<T: Real>(p: &[T], layers: &[Layer], x: &[T], rows: usize, outputs: &mut V
     }
 }
 
-/// The columns of a layer from `from` on, each as a row.
+/// Writes the columns of a layer's weight from `from` on, each as a row.
 #[inline(always)]
 fn transpose_columns<T: Real>(p: &[T], layer: &Layer, from: usize, to: &mut Vec<T>) {
     to.clear();

@@ -1,54 +1,54 @@
-//! What the networks see: the policy of itself and of an edge, as its file will say, and the critic of everything.
+//! Observations of the networks: of the policy as in its file, and of the critic with privileged information.
 
 use crate::messages::geometry::{Motion, Task};
 use crate::policy::manifest::Field;
 use crate::scenario::{Scenario, Stage};
 
-/// How many floats the critic sees beyond the policy's observation.
+/// Number of inputs of the critic per robot in addition to the policy's observation.
 pub const PRIVILEGED: usize = 8;
 
-/// Writes an observation, two floats a field.
+/// Writes a robot's observation, two floats per field, policy frame.
 pub fn own(fields: &[Field], scenario: &dyn Scenario, task: &Task, estimate: &Motion, to: &mut [f32]) {
-    let seen = scenario.observe(task, estimate);
-    for (two, field) in to.chunks_exact_mut(2).zip(fields) {
-        two.copy_from_slice(&field.of(&seen).to_array());
+    let observation = scenario.observe(task, estimate);
+    for (entry, field) in to.chunks_exact_mut(2).zip(fields) {
+        entry.copy_from_slice(&field.of(&observation).to_array());
     }
 }
 
-/// What the critic knows of a robot and its episode, beyond the true observation. Each is of the order of one.
+/// Privileged information about a robot and its episode, an input of the critic only.
 #[derive(Clone, Copy, Debug)]
 pub struct Privileged {
-    /// How far it has come.
+    /// Stage of the scenario's reward.
     pub stage: Stage,
     /// Whether it has arrived.
     pub arrived: bool,
-    /// Share of the episode's time that has passed.
+    /// Fraction of the episode's time that has passed.
     pub passed: f32,
-    /// How far it has to go \[m\].
+    /// Length of its remaining path \[m\].
     pub to_go_m: f32,
     /// Drivetrain lag \[s\].
     pub lag_s: f32,
-    /// Delay of messages \[s\].
+    /// Mean delay of messages \[s\].
     pub delay_s: f32,
-    /// Share of messages lost.
+    /// Fraction of messages that are lost.
     pub loss: f32,
-    /// Whether contacts are judged and block nothing.
+    /// Whether contacts are only judged and do not block moves.
     pub judged: bool,
 }
 
 impl Privileged {
-    /// Writes all of it, `PRIVILEGED` floats.
+    /// Writes `PRIVILEGED` floats, each scaled to the order of one.
     pub fn write(&self, to: &mut [f32]) {
-        let truth = |known: bool| if known { 1.0 } else { 0.0 };
+        let indicator = |value: bool| if value { 1.0 } else { 0.0 };
         to.copy_from_slice(&[
             f32::from(self.stage.0) * 0.25,
-            truth(self.arrived),
+            indicator(self.arrived),
             self.passed,
             self.to_go_m * 0.2,
             self.lag_s,
             self.delay_s * 10.0,
             self.loss,
-            truth(self.judged),
+            indicator(self.judged),
         ]);
     }
 }

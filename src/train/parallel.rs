@@ -1,15 +1,15 @@
-//! Work on several threads. What is computed never depends on how many there are.
+//! Work on several threads, with results that do not depend on the number of threads.
 
 use std::sync::Mutex;
 
-/// Runs `work` on every job, on this thread and up to `threads - 1` others.
+/// Runs `work` on every job, on the calling thread and up to `threads - 1` others; returns when all are done.
 pub fn in_parallel<J: Send>(threads: usize, jobs: impl Iterator<Item = J> + Send, work: impl Fn(J) + Sync) {
     if threads <= 1 {
         jobs.for_each(work);
         return;
     }
     let queue = Mutex::new(jobs);
-    let drain = || {
+    let run_jobs = || {
         loop {
             let job = queue.lock().expect("a worker that panics ends the process").next();
             let Some(job) = job else { break };
@@ -18,8 +18,8 @@ pub fn in_parallel<J: Send>(threads: usize, jobs: impl Iterator<Item = J> + Send
     };
     std::thread::scope(|scope| {
         (1..threads).for_each(|_| {
-            scope.spawn(drain);
+            scope.spawn(run_jobs);
         });
-        drain();
+        run_jobs();
     });
 }

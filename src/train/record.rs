@@ -1,104 +1,107 @@
-//! What a chunk of teams did between two updates, and what it was worth.
+//! The rollout data of a chunk of teams between two updates, with values and advantages.
 
 use super::batch::Graphs;
 
-/// Half of log(2 pi), of the normal density.
+/// Half of log(2 pi), a term of the normal density's logarithm.
 pub const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
 
-/// What a robot's episode did after a decision.
+/// State of a robot's episode after a decision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum After {
-    /// It went on.
-    On,
-    /// All robots of the team had arrived: nothing is left to be earned.
-    Done,
-    /// The time was up: what was left is estimated, from this graph beyond the record.
-    Cut(u32),
+pub enum EpisodeState {
+    /// The episode continues.
+    Continues,
+    /// All robots of the team have arrived: the value of the next state is zero.
+    Terminated,
+    /// The time limit was reached: the value of the next state is that of this graph after the record's decisions.
+    Truncated(u32),
 }
 
 /// All decisions of a chunk since the last update: by decision, then by row, then by robot.
 #[derive(Debug, Default)]
 pub struct Record {
-    /// What the policy saw.
+    /// Observations of the policy.
     pub actor: Graphs,
-    /// What the critic saw; beyond the decisions, the states that cut episodes ended in, and the last states.
+    /// Observations of the critic; after those of the decisions, the last states and the last states of truncated
+    /// episodes.
     pub critic: Graphs,
-    /// What was done \[m/s\], policy frame, as drawn.
+    /// Actions as drawn \[m/s\], policy frame.
     pub action: Vec<[f32; 2]>,
-    /// Log density of it.
+    /// Log densities of the actions.
     pub log_density: Vec<f32>,
-    /// What was earned for it.
+    /// Rewards of the actions.
     pub reward: Vec<f32>,
-    /// What came after.
-    pub after: Vec<After>,
-    /// The critic's estimate, by robot of all its graphs.
+    /// State of the episode after each action.
+    pub state: Vec<EpisodeState>,
+    /// The critic's estimates, for each robot of all its graphs.
     pub value: Vec<f32>,
-    /// How much better than estimated it was to do this.
+    /// Advantages of the actions.
     pub advantage: Vec<f32>,
-    /// What the critic should have estimated.
+    /// Targets for the critic's estimates.
     pub target: Vec<f32>,
-    /// Of the episodes that ended.
-    pub ended: Ended,
+    /// Totals of the episodes that ended.
+    pub ended: EpisodeTotals,
 }
 
-/// Episodes that ended during a record.
+/// Totals over the episodes that ended during a record.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Ended {
-    /// How many.
+pub struct EpisodeTotals {
+    /// Number of episodes.
     pub episodes: u32,
-    /// In how many of them all arrived and touched nothing.
+    /// Number of episodes in which all robots arrived and touched nothing.
     pub clean: u32,
-    /// In how many all arrived.
+    /// Number of episodes in which all robots arrived.
     pub arrived: u32,
     /// Sum of their lengths \[s\].
     pub length_s: f32,
-    /// Sum of what they earned, mean over robots.
-    pub earned: f32,
+    /// Sum of their returns, each the mean over robots.
+    pub returns: f32,
 }
 
-impl Ended {
-    /// Adds others.
-    pub fn add(&mut self, other: &Ended) {
+impl EpisodeTotals {
+    /// Adds the totals of other episodes.
+    pub fn add(&mut self, other: &EpisodeTotals) {
         self.episodes += other.episodes;
         self.clean += other.clean;
         self.arrived += other.arrived;
         self.length_s += other.length_s;
-        self.earned += other.earned;
+        self.returns += other.returns;
     }
 }
 
 impl Record {
-    /// Forgets everything and keeps the room.
+    /// Removes all data and keeps the allocated memory.
     pub fn clear(&mut self) {
         self.actor.clear();
         self.critic.clear();
         self.action.clear();
         self.log_density.clear();
         self.reward.clear();
-        self.after.clear();
-        self.ended = Ended::default();
+        self.state.clear();
+        self.ended = EpisodeTotals::default();
     }
 
-    /// Generalised advantages (Schulman et al., arXiv 1506.02438, equation 16), each robot by itself.
+    /// Computes generalised advantage estimates (Schulman et al., arXiv 1506.02438, equation 16) of each robot, and the
+    /// critic's targets.
     ///
-    /// Every decision has `width` robots; `gamma` discounts one decision, `decay` a later advantage.
-    pub fn weigh(&mut self, width: usize, gamma: f32, decay: f32) {
+    /// Every decision has `width` robots. `gamma` is the discount per decision, `decay` the factor on the next
+    /// advantage, gamma * lambda.
+    pub fn compute_advantages(&mut self, width: usize, gamma: f32, decay: f32) {
         let (count, robots) = (self.reward.len(), self.actor.robots);
         self.advantage.resize(count, 0.0);
         self.target.resize(count, 0.0);
-        // Behind the decisions lie one graph a row for the last states, then the cut ones.
-        let cut = |graph: u32, robot: usize| count + width + graph as usize * robots + robot % robots;
+        // After the decisions come one graph per row for the last states, then those of truncated episodes.
+        let truncated = |graph: u32, robot: usize| count + width + graph as usize * robots + robot % robots;
         for robot in 0..width {
-            let mut carried = 0.0;
+            let mut advantage = 0.0;
             for at in (robot..count).step_by(width).rev() {
-                let (next, carry) = match self.after[at] {
-                    After::On => (self.value[at + width], carried),
-                    After::Done => (0.0, 0.0),
-                    After::Cut(graph) => (self.value[cut(graph, robot)], 0.0),
+                let (next_value, next_advantage) = match self.state[at] {
+                    EpisodeState::Continues => (self.value[at + width], advantage),
+                    EpisodeState::Terminated => (0.0, 0.0),
+                    EpisodeState::Truncated(graph) => (self.value[truncated(graph, robot)], 0.0),
                 };
-                carried = self.reward[at] + gamma * next - self.value[at] + decay * carry;
-                self.advantage[at] = carried;
-                self.target[at] = carried + self.value[at];
+                advantage = self.reward[at] + gamma * next_value - self.value[at] + decay * next_advantage;
+                self.advantage[at] = advantage;
+                self.target[at] = advantage + self.value[at];
             }
         }
     }

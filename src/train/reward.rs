@@ -1,4 +1,4 @@
-//! What a robot earns in a step: the scenario's own reward and what the configuration adds to it.
+//! The reward of a robot for a step: the scenario's own reward and the terms that the configuration adds.
 
 use super::config::Reward;
 use crate::messages::geometry::{Task, Vec2};
@@ -6,65 +6,65 @@ use crate::messages::local::Contacts;
 use crate::scenario::Scenario;
 use crate::world::kinematic::PERIOD;
 
-/// One robot's part of a step, as its reward sees it.
+/// One robot's step, as input to its reward.
 #[derive(Debug)]
-pub struct Part<'a> {
-    /// What it was to do.
+pub struct RobotStep<'a> {
+    /// The robot's task.
     pub task: &'a Task,
-    /// Where it is now \[m\].
+    /// Position after the step \[m\], world frame.
     pub position: Vec2,
-    /// What it touched.
+    /// Contacts in the step.
     pub contacts: Contacts,
     /// The scenario's own reward of the step.
-    pub reward: f32,
-    /// Whether it is where it is to go.
+    pub scenario_reward: f32,
+    /// Whether it is at its goal.
     pub reached: bool,
-    /// How far it had to go \[m\]; brought up to date.
+    /// Length of the remaining path before the step \[m\]; updated to that after it.
     pub to_go_m: &'a mut f32,
-    /// Whether it has arrived; brought up to date.
+    /// Whether it had arrived before the step; updated.
     pub arrived: &'a mut bool,
 }
 
-/// What one robot earns by itself in a step.
-pub fn earn(weights: &Reward, scenario: &dyn Scenario, part: Part) -> f32 {
-    let position = part.position;
-    let mut earned = 0.0;
+/// The reward of one robot for a step, without the terms that depend on other robots.
+pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) -> f32 {
+    let position = step.position;
+    let mut reward = 0.0;
     if weights.scenario > 0.0 {
-        earned += weights.scenario * part.reward;
+        reward += weights.scenario * step.scenario_reward;
     }
     if weights.progress > 0.0 {
-        let to_go_m = scenario.distance_to_go(part.task, position);
-        earned += weights.progress * (*part.to_go_m - to_go_m);
-        *part.to_go_m = to_go_m;
+        let to_go_m = scenario.distance_to_go(step.task, position);
+        reward += weights.progress * (*step.to_go_m - to_go_m);
+        *step.to_go_m = to_go_m;
     }
-    if !*part.arrived {
-        if part.reached {
-            *part.arrived = true;
-            earned += weights.arrival;
+    if !*step.arrived {
+        if step.reached {
+            *step.arrived = true;
+            reward += weights.arrival;
         } else {
-            earned -= weights.time * PERIOD.as_secs() as f32;
+            reward -= weights.time * PERIOD.as_secs() as f32;
         }
     }
-    if part.contacts.wall {
-        earned -= weights.wall;
+    if step.contacts.wall {
+        reward -= weights.wall;
     }
-    if part.contacts.robot {
-        earned -= weights.robot;
+    if step.contacts.robot {
+        reward -= weights.robot;
     }
     if weights.wall_proximity > 0.0 {
         let near = 1.0 - scenario.arena().clearance(position) / weights.wall_proximity_m;
-        earned -= weights.wall_proximity * near.max(0.0) * PERIOD.as_secs() as f32;
+        reward -= weights.wall_proximity * near.max(0.0) * PERIOD.as_secs() as f32;
     }
-    earned * weights.scale
+    reward * weights.scale
 }
 
-/// What a robot pays for coming near to others of its team, which are at `positions`.
-pub fn crowding(weights: &Reward, robot: usize, positions: &[Vec2]) -> f32 {
+/// The penalty of a robot for coming near to others of its team, which are at `positions` \[m\].
+pub fn proximity_penalty(weights: &Reward, robot: usize, positions: &[Vec2]) -> f32 {
     let mut near = 0.0;
     for (other, position) in positions.iter().enumerate() {
-        let apart = (position - positions[robot]).norm_squared();
-        if other != robot && apart < weights.proximity_m * weights.proximity_m {
-            near += 1.0 - apart.sqrt() / weights.proximity_m;
+        let distance_squared = (position - positions[robot]).norm_squared();
+        if other != robot && distance_squared < weights.proximity_m * weights.proximity_m {
+            near += 1.0 - distance_squared.sqrt() / weights.proximity_m;
         }
     }
     weights.scale * weights.proximity * near * PERIOD.as_secs() as f32

@@ -1,5 +1,5 @@
-//! A whole training: from random weights, iteration by iteration, to a policy file. It is handed its progress and
-//! hands back what it found; its state goes to bytes and back, and goes on from there bit for bit.
+//! The trainer: iterations of rollout and update, from random weights to a policy file. Its caller passes in the
+//! progress and gets metrics back. Its state can be saved as bytes and resumed bit for bit.
 
 use std::sync::Arc;
 
@@ -9,112 +9,113 @@ use super::adam::Adam;
 use super::config::Config;
 use super::network::Network;
 use super::parallel::in_parallel;
-use super::record::Ended;
-use super::rollout::{CHUNK, Chunk, Rules};
-use super::update::{Learner, Outcome, Room, initial, update};
+use super::record::EpisodeTotals;
+use super::rollout::{CHUNK, Chunk, RolloutSettings};
+use super::update::{Learner, Outcome, Workspace, initial, update};
 use crate::policy::manifest::Training;
 use crate::policy::weights;
 use crate::random::Seed;
 use crate::registry::Registry;
 use crate::scenario::{Scenario, ScenarioError, Settings};
 
-/// What an update that was cut short makes of the learning rate, and one that could have gone farther.
-const SLOWER: f32 = 0.9;
-const FASTER: f32 = 1.05;
+/// Factor on the learning rate after an update that stopped early.
+const RATE_DECREASE: f32 = 0.9;
+/// Factor on the learning rate after an update whose divergence stayed below half of the limit.
+const RATE_INCREASE: f32 = 1.05;
 
-/// What came of one iteration.
+/// Metrics of one iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Point {
-    /// Iterations so far.
+pub struct Metrics {
+    /// Number of iterations so far.
     pub iteration: u64,
-    /// Decisions so far: one for each environment and step of the policy.
+    /// Number of decisions so far: one per environment and step of the policy.
     pub decisions: u64,
-    /// Steps of 50 ms of all environments so far.
+    /// Number of steps of 50 ms of all environments so far.
     pub env_steps: u64,
-    /// Stage of the curriculum, counted from zero.
+    /// Stage of the curriculum, from zero.
     pub stage: usize,
-    /// What a robot earned in the episodes that ended, mean; NaN if none did.
+    /// Mean return of a robot in the episodes that ended; NaN if none did.
     pub earned: f32,
-    /// Share of them in which all arrived and touched nothing.
+    /// Fraction of these episodes in which all robots arrived and touched nothing.
     pub success: f32,
-    /// Share of them in which all arrived.
+    /// Fraction of these episodes in which all robots arrived.
     pub arrived: f32,
-    /// How long they lasted, mean \[s\].
+    /// Mean duration of these episodes \[s\].
     pub length_s: f32,
-    /// Of the update.
+    /// Number of epochs of the update.
     pub epochs: f32,
-    /// Of the update.
+    /// KL divergence of the update.
     pub divergence: f32,
-    /// Of the update.
+    /// Mean entropy of the policy in the update.
     pub entropy: f32,
-    /// Of the update.
+    /// Mean loss of the critic in the update.
     pub value_loss: f32,
-    /// Of the update.
+    /// Mean norm of the policy's gradient in the update.
     pub gradient: f32,
-    /// In the update.
+    /// Learning rate of the update.
     pub learning_rate: f32,
 }
 
-/// Why a training cannot go on.
+/// Error of a training that diverged and cannot continue.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "iteration {iteration} ({decisions} decisions): {what} came out as no number; the likely cause is a learning \
-     rate ({learning_rate:e}) or a reward scale that is too high"
+    "iteration {iteration} ({decisions} decisions): non-finite value in {what}; the likely cause is a learning rate \
+     ({learning_rate:e}) or a reward scale that is too high"
 )]
 pub struct Diverged {
     /// The iteration that failed.
     pub iteration: u64,
-    /// Decisions before it.
+    /// Number of decisions before it.
     pub decisions: u64,
-    /// Where it was seen first.
+    /// The first quantity that was not finite.
     pub what: &'static str,
-    /// Of the failed update.
+    /// Learning rate of the failed update.
     pub learning_rate: f32,
 }
 
-/// Why a training cannot be set up or resumed.
+/// Error of a training that cannot be set up or resumed.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
     /// The scenario cannot be made.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// The bytes are no checkpoint.
-    #[error("not a whole checkpoint of this version of the program: {0}")]
+    /// The bytes are not a checkpoint.
+    #[error("not a complete checkpoint of this version of the program: {0}")]
     Format(String),
     /// The checkpoint is of another training.
     #[error("it is of another training: {what} is {theirs} there and {ours} here")]
     Other {
-        /// What differs.
+        /// The property that differs.
         what: &'static str,
-        /// In the checkpoint.
+        /// Its value in the checkpoint.
         theirs: String,
-        /// As asked for.
+        /// The requested value.
         ours: String,
     },
-    /// A stage's teams do not make up the scenario's.
-    #[error("curriculum: its groups make up teams of {found}; the scenario has {robots} robots")]
+    /// The groups of a stage have another number of robots than the scenario.
+    #[error("curriculum: its groups have {found} robots; the scenario has {robots}")]
     Groups {
-        /// Robots of the groups.
+        /// Number of robots in a group.
         found: usize,
-        /// Robots of the scenario.
+        /// Number of robots in the scenario.
         robots: usize,
     },
 }
 
-/// What stays the same during a training.
+/// Parameters of a training that do not change.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
     /// Name of the scenario.
     pub scenario: String,
-    /// Name of the preset that the configuration began as.
+    /// Name of the preset from which the configuration was derived.
     pub preset: String,
     /// The configuration.
     pub config: Config,
-    /// The root of all randomness.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
-/// A training.
+/// State of a training.
 #[derive(Debug)]
 pub struct Trainer {
     pub(super) plan: Plan,
@@ -128,13 +129,13 @@ pub struct Trainer {
     pub(super) decisions: u64,
     pub(super) env_steps: u64,
     pub(super) progress: f64,
-    /// Share of the scheduled learning rate that the divergence leaves.
-    pub(super) pace: f32,
-    room: Room,
+    /// Factor on the scheduled learning rate, adapted to the divergence; at most 1.
+    pub(super) rate_factor: f32,
+    workspace: Workspace,
 }
 
 impl Trainer {
-    /// A training from its beginning, of a scenario that the registry has.
+    /// Starts a training with random weights; the registry provides its scenario.
     pub fn new(plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
         let settings = Settings { robots: plan.config.robots, gap_m: None };
         let scenario = registry.scenario(&plan.scenario, &settings)?;
@@ -157,10 +158,10 @@ impl Trainer {
             decisions: 0,
             env_steps: 0,
             progress: 0.0,
-            pace: 1.0,
-            room: Room::default(),
+            rate_factor: 1.0,
+            workspace: Workspace::default(),
         };
-        // Every stage must be possible, before hours are spent on the first.
+        // Errors of every stage must show now, not after hours of training.
         for stage in (0..trainer.plan.config.curriculum.len()).rev() {
             trainer.stage = stage;
             trainer.chunks = trainer.make_chunks()?;
@@ -182,15 +183,15 @@ impl Trainer {
         let build = |robots| self.registry.scenario(&self.plan.scenario, &settings(robots));
         let scenarios = sizes.into_iter().map(build).collect::<Result<Vec<_>, _>>()?;
         let rows = self.plan.config.ppo.environments;
-        let rules = self.rules();
-        let chunk = |first: usize| Chunk::new(CHUNK.min(rows - first), &stage.groups, &scenarios, &rules);
+        let settings = self.settings();
+        let chunk = |first: usize| Chunk::new(CHUNK.min(rows - first), &stage.groups, &scenarios, &settings);
         Ok((0..rows).step_by(CHUNK).map(chunk).collect())
     }
 
     fn start_chunks(&mut self) {
-        let (mut chunks, rules) = (std::mem::take(&mut self.chunks), self.rules());
+        let (mut chunks, settings) = (std::mem::take(&mut self.chunks), self.settings());
         for (index, chunk) in chunks.iter_mut().enumerate() {
-            chunk.start(&rules, &mut self.stream(&format!("start/{}/{index}", self.stage)));
+            chunk.start(&settings, &mut self.stream(&format!("start/{}/{index}", self.stage)));
         }
         self.chunks = chunks;
     }
@@ -199,94 +200,94 @@ impl Trainer {
         Seed::of_run(self.plan.seed).stream(&format!("train/{name}"))
     }
 
-    /// The rules of this moment.
-    pub fn rules(&self) -> Rules<'_> {
+    /// Rollout settings at the current stage and progress.
+    pub fn settings(&self) -> RolloutSettings<'_> {
         let config = &self.plan.config;
-        Rules {
+        RolloutSettings {
             config,
             actor: &self.actor.network,
             critic: &self.critic.network,
             reward: config.reward.with_penalties(config.curriculum[self.stage].penalties),
             repeat: config.curriculum[self.stage].repeat,
-            log_std_max: between(config.ppo.log_std_max, self.progress),
+            log_std_max: interpolate(config.ppo.log_std_max, self.progress),
         }
     }
 
-    /// Collects decisions and learns from them. `progress` is the share of the whole training that has been done, 0
-    /// to 1; schedules follow it.
+    /// Performs one iteration: a rollout and an update. `progress` is the completed fraction of the training, 0 to 1,
+    /// which schedules follow.
     ///
     /// # Errors
-    /// If anything came out as no number: the training is of no use from here on.
-    pub fn iterate(&mut self, progress: f64, threads: usize) -> Result<Point, Diverged> {
+    /// If a value is NaN or infinite: the training cannot continue.
+    pub fn iterate(&mut self, progress: f64, threads: usize) -> Result<Metrics, Diverged> {
         self.progress = progress.clamp(0.0, 1.0);
         let stage = self.plan.config.stage(self.progress);
         if stage != self.stage {
             self.stage = stage;
-            self.chunks = self.make_chunks().expect("every stage was made once at the beginning");
+            self.chunks = self.make_chunks().expect("every stage was made once at the start");
             self.start_chunks();
         }
         let mut chunks = std::mem::take(&mut self.chunks);
-        let rules = self.rules();
-        let decisions = rules.config.ppo.decisions;
+        let settings = self.settings();
+        let decisions = settings.config.ppo.decisions;
         in_parallel(threads, chunks.iter_mut().enumerate(), |(index, chunk)| {
             let mut stream = self.stream(&format!("collect/{}/{index}", self.iteration));
-            chunk.collect(&rules, &self.actor.parameters, &self.critic.parameters, decisions, &mut stream);
+            chunk.collect(&settings, &self.actor.parameters, &self.critic.parameters, decisions, &mut stream);
         });
-        let done = (decisions * rules.config.ppo.environments) as u64;
-        let env_steps = done * u64::from(rules.repeat);
+        let new_decisions = (decisions * settings.config.ppo.environments) as u64;
+        let env_steps = new_decisions * u64::from(settings.repeat);
 
-        let ppo = &rules.config.ppo;
+        let ppo = &settings.config.ppo;
         let [from, to] = ppo.learning_rate;
         let scheduled = from * libm::powf(to / from, self.progress as f32);
-        let learning_rate = (self.pace * scheduled).max(to);
-        let entropy = between(ppo.entropy, self.progress);
+        let learning_rate = (self.rate_factor * scheduled).max(to);
+        let entropy = interpolate(ppo.entropy, self.progress);
         let mut stream = self.stream(&format!("update/{}", self.iteration));
         let records: Vec<_> = chunks.iter().map(|chunk| &chunk.record).collect();
         let (mut actor, mut critic) = (self.actor.clone(), self.critic.clone());
-        let mut room = std::mem::take(&mut self.room);
-        let found = update(
-            &self.rules(),
+        let mut workspace = std::mem::take(&mut self.workspace);
+        let outcome = update(
+            &self.settings(),
             &records,
             &mut actor,
             &mut critic,
             (learning_rate, entropy),
             threads,
-            &mut room,
+            &mut workspace,
             &mut stream,
         );
-        self.room = room;
-        let mut ended = Ended::default();
+        self.workspace = workspace;
+        let mut ended = EpisodeTotals::default();
         records.iter().for_each(|record| ended.add(&record.ended));
         self.chunks = chunks;
-        let outcome = found.map_err(|found| Diverged {
+        let outcome = outcome.map_err(|error| Diverged {
             iteration: self.iteration + 1,
             decisions: self.decisions,
-            what: found.what,
+            what: error.what,
             learning_rate,
         })?;
         (self.actor, self.critic) = (actor, critic);
-        // Updates that are cut short learn from few decisions: slower steps make more of them.
+        // An update that stops early uses few of the decisions; with smaller steps it uses more.
         let (epochs, kl_stop) = (self.plan.config.ppo.epochs as f32, self.plan.config.ppo.kl_stop);
         if outcome.epochs < 0.99 * epochs {
-            self.pace *= SLOWER;
+            self.rate_factor *= RATE_DECREASE;
         } else if outcome.divergence < 0.5 * kl_stop {
-            self.pace = (self.pace * FASTER).min(1.0);
+            self.rate_factor = (self.rate_factor * RATE_INCREASE).min(1.0);
         }
-        self.pace = self.pace.max(to / scheduled);
+        self.rate_factor = self.rate_factor.max(to / scheduled);
         self.iteration += 1;
-        self.decisions += done;
+        self.decisions += new_decisions;
         self.env_steps += env_steps;
-        Ok(self.point(&ended, &outcome, learning_rate))
+        Ok(self.metrics(&ended, &outcome, learning_rate))
     }
 
-    fn point(&self, ended: &Ended, outcome: &Outcome, learning_rate: f32) -> Point {
+    fn metrics(&self, ended: &EpisodeTotals, outcome: &Outcome, learning_rate: f32) -> Metrics {
         let mean = |sum: f32| sum / ended.episodes as f32;
-        Point {
+        Metrics {
             iteration: self.iteration,
             decisions: self.decisions,
             env_steps: self.env_steps,
             stage: self.stage,
-            earned: mean(ended.earned),
+            earned: mean(ended.returns),
             success: mean(ended.clean as f32),
             arrived: mean(ended.arrived as f32),
             length_s: mean(ended.length_s),
@@ -299,7 +300,7 @@ impl Trainer {
         }
     }
 
-    /// What stays the same.
+    /// Parameters of the training that do not change.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
@@ -314,26 +315,26 @@ impl Trainer {
         &self.actor.parameters
     }
 
-    /// Decisions so far.
+    /// Number of decisions so far.
     pub fn decisions(&self) -> u64 {
         self.decisions
     }
 
-    /// Iterations so far.
+    /// Number of iterations so far.
     pub fn iterations(&self) -> u64 {
         self.iteration
     }
 
-    /// The progress that it was last handed.
+    /// Progress passed to the last iteration, 0 to 1.
     pub fn progress(&self) -> f64 {
         self.progress
     }
 
-    /// The policy as it is now, as a file.
+    /// Returns the bytes of a policy file with the current weights.
     pub fn policy_file(&self) -> Vec<u8> {
         let config = &self.plan.config;
         let mut manifest = config.manifest(&self.plan.scenario);
-        manifest.log_std_max = Some(self.rules().log_std_max);
+        manifest.log_std_max = Some(self.settings().log_std_max);
         manifest.training = Some(Training {
             program: format!("murmurate {}", env!("CARGO_PKG_VERSION")),
             preset: self.plan.preset.clone(),
@@ -353,6 +354,6 @@ impl Trainer {
     }
 }
 
-fn between([from, to]: [f32; 2], progress: f64) -> f32 {
+fn interpolate([from, to]: [f32; 2], progress: f64) -> f32 {
     from + (to - from) * progress as f32
 }

@@ -1,61 +1,62 @@
-//! One update of both networks from all records: epochs of minibatches, clipped, watched, cut short.
+//! One update of policy and critic from the data of a rollout: epochs of minibatches with clipped gradients, and an
+//! early stop on the KL divergence.
 //!
-//! A minibatch is split into a fixed number of shards, each with its own gradient; these are added in the order of
-//! the shards, so the sum does not depend on which thread computed which.
+//! A minibatch is split into a fixed number of shards, each with its own gradient. These are added in the order of the
+//! shards, so the sum does not depend on the threads.
 
 use rand::seq::SliceRandom;
 
-use super::adam::{Adam, cut};
+use super::adam::{Adam, clip};
 use super::batch::Batch;
 use super::config::Ppo;
 use super::loss::{self, Sample, Terms};
 use super::network::{Network, Space};
 use super::parallel::in_parallel;
 use super::record::Record;
-use super::rollout::{CHUNK, Rules};
+use super::rollout::{CHUNK, RolloutSettings};
 use crate::random;
 use crate::random::{Seed, Stream};
 
-/// Shards of a minibatch: more than threads that are of use, few enough to add up.
+/// Number of shards of a minibatch: more than the useful number of threads, and few enough that adding them is cheap.
 const SHARDS: usize = 8;
 
-/// A network with its parameters and what its optimiser remembers.
+/// A network with its parameters and its optimiser's state.
 #[derive(Clone, Debug)]
 pub struct Learner {
-    /// The layout.
+    /// Layout of the network.
     pub network: Network,
     /// All weights and biases.
     pub parameters: Vec<f32>,
-    /// Moments of their gradients.
+    /// State of the optimiser.
     pub adam: Adam,
 }
 
-/// What an update found.
+/// Statistics of an update.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Passes over the decisions, counted in parts.
+    /// Number of epochs, with fractions.
     pub epochs: f32,
-    /// Divergence from the policy before, mean over the last pass.
+    /// KL divergence from the policy before the update, mean over the last epoch.
     pub divergence: f32,
-    /// Entropy of the policy, mean.
+    /// Mean entropy of the policy.
     pub entropy: f32,
-    /// The critic's loss, mean.
+    /// Mean loss of the critic.
     pub value_loss: f32,
-    /// Norm of the policy's gradient, mean.
+    /// Mean norm of the policy's gradient before clipping.
     pub gradient: f32,
 }
 
-/// Something came out as no number.
+/// Error of an update with a value that is NaN or infinite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotFinite {
-    /// Where it was seen first.
+    /// The first quantity that was not finite.
     pub what: &'static str,
 }
 
-/// What one shard needs and finds.
+/// Buffers and sums of one shard.
 #[derive(Debug, Default)]
 struct Shard {
-    /// Records and decisions in them.
+    /// The shard's decisions: index of the record, and of the decision in it.
     decisions: Vec<(u32, u32)>,
     actor: Vec<f32>,
     critic: Vec<f32>,
@@ -68,69 +69,70 @@ struct Shard {
     value_loss: f32,
 }
 
-/// The room that updates need, kept from one to the next.
+/// Buffers that are reused from update to update.
 #[derive(Debug, Default)]
-pub struct Room {
+pub struct Workspace {
     shards: Vec<Shard>,
     order: Vec<(u32, u32)>,
 }
 
-/// Learns from all records.
-#[expect(clippy::too_many_arguments, reason = "each is another thing; a struct of them would be made for this call")]
+/// Updates policy and critic from all records; the pair is learning rate and weight of the entropy.
+#[expect(clippy::too_many_arguments, reason = "they are unrelated; a struct of them would serve this call only")]
 pub fn update(
-    rules: &Rules,
+    settings: &RolloutSettings,
     records: &[&Record],
     actor: &mut Learner,
     critic: &mut Learner,
     (learning_rate, entropy): (f32, f32),
     threads: usize,
-    room: &mut Room,
+    workspace: &mut Workspace,
     stream: &mut Stream,
 ) -> Result<Outcome, NotFinite> {
-    let ppo = &rules.config.ppo;
-    let (mean, scale) = spread(records);
+    let ppo = &settings.config.ppo;
+    let (mean, scale) = advantage_statistics(records);
     if !mean.is_finite() || !scale.is_finite() {
         return Err(NotFinite { what: "the advantages" });
     }
-    room.shards.resize_with(SHARDS, Shard::default);
-    room.order.clear();
+    workspace.shards.resize_with(SHARDS, Shard::default);
+    workspace.order.clear();
     for (index, record) in records.iter().enumerate() {
-        room.order.extend((0..record.actor.len() as u32).map(|decision| (index as u32, decision)));
+        workspace.order.extend((0..record.actor.len() as u32).map(|decision| (index as u32, decision)));
     }
-    let terms = Terms { clip: ppo.clip, entropy, log_std_max: rules.log_std_max };
+    let terms = Terms { clip: ppo.clip, entropy, log_std_max: settings.log_std_max };
     let mut outcome = Outcome::default();
     let mut minibatches = 0.0;
     for _ in 0..ppo.epochs {
-        room.order.shuffle(stream);
-        let (mut divergence, mut seen) = (0.0, 0.0);
-        for minibatch in room.order.chunks(ppo.minibatch) {
-            for (at, shard) in room.shards.iter_mut().enumerate() {
-                let share = |at: usize| minibatch.len() * at / SHARDS;
+        workspace.order.shuffle(stream);
+        let (mut divergence, mut epoch_minibatches) = (0.0, 0.0);
+        for minibatch in workspace.order.chunks(ppo.minibatch) {
+            for (at, shard) in workspace.shards.iter_mut().enumerate() {
+                let start = |at: usize| minibatch.len() * at / SHARDS;
                 shard.decisions.clear();
-                shard.decisions.extend_from_slice(&minibatch[share(at)..share(at + 1)]);
+                shard.decisions.extend_from_slice(&minibatch[start(at)..start(at + 1)]);
             }
             let (a, c) = (&*actor, &*critic);
-            in_parallel(threads, room.shards.iter_mut(), |shard| {
-                shard.learn(records, (a, c), &terms, (mean, scale));
+            in_parallel(threads, workspace.shards.iter_mut(), |shard| {
+                shard.compute_gradients(records, (a, c), &terms, (mean, scale));
             });
             let robots = records[0].actor.robots as f32 * minibatch.len() as f32;
-            let norm = descend(actor, &mut room.shards, |shard| &mut shard.actor, robots, learning_rate, ppo)
-                .ok_or(NotFinite { what: "the policy's gradient" })?;
-            descend(critic, &mut room.shards, |shard| &mut shard.critic, robots, learning_rate, ppo)
+            let norm =
+                gradient_step(actor, &mut workspace.shards, |shard| &mut shard.actor, robots, learning_rate, ppo)
+                    .ok_or(NotFinite { what: "the policy's gradient" })?;
+            gradient_step(critic, &mut workspace.shards, |shard| &mut shard.critic, robots, learning_rate, ppo)
                 .ok_or(NotFinite { what: "the critic's gradient" })?;
-            let sum = |pick: fn(&Shard) -> f32| room.shards.iter().map(pick).sum::<f32>() / robots;
+            let sum = |pick: fn(&Shard) -> f32| workspace.shards.iter().map(pick).sum::<f32>() / robots;
             divergence += sum(|shard| shard.divergence);
             outcome.entropy += sum(|shard| shard.entropy);
             outcome.value_loss += sum(|shard| shard.value_loss);
             outcome.gradient += norm;
             minibatches += 1.0;
-            seen += 1.0;
-            outcome.epochs += minibatch.len() as f32 / room.order.len() as f32;
-            if divergence / seen > ppo.kl_stop {
+            epoch_minibatches += 1.0;
+            outcome.epochs += minibatch.len() as f32 / workspace.order.len() as f32;
+            if divergence / epoch_minibatches > ppo.kl_stop {
                 break;
             }
         }
-        outcome.divergence = divergence / seen;
+        outcome.divergence = divergence / epoch_minibatches;
         if outcome.divergence > ppo.kl_stop {
             break;
         }
@@ -142,7 +144,7 @@ pub fn update(
 }
 
 /// Mean and standard deviation of all advantages.
-fn spread(records: &[&Record]) -> (f32, f32) {
+fn advantage_statistics(records: &[&Record]) -> (f32, f32) {
     let all = || records.iter().flat_map(|record| &record.advantage).map(|&advantage| f64::from(advantage));
     let count = all().count() as f64;
     let mean = all().sum::<f64>() / count;
@@ -150,8 +152,9 @@ fn spread(records: &[&Record]) -> (f32, f32) {
     (mean as f32, (variance.sqrt() + 1e-8) as f32)
 }
 
-/// Adds the shards' gradients up and goes one step; the gradient's norm, unless it is no number.
-fn descend(
+/// Adds the shards' gradients and takes one step of the optimiser. Returns the gradient's norm before clipping; `None`
+/// if it is not finite.
+fn gradient_step(
     learner: &mut Learner,
     shards: &mut [Shard],
     of: fn(&mut Shard) -> &mut Vec<f32>,
@@ -165,7 +168,7 @@ fn descend(
         sum.iter_mut().zip(of(shard)).for_each(|(sum, gradient)| *sum += *gradient);
     }
     sum.iter_mut().for_each(|gradient| *gradient /= robots);
-    let norm = cut(sum, ppo.gradient_clip);
+    let norm = clip(sum, ppo.gradient_clip);
     if !norm.is_finite() {
         return None;
     }
@@ -174,8 +177,8 @@ fn descend(
 }
 
 impl Shard {
-    /// The gradients of both losses over the shard's decisions.
-    fn learn(
+    /// Computes the gradients of both losses over the shard's decisions.
+    fn compute_gradients(
         &mut self,
         records: &[&Record],
         (actor, critic): (&Learner, &Learner),
@@ -204,10 +207,10 @@ impl Shard {
                     log_density: record.log_density[at],
                     advantage: (record.advantage[at] - mean) / scale,
                 };
-                let found = loss::policy(outputs, &sample, terms);
-                self.d_outputs.extend_from_slice(&found.d_outputs);
-                self.divergence += found.divergence;
-                self.entropy += found.entropy;
+                let policy = loss::policy(outputs, &sample, terms);
+                self.d_outputs.extend_from_slice(&policy.d_outputs);
+                self.divergence += policy.divergence;
+                self.entropy += policy.entropy;
             }
             let (batch, space) = (&self.batch, &mut self.actor_space);
             actor.network.backward(&actor.parameters, batch, &self.d_outputs, space, &mut self.actor);
@@ -216,8 +219,8 @@ impl Shard {
             critic.network.forward(&critic.parameters, &self.batch, &mut self.critic_space);
             self.d_outputs.clear();
             for (estimate, (record, at)) in self.critic_space.outputs().iter().zip(samples()) {
-                let (lost, d_estimate) = loss::value(*estimate, record.target[at]);
-                self.value_loss += lost;
+                let (loss, d_estimate) = loss::value(*estimate, record.target[at]);
+                self.value_loss += loss;
                 self.d_outputs.push(d_estimate);
             }
             let (batch, space) = (&self.batch, &mut self.critic_space);
@@ -226,8 +229,8 @@ impl Shard {
     }
 }
 
-/// Initial parameters: normal, of a width that keeps activations as large as they were (He et al., arXiv
-/// 1502.01852); the last layer is near zero, so that a policy begins at rest.
+/// Draws initial parameters from normal distributions whose variance preserves the size of activations (He et al.,
+/// arXiv 1502.01852). The last layer is near zero, so an untrained policy stands still; its bias is `bias`.
 pub fn initial(network: &Network, seed: Seed, bias: &[f32]) -> Vec<f32> {
     let mut stream = seed.stream("train/initial");
     let mut parameters = vec![0.0; network.parameters()];

@@ -1,49 +1,51 @@
-//! The drivetrain of a holonomic robot: how its velocity follows what is commanded. A first-order lag, limits of
-//! speed, acceleration and traction, and wheels that slip.
+//! Model of a holonomic robot's drivetrain, from commanded to true velocity: a first-order lag, limits of speed,
+//! acceleration and traction, and wheel slip.
 
 use super::Physics;
-use super::sensor::drawn;
+use super::sensor::standard_normals;
 use crate::messages::geometry::Vec2;
 use crate::random::Stream;
 use crate::time::Span;
 
-/// The wheels of one robot.
+/// The drivetrain state of one robot.
 #[derive(Debug)]
 pub(super) struct Drivetrain {
-    /// What is commanded \[m/s\].
+    /// Commanded velocity \[m/s\].
     pub(super) command: Vec2,
-    /// What slips, as a share of the commanded speed.
+    /// Slip velocity as a fraction of the commanded speed.
     slip: Vec2,
     stream: Stream,
 }
 
-/// What the drivetrains of a world have in common: their physics over one step.
+/// Parameters of one step, shared by all drivetrains of a world.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Gears {
+pub(super) struct StepParameters {
     top_speed_m_s: f32,
-    /// Share of a change of velocity that is made in a step.
+    /// Fraction of the difference to the wanted velocity that one step makes up.
     gain: f32,
-    /// Largest changes of velocity in a step: along each axis, and in any direction \[m/s\].
-    along_axis_m_s: f32,
-    in_all_m_s: f32,
-    /// What is left of a slip after a step, and the deviation of what comes to it.
-    kept: f32,
-    fresh: f32,
+    /// Largest change of velocity in a step along each axis \[m/s\].
+    axis_change_m_s: f32,
+    /// Largest change of velocity in a step in any direction \[m/s\].
+    total_change_m_s: f32,
+    /// Factor by which slip decays in a step.
+    slip_decay: f32,
+    /// Standard deviation of the noise added to slip in a step.
+    slip_noise: f32,
 }
 
-impl Gears {
-    pub(super) fn new(physics: &Physics, step: Span) -> Gears {
+impl StepParameters {
+    pub(super) fn new(physics: &Physics, step: Span) -> StepParameters {
         let step_s = step.as_secs() as f32;
-        let kept =
+        let slip_decay =
             if physics.slip_s > 0.0 { libm::exp(-step.as_secs() / f64::from(physics.slip_s)) as f32 } else { 0.0 };
-        Gears {
+        StepParameters {
             top_speed_m_s: physics.top_speed_m_s,
             gain: physics.gain(step),
-            along_axis_m_s: physics.acceleration_m_s2 * step_s,
-            in_all_m_s: physics.traction_m_s2 * step_s,
-            kept,
-            // So that an Ornstein-Uhlenbeck process keeps its deviation, whatever the step.
-            fresh: physics.slip * (1.0 - kept * kept).sqrt(),
+            axis_change_m_s: physics.acceleration_m_s2 * step_s,
+            total_change_m_s: physics.traction_m_s2 * step_s,
+            slip_decay,
+            // Slip is an Ornstein-Uhlenbeck process: its standard deviation must not depend on the step.
+            slip_noise: physics.slip * (1.0 - slip_decay * slip_decay).sqrt(),
         }
     }
 }
@@ -53,21 +55,23 @@ impl Drivetrain {
         Drivetrain { command: Vec2::zeros(), slip: Vec2::zeros(), stream }
     }
 
-    /// The change of velocity \[m/s\] that the wheels make of a robot that moves at `velocity` in one step.
-    pub(super) fn pull(&mut self, gears: &Gears, velocity: Vec2) -> Vec2 {
-        if gears.fresh > 0.0 {
-            self.slip = self.slip * gears.kept + drawn(&mut self.stream) * gears.fresh;
+    /// Draws the slip of one step and returns the change of velocity \[m/s\] of a robot that moves at `velocity`
+    /// \[m/s\].
+    pub(super) fn velocity_change(&mut self, parameters: &StepParameters, velocity: Vec2) -> Vec2 {
+        if parameters.slip_noise > 0.0 {
+            let noise = standard_normals(&mut self.stream) * parameters.slip_noise;
+            self.slip = self.slip * parameters.slip_decay + noise;
         }
-        let command = at_most(self.command, gears.top_speed_m_s);
+        let command = limit_norm(self.command, parameters.top_speed_m_s);
         let wanted = command + self.slip * command.norm();
-        let most = gears.along_axis_m_s;
-        let change = ((wanted - velocity) * gears.gain).map(|axis| axis.clamp(-most, most));
-        at_most(change, gears.in_all_m_s)
+        let max = parameters.axis_change_m_s;
+        let change = ((wanted - velocity) * parameters.gain).map(|axis| axis.clamp(-max, max));
+        limit_norm(change, parameters.total_change_m_s)
     }
 }
 
-/// The vector, shortened to this length if it is longer.
-fn at_most(vector: Vec2, length: f32) -> Vec2 {
+/// Returns the vector, shortened to `length` if it is longer.
+fn limit_norm(vector: Vec2, length: f32) -> Vec2 {
     let norm = vector.norm();
     if norm > length { vector * (length / norm) } else { vector }
 }
@@ -90,12 +94,12 @@ mod tests {
     }
 
     #[test]
-    fn velocity_follows_a_step_as_a_first_order_lag_does() {
+    fn velocity_follows_a_step_of_the_command_with_a_first_order_lag() {
         let physics = Physics { slip: 0.0, ..physics() };
-        let gears = Gears::new(&physics, STEP);
+        let parameters = StepParameters::new(&physics, STEP);
         let (mut wheels, mut velocity) = (drivetrain(Vec2::new(0.8, -0.4)), Vec2::zeros());
         for step in 1..=60 {
-            velocity += wheels.pull(&gears, velocity);
+            velocity += wheels.velocity_change(&parameters, velocity);
             let share = 1.0 - (-(step as f32) * 0.05 / physics.lag_s).exp();
             assert!((velocity - wheels.command * share).norm() < 1e-5, "after {step} steps: {velocity}");
         }
@@ -104,10 +108,12 @@ mod tests {
     #[test]
     fn speed_and_acceleration_are_limited() {
         let prompt = Physics { slip: 0.0, lag_s: 0.0, ..physics() };
-        let first =
-            |physics: &Physics| drivetrain(Vec2::new(-30.0, 40.0)).pull(&Gears::new(physics, STEP), Vec2::zeros());
-        let pulled = first(&prompt);
-        assert!((pulled.norm() - prompt.traction_m_s2 * 0.05).abs() < 1e-6 && pulled.x < 0.0);
+        let first = |physics: &Physics| {
+            let parameters = StepParameters::new(physics, STEP);
+            drivetrain(Vec2::new(-30.0, 40.0)).velocity_change(&parameters, Vec2::zeros())
+        };
+        let change = first(&prompt);
+        assert!((change.norm() - prompt.traction_m_s2 * 0.05).abs() < 1e-6 && change.x < 0.0);
         let strong = Physics { traction_m_s2: f32::INFINITY, ..prompt };
         assert!((first(&strong).norm() - strong.top_speed_m_s).abs() < 1e-5);
         let gentle = Physics { acceleration_m_s2: 1.0, ..prompt };
@@ -115,17 +121,17 @@ mod tests {
     }
 
     #[test]
-    fn wheels_slip_as_much_as_they_are_said_to_and_not_at_rest() {
+    fn slip_has_its_standard_deviation_and_correlation_time_and_is_zero_at_rest() {
         let physics = Physics { lag_s: 0.0, traction_m_s2: f32::INFINITY, ..physics() };
-        let gears = Gears::new(&physics, STEP);
+        let parameters = StepParameters::new(&physics, STEP);
         let mut wheels = drivetrain(Vec2::new(2.0, 0.0));
         let slips: Vec<Vec2> =
-            (0..20_000).map(|_| (wheels.pull(&gears, Vec2::zeros()) - wheels.command) / 2.0).collect();
+            (0..20_000).map(|_| (wheels.velocity_change(&parameters, Vec2::zeros()) - wheels.command) / 2.0).collect();
         let squares = slips.iter().fold(Vec2::zeros(), |sum, slip| sum + slip.component_mul(slip)) / 20_000.0;
         let together: f32 = slips.windows(2).map(|pair| pair[0].x * pair[1].x).sum::<f32>() / 20_000.0;
         assert!((squares.map(f32::sqrt) / physics.slip).add_scalar(-1.0).abs().max() < 0.15, "{squares}");
         assert!((together / squares.x - (-0.05f32 / physics.slip_s).exp()).abs() < 0.03, "{together}");
         wheels.command = Vec2::zeros();
-        assert_eq!(wheels.pull(&gears, Vec2::zeros()), Vec2::zeros());
+        assert_eq!(wheels.velocity_change(&parameters, Vec2::zeros()), Vec2::zeros());
     }
 }

@@ -1,7 +1,7 @@
-//! The training world of the paper: holonomic discs with limited acceleration and speed, blocked by walls
-//! and by each other. Arithmetic and order are those of the published environment, in f32.
+//! The training world of the paper: holonomic discs with limited acceleration and speed that walls and other robots
+//! block. Arithmetic and order of operations are those of the published environment, in f32.
 //!
-//! `step` is the one definition of these dynamics; the World actor and the trainer both call it.
+//! `step` alone defines these dynamics; the World actor and the trainer both call it.
 
 use super::{ContactRule, Physics, Plant, PlantState};
 use crate::cells::{self, Cells};
@@ -11,54 +11,54 @@ use crate::random::Seed;
 use crate::scenario::Arena;
 use crate::time::Span;
 
-/// One step \[s\].
+/// Duration of a step.
 pub const PERIOD: Span = Span::from_millis(50);
-/// The same as a number \[s\].
+/// Duration of a step \[s\], as a number.
 const DT_S: f32 = 0.05;
 /// Largest speed along each axis \[m/s\] (published environment).
 pub const MAX_SPEED_M_S: f32 = 1.5;
 /// Largest acceleration along each axis \[m/s^2\] (published environment).
 pub const MAX_ACCELERATION_M_S2: f32 = 1.0;
 
-/// The robots of one world, as a step reads and writes them.
+/// State of the robots of one world, which a step updates in place.
 #[derive(Debug)]
 pub struct Team<'a> {
     /// Positions \[m\].
     pub position: &'a mut [Vec2],
     /// Velocities \[m/s\].
     pub velocity: &'a mut [Vec2],
-    /// What blocked each robot.
+    /// Contacts of each robot in the step.
     pub contacts: &'a mut [Contacts],
-    /// Positions before the step, for its own use.
+    /// Scratch space for the positions before the step.
     pub before: &'a mut [Vec2],
 }
 
-/// Moves every robot on by one step toward its commanded velocity \[m/s\].
+/// Advances every robot by one step with its commanded velocity \[m/s\], world frame.
 pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team) {
     team.before.copy_from_slice(team.position);
-    let (most, gain) = (physics.acceleration_m_s2, physics.gain(PERIOD));
-    // Axis by axis, and both alike: that way the compiler divides several at once.
+    let (max_acceleration, gain) = (physics.acceleration_m_s2, physics.gain(PERIOD));
+    // The same expression for both axes, so that the compiler vectorizes the divisions.
     let driven = |velocity: f32, command: f32| {
         let mut wanted = limited(command, MAX_SPEED_M_S);
         if gain < 1.0 {
             wanted = velocity + (wanted - velocity) * gain;
         }
-        velocity + limited((wanted - velocity) / DT_S, most) * DT_S
+        velocity + limited((wanted - velocity) / DT_S, max_acceleration) * DT_S
     };
     for (velocity, command) in team.velocity.iter_mut().zip(commands) {
         *velocity = Vec2::new(driven(velocity.x, command.x), driven(velocity.y, command.y));
     }
-    let (blocks, apart) = match physics.contacts {
+    let (blocks, distance) = match physics.contacts {
         ContactRule::Block => (true, 2.0 * arena.robot_radius_m),
         ContactRule::Judge => (false, 2.0 * physics.wall_radius_m),
     };
-    if team.position.len() <= cells::FEW || !meet_by_cells(apart, blocks, team) {
-        meet_all(apart, blocks, team);
+    if team.position.len() <= cells::LINEAR_SEARCH_MAX || !move_with_grid(distance, blocks, team) {
+        move_with_all_pairs(distance, blocks, team);
     }
     let half = arena.half_extent;
     for ((position, before), contacts) in team.position.iter_mut().zip(&*team.before).zip(&mut *team.contacts) {
         let at = *position;
-        if at_most(arena.keep_outs.iter().map(|block| at - block.nearest(at)), NOBODY, physics.wall_radius_m) {
+        if any_within(arena.keep_outs.iter().map(|block| at - block.nearest(at)), NO_INDEX, physics.wall_radius_m) {
             contacts.wall = true;
             if blocks {
                 *position = *before;
@@ -71,61 +71,63 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
     }
 }
 
-/// A robot moves to where it wants to be, unless another that it touches blocks it.
+/// Moves a robot to its candidate position, unless a robot that it touches blocks it, and records the contact.
 #[inline(always)]
-fn meet(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: &mut Team) {
+fn move_robot(robot: usize, candidate: Vec2, touches: bool, blocks: bool, team: &mut Team) {
     team.contacts[robot] = Contacts { robot: touches, wall: false };
     if !(touches && blocks) {
         team.position[robot] = candidate;
     }
 }
 
-/// In the order of their ids, each against all others: those before it have moved already.
+/// Moves all robots in the order of their ids, each checked against all others; those before it have already moved.
 #[inline(always)]
-fn meet_all(apart: f32, blocks: bool, team: &mut Team) {
+fn move_with_all_pairs(distance: f32, blocks: bool, team: &mut Team) {
     for robot in 0..team.position.len() {
         let candidate = team.position[robot] + team.velocity[robot] * DT_S;
-        let touches = at_most(team.position.iter().map(|other| candidate - other), robot, apart);
-        meet(robot, candidate, touches, blocks, team);
+        let touches = any_within(team.position.iter().map(|other| candidate - other), robot, distance);
+        move_robot(robot, candidate, touches, blocks, team);
     }
 }
 
-/// The same as looking at all others, in the same order: whoever can be touched was not farther away before the step
-/// than the others may have come since. `false`, and nothing is done, if that is no distance.
-fn meet_by_cells(apart: f32, blocks: bool, team: &mut Team) -> bool {
-    let fastest = team.velocity.iter().fold(0.0, |most: f32, velocity| most.max(velocity.norm()));
-    // Twice: what rounding adds is far less than a step.
-    let Some(grid) = Cells::new(apart * SURELY + 2.0 * fastest * DT_S, team.before.iter().copied()) else {
+/// Moves all robots with the same result as `move_with_all_pairs`, but with a grid over the positions before the step.
+/// The query radius is the contact distance and the farthest that another robot can have moved since. Returns `false`
+/// and does nothing if that is not finite.
+fn move_with_grid(distance: f32, blocks: bool, team: &mut Team) -> bool {
+    let fastest = team.velocity.iter().fold(0.0, |max: f32, velocity| max.max(velocity.norm()));
+    // Twice the largest move: rounding errors are far smaller than a step.
+    let radius_m = distance * ROUNDING_MARGIN + 2.0 * fastest * DT_S;
+    let Some(grid) = Cells::new(radius_m, team.before.iter().copied()) else {
         return false;
     };
     let mut near = Vec::new();
     for robot in 0..team.position.len() {
         let candidate = team.position[robot] + team.velocity[robot] * DT_S;
         grid.near(candidate, &mut near);
-        let own = near.binary_search(&robot).unwrap_or(NOBODY);
-        let touches = at_most(near.iter().map(|&other| candidate - team.position[other]), own, apart);
-        meet(robot, candidate, touches, blocks, team);
+        let own = near.binary_search(&robot).unwrap_or(NO_INDEX);
+        let touches = any_within(near.iter().map(|&other| candidate - team.position[other]), own, distance);
+        move_robot(robot, candidate, touches, blocks, team);
     }
     true
 }
 
-/// Within `most` of zero; what is no number stays so.
+/// Clamps a value to at most `max` in magnitude; NaN stays NaN.
 #[inline(always)]
-fn limited(axis: f32, most: f32) -> f32 {
-    let axis = if axis < -most { -most } else { axis };
-    if axis > most { most } else { axis }
+fn limited(axis: f32, max: f32) -> f32 {
+    let axis = if axis < -max { -max } else { axis };
+    if axis > max { max } else { axis }
 }
 
-/// No place in a list.
-const NOBODY: usize = usize::MAX;
-/// A distance times this is beyond it, whatever rounding does.
-const SURELY: f32 = 1.01;
+/// An index that no list has.
+const NO_INDEX: usize = usize::MAX;
+/// Factor on a distance that exceeds all rounding errors.
+const ROUNDING_MARGIN: f32 = 1.01;
 
-/// Whether the shortest of some offsets but the one at `own` is at most `distance` long. Only that one's root is drawn,
-/// and only if its square leaves a doubt: a root never changes an order, and its rounding is part of the published
-/// arithmetic.
+/// Whether any offset except the one at index `own` is at most `distance` long. Squares are compared first, because the
+/// square root keeps their order. The root of the shortest is then taken if it may decide, because its rounding is part
+/// of the published arithmetic.
 #[inline(always)]
-fn at_most(offsets: impl Iterator<Item = Vec2>, own: usize, distance: f32) -> bool {
+fn any_within(offsets: impl Iterator<Item = Vec2>, own: usize, distance: f32) -> bool {
     let shortest = offsets.enumerate().fold(f32::INFINITY, |least, (at, offset)| {
         let square = offset.x * offset.x + offset.y * offset.y;
         let square = if at == own { f32::INFINITY } else { square };
@@ -147,7 +149,7 @@ pub struct Kinematic {
     states: Vec<PlantState>,
 }
 
-/// Makes the plant.
+/// Makes the training world with robots at rest at these positions \[m\]; it draws no random numbers.
 pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> Box<dyn Plant> {
     let zeros = vec![Vec2::zeros(); positions.len()];
     let mut plant = Kinematic {
@@ -160,16 +162,16 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> B
         commands: zeros,
         states: vec![PlantState::default(); positions.len()],
     };
-    plant.show();
+    plant.update_states();
     Box::new(plant)
 }
 
 impl Kinematic {
-    fn show(&mut self) {
-        (0..self.states.len()).for_each(|robot| self.show_one(robot));
+    fn update_states(&mut self) {
+        (0..self.states.len()).for_each(|robot| self.update_state(robot));
     }
 
-    fn show_one(&mut self, robot: usize) {
+    fn update_state(&mut self, robot: usize) {
         let state = &mut self.states[robot];
         state.motion.position = self.position[robot];
         state.motion.velocity = self.velocity[robot];
@@ -187,7 +189,7 @@ impl Plant for Kinematic {
         self.velocity[robot] = Vec2::zeros();
         self.contacts[robot] = Contacts::default();
         self.commands[robot] = Vec2::zeros();
-        self.show_one(robot);
+        self.update_state(robot);
     }
 
     fn drive(&mut self, robot: usize, velocity: Vec2) {
@@ -202,7 +204,7 @@ impl Plant for Kinematic {
             before: &mut self.before,
         };
         step(&self.arena, &self.physics, &self.commands, &mut team);
-        self.show();
+        self.update_states();
     }
 
     fn states(&self) -> &[PlantState] {
@@ -251,31 +253,31 @@ mod tests {
         let mut plant = build(&arena(), &free, &[Vec2::new(-1.0, -2.0)], Seed::of_run(0));
         plant.drive(0, Vec2::new(1.0, 0.0));
         (0..10).for_each(|_| plant.advance());
-        // After one time constant, 1 - 1/e of the way.
+        // After one time constant, 1 - 1/e of the step.
         assert!((plant.states()[0].motion.velocity.x - 0.632).abs() < 1e-3);
     }
 
     #[test]
-    fn a_crowd_touches_whom_it_touches_by_cells_or_not() {
+    fn a_large_team_moves_and_touches_the_same_with_and_without_the_grid() {
         use rand::RngExt;
         let mut stream = crate::random::Seed::of_run(2).stream("crowd");
-        let mut some = |most: f32| Vec2::new(stream.random_range(-most..=most), stream.random_range(-most..=most));
-        let before: Vec<Vec2> = (0..200).map(|_| some(8.0)).collect();
-        let mut velocity: Vec<Vec2> = (0..200).map(|_| some(1.5)).collect();
-        let step = |by_cells: bool, velocity: &mut [Vec2]| {
+        let mut random = |max: f32| Vec2::new(stream.random_range(-max..=max), stream.random_range(-max..=max));
+        let before: Vec<Vec2> = (0..200).map(|_| random(8.0)).collect();
+        let mut velocity: Vec<Vec2> = (0..200).map(|_| random(1.5)).collect();
+        let step = |with_grid: bool, velocity: &mut [Vec2]| {
             let (mut position, mut contacts) = (before.clone(), vec![Contacts::default(); 200]);
             let (position_of, contacts_of) = (&mut position, &mut contacts);
             let mut team = Team { position: position_of, velocity, contacts: contacts_of, before: &mut before.clone() };
-            if by_cells {
-                assert!(meet_by_cells(0.5, true, &mut team));
+            if with_grid {
+                assert!(move_with_grid(0.5, true, &mut team));
             } else {
-                meet_all(0.5, true, &mut team);
+                move_with_all_pairs(0.5, true, &mut team);
             }
             (position, contacts)
         };
         assert_eq!(step(true, &mut velocity), step(false, &mut velocity));
         let touching = step(true, &mut velocity).1.iter().filter(|contacts| contacts.robot).count();
-        assert!((20..180).contains(&touching), "{touching} of 200 touch somebody");
+        assert!((20..180).contains(&touching), "{touching} of 200 touch another");
         velocity[7] = Vec2::repeat(300.0);
         assert_eq!(step(true, &mut velocity), step(false, &mut velocity), "whatever their speed");
     }

@@ -1,7 +1,7 @@
-//! What the bodies move in: plants. A plant is one file and one line in `REGISTRY`; in a crate of one's own, one line
-//! where its `Registry` is made.
+//! Plants: the worlds, simulated or real, in which robots move.
 //!
-//! Nothing here knows a task, a policy or a network.
+//! A plant is one file and one line in `REGISTRY`; in another crate, one line where its `Registry` is made. Nothing
+//! here knows a task, a policy or a network.
 
 mod clamp;
 #[cfg(feature = "rigid")]
@@ -13,7 +13,7 @@ pub mod rigid;
 mod sensor;
 
 pub use clamp::Clamp;
-pub use physics::{ContactRule, Given, GivenError, Physics};
+pub use physics::{ContactRule, OverrideError, Overrides, Physics};
 pub use sensor::Sensor;
 
 use crate::messages::geometry::{Motion, Vec2};
@@ -31,54 +31,54 @@ pub struct PlantState {
     pub heading: f32,
     /// Yaw rate \[rad/s\], counter-clockwise.
     pub yaw_rate: f32,
-    /// What blocked it in the last step.
+    /// Contacts of the last step.
     pub contacts: Contacts,
 }
 
-/// How robots come to their starts.
+/// Method by which robots are brought to their starts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Placement {
-    /// The World puts them there, at rest, when an episode begins; there is no reset.
+    /// The World places them there, at rest, at the start of an episode; there is no reset.
     Exact,
-    /// They drive there during a reset.
+    /// The robots drive there during a reset.
     Drive,
 }
 
-/// A physical, or simulated, world that holds some robots, counted from zero without gaps.
+/// A real or simulated world with robots, numbered from zero without gaps.
 pub trait Plant {
-    /// How long a step is.
+    /// Duration of a step.
     fn period(&self) -> Span;
 
-    /// Puts a robot at rest at a position \[m\], as a person would.
+    /// Places a robot at rest at a position \[m\], world frame, as if by hand.
     fn place(&mut self, robot: usize, position: Vec2);
 
-    /// Sets the velocity \[m/s\] that a robot is driven at from now on.
+    /// Sets a robot's commanded velocity \[m/s\], world frame, which holds until the next call.
     fn drive(&mut self, robot: usize, velocity: Vec2);
 
-    /// Moves time on by one step.
+    /// Advances the world by one step.
     fn advance(&mut self);
 
-    /// The robots' states after the last step or placement.
+    /// The robots' true states after the last step or placement.
     fn states(&self) -> &[PlantState];
 }
 
-/// A plant by name.
+/// A registry entry of a plant.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its name on the command line and in a deployment.
+    /// Name on the command line and in a deployment.
     pub name: &'static str,
     /// One line for the help.
     pub about: &'static str,
-    /// What its robots are like unless someone says otherwise.
+    /// Returns the default parameters of its robots.
     pub physics: fn(&Arena) -> Physics,
-    /// What nobody may say otherwise, by its field, and why.
+    /// Fields of `Overrides` that a user may not set, each with the reason.
     pub fixed: &'static [(&'static str, &'static str)],
-    /// Makes it, for robots at rest at these positions \[m\]; it draws from streams of this seed alone.
+    /// Makes the plant with robots at rest at these positions \[m\]; it draws from streams of this seed alone.
     pub build: fn(&Arena, &Physics, &[Vec2], Seed) -> Box<dyn Plant>,
 }
 
-/// The name of the plant of a deployment that names none: the training world.
+/// Name of the default plant, the training world.
 pub const KINEMATIC: &str = "kinematic";
 
 /// The plants of this crate.
@@ -93,7 +93,7 @@ pub const REGISTRY: &[Entry] = &[
     #[cfg(feature = "rigid")]
     Entry {
         name: "rigid",
-        about: "rigid bodies with mass, friction and slipping wheels, seen by motion capture",
+        about: "rigid bodies with mass, friction and slipping wheels, measured by motion capture",
         physics: Physics::robomaster,
         fixed: rigid::FIXED,
         build: rigid::build,

@@ -1,13 +1,13 @@
-//! A world of rigid bodies: discs with mass and friction that push and block each other and the walls, driven by
-//! drivetrains that lag and slip. Contacts are flagged for the judge and do not end the physics.
+//! A world of rigid bodies: discs with mass and friction that push each other and are blocked by walls, driven by
+//! drivetrains with lag and slip. Contacts are flagged for the judge and do not end the simulation.
 //!
-//! The solver is rapier, in its mode of equal results on all machines; its vectors are known here and nowhere else.
+//! The solver is rapier in its cross-platform deterministic mode; its vector type is used in this file only.
 
 use rapier2d::prelude::{
     ColliderBuilder, IntegrationParameters, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, Vector,
 };
 
-use super::drivetrain::{Drivetrain, Gears};
+use super::drivetrain::{Drivetrain, StepParameters};
 use super::kinematic::PERIOD;
 use super::{Physics, Plant, PlantState};
 use crate::messages::geometry::Vec2;
@@ -16,16 +16,16 @@ use crate::random::Seed;
 use crate::scenario::Arena;
 use crate::time::Span;
 
-/// What is not for a user to say, and why.
+/// Fields that a user may not override, each with the reason.
 pub const FIXED: &[(&str, &str)] = &[
-    ("contacts", "in plant 'rigid' bodies touch and push each other, and the judge is told"),
-    ("wall_radius_m", "in plant 'rigid' robots are as wide as their hulls, 0.16 m in radius"),
+    ("contacts", "in plant 'rigid' bodies always push each other, and contacts are flagged for the judge"),
+    ("wall_radius_m", "in plant 'rigid' the radius of a robot is that of its hull, 0.16 m"),
 ];
 
-/// How thick the rails about the ground are \[m\]: more than a robot moves in any step.
+/// Thickness of the rails around the ground \[m\]: more than a robot moves in any step.
 const RAIL_M: f32 = 1.0;
 
-/// How far a robot that is pressed against a rail may sink into it \[m\].
+/// Depth to which a robot that pushes against a rail may sink into it \[m\].
 const SINK_M: f32 = 0.002;
 
 /// Rigid bodies as a plant.
@@ -33,19 +33,20 @@ pub struct Rigid {
     arena: Arena,
     physics: Physics,
     world: PhysicsWorld,
-    gears: Gears,
+    parameters: StepParameters,
     robots: Vec<(RigidBodyHandle, Drivetrain)>,
     states: Vec<PlantState>,
 }
 
-/// Makes the plant.
+/// Makes the rigid-body world with robots at rest at these positions \[m\]; each drivetrain has its own stream of
+/// `seed`.
 pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -> Box<dyn Plant> {
     let period_s = PERIOD.as_secs() as f32;
     let mut world = PhysicsWorld::new();
     world.gravity = Vector::ZERO;
-    // One step a period, which the solver takes in four parts by itself; whatever two robots can meet within it is a
-    // contact from its beginning, also between those that a third pushes. So nothing is left for what would look for
-    // missed collisions afterwards, nor are last step's contacts of use.
+    // One step a period, which the solver divides into four substeps. The prediction distance covers the motion of a
+    // whole step. So any two bodies that can collide within it, also if pushed by a third, are contact pairs at its
+    // start. Therefore continuous collision detection and the reuse of the last step's contacts are off.
     world.integration_parameters = IntegrationParameters {
         dt: period_s,
         normalized_prediction_distance: 2.0 * physics.top_speed_m_s * period_s,
@@ -56,13 +57,13 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -
     };
     let core_m = physics.wall_radius_m - physics.give_m;
     let wall = |half: Vec2, centre: Vec2| {
-        let collider = ColliderBuilder::cuboid(half.x, half.y).translation(glam(centre));
+        let collider = ColliderBuilder::cuboid(half.x, half.y).translation(to_glam(centre));
         collider.friction(physics.friction).restitution(physics.restitution)
     };
     for block in &arena.keep_outs {
         world.insert_collider(wall((block.max - block.min) / 2.0, (block.max + block.min) / 2.0), None);
     }
-    // Rails that a robot's solid core meets just before its centre leaves the ground.
+    // A robot's solid core touches the rails just before its centre leaves the ground.
     let face = arena.half_extent.add_scalar(core_m - SINK_M);
     let (half, reach) = (face.add_scalar(RAIL_M), face.add_scalar(RAIL_M / 2.0));
     for side in [-1.0, 1.0] {
@@ -70,8 +71,8 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -
         world.insert_collider(wall(Vec2::new(half.x, RAIL_M / 2.0), Vec2::new(0.0, side * reach.y)), None);
     }
     let robots = positions.iter().enumerate().map(|(robot, position)| {
-        // Their headings are held by the robots themselves, and no part of their state.
-        let body = RigidBodyBuilder::dynamic().translation(glam(*position)).lock_rotations().can_sleep(false);
+        // The robots hold their headings themselves, so rotation is not simulated.
+        let body = RigidBodyBuilder::dynamic().translation(to_glam(*position)).lock_rotations().can_sleep(false);
         let disc = ColliderBuilder::ball(core_m).mass(physics.mass_kg);
         let (handle, _) = world.insert(body, disc.friction(physics.friction).restitution(physics.restitution));
         (handle, Drivetrain::new(seed.stream(&format!("slip/{robot}"))))
@@ -81,25 +82,26 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -
         arena: arena.clone(),
         physics: *physics,
         world,
-        gears: Gears::new(physics, PERIOD),
+        parameters: StepParameters::new(physics, PERIOD),
         robots,
         states: vec![PlantState::default(); positions.len()],
     };
-    plant.show();
+    plant.update_motion();
     Box::new(plant)
 }
 
 impl Rigid {
-    fn show(&mut self) {
+    fn update_motion(&mut self) {
         for ((handle, _), state) in self.robots.iter().zip(&mut self.states) {
             let body = &self.world.bodies[*handle];
-            state.motion.position = ours(body.translation());
-            state.motion.velocity = ours(body.linvel());
+            state.motion.position = from_glam(body.translation());
+            state.motion.velocity = from_glam(body.linvel());
         }
     }
 
-    /// Flags who touches what: hulls, as `ContactRule::Judge` has it. The rails are no walls to the judge.
-    fn flag(&mut self) {
+    /// Updates the contact flags from the distances between hulls, as under `ContactRule::Judge`. The rails do not
+    /// count as walls.
+    fn update_contacts(&mut self) {
         let radius_m = self.physics.wall_radius_m;
         for robot in 0..self.states.len() {
             let at = self.states[robot].motion.position;
@@ -121,10 +123,10 @@ impl Plant for Rigid {
         let (handle, drivetrain) = &mut self.robots[robot];
         drivetrain.command = Vec2::zeros();
         let body = &mut self.world.bodies[*handle];
-        body.set_translation(glam(position), true);
+        body.set_translation(to_glam(position), true);
         body.set_linvel(Vector::ZERO, true);
         self.states[robot].contacts = Contacts::default();
-        self.show();
+        self.update_motion();
     }
 
     fn drive(&mut self, robot: usize, velocity: Vec2) {
@@ -135,14 +137,14 @@ impl Plant for Rigid {
         let force = self.physics.mass_kg / PERIOD.as_secs() as f32;
         for (handle, drivetrain) in &mut self.robots {
             let body = &mut self.world.bodies[*handle];
-            let change = drivetrain.pull(&self.gears, ours(body.linvel()));
+            let change = drivetrain.velocity_change(&self.parameters, from_glam(body.linvel()));
             body.reset_forces(false);
-            // Spread over the step, so that a body moves as one that is pulled, not as one that is struck.
-            body.add_force(glam(change * force), false);
+            // A force over the whole step instead of an impulse at its start, so that acceleration is steady.
+            body.add_force(to_glam(change * force), false);
         }
         self.world.step();
-        self.show();
-        self.flag();
+        self.update_motion();
+        self.update_contacts();
     }
 
     fn states(&self) -> &[PlantState] {
@@ -150,11 +152,11 @@ impl Plant for Rigid {
     }
 }
 
-fn glam(v: Vec2) -> Vector {
+fn to_glam(v: Vec2) -> Vector {
     Vector::new(v.x, v.y)
 }
 
-fn ours(v: Vector) -> Vec2 {
+fn from_glam(v: Vector) -> Vec2 {
     Vec2::new(v.x, v.y)
 }
 
@@ -187,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn alone_a_robot_moves_as_its_drivetrain_says() {
+    fn a_single_robot_follows_its_drivetrain() {
         let physics = Physics { lag_s: 0.5, ..prompt() };
         let mut plant = plant(&physics, &[Vec2::new(-1.5, -2.5)]);
         let mut step = 0;
@@ -196,9 +198,9 @@ mod tests {
             let (t, motion) = (step as f32 * 0.05, states[0].motion);
             let share = 1.0 - (-t / 0.5).exp();
             assert!((motion.velocity - Vec2::new(1.0, 0.5) * share).norm() < 1e-4, "{t} s: {motion:?}");
-            // The integral of that, to within what the solver's four parts of a step make of it.
-            let way = Vec2::new(1.0, 0.5) * (t - 0.5 * share);
-            assert!((motion.position - Vec2::new(-1.5, -2.5) - way).norm() < 0.012, "{t} s: {motion:?}");
+            // The integral of that, up to the error of the solver's four substeps.
+            let path = Vec2::new(1.0, 0.5) * (t - 0.5 * share);
+            assert!((motion.position - Vec2::new(-1.5, -2.5) - path).norm() < 0.012, "{t} s: {motion:?}");
         });
     }
 
@@ -217,13 +219,13 @@ mod tests {
                 let momentum = states[0].motion.velocity + states[1].motion.velocity;
                 assert!(momentum.norm() < 1e-3, "equal and opposite: {momentum}");
             });
-            assert!(flagged && least < 0.32, "the judge sees it: {least}");
+            assert!(flagged && least < 0.32, "the contact is flagged: {least}");
             assert!(least > 0.30, "{speed} m/s: {least} m apart");
         }
     }
 
     #[test]
-    fn walls_and_rails_hold_whatever_drives_against_them() {
+    fn walls_and_rails_stop_robots_that_push_against_them() {
         let arena = arena();
         for (start, command) in [
             (Vec2::new(1.0, -1.0), Vec2::new(0.0, 2.5)),
@@ -248,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crowd_that_is_driven_into_a_corner_never_overlaps_deeply() {
+    fn robots_driven_into_a_corner_never_overlap_deeply() {
         let starts: Vec<Vec2> =
             (0..12).map(|k| Vec2::new((k % 4) as f32 * 0.5 - 1.0, (k / 4) as f32 * 0.5 - 2.5)).collect();
         let physics = Physics { acceleration_m_s2: f32::INFINITY, ..Physics::robomaster(&arena()) };
@@ -267,14 +269,14 @@ mod tests {
     }
 
     #[test]
-    fn who_is_placed_stands_there_at_rest_and_may_go_on() {
+    fn a_placed_robot_is_at_rest_and_can_be_driven_again() {
         let mut plant = plant(&prompt(), &[Vec2::new(-1.0, -1.5), Vec2::new(-1.0, -1.0)]);
         drive_all(&mut *plant, &[Vec2::new(0.0, 1.0); 2], 30, |_| {});
         plant.place(0, Vec2::new(0.5, 2.0));
         let state = plant.states()[0];
         assert_eq!((state.motion.position, state.motion.velocity), (Vec2::new(0.5, 2.0), Vec2::zeros()));
         plant.advance();
-        assert_eq!(plant.states()[0].motion.position, Vec2::new(0.5, 2.0), "its command has gone, too");
+        assert_eq!(plant.states()[0].motion.position, Vec2::new(0.5, 2.0), "its command is cleared, too");
         drive_all(&mut *plant, &[Vec2::new(0.0, 0.5); 2], 20, |_| {});
         assert!(plant.states()[0].motion.position.y > 2.3);
     }

@@ -1,40 +1,39 @@
-//! How a robot's state is measured: noise, rate and latency. A Body measures with it what its World samples.
+//! Sensor model of a robot's state: noise, rate and latency. A Body applies it to the samples of its World.
 
 use crate::messages::geometry::{Deviation, Motion, Vec2};
 use crate::random;
 use crate::random::Stream;
 use crate::time::Span;
 
-/// What lies between a robot's true state and what is told of it.
+/// Noise, rate and latency between a robot's true state and its measurements.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensor {
     /// Standard deviation of the position along each axis \[m\].
     pub position_m: f32,
     /// Standard deviation of the velocity along each axis \[m/s\].
     pub velocity_m_s: f32,
-    /// The least time from one measurement to the next; a World's own period, if that is longer.
+    /// Shortest time between two measurements; a World's own period, if that is longer.
     pub period: Span,
-    /// How long after its instant a measurement is told.
+    /// Delay from the instant of a measurement to its output.
     pub latency: Span,
 }
 
 impl Sensor {
-    /// Everything as it is, at once.
+    /// No noise and no latency, at every step of the World.
     pub const EXACT: Sensor = Sensor { position_m: 0.0, velocity_m_s: 0.0, period: Span::ZERO, latency: Span::ZERO };
 
     /// A motion capture system such as the paper's (section V: OptiTrack).
     ///
     /// Position: the +-0.2 mm that OptiTrack states for its PrimeX cameras. Rate: 100 Hz, a usual setting. Velocity:
-    /// what the difference of positions three frames apart makes of their noise, sqrt(2) * 0.2 mm / 30 ms. Latency:
-    /// 6 to 7 ms were measured to the end of such a chain (Qualisys at ETH Zurich, 200 Hz), and half a frame more at
-    /// 100 Hz.
+    /// the noise of a difference of positions three frames apart, sqrt(2) * 0.2 mm / 30 ms. Latency: 6 to 7 ms were
+    /// measured to the end of such a chain (Qualisys at ETH Zurich, 200 Hz), and half a frame more at 100 Hz.
     pub const MOTION_CAPTURE: Sensor =
         Sensor { position_m: 2e-4, velocity_m_s: 0.01, period: Span::from_millis(10), latency: Span::from_millis(10) };
 
     /// All sensors by name.
     pub const NAMED: [(&str, Sensor); 2] = [("exact", Sensor::EXACT), ("motion-capture", Sensor::MOTION_CAPTURE)];
 
-    /// How good its measurements are. Headings are measured as they are.
+    /// Standard deviations of its measurements. Headings and yaw rates have no noise.
     pub fn deviation(&self) -> Deviation {
         Deviation {
             position_m: Some(self.position_m),
@@ -44,10 +43,10 @@ impl Sensor {
         }
     }
 
-    /// A measurement of this motion. What is exact draws nothing.
+    /// Returns a noisy measurement of this motion. A quantity without noise draws nothing from the stream.
     pub fn measure(&self, motion: &Motion, stream: &mut Stream) -> Motion {
         let mut noisy = |value: Vec2, deviation: f32| {
-            if deviation > 0.0 { value + drawn(stream) * deviation } else { value }
+            if deviation > 0.0 { value + standard_normals(stream) * deviation } else { value }
         };
         Motion {
             position: noisy(motion.position, self.position_m),
@@ -57,7 +56,7 @@ impl Sensor {
 }
 
 /// Two numbers of the standard normal distribution.
-pub(super) fn drawn(stream: &mut Stream) -> Vec2 {
+pub(super) fn standard_normals(stream: &mut Stream) -> Vec2 {
     let [x, y] = random::normals(stream);
     Vec2::new(x as f32, y as f32)
 }
@@ -68,7 +67,7 @@ mod tests {
     use crate::random::Seed;
 
     #[test]
-    fn measurements_scatter_about_the_truth_and_an_exact_one_is_the_truth() {
+    fn measurements_scatter_about_the_true_state_and_an_exact_one_equals_it() {
         let mut stream = Seed::of_run(1).stream("sensor");
         let truth = Motion { position: Vec2::new(1.0, -2.0), velocity: Vec2::new(0.5, 0.25) };
         assert_eq!(Sensor::EXACT.measure(&truth, &mut stream), truth);

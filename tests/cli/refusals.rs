@@ -176,8 +176,8 @@ fn wrong_policy_files_are_refused_by_tensor_and_shape() {
     };
     let same = |text: String| Some(text);
     refused(b"this is no policy".to_vec(), &["policy.safetensors", "safetensors file"]);
-    refused(whole[..whole.len() - 7].to_vec(), &["not a whole safetensors file"]);
-    refused(Vec::new(), &["not a whole safetensors file"]);
+    refused(whole[..whole.len() - 7].to_vec(), &["not a complete safetensors file"]);
+    refused(Vec::new(), &["not a complete safetensors file"]);
     refused(
         changed(|t| t.retain(|(name, ..)| name != "message.2.bias"), same),
         &["'message.2.bias'", "missing", "[4]"],

@@ -187,7 +187,7 @@ fn a_training_that_comes_apart_keeps_the_last_good_checkpoint() {
     let told = text(&ended.stderr);
     assert_eq!(ended.status.code(), Some(1), "{told}");
     let last = told.trim_end().lines().last().unwrap_or_default();
-    for word in ["iteration", "came out as no number", "learning rate", "kept"] {
+    for word in ["iteration", "non-finite value", "learning rate", "kept"] {
         assert!(last.contains(word), "'{word}' is missing in: {last}");
     }
     assert!(Path::new(&out).join("checkpoint.bin").is_file(), "there is one from the beginning");

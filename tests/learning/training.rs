@@ -17,10 +17,10 @@ use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::{self, Settings, Stage};
 use murmurate::train::conditions::Episode;
 use murmurate::train::config::{Config, PRESETS, Reward};
-use murmurate::train::crowd::Crowd;
-use murmurate::train::evaluate::Examination;
+use murmurate::train::environments::Environments;
+use murmurate::train::evaluate::Evaluation;
 use murmurate::train::network::{Network, Shape};
-use murmurate::train::rollout::Rules;
+use murmurate::train::rollout::RolloutSettings;
 use murmurate::train::trainer::{Plan, Trainer};
 use murmurate::trial::Trial;
 use murmurate::world::{Clamp, ContactRule, Physics, kinematic};
@@ -62,10 +62,10 @@ fn dynamics_and_reward_are_those_of_the_world() {
             let none = Config::preset("published").expect("it is a preset").reward.with_penalties(0.0);
             let only =
                 Reward { scale: 1.0, scenario: 1.0, progress: 0.0, arrival: 0.0, time: 0.0, shared: 0.0, ..none };
-            let mut crowd = Crowd::new(2, &[vec![robots]], std::slice::from_ref(&scenario));
+            let mut environments = Environments::new(2, &[vec![robots]], std::slice::from_ref(&scenario));
             let mut stream = Seed::of_run(4).stream("test");
             for team in 0..2 {
-                crowd.place(team, (7, team as u32), episode.clone(), &mut stream);
+                environments.place(team, (7, team as u32), episode.clone(), &mut stream);
             }
             let tasks = scenario.tasks(7, 1);
             let physics: Physics = episode.physics(scenario.arena());
@@ -83,14 +83,22 @@ fn dynamics_and_reward_are_those_of_the_world() {
                 }
                 plant.advance();
                 for team in 0..2 {
-                    crowd.step(team, &actions, &only, 1.5, &mut stream);
+                    environments.step(team, &actions, &only, 1.5, &mut stream);
                 }
                 for (robot, state) in plant.states().iter().enumerate() {
                     let at = robots + robot;
-                    let ours = Motion { position: crowd.position[at], velocity: crowd.velocity[at] };
-                    assert_eq!((ours, crowd.contacts[at]), (state.motion, state.contacts), "{name}, step {step}");
+                    let ours = Motion { position: environments.position[at], velocity: environments.velocity[at] };
+                    assert_eq!(
+                        (ours, environments.contacts[at]),
+                        (state.motion, state.contacts),
+                        "{name}, step {step}"
+                    );
                     let reward = scenario.reward(&tasks[robot], &state.motion, state.contacts, &mut stages[robot]);
-                    assert_eq!((crowd.earned[at], crowd.stage[at]), (reward, stages[robot]), "{name}, step {step}");
+                    assert_eq!(
+                        (environments.reward[at], environments.stage[at]),
+                        (reward, stages[robot]),
+                        "{name}, step {step}"
+                    );
                 }
             }
         }
@@ -139,7 +147,7 @@ fn a_training_that_comes_apart_says_where_and_why() {
     (config.ppo.kl_stop, config.ppo.epochs, config.reward.scale) = (f32::INFINITY, 20, 1e4);
     let mut trainer = Trainer::new(plan(config, 1), &Registry::builtin()).expect("it is sound");
     let error = (0..200).find_map(|_| trainer.iterate(0.0, 2).err()).expect("it comes apart").to_string();
-    for part in ["iteration", "decisions", "came out as no number", "learning rate"] {
+    for part in ["iteration", "decisions", "non-finite value", "learning rate"] {
         assert!(error.contains(part), "{error}");
     }
 }
@@ -205,18 +213,24 @@ fn both(
         edge: manifest.edge.iter().map(|field| field.floats()).sum(),
     });
     let critic = Network::new(config.critic());
-    let rules =
-        Rules { config: &config, actor: &network, critic: &critic, reward: config.reward, repeat: 1, log_std_max: 0.0 };
+    let settings = RolloutSettings {
+        config: &config,
+        actor: &network,
+        critic: &critic,
+        reward: config.reward,
+        repeat: 1,
+        log_std_max: 0.0,
+    };
     let parameters = parameters(&bytes, &manifest);
-    let examination = Examination {
-        rules: &rules,
+    let evaluation = Evaluation {
+        settings: &settings,
         parameters: &parameters,
         scenario: &scenario,
         seed: 21,
         episodes,
         draw: Draw::Mean,
     };
-    let findings = examination.run(conditions, 2);
+    let findings = evaluation.run(conditions, 2);
     let ours = findings.iter().map(|finding| {
         let makespan = if finding.verdict == Verdict::Success { finding.after.as_secs() } else { 0.0 };
         (finding.verdict, makespan)

@@ -31,7 +31,7 @@ use crate::net::transport::Place;
 use crate::registry::Registry;
 use crate::safety::Safety;
 use crate::scenario::{Scenario, Settings};
-use crate::world::{Clamp, ContactRule, Given, Physics, Sensor};
+use crate::world::{Clamp, ContactRule, Overrides, Physics, Sensor};
 
 /// What a host needs to know of its team.
 #[derive(Clone, Debug)]
@@ -216,7 +216,7 @@ impl TeamFile {
         let is = |key: &str, word: &str| name(key).is_some_and(|name| name == word);
         let number = |key: &str| find(key).map(|entry| number(&entry));
         let sensor = |name: String| Sensor::NAMED.into_iter().find(|(other, _)| *other == name);
-        let given = Given {
+        let overrides = Overrides {
             lag_s: number("lag_s"),
             contacts: name("contacts")
                 .map(|name| if name == "judge" { ContactRule::Judge } else { ContactRule::Block }),
@@ -224,7 +224,7 @@ impl TeamFile {
             sensor: name("sensor").and_then(sensor).map(|(_, sensor)| sensor),
         };
         let entry = self.registry.plant(&self.deployment.plant).expect("its name was checked when the file was read");
-        let physics = given.physics(entry, scenario.arena()).map_err(|error| {
+        let physics = overrides.physics(entry, scenario.arena()).map_err(|error| {
             let origin = find(error.field).expect("it was given").origin;
             ConfigError::field(place(error.field, &origin), error.to_string())
         })?;

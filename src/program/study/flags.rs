@@ -211,7 +211,7 @@ impl Shared {
         }
         let digest = loaded.model.digest().to_owned();
         // What draws nothing stays as it is, whatever the handling.
-        let model = loaded.model.clone().drawing(handling.draw).unwrap_or(loaded.model);
+        let model = loaded.model.clone().with_draw(handling.draw).unwrap_or(loaded.model);
         Ok(Entrant { policy: loaded.name, model, digest, handling })
     }
 

@@ -1,16 +1,17 @@
-//! The learning curve: one row an iteration, as CSV and as a plot.
+//! The learning curve: one row per iteration, as CSV and as a plot.
 
 use crate::train::evaluate::Scores;
-use crate::train::trainer::Point;
+use crate::train::trainer::Metrics;
 use anyhow::{Context, Result};
 use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// Blue, vermilion and green that colour-blind readers tell apart (Okabe and Ito).
+/// Colours of the lines: blue, vermilion and green of the palette for colour-blind readers by Okabe and Ito.
 const COLOURS: [RGBColor; 3] = [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGBColor(0, 158, 115)];
+/// Width and height of the plot \[pixels\].
 const SIZE: (u32, u32) = (900, 720);
 
-/// One iteration.
+/// Data of one iteration.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
     elapsed_s: f64,
@@ -36,38 +37,38 @@ pub struct Row {
 }
 
 impl Row {
-    /// A row of a point, with an evaluation if one was made.
-    pub fn new(elapsed_s: f64, progress: f64, point: &Point, scores: Option<&Scores>) -> Row {
+    /// Makes the row of an iteration, with the scores of an evaluation if there was one.
+    pub fn new(elapsed_s: f64, progress: f64, metrics: &Metrics, scores: Option<&Scores>) -> Row {
         let mut row = Row {
             elapsed_s,
             progress,
-            iteration: point.iteration,
-            decisions: point.decisions,
-            env_steps: point.env_steps,
-            stage: point.stage,
-            earned: point.earned,
-            success: point.success,
-            arrived: point.arrived,
-            length_s: point.length_s,
-            epochs: point.epochs,
-            divergence: point.divergence,
-            entropy: point.entropy,
-            value_loss: point.value_loss,
-            gradient: point.gradient,
-            learning_rate: point.learning_rate,
+            iteration: metrics.iteration,
+            decisions: metrics.decisions,
+            env_steps: metrics.env_steps,
+            stage: metrics.stage,
+            earned: metrics.earned,
+            success: metrics.success,
+            arrived: metrics.arrived,
+            length_s: metrics.length_s,
+            epochs: metrics.epochs,
+            divergence: metrics.divergence,
+            entropy: metrics.entropy,
+            value_loss: metrics.value_loss,
+            gradient: metrics.gradient,
+            learning_rate: metrics.learning_rate,
             perfect_success: None,
             perfect_makespan_s: None,
             disturbed_success: None,
             disturbed_makespan_s: None,
         };
         if let Some(scores) = scores {
-            row.evaluate(scores);
+            row.set_scores(scores);
         }
         row
     }
 
-    fn evaluate(&mut self, scores: &Scores) {
-        let of = |conditions: &str| scores.of_running(conditions).map(|score| (score.success, score.makespan_s));
+    fn set_scores(&mut self, scores: &Scores) {
+        let of = |conditions: &str| scores.with_default_draw(conditions).map(|score| (score.success, score.makespan_s));
         if let Some((success, makespan_s)) = of("perfect") {
             (self.perfect_success, self.perfect_makespan_s) = (Some(success), makespan_s);
         }
@@ -77,20 +78,20 @@ impl Row {
     }
 }
 
-/// All iterations so far.
+/// The rows of all iterations so far.
 #[derive(Debug, Default)]
 pub struct Curve {
     rows: Vec<Row>,
 }
 
 impl Curve {
-    /// The rows of a saved curve, up to an iteration.
+    /// Parses a saved curve and keeps the rows up to iteration `iterations`.
     pub fn from_csv(text: &str, iterations: u64) -> Result<Curve, csv::Error> {
         let rows: Result<Vec<Row>, csv::Error> = csv::Reader::from_reader(text.as_bytes()).deserialize().collect();
         Ok(Curve { rows: rows?.into_iter().filter(|row| row.iteration <= iterations).collect() })
     }
 
-    /// All rows as CSV.
+    /// Returns all rows as CSV.
     pub fn to_csv(&self) -> Result<String> {
         let mut csv = csv::Writer::from_writer(Vec::new());
         for row in &self.rows {
@@ -104,31 +105,31 @@ impl Curve {
         self.rows.push(row);
     }
 
-    /// How long it took to here \[s\].
+    /// Time of training up to the last row \[s\].
     pub fn elapsed_s(&self) -> f64 {
         self.rows.last().map_or(0.0, |row| row.elapsed_s)
     }
 
-    /// The progress at the last evaluation.
+    /// Progress at the last evaluation, 0 to 1; 0 if there was none.
     pub fn evaluated_at(&self) -> f64 {
         self.rows.iter().rev().find(|row| row.perfect_success.is_some()).map_or(0.0, |row| row.progress)
     }
 
-    /// Puts an evaluation beside the last row.
-    pub fn evaluate_last(&mut self, scores: &Scores) {
+    /// Adds the scores of an evaluation to the last row.
+    pub fn set_last_scores(&mut self, scores: &Scores) {
         if let Some(row) = self.rows.last_mut() {
-            row.evaluate(scores);
+            row.set_scores(scores);
         }
     }
 
-    /// How it stands, in one line.
-    pub fn line(&self, decisions: u64) -> String {
+    /// A one-line summary of recent iterations.
+    pub fn summary(&self, decisions: u64) -> String {
         let Some(last) = self.rows.last() else { return String::new() };
         let recent = &self.rows[self.rows.len().saturating_sub(20)..];
         let per_s = recent[0..].first().map_or(0.0, |first| {
             (last.decisions - first.decisions) as f64 / (last.elapsed_s - first.elapsed_s).max(1e-9)
         });
-        // Not every iteration ends an episode.
+        // In some iterations no episode ends, and the metrics of episodes are NaN.
         let newest = |pick: fn(&Row) -> f32| recent.iter().rev().map(pick).find(|value| value.is_finite());
         let shown = |value: Option<f32>, factor: f32| {
             value.map_or("-".to_owned(), |value| format!("{:.*}", if factor > 1.0 { 0 } else { 2 }, factor * value))
@@ -141,7 +142,7 @@ impl Curve {
         )
     }
 
-    /// Success and return over decisions, as SVG.
+    /// Plots success and return over decisions, as SVG.
     pub fn plot(&self, scenario: &str) -> Result<String> {
         let mut svg = String::new();
         {
@@ -192,7 +193,7 @@ fn chart(
     mesh.light_line_style(WHITE).draw()?;
     for (index, (name, points)) in lines.iter().enumerate().filter(|(_, (_, points))| !points.is_empty()) {
         let colour = COLOURS[index % COLOURS.len()];
-        // A training that comes apart has values that are nowhere on the page.
+        // A diverging training has values outside of the axes.
         let points: Vec<(f64, f64)> = points.iter().map(|&(x, y)| (x, y.clamp(low, high))).collect();
         let drawn = chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
         drawn.label(*name).legend(move |(x, y)| PathElement::new([(x, y), (x + 22, y)], colour.stroke_width(3)));
@@ -206,7 +207,7 @@ fn chart(
     Ok(())
 }
 
-/// The mean over ten points at a time: single iterations end few episodes.
+/// Moving average over ten points, because few episodes end in one iteration.
 fn smooth(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     points
         .iter()

@@ -1,4 +1,4 @@
-//! The folder of a training: every file in it is replaced whole or not at all, so the last good one is always there.
+//! Output folder of a training. Every file in it is replaced atomically, so the last complete version always exists.
 
 use std::path::{Path, PathBuf};
 
@@ -11,55 +11,55 @@ use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
 
-/// A folder that a training writes to.
+/// The output folder of a training.
 pub struct Folder {
     path: PathBuf,
-    /// The iteration of the last checkpoint that is whole.
-    kept: Option<u64>,
+    /// Iteration of the last complete checkpoint, if there is one.
+    saved: Option<u64>,
 }
 
 impl Folder {
-    /// Makes the folder if need be, and finds out whether it can be written. One that holds a training is only
-    /// opened to resume it.
+    /// Opens the folder, creates it if necessary, and checks that it is writable. A folder that holds a training is
+    /// refused unless `resume` is set.
     pub fn open(path: &Path, resume: bool) -> Result<Folder> {
         let refuse = |why: String| BadInput(format!("--out: '{}': {why}", path.display()));
         std::fs::create_dir_all(path).map_err(|e| refuse(format!("cannot make this folder: {e}")))?;
-        let folder = Folder { path: path.to_owned(), kept: None };
+        let folder = Folder { path: path.to_owned(), saved: None };
         if !resume && folder.checkpoint().exists() {
-            let why = "it holds a training already; add --resume to go on with it, or choose another folder";
+            let why = "it holds a training already; add --resume to continue it, or choose another folder";
             return Err(refuse(why.to_owned()).into());
         }
         Temporary::new_in(path, 0o600)
-            .map_err(|e| refuse(format!("cannot write there: {e}; choose a folder that can be written")))?;
+            .map_err(|e| refuse(format!("cannot write there: {e}; choose a writable folder")))?;
         Ok(folder)
     }
 
-    /// The policy's file.
+    /// Path of the policy file.
     pub fn policy(&self) -> PathBuf {
         self.path.join("policy.safetensors")
     }
 
-    /// The checkpoint's file.
+    /// Path of the checkpoint.
     pub fn checkpoint(&self) -> PathBuf {
         self.path.join("checkpoint.bin")
     }
 
-    /// Writes the configuration, to be looked at and to start others from.
+    /// Writes the configuration, for reference and as a start for other trainings.
     pub fn write_config(&self, config: &Config) -> Result<()> {
         let text = toml::to_string(config).context("a configuration is TOML")?;
         self.write("config.toml", text.as_bytes())
     }
 
-    /// The curve until an iteration, as it was saved.
+    /// Reads the saved curve up to iteration `iterations`, which is that of the checkpoint.
     pub fn curve(&mut self, iterations: u64) -> Result<Curve> {
-        self.kept = Some(iterations);
+        self.saved = Some(iterations);
         let path = self.path.join("curve.csv");
         let wrong = |e: String| BadInput(format!("cannot read the curve '{}': {e}", path.display()));
         let text = std::fs::read_to_string(&path).map_err(|e| wrong(e.to_string()))?;
         Ok(Curve::from_csv(&text, iterations).map_err(|e| wrong(e.to_string()))?)
     }
 
-    /// Saves everything. The checkpoint goes last: what it is of is then there.
+    /// Saves all files. The checkpoint is written last, so the other files are at least as new.
     pub fn save(&mut self, trainer: &Trainer, curve: &Curve) -> Result<()> {
         let files = || -> Result<()> {
             self.write("policy.safetensors", &trainer.policy_file())?;
@@ -67,14 +67,14 @@ impl Folder {
             self.write("curve.svg", curve.plot(&trainer.plan().scenario)?.as_bytes())?;
             self.write("checkpoint.bin", &trainer.checkpoint())
         };
-        files().with_context(|| self.what_is_kept())?;
-        self.kept = Some(trainer.iterations());
+        files().with_context(|| self.last_saved())?;
+        self.saved = Some(trainer.iterations());
         Ok(())
     }
 
-    /// Says which checkpoint a failure leaves.
-    pub fn what_is_kept(&self) -> String {
-        match self.kept {
+    /// Describes the last saved checkpoint, for the message of a failure.
+    pub fn last_saved(&self) -> String {
+        match self.saved {
             Some(iteration) => format!("the checkpoint of iteration {iteration} in '{}' is kept", self.path.display()),
             None => "nothing had been saved yet".to_owned(),
         }

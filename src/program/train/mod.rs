@@ -1,5 +1,5 @@
-//! `murmurate train`: from random weights to a policy file, with progress, curves and checkpoints. What a training
-//! does lives in the library; here are its flags, its clock and its files.
+//! The command `murmurate train`: flags, clock, progress bar and files of a training. The training itself is in
+//! `train`.
 
 mod curve;
 mod folder;
@@ -13,7 +13,7 @@ use crate::config::unquoted;
 use crate::registry::Registry;
 use crate::study::network::conditions;
 use crate::train::config::{Config, PRESETS};
-use crate::train::evaluate::{Scores, quick};
+use crate::train::evaluate::{Scores, quick_evaluation};
 use crate::train::trainer::{Plan, Trainer};
 use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
@@ -27,23 +27,24 @@ use crate::program::study;
 use curve::{Curve, Row};
 use folder::Folder;
 
-/// How often the state is saved, and told where nobody watches a bar.
+/// Time between two saves of the state, and between two lines of progress if there is no progress bar.
 const SAVE_EVERY: Duration = Duration::from_secs(30);
-/// A quick evaluation is made after each such share of the training, over so many layouts.
+/// Difference in progress between two quick evaluations, of 1 for the whole training.
 const EVALUATE_EVERY: f64 = 0.05;
+/// Number of layouts of a quick evaluation.
 const EPISODES: u32 = 128;
-/// The preset unless the user names one.
+/// Name of the default preset.
 const PRESET: &str = "robust";
-/// How many talk on the medium of --radio where a configuration leaves the team to its scenario: the paper's team.
+/// Number of senders on the medium of --radio if the configuration has no team size: the paper's team.
 const TEAM: usize = 5;
 
 /// Flags of `murmurate train`.
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("budget").args(["minutes", "steps"]))]
 pub struct Args {
-    /// What the team is to learn
+    /// Scenario to train for
     scenario: String,
-    /// What to train for: 'published' for lock step and perfect messages, 'robust' for delay, loss and lag
+    /// Preset of the configuration: 'published' for lock step and perfect messages, 'robust' for delay, loss and lag
     /// [default: robust]
     #[arg(
         long,
@@ -54,41 +55,41 @@ pub struct Args {
     /// A configuration of your own; every training writes its own as OUT/config.toml to start from
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
-    /// Trains with the delay and the loss of a medium, in place of the configuration's: a preset (paper, wifi, wifi-n,
+    /// Trains with the delay and loss of a medium instead of the configuration's: a preset (paper, wifi, wifi-n,
     /// wifi-slow) or a radio file, such as 'study network --fit' writes
     #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "resume")]
     radio: Option<String>,
-    /// How long to train [min]; schedules follow the clock, so no two such runs are quite the same
+    /// Duration of the training [min]; schedules follow the clock, so two such runs differ slightly
     #[arg(long)]
     minutes: Option<f64>,
-    /// How many decisions to train on, one for each environment and step of the policy; the same number and seed
-    /// give the same weights
+    /// Number of decisions to train on, one per environment and step of the policy; the same number and seed give the
+    /// same weights
     #[arg(long)]
     steps: Option<u64>,
-    /// The root of all randomness [default: 0]
+    /// Seed of all random numbers [default: 0]
     #[arg(long)]
     seed: Option<u64>,
-    /// Where everything goes: policy.safetensors, checkpoint.bin, curve.csv, curve.svg, config.toml
+    /// Folder for all output: policy.safetensors, checkpoint.bin, curve.csv, curve.svg, config.toml
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
-    /// Begins with the weights of another training, to go on with it under another configuration
+    /// Starts with the weights of another training, to continue it with another configuration
     #[arg(long, value_name = "CHECKPOINT.bin", conflicts_with = "resume")]
     from: Option<PathBuf>,
-    /// Goes on where the training in that folder has stopped
+    /// Continues the training in the output folder from its checkpoint
     #[arg(long)]
     resume: bool,
     /// Threads [default: one per core]; the weights do not depend on it
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
-    /// Prints one JSON object in place of the table
+    /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
-    /// Says nothing on stderr but errors
+    /// Prints nothing on stderr except errors
     #[arg(long)]
     quiet: bool,
 }
 
-/// When a training is over.
+/// Length of a training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Budget {
     Minutes(f64),
@@ -96,7 +97,7 @@ enum Budget {
 }
 
 impl Budget {
-    /// How much of it is spent, 0 to 1.
+    /// Fraction of the budget that is used; 1 and above at the end.
     fn progress(self, elapsed_s: f64, trained: u64) -> f64 {
         match self {
             Budget::Minutes(minutes) => elapsed_s / (60.0 * minutes),
@@ -108,14 +109,14 @@ impl Budget {
         match (args.minutes, args.steps) {
             (Some(minutes), _) if (1e-3..=1e6).contains(&minutes) => Ok(Budget::Minutes(minutes)),
             (Some(minutes), _) => Err(BadInput(format!("--minutes: {minutes} is not 0.001 to 1000000")).into()),
-            (_, Some(0)) => Err(BadInput("--steps: 0 decisions train nothing".to_owned()).into()),
+            (_, Some(0)) => Err(BadInput("--steps: 0 is not above 0".to_owned()).into()),
             (_, Some(decisions)) => Ok(Budget::Decisions(decisions)),
-            _ => Err(BadInput("how long is to be trained? Give --minutes or --steps".to_owned()).into()),
+            _ => Err(BadInput("the length of the training is missing; give --minutes or --steps".to_owned()).into()),
         }
     }
 }
 
-/// What a training came to, for `--json`.
+/// Result of a training, for the output.
 #[derive(Serialize)]
 struct Report<'a> {
     policy: String,
@@ -125,23 +126,23 @@ struct Report<'a> {
     decisions: u64,
     iterations: u64,
     wall_s: f64,
-    /// None after an interruption, which is to be quick.
+    /// `None` after an interruption, so that the program ends at once.
     evaluation: Option<&'a Scores>,
     interrupted: bool,
 }
 
-/// Trains.
+/// Runs the command until the training is complete or interrupted.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let budget = Budget::of(args)?;
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let threads = args.threads.map_or(cores, usize::from);
     let mut folder = Folder::open(&args.out, args.resume)?;
     let (mut trainer, mut curve) = if args.resume {
-        let trainer = resumed(args, &folder, registry)?;
+        let trainer = resume(args, &folder, registry)?;
         let curve = folder.curve(trainer.iterations())?;
         (trainer, curve)
     } else {
-        let trainer = begun(args, registry)?;
+        let trainer = begin(args, registry)?;
         folder.write_config(&trainer.plan().config)?;
         (trainer, Curve::default())
     };
@@ -168,37 +169,37 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         if interrupted {
             break;
         }
-        let point = match trainer.iterate(progress, threads) {
-            Ok(point) => point,
+        let metrics = match trainer.iterate(progress, threads) {
+            Ok(metrics) => metrics,
             Err(diverged) => {
                 bar.abandon();
-                return Err(anyhow::anyhow!("{diverged}; {}", folder.what_is_kept()));
+                return Err(anyhow::anyhow!("{diverged}; {}", folder.last_saved()));
             }
         };
         let due = (progress / EVALUATE_EVERY) as u64 > (curve.evaluated_at() / EVALUATE_EVERY) as u64;
-        let scores = due.then(|| quick(&trainer, EPISODES, threads));
-        curve.push(Row::new(elapsed_s(), progress, &point, scores.as_ref()));
-        let told = curve.line(trainer.decisions());
+        let scores = due.then(|| quick_evaluation(&trainer, EPISODES, threads));
+        curve.push(Row::new(elapsed_s(), progress, &metrics, scores.as_ref()));
+        let summary = curve.summary(trainer.decisions());
         bar.set_position((progress * 1000.0) as u64);
-        bar.set_message(told.clone());
+        bar.set_message(summary.clone());
         if saved.elapsed() >= SAVE_EVERY {
             saved = Instant::now();
             folder.save(&trainer, &curve)?;
             if bar.is_hidden() && !args.quiet {
-                talk(&format!("{:3.0} %  {told}", 100.0 * progress));
+                talk(&format!("{:3.0} %  {summary}", 100.0 * progress));
             }
         }
     }
-    let scores = (!interrupted).then(|| quick(&trainer, EPISODES, threads));
-    scores.iter().for_each(|scores| curve.evaluate_last(scores));
+    let scores = (!interrupted).then(|| quick_evaluation(&trainer, EPISODES, threads));
+    scores.iter().for_each(|scores| curve.set_last_scores(scores));
     folder.save(&trainer, &curve)?;
     bar.finish_and_clear();
-    tell(args, &folder, &trainer, (elapsed_s(), scores.as_ref(), interrupted))?;
+    print_report(args, &folder, &trainer, (elapsed_s(), scores.as_ref(), interrupted))?;
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Prints what came of the training.
-fn tell(
+/// Prints the result of the training.
+fn print_report(
     args: &Args,
     folder: &Folder,
     trainer: &Trainer,
@@ -218,7 +219,7 @@ fn tell(
     };
     print(&if args.json { serde_json::to_string(&report).context("a report is JSON")? } else { table(&report) })?;
     if interrupted && !args.quiet {
-        talk("interrupted; everything is saved: the same command with --resume goes on from here");
+        talk("interrupted; everything is saved: the same command with --resume continues from here");
     }
     Ok(())
 }
@@ -232,19 +233,19 @@ fn plan(args: &Args) -> Result<Plan> {
             let wrong = |e| BadInput(format!("the training configuration '{}': {e}", path.display()));
             (config.map_err(wrong)?, "a configuration of the user's")
         }
-        None => (Config::preset(preset).expect("the parser lets only presets through"), preset),
+        None => (Config::preset(preset).expect("the parser accepts presets only"), preset),
     };
-    if let Some(given) = &args.radio {
-        let medium = study::medium("--radio", given)?;
+    if let Some(radio) = &args.radio {
+        let medium = study::medium("--radio", radio)?;
         conditions::put(&medium, config.robots.unwrap_or(TEAM), &mut config.conditions)
-            .ok_or_else(|| BadInput(format!("--radio: nothing of what a team says arrives on '{given}'")))?;
+            .ok_or_else(|| BadInput(format!("--radio: none of a team's messages arrives on '{radio}'")))?;
     }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
 }
 
-/// A training from its beginning.
-fn begun(args: &Args, registry: &Registry) -> Result<Trainer> {
+/// Starts a new training.
+fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
     let plan = plan(args)?;
     let mut trainer = Trainer::new(plan, registry).map_err(|e| match &args.config {
         Some(path) => BadInput(format!("the training configuration '{}': {e}", path.display())),
@@ -253,16 +254,16 @@ fn begun(args: &Args, registry: &Registry) -> Result<Trainer> {
     if let Some(path) = &args.from {
         let wrong = |why: String| BadInput(format!("cannot begin with '{}': {why}", path.display()));
         let bytes = read_bytes(path, "policy file")?;
-        trainer.begin_with(&bytes).map_err(|e| wrong(e.to_string()))?;
+        trainer.initialize_from(&bytes).map_err(|e| wrong(e.to_string()))?;
     }
     Ok(trainer)
 }
 
-/// The training of the folder, if it is the one that the flags ask for.
-fn resumed(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
+/// Resumes the training in the folder; refused if it does not match the flags.
+fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
     let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
     let bytes = std::fs::read(folder.checkpoint())
-        .map_err(|e| wrong(format!("{e}; leave --resume out to begin a training")))?;
+        .map_err(|e| wrong(format!("{e}; leave out --resume to start a training")))?;
     let trainer = Trainer::resume(&bytes, registry).map_err(|e| wrong(unquoted(&e.to_string())))?;
     let theirs = trainer.plan();
     let ours = plan(args)?;
@@ -279,7 +280,7 @@ fn resumed(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer>
         other("the preset", &theirs.preset, &ours.preset)?;
     }
     if (args.preset.is_some() || args.config.is_some()) && theirs.config != ours.config {
-        return Err(wrong("its configuration is another one; see config.toml beside it".to_owned()).into());
+        return Err(wrong("its configuration differs; see config.toml beside it".to_owned()).into());
     }
     Ok(trainer)
 }
@@ -288,10 +289,10 @@ fn bar(quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();
     }
-    // On anything but a terminal it draws nothing, and lines are said in its place.
+    // If stderr is not a terminal the bar draws nothing, and lines are printed instead.
     let bar = ProgressBar::new(1000);
     let template = "{bar:24} {percent:>3} %  {msg}, {eta} left";
-    bar.set_style(ProgressStyle::with_template(template).expect("the template is sound"));
+    bar.set_style(ProgressStyle::with_template(template).expect("the template is valid"));
     bar.enable_steady_tick(Duration::from_millis(500));
     bar
 }

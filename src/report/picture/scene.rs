@@ -5,7 +5,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::Phase;
 use crate::report::episode::Episode;
 use crate::report::trial::{Hearing, Step};
-use crate::scenario::judge::{Judge, Seen, Verdict};
+use crate::scenario::judge::{Judge, JudgedRobot, Verdict};
 use crate::scenario::{Arena, Rules};
 use crate::time::{Span, Time};
 
@@ -122,12 +122,15 @@ impl<'a> Scene<'a> {
         frames.extend(before.map(|step| frame(Span::ZERO, step)));
         for step in steps {
             let after = time(step).since(began);
-            let seen: Vec<Seen> =
-                step.samples.iter().map(|s| Seen { position: s.motion.position, contacts: s.contacts }).collect();
+            let seen: Vec<JudgedRobot> = step
+                .samples
+                .iter()
+                .map(|s| JudgedRobot { position: s.motion.position, contacts: s.contacts })
+                .collect();
             for ((arrived, task), seen) in arrived.iter_mut().zip(stage.tasks).zip(&seen) {
                 *arrived |= (task.goal - seen.position).norm() <= stage.rules.arrival_m;
             }
-            let over = judge.see(after, &seen).is_some();
+            let over = judge.update(after, &seen).is_some();
             let touches = contact.is_none().then(|| touching(&stage, after, &seen)).flatten();
             let due = frames.last().is_none_or(|last| last.time + FRAME <= after);
             if due || over || touches.is_some() {
@@ -217,7 +220,7 @@ fn links(hearing: &[Hearing]) -> Vec<Link> {
 }
 
 /// What the judge would fail an episode for at this instant.
-fn touching(stage: &Stage, after: Span, seen: &[Seen]) -> Option<Contact> {
+fn touching(stage: &Stage, after: Span, seen: &[JudgedRobot]) -> Option<Contact> {
     if let Some(robot) = seen.iter().position(|robot| robot.contacts.wall) {
         return Some(Contact::Wall(after, robot, seen[robot].position));
     }

@@ -11,7 +11,7 @@ use murmurate::time::Span;
 pub const GIVE_WAY: Entry = Entry {
     name: "give-way",
     about: "straight to the goal, and whoever is nearer to it goes first",
-    build: |_| Ok(Model::own("give-way", INTERFACE, |_| Box::new(GiveWay))),
+    build: |_| Ok(Model::custom("give-way", INTERFACE, |_| Box::new(GiveWay))),
 };
 
 const INTERFACE: Interface = Interface {

@@ -24,7 +24,7 @@ struct Round {
 fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = settings.robots.unwrap_or(5);
     if !(1..=8).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: ROUND.name, least: 1, most: 8, robots });
+        return Err(ScenarioError::Robots { scenario: ROUND.name, min: 1, max: 8, robots });
     }
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: ROUND.name, gap_m, hint: "; it has no walls" });

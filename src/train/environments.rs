@@ -1,7 +1,7 @@
-//! Many teams side by side: their worlds, tasks, conditions and memories of what was said. The dynamics are those
-//! of `world::kinematic`, the reward that of the scenario; nothing of either is written twice.
+//! Vectorized environments: the worlds, tasks, conditions and messages of many teams. The dynamics are those of
+//! `world::kinematic`, the reward that of the scenario; neither is implemented a second time.
 //!
-//! A row is as many robots as the configured team; it is one team, or several that know nothing of each other.
+//! A row has as many robots as the configured team. It is one team, or several that do not interact.
 
 use std::sync::Arc;
 
@@ -10,77 +10,77 @@ use serde::{Deserialize, Serialize};
 
 use super::conditions::Episode;
 use super::config::{Conditions, Reward};
-use super::radio::Radio;
-use super::reward::{Part, crowding, earn};
+use super::message_buffer::MessageBuffer;
+use super::reward::{RobotStep, proximity_penalty, robot_reward};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random;
 use crate::random::Stream;
-use crate::scenario::{Scenario, Scored, Stage};
+use crate::scenario::{Scenario, Stage, TeamAfterStep};
 use crate::world::kinematic::{self, PERIOD};
 use crate::world::{Clamp, Physics};
 
-/// One team and its episode.
+/// A team and the state of its episode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Team {
-    /// Its first robot's place in the crowd.
+    /// Index of its first robot among all robots.
     pub first: usize,
-    /// How many robots it has.
+    /// Number of robots.
     pub robots: usize,
-    /// Steps of the episode so far.
+    /// Number of steps of the episode so far.
     pub step: u32,
-    /// What this episode is like.
+    /// Conditions of the episode.
     pub episode: Episode,
-    /// What was said in it.
-    pub radio: Radio,
-    /// Whether anything was touched.
+    /// Messages of the episode.
+    pub messages: MessageBuffer,
+    /// Whether any robot has touched a wall or, with deployed physics, another robot.
     pub touched: bool,
-    /// What it has earned, mean over its robots.
-    pub earned: f32,
-    /// Which layout it drives: the scenario's seed and episode.
+    /// Return of the episode so far, mean over robots.
+    pub episode_return: f32,
+    /// Seed and episode from which the scenario makes the layout.
     layout: (u64, u32),
 }
 
 impl Team {
-    /// The places of its robots.
+    /// Indices of its robots among all robots.
     pub fn range(&self) -> std::ops::Range<usize> {
         self.first..self.first + self.robots
     }
 }
 
-/// Teams side by side, everything of a robot in its place of each list.
+/// The environments of many teams. Each list has one entry per robot unless it says otherwise.
 #[derive(Clone, Debug)]
-pub struct Crowd {
-    /// The teams, by their first robot.
+pub struct Environments {
+    /// The teams, in the order of their robots.
     pub teams: Vec<Team>,
-    /// True positions \[m\].
+    /// True positions \[m\], world frame.
     pub position: Vec<Vec2>,
-    /// True velocities \[m/s\].
+    /// True velocities \[m/s\], world frame.
     pub velocity: Vec<Vec2>,
-    /// What each touched in the last step.
+    /// Contacts in the last step.
     pub contacts: Vec<Contacts>,
-    /// What each is to do.
+    /// Tasks.
     pub tasks: Vec<Task>,
-    /// How far each has come.
+    /// Stages of the scenario's reward.
     pub stage: Vec<Stage>,
-    /// Who has arrived.
+    /// Whether each robot has arrived.
     pub arrived: Vec<bool>,
-    /// How far each has to go \[m\], along its way.
+    /// Lengths of the remaining paths \[m\].
     pub to_go_m: Vec<f32>,
-    /// What each earned in the last step.
-    pub earned: Vec<f32>,
-    /// By team size: the scenario for so many robots.
+    /// Rewards of the last step.
+    pub reward: Vec<f32>,
+    /// Scenarios, indexed by team size.
     scenarios: Vec<Option<Arc<dyn Scenario>>>,
-    /// By team.
+    /// Physical parameters, one entry per team.
     physics: Vec<Physics>,
     before: Vec<Vec2>,
     command: Vec<Vec2>,
-    /// What the scenario says of each after the last step.
-    reward: Vec<f32>,
+    /// The scenario's own rewards of the last step.
+    scenario_reward: Vec<f32>,
     reached: Vec<bool>,
 }
 
-/// What of a crowd is to be remembered for going on exactly.
+/// State of environments from which they continue exactly.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Snapshot {
     teams: Vec<Team>,
@@ -91,43 +91,52 @@ pub struct Snapshot {
     to_go_m: Vec<f32>,
 }
 
-impl Crowd {
-    /// Rows of robots, split into teams by `groups`, which rows take in turn. Every team still has to `start`.
-    pub fn new(rows: usize, groups: &[Vec<usize>], scenarios: &[Arc<dyn Scenario>]) -> Crowd {
-        let most = scenarios.iter().map(|scenario| scenario.robots()).max().unwrap_or(0);
-        let mut by_size = vec![None; most + 1];
+impl Environments {
+    /// Makes rows of robots. Each entry of `groups` has the sizes of the teams of a row; rows take the entries in turn.
+    /// `start` or `place` has to be called for every team.
+    pub fn new(rows: usize, groups: &[Vec<usize>], scenarios: &[Arc<dyn Scenario>]) -> Environments {
+        let largest = scenarios.iter().map(|scenario| scenario.robots()).max().unwrap_or(0);
+        let mut by_size = vec![None; largest + 1];
         scenarios.iter().for_each(|scenario| by_size[scenario.robots()] = Some(Arc::clone(scenario)));
         let mut teams = Vec::new();
         let mut robots = 0;
         for row in 0..rows {
             for &size in &groups[row % groups.len()] {
-                let (episode, mut radio) = (Episode::perfect(size), Radio::default());
-                radio.restart(size, true);
-                let (step, touched, earned, layout) = (0, false, 0.0, (0, 0));
-                teams.push(Team { first: robots, robots: size, step, episode, radio, touched, earned, layout });
+                let (episode, mut messages) = (Episode::perfect(size), MessageBuffer::default());
+                messages.restart(size, true);
+                teams.push(Team {
+                    first: robots,
+                    robots: size,
+                    step: 0,
+                    episode,
+                    messages,
+                    touched: false,
+                    episode_return: 0.0,
+                    layout: (0, 0),
+                });
                 robots += size;
             }
         }
-        let nothing = Task { start: Vec2::zeros(), goal: Vec2::zeros() };
+        let no_task = Task { start: Vec2::zeros(), goal: Vec2::zeros() };
         let physics = |team: &Team| {
             let scenario = by_size[team.robots].as_ref().expect("there is a scenario for every team size");
             team.episode.physics(scenario.arena())
         };
-        Crowd {
+        Environments {
             physics: teams.iter().map(physics).collect(),
             teams,
             position: vec![Vec2::zeros(); robots],
             velocity: vec![Vec2::zeros(); robots],
             contacts: vec![Contacts::default(); robots],
-            tasks: vec![nothing; robots],
+            tasks: vec![no_task; robots],
             stage: vec![Stage(0); robots],
             arrived: vec![false; robots],
             to_go_m: vec![0.0; robots],
-            earned: vec![0.0; robots],
+            reward: vec![0.0; robots],
             scenarios: by_size,
             before: vec![Vec2::zeros(); robots],
             command: vec![Vec2::zeros(); robots],
-            reward: vec![0.0; robots],
+            scenario_reward: vec![0.0; robots],
             reached: vec![false; robots],
         }
     }
@@ -137,18 +146,18 @@ impl Crowd {
         &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario")
     }
 
-    /// Begins an episode of a team, with a layout and conditions drawn from `stream`.
+    /// Starts an episode of a team, with a layout and conditions drawn from `stream`.
     pub fn start(&mut self, team: usize, conditions: &Conditions, stream: &mut Stream) {
         let episode = Episode::draw(conditions, self.teams[team].robots, stream);
-        // Either side of the arena.
+        // An even or an odd episode, as these start on different sides of the arena.
         let layout = (stream.next_u64(), stream.random_range(0..2));
         self.place(team, layout, episode, stream);
     }
 
-    /// Begins an episode of a team: one of the scenario's layouts, under these conditions.
+    /// Starts an episode of a team with the layout of this seed and episode, under these conditions.
     pub fn place(&mut self, team: usize, layout: (u64, u32), episode: Episode, stream: &mut Stream) {
         let tasks = self.scenario(team).tasks(layout.0, layout.1);
-        self.settle(team, layout, &tasks, episode);
+        self.set_episode(team, layout, &tasks, episode);
         for (index, task) in tasks.iter().enumerate() {
             let robot = self.teams[team].first + index;
             self.position[robot] = task.start;
@@ -159,12 +168,12 @@ impl Crowd {
             self.to_go_m[robot] = self.scenario(team).distance_to_go(task, task.start);
         }
         let team_of = &mut self.teams[team];
-        (team_of.step, team_of.touched, team_of.earned) = (0, false, 0.0);
-        team_of.radio.restart(tasks.len(), team_of.episode.lockstep);
+        (team_of.step, team_of.touched, team_of.episode_return) = (0, false, 0.0);
+        team_of.messages.restart(tasks.len(), team_of.episode.lockstep);
         self.measure(team, stream);
     }
 
-    fn settle(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: Episode) {
+    fn set_episode(&mut self, team: usize, layout: (u64, u32), tasks: &[Task], episode: Episode) {
         self.physics[team] = episode.physics(self.scenario(team).arena());
         let range = self.teams[team].range();
         self.tasks[range].copy_from_slice(tasks);
@@ -172,12 +181,12 @@ impl Crowd {
         (team.layout, team.episode) = (layout, episode);
     }
 
-    /// Whether a robot's drivetrain lags and its contacts are judged.
+    /// Whether a team has deployed physics, where contacts are judged and do not block moves.
     pub fn is_judged(&self, team: usize) -> bool {
         self.teams[team].episode.lag_s.is_some()
     }
 
-    /// Moves a team on by one step toward `actions` \[m/s\], world frame, one a robot of the crowd.
+    /// Advances a team by one step with `actions` \[m/s\], world frame, one entry per robot of all teams.
     pub fn step(&mut self, team: usize, actions: &[Vec2], weights: &Reward, limit_m_s: f32, stream: &mut Stream) {
         let range = self.teams[team].range();
         let (judged, clamp) = (self.is_judged(team), self.teams[team].episode.clamp);
@@ -198,41 +207,44 @@ impl Crowd {
         let tasks = &self.tasks[range.clone()];
         if weights.scenario > 0.0 {
             let (velocity, stage) = (&self.velocity[range.clone()], &mut self.stage[range.clone()]);
-            let after = Scored { tasks, position, velocity, contacts, stage };
-            scenario.rewards(after, &mut self.reward[range.clone()]);
+            let after = TeamAfterStep { tasks, position, velocity, contacts, stage };
+            scenario.rewards(after, &mut self.scenario_reward[range.clone()]);
         }
         scenario.arrivals(tasks, position, &mut self.reached[range.clone()]);
-        let found = self.reward[range.clone()].iter().zip(&self.reached[range.clone()]);
+        let scored = self.scenario_reward[range.clone()].iter().zip(&self.reached[range.clone()]);
         let progress = self.to_go_m[range.clone()].iter_mut().zip(&mut self.arrived[range.clone()]);
-        let progress = progress.zip(&mut self.earned[range.clone()]);
-        let states = tasks.iter().zip(position).zip(contacts).zip(found).zip(progress).enumerate();
+        let progress = progress.zip(&mut self.reward[range.clone()]);
+        let states = tasks.iter().zip(position).zip(contacts).zip(scored).zip(progress).enumerate();
         let (mut sum, mut touched) = (0.0, false);
-        for (robot, ((((task, &at), &contacts), (&reward, &reached)), ((to_go_m, arrived), earned))) in states {
-            *earned = earn(weights, scenario, Part { task, position: at, contacts, reward, reached, to_go_m, arrived });
+        for (robot, ((((task, &at), &contacts), scored), ((to_go_m, arrived), reward))) in states {
+            let (&scenario_reward, &reached) = scored;
+            let step = RobotStep { task, position: at, contacts, scenario_reward, reached, to_go_m, arrived };
+            *reward = robot_reward(weights, scenario, step);
             if weights.proximity > 0.0 {
-                *earned -= crowding(weights, robot, position);
+                *reward -= proximity_penalty(weights, robot, position);
             }
-            sum += *earned;
+            sum += *reward;
             touched |= contacts.wall || (judged && contacts.robot);
         }
         let mean = sum / range.len() as f32;
         if weights.shared > 0.0 {
-            for earned in &mut self.earned[range] {
-                *earned += weights.shared * (mean - *earned);
+            for reward in &mut self.reward[range] {
+                *reward += weights.shared * (mean - *reward);
             }
         }
         let team_of = &mut self.teams[team];
         team_of.touched |= touched;
-        team_of.earned += mean;
+        team_of.episode_return += mean;
         team_of.step += 1;
         if !team_of.episode.lockstep {
             self.measure(team, stream);
         }
     }
 
-    /// Every robot measures where it is. Teams in lock step need it only when they decide; all others in every step.
+    /// Draws a measurement of every robot of a team and stores it as its estimate. Teams in lock step need this only
+    /// before a decision, all others in every step.
     pub fn measure(&mut self, team: usize, stream: &mut Stream) {
-        let Team { first, robots, step, episode, radio, .. } = &mut self.teams[team];
+        let Team { first, robots, step, episode, messages, .. } = &mut self.teams[team];
         for robot in 0..*robots {
             let mut motion =
                 Motion { position: self.position[*first + robot], velocity: self.velocity[*first + robot] };
@@ -243,14 +255,14 @@ impl Crowd {
             };
             noise(episode.position_noise_m, &mut motion.position);
             noise(episode.velocity_noise_m_s, &mut motion.velocity);
-            radio.remember(*step, robot, &motion);
+            messages.store(*step, robot, &motion);
         }
     }
 
-    /// What a robot, by its place in the crowd, measures of itself.
+    /// The current estimate of a robot, by its index among all robots.
     pub fn estimate(&self, team: usize, robot: usize) -> Motion {
         let team = &self.teams[team];
-        team.radio.estimate(team.step, robot - team.first)
+        team.messages.estimate(team.step, robot - team.first)
     }
 
     /// Whether all robots of a team have arrived.
@@ -258,12 +270,12 @@ impl Crowd {
         self.arrived[self.teams[team].range()].iter().all(|&arrived| arrived)
     }
 
-    /// Seconds since a team's episode began \[s\].
+    /// Time since the start of a team's episode \[s\].
     pub fn elapsed_s(&self, team: usize) -> f32 {
         self.teams[team].step as f32 * PERIOD.as_secs() as f32
     }
 
-    /// What is needed to go on exactly from here.
+    /// Returns the state from which `restore` continues exactly.
     pub fn snapshot(&self) -> Snapshot {
         let pairs = |vectors: &[Vec2]| vectors.iter().map(|v| [v.x, v.y]).collect();
         Snapshot {
@@ -276,7 +288,7 @@ impl Crowd {
         }
     }
 
-    /// Goes on from a snapshot of a crowd of the same rows and groups; whether it is one.
+    /// Restores a snapshot. Returns `false` if it is not of environments with the same rows and groups.
     pub fn restore(&mut self, snapshot: Snapshot) -> bool {
         let shape = |teams: &[Team]| teams.iter().map(|team| (team.first, team.robots)).collect::<Vec<_>>();
         let robots = self.position.len();
@@ -299,7 +311,7 @@ impl Crowd {
         for team in 0..self.teams.len() {
             let Team { layout, episode, .. } = self.teams[team].clone();
             let tasks = self.scenario(team).tasks(layout.0, layout.1);
-            self.settle(team, layout, &tasks, episode);
+            self.set_episode(team, layout, &tasks, episode);
         }
         true
     }

@@ -1,0 +1,118 @@
+//! Messages that the robots of a team hold at each decision, with the message timing of the actor graph but without
+//! actors.
+//!
+//! Robot j sends at its own phase in every step. A message arrives after a delay or is lost. It is kept if its sender
+//! was in range when it arrived. It replaces an older one and is used for the hold time from its arrival.
+
+use rand::RngExt;
+
+use super::conditions::{Connectivity, Episode};
+use crate::hearing::CommRange;
+use crate::messages::geometry::{Motion, Vec2};
+use crate::random::Stream;
+use crate::world::kinematic::PERIOD;
+
+/// Number of past steps with stored estimates: enough for the longest delay plus the longest hold time, and one more.
+pub const HISTORY_STEPS: usize = 24;
+
+/// Estimates of a team over its last steps, and the newest message that each robot holds of each other.
+#[derive(Clone, Debug, Default, serde::Serialize, serde::Deserialize)]
+pub struct MessageBuffer {
+    robots: usize,
+    /// Number of steps with stored estimates.
+    history: usize,
+    /// Estimates \[x, y, vx, vy\], by step modulo `history`, then by robot.
+    estimates: Vec<[f32; 4]>,
+    /// Step of the newest held message, by receiver, then by sender.
+    held: Vec<Option<u32>>,
+}
+
+/// A message that a robot uses in a decision.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HeldMessage {
+    /// Index of the sender in the team.
+    pub sender: usize,
+    /// Step in which it was sent.
+    pub step: u32,
+    /// Time since its arrival \[s\].
+    pub age_s: f32,
+}
+
+impl MessageBuffer {
+    /// Removes all messages and estimates. In lock step, only the current step's estimates are stored.
+    pub fn restart(&mut self, robots: usize, lockstep: bool) {
+        self.robots = robots;
+        self.history = if lockstep { 1 } else { HISTORY_STEPS };
+        self.estimates.clear();
+        self.estimates.resize(robots * self.history, [0.0; 4]);
+        self.held.clear();
+        self.held.resize(robots * robots, None);
+    }
+
+    /// Stores a robot's estimate in a step.
+    pub fn store(&mut self, step: u32, robot: usize, estimate: &Motion) {
+        let (p, v) = (estimate.position, estimate.velocity);
+        self.estimates[step as usize % self.history * self.robots + robot] = [p.x, p.y, v.x, v.y];
+    }
+
+    /// A robot's estimate in a step that is still stored.
+    pub fn estimate(&self, step: u32, robot: usize) -> Motion {
+        let [x, y, vx, vy] = self.estimates[step as usize % self.history * self.robots + robot];
+        Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) }
+    }
+
+    /// Draws the arrivals of messages at robot `receiver` up to its action in `step`, and calls `each` with every
+    /// message that it uses, in the order of senders.
+    pub fn receive(
+        &mut self,
+        episode: &Episode,
+        radius_m: f32,
+        step: u32,
+        receiver: usize,
+        stream: &mut Stream,
+        mut each: impl FnMut(&MessageBuffer, HeldMessage),
+    ) {
+        let period = PERIOD.as_secs() as f32;
+        let range = match episode.connectivity {
+            Connectivity::Radius => CommRange { mean_m: radius_m, std_m: episode.range_std_m },
+            Connectivity::Everyone => CommRange::fixed(f32::INFINITY),
+        };
+        for sender in (0..self.robots).filter(|&sender| sender != receiver) {
+            if episode.lockstep {
+                if self.in_range(&range, (step, receiver), (step, sender), stream) {
+                    each(self, HeldMessage { sender, step, age_s: 0.0 });
+                }
+                continue;
+            }
+            let edge = receiver * self.robots + sender;
+            let (delay_s, loss) = episode.edges[edge];
+            // Times of the message's arrival and of the receiver's action, from the start of the sender's and its own
+            // step.
+            let (arrival_s, now_s) = (episode.phase_s[sender] + delay_s, episode.phase_s[receiver]);
+            let newest = i64::from(step) - ((arrival_s - now_s) / period).ceil() as i64;
+            let oldest = i64::from(step) - ((episode.hold_s + arrival_s - now_s) / period).floor() as i64;
+            let held = self.held[edge].map_or(-1, i64::from);
+            for sent in (oldest.max(held + 1).max(0)..=newest).rev() {
+                let lost = loss > 0.0 && stream.random::<f32>() < loss;
+                let sent = sent as u32;
+                let arrived = sent + (arrival_s / period) as u32;
+                if !lost && self.in_range(&range, (arrived.min(step), receiver), (sent, sender), stream) {
+                    self.held[edge] = Some(sent);
+                    break;
+                }
+            }
+            if let Some(sent) = self.held[edge] {
+                let age_s = (step - sent) as f32 * period + now_s - arrival_s;
+                if age_s <= episode.hold_s {
+                    each(self, HeldMessage { sender, step: sent, age_s });
+                }
+            }
+        }
+    }
+
+    /// Whether the sender in one step is in range of the receiver in another; each is (step, robot).
+    fn in_range(&self, range: &CommRange, receiver: (u32, usize), sender: (u32, usize), stream: &mut Stream) -> bool {
+        let at = |(step, robot): (u32, usize)| self.estimate(step, robot).position;
+        range.admits(at(receiver), at(sender), stream)
+    }
+}
