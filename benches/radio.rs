@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
-use murmurate::net::media::radio::{Channel, Radio, To, Topology};
+use murmurate::net::media::radio::{Channel, Destination, Radio, Topology};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
 
@@ -20,7 +20,7 @@ fn saturated(bencher: Bencher, stations: u16) {
         let radio = Radio { channel: Topology::AdHoc, ..Radio::default() };
         let mut channel = Channel::new(radio, stations, &Seed::of_run(1));
         for station in 0..stations {
-            channel.saturate(Time::ZERO, station, To::One((station + 1) % stations), 300, ());
+            channel.saturate(Time::ZERO, station, Destination::One((station + 1) % stations), 300, ());
         }
         let mut arrived = Vec::new();
         channel.wake(end, &mut arrived);
@@ -41,7 +41,7 @@ fn team(bencher: Bencher, robots: u16) {
         for step in 0..200 * u64::from(robots) {
             let now = Time::ZERO + Span::from_nanos(step * 50_000_000 / u64::from(robots));
             channel.wake(now, &mut arrived);
-            channel.offer(now, (step % u64::from(robots)) as u16, To::Many(Arc::clone(&all)), 300, ());
+            channel.offer(now, (step % u64::from(robots)) as u16, Destination::Many(Arc::clone(&all)), 300, ());
             arrived.clear();
         }
         channel.counts(Time::ZERO).transmissions

@@ -7,7 +7,7 @@ use super::medium::Air;
 use super::outcome::{Outcome, Tally};
 use super::rtps::Rtps;
 use super::talk::{self, Schedule};
-use crate::net::media::radio::To;
+use crate::net::media::radio::Destination;
 use crate::random::Seed;
 use crate::time::{Span, Time};
 
@@ -40,7 +40,7 @@ struct Emulation<E: Endpoint> {
     schedules: Vec<Schedule>,
     /// When each station looks at what it has.
     steps: Vec<Time>,
-    everyone: To,
+    everyone: Destination,
     tally: Tally,
     over: Time,
 }
@@ -65,7 +65,7 @@ impl<E: Endpoint> Emulation<E> {
             ends: (0..n).map(end).collect(),
             schedules: (0..n).map(|at| Schedule::new(Time::ZERO, at, (n, case.rate), seed)).collect(),
             steps: talk::phases(n, STEP, seed).into_iter().map(|phase| window.0 + phase).collect(),
-            everyone: To::Many((0..n).collect()),
+            everyone: Destination::Many((0..n).collect()),
             tally: Tally::new(n, window),
             over: window.1 + DRAIN,
         }
@@ -131,7 +131,7 @@ impl<E: Endpoint> Emulation<E> {
         air: &mut Air<E::Packet>,
         tally: &mut Tally,
         (now, station): (Time, u16),
-        (everyone, addressing): (&To, Addressing),
+        (everyone, addressing): (&Destination, Addressing),
         said: &mut Vec<Said<E::Packet>>,
     ) {
         for said in said.drain(..) {
@@ -139,13 +139,13 @@ impl<E: Endpoint> Emulation<E> {
                 Said::Hear { from, sequence } => tally.heard(now, station, from, sequence),
                 Said::Send { to: Some(to), bytes, packet } => {
                     tally.sent(now, 1, bytes);
-                    air.offer(now, station, To::One(to), bytes, packet);
+                    air.offer(now, station, Destination::One(to), bytes, packet);
                 }
                 Said::Send { to: None, bytes, packet } => match (addressing, everyone) {
-                    (Addressing::Unicast, To::Many(all)) => {
+                    (Addressing::Unicast, Destination::Many(all)) => {
                         for &to in all.iter().filter(|to| **to != station) {
                             tally.sent(now, 1, bytes);
-                            air.offer(now, station, To::One(to), bytes, packet.clone());
+                            air.offer(now, station, Destination::One(to), bytes, packet.clone());
                         }
                     }
                     (_, everyone) => {

@@ -63,7 +63,7 @@ impl Growth {
         let latents = cost.kinds.iter().find(|kind| kind.kind == Kind::Latent).expect("all kinds are counted");
         let on_air = |radio: &Radio| {
             let datagram_bytes = (latents.bytes / latents.messages.max(f64::MIN_POSITIVE)).round() as usize + TAG_BYTES;
-            latents.messages * (radio.multicast_airtime(datagram_bytes) + radio.times().space).as_secs()
+            latents.messages * (radio.multicast_airtime(datagram_bytes) + radio.times().aifs).as_secs()
         };
         let airtime = radio.filter(|_| cost.deliveries > 0.0).map(on_air);
         Growth {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::shaped::{Links, Shaped};
 use crate::config::{self, ConfigError};
-use crate::net::media::radio::{self, Channel, Delivery, Radio, To};
+use crate::net::media::radio::{self, Channel, Delivery, Destination, Radio};
 use crate::random::Seed;
 use crate::time::Time;
 
@@ -73,7 +73,7 @@ impl<T: Clone> Air<T> {
     }
 
     /// A station is given a datagram of so many bytes to send.
-    pub fn offer(&mut self, now: Time, from: u16, to: To, bytes: usize, token: T) {
+    pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         match self {
             Air::Radio(channel) => channel.offer(now, from, to, bytes, token),
             Air::Shaped(links) => links.offer(now, from, to, bytes, token),

@@ -40,8 +40,8 @@ impl Load {
     /// A team of so many robots with datagrams of so many bytes.
     pub fn of(radio: &Radio, addressing: Addressing, robots: usize, datagram_bytes: usize) -> Load {
         let times = radio.times();
-        let unicast = (radio.frame_airtime(datagram_bytes) + times.acknowledged + times.space).as_secs();
-        let spread = (radio.multicast_airtime(datagram_bytes) + times.space).as_secs();
+        let unicast = (radio.frame_airtime(datagram_bytes) + times.acknowledged + times.aifs).as_secs();
+        let spread = (radio.multicast_airtime(datagram_bytes) + times.aifs).as_secs();
         let neighbours = f64::from(NEIGHBOURS);
         // An access point sends everything a second time.
         let (frames, taken, again) = match addressing {
@@ -55,7 +55,7 @@ impl Load {
                 // Nobody acknowledges, so no window grows.
                 let lengths = Lengths {
                     slot: times.slot,
-                    success: frame + times.propagation + times.space,
+                    success: frame + times.propagation + times.aifs,
                     collision: frame + times.propagation + times.recovery,
                     payload: radio.payload_airtime(datagram_bytes),
                 };

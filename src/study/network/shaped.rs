@@ -7,7 +7,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use crate::config::ConfigError;
-use crate::net::media::radio::{Delivery, To};
+use crate::net::media::radio::{Delivery, Destination};
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
@@ -87,7 +87,7 @@ pub struct Links<T> {
     shaped: Shaped,
     senders: Vec<Sender>,
     /// By arrival, in the order in which they were offered.
-    under_way: BTreeMap<(Time, u64), (u16, To, T)>,
+    under_way: BTreeMap<(Time, u64), (u16, Destination, T)>,
     offered: u64,
     loss: Stream,
     sent_bytes: f64,
@@ -109,7 +109,7 @@ impl<T: Clone> Links<T> {
     }
 
     /// A station is given a datagram of so many bytes to send.
-    pub fn offer(&mut self, now: Time, from: u16, to: To, bytes: usize, token: T) {
+    pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         let length = bytes + self.shaped.overhead_bytes;
         let sender = &mut self.senders[usize::from(from)];
         while let Some(&(left, length)) = sender.queue.front().filter(|(left, _)| *left <= now) {
@@ -145,11 +145,11 @@ impl<T: Clone> Links<T> {
             let ((at, _), (from, to, token)) = first.remove_entry();
             let one;
             let listeners: &[u16] = match &to {
-                To::One(to) => {
+                Destination::One(to) => {
                     one = [*to];
                     &one
                 }
-                To::Many(all) => all,
+                Destination::Many(all) => all,
             };
             for &to in listeners.iter().filter(|to| **to != from) {
                 if self.shaped.loss == 0.0 || !self.loss.random_bool(self.shaped.loss) {
@@ -177,9 +177,9 @@ mod tests {
     #[test]
     fn a_burst_leaves_at_once_and_the_rest_at_the_rate() {
         let mut links = links(10_000, 0.0);
-        let all: To = To::Many([0, 1, 2].into());
+        let all: Destination = Destination::Many([0, 1, 2].into());
         (0..3).for_each(|token| links.offer(Time::ZERO, 0, all.clone(), 500, token));
-        links.offer(Time::ZERO, 1, To::One(2), 500, 9);
+        links.offer(Time::ZERO, 1, Destination::One(2), 500, 9);
         let mut deliveries = Vec::new();
         links.wake(Time::MAX, &mut deliveries);
         let at = |token: u8| deliveries.iter().find(|d| d.token == token).unwrap().at.as_nanos();
@@ -191,13 +191,13 @@ mod tests {
     #[test]
     fn a_full_queue_loses_and_so_does_every_receiver_by_itself() {
         let mut tight = links(1200, 0.0);
-        (0..5).for_each(|token| tight.offer(Time::ZERO, 0, To::One(1), 500, token));
+        (0..5).for_each(|token| tight.offer(Time::ZERO, 0, Destination::One(1), 500, token));
         let mut deliveries = Vec::new();
         tight.wake(Time::MAX, &mut deliveries);
         // Two leave with the tokens of the burst, two wait, one finds no room.
         assert_eq!(deliveries.len(), 4);
         let mut lossy = links(1 << 20, 0.16);
-        let all: To = To::Many([0, 1, 2].into());
+        let all: Destination = Destination::Many([0, 1, 2].into());
         deliveries.clear();
         for ms in 0..5000 {
             lossy.offer(Time::ZERO + Span::from_millis(10 * ms), 0, all.clone(), 100, 0);
