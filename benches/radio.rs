@@ -1,4 +1,4 @@
-//! The radio channel by itself: what a transmission costs, idle slots and collisions included.
+//! Benchmark of the radio channel alone: time per transmission, including idle slots and collisions.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ fn main() {
     divan::main();
 }
 
-/// Stations that always have a frame of 300 bytes: ten seconds of it, counted in transmissions.
+/// Saturated stations with frames of 300 bytes, for ten seconds. An item is a transmission.
 #[divan::bench(args = [2, 5, 20, 50])]
 fn saturated(bencher: Bencher, stations: u16) {
     let end = Time::ZERO + Span::from_millis(10_000);
@@ -29,8 +29,8 @@ fn saturated(bencher: Bencher, stations: u16) {
     bencher.counter(ItemsCount::new(run())).bench_local(|| black_box(run()));
 }
 
-/// A team that tells everybody everything 20 times a second through an access point, for ten seconds, with noise and
-/// foreign frames; counted in transmissions.
+/// Robots that each multicast 20 times a second through an access point, for ten seconds, with noise and frames of
+/// other networks. An item is a transmission.
 #[divan::bench(args = [5, 20])]
 fn team(bencher: Bencher, robots: u16) {
     let run = || {

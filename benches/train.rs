@@ -1,7 +1,7 @@
-//! The speed of training: rollout, forward pass, update and whole iterations.
+//! Benchmark of training: rollout, forward pass, update and whole iterations.
 //!
 //! `cargo bench --bench train`. Items are steps of an environment of five robots in the first two groups, and
-//! decisions (one policy evaluation for one environment) in the last two, which take two threads.
+//! decisions (one policy evaluation for one environment) in the last two, which use two threads.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -28,7 +28,7 @@ fn preset(name: &str) -> Config {
     Config::preset(name).expect("it is a preset")
 }
 
-/// Dynamics and reward alone: 1024 environments of five robots, one thread, commands that keep them moving.
+/// Dynamics and reward only: 1024 environments of five robots, one thread, commands that keep them moving.
 #[divan::bench(args = ["scenario's reward", "published", "robust"], sample_count = 40)]
 fn rollout(bencher: Bencher, reward: &str) {
     const ENVIRONMENTS: usize = 1024;
@@ -38,7 +38,7 @@ fn rollout(bencher: Bencher, reward: &str) {
         let none = config.reward.with_penalties(0.0);
         config.reward = Reward { scenario: 1.0, progress: 0.0, shared: 0.0, ..none };
     }
-    // As the trainer has it: crowds of a chunk each go through their decisions by themselves, actions held four steps.
+    // As in the trainer: each chunk of environments makes its decisions by itself; an action holds for four steps.
     let mut stream = Seed::of_run(1).stream("bench");
     let mut crowds: Vec<Crowd> = (0..ENVIRONMENTS / CHUNK)
         .map(|chunk| {
@@ -67,7 +67,7 @@ fn rollout(bencher: Bencher, reward: &str) {
     assert!(crowds.iter().all(|crowd| crowd.teams[0].step >= 20), "every team has moved on");
 }
 
-/// The policy for 4096 environments of five robots that all hear each other, one thread, in both architectures.
+/// Forward pass for 4096 environments of five robots in range of each other, one thread, in both architectures.
 #[divan::bench(args = ["full", "published"], sample_count = 20)]
 fn forward(bencher: Bencher, architecture: &str) {
     const ENVIRONMENTS: usize = 4096;
@@ -101,7 +101,7 @@ fn forward(bencher: Bencher, architecture: &str) {
     });
 }
 
-/// A training in its stage of five robots, with so many epochs and no early stop.
+/// Returns a trainer for five robots with `epochs` epochs and no early stop.
 fn trainer(name: &str, epochs: usize) -> Trainer {
     let mut config = preset(name);
     config.curriculum = vec![Stage { until: 1.0, groups: vec![vec![5]], repeat: 4, gap_m: None, penalties: 1.0 }];
@@ -110,8 +110,8 @@ fn trainer(name: &str, epochs: usize) -> Trainer {
     Trainer::new(plan, &Registry::builtin()).expect("the preset is sound")
 }
 
-/// Whole iterations: collecting, and exactly so many passes over policy and critic. One pass takes what the second
-/// argument's iteration takes longer than the first's.
+/// Whole iterations: rollout, and `epochs` passes over policy and critic. The difference between the two arguments is
+/// the time of one pass.
 #[divan::bench(args = [("published", 2), ("published", 3), ("robust", 2), ("robust", 3)], sample_count = 8)]
 fn iteration(bencher: Bencher, (name, epochs): (&str, usize)) {
     let mut trainer = trainer(name, epochs);

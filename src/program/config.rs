@@ -1,4 +1,4 @@
-//! `murmurate config`: what a team file comes to, and whether it is sound.
+//! `murmurate config`: checks a team file, or shows the values in effect.
 
 use std::collections::BTreeSet;
 
@@ -44,7 +44,7 @@ pub struct Show {
     json: bool,
 }
 
-/// Checks or shows.
+/// Runs `config check` or `config show`.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     match args {
         Args::Check(args) => check(args, registry),
