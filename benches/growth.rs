@@ -19,15 +19,15 @@ fn main() {
 }
 
 /// Simulated time \[s\].
-const LASTS_S: usize = 10;
+const DURATION_S: usize = 10;
 
 fn team(mode: &str, robots: usize) -> Trial {
-    growth::trial(mode, robots, Span::from_secs(LASTS_S as f64)).expect("there is room for them")
+    growth::trial(mode, robots, Span::from_secs(DURATION_S as f64)).expect("there is room for them")
 }
 
 fn run(bencher: Bencher, trial: &Trial) {
     let robots = trial.deployment.robots;
-    bencher.counter(ItemsCount::new(robots * LASTS_S)).bench_local(|| trial.run());
+    bencher.counter(ItemsCount::new(robots * DURATION_S)).bench_local(|| trial.run());
 }
 
 /// One agent for all robots, on one host.

@@ -173,7 +173,7 @@ pub fn main(registry: &Registry) -> ExitCode {
 
 /// All commands and flags, with the names that the registry has.
 fn command(registry: &Registry) -> clap::Command {
-    names::put(Cli::command(), registry)
+    names::add(Cli::command(), registry)
 }
 
 fn parse(registry: &Registry) -> Result<Cli, clap::Error> {

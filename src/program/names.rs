@@ -6,8 +6,8 @@ use clap::{Arg, Command};
 use crate::registry::Registry;
 
 /// Adds the registry's names to the flags of a command and its subcommands.
-pub fn put(command: Command, registry: &Registry) -> Command {
-    command.mut_args(|arg| named(arg, registry)).mut_subcommands(|below| put(below, registry))
+pub fn add(command: Command, registry: &Registry) -> Command {
+    command.mut_args(|arg| named(arg, registry)).mut_subcommands(|below| add(below, registry))
 }
 
 fn named(arg: Arg, registry: &Registry) -> Arg {

@@ -236,7 +236,7 @@ fn plan(args: &Args) -> Result<Plan> {
     };
     if let Some(given) = &args.radio {
         let medium = study::medium("--radio", given)?;
-        conditions::put(&medium, config.robots.unwrap_or(TEAM), &mut config.conditions)
+        conditions::apply(&medium, config.robots.unwrap_or(TEAM), &mut config.conditions)
             .ok_or_else(|| BadInput(format!("--radio: nothing of what a team says arrives on '{given}'")))?;
     }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
