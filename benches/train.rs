@@ -1,7 +1,7 @@
 //! Benchmark of training: rollout, forward pass, update and whole iterations.
 //!
-//! `cargo bench --bench train`. Items are steps of an environment of five robots in the first two groups, and
-//! decisions (one policy evaluation for one environment) in the last two, which use two threads.
+//! `cargo bench --bench train`. In the first two groups an item is a step of an environment of five robots. In the last
+//! two, which use two threads, it is a decision: one policy evaluation for one environment.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -32,7 +32,7 @@ fn preset(name: &str) -> Config {
 #[divan::bench(args = ["scenario's reward", "published", "robust"], sample_count = 40)]
 fn rollout(bencher: Bencher, reward: &str) {
     const ENVIRONMENTS: usize = 1024;
-    let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
+    let passage = scenario::build("passage", &Settings::default()).expect("the default passes its check");
     let mut config = preset(if reward == "robust" { "robust" } else { "published" });
     if reward == "scenario's reward" {
         let none = config.reward.with_penalties(0.0);
@@ -107,7 +107,7 @@ fn trainer(name: &str, epochs: usize) -> Trainer {
     config.curriculum = vec![Stage { until: 1.0, groups: vec![vec![5]], repeat: 4, gap_m: None, penalties: 1.0 }];
     (config.ppo.epochs, config.ppo.kl_stop) = (epochs, f32::INFINITY);
     let plan = Plan { scenario: "passage".to_owned(), preset: name.to_owned(), config, seed: 1 };
-    Trainer::new(plan, &Registry::builtin()).expect("the preset is sound")
+    Trainer::new(plan, &Registry::builtin()).expect("the preset passes its check")
 }
 
 /// Whole iterations: rollout, and `epochs` passes over policy and critic. The difference between the two arguments is

@@ -1,5 +1,6 @@
 //! Background writer: a bounded queue to one destination (stderr, stdout, a file), written by its own thread. So the
-//! control thread never waits for a disk, a terminal or a pipe. A record that does not fit is dropped whole and counted.
+//! control thread never waits for a disk, a terminal or a pipe. A record that does not fit is dropped whole and
+//! counted.
 
 use std::collections::VecDeque;
 use std::fs::{File, OpenOptions};
@@ -14,8 +15,8 @@ use std::time::Duration;
 use nix::libc::{ENXIO, O_NONBLOCK};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
-/// Capacity of the queue \[bytes\]: twenty seconds of the trajectories of five robots (12 kB/s), or more than a thousand
-/// log lines. A worn SD card stalls for a second or two.
+/// Capacity of the queue \[bytes\]: twenty seconds of the trajectories of five robots (12 kB/s), or more than a
+/// thousand log lines. A worn SD card stalls for a second or two.
 const QUEUE_BYTES: usize = 1 << 18;
 /// Capacity of the queue \[records\], which bounds empty records, too.
 const QUEUE_RECORDS: usize = 16_384;
@@ -24,8 +25,8 @@ const QUEUE_RECORDS: usize = 16_384;
 pub enum Target {
     /// An open file descriptor.
     Open(File),
-    /// A pipe that may have no reader yet: the writer's thread opens it and waits for one. The probe descriptor keeps an
-    /// existing reader from seeing an end of file before the first record.
+    /// A pipe that may have no reader yet: the writer's thread opens it and waits for one. The probe descriptor keeps
+    /// an existing reader from seeing an end of file before the first record.
     Pipe(PathBuf, Option<File>),
 }
 

@@ -73,7 +73,7 @@ fn check(args: &Check, registry: &Registry) -> Result<Ended> {
     let keys = if seen.is_empty() { "no key".to_owned() } else { format!("key {}", Vec::from_iter(seen).join(", ")) };
     let (links, hosts) = (deployment.links.len(), hosts.len());
     let path = args.team.path().display();
-    print(&format!("{path}: sound: mode {}, {hosts} hosts, {links} links, {keys}", deployment.mode))?;
+    print(&format!("{path}: valid: mode {}, {hosts} hosts, {links} links, {keys}", deployment.mode))?;
     Ok(Ended::Done)
 }
 

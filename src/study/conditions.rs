@@ -58,7 +58,8 @@ pub fn deployed(
     match medium {
         LinkModel::Radio => deployment = deployment.with_radio(&Radio::preset(&shared.radio).expect("it is a preset")),
         LinkModel::Impaired { delay_s, loss } if delay_s > 0.0 || loss > 0.0 => {
-            deployment = deployment.impaired(Some(delay_s), Some(loss), Impair::Latent).expect("columns are sound");
+            deployment =
+                deployment.impaired(Some(delay_s), Some(loss), Impair::Latent).expect("columns pass their check");
         }
         LinkModel::Impaired { .. } => {}
     }

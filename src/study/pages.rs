@@ -38,7 +38,7 @@ fn overview(study: &Study, results: &Results) -> Result<Figure, FigureError> {
     let caption = match study.name {
         "delay" | "range" => {
             "Each point: all episodes of a column, with the 95 % Wilson interval of the success rate, or \
-                              with the quartiles of the makespans of its successes."
+             with the quartiles of the makespans of its successes."
         }
         _ => "Marks: the share of successes over all layouts and repeats; bars: its 95 % Wilson interval.",
     };
@@ -224,7 +224,7 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
     parts.push(Part::Text(
         "Success with its 95 % Wilson interval; median makespan of the successes with its quartiles; 'paper': Table \
          I of Blumenkamp et al., ICRA 2022, on real robots, where the figure is known. Failures by what came first: \
-         robots nearer to each other than the rules allow, a wall touched, too late, given up. 'within 50 ms': \
+         robots nearer to each other than the rules allow, a wall touched, too late, aborted. 'within 50 ms': \
          messages between robots that arrived within 50 ms, of all expected deliveries."
             .to_owned(),
     ));

@@ -23,8 +23,8 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// Returns a link with the range `range_m` \[m\]. A host is at the position of the first robot whose agent it runs; a
-    /// host without robots is within range of all, and so is one whose robot was not located yet.
+    /// Returns a link with the range `range_m` \[m\]. A host is at the position of the first robot whose agent it runs;
+    /// a host without robots is within range of all, and so is one whose robot was not located yet.
     pub fn new(range_m: f32, robots_of: &[Option<u16>]) -> Reach {
         let hosts = u16::try_from(robots_of.len()).expect("hosts are counted in u16");
         let robots = robots_of.iter().flatten().max().map_or(0, |&last| usize::from(last) + 1);

@@ -19,8 +19,8 @@ const IDENTITY: &str = "study.json";
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Opens or creates the folder and its subfolder `pieces` for finished jobs. Errors name `--out`: a folder cannot be
-    /// written, or belongs to another study. `difference` describes how another identity differs, if it does.
+    /// Opens or creates the folder and its subfolder `pieces` for finished jobs. Errors name `--out`: a folder cannot
+    /// be written, or belongs to another study. `difference` describes how another identity differs, if it does.
     pub fn open<I: Serialize + DeserializeOwned>(
         path: &Path,
         pieces: &str,
@@ -69,7 +69,8 @@ impl Folder {
         serde_json::from_str(&std::fs::read_to_string(self.0.join(name)).ok()?).ok()
     }
 
-    /// Writes the record of a finished job to its own file, atomically, so that an interruption loses only unfinished jobs.
+    /// Writes the record of a finished job to its own file, atomically, so that an interruption loses only unfinished
+    /// jobs.
     pub fn keep(&self, name: &str, record: &impl Serialize) -> Result<()> {
         self.write(name, serde_json::to_string(record).context("a record is JSON")?.as_bytes())
     }

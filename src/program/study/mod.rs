@@ -105,7 +105,7 @@ fn run_all(
     let there = found.iter().flatten().count();
     let bar = progress(u64::from(study.layouts.len()) * (all.len() - there) as u64, quiet);
     if there > 0 && !quiet {
-        talk(&format!("{there} of {} trials are there already", all.len()));
+        talk(&format!("{there} of {} trials are finished already", all.len()));
     }
     let work = |at: usize| -> Result<Option<Record>> {
         let job = all[at];

@@ -36,7 +36,7 @@ struct Emulation<E: Endpoint> {
     addressing: Addressing,
     stations: u16,
     medium: MediumEmulator<E::Packet>,
-    ends: Vec<E>,
+    endpoints: Vec<E>,
     schedules: Vec<Schedule>,
     /// Time of each station's next control step.
     steps: Vec<Time>,
@@ -62,7 +62,7 @@ impl<E: Endpoint> Emulation<E> {
             addressing: case.addressing,
             stations: n,
             medium: MediumEmulator::new(sweep.medium_of(case), n, &seed.child("medium")),
-            ends: (0..n).map(end).collect(),
+            endpoints: (0..n).map(end).collect(),
             schedules: (0..n).map(|at| Schedule::new(Time::ZERO, at, (n, case.rate), seed)).collect(),
             steps: traffic::phases(n, STEP, seed).into_iter().map(|phase| window.0 + phase).collect(),
             everyone: Destination::Many((0..n).collect()),
@@ -87,7 +87,7 @@ impl<E: Endpoint> Emulation<E> {
                 Due::Medium => {
                     self.medium.wake(now, &mut deliveries);
                     for delivery in deliveries.drain(..) {
-                        self.ends[usize::from(delivery.to)].receive(delivery.at, &delivery.token, &mut outputs);
+                        self.endpoints[usize::from(delivery.to)].receive(delivery.at, &delivery.token, &mut outputs);
                         Self::act(
                             &mut self.medium,
                             &mut self.tally,
@@ -98,11 +98,11 @@ impl<E: Endpoint> Emulation<E> {
                     }
                     continue;
                 }
-                Due::Wake(at) => self.ends[usize::from(at)].wake(now, &mut outputs),
+                Due::Wake(at) => self.endpoints[usize::from(at)].wake(now, &mut outputs),
                 Due::Publish(at) => {
                     let sequence = self.schedules[usize::from(at)].publish();
                     self.tally.published(now, at, sequence);
-                    self.ends[usize::from(at)].publish(now, sequence, &mut outputs);
+                    self.endpoints[usize::from(at)].publish(now, sequence, &mut outputs);
                 }
                 Due::Step(at) => {
                     self.tally.step(now, at);
@@ -125,7 +125,8 @@ impl<E: Endpoint> Emulation<E> {
 
     /// Returns the next event.
     fn next(&self) -> (Time, Due) {
-        let wakes = (0..self.stations).zip(&self.ends).filter_map(|(at, end)| Some((end.wake_at()?, Due::Wake(at))));
+        let wakes =
+            (0..self.stations).zip(&self.endpoints).filter_map(|(at, end)| Some((end.wake_at()?, Due::Wake(at))));
         let publications =
             (0..self.stations).zip(&self.schedules).map(|(at, schedule)| (schedule.next(), Due::Publish(at)));
         let steps = (0..self.stations).zip(&self.steps).map(|(at, step)| (*step, Due::Step(at)));

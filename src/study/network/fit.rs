@@ -338,7 +338,7 @@ impl Observed {
         if self.network == NetworkKind::Shaped {
             Err("it is of shaped links, and only a radio can be fitted".to_owned())
         } else if !figures[..3].iter().all(share) || !figures[3..].iter().all(delay) {
-            Err("a share is not 0 to 1, or a delay is no positive number".to_owned())
+            Err("a share is not 0 to 1, or a delay is not a positive number".to_owned())
         } else if figures.iter().all(Option::is_none) {
             Err("it has none of delivered, within_20ms, within_50ms, p50_ms and p90_ms".to_owned())
         } else {

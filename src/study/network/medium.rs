@@ -35,7 +35,8 @@ impl Medium {
         radio::PRESETS.into_iter().chain([SHAPED]).collect::<Vec<_>>().join(", ")
     }
 
-    /// Reads a medium from TOML and checks it: a radio, or shaped links if there is `rate_bit_s`. An error names the field.
+    /// Reads a medium from TOML and checks it: a radio, or shaped links if there is `rate_bit_s`. An error names the
+    /// field.
     pub fn from_toml(text: &str) -> Result<Medium, ConfigError> {
         let table: toml::Table = config::from_toml(text)?;
         if !table.contains_key("rate_bit_s") {

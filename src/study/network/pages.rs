@@ -147,8 +147,8 @@ impl Findings<'_> {
             title: format!("Over the rate: {}", group.title),
             caption:
                 "Horizontal: message rate of all stations together. Above: shares of all expected deliveries that \
-                                      arrived within 20 ms, and at all. Below: share of time in which the medium was busy; age of the \
-                                      newest message of another station at the control steps, every 50 ms."
+                 arrived within 20 ms, and at all. Below: share of time in which the medium was busy; age of the \
+                 newest message of another station at the control steps, every 50 ms."
                     .to_owned(),
             svg: figures::sweep(&group.title, "messages/s", &places, &panels)?,
         })

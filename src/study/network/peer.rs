@@ -38,8 +38,8 @@ pub struct Task {
 pub struct StationResult {
     /// Messages published in the window.
     pub said: u64,
-    /// Messages that were due in the window and not published because of a long scheduling delay. They count as expected
-    /// and not as delivered.
+    /// Messages that were due in the window and not published because of a long scheduling delay. They count as
+    /// expected and not as delivered.
     #[serde(default)]
     pub skipped: u64,
     /// Delays of received messages \[us\].

@@ -21,9 +21,8 @@ const HEARTBEAT_RESPONSE_DELAY: Span = Span::from_millis(5);
 /// Maximum size of the `SequenceNumberSet` of one ACKNACK or GAP (9.4.2.6).
 const MOST_NAMED: usize = 256;
 
-/// Bytes of the parts of an RTPS message (9.4.4, 9.4.5), submessage headers of 4 bytes included: the header, the
-/// timestamp and destination that go before, a DATA without its payload but with the encapsulation of 4 (10.2), a
-/// HEARTBEAT, and an ACKNACK and a GAP without their bitmaps.
+/// Lengths of an RTPS header and of submessages with their 4-byte headers (9.4.4, 9.4.5) \[bytes\]. DATA includes the
+/// encapsulation of 4 bytes (10.2) and excludes its payload. ACKNACK and GAP exclude their bitmaps.
 const HEADER: usize = 20;
 const INFO_TS: usize = 12;
 const INFO_DST: usize = 16;

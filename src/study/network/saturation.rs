@@ -25,8 +25,8 @@ pub struct Load {
     pub addressing: Addressing,
     /// Message rate of all robots together \[1/s\].
     pub messages_per_s: f64,
-    /// Share of airtime that their frames need, including acknowledgements and interframe spaces. More than 1 means that
-    /// the channel cannot carry it.
+    /// Share of airtime that their frames need, including acknowledgements and interframe spaces. More than 1 means
+    /// that the channel cannot carry it.
     pub airtime: f64,
     /// Share of airtime that they need through an access point.
     pub airtime_relayed: f64,
@@ -105,8 +105,8 @@ pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
     };
     format!(
         "At {RATE} messages a second and robot this channel is saturated, in one hop, above {slow} robots by multicast \
-                 and above {by_unicast} by unicast to {NEIGHBOURS} neighbours: {change}. Beyond that only more channels help, \
-                 or less transmit power, so that distant groups no longer share one."
+         and above {by_unicast} by unicast to {NEIGHBOURS} neighbours: {change}. Beyond that only more channels help, \
+         or less transmit power, so that distant groups no longer share one."
     )
 }
 

@@ -41,9 +41,9 @@ pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
         name: "growth".to_owned(),
         title: title.to_owned(),
         caption: format!(
-            "Per robot and simulated second, simulated over {} s at constant density ({} m² per robot). A flat line means \
-                         that the team's cost is proportional to its size. Processor time was measured when this report was made, \
-                         and varies from run to run.",
+            "Per robot and simulated second, simulated over {} s at constant density ({} m² per robot). A flat line \
+             means that the team's cost is proportional to its size. Processor time was measured when this report was \
+             made, and varies from run to run.",
             growth::DURATION_S,
             growth::GROUND_M2
         ),
@@ -89,9 +89,9 @@ pub fn remark(grown: &[Growth]) -> Option<String> {
         "more than the channel has: raise the rate of multicast frames, send less often, or reduce the range"
     };
     Some(format!(
-        "A robot's latents take {own:.1} % of the airtime. With a transmission range of {} m it shares the channel with \
-                 {:.0} others, however large the team is. Together they take {around:.0} %, {change}. Without that limit the \
-                 team shares one channel, as in the table below.",
+        "A robot's latents take {own:.1} % of the airtime. With a transmission range of {} m it shares the channel \
+         with {:.0} others, however large the team is. Together they take {around:.0} %, {change}. Without that limit \
+         the team shares one channel, as in the table below.",
         growth::range_m(),
         growth::neighbours_in_range().min(largest.robots as f64 - 1.0),
     ))
@@ -132,10 +132,10 @@ pub fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
     Ok(Figure {
         name: "saturation".to_owned(),
         title: title.to_owned(),
-        caption: "Offered load of growing teams on one channel, in one hop, and throughput when every station always has \
-                          a frame to send (Bianchi's model). Where the first line is above another, the channel is saturated. A \
-                          multicast frame that collides is not retransmitted, so the contention window never grows, and most \
-                          frames of a large team collide."
+        caption: "Offered load of growing teams on one channel, in one hop, and throughput when every station always \
+                  has a frame to send (Bianchi's model). Where the first line is above another, the channel is \
+                  saturated. A multicast frame that collides is not retransmitted, so the contention window never \
+                  grows, and most frames of a large team collide."
             .to_owned(),
         svg: figures::sweep(title, "robots", &places, &panels)?,
     })

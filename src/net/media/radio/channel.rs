@@ -296,7 +296,7 @@ impl<T: Clone> Channel<T> {
 
     fn deliver(&mut self, at: Time, from: u16, to: u16, token: Option<&T>, deliveries: &mut Vec<Delivery<T>>) {
         self.counts.arrived += 1;
-        let token = token.expect("a foreign frame is for nobody here").clone();
+        let token = token.expect("frames of other networks are not delivered").clone();
         deliveries.push(Delivery { at, from, to, token });
     }
 }

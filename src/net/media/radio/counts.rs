@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 
 macro_rules! counts {
     ($($(#[$doc:meta])* $name:ident,)*) => {
-        /// Counters of frames and airtime of radio channels. A multicast frame is lost or delivered once for each receiver.
+        /// Counters of frames and airtime of radio channels. A multicast frame is lost or delivered once for each
+        /// receiver.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(default)]
         pub struct RadioCounts {

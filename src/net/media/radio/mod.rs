@@ -1,7 +1,7 @@
 //! The radio channel of IEEE 802.11, pure. This file holds its parameters and the interframe spaces that follow.
 //!
-//! `channel` is the distributed coordination function (DCF), `station` the queue and backoff of one station, `rate` the
-//! airtime of frames, `bianchi` the analytical model of saturation. Nothing here knows an actor, a message or a clock.
+//! `channel` is the distributed coordination function (DCF), `station` the queue and backoff of one station. `rate` has
+//! the airtime of frames, `bianchi` a model of saturation. Nothing here knows an actor, a message or a clock.
 //! Clauses are those of IEEE 802.11-2016. `docs/radio.md` lists what is not modelled.
 
 pub mod bianchi;
@@ -213,7 +213,8 @@ impl Radio {
         }
     }
 
-    /// Reads a channel from TOML and checks it; missing fields are those of the preset `wifi`. An error names the field.
+    /// Reads a channel from TOML and checks it; missing fields are those of the preset `wifi`. An error names the
+    /// field.
     pub fn from_toml(text: &str) -> Result<Radio, ConfigError> {
         let radio: Radio = config::from_toml(text)?;
         radio.check()?;

@@ -150,7 +150,8 @@ impl Rate {
                 // 108 instead of 52 data subcarriers: Table 19-31 beside Table 19-27.
                 let (wider, narrower) = if width == Width::Double { (27, 13) } else { (1, 1) };
                 let symbols = (2 * narrower * (SERVICE_AND_TAIL_BITS + bits)).div_ceil(wider * bits_in_two);
-                // Legacy training fields and SIGNAL 20 us, HT-SIG 8 us, HT-STF 4 us, one HT-LTF of 4 us (Table 19-6, 19.4.3).
+                // Legacy training fields and SIGNAL 20 us, HT-SIG 8 us, HT-STF 4 us, one HT-LTF of 4 us (Table 19-6,
+                // 19.4.3).
                 36_000 + 4_000 * symbols + extension
             }
         })

@@ -106,7 +106,7 @@ impl fmt::Display for Report {
         write!(
             f,
             "noise loss {:.3}, background {:.3}, rate {}, multicast rate {}\nresiduals: {:.1} points of the shares, \
-                         {:.0} % of the delays (root mean square over {} rows)",
+             {:.0} % of the delays (root mean square over {} rows)",
             self.noise_loss,
             self.background,
             self.rate,

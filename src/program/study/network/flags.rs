@@ -64,8 +64,8 @@ pub struct Args {
     /// Sets a field of the team file, such as link.ad-hoc.interface=wlan1; may be given several times
     #[arg(long, value_name = "FIELD=VALUE", requires = "live")]
     pub set: Vec<String>,
-    /// Fits noise loss, background load and rate of a radio to the rows of --rows, or to those measured by --live, and
-    /// writes it as a radio file
+    /// Radio file to write: noise loss, background load and rate are fitted to the rows of --rows, or to those measured
+    /// by --live
     #[arg(long, value_name = "FILE.toml")]
     pub fit: Option<PathBuf>,
     /// Rows to fit to: output of --json, or rows.json of a report. If some were measured, only those

@@ -85,8 +85,8 @@ impl LiveTeam {
         Ok(Participation { team, key, socket, stations: self.stations.clone() })
     }
 
-    /// Restricts a sweep to the cases that can be measured on this link, so that emulation and measurement have the same
-    /// cases. An error names the flag.
+    /// Restricts a sweep to the cases that can be measured on this link, so that emulation and measurement have the
+    /// same cases. An error names the flag.
     pub fn restrict(&self, sweep: &mut Sweep, args: &Args) -> Result<()> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
         let link = &team.deployment.links[self.link];

@@ -178,7 +178,7 @@ fn observed((source, case, outcome): &Found) -> Observed {
 fn clocks(live_team: &LiveTeam, uncertainty_s: f64) -> String {
     format!(
         "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were compared \
-                 before and after each case; their uncertainty is at most {:.3} ms.",
+         before and after each case; their uncertainty is at most {:.3} ms.",
         live_team.file().display(),
         1000.0 * uncertainty_s
     )

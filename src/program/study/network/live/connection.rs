@@ -67,7 +67,7 @@ impl Connection {
         let mut drawn = [0; DRAWN_BYTES];
         getrandom::fill(&mut drawn).map_err(|e| anyhow!("the operating system gives no random bytes: {e}"))?;
         let own = drawn.map(|byte| format!("{byte:02x}")).concat();
-        writer.write_all(format!("{own}\n").as_bytes()).context("the other end has closed the connection")?;
+        writer.write_all(format!("{own}\n").as_bytes()).context("the peer has closed the connection")?;
         let theirs = read(&mut reader, NUMBER_BYTES, Some(GREETING))?;
         let both = match side {
             Side::Coordinator => [own, theirs],
@@ -83,7 +83,7 @@ impl Connection {
         let text = serde_json::to_string(what).context("it is plain data")?;
         let tag = self.key.map_or("-".to_owned(), |key| tag(&key, self.side, self.sent, &text).to_hex().to_string());
         self.sent += 1;
-        self.writer.write_all(format!("{tag} {text}\n").as_bytes()).context("the other end has closed the connection")
+        self.writer.write_all(format!("{tag} {text}\n").as_bytes()).context("the peer has closed the connection")
     }
 
     /// Receives the first message, which is short, within this time.
@@ -99,25 +99,25 @@ impl Connection {
     }
 
     fn understand<T: DeserializeOwned>(&mut self, line: &str) -> Result<T> {
-        let (shown, text) = line.split_once(' ').context(STRANGER)?;
+        let (shown, text) = line.split_once(' ').context(WRONG_PEER)?;
         match (self.key, shown) {
             (None, "-") => {}
-            (None, _) => bail!("the other end has a key and this one has none: name one key_file in both team files"),
-            (Some(_), "-") => bail!("the other end has no key and this one has: name one key_file in both team files"),
+            (None, _) => bail!("the peer has a key and this host has none: name one key_file in both team files"),
+            (Some(_), "-") => bail!("the peer has no key and this host has one: name one key_file in both team files"),
             (Some(key), shown) => {
-                let shown = blake3::Hash::from_hex(shown).map_err(|_| anyhow!(STRANGER))?;
+                let shown = blake3::Hash::from_hex(shown).map_err(|_| anyhow!(WRONG_PEER))?;
                 // Hashes compare in constant time.
                 if shown != tag(&key, self.side.other(), self.received, text) {
-                    bail!("the other end has another key: copy the team's key there");
+                    bail!("the peer has another key: copy the team's key there");
                 }
             }
         }
         self.received += 1;
-        serde_json::from_str(text).map_err(|_| anyhow!(STRANGER))
+        serde_json::from_str(text).map_err(|_| anyhow!(WRONG_PEER))
     }
 }
 
-const STRANGER: &str = "the other end is no 'murmurate study network' of this version";
+const WRONG_PEER: &str = "the peer is not a 'murmurate study network' of this version";
 
 fn tag(key: &[u8; 32], from: Side, number: u64, text: &str) -> blake3::Hash {
     blake3::keyed_hash(key, format!("{} {number} {text}", u8::from(from == Side::Coordinator)).as_bytes())
@@ -133,23 +133,23 @@ fn read(reader: &mut BufReader<TcpStream>, most: usize, within: Option<Duration>
         let left = left.map(|left| left.max(Duration::from_micros(1)));
         reader.get_ref().set_read_timeout(left).context("cannot set up the connection")?;
         let there = match reader.fill_buf() {
-            Ok([]) => bail!("the other end has closed the connection"),
+            Ok([]) => bail!("the peer has closed the connection"),
             Ok(there) => there,
             Err(error) if error.kind() == ErrorKind::Interrupted => continue,
-            Err(error) => return Err(error).context("the other end says nothing"),
+            Err(error) => return Err(error).context("the peer sends nothing"),
         };
         let end = there.iter().position(|byte| *byte == b'\n');
         let taken = end.map_or(there.len(), |end| end + 1);
         line.extend_from_slice(&there[..end.unwrap_or(taken)]);
         reader.consume(taken);
         if line.len() > most {
-            bail!(STRANGER);
+            bail!(WRONG_PEER);
         }
         if end.is_some() {
-            return String::from_utf8(line).map_err(|_| anyhow!(STRANGER));
+            return String::from_utf8(line).map_err(|_| anyhow!(WRONG_PEER));
         }
         if deadline.is_some_and(|deadline| Instant::now() >= deadline) {
-            bail!("the other end is too slow");
+            bail!("the peer is too slow");
         }
     }
 }

@@ -78,7 +78,7 @@ fn offset(connection: &mut Connection, origin: Instant) -> Result<(i64, i64)> {
         let before = now();
         connection.send(&Request::Clock)?;
         let Response::Clock(theirs) = connection.receive(Some(PATIENCE))? else {
-            bail!("it did not say what its clock shows")
+            bail!("it did not send the time of its clock")
         };
         let after = now();
         let way = after - before;
@@ -116,7 +116,7 @@ fn one(
     for (at, connection) in connections.iter_mut().enumerate() {
         match connection.receive(Some(lasts + PATIENCE)).with_context(|| named(at))? {
             Response::Found(found) => results.push(found),
-            other => bail!("{} says {other:?} where it should say what it has found", named(at)),
+            other => bail!("{} sent {other:?} instead of its result", named(at)),
         }
     }
     // The drift of a clock during the case adds to its uncertainty.

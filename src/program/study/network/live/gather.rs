@@ -78,7 +78,7 @@ fn greet(stream: TcpStream, key: Option<[u8; 32]>) -> Result<(String, Connection
     let mut connection = Connection::open(stream, Side::Coordinator, key.as_ref())?;
     match connection.receive_first(GREETING)? {
         Response::Host(name) => Ok((name, connection)),
-        _ => bail!("it does not say which host it is"),
+        _ => bail!("it did not send its host name"),
     }
 }
 
@@ -91,7 +91,7 @@ fn admit(
     match greeted {
         Ok((name, connection)) => match hosts.iter().position(|host| *host == name) {
             Some(at) => drop(here.insert(at, connection)),
-            None => talk(&format!("{from} says that it is '{name}', which runs no agent of this team; ignored")),
+            None => talk(&format!("{from} is ignored: its host name '{name}' is not one of a host with agents")),
         },
         Err(error) => talk(&format!("{from} is ignored: {error:#}")),
     }
@@ -101,7 +101,7 @@ fn progress(here: &BTreeMap<usize, Connection>, hosts: &[String]) -> String {
     let missing = hosts.iter().enumerate().filter(|(at, _)| !here.contains_key(at)).map(|(_, host)| host.as_str());
     let missing: Vec<&str> = missing.collect();
     let missing = if missing.is_empty() { String::new() } else { format!("; missing: {}", missing.join(", ")) };
-    format!("{} of {} hosts are here{missing}", here.len(), hosts.len())
+    format!("{} of {} hosts are connected{missing}", here.len(), hosts.len())
 }
 
 #[cfg(test)]

@@ -79,7 +79,7 @@ fn connect(address: SocketAddr) -> Result<TcpStream> {
         match TcpStream::connect_timeout(&address, PATIENCE) {
             Ok(stream) => return Ok(stream),
             Err(error) if began.elapsed() > PATIENCE => {
-                let why = format!("--coordinator: nobody answers at {address}: {error}; start the coordinator there");
+                let why = format!("--coordinator: no answer at {address}: {error}; start the coordinator there");
                 return Err(BadInput(why).into());
             }
             // Sleeps: there is no descriptor to poll.
