@@ -151,7 +151,7 @@ pub struct Config {
     pub half_extent: Vec2,
     /// Largest speed along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// Limit of the policy's velocity change, in episodes and in resets.
+    /// Limit of the policy's velocity against the measured one, in episodes and in resets.
     pub clamp: Clamp,
     /// Control period of the policy.
     pub period: Span,

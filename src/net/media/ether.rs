@@ -60,15 +60,15 @@ impl Ether {
     }
 
     fn transmit(&mut self, now: Time, transmit: &Transmit, out: &mut Vec<Out>) {
-        let (kind, receivers) = match first(&transmit.frame).expect("a Network sends complete datagrams") {
+        let (kind, index) = match first(&transmit.frame).expect("a Network sends complete datagrams") {
             Content::Message(kind) => (kind, kind as usize),
             // The link layer's own soft state is impaired like the robots' soft state.
             _ => (Kind::Heartbeat, KINDS.len()),
         };
         if let Some(radio) = &mut self.radio {
-            return radio.offer(now, transmit, kind, &self.listeners[receivers]);
+            return radio.offer(now, transmit, kind, &self.listeners[index]);
         }
-        let (from, listeners) = (transmit.from, &self.listeners[receivers]);
+        let (from, listeners) = (transmit.from, &self.listeners[index]);
         let mut reached = std::mem::take(&mut self.reached);
         reached.clear();
         match (transmit.audience, &mut self.reach) {
