@@ -46,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
     let hosts = [HostId(0), HostId(1)].map(|id| thread::spawn(move || host(id)));
     for handle in hosts {
         let report = handle.join().expect("a host does not panic")?;
-        // The host with the World of the whole team has seen everything.
+        // The host that judges has them: that of the World of the whole team, or else that of the state server.
         for episode in &report.episodes {
             println!("episode {}: {:?} in real time", episode.episode, episode.verdict);
         }

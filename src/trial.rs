@@ -17,7 +17,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
 
-use crate::actors::recorder::{Out, Steps};
+use crate::actors::recorder::Steps;
 use crate::actors::state_server;
 use crate::config::ConfigError;
 use crate::deploy::Deployment;
@@ -116,19 +116,6 @@ pub enum Proceed {
 fn physics(registry: &Registry, plant: &str, scenario: &dyn Scenario) -> Physics {
     let entry = registry.plant(plant);
     entry.map_or(Physics::published as fn(&Arena) -> Physics, |entry| entry.physics)(scenario.arena())
-}
-
-/// Takes down in a trial's report what its recorder says.
-pub fn note(report: &mut TrialReport, out: Out) {
-    match out {
-        Out::Episode(episode, totals) => {
-            report.episodes.push(episode);
-            report.totals = totals;
-        }
-        Out::Step(step) => report.steps.push(step),
-        Out::Finished(totals) => (report.totals, report.finished) = (totals, true),
-        Out::Closed(totals) => report.totals = totals,
-    }
 }
 
 impl Trial {
@@ -278,7 +265,7 @@ impl Trial {
         let said = Rc::new(RefCell::new(TrialReport::default()));
         let sink = {
             let said = Rc::clone(&said);
-            move |out| note(&mut said.borrow_mut(), out)
+            move |told| said.borrow_mut().note(told)
         };
         let deadline = self.deadline();
         let (graph, end) = run_virtual(
@@ -315,6 +302,7 @@ impl Trial {
             makespan_s: None,
             reset_s: 0.0,
             min_separation_m: f32::INFINITY,
+            judged: self.deployment.judged(),
         }));
         report.finished = true;
     }

@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
 # Builds the crate in tests/stranger/, which is no part of this one, and runs what it adds through the command line.
 #
-#   bash tests/stranger.sh          the profile of the tests, in the same target folder
+#   bash tests/stranger.sh          a release build, in the same target folder
 set -euo pipefail
 cd "$(dirname "$0")/stranger"
 
 export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$PWD/../../target}
 # The same versions as the crate itself, so that what is built is used again.
 cp ../../Cargo.lock Cargo.lock
-cargo build --quiet
-program=$CARGO_TARGET_DIR/debug/stranger
+cargo build --release --quiet
+program=$CARGO_TARGET_DIR/release/stranger
 
 has() { # TEXT WORD...: refuses a text that lacks one of the words
     local text=$1 word
@@ -69,7 +69,9 @@ driver = { name = "datagrams", robot = "127.0.0.1:7781" }
 source = { name = "bench", listens = "127.0.0.1:7781", begins = [0.5, 0.5] }
 TOML
 has "$("$program" config check "$folder/robot.toml")" 'mode bench'
-has "$(timeout 40 "$program" host "$folder/robot.toml" --host robot --json)" '"event":"finished"'
+# Nobody simulates it, so its verdicts come from what is measured.
+has "$(timeout 40 "$program" host "$folder/robot.toml" --host robot --json)" '"event":"finished"' \
+    '"event":"episode"' '"episode":1' '"verdict":"success"' '"judged":"readings"' '"oldest_command_s":null'
 
 "$program" study delay --scenario round --policy give-way --layouts 1 --repeats 1 --delays-ms 0 --losses 0 \
     --out "$folder/study" --quiet >/dev/null

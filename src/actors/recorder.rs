@@ -2,26 +2,32 @@
 //!
 //! It digests both into the run's trace, follows the state server's instructions, and lets the judge see
 //! each step of a running episode. Nothing that it finds goes back into the graph.
+//!
+//! Where one World simulates the whole team, the judge sees true states. Elsewhere nobody has them, and it sees what is
+//! measured of each robot (`Judged::Readings`; `scenario::sightings` has how good that is). Then a wall is touched by a
+//! robot that is measured within its radius of it; what a World holds back before a wall, no reading shows.
 
 use std::collections::BTreeMap;
 
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::actor::Core;
+use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, LinkId, RobotId};
-use crate::messages::local::{Sample, Truth};
-use crate::messages::wire::{KINDS, Kind, Phase, Round, Wire};
+use crate::messages::local::{Contacts, Sample, Truth};
+use crate::messages::wire::{KINDS, Kind, Phase, Reading, Round, Wire};
 use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::link::LinkCounts;
-use crate::report::episode::Episode;
+use crate::report::episode::{Episode, Judged};
 use crate::report::listening::{Datagram, Listener};
-use crate::report::trial::Said;
-use crate::report::trial::{Step, Totals};
+pub use crate::report::trial::Told as Out;
+use crate::report::trial::{Hearing, Said, Step, Totals};
 use crate::safety::guard::SafetyCounts;
-use crate::scenario::Rules;
 use crate::scenario::judge::{Finding, Judge, Seen, Verdict};
 use crate::scenario::layout::Layouts;
+use crate::scenario::sightings::{Sighting, Sightings};
+use crate::scenario::{Arena, Rules};
 use crate::time::{Span, Time};
 
 /// What a Recorder accepts.
@@ -43,21 +49,10 @@ pub enum In {
     Closing,
     /// A datagram has arrived at a host of this process.
     Arrived(HostId, Frame),
-    /// A Cache has handed a percept on at a host: whom it has heard, and how long ago that arrived.
-    Perceived(HostId, Box<[(RobotId, Span)]>),
-}
-
-/// What a Recorder says.
-#[derive(Clone, Debug)]
-pub enum Out {
-    /// An episode is over; and what the trial comes to so far.
-    Episode(Episode, Totals),
-    /// The whole team has been seen.
-    Step(Step),
-    /// All episodes are over.
-    Finished(Totals),
-    /// The run ends here.
-    Closed(Totals),
+    /// A robot's Cache has handed a percept on at a host: whom it has heard, and how long ago that arrived.
+    Perceived(HostId, RobotId, Box<[(RobotId, Span)]>),
+    /// A reading has arrived at the host of the state server, where readings are judged.
+    Reading(Reading),
 }
 
 /// How a Recorder is set up.
@@ -73,6 +68,14 @@ pub struct Config {
     pub steps: Steps,
     /// At how many other hosts a message to neighbours is due.
     pub hearers: u64,
+    /// What verdicts are found from.
+    pub judged: Judged,
+    /// Whether robots are put at their starts, and do not drive there.
+    pub placed: bool,
+    /// Where it happens, with its walls.
+    pub arena: Arena,
+    /// How near to a wall a robot's centre touches it, where readings are judged \[m\].
+    pub wall_radius_m: f32,
 }
 
 /// What becomes of every step of a trial.
@@ -80,9 +83,21 @@ pub struct Config {
 pub enum Steps {
     /// It is told, and stands in the report.
     Reported,
+    /// The same, with which robots hear each other: several times the memory, for pictures.
+    WithHearing,
     /// It is judged and forgotten.
     Discarded,
 }
+
+impl Steps {
+    /// Whether they are told.
+    pub fn kept(self) -> bool {
+        self != Steps::Discarded
+    }
+}
+
+/// A robot that has taken no control step for so long hears nobody.
+const DEAF: Span = Span::from_millis(250);
 
 /// The recorder of one trial.
 pub struct Recorder {
@@ -100,7 +115,10 @@ pub struct Recorder {
     /// The same of each robot's guard.
     safety: BTreeMap<RobotId, SafetyCounts>,
     oldest_command: Span,
+    sightings: Sightings,
     listener: Listener,
+    /// By robot: whom its last control step had a message of, how old these were, and when that was.
+    heard: Vec<(Time, Vec<(RobotId, Span)>)>,
     round: Round,
     phase: Phase,
     since: Time,
@@ -127,6 +145,8 @@ impl Recorder {
             radio: BTreeMap::new(),
             safety: BTreeMap::new(),
             oldest_command: Span::ZERO,
+            sightings: Sightings::new(robots),
+            heard: vec![(Time::ZERO, Vec::new()); robots],
             round: Round::default(),
             phase: Phase::NeedReset,
             since: Time::ZERO,
@@ -158,7 +178,7 @@ impl Recorder {
 
     /// Whether messages between robots are followed: it costs a little, and only who keeps steps looks at it.
     fn listens(&self) -> bool {
-        self.config.steps == Steps::Reported && self.phase == Phase::Running
+        self.config.steps.kept() && self.phase == Phase::Running
     }
 
     fn hear(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {
@@ -177,8 +197,9 @@ impl Recorder {
         let behind = if phase == Phase::AbortRunning { round.episode + 1 } else { round.episode };
         while self.open < behind.min(self.config.layouts.len()) {
             let after = now.since(self.since);
+            let lapsed = self.config.judged == Judged::Readings && self.sightings.lapsed(now);
             let finding = match &self.judge {
-                Some(judge) => judge.end(after, Verdict::Aborted),
+                Some(judge) => judge.end(after, if lapsed { Verdict::Unseen } else { Verdict::Aborted }),
                 None => Finding { verdict: Verdict::Aborted, after, min_separation_m: f32::INFINITY },
             };
             self.close(now, finding, out);
@@ -189,13 +210,18 @@ impl Recorder {
         }
         let goes_on = (phase, round.episode) == (self.phase, self.round.episode);
         if phase == Phase::Running && self.judge.is_none() && round.episode == self.open {
-            let goals = self.config.layouts.episode(round.episode).iter().map(|task| task.goal).collect();
-            self.judge = Some(Judge::new(self.config.rules, goals));
+            let tasks = self.config.layouts.episode(round.episode);
+            self.judge = Some(Judge::new(self.config.rules, tasks.iter().map(|task| task.goal).collect()));
+            let starts: Vec<Vec2> = tasks.iter().map(|task| task.start).collect();
+            self.sightings.begin(now, Some(&starts[..]).filter(|_| self.config.placed));
             self.reset = if self.phase == Phase::Resetting { now.since(self.since) } else { Span::ZERO };
         }
         if phase == Phase::EpisodesFinished {
             self.finished = true;
             out.push(Out::Finished(self.totals(now)));
+        }
+        if !goes_on {
+            self.heard.iter_mut().for_each(|(_, heard)| heard.clear());
         }
         // A new epoch of the same instruction changes nothing.
         self.since = if goes_on { self.since } else { now };
@@ -209,7 +235,7 @@ impl Recorder {
             said: self.said,
             end: now,
             trace: self.digest.digest128(),
-            oldest_command: self.oldest_command,
+            oldest_command: self.team.iter().all(Option::is_some).then_some(self.oldest_command),
             links: self.counts.values().copied().sum(),
             radio: self.radio.values().copied().sum(),
             safety: self.safety.values().copied().sum(),
@@ -226,6 +252,7 @@ impl Recorder {
             makespan_s: success.then(|| finding.after.as_secs()),
             reset_s: self.reset.as_secs(),
             min_separation_m: finding.min_separation_m,
+            judged: self.config.judged,
         };
         out.push(Out::Episode(episode, self.totals(now)));
         self.judge = None;
@@ -265,6 +292,7 @@ impl Recorder {
     fn judge_step(&mut self, now: Time, out: &mut Vec<Out>) {
         let samples: Vec<Sample> = self.team.iter().flatten().copied().collect();
         if self.phase == Phase::Running
+            && self.config.judged == Judged::Truth
             && let Some(judge) = &mut self.judge
         {
             let seen: Vec<Seen> =
@@ -273,9 +301,41 @@ impl Recorder {
                 self.close(now, finding, out);
             }
         }
-        if self.config.steps == Steps::Reported {
-            out.push(Out::Step(Step { episode: self.round.episode, phase: self.phase, samples }));
+        if self.config.steps.kept() {
+            let hearing = self.hearing(now);
+            out.push(Out::Step(Step { episode: self.round.episode, phase: self.phase, samples, hearing }));
         }
+    }
+
+    /// A robot is seen, and the step that is over with it is judged.
+    fn read(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
+        let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading) else { return };
+        let (arena, radius_m) = (&self.config.arena, self.config.wall_radius_m);
+        let seen = |(robot, position): (RobotId, Vec2)| {
+            let contacts = Contacts { wall: arena.clearance(position) <= radius_m, robot: false };
+            (robot, Seen { position, contacts })
+        };
+        let Some(judge) = self.judge.as_mut().filter(|_| self.phase == Phase::Running) else { return };
+        if lapsed {
+            judge.fail(Verdict::Unseen);
+        }
+        let seen: Vec<(RobotId, Seen)> = robots.into_iter().map(seen).collect();
+        if let Some(finding) = judge.see_some(at.since(self.since), &seen) {
+            self.close(now, finding, out);
+        }
+    }
+
+    /// Who hears whom at this instant, if that is to be told.
+    fn hearing(&self, now: Time) -> Vec<Hearing> {
+        if self.config.steps != Steps::WithHearing || self.phase != Phase::Running {
+            return Vec::new();
+        }
+        let recent = RobotId::team(self.heard.len()).zip(&self.heard).filter(|(_, (at, _))| now.since(*at) <= DEAF);
+        recent
+            .flat_map(|(robot, (at, heard))| {
+                heard.iter().map(move |(of, age)| Hearing { robot, of: *of, age: *age + now.since(*at) })
+            })
+            .collect()
     }
 }
 
@@ -302,6 +362,7 @@ impl Core for Recorder {
             In::Safety(robot, counts) => {
                 self.safety.insert(robot, counts);
             }
+            In::Reading(reading) => self.read(now, &reading, out),
             In::Closing => out.push(Out::Closed(self.totals(now))),
             In::Arrived(to, frame) => {
                 // What was garbled on its way is no arrival; what was published in time may arrive after the end.
@@ -309,9 +370,9 @@ impl Core for Recorder {
                     self.listener.arrived(now, to, datagram(&header));
                 }
             }
-            In::Perceived(at, heard) => {
+            In::Perceived(at, robot, heard) => {
                 if self.listens() {
-                    self.listener.stepped(now, at, &heard);
+                    self.heard[robot.index()] = (now, self.listener.stepped(now, at, &heard));
                 }
             }
         }
@@ -334,10 +395,21 @@ mod tests {
     use crate::messages::wire::Mode;
     use crate::scenario::{Settings, build};
 
-    fn recorder() -> Recorder {
+    fn recorder(judged: Judged) -> Recorder {
         let passage = build("passage", &Settings::of(2)).unwrap();
         let layouts = Layouts::of_scenario(&*passage, 1, 3);
-        Recorder::new(Config { layouts, repeat: 4, rules: passage.rules(), steps: Steps::Discarded, hearers: 1 }, 2)
+        let config = Config {
+            layouts,
+            repeat: 4,
+            rules: passage.rules(),
+            steps: Steps::Discarded,
+            hearers: 1,
+            judged,
+            placed: false,
+            arena: passage.arena().clone(),
+            wall_radius_m: 0.16,
+        };
+        Recorder::new(config, 2)
     }
 
     fn at_ms(ms: u64) -> Time {
@@ -365,6 +437,14 @@ mod tests {
         out
     }
 
+    /// A reading of a robot arrives, measured as it arrives.
+    fn read(recorder: &mut Recorder, ms: u64, robot: u16, position: Vec2) -> Vec<Out> {
+        let mut out = Vec::new();
+        let reading = Reading::of_point(RobotId(robot), at_ms(ms).as_nanos(), Motion::at_rest(position));
+        recorder.handle(at_ms(ms), In::Reading(reading), &mut out);
+        out
+    }
+
     fn verdicts(out: &[Out]) -> Vec<(u32, Verdict, Option<f64>)> {
         let result = |said: &Out| match said {
             Out::Episode(episode, _) => Some((episode.episode, episode.verdict, episode.makespan_s)),
@@ -375,7 +455,7 @@ mod tests {
 
     #[test]
     fn two_worlds_are_judged_as_one_and_makespan_counts_from_the_instruction_to_run() {
-        let mut recorder = recorder();
+        let mut recorder = recorder(Judged::Truth);
         let goals: Vec<Vec2> = recorder.config.layouts.episode(0).iter().map(|task| task.goal).collect();
         say(&mut recorder, 100, 0, Phase::Resetting);
         say(&mut recorder, 1000, 0, Phase::Running);
@@ -390,7 +470,7 @@ mod tests {
 
     #[test]
     fn an_episode_that_is_left_behind_was_aborted_and_the_end_comes_once() {
-        let mut recorder = recorder();
+        let mut recorder = recorder(Judged::Truth);
         say(&mut recorder, 0, 0, Phase::Resetting);
         let aborted = |episode| (episode, Verdict::Aborted, None);
         assert_eq!(verdicts(&say(&mut recorder, 100, 0, Phase::AbortRunning)), [aborted(0)]);
@@ -399,5 +479,38 @@ mod tests {
         assert_eq!(verdicts(&out), [aborted(1), aborted(2)]);
         assert!(matches!(out.last(), Some(Out::Finished(totals)) if totals.messages == 4 && totals.end == at_ms(300)));
         assert!(say(&mut recorder, 400, 3, Phase::EpisodesFinished).is_empty());
+    }
+    #[test]
+    fn readings_come_to_verdicts_and_what_nobody_has_seen_is_no_success() {
+        let mut recorder = recorder(Judged::Readings);
+        let tasks = recorder.config.layouts.episode(0).to_vec();
+        let goals: Vec<Vec2> = tasks.iter().map(|task| task.goal).collect();
+        say(&mut recorder, 0, 0, Phase::Running);
+        read(&mut recorder, 50, 0, goals[0]);
+        see(&mut recorder, 50, 0, goals[0]);
+        assert!(verdicts(&see(&mut recorder, 50, 1, goals[1])).is_empty(), "true states are not judged");
+        let out = read(&mut recorder, 60, 1, goals[1]);
+        assert_eq!(verdicts(&out), [(0, Verdict::Success, Some(0.06))]);
+        assert!(matches!(&out[0], Out::Episode(episode, _) if episode.judged == Judged::Readings));
+        let goals: Vec<Vec2> = recorder.config.layouts.episode(1).iter().map(|task| task.goal).collect();
+        say(&mut recorder, 1000, 1, Phase::Running);
+        read(&mut recorder, 1050, 0, goals[0]);
+        for ms in (1050..2100).step_by(50) {
+            assert!(verdicts(&read(&mut recorder, ms, 1, goals[1] - Vec2::new(1.0, 0.0))).is_empty());
+        }
+        let out = read(&mut recorder, 2200, 1, goals[1]);
+        assert_eq!(verdicts(&out), [(1, Verdict::Unseen, None)], "robot 0 may have been anywhere");
+        say(&mut recorder, 3000, 2, Phase::Running);
+        assert_eq!(verdicts(&say(&mut recorder, 3900, 2, Phase::AbortRunning)), [(2, Verdict::Aborted, None)]);
+    }
+
+    #[test]
+    fn nothing_is_made_up_of_robots_whose_true_state_is_never_told() {
+        let mut recorder = recorder(Judged::Readings);
+        say(&mut recorder, 0, 0, Phase::Running);
+        see(&mut recorder, 50, 0, Vec2::zeros());
+        let out = say(&mut recorder, 5000, 3, Phase::EpisodesFinished);
+        assert_eq!(verdicts(&out)[0], (0, Verdict::Unseen, None), "no reading has ever come");
+        assert!(matches!(out.last(), Some(Out::Finished(totals)) if totals.oldest_command.is_none()));
     }
 }

@@ -4,6 +4,7 @@
 //! A deployment is read from and written to TOML. `presets` holds the paper's modes, `routes` the way of every
 //! message in a deployment.
 
+mod judging;
 mod presets;
 mod routes;
 pub mod team;
@@ -263,7 +264,8 @@ impl Deployment {
                 return wrong(format!("{kind:?} is carried {carriers} times; once is the most"));
             }
             if carriers == 0 && routes.crosses(kind) {
-                return wrong(format!("{kind:?} must cross hosts, and no link carries it"));
+                let judge = self.needed_by_judge(kind);
+                return wrong(format!("{kind:?} must cross hosts, and no link carries it{judge}"));
             }
         }
         Ok(())

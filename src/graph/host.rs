@@ -41,7 +41,7 @@ pub struct Host {
 }
 
 /// Starts the actors of one host. `heard` is told what its Network makes known; `said` takes what the Recorder says,
-/// which runs where the whole team is simulated.
+/// which runs on the host that judges.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     plan: Plan,
@@ -58,7 +58,7 @@ pub fn wire(
         key: host.key,
         links: Some(host.links),
         devices: host.devices,
-        records: plan.deployment.hosts[usize::from(host.id.0)].simulates.len() == plan.deployment.robots,
+        records: plan.deployment.judge() == host.id,
         hear: Rc::new(heard),
     };
     let graph = Rc::new(Graph::new(plan, &process));

@@ -38,13 +38,14 @@ use crate::net::protocol::link;
 use crate::net::transport::{self, Arrive, Transmit};
 use crate::policy::Model;
 use crate::random::Seed;
+use crate::report::episode::Judged;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::start;
 use crate::safety::{Safety, Switch, guard};
 use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
-use crate::world::{Clamp, Entry, Physics};
+use crate::world::{Clamp, Entry, Physics, Placement};
 
 /// How long a motor command holds: four of the published control periods (design, section 2).
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
@@ -148,6 +149,10 @@ pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: imp
         rules: plan.scenario.rules(),
         steps: plan.steps,
         hearers: plan.deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count() as u64 - 1,
+        judged: plan.deployment.judged(),
+        placed: plan.deployment.placement == Placement::Exact,
+        arena: plan.scenario.arena().clone(),
+        wall_radius_m: plan.physics.wall_radius_m,
     };
     let robots = plan.deployment.robots;
     let make = move |_| Recorder::new(config.clone(), robots);
@@ -189,13 +194,13 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
     let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
     let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
     let watched = plan.safety.own_state == Switch::On;
-    let (record, observed) = (graph.record(), plan.steps == recorder::Steps::Reported);
+    let (record, observed) = (graph.record(), plan.steps.kept());
     let host = graph.routes.agent_host(robot);
     start(clock, &graph.caches[at], info_span!("cache", robot = id), make, move |out| match out {
         cache::Out::Percept(percept) => {
             if observed {
                 let heard = percept.heard.iter().map(|heard| (heard.robot, heard.age)).collect();
-                record(recorder::In::Perceived(host, heard));
+                record(recorder::In::Perceived(host, robot, heard));
             }
             agent.send(agent::In::Percept(percept));
         }
@@ -300,6 +305,7 @@ fn wire_network(
     };
     let (hear, alone) = (Rc::clone(&process.hear), process.only.is_some());
     let (transports, record) = (graph.transports.clone(), graph.record());
+    let judges = plan.deployment.judged() == Judged::Readings && plan.deployment.judge() == host;
     let name = plan.deployment.hosts[usize::from(host.0)].name.clone();
     let place = &graph.networks[usize::from(host.0)];
     start(clock, place, info_span!("network", host = name), make, move |out| match out {
@@ -308,6 +314,9 @@ fn wire_network(
             // What other processes publish is news to a Recorder here.
             if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
                 record(recorder::In::Heard(message.clone()));
+            }
+            if judges && let Wire::Reading(reading) = &message {
+                record(recorder::In::Reading(reading.clone()));
             }
             deliver(message);
         }
@@ -349,7 +358,7 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
             Ether::new(emulator, radio_link, reach, |kind| routes.listeners(kind))
         };
         let (networks, record) = (graph.networks.clone(), graph.record());
-        let observed = plan.steps == recorder::Steps::Reported && link.carries.contains(&Kind::Latent);
+        let observed = plan.steps.kept() && link.carries.contains(&Kind::Latent);
         start(clock, &graph.transports[index], info_span!("ether", link = link.name), make, move |out| match out {
             ether::Out::Arrive(Arrive { to, from, frame }) => {
                 if observed {

@@ -20,7 +20,7 @@ use crate::registry::Registry;
 use crate::report::trial::TrialReport;
 use crate::runtime::real::{Readers, run_real};
 use crate::time::{Span, Time};
-use crate::trial::{self, Trial};
+use crate::trial::Trial;
 
 /// How long a host goes on after the last episode: whoever has missed the news hears it again.
 const GRACE: Span = Span::from_millis(500);
@@ -72,7 +72,7 @@ impl LiveHost {
     }
 
     /// Runs the host on this thread, with its time counted from `origin`. `heard` is told what its Network makes
-    /// known, `said` what the Recorder says, which is there where the whole team is simulated.
+    /// known, `said` what the Recorder says, which is there on the host that judges (`Deployment::judge`).
     /// `begun` is called once its actors stand; `done` is asked after every turn.
     pub fn run(
         self,
@@ -96,8 +96,8 @@ impl LiveHost {
         graph
     }
 
-    /// Runs the host on this thread until its team has finished. The report has episodes where the whole team is
-    /// simulated.
+    /// Runs the host on this thread until its team has finished. The report has episodes on the host that judges
+    /// (`Deployment::judge`); what is counted in it is of this host alone.
     pub fn run_to_the_end(self) -> TrialReport {
         let (report, news) = (Rc::new(RefCell::new(TrialReport::default())), Rc::new(Cell::new(false)));
         let (told, grace) = (Rc::clone(&news), self.grace);
@@ -106,7 +106,7 @@ impl LiveHost {
             _ => {}
         };
         let noted = Rc::clone(&report);
-        let said = move |out| trial::note(&mut noted.borrow_mut(), out);
+        let said = move |told| noted.borrow_mut().note(told);
         let mut over: Option<Time> = None;
         let graph = self.run(
             Instant::now(),

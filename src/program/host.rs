@@ -19,11 +19,11 @@ use crate::net::protocol::key::Key;
 use crate::net::protocol::link::{Duplicate, LinkCounts};
 use crate::registry::Registry;
 use crate::report::event::{Counted, HostEvent, RobotSafety};
-use crate::report::summary::{Run, Summary};
+use crate::report::summary::{Counts, Run, Summary};
 use crate::report::trial::TrialReport;
 use crate::safety::guard::SafetyCounts;
 use crate::time::{Span, Time};
-use crate::trial::{self, Trial};
+use crate::trial::Trial;
 use anyhow::{Context, Result, anyhow};
 use clap::ValueEnum;
 use sd_notify::NotifyState;
@@ -128,9 +128,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let counted = seen.counted(&graph);
     drop(graph);
     watch.failure(&name)?;
-    let mut report = seen.report.borrow().clone();
-    (report.refused, report.lost) = (counted.refused, counted.lost);
-    report.totals.safety = counted.safety.iter().map(|robot| robot.counts).sum();
+    let report = seen.report.borrow().clone().counted([&counted].into_iter());
     let (interrupted, unwritten) = (watch.over.is_none(), counted.unwritten);
     outlets.tell(&if interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) });
     if !args.json && !report.episodes.is_empty() {
@@ -139,13 +137,13 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             scenario: team.scenario.clone(),
             policy: policy.name,
             robots: team.deployment.robots,
+            judged: team.deployment.judged(),
             seed: team.seed,
             wall_s: began.elapsed().as_secs_f64(),
             interrupted,
         };
-        let mut summary = Summary::of(run, &[report]);
-        summary.unwritten = unwritten;
-        outlets.print(&summary.to_string());
+        let counts = if team.deployment.hosts.len() == 1 { Counts::Team } else { Counts::Host };
+        outlets.print(&Summary::of_team(run, report, counts, unwritten).to_string());
     }
     outlets.close()?;
     let by_user = signal.load(Ordering::Relaxed) == SIGINT as usize;
@@ -281,7 +279,7 @@ impl Seen {
         let mut report = self.report.borrow_mut();
         match out {
             Out::Step(step) => self.outlets.step(&step),
-            out => trial::note(&mut report, out),
+            told => report.note(told),
         }
         report.simulated = report.totals.end.since(Time::ZERO);
     }
@@ -295,7 +293,7 @@ impl Seen {
             refused,
             lost,
             links: Box::new(self.counts.get()),
-            oldest_command_s: self.report.borrow().totals.oldest_command.as_secs(),
+            oldest_command_s: self.report.borrow().totals.oldest_command.map(Span::as_secs),
             safety: self
                 .safety
                 .borrow()

@@ -21,6 +21,8 @@ mod names;
 mod outlets;
 mod output;
 mod paths;
+#[cfg(feature = "sim")]
+mod picture;
 mod policy;
 #[cfg(feature = "completions")]
 mod shells;

@@ -187,7 +187,7 @@ mod tests {
             command: Vec2::zeros(),
             contacts: Contacts::default(),
         };
-        let step = Step { episode: 0, phase: Phase::Running, samples: vec![sample] };
+        let step = Step { episode: 0, phase: Phase::Running, samples: vec![sample], hearing: Vec::new() };
         outlets.step(&step);
         outlets.trajectories.as_ref().expect("they are asked for").0.flush(FAREWELL);
         outlets.step(&step);

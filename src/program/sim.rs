@@ -30,6 +30,8 @@ use crate::program::deployment;
 use crate::program::jobs;
 use crate::program::output::{print, read_text, talk};
 use crate::program::paths::Paths;
+use crate::program::picture;
+use crate::program::picture::Pictures;
 use crate::program::policy;
 use crate::program::whole_file::WholeFile;
 
@@ -139,6 +141,8 @@ pub struct Args {
     /// Writes every robot's path to a CSV file
     #[arg(long, value_name = "FILE.csv")]
     trajectories: Option<PathBuf>,
+    #[command(flatten)]
+    pictures: picture::Flags,
     /// Prints one JSON object in place of the table
     #[arg(long)]
     json: bool,
@@ -159,6 +163,7 @@ fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
 /// Runs the trials and prints what came of them.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (trial, policy) = trial(args, registry)?;
+    let pictures = Pictures::open(&args.pictures, args.episodes)?;
     let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
@@ -166,14 +171,15 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     tracing::info!("{} repeats of {} episodes; Ctrl-C prints what there is", args.repeats, args.episodes);
 
     let began = Instant::now();
-    let reports = run_all(args, &trial, &stop)?;
+    let reports = run_all(args, &trial, &pictures, &stop)?;
     // A Ctrl-C that comes after the last episode has interrupted nothing.
     let interrupted = reports.len() < args.repeats as usize || reports.iter().any(|report| !report.finished);
     let run = Run {
         mode: trial.deployment.mode.clone(),
         scenario: trial.scenario.name().to_owned(),
-        policy,
+        policy: policy.clone(),
         robots: trial.scenario.robots(),
+        judged: trial.deployment.judged(),
         seed: args.seed,
         wall_s: began.elapsed().as_secs_f64(),
         interrupted,
@@ -188,15 +194,17 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         write_paths(&mut file, &reports)?;
         file.keep()?;
     }
+    pictures.draw(&trial, &policy, &reports)?;
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-fn run_all(args: &Args, trial: &Trial, stop: &AtomicBool) -> Result<Vec<TrialReport>> {
+fn run_all(args: &Args, trial: &Trial, pictures: &Pictures, stop: &AtomicBool) -> Result<Vec<TrialReport>> {
     let bar = progress(u64::from(args.episodes) * u64::from(args.repeats), args.quiet);
     let repeats = args.repeats as usize;
     let work = |repeat: usize| {
         let repeat = u32::try_from(repeat).expect("repeats were counted in u32");
-        Trial { repeat, ..trial.clone() }.run_while(watched(&bar, stop))
+        let steps = pictures.steps(repeat, trial.steps);
+        Trial { repeat, steps, ..trial.clone() }.run_while(watched(&bar, stop))
     };
     let reports = jobs::run(repeats, jobs::threads(args.jobs, repeats), stop, work);
     bar.finish_and_clear();

@@ -4,6 +4,18 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::scenario::judge::Verdict;
 
+/// What a verdict was found from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Judged {
+    /// The true states of a World that simulates the whole team.
+    #[default]
+    Truth,
+    /// Readings, as they have arrived at the host of the state server: it knows robots where and when they were
+    /// measured, and nothing of what happened between.
+    Readings,
+}
+
 /// What came of one episode.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Episode {
@@ -17,9 +29,12 @@ pub struct Episode {
     pub makespan_s: Option<f64>,
     /// How long the reset before it took \[s\].
     pub reset_s: f64,
-    /// The smallest distance between two robots' centres \[m\].
+    /// The smallest distance between two robots' centres \[m\]; infinite if no two were seen together.
     #[serde(deserialize_with = "infinite_if_null")]
     pub min_separation_m: f32,
+    /// What this was found from.
+    #[serde(default)]
+    pub judged: Judged,
 }
 
 /// JSON has no infinity, which is the distance in a team of one.

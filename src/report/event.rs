@@ -18,7 +18,8 @@ pub enum HostEvent {
         /// Its name.
         host: String,
     },
-    /// An episode is over; told by the host with the World.
+    /// An episode is over; told by the host that judges: the one whose World simulates the whole team, or else that of
+    /// the state server.
     Episode(Episode),
     /// All counts so far: once a second, and as its last word where the team has not finished.
     Counted(Counted),
@@ -38,8 +39,9 @@ pub struct Counted {
     pub lost: u64,
     /// Frames sent, let in, and refused by cause, on all links together, up to the last full second.
     pub links: Box<LinkCounts>,
-    /// The oldest command that a robot of this host was driven by \[s\].
-    pub oldest_command_s: f64,
+    /// The oldest command that a robot of the team was driven by \[s\]; null where that cannot be known, as on all
+    /// hosts but one whose World simulates the whole team.
+    pub oldest_command_s: Option<f64>,
     /// How often robots of this host were stopped or slowed, up to their last heartbeats; robots that never were are
     /// left out.
     pub safety: Vec<RobotSafety>,
@@ -101,6 +103,7 @@ impl HostEvent {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::episode::Judged;
     use crate::scenario::judge::Verdict;
 
     #[test]
@@ -112,11 +115,12 @@ mod tests {
             makespan_s: None,
             reset_s: 1.5,
             min_separation_m,
+            judged: Judged::Readings,
         };
         let counts = SafetyCounts { late_tick: 2, ..SafetyCounts::default() };
         let counted = Counted {
             messages: 7,
-            oldest_command_s: 0.05,
+            oldest_command_s: Some(0.05),
             safety: vec![RobotSafety { robot: RobotId(3), counts }],
             unwritten: Unwritten { events: 1, ..Unwritten::default() },
             ..Counted::default()

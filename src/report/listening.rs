@@ -97,19 +97,23 @@ impl Listener {
         self.listening.delay.add(now.since(*published));
     }
 
-    /// A robot at a host has taken a control step on messages of these ages since their arrival.
-    pub fn stepped(&mut self, now: Time, at: HostId, heard: &[(RobotId, Span)]) {
+    /// A robot at a host has taken a control step on messages of these ages since their arrival; their ages since
+    /// publication, which are the same for those that crossed no link.
+    pub fn stepped(&mut self, now: Time, at: HostId, heard: &[(RobotId, Span)]) -> Vec<(RobotId, Span)> {
+        let mut ages = heard.to_vec();
         if self.hosts == 0 {
-            return;
+            return ages;
         }
         self.listening.steps += 1;
-        for (robot, age) in heard {
+        for (robot, age) in &mut ages {
             let had = self.had.get(&(at, *robot)).into_iter().flatten().rev();
             if let Some((_, published)) = had.clone().find(|(arrived, _)| now.since(*arrived) == *age) {
+                *age = now.since(*published);
                 self.listening.heard += 1;
-                self.listening.age.add(now.since(*published));
+                self.listening.age.add(*age);
             }
         }
+        ages
     }
 }
 
@@ -133,7 +137,9 @@ mod tests {
         listener.arrived(at(120), HostId(1), datagram);
         listener.arrived(at(130), HostId(1), datagram);
         listener.arrived(at(130), HostId(1), (HostId(0), 1, 8, false));
-        listener.stepped(at(150), HostId(1), &[(RobotId(0), Span::from_millis(30))]);
+        let heard = [(RobotId(0), Span::from_millis(30)), (RobotId(3), Span::from_millis(10))];
+        let ages = listener.stepped(at(150), HostId(1), &heard);
+        assert_eq!(ages, [(RobotId(0), Span::from_millis(50)), (RobotId(3), Span::from_millis(10))]);
         listener.stepped(at(200), HostId(2), &[]);
         let found = listener.listening();
         assert_eq!((found.due, found.arrived, found.delivered()), (2, 1, Some(0.5)));

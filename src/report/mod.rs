@@ -11,6 +11,7 @@ pub mod listening;
 pub mod outcomes;
 #[cfg(feature = "report")]
 pub mod page;
+pub mod picture;
 #[cfg(feature = "png")]
 pub mod png;
 pub mod statistics;

@@ -29,6 +29,8 @@ pub struct Outcomes {
     pub timeouts: usize,
     /// Episodes that the state server gave up.
     pub aborts: usize,
+    /// Episodes in which a robot was out of sight for too long, where readings are judged.
+    pub unseen: usize,
 }
 
 impl Outcomes {
@@ -49,6 +51,7 @@ impl Outcomes {
             collisions_wall: count(Verdict::WallCollision),
             timeouts: count(Verdict::Timeout),
             aborts: count(Verdict::Aborted),
+            unseen: count(Verdict::Unseen),
         }
     }
 }

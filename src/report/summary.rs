@@ -5,13 +5,25 @@ use std::fmt;
 use serde::Serialize;
 use xxhash_rust::xxh3::Xxh3;
 
-use super::episode::Episode;
+use super::episode::{Episode, Judged};
 use super::event::Unwritten;
 use super::outcomes::Outcomes;
 use super::trial::TrialReport;
 use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::link::LinkCounts;
 use crate::safety::guard::SafetyCounts;
+use crate::time::Span;
+
+/// Whose counts a summary has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Counts {
+    /// Those of all hosts.
+    Team,
+    /// Those of the one host that prints it: its messages, what was not delivered to it, and its robots' safety. What
+    /// the other hosts have counted is not known there.
+    Host,
+}
 
 /// The summary of a run. Fields are only ever added.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -27,6 +39,10 @@ pub struct Summary {
     /// What came of the episodes.
     #[serde(flatten)]
     pub outcomes: Outcomes,
+    /// What their verdicts were found from.
+    pub judged: Judged,
+    /// Whose counts these are.
+    pub counts: Counts,
     /// Simulated time of all trials together \[s\].
     pub virtual_s: f64,
     /// Wall-clock time of the run \[s\].
@@ -45,8 +61,8 @@ pub struct Summary {
     pub safety: SafetyCounts,
     /// Output that was dropped because nothing that drives a robot waits for it to be written.
     pub unwritten: Unwritten,
-    /// The oldest command that any robot was still driven by \[s\].
-    pub oldest_command_s: f64,
+    /// The oldest command that any robot was still driven by \[s\]; null where it is not known.
+    pub oldest_command_s: Option<f64>,
     /// A digest of every message and state of the run, in hexadecimal; null for a run that was interrupted or in real
     /// time.
     pub trace_hash: Option<String>,
@@ -67,6 +83,8 @@ pub struct Run {
     pub policy: String,
     /// The size of the team.
     pub robots: usize,
+    /// What verdicts are found from.
+    pub judged: Judged,
     /// The seed.
     pub seed: u64,
     /// How long it took \[s\].
@@ -82,13 +100,15 @@ impl Summary {
         let totals = || trials.iter().map(|trial| trial.totals);
         let mut trace = Xxh3::new();
         totals().for_each(|totals| trace.update(&totals.trace.to_le_bytes()));
-        let Run { mode, scenario, policy, robots, seed, wall_s, interrupted } = run;
+        let Run { mode, scenario, policy, robots, judged, seed, wall_s, interrupted } = run;
         Summary {
             mode,
             scenario,
             policy,
             robots,
             outcomes: Outcomes::of(&episodes),
+            judged,
+            counts: Counts::Team,
             virtual_s: trials.iter().map(|trial| trial.simulated.as_secs()).sum(),
             wall_s,
             messages: totals().map(|totals| totals.messages).sum(),
@@ -98,11 +118,17 @@ impl Summary {
             radio: Some(totals().map(|totals| totals.radio).sum()).filter(|radio: &RadioCounts| radio.channel_ns > 0),
             safety: totals().map(|totals| totals.safety).sum(),
             unwritten: Unwritten::default(),
-            oldest_command_s: totals().map(|totals| totals.oldest_command.as_secs()).fold(0.0, f64::max),
+            oldest_command_s: totals().filter_map(|totals| totals.oldest_command).max().map(Span::as_secs),
             trace_hash: (!interrupted).then(|| format!("{:032x}", trace.digest128())),
             seed,
             interrupted,
         }
+    }
+
+    /// Sums up a run in real time, by what its processes tell.
+    pub fn of_team(run: Run, report: TrialReport, counts: Counts, unwritten: Unwritten) -> Summary {
+        // Real time does not repeat itself: there is no trace to compare.
+        Summary { counts, unwritten, trace_hash: None, ..Summary::of(run, &[report]) }
     }
 }
 
@@ -138,11 +164,15 @@ impl fmt::Display for Summary {
             (self.outcomes.collisions_wall, "wall touched"),
             (self.outcomes.timeouts, "too late"),
             (self.outcomes.aborts, "given up"),
+            (self.outcomes.unseen, "with a robot out of sight"),
         ];
         let failed: Vec<String> =
             failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
         let what = if failed.is_empty() { "none".to_owned() } else { failed.join(", ") };
         writeln!(f, "  failures     {:>8}   {what}", episodes - successes)?;
+        if self.judged == Judged::Readings {
+            writeln!(f, "  judged       readings   what touched between two readings of a robot was not seen")?;
+        }
         let held: Vec<String> = self.safety.reasons().map(|(n, what)| format!("{n} {what}")).collect();
         if !held.is_empty() {
             let times: u64 = self.safety.reasons().map(|(n, _)| n).sum();
@@ -167,6 +197,9 @@ impl fmt::Display for Summary {
         if self.unwritten.total() > 0 {
             let what = format!("{log_lines} log lines, {events} events, {steps} steps of trajectories");
             writeln!(f, "  unwritten    {:>8}   {what}", self.unwritten.total())?;
+        }
+        if self.counts == Counts::Host {
+            writeln!(f, "  counted by  this host   safety, undelivered and messages are not those of the other hosts")?;
         }
         let trace =
             self.trace_hash.as_deref().unwrap_or(if self.interrupted { "incomplete" } else { "none: real time" });

@@ -1,14 +1,18 @@
-//! The judge of an episode: from the true states, step by step, to one verdict.
+//! The judge of an episode: from the states of the robots, step by step, to one verdict.
 //!
 //! An episode succeeds when every robot has arrived in time, no pair was ever nearer than the rules allow,
 //! and no move was ever blocked by a wall. Judging ends with the last arrival or at the limit; what happens
 //! afterwards is not the episode's. Pure, and the same for the Recorder and for training.
+//!
+//! States are true ones, of the whole team at each step, or measured ones, of the robots that were seen in it
+//! (`sightings`).
 
 use serde::{Deserialize, Serialize};
 
 use super::Rules;
 use crate::cells::{self, Cells};
 use crate::messages::geometry::Vec2;
+use crate::messages::ids::RobotId;
 use crate::messages::local::Contacts;
 use crate::time::Span;
 
@@ -26,14 +30,16 @@ pub enum Verdict {
     Timeout,
     /// The state server gave the episode up.
     Aborted,
+    /// A robot was out of sight for too long: what it did then, nobody knows. Only where readings are judged.
+    Unseen,
 }
 
 /// One robot as the judge sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
-    /// True position \[m\], world frame.
+    /// Position \[m\], world frame.
     pub position: Vec2,
-    /// What the world blocked in this step.
+    /// What it touched in this step.
     pub contacts: Contacts,
 }
 
@@ -67,6 +73,22 @@ impl Judge {
     /// Sees all robots, by id, `after` the start of the episode; the finding once there is one.
     pub fn see(&mut self, after: Span, robots: &[Seen]) -> Option<Finding> {
         assert_eq!(robots.len(), self.goals.len(), "the judge sees the whole team");
+        self.consider(after, robots, |at| at)
+    }
+
+    /// Sees the robots that there is something to see of, each with its id; of the others nothing changes.
+    pub fn see_some(&mut self, after: Span, robots: &[(RobotId, Seen)]) -> Option<Finding> {
+        let seen: Vec<Seen> = robots.iter().map(|(_, seen)| *seen).collect();
+        self.consider(after, &seen, |at| robots[at].0.index())
+    }
+
+    /// The episode has failed in a way that the judge cannot see, if it has not failed before.
+    pub fn fail(&mut self, verdict: Verdict) {
+        self.failure.get_or_insert(verdict);
+    }
+
+    /// Sees robots, each of which has its index in the team.
+    fn consider(&mut self, after: Span, robots: &[Seen], index: impl Fn(usize) -> usize) -> Option<Finding> {
         self.min_separation_m = self.min_separation_m.min(separation(robots, self.min_separation_m));
         if self.failure.is_none() {
             if robots.iter().any(|robot| robot.contacts.wall) {
@@ -75,8 +97,9 @@ impl Judge {
                 self.failure = Some(Verdict::RobotCollision);
             }
         }
-        for ((arrived, goal), robot) in self.arrived.iter_mut().zip(&self.goals).zip(robots) {
-            *arrived |= (goal - robot.position).norm() <= self.rules.arrival_m;
+        for (at, robot) in robots.iter().enumerate() {
+            let at = index(at);
+            self.arrived[at] |= (self.goals[at] - robot.position).norm() <= self.rules.arrival_m;
         }
         let all_arrived = self.arrived.iter().all(|&arrived| arrived);
         if !all_arrived && after < self.rules.limit {

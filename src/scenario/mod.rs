@@ -8,6 +8,7 @@ pub mod arena;
 pub mod judge;
 pub mod layout;
 pub mod passage;
+pub mod sightings;
 pub mod swap;
 
 use std::fmt::Debug;

@@ -18,6 +18,7 @@ fn cells(row: &Row) -> [String; 9] {
         (row.outcomes.collisions_wall, "wall"),
         (row.outcomes.timeouts, "late"),
         (row.outcomes.aborts, "aborted"),
+        (row.outcomes.unseen, "unseen"),
     ];
     let failed: Vec<String> = failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
     [

@@ -195,7 +195,8 @@ fn seeded_plans_are_safe_always_and_make_progress_once_they_are_over() {
 
         let totals = report.totals;
         assert!(report.finished, "the trial ends; {replay}");
-        assert!(totals.oldest_command <= bound, "driven by a command {} old; {replay}", totals.oldest_command);
+        let oldest = totals.oldest_command.expect("all true states were told");
+        assert!(oldest <= bound, "driven by a command {oldest} old; {replay}");
         assert_eq!(report.episodes.len(), 5, "every episode has a result; {replay}");
         assert!(totals.end > over, "the faults were over before the end; {replay}");
         assert_eq!(report.episodes[4].verdict, Verdict::Success, "{:?}; {replay}", report.episodes);

@@ -7,6 +7,7 @@ mod devices;
 mod faults;
 #[cfg(feature = "study")]
 mod growth;
+mod judged;
 #[cfg(feature = "rigid")]
 mod physics;
 mod radio;

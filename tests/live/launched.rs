@@ -61,6 +61,67 @@ fn launched(episodes: u32) -> BTreeMap<u32, (String, String)> {
     said.lines().filter_map(told).collect()
 }
 
+/// Two robots whose bodies are simulated by two processes, each beside its own agent.
+const APART: &str = r#"
+team = 4811
+scenario = "passage"
+policy = "orca"
+episodes = 1
+
+[deployment]
+mode = "apart"
+robots = 2
+placement = "drive"
+stepping = "seeded"
+
+[[deployment.host]]
+name = "left"
+agents = [[0]]
+simulates = [0]
+state_server = true
+
+[[deployment.host]]
+name = "right"
+agents = [[1]]
+simulates = [1]
+
+[[deployment.link]]
+name = "air"
+carries = ["reading", "latent", "heartbeat", "mode", "stop"]
+
+[link.air]
+interface = "lo"
+"#;
+
+/// The same link, where each host is addressed by itself.
+const ADDRESSED: &str = r#"
+transport = "unicast"
+peers = { left = "127.0.0.1:41796", right = "127.0.0.1:41797" }
+"#;
+
+/// What `launch` prints of that team: with `--json` or without.
+fn launched_apart(name: &str, link: &str, flags: &[&str]) -> String {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join(name);
+    std::fs::write(&file, format!("{APART}{link}")).expect("it is written");
+    let file = file.to_str().expect("its name is text");
+    let output = murmurate(&[&["launch", file], flags].concat()).output().expect("it starts");
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+#[test]
+fn bodies_on_two_hosts_are_judged_from_their_readings() {
+    let _beside = beside();
+    let said = launched_apart("addressed.toml", ADDRESSED, &["--json"]);
+    let summary: serde_json::Value = serde_json::from_str(&said).expect("it is JSON");
+    assert_eq!((&summary["judged"], &summary["episodes"]), (&"readings".into(), &1.into()), "{summary}");
+    assert_eq!(summary["unseen"], 0, "{summary}");
+    assert!(summary["oldest_command_s"].is_null(), "nobody has seen what drives both: {summary}");
+    let table = launched_apart("heard.toml", "group = \"239.255.82.3:41793\"\n", &[]);
+    assert!(table.contains(" of 1 (95 %") && table.contains("judged       readings"), "{table}");
+}
+
 #[test]
 fn launch_ends_as_one_process_does() {
     let _beside = beside();

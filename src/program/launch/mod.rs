@@ -16,8 +16,8 @@ use crate::deploy::team::Team;
 use crate::registry::Registry;
 use crate::report::episode::Episode;
 use crate::report::event::{Counted, HostEvent, Unwritten};
-use crate::report::summary::{Run, Summary};
-use crate::report::trial::{Totals, TrialReport};
+use crate::report::summary::{Counts, Run, Summary};
+use crate::report::trial::TrialReport;
 use crate::time::Span;
 use anyhow::{Context, Result, anyhow};
 
@@ -89,14 +89,12 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         scenario: first.scenario.clone(),
         policy,
         robots: first.deployment.robots,
+        judged: first.deployment.judged(),
         seed: first.seed,
         wall_s,
         interrupted: !finished || asked,
     };
-    let mut summary = Summary::of(run, &[results.report(wall_s)]);
-    // Real time does not repeat itself: there is no trace to compare.
-    summary.trace_hash = None;
-    summary.unwritten = results.unwritten();
+    let summary = Summary::of_team(run, results.report(wall_s), Counts::Team, results.unwritten());
     print(&if args.json {
         serde_json::to_string(&summary).context("a summary is JSON")?
     } else {
@@ -200,7 +198,7 @@ impl Results {
     }
 
     fn episode(&mut self, episode: Episode) {
-        // A World that was started again may tell one twice; the first is what happened.
+        // A host that was started again may tell one twice; the first is what happened.
         if self.episodes.contains_key(&episode.episode) {
             return;
         }
@@ -223,7 +221,7 @@ impl Results {
         self.say(&format!("{name} | {line}"));
     }
 
-    fn lives(&self) -> impl Iterator<Item = &Counted> {
+    fn lives(&self) -> impl Iterator<Item = &Counted> + Clone {
         self.past.iter().chain(&self.counted)
     }
 
@@ -233,22 +231,12 @@ impl Results {
     }
 
     fn report(&self, wall_s: f64) -> TrialReport {
-        let sum = |of: fn(&Counted) -> u64| self.lives().map(of).sum();
-        let oldest = self.lives().map(|counted| counted.oldest_command_s).fold(0.0, f64::max);
-        TrialReport {
+        let report = TrialReport {
             episodes: self.episodes.values().copied().collect(),
             simulated: Span::from_secs(wall_s),
-            totals: Totals {
-                messages: sum(|counted| counted.messages),
-                oldest_command: Span::from_secs(oldest),
-                links: self.lives().map(|counted| *counted.links).sum(),
-                safety: self.lives().flat_map(|counted| &counted.safety).map(|robot| robot.counts).sum(),
-                ..Totals::default()
-            },
             finished: self.episodes.len() == self.wanted as usize,
-            refused: sum(|counted| counted.refused),
-            lost: sum(|counted| counted.lost),
-            steps: Vec::new(),
-        }
+            ..TrialReport::default()
+        };
+        report.counted(self.lives())
     }
 }

@@ -1,0 +1,59 @@
+//! Who judges the episodes of a deployment, and from what.
+
+use super::{Deployment, Host};
+use crate::messages::ids::HostId;
+use crate::messages::wire::Kind;
+use crate::report::episode::Judged;
+
+impl Deployment {
+    /// What verdicts are found from: true states where one World has them all, and elsewhere readings.
+    pub fn judged(&self) -> Judged {
+        match self.hosts.iter().any(|host| host.simulates.len() == self.robots) {
+            true => Judged::Truth,
+            false => Judged::Readings,
+        }
+    }
+
+    /// The host that judges: the one whose World has all robots, or else that of the state server, to which all
+    /// readings go. The deployment has to have a state server, which `check` sees to.
+    pub fn judge(&self) -> HostId {
+        let judges = |host: &Host| match self.judged() {
+            Judged::Truth => host.simulates.len() == self.robots,
+            Judged::Readings => host.state_server,
+        };
+        let found = self.hosts.iter().position(judges).expect("a checked deployment has a state server");
+        HostId(u16::try_from(found).expect("a checked deployment has few hosts"))
+    }
+
+    /// Why a kind has to cross hosts, where it is for the judge's sake; else nothing.
+    pub(super) fn needed_by_judge(&self, kind: Kind) -> String {
+        match (kind, self.judged()) {
+            (Kind::Reading, Judged::Readings) => {
+                let judge = &self.hosts[usize::from(self.judge().0)].name;
+                format!("; host '{judge}' judges the episodes by all readings")
+            }
+            _ => String::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deploy::Routes;
+
+    #[test]
+    fn readings_go_to_the_host_that_judges_only_where_no_world_has_everyone() {
+        let mut deployment = Deployment::preset("onboard-infra", 3).unwrap();
+        let world = HostId(3);
+        assert_eq!((deployment.judged(), deployment.judge()), (Judged::Truth, world));
+        assert_eq!(Routes::of(&deployment).listeners(Kind::Reading), [0, 1, 2].map(HostId));
+        deployment.hosts[3].simulates = vec![0];
+        deployment.hosts.push(Host { name: "other".to_owned(), simulates: vec![1, 2], ..Host::default() });
+        assert_eq!((deployment.judged(), deployment.judge()), (Judged::Readings, world));
+        assert_eq!(Routes::of(&deployment).listeners(Kind::Reading), [0, 1, 2, 3].map(HostId));
+        deployment.links[0].carries.retain(|kind| *kind != Kind::Reading);
+        let refused = deployment.check().unwrap_err().to_string();
+        assert!(refused.starts_with("link.carries: Reading") && refused.contains("'world' judges"), "{refused}");
+    }
+}

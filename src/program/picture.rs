@@ -1,0 +1,118 @@
+//! Pictures of one episode of `sim`: which files they go to, and what they say of the run.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+
+use crate::actors::recorder::Steps;
+use crate::program::bad;
+use crate::program::output::talk;
+use crate::program::whole_file::WholeFile;
+use crate::report::picture::{Scene, Stage, film, moving, still};
+use crate::time::Span;
+use crate::trial::{Trial, TrialReport};
+
+/// Flags for pictures.
+#[derive(clap::Args)]
+pub struct Flags {
+    /// Makes an animation of one episode: a page that plays it (.html), or a picture that moves (.svg)
+    #[arg(long, value_name = "FILE.html|FILE.svg")]
+    animate: Option<PathBuf>,
+    /// Draws one episode as a still picture
+    #[arg(long, value_name = "FILE.svg")]
+    svg: Option<PathBuf>,
+    /// Which episode of the first repeat --animate and --svg show, from 0 [default: 0]
+    #[arg(long, value_name = "N")]
+    episode: Option<u32>,
+}
+
+/// How an episode is drawn.
+type Draw = fn(&Scene) -> String;
+
+/// The pictures of a run, with their files open.
+pub struct Pictures {
+    files: Vec<(WholeFile, Draw)>,
+    episode: u32,
+}
+
+impl Pictures {
+    /// Opens their files, for a run of so many episodes.
+    pub fn open(args: &Flags, episodes: u32) -> Result<Pictures> {
+        let film: (&str, Draw) = ("html", film);
+        let files = [
+            ("--animate", &args.animate, vec![film, ("svg", moving)]),
+            ("--svg", &args.svg, vec![("svg", still as Draw)]),
+        ];
+        let mut found = Vec::new();
+        for (flag, path, endings) in files {
+            let Some(path) = path else { continue };
+            found.push((path, draw(flag, path, &endings)?));
+        }
+        match args.episode {
+            Some(_) if found.is_empty() => {
+                return bad("--episode: there is nothing to draw; add --animate or --svg".to_owned());
+            }
+            Some(episode) if episode >= episodes => {
+                return bad(format!("--episode: there is no episode {episode}; there are {episodes}, from 0"));
+            }
+            _ => {}
+        }
+        let open = |(path, draw): (&PathBuf, Draw)| Ok((WholeFile::create(path)?, draw));
+        let files = found.into_iter().map(open).collect::<Result<Vec<_>>>()?;
+        Ok(Pictures { files, episode: args.episode.unwrap_or(0) })
+    }
+
+    /// What a trial is to keep of its steps, which otherwise would be `steps`.
+    pub fn steps(&self, repeat: u32, steps: Steps) -> Steps {
+        if repeat == 0 && !self.files.is_empty() { Steps::WithHearing } else { steps }
+    }
+
+    /// Draws them, and gives the files their names. An episode that was interrupted is not drawn.
+    pub fn draw(self, trial: &Trial, policy: &str, reports: &[TrialReport]) -> Result<()> {
+        if self.files.is_empty() {
+            return Ok(());
+        }
+        let result = |report: &TrialReport| {
+            let found = report.episodes.iter().find(|episode| (episode.repeat, episode.episode) == (0, self.episode));
+            found.copied()
+        };
+        let found = reports.iter().find_map(|report| result(report).map(|episode| (report, episode)));
+        let Some((report, episode)) = found else {
+            talk(&format!("episode {} was interrupted: there is no picture of it", self.episode));
+            return Ok(());
+        };
+        let scene = Scene::new(stage(trial, policy, self.episode), &episode, &report.steps);
+        for (mut file, draw) in self.files {
+            file.writer().write_all(draw(&scene).as_bytes()).context("cannot write the picture")?;
+            file.keep()?;
+        }
+        Ok(())
+    }
+}
+
+/// How a file of this name is drawn.
+fn draw(flag: &str, path: &Path, endings: &[(&str, Draw)]) -> Result<Draw> {
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    match endings.iter().find(|(known, _)| *known == ending) {
+        Some((_, draw)) => Ok(*draw),
+        None => {
+            let known = endings.iter().map(|(known, _)| format!(".{known}")).collect::<Vec<_>>().join(" or ");
+            bad(format!("{flag}: '{}' does not end in {known}", path.display()))
+        }
+    }
+}
+
+fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Stage<'a> {
+    let (robots, scenario) = (trial.scenario.robots(), trial.scenario.name());
+    let window_s = trial.model.interface().hold.as_secs().clamp(0.1, 1.0);
+    let many = if robots == 1 { "robot" } else { "robots" };
+    Stage {
+        title: format!("{robots} {many}, scenario {scenario}, mode {}", trial.deployment.mode),
+        caption: format!("policy {policy}, seed {}, episode {episode}", trial.seed),
+        arena: trial.scenario.arena(),
+        rules: trial.scenario.rules(),
+        radius_m: trial.physics.wall_radius_m,
+        window: Span::from_secs(window_s),
+        tasks: trial.layouts.episode(episode),
+    }
+}

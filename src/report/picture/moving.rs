@@ -1,0 +1,229 @@
+//! An episode as an SVG file that moves by itself, without a script; where nothing is to move it is the still.
+
+use std::fmt::Write as _;
+
+use super::scene::{Frame, Link, Scene};
+use super::sheet::{AGES, COLOURS, View, goal_mark, goals, legend, px, sheet, verdict};
+use super::still::{self, drawn, path};
+use crate::messages::geometry::Vec2;
+use crate::time::Span;
+
+/// How long the end is shown before it begins again \[s\].
+const REST_S: f64 = 2.5;
+/// Between two samples at the least \[s\]; in between, everything goes in straight lines.
+const LEAST_S: f64 = 0.1;
+/// About what all samples may take \[bytes\].
+const ROOM: usize = 190_000;
+/// About what one sample of a robot and one of a pair takes \[bytes\].
+const ROBOT: usize = 24;
+const PAIR: usize = 36;
+/// The clock shows so many numbers at the most.
+const READINGS: f64 = 130.0;
+
+/// The episode as sampled for an animation.
+struct Reel<'a> {
+    scene: &'a Scene<'a>,
+    /// Of one round, the rest at its end included \[s\].
+    lasts_s: f64,
+    /// Evenly over one round: between which frames, and how far from one to the next.
+    samples: Vec<(&'a Frame, &'a Frame, f32)>,
+}
+
+impl<'a> Reel<'a> {
+    fn new(scene: &'a Scene<'a>) -> Reel<'a> {
+        let lasts_s = scene.length().as_secs() + REST_S;
+        let each = scene.robots() * ROBOT + scene.pairs().len() * PAIR;
+        let count = ((lasts_s / LEAST_S) as usize).min(ROOM / each).max(8);
+        let sample = |index: usize| {
+            let time_s = lasts_s * index as f64 / count as f64;
+            let next = scene.frames.partition_point(|frame| frame.time.as_secs() <= time_s).min(scene.frames.len() - 1);
+            let (from, to) = (&scene.frames[next.saturating_sub(1)], &scene.frames[next]);
+            let (begins, lasts) = (from.time.as_secs(), to.time.as_secs() - from.time.as_secs());
+            let share = if lasts > 0.0 { ((time_s - begins) / lasts).clamp(0.0, 1.0) } else { 1.0 };
+            (from, to, share as f32)
+        };
+        Reel { scene, lasts_s, samples: (0..=count).map(sample).collect() }
+    }
+
+    /// Where a robot is in each sample.
+    fn positions(&self, robot: usize) -> impl Iterator<Item = Vec2> + '_ {
+        self.samples.iter().map(move |(from, to, share)| from.at[robot] + (to.at[robot] - from.at[robot]) * *share)
+    }
+
+    /// One attribute that follows these values, evenly over a round.
+    fn follows(&self, attribute: &str, discrete: bool, values: &[String]) -> String {
+        if values.iter().all(|value| *value == values[0]) {
+            return format!("<set attributeName=\"{attribute}\" to=\"{}\"/>", values[0]);
+        }
+        let (mode, values) = (if discrete { " calcMode=\"discrete\"" } else { "" }, values.join(";"));
+        format!("<animate attributeName=\"{attribute}\"{mode} values=\"{values}\" {}/>", self.round())
+    }
+
+    /// One attribute that changes at these times \[s\].
+    fn changes(&self, attribute: &str, values: &[(&str, f64)]) -> String {
+        let keys: Vec<String> =
+            values.iter().map(|(_, at)| format!("{:.4}", (at / self.lasts_s).clamp(0.0, 1.0))).collect();
+        let values: Vec<&str> = values.iter().map(|(value, _)| *value).collect();
+        let (keys, values) = (keys.join(";"), values.join(";"));
+        let rest = self.round();
+        format!(
+            "<animate attributeName=\"{attribute}\" calcMode=\"discrete\" values=\"{values}\" keyTimes=\"{keys}\" {rest}/>"
+        )
+    }
+
+    fn round(&self) -> String {
+        format!("dur=\"{:.3}s\" repeatCount=\"indefinite\"", self.lasts_s)
+    }
+
+    /// What is shown from this time on, to the end of a round.
+    fn shown_from(&self, at: Span) -> String {
+        if at == Span::ZERO {
+            return String::new();
+        }
+        self.changes("visibility", &[("hidden", 0.0), ("visible", at.as_secs())])
+    }
+}
+
+/// The episode as an SVG file.
+pub fn moving(scene: &Scene) -> String {
+    let view = View::new(&scene.stage);
+    let reel = Reel::new(scene);
+    let mut text =
+        format!("<g class=\"still\">{}{}</g>\n<g class=\"moving\">\n", drawn(scene, &view), verdict(scene, ""));
+    text += &aims(&reel, &view);
+    for robot in 0..scene.robots() {
+        text += &trail(&reel, &view, robot);
+    }
+    // Many lines are thinner.
+    let (width, opacity) = if scene.robots() > COLOURS { ("1.3", ".6") } else { ("2.5", "1") };
+    let _ = writeln!(text, "<g stroke-width=\"{width}\" opacity=\"{opacity}\">");
+    for pair in scene.pairs() {
+        text += &link(&reel, &view, pair);
+    }
+    text += "</g>\n";
+    for robot in 0..scene.robots() {
+        text += &disc(&reel, &view, robot);
+    }
+    for ring in &scene.ending.rings {
+        let circle = view.circle("ring", ring.at, ring.radius_m, " stroke-width=\"4\"");
+        text += &circle.replace("/>", &format!(">{}</circle>\n", reel.shown_from(ring.from)));
+    }
+    text += &verdict(scene, &reel.shown_from(scene.length()));
+    text += &clock(&reel, &view);
+    text += "</g>\n";
+    let style = ".still{display:none}@media(prefers-reduced-motion:reduce){.still{display:inline}.moving{display:none}}.clock{font-size:26px}";
+    let legends = [("still", still::marks(scene)), ("moving", marks(scene))];
+    let legends =
+        legends.map(|(class, marks)| format!("<g class=\"{class}\">{}</g>\n", legend(&view, &marks))).concat();
+    sheet(&view, scene, style, &text, &legends)
+}
+
+/// What links mean, and goals.
+fn marks(scene: &Scene) -> [(String, f32, String); 3] {
+    let line = |(at, strong): (usize, &&str)| {
+        format!("<path class=\"link\" d=\"M{} 0h26\" stroke-width=\"3\" stroke-opacity=\"{strong}\"/>", 28 * at)
+    };
+    let lines = AGES.iter().enumerate().map(line).collect();
+    let heard = format!("heard, new to {} s old", scene.stage.window.as_secs());
+    let dashed = "<path class=\"link\" d=\"M0 0h30\" stroke-width=\"3\" stroke-dasharray=\"7 6\"/>".to_owned();
+    [goal_mark(scene), (lines, 138.0, heard), (dashed, 30.0, "one way".to_owned())]
+}
+
+/// The goals, each of which is drawn through once its robot has arrived.
+fn aims(reel: &Reel, view: &View) -> String {
+    let arrivals = reel.scene.arrivals();
+    goals(view, reel.scene, false, |robot| {
+        let solid = arrivals[robot].map(|at| reel.changes("stroke-dasharray", &[("5 4", 0.0), ("none", at.as_secs())]));
+        solid.unwrap_or_default()
+    })
+}
+
+/// The way up to now: all of it, of which a growing dash is seen.
+fn trail(reel: &Reel, view: &View, robot: usize) -> String {
+    let mut gone = vec![0.0f32];
+    for pair in reel.scene.frames.windows(2) {
+        let leg = view.at(pair[1].at[robot]) - view.at(pair[0].at[robot]);
+        gone.push(gone[gone.len() - 1] + leg.norm());
+    }
+    let whole = gone[gone.len() - 1] + 1.0;
+    let at = |time: Span| reel.scene.frames.partition_point(|frame| frame.time < time);
+    let left = |(from, to, share): &(&Frame, &Frame, f32)| {
+        let (from, to) = (gone[at(from.time)], gone[at(to.time)]);
+        px(whole - from - (to - from) * share)
+    };
+    let values: Vec<String> = reel.samples.iter().map(left).collect();
+    let dash = format!(" stroke-dasharray=\"{0} {0}\"", px(whole));
+    let moves = reel.follows("stroke-dashoffset", false, &values);
+    let path = path(reel.scene, view, robot).replace("/>", &format!("{dash}>{moves}</polyline>"));
+    format!("<g class=\"c{}\">{path}</g>\n", robot % COLOURS)
+}
+
+fn link(reel: &Reel, view: &View, (one, other): (usize, usize)) -> String {
+    let ends = reel.positions(one).zip(reel.positions(other));
+    let line = |(from, to): (Vec2, Vec2)| {
+        let (from, to) = (view.at(from), view.at(to));
+        let [a, b, c, d] = [from.x, from.y, to.x, to.y].map(|number| px(number.round()));
+        format!("M{a} {b}L{c} {d}")
+    };
+    let lines: Vec<String> = ends.map(line).collect();
+    let links = reel.samples.iter().map(|(from, to, share)| {
+        let frame = if *share < 1.0 { from } else { to };
+        frame.links.iter().find(|link| (link.one, link.other) == (one, other))
+    });
+    let strong =
+        |link: &Option<&Link>| link.map_or("0", |link| AGES[level(link.age, reel.scene.stage.window)]).to_owned();
+    let dash = |link: &Option<&Link>| if link.is_some_and(|link| !link.mutual) { "7 6" } else { "0" }.to_owned();
+    let links: Vec<Option<&Link>> = links.collect();
+    let strengths = reel.follows("stroke-opacity", true, &links.iter().map(strong).collect::<Vec<_>>());
+    let dashes = reel.follows("stroke-dasharray", true, &links.iter().map(dash).collect::<Vec<_>>());
+    let moves = reel.follows("d", false, &lines);
+    format!("<path class=\"link\" d=\"{}\">{moves}{strengths}{dashes}</path>\n", lines[0])
+}
+
+/// How strong a link with a message of this age is, as an index.
+fn level(age: Span, window: Span) -> usize {
+    let levels = AGES.len() as u64;
+    (age.as_nanos() * levels / window.as_nanos().max(1)).min(levels - 1) as usize
+}
+
+fn disc(reel: &Reel, view: &View, robot: usize) -> String {
+    let stage = &reel.scene.stage;
+    let places: Vec<String> = reel
+        .positions(robot)
+        .map(|at| {
+            let at = view.at(at);
+            format!("{},{}", px(at.x), px(at.y))
+        })
+        .collect();
+    let moves = format!(
+        "<animateTransform attributeName=\"transform\" type=\"translate\" values=\"{}\" {}/>",
+        places.join(";"),
+        reel.round()
+    );
+    let (radius, size) = (px(stage.radius_m * view.scale), px(view.number(stage, robot)));
+    let disc = format!("<circle class=\"disc\" r=\"{radius}\" stroke-width=\"2\"/>");
+    let number = format!("<text class=\"number\" style=\"font-size:{size}px\">{robot}</text>");
+    format!("<g class=\"c{}\" transform=\"translate({})\">{disc}{number}{moves}</g>\n", robot % COLOURS, places[0])
+}
+
+/// The time, as one text for each number that it shows.
+fn clock(reel: &Reel, view: &View) -> String {
+    let length_s = reel.scene.length().as_secs();
+    let step_s =
+        [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0].into_iter().find(|step| length_s / step <= READINGS).unwrap_or(60.0);
+    let count = (length_s / step_s + 1e-6) as usize;
+    let (x, mut text) = (px(view.size.x - 24.0), String::new());
+    for index in 0..=count {
+        let from = step_s * index as f64;
+        let mut values = vec![("visible", from)];
+        if index > 0 {
+            values.insert(0, ("hidden", 0.0));
+        }
+        if index < count {
+            values.push(("hidden", from + step_s));
+        }
+        let shown = reel.changes("visibility", &values);
+        let _ = writeln!(text, "<text class=\"clock\" x=\"{x}\" y=\"38\">{from:.1} s{shown}</text>");
+    }
+    format!("<g style=\"text-anchor:end;font-variant-numeric:tabular-nums;font-weight:650\">\n{text}</g>\n")
+}

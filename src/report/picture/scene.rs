@@ -1,0 +1,322 @@
+//! What a picture of an episode shows, from the steps of a trial.
+
+use crate::messages::geometry::{Task, Vec2};
+use crate::messages::ids::RobotId;
+use crate::messages::wire::Phase;
+use crate::report::episode::Episode;
+use crate::report::trial::{Hearing, Step};
+use crate::scenario::judge::{Judge, Seen, Verdict};
+use crate::scenario::{Arena, Rules};
+use crate::time::{Span, Time};
+
+/// Two frames are at least this far apart: what moves as slowly as a robot needs no more.
+const FRAME: Span = Span::from_millis(48);
+/// Where robots were just before the first step of an episode is shown if none has jumped since \[m\].
+const JUMP_M: f32 = 0.1;
+/// How much longer than the robots' radius the radius of a ring about a failure is.
+const WIDER: f32 = 1.45;
+
+/// So many robots are named that have not arrived.
+const NAMED: usize = 8;
+
+/// What an episode happens on, and how it is judged.
+#[derive(Clone, Debug)]
+pub struct Stage<'a> {
+    /// What it is a picture of, in a few words.
+    pub title: String,
+    /// The same more exactly: what it takes to see it again.
+    pub caption: String,
+    /// The ground and what stands on it.
+    pub arena: &'a Arena,
+    /// How the episode is judged.
+    pub rules: Rules,
+    /// Radius of the robots' hulls \[m\].
+    pub radius_m: f32,
+    /// From this age on messages all look equally old.
+    pub window: Span,
+    /// Start and goal of every robot.
+    pub tasks: &'a [Task],
+}
+
+/// An episode as a picture shows it.
+#[derive(Clone, Debug)]
+pub struct Scene<'a> {
+    /// Where it happens.
+    pub stage: Stage<'a>,
+    /// From the beginning to the end of judging; at least one.
+    pub frames: Vec<Frame>,
+    /// How it ended.
+    pub ending: Ending,
+}
+
+/// The team at one instant.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Since the episode began.
+    pub time: Span,
+    /// Positions by robot \[m\], world frame.
+    pub at: Vec<Vec2>,
+    /// Which pairs hear each other, in their order.
+    pub links: Vec<Link>,
+}
+
+/// Two robots of which one at least hears the other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Link {
+    /// The robot with the lower id.
+    pub one: usize,
+    /// The other one.
+    pub other: usize,
+    /// Age of the newest message; of the older one where there is one each way.
+    pub age: Span,
+    /// Whether each hears the other.
+    pub mutual: bool,
+}
+
+/// How an episode ended.
+#[derive(Clone, Debug)]
+pub struct Ending {
+    /// Whether it succeeded.
+    pub success: bool,
+    /// The verdict in words.
+    pub text: String,
+    /// Where it failed.
+    pub rings: Vec<Ring>,
+}
+
+/// A place to look at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ring {
+    /// From when on, since the episode began.
+    pub from: Span,
+    /// Its centre \[m\], world frame.
+    pub at: Vec2,
+    /// Its radius \[m\].
+    pub radius_m: f32,
+}
+
+/// The first contact that fails an episode.
+enum Contact {
+    Wall(Span, usize, Vec2),
+    Robots(Span, [usize; 2], Vec2, f32),
+}
+
+impl<'a> Scene<'a> {
+    /// The episode of this result, from the steps of its trial.
+    ///
+    /// An episode without a step (it was given up before it began) shows the robots at their starts.
+    pub fn new(stage: Stage<'a>, episode: &Episode, steps: &[Step]) -> Scene<'a> {
+        let (before, steps) = running(episode.episode, steps);
+        let began = match (before, steps) {
+            (Some(before), _) => time(before),
+            // Without a step before it the first one is taken to be as long as the second.
+            (None, [first, second, ..]) => {
+                let step = time(second).since(time(first));
+                Time::ZERO + time(first).since(Time::ZERO + step)
+            }
+            (None, _) => steps.first().map_or(Time::ZERO, time),
+        };
+        let mut judge = Judge::new(stage.rules, stage.tasks.iter().map(|task| task.goal).collect());
+        let (mut frames, mut contact, mut arrived): (Vec<Frame>, _, _) =
+            (Vec::new(), None, vec![false; stage.tasks.len()]);
+        frames.extend(before.map(|step| frame(Span::ZERO, step)));
+        for step in steps {
+            let after = time(step).since(began);
+            let seen: Vec<Seen> =
+                step.samples.iter().map(|s| Seen { position: s.motion.position, contacts: s.contacts }).collect();
+            for ((arrived, task), seen) in arrived.iter_mut().zip(stage.tasks).zip(&seen) {
+                *arrived |= (task.goal - seen.position).norm() <= stage.rules.arrival_m;
+            }
+            let over = judge.see(after, &seen).is_some();
+            let touches = contact.is_none().then(|| touching(&stage, after, &seen)).flatten();
+            let due = frames.last().is_none_or(|last| last.time + FRAME <= after);
+            if due || over || touches.is_some() {
+                frames.push(frame(after, step));
+            }
+            contact = contact.or(touches);
+            if over {
+                break;
+            }
+        }
+        if frames.is_empty() {
+            let at = stage.tasks.iter().map(|task| task.start).collect();
+            frames.push(Frame { time: Span::ZERO, at, links: Vec::new() });
+        }
+        let ending = ending(&stage, episode, contact, &arrived, &frames[frames.len() - 1]);
+        Scene { stage, frames, ending }
+    }
+
+    /// How many robots there are.
+    pub fn robots(&self) -> usize {
+        self.stage.tasks.len()
+    }
+
+    /// How long the episode took.
+    pub fn length(&self) -> Span {
+        self.frames.last().map_or(Span::ZERO, |frame| frame.time)
+    }
+
+    /// When each robot has first come near enough to its goal.
+    pub fn arrivals(&self) -> Vec<Option<Span>> {
+        let arrived = |(robot, task): (usize, &Task)| {
+            let near = |frame: &&Frame| (task.goal - frame.at[robot]).norm() <= self.stage.rules.arrival_m;
+            self.frames.iter().find(near).map(|frame| frame.time)
+        };
+        self.stage.tasks.iter().enumerate().map(arrived).collect()
+    }
+
+    /// The pairs that hear each other at some time, in their order.
+    pub fn pairs(&self) -> Vec<(usize, usize)> {
+        let mut pairs: Vec<_> =
+            self.frames.iter().flat_map(|frame| &frame.links).map(|link| (link.one, link.other)).collect();
+        pairs.sort_unstable();
+        pairs.dedup();
+        pairs
+    }
+}
+
+/// The last stretch of steps in which the episode runs, and the one before it if no robot has been moved between: an
+/// episode that a host has left is run again.
+fn running(episode: u32, steps: &[Step]) -> (Option<&Step>, &[Step]) {
+    let runs = |step: &Step| step.episode == episode && step.phase == Phase::Running;
+    let end = steps.iter().rposition(runs).map_or(0, |last| last + 1);
+    let begin = steps[..end].iter().rposition(|step| !runs(step)).map_or(0, |before| before + 1);
+    let stretch = &steps[begin..end];
+    let before = begin.checked_sub(1).map(|at| &steps[at]).filter(|before| {
+        let moves = |first: &Step| {
+            let pairs = before.samples.iter().zip(&first.samples);
+            pairs.map(|(one, other)| (one.motion.position - other.motion.position).norm()).fold(0.0, f32::max)
+        };
+        stretch.first().is_some_and(|first| moves(first) < JUMP_M)
+    });
+    (before, stretch)
+}
+
+/// When a step was seen as a whole.
+fn time(step: &Step) -> Time {
+    step.samples.iter().map(|sample| sample.time).max().unwrap_or(Time::ZERO)
+}
+
+fn frame(time: Span, step: &Step) -> Frame {
+    Frame { time, at: step.samples.iter().map(|sample| sample.motion.position).collect(), links: links(&step.hearing) }
+}
+
+/// Who hears whom, by pair.
+fn links(hearing: &[Hearing]) -> Vec<Link> {
+    let pair = |one: RobotId, other: RobotId| (one.index().min(other.index()), one.index().max(other.index()));
+    let mut links: Vec<Link> = Vec::new();
+    for Hearing { robot, of, age } in hearing {
+        let (one, other) = pair(*robot, *of);
+        match links.iter_mut().find(|link| (link.one, link.other) == (one, other)) {
+            Some(link) => (link.age, link.mutual) = (link.age.max(*age), true),
+            None => links.push(Link { one, other, age: *age, mutual: false }),
+        }
+    }
+    links.sort_by_key(|link| (link.one, link.other));
+    links
+}
+
+/// What the judge would fail an episode for at this instant.
+fn touching(stage: &Stage, after: Span, seen: &[Seen]) -> Option<Contact> {
+    if let Some(robot) = seen.iter().position(|robot| robot.contacts.wall) {
+        return Some(Contact::Wall(after, robot, seen[robot].position));
+    }
+    let pairs = (0..seen.len()).flat_map(|one| (one + 1..seen.len()).map(move |other| [one, other]));
+    let apart = |[one, other]: [usize; 2]| (seen[one].position - seen[other].position).norm();
+    let nearest = pairs.min_by(|a, b| apart(*a).total_cmp(&apart(*b)))?;
+    let middle = (seen[nearest[0]].position + seen[nearest[1]].position) / 2.0;
+    (apart(nearest) < stage.rules.separation_m).then(|| Contact::Robots(after, nearest, middle, apart(nearest)))
+}
+
+/// How an episode ended, in words and in places.
+fn ending(stage: &Stage, episode: &Episode, contact: Option<Contact>, arrived: &[bool], last: &Frame) -> Ending {
+    let late: Vec<usize> = (0..arrived.len()).filter(|robot| !arrived[*robot]).collect();
+    let mut names = late.iter().take(NAMED).map(usize::to_string).collect::<Vec<_>>().join(", ");
+    if late.len() > NAMED {
+        names += &format!(" and {} more", late.len() - NAMED);
+    }
+    let ring = |from, at, apart_m: f32| vec![Ring { from, at, radius_m: stage.radius_m * WIDER + apart_m / 2.0 }];
+    let (text, rings) = match (episode.verdict, contact) {
+        (Verdict::Success, _) => {
+            (format!("Success: all have arrived after {:.2} s", episode.makespan_s.unwrap_or(0.0)), Vec::new())
+        }
+        (Verdict::WallCollision, Some(Contact::Wall(after, robot, at))) => {
+            (format!("Failure: robot {robot} touches a wall after {:.2} s", after.as_secs()), ring(after, at, 0.0))
+        }
+        (Verdict::RobotCollision, Some(Contact::Robots(after, [one, other], at, apart_m))) => {
+            let how = format!("{apart_m:.2} m between their centres");
+            let text = format!("Failure: robots {one} and {other} collide after {:.2} s, {how}", after.as_secs());
+            (text, ring(after, at, apart_m))
+        }
+        (Verdict::WallCollision, _) => ("Failure: a robot has touched a wall".to_owned(), Vec::new()),
+        (Verdict::RobotCollision, _) => ("Failure: two robots have collided".to_owned(), Vec::new()),
+        (Verdict::Timeout, _) => {
+            let rings = late.iter().flat_map(|robot| ring(last.time, last.at[*robot], 0.0)).collect();
+            (format!("Failure: time is up, and not at their goals are: {names}"), rings)
+        }
+        (Verdict::Unseen, _) => ("A robot was out of sight for too long".to_owned(), Vec::new()),
+        (Verdict::Aborted, _) => (format!("Given up after {:.2} s", last.time.as_secs()), Vec::new()),
+    };
+    Ending { success: episode.verdict == Verdict::Success, text, rings }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::messages::local::{Contacts, Sample};
+    use crate::report::episode::Judged;
+
+    fn step(ms: u64, phase: Phase, xs: [f32; 2]) -> Step {
+        let sample = |(robot, x): (RobotId, f32)| Sample {
+            robot,
+            time: Time::ZERO + Span::from_millis(ms),
+            motion: Motion::at_rest(Vec2::new(x, 0.0)),
+            heading: 0.0,
+            yaw_rate: 0.0,
+            command: Vec2::zeros(),
+            contacts: Contacts::default(),
+        };
+        let hearing = vec![
+            Hearing { robot: RobotId(0), of: RobotId(1), age: Span::from_millis(20) },
+            Hearing { robot: RobotId(1), of: RobotId(0), age: Span::from_millis(70) },
+        ];
+        Step { episode: 0, phase, samples: RobotId::team(2).zip(xs).map(sample).collect(), hearing }
+    }
+
+    #[test]
+    fn an_episode_begins_where_the_robots_were_and_ends_with_its_judging() {
+        let passage = crate::scenario::build("passage", &crate::scenario::Settings::of(2)).unwrap();
+        let task = |x| Task { start: Vec2::new(x, 0.0), goal: Vec2::new(x + 0.5, 0.0) };
+        let tasks = [task(0.0), task(1.0)];
+        let stage = Stage {
+            title: String::new(),
+            caption: String::new(),
+            arena: passage.arena(),
+            rules: passage.rules(),
+            radius_m: 0.16,
+            window: Span::from_millis(200),
+            tasks: &tasks,
+        };
+        let steps = [
+            step(1000, Phase::Resetting, [0.0, 1.0]),
+            step(1050, Phase::Running, [0.05, 1.0]),
+            step(1060, Phase::Running, [0.05, 1.0]),
+            step(1100, Phase::Running, [0.5, 0.8]),
+            step(1150, Phase::Running, [0.5, 1.5]),
+            step(1200, Phase::Running, [0.5, 1.6]),
+        ];
+        let (verdict, makespan_s) = (Verdict::RobotCollision, None);
+        let judged = Judged::Truth;
+        let episode =
+            Episode { repeat: 0, episode: 0, verdict, judged, makespan_s, reset_s: 0.0, min_separation_m: 0.3 };
+        let scene = Scene::new(stage, &episode, &steps);
+        let times: Vec<u64> = scene.frames.iter().map(|frame| frame.time.as_nanos() / 1_000_000).collect();
+        assert_eq!(times, [0, 50, 100, 150]);
+        assert_eq!(scene.arrivals(), [100, 150].map(|ms| Some(Span::from_millis(ms))));
+        let link = Link { one: 0, other: 1, age: Span::from_millis(70), mutual: true };
+        assert_eq!(scene.frames[1].links, [link]);
+        assert!(scene.ending.text.contains("robots 0 and 1 collide after 0.10 s"), "{}", scene.ending.text);
+        assert_eq!((scene.ending.rings.len(), scene.ending.rings[0].from), (1, Span::from_millis(100)));
+    }
+}

@@ -1,0 +1,178 @@
+//! What both SVG pictures share: the sheet, the ground with its walls and goals, the legend, and how points come onto it.
+
+use std::fmt::Write as _;
+
+use super::scene::{Scene, Stage};
+use crate::messages::geometry::Vec2;
+
+/// Colours of light and dark surroundings, of robots (Okabe and Ito, told apart by colour-blind readers, too) and of
+/// links by age; the page has it as well.
+pub const LOOK: &str = include_str!("look.css");
+/// How many colours robots have; after that they begin again, and numbers tell.
+pub const COLOURS: usize = 8;
+/// How strong links are by age, from the newest message to the oldest: `LOOK` has the same.
+pub const AGES: [&str; 5] = ["1", ".7", ".46", ".28", ".16"];
+
+/// What is around the ground, above it and below it \[pixels\].
+const MARGIN: f32 = 24.0;
+const HEAD: f32 = 88.0;
+const FOOT: f32 = 88.0;
+/// The ground is no larger than this \[pixels\].
+const LARGEST: Vec2 = Vec2::new(1000.0, 640.0);
+/// The sheet is no narrower than its words \[pixels\].
+const NARROWEST: f32 = 860.0;
+
+/// A letter is about this wide \[pixels\]; fonts differ.
+const LETTER: f32 = 9.8;
+
+/// Text that stands for itself in XML.
+pub fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// A number of pixels, to a tenth.
+pub fn px(number: f32) -> String {
+    let text = format!("{number:.1}");
+    let text = text.strip_suffix(".0").unwrap_or(&text);
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
+/// Half of the ground \[m\]: centres stay within the arena, hulls reach beyond it.
+fn half(stage: &Stage) -> Vec2 {
+    stage.arena.half_extent + Vec2::repeat(stage.radius_m)
+}
+
+/// The blocks of the arena, as lower left and upper right corners \[m\]. What ends where the arena ends is drawn to the
+/// end of the ground: nobody can get behind it.
+pub fn walls(stage: &Stage) -> Vec<[Vec2; 2]> {
+    let (inner, outer) = (stage.arena.half_extent, half(stage));
+    let to = |at: f32, inner: f32, outer: f32| if at.abs() >= inner - 1e-3 { outer.copysign(at) } else { at };
+    let corner = |at: Vec2| Vec2::new(to(at.x, inner.x, outer.x), to(at.y, inner.y, outer.y));
+    stage.arena.keep_outs.iter().map(|block| [corner(block.min), corner(block.max)]).collect()
+}
+
+/// How points of the world come onto the sheet.
+pub struct View {
+    /// Pixels of a metre.
+    pub scale: f32,
+    /// Size of the sheet \[pixels\].
+    pub size: Vec2,
+    half: Vec2,
+    turned: bool,
+    corner: Vec2,
+}
+
+impl View {
+    /// Of an arena: one that is deeper than it is wide is turned by a quarter to the right.
+    pub fn new(stage: &Stage) -> View {
+        let half = half(stage);
+        let turned = half.y > half.x;
+        let ground = if turned { Vec2::new(half.y, half.x) } else { half } * 2.0;
+        let scale = (LARGEST.x / ground.x).min(LARGEST.y / ground.y);
+        let drawn = ground * scale;
+        let width = (drawn.x + 2.0 * MARGIN).max(NARROWEST);
+        let size = Vec2::new(width, drawn.y + HEAD + FOOT);
+        View { scale, size, half, turned, corner: Vec2::new((width - drawn.x) / 2.0, HEAD) }
+    }
+
+    /// Where a point of the world is on the sheet \[pixels\].
+    pub fn at(&self, point: Vec2) -> Vec2 {
+        let along = if self.turned {
+            Vec2::new(self.half.y + point.y, self.half.x + point.x)
+        } else {
+            Vec2::new(self.half.x + point.x, self.half.y - point.y)
+        };
+        self.corner + along * self.scale
+    }
+
+    /// A rectangle with two opposite corners.
+    fn rectangle(&self, class: &str, [one, other]: [Vec2; 2], round: f32) -> String {
+        let (a, b) = (self.at(one), self.at(other));
+        let (low, high) = (a.inf(&b), a.sup(&b));
+        let [x, y, w, h] = [low.x, low.y, high.x - low.x, high.y - low.y].map(px);
+        format!("<rect class=\"{class}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" rx=\"{round}\"/>\n")
+    }
+
+    /// Ground and walls.
+    pub fn ground(&self, stage: &Stage) -> String {
+        let walls = walls(stage).into_iter().map(|wall| self.rectangle("wall", wall, 3.0));
+        self.rectangle("ground", [-self.half, self.half], 6.0) + &walls.collect::<String>()
+    }
+
+    /// A circle about a point of the world; the rest of its attributes as they are given.
+    pub fn circle(&self, class: &str, at: Vec2, radius_m: f32, rest: &str) -> String {
+        let at = self.at(at);
+        let [x, y, r] = [at.x, at.y, radius_m * self.scale].map(px);
+        format!("<circle class=\"{class}\" cx=\"{x}\" cy=\"{y}\" r=\"{r}\"{rest}/>")
+    }
+
+    /// Size of the numbers on robots \[pixels\].
+    pub fn number(&self, stage: &Stage, robot: usize) -> f32 {
+        stage.radius_m * self.scale * if robot < 10 { 1.05 } else { 0.9 }
+    }
+}
+
+/// The whole file: its head, what is drawn, and what it means. `more` is further style.
+pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) -> String {
+    let [w, h] = [view.size.x, view.size.y].map(px);
+    let stage = &scene.stage;
+    let (title, caption, below) = (escaped(&stage.title), escaped(&stage.caption), px(view.size.y - 20.0));
+    let mut text = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"look\" viewBox=\"0 0 {w} {h}\" role=\"img\">\n\
+         <title>{title}: {}</title>\n<style>{LOOK}svg{{background:var(--paper)}}text{{fill:var(--ink);font-size:18px}}\n\
+         .soft{{fill:var(--soft)}}.number{{fill:var(--on)}}.whose{{fill:var(--soft)}}{more}</style>\n\
+         <rect width=\"{w}\" height=\"{h}\" fill=\"var(--paper)\"/>\n\
+         <text x=\"{MARGIN}\" y=\"38\" style=\"font-size:26px;font-weight:650\">{title}</text>\n\
+         <text class=\"soft\" x=\"{MARGIN}\" y=\"{below}\">{caption}</text>\n",
+        escaped(&scene.ending.text)
+    );
+    let _ = writeln!(text, "{}{drawn}{legend}</svg>", view.ground(stage));
+    text
+}
+
+/// The verdict, above the ground.
+pub fn verdict(scene: &Scene, rest: &str) -> String {
+    let colour = if scene.ending.success { "good" } else { "bad" };
+    let (y, text) = (px(HEAD - 24.0), escaped(&scene.ending.text));
+    let style = format!("style=\"fill:var(--{colour});font-weight:650\"");
+    format!("<text x=\"{MARGIN}\" y=\"{y}\" {style}>{text}{rest}</text>\n")
+}
+
+/// The legend under the ground: marks, each drawn from the point (0, 0) on and so many pixels wide, with what they mean.
+pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
+    let (mut x, y) = (MARGIN, px(view.size.y - FOOT + 27.0));
+    let mut text = String::new();
+    for (mark, width, means) in marks {
+        let (at, right, means) = (px(x), px(width + 8.0), escaped(means));
+        let _ = writeln!(
+            text,
+            "<g transform=\"translate({at},{y})\">{mark}<text class=\"soft\" x=\"{right}\" y=\"6\">{means}</text></g>"
+        );
+        x += width + 8.0 + LETTER * means.chars().count() as f32 + 26.0;
+    }
+    text
+}
+
+/// The goals, with the numbers of their robots unless these stay at them for good; `more` is what is in the circle of
+/// each.
+pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> String) -> String {
+    let (mut text, stage) = (String::new(), &scene.stage);
+    for (robot, task) in stage.tasks.iter().enumerate() {
+        let ring =
+            view.circle("goal", task.goal, stage.rules.arrival_m, " stroke-width=\"2\" stroke-dasharray=\"5 4\"");
+        let ring = ring.replace("/>", &format!(">{}</circle>", more(robot)));
+        let (at, size) = (view.at(task.goal), px(stage.rules.arrival_m * view.scale * 0.62));
+        let (x, y) = (px(at.x), px(at.y));
+        let whose = format!("<text class=\"whose\" x=\"{x}\" y=\"{y}\" style=\"font-size:{size}px\">{robot}</text>");
+        let covered = (task.goal - scene.frames[scene.frames.len() - 1].at[robot]).norm() < 2.0 * stage.radius_m;
+        let whose = if stay && covered { "" } else { &whose };
+        let _ = writeln!(text, "<g class=\"c{}\">{ring}{whose}</g>", robot % COLOURS);
+    }
+    text
+}
+
+/// The legend's mark for goals.
+pub fn goal_mark(scene: &Scene) -> (String, f32, String) {
+    let mark = "<circle class=\"goal c7\" cx=\"10\" r=\"9\" stroke-width=\"2\" stroke-dasharray=\"5 4\"/>".to_owned();
+    (mark, 20.0, format!("goal, to within {} m", scene.stage.rules.arrival_m))
+}

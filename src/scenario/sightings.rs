@@ -1,0 +1,204 @@
+//! Sightings: from readings, which arrive when they do, to steps for the judge.
+//!
+//! A robot is seen when a reading of it arrives. A step is over once every robot has been seen in it, or before a robot
+//! would be seen a second time; then the judge sees all of it at once, as of its last arrival. So no robot is in one
+//! step twice, and where readings are lost, those that were seen are still judged with each other.
+//!
+//! A verdict that is found in this way is as good as the readings. Robots of one step were measured up to one period of
+//! the fastest source apart, by clocks that are compared with no other, and come late by what their links take. A robot
+//! at speed v that is measured at rate r moves by v / r between two readings: at 1 m/s and 20 Hz 5 cm. By so much two
+//! robots can come nearer to each other, or to a wall, than is ever seen, and a makespan is late by up to 1 / r and the
+//! delay of the link. Noise makes the least distance of a pair smaller than it was: with a standard deviation s along
+//! each axis, one step is off by about sqrt(2) s, and the least of many steps by several times that.
+
+use std::cmp::Ordering;
+
+use crate::messages::geometry::Vec2;
+use crate::messages::ids::RobotId;
+use crate::messages::wire::Reading;
+use crate::time::{Span, Time};
+
+/// The longest that a robot may be out of sight in an episode that is to succeed. A robot without readings of its own
+/// stands long before (`safety`). Chance alone hardly ever loses all 20 readings of a second.
+pub const SIGHT: Span = Span::from_millis(1000);
+
+/// How far from its start a robot is seen at the most that was put there \[m\].
+const PLACED_M: f32 = 0.25;
+
+/// Whom the judge sees at once.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sighting {
+    /// When the last of them was seen.
+    pub at: Time,
+    /// Where they were \[m\], world frame; in the order of their ids.
+    pub robots: Vec<(RobotId, Vec2)>,
+    /// Whether some robot of the team has been out of sight for longer than `SIGHT` in this episode.
+    pub lapsed: bool,
+}
+
+/// What is known of one robot.
+#[derive(Clone, Copy, Debug, Default)]
+struct Known {
+    /// Its newest reading: when it has arrived, its stamp \[ns\], and where the robot was.
+    newest: Option<(Time, u64, Vec2)>,
+    /// When it was last seen in this episode, or the episode began.
+    since: Time,
+    /// Where it was put for this episode, until it has been seen there.
+    start: Option<Vec2>,
+    /// Where it is in the step that is not over.
+    here: Option<Vec2>,
+}
+
+/// The readings of a team in the order of their arrival, as steps.
+#[derive(Clone, Debug)]
+pub struct Sightings {
+    /// By robot.
+    team: Vec<Known>,
+    /// How many robots were seen in the step that is not over, and when the last of them was.
+    here: usize,
+    at: Time,
+    /// Whether a robot was out of sight for too long.
+    lapsed: bool,
+}
+
+impl Sightings {
+    /// Nothing yet of a team of so many robots.
+    pub fn new(robots: usize) -> Sightings {
+        Sightings { team: vec![Known::default(); robots], here: 0, at: Time::ZERO, lapsed: false }
+    }
+
+    /// An episode begins: what was seen before is not of it. Robots that are `placed` at their starts count as seen
+    /// once they are seen there: what was measured before may still be on its way.
+    pub fn begin(&mut self, now: Time, placed: Option<&[Vec2]>) {
+        (self.here, self.lapsed) = (0, false);
+        for (at, known) in self.team.iter_mut().enumerate() {
+            (known.since, known.here, known.start) = (now, None, placed.map(|starts| starts[at]));
+        }
+    }
+
+    /// Whether some robot has been out of sight for too long in this episode, as of now.
+    pub fn lapsed(&self, now: Time) -> bool {
+        self.lapsed || self.team.iter().any(|known| now.since(known.since) > SIGHT)
+    }
+
+    /// A reading has arrived; the step that is over with it.
+    pub fn see(&mut self, now: Time, reading: &Reading) -> Option<Sighting> {
+        let (at, position) = (reading.robot.index(), reading.pose.position);
+        let known = &mut self.team[at];
+        if !known.is_news(now, reading) {
+            return None;
+        }
+        let again = known.newest.is_some_and(|(_, stamp_ns, _)| stamp_ns == reading.stamp_ns);
+        known.newest = Some((now, reading.stamp_ns, position));
+        if known.start.is_some_and(|start| (start - position).norm() > PLACED_M) {
+            return None;
+        }
+        known.start = None;
+        // A robot that is put somewhere is measured twice at one instant, and is at the second place.
+        let over = if known.here.is_some() && !again { self.close() } else { None };
+        let known = &mut self.team[at];
+        self.lapsed |= now.since(known.since) > SIGHT;
+        (known.since, self.at) = (now, now);
+        self.here += usize::from(known.here.replace(position).is_none());
+        // Whoever was seen a second time is alone in its step, and a team of one is never seen a second time.
+        over.or_else(|| if self.here == self.team.len() { self.close() } else { None })
+    }
+
+    /// Ends a step that somebody was seen in.
+    fn close(&mut self) -> Option<Sighting> {
+        let lapsed = self.lapsed(self.at);
+        self.here = 0;
+        let ids = RobotId::team(self.team.len());
+        let here = ids.zip(&mut self.team).filter_map(|(robot, known)| Some((robot, known.here.take()?)));
+        Some(Sighting { at: self.at, robots: here.collect(), lapsed })
+    }
+}
+
+impl Known {
+    /// Whether a reading is neither late nor one that is known. A source whose clock has begun anew is believed once
+    /// the robot has been out of sight for so long that it makes no difference to this episode any more.
+    fn is_news(&self, now: Time, reading: &Reading) -> bool {
+        let Some((arrived, stamp_ns, position)) = self.newest else { return true };
+        match reading.stamp_ns.cmp(&stamp_ns) {
+            Ordering::Greater => true,
+            // The same measurement, said again, shows nobody where the robot is.
+            Ordering::Equal => reading.pose.position != position,
+            Ordering::Less => now.since(arrived) > SIGHT,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Motion;
+
+    fn at_ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    /// A reading arrives that was measured at a place; both times in ms.
+    fn see(sightings: &mut Sightings, arrives: u64, robot: u16, measured: u64, x: f32) -> Option<Sighting> {
+        let reading = Reading::of_point(RobotId(robot), measured * 1_000_000, Motion::at_rest(Vec2::new(x, 0.0)));
+        sightings.see(at_ms(arrives), &reading)
+    }
+
+    fn step(ms: u64, robots: &[(u16, f32)]) -> Option<Sighting> {
+        let robots = robots.iter().map(|&(robot, x)| (RobotId(robot), Vec2::new(x, 0.0))).collect();
+        Some(Sighting { at: at_ms(ms), robots, lapsed: false })
+    }
+
+    #[test]
+    fn a_step_has_everyone_once_or_those_that_were_seen() {
+        let mut team = Sightings::new(3);
+        team.begin(at_ms(0), None);
+        assert_eq!(see(&mut team, 50, 2, 7050, 2.0), None, "clocks of two sources are compared with no other");
+        assert_eq!(see(&mut team, 52, 0, 50, 0.0), None);
+        assert_eq!(see(&mut team, 55, 1, 50, 1.0), step(55, &[(0, 0.0), (1, 1.0), (2, 2.0)]));
+        assert_eq!(see(&mut team, 100, 2, 7100, 2.1), None);
+        assert_eq!(see(&mut team, 102, 0, 100, 0.1), None);
+        // Robot 1 is not heard of: the others are judged with each other, when the next step begins.
+        assert_eq!(see(&mut team, 150, 2, 7150, 2.2), step(102, &[(0, 0.1), (2, 2.1)]));
+    }
+
+    #[test]
+    fn time_does_not_go_back_and_a_repeated_reading_shows_nothing() {
+        let mut team = Sightings::new(2);
+        team.begin(at_ms(0), None);
+        see(&mut team, 50, 0, 50, 0.0);
+        see(&mut team, 50, 1, 50, 1.0);
+        see(&mut team, 150, 0, 150, 0.2);
+        assert_eq!(see(&mut team, 151, 0, 100, 0.1), None, "it is late");
+        assert_eq!(see(&mut team, 160, 0, 150, 0.2), None, "it is known");
+        assert_eq!(see(&mut team, 161, 0, 150, 0.5), None, "the robot was put elsewhere, in the same step");
+        assert_eq!(see(&mut team, 162, 1, 150, 1.0), step(162, &[(0, 0.5), (1, 1.0)]));
+    }
+
+    #[test]
+    fn who_is_out_of_sight_for_long_is_missed_even_if_it_comes_back() {
+        let mut team = Sightings::new(2);
+        team.begin(at_ms(0), None);
+        for ms in (50..=1050).step_by(50) {
+            see(&mut team, ms, 0, ms, 0.0);
+        }
+        assert!(team.lapsed(at_ms(1001)) && !team.lapsed(at_ms(1000)));
+        see(&mut team, 1100, 1, 1100, 1.0);
+        assert!(team.lapsed(at_ms(1100)), "nobody knows what it did");
+        team.begin(at_ms(1200), None);
+        assert!(!team.lapsed(at_ms(1200)), "another episode");
+        // Its source has begun anew, and so has its clock.
+        assert_eq!(see(&mut team, 1250, 1, 10, 1.0), None);
+        see(&mut team, 2300, 1, 60, 1.1);
+        see(&mut team, 2350, 1, 110, 1.2);
+        assert_eq!(see(&mut team, 2350, 0, 2350, 0.0).map(|seen| seen.robots.len()), Some(2));
+    }
+
+    #[test]
+    fn robots_that_are_placed_are_seen_once_they_are_seen_there() {
+        let mut team = Sightings::new(1);
+        team.begin(at_ms(100), Some(&[Vec2::new(3.0, 0.0)]));
+        assert_eq!(see(&mut team, 110, 0, 95, -3.0), None, "it was measured before");
+        assert_eq!(see(&mut team, 160, 0, 150, 3.05), step(160, &[(0, 3.05)]));
+        assert_eq!(see(&mut team, 210, 0, 200, 2.0), step(210, &[(0, 2.0)]), "a team of one is seen in each");
+    }
+}

@@ -1,0 +1,144 @@
+//! Pictures of an episode: whole files that load nothing, the same for the same run, and what is refused.
+
+use std::path::Path;
+
+use crate::program::{refuses, run, text};
+use tempfile::TempDir;
+
+/// One episode of the passage is no larger \[bytes\].
+const LARGEST: usize = 300_000;
+
+/// Runs `sim` with these flags and one with the name of a file; the file and what was said on stdout.
+fn drawn(folder: &Path, flag: &str, name: &str, flags: &[&str]) -> (String, String) {
+    let path = folder.join(name);
+    let path = path.to_str().expect("the path is text");
+    let output = run(&[&["sim", "--repeats", "1", "--json", "--quiet", flag, path], flags].concat());
+    assert!(output.status.success(), "{flags:?}: {}", text(&output.stderr));
+    (std::fs::read_to_string(path).expect("the picture is there"), text(&output.stdout))
+}
+
+/// Whether all tags of a text are closed in their order, outside of comments; those of HTML that never are do not count.
+fn closes(file: &str) {
+    let mut open: Vec<&str> = Vec::new();
+    for tag in file.split('<').skip(1).map(|after| after.split('>').next().expect("a tag ends")) {
+        let name = tag.split([' ', '\n']).next().expect("a tag has a name").trim_end_matches('/');
+        if let Some(closed) = name.strip_prefix('/') {
+            assert_eq!(open.pop(), Some(closed), "</{closed}>");
+        } else if !tag.ends_with('/') && !["!DOCTYPE", "meta", "input"].contains(&name) {
+            assert_eq!(tag.matches('"').count() % 2, 0, "<{tag}>");
+            open.push(name);
+        }
+    }
+    assert!(open.is_empty(), "not closed: {open:?}");
+}
+
+fn loads_nothing(file: &str) {
+    let rest = file.replace("http://www.w3.org/2000/svg", "");
+    for word in ["http", "src=", "href", "url(", "@import", "fetch("] {
+        assert!(!rest.contains(word), "'{word}' is in the file");
+    }
+}
+
+/// An SVG file is well-formed XML; its document is handed on.
+fn svg(file: &str, look: impl FnOnce(&roxmltree::Document)) {
+    let document = roxmltree::Document::parse(file).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(document.root_element().tag_name().name(), "svg");
+    assert!(!file.contains("<script"), "no script");
+    look(&document);
+}
+
+/// The page without its script, which is no markup.
+fn markup(page: &str) -> String {
+    let parts: Vec<&str> = page.split("<script").collect();
+    assert_eq!(parts.len(), 3, "the data and the script");
+    let after = |part: &str| part.split_once("</script>").expect("it is closed").1.to_owned();
+    parts[0].to_owned() + &after(parts[1]) + &after(parts[2])
+}
+
+/// The numbers in a page.
+fn data(page: &str) -> serde_json::Value {
+    let after = page.split_once("id=\"data\">").expect("the data").1;
+    serde_json::from_str(after.split_once("</script>").expect("its end").0).expect("JSON")
+}
+
+#[test]
+fn an_episode_is_a_page_that_loads_nothing_and_is_the_same_again() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let flags = ["--mode", "onboard-adhoc", "--episodes", "2", "--delay-ms", "60", "--loss", "0.3", "--episode", "1"];
+    let (page, said) = drawn(folder.path(), "--animate", "episode.html", &flags);
+    assert!(page.len() <= LARGEST, "{} bytes", page.len());
+    loads_nothing(&page);
+    closes(&markup(&page));
+    assert!(page.contains("<title>5 robots, scenario passage, mode onboard-adhoc</title>"));
+    let data = data(&page);
+    let frames = data["times"].as_array().expect("times").len();
+    assert!(frames > 60, "{frames} frames");
+    assert_eq!(data["paths"].as_array().expect("paths").len(), 5);
+    assert_eq!(data["walls"].as_array().expect("walls").len(), 2);
+    let heard: Vec<&str> =
+        data["links"].as_array().expect("links").iter().filter_map(|link| link[3].as_str()).collect();
+    // 60 ms are between 3 and 4 of 24 steps of the policy's window of 0.4 s: nothing is heard that is younger.
+    let youngest = heard.iter().flat_map(|ages| ages.to_lowercase().into_bytes()).filter(|age| *age != b'.').min();
+    assert!(youngest.is_some_and(|age| (b'd'..=b'f').contains(&age)), "{youngest:?}");
+    let (again, unchanged) = drawn(folder.path(), "--animate", "again.html", &flags);
+    assert!(page == again, "the same run makes the same file");
+    // A picture changes nothing in the run that it is of.
+    let trace = |said: &str| serde_json::from_str::<serde_json::Value>(said).expect("JSON")["trace_hash"].clone();
+    let plain = run(&[&["sim", "--repeats", "1", "--json", "--quiet"], &flags[..flags.len() - 2]].concat());
+    assert_eq!((trace(&said), trace(&unchanged)), (trace(&text(&plain.stdout)), trace(&said)));
+}
+
+#[test]
+fn both_svg_pictures_are_well_formed_and_show_every_robot() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let flags = ["--mode", "offboard", "--episodes", "1"];
+    for (flag, name) in [("--animate", "moves.svg"), ("--svg", "still.svg")] {
+        let (file, _) = drawn(folder.path(), flag, name, &flags);
+        assert!(file.len() <= LARGEST, "{name}: {} bytes", file.len());
+        loads_nothing(&file);
+        svg(&file, |document| {
+            let count = |name: &str| document.descendants().filter(|node| node.tag_name().name() == name).count();
+            assert_eq!(count("title"), 1);
+            let numbers = document.descendants().filter(|node| node.attribute("class") == Some("number"));
+            let mut numbers: Vec<&str> = numbers.filter_map(|node| node.text()).collect();
+            numbers.sort_unstable();
+            numbers.dedup();
+            assert_eq!(numbers, ["0", "1", "2", "3", "4"]);
+            assert_eq!(count("animateTransform"), if flag == "--animate" { 5 } else { 0 });
+        });
+        assert!(file.contains("Success: all have arrived after "));
+    }
+}
+
+#[test]
+fn a_large_team_that_fails_is_drawn_with_the_place_where_it_fails() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let flags = ["--scenario", "swap", "--robots", "20", "--policy", "orca", "--episodes", "1", "--comm-range-m", "0"];
+    let flags = [&flags[..], &["--contacts", "judge", "--wall-radius-m", "0.3", "--mode", "sim"]].concat();
+    let (still, _) = drawn(folder.path(), "--svg", "still.svg", &flags);
+    svg(&still, |document| {
+        let rings = document.descendants().filter(|node| node.attribute("class") == Some("ring")).count();
+        assert_eq!(rings, 1, "deaf robots collide");
+    });
+    assert!(still.contains("Failure: robots "), "it says who");
+    let (page, _) = drawn(folder.path(), "--animate", "page.html", &flags);
+    assert_eq!(data(&page)["rings"].as_array().expect("rings").len(), 1);
+    let (moves, _) = drawn(folder.path(), "--animate", "moves.svg", &flags);
+    svg(&moves, |_| ());
+    assert!(page.len() <= LARGEST && moves.len() <= LARGEST, "{} and {} bytes", page.len(), moves.len());
+}
+
+#[test]
+fn pictures_that_cannot_be_made_are_refused_before_the_run() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let path = folder.path().join("episode.gif");
+    let path = path.to_str().expect("the path is text");
+    refuses(&["sim", "--animate", path], &["--animate", "episode.gif", ".html or .svg"]);
+    refuses(&["sim", "--animate", "episode"], &["--animate", "'episode'", ".html"]);
+    refuses(&["sim", "--svg", "episode.html"], &["--svg", "episode.html", ".svg"]);
+    refuses(&["sim", "--svg", "/nowhere/at/all.svg"], &["/nowhere/at/all.svg"]);
+    let html = path.replace(".gif", ".html");
+    refuses(&["sim", "--animate", &html, "--episodes", "2", "--episode", "2"], &["--episode", "2, from 0"]);
+    refuses(&["sim", "--episode", "1"], &["--episode", "--animate"]);
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left behind");
+}
