@@ -480,6 +480,7 @@ mod tests {
         assert!(matches!(out.last(), Some(Out::Finished(totals)) if totals.messages == 4 && totals.end == at_ms(300)));
         assert!(say(&mut recorder, 400, 3, Phase::EpisodesFinished).is_empty());
     }
+
     #[test]
     fn readings_come_to_verdicts_and_what_nobody_has_seen_is_no_success() {
         let mut recorder = recorder(Judged::Readings);
@@ -489,8 +490,8 @@ mod tests {
         read(&mut recorder, 50, 0, goals[0]);
         see(&mut recorder, 50, 0, goals[0]);
         assert!(verdicts(&see(&mut recorder, 50, 1, goals[1])).is_empty(), "true states are not judged");
-        let out = read(&mut recorder, 60, 1, goals[1]);
-        assert_eq!(verdicts(&out), [(0, Verdict::Success, Some(0.06))]);
+        let out = read(&mut recorder, 100, 1, goals[1]);
+        assert_eq!(verdicts(&out), [(0, Verdict::Success, Some(0.1))]);
         assert!(matches!(&out[0], Out::Episode(episode, _) if episode.judged == Judged::Readings));
         let goals: Vec<Vec2> = recorder.config.layouts.episode(1).iter().map(|task| task.goal).collect();
         say(&mut recorder, 1000, 1, Phase::Running);
@@ -498,7 +499,8 @@ mod tests {
         for ms in (1050..2100).step_by(50) {
             assert!(verdicts(&read(&mut recorder, ms, 1, goals[1] - Vec2::new(1.0, 0.0))).is_empty());
         }
-        let out = read(&mut recorder, 2200, 1, goals[1]);
+        assert!(verdicts(&read(&mut recorder, 2200, 1, goals[1])).is_empty(), "robot 0 may still be seen in this step");
+        let out = read(&mut recorder, 2250, 1, goals[1]);
         assert_eq!(verdicts(&out), [(1, Verdict::Unseen, None)], "robot 0 may have been anywhere");
         say(&mut recorder, 3000, 2, Phase::Running);
         assert_eq!(verdicts(&say(&mut recorder, 3900, 2, Phase::AbortRunning)), [(2, Verdict::Aborted, None)]);

@@ -17,7 +17,7 @@ fn drawn(folder: &Path, flag: &str, name: &str, flags: &[&str]) -> (String, Stri
     (std::fs::read_to_string(path).expect("the picture is there"), text(&output.stdout))
 }
 
-/// Whether all tags of a text are closed in their order, outside of comments; those of HTML that never are do not count.
+/// All tags of a text are closed in their order; those of HTML that never are do not count.
 fn closes(file: &str) {
     let mut open: Vec<&str> = Vec::new();
     for tag in file.split('<').skip(1).map(|after| after.split('>').next().expect("a tag ends")) {

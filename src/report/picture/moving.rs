@@ -65,10 +65,8 @@ impl<'a> Reel<'a> {
             values.iter().map(|(_, at)| format!("{:.4}", (at / self.lasts_s).clamp(0.0, 1.0))).collect();
         let values: Vec<&str> = values.iter().map(|(value, _)| *value).collect();
         let (keys, values) = (keys.join(";"), values.join(";"));
-        let rest = self.round();
-        format!(
-            "<animate attributeName=\"{attribute}\" calcMode=\"discrete\" values=\"{values}\" keyTimes=\"{keys}\" {rest}/>"
-        )
+        let rest = format!("calcMode=\"discrete\" {}", self.round());
+        format!("<animate attributeName=\"{attribute}\" values=\"{values}\" keyTimes=\"{keys}\" {rest}/>")
     }
 
     fn round(&self) -> String {
@@ -111,7 +109,8 @@ pub fn moving(scene: &Scene) -> String {
     text += &verdict(scene, &reel.shown_from(scene.length()));
     text += &clock(&reel, &view);
     text += "</g>\n";
-    let style = ".still{display:none}@media(prefers-reduced-motion:reduce){.still{display:inline}.moving{display:none}}.clock{font-size:26px}";
+    let style = ".still{display:none}.clock{font-size:26px}\
+                 @media(prefers-reduced-motion:reduce){.still{display:inline}.moving{display:none}}";
     let legends = [("still", still::marks(scene)), ("moving", marks(scene))];
     let legends =
         legends.map(|(class, marks)| format!("<g class=\"{class}\">{}</g>\n", legend(&view, &marks))).concat();

@@ -1,4 +1,4 @@
-//! What both SVG pictures share: the sheet, the ground with its walls and goals, the legend, and how points come onto it.
+//! What both SVG pictures share: the sheet, the ground with its walls and goals, the legend, and where points lie.
 
 use std::fmt::Write as _;
 
@@ -119,7 +119,8 @@ pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) 
     let (title, caption, below) = (escaped(&stage.title), escaped(&stage.caption), px(view.size.y - 20.0));
     let mut text = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"look\" viewBox=\"0 0 {w} {h}\" role=\"img\">\n\
-         <title>{title}: {}</title>\n<style>{LOOK}svg{{background:var(--paper)}}text{{fill:var(--ink);font-size:18px}}\n\
+         <title>{title}: {}</title>\n<style>{LOOK}svg{{background:var(--paper)}}\n\
+         text{{fill:var(--ink);font-size:18px}}\n\
          .soft{{fill:var(--soft)}}.number{{fill:var(--on)}}.whose{{fill:var(--soft)}}{more}</style>\n\
          <rect width=\"{w}\" height=\"{h}\" fill=\"var(--paper)\"/>\n\
          <text x=\"{MARGIN}\" y=\"38\" style=\"font-size:26px;font-weight:650\">{title}</text>\n\
@@ -138,7 +139,7 @@ pub fn verdict(scene: &Scene, rest: &str) -> String {
     format!("<text x=\"{MARGIN}\" y=\"{y}\" {style}>{text}{rest}</text>\n")
 }
 
-/// The legend under the ground: marks, each drawn from the point (0, 0) on and so many pixels wide, with what they mean.
+/// The legend under the ground: marks, each drawn right of the point (0, 0) and so many pixels wide, with a meaning.
 pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     let (mut x, y) = (MARGIN, px(view.size.y - FOOT + 27.0));
     let mut text = String::new();
