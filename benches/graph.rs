@@ -1,4 +1,4 @@
-//! Whole trials: two episodes with a reset between, in one process under virtual time.
+//! Benchmark of whole trials: two episodes with a reset between them, in one process under virtual time.
 //!
 //! `cargo bench --bench graph`. `sim` has one host and no links; `offboard` sends everything through the codec.
 

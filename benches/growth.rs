@@ -1,8 +1,7 @@
-//! What a team costs as it grows, at constant density: scenario `swap`, scripted navigation, one thread.
+//! Benchmark of growing teams at constant density: scenario `swap`, scripted navigation, one thread.
 //!
-//! `cargo bench --bench growth`. Items are robots' seconds: the time of one is what a robot costs for each second of
-//! its own time, and a team runs in real time as long as it has fewer robots than there are items in a second. The
-//! start of the run is part of it.
+//! `cargo bench --bench growth`. An item is one simulated second of one robot. A team runs in real time as long as it
+//! has fewer robots than the items per second measured. The start of the run is included.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -10,7 +9,7 @@ use murmurate::study::network::growth;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 
-// As the program has it.
+// The program's allocator.
 #[cfg(feature = "mimalloc")]
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -19,25 +18,25 @@ fn main() {
     divan::main();
 }
 
-/// How much is simulated \[s\].
-const LASTS_S: usize = 10;
+/// Simulated time \[s\].
+const DURATION_S: usize = 10;
 
 fn team(mode: &str, robots: usize) -> Trial {
-    growth::trial(mode, robots, Span::from_secs(LASTS_S as f64)).expect("there is room for them")
+    growth::trial(mode, robots, Span::from_secs(DURATION_S as f64)).expect("there is room for them")
 }
 
 fn run(bencher: Bencher, trial: &Trial) {
     let robots = trial.deployment.robots;
-    bencher.counter(ItemsCount::new(robots * LASTS_S)).bench_local(|| trial.run());
+    bencher.counter(ItemsCount::new(robots * DURATION_S)).bench_local(|| trial.run());
 }
 
-/// All robots of one agent on one host.
+/// One agent for all robots, on one host.
 #[divan::bench(args = [5, 50, 200, 1000], sample_count = 3, sample_size = 1)]
 fn sim(bencher: Bencher, robots: usize) {
     run(bencher, &team("sim", robots));
 }
 
-/// A host for every robot; latents carry a little farther than they are listened to.
+/// One host per robot; the transmission range of latents is a little longer than the communication range.
 #[divan::bench(args = [5, 50, 200, 1000], sample_count = 3, sample_size = 1)]
 fn onboard_adhoc(bencher: Bencher, robots: usize) {
     run(bencher, &team("onboard-adhoc", robots));

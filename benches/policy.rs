@@ -1,4 +1,4 @@
-//! One policy step of one robot with four neighbours: the control path's inner loop.
+//! Benchmark of one policy step of one robot with four neighbours.
 //!
 //! `cargo bench --bench policy`. The allocation columns must read zero.
 

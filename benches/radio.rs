@@ -1,10 +1,10 @@
-//! The radio channel by itself: what a transmission costs, idle slots and collisions included.
+//! Benchmark of the radio channel alone: time per transmission, including idle slots and collisions.
 
 use std::sync::Arc;
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
-use murmurate::net::media::radio::{Channel, Radio, To, Topology};
+use murmurate::net::media::radio::{Channel, Destination, Radio, Topology};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
 
@@ -12,7 +12,7 @@ fn main() {
     divan::main();
 }
 
-/// Stations that always have a frame of 300 bytes: ten seconds of it, counted in transmissions.
+/// Saturated stations with frames of 300 bytes, for ten seconds. An item is a transmission.
 #[divan::bench(args = [2, 5, 20, 50])]
 fn saturated(bencher: Bencher, stations: u16) {
     let end = Time::ZERO + Span::from_millis(10_000);
@@ -20,7 +20,7 @@ fn saturated(bencher: Bencher, stations: u16) {
         let radio = Radio { channel: Topology::AdHoc, ..Radio::default() };
         let mut channel = Channel::new(radio, stations, &Seed::of_run(1));
         for station in 0..stations {
-            channel.saturate(Time::ZERO, station, To::One((station + 1) % stations), 300, ());
+            channel.saturate(Time::ZERO, station, Destination::One((station + 1) % stations), 300, ());
         }
         let mut arrived = Vec::new();
         channel.wake(end, &mut arrived);
@@ -29,8 +29,8 @@ fn saturated(bencher: Bencher, stations: u16) {
     bencher.counter(ItemsCount::new(run())).bench_local(|| black_box(run()));
 }
 
-/// A team that tells everybody everything 20 times a second through an access point, for ten seconds, with noise and
-/// foreign frames; counted in transmissions.
+/// Robots that each multicast 20 times a second through an access point, for ten seconds, with noise and frames of
+/// other networks. An item is a transmission.
 #[divan::bench(args = [5, 20])]
 fn team(bencher: Bencher, robots: u16) {
     let run = || {
@@ -41,7 +41,7 @@ fn team(bencher: Bencher, robots: u16) {
         for step in 0..200 * u64::from(robots) {
             let now = Time::ZERO + Span::from_nanos(step * 50_000_000 / u64::from(robots));
             channel.wake(now, &mut arrived);
-            channel.offer(now, (step % u64::from(robots)) as u16, To::Many(Arc::clone(&all)), 300, ());
+            channel.offer(now, (step % u64::from(robots)) as u16, Destination::Many(Arc::clone(&all)), 300, ());
             arrived.clear();
         }
         channel.counts(Time::ZERO).transmissions

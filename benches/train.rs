@@ -1,7 +1,7 @@
-//! The speed of training: rollout, forward pass, update and whole iterations.
+//! Benchmark of training: rollout, forward pass, update and whole iterations.
 //!
-//! `cargo bench --bench train`. Items are steps of an environment of five robots in the first two groups, and
-//! decisions (one policy evaluation for one environment) in the last two, which take two threads.
+//! `cargo bench --bench train`. In the first two groups an item is a step of an environment of five robots. In the last
+//! two, which use two threads, it is a decision: one policy evaluation for one environment.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -28,11 +28,11 @@ fn preset(name: &str) -> Config {
     Config::preset(name).expect("it is a preset")
 }
 
-/// Dynamics and reward alone: 1024 environments of five robots, one thread, commands that keep them moving.
+/// Dynamics and reward only: 1024 environments of five robots, one thread, commands that keep them moving.
 #[divan::bench(args = ["scenario's reward", "published", "robust"], sample_count = 40)]
 fn rollout(bencher: Bencher, reward: &str) {
     const ENVIRONMENTS: usize = 1024;
-    let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
+    let passage = scenario::build("passage", &Settings::default()).expect("the default passes its check");
     let mut config = preset(if reward == "robust" { "robust" } else { "published" });
     if reward == "scenario's reward" {
         let none = config.reward.with_penalties(0.0);
@@ -67,7 +67,7 @@ fn rollout(bencher: Bencher, reward: &str) {
     assert!(chunks.iter().all(|environments| environments.teams[0].step >= 20), "every team has moved on");
 }
 
-/// The policy for 4096 environments of five robots that all hear each other, one thread, in both architectures.
+/// Forward pass for 4096 environments of five robots in range of each other, one thread, in both architectures.
 #[divan::bench(args = ["full", "published"], sample_count = 20)]
 fn forward(bencher: Bencher, architecture: &str) {
     const ENVIRONMENTS: usize = 4096;
@@ -101,17 +101,17 @@ fn forward(bencher: Bencher, architecture: &str) {
     });
 }
 
-/// A training in its stage of five robots, with so many epochs and no early stop.
+/// Returns a trainer for five robots with `epochs` epochs and no early stop.
 fn trainer(name: &str, epochs: usize) -> Trainer {
     let mut config = preset(name);
     config.curriculum = vec![Stage { until: 1.0, groups: vec![vec![5]], repeat: 4, gap_m: None, penalties: 1.0 }];
     (config.ppo.epochs, config.ppo.kl_stop) = (epochs, f32::INFINITY);
     let plan = Plan { scenario: "passage".to_owned(), preset: name.to_owned(), config, seed: 1 };
-    Trainer::new(plan, &Registry::builtin()).expect("the preset is sound")
+    Trainer::new(plan, &Registry::builtin()).expect("the preset passes its check")
 }
 
-/// Whole iterations: collecting, and exactly so many passes over policy and critic. One pass takes what the second
-/// argument's iteration takes longer than the first's.
+/// Whole iterations: rollout, and `epochs` passes over policy and critic. The difference between the two arguments is
+/// the time of one pass.
 #[divan::bench(args = [("published", 2), ("published", 3), ("robust", 2), ("robust", 3)], sample_count = 8)]
 fn iteration(bencher: Bencher, (name, epochs): (&str, usize)) {
     let mut trainer = trainer(name, epochs);

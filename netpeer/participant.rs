@@ -1,10 +1,10 @@
 //! One participant of a messaging benchmark: the Network actor, link, codec, authentication and UDP transport of
-//! `murmurate host`, without robots. It says what robots say: latents at a given rate, heartbeats and modes.
+//! `murmurate host`, without robots. It sends what robots send: latents at a given rate, heartbeats and modes.
 //!
-//! It is set up by variables of the environment (`NP_ID`, `NP_N`, `NP_RATE`, ...) and answers with files in `NP_DIR`;
-//! the harness that starts it measures other middleware in the same way. A message of 152 bytes (sender, sequence
-//! number, stamp, two floats of position, 32 floats) travels as a latent: the sequence number is its episode, the
-//! stamp its epoch and velocity, the position its position.
+//! Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...), and it writes its results to files in
+//! `NP_DIR`. The harness that starts it measures other middleware in the same way. A message of 152 bytes (sender,
+//! sequence number, timestamp, two floats of position, 32 floats) is sent as a latent. The sequence number is in its
+//! episode, the timestamp in its epoch and velocity, the position in its position.
 
 use std::cell::RefCell;
 use std::fmt::Write as _;
@@ -42,20 +42,20 @@ use tracing::info_span;
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Marks the sequence number of a hello.
+/// Flag in the sequence number of a hello.
 const HELLO: u32 = 0x8000_0000;
-/// Floats of a message.
+/// Number of floats in a message.
 const FLOATS: usize = 32;
-/// How often a participant says where it stands, and the first one what is to be done: as robots and state servers do.
+/// Periods of the heartbeats of every participant and of the modes of the first one, as of robots and state servers.
 const HEARTBEAT: Span = Span::from_millis(200);
 const MODE: Span = Span::from_millis(100);
-/// How late these may be, to share a wake-up: as timers of the link.
+/// Maximum delay of heartbeats and modes, so that they share a wake-up; as of the link's timers.
 const MAX_LATE: Span = Span::from_millis(25);
 const LINK: LinkId = LinkId(0);
-/// A key like any other: what authentication costs does not depend on it.
+/// Any key: the cost of authentication does not depend on it.
 const KEY: [u8; 32] = *b"the key of the messaging harness";
 
-/// Nanoseconds of the clock that the harness goes by.
+/// Returns the monotonic clock, which the harness uses \[ns\].
 fn monotonic_ns() -> u64 {
     let now = clock_gettime(ClockId::CLOCK_MONOTONIC).expect("every kernel has this clock");
     now.tv_sec() as u64 * 1_000_000_000 + now.tv_nsec() as u64
@@ -70,13 +70,13 @@ fn cpu() -> [f64; 2] {
     [usage.user_time(), usage.system_time()].map(|time| time.tv_sec() as f64 + time.tv_usec() as f64 * 1e-6)
 }
 
-/// The step of a histogram that a delay \[ns\] is in: sixty-four steps an octave.
+/// Returns the histogram bin of a delay \[ns\]: 64 bins per octave.
 fn step(delay: u64) -> usize {
     let octave = (63 - (delay | 64).leading_zeros() as usize) - 6;
     octave * 64 + (delay >> octave) as usize
 }
 
-/// The least delay \[ns\] of a step.
+/// Returns the lower edge of a bin \[ns\].
 fn begin_of(step: usize) -> u64 {
     let octave = (step / 64).saturating_sub(1);
     ((step - octave * 64) as u64) << octave
@@ -89,7 +89,7 @@ fn variable<T: FromStr>(name: &str, default: T) -> T {
     })
 }
 
-/// What was measured of the messages of one sender.
+/// Reception statistics of one sender.
 #[derive(Clone, Default)]
 struct Sender {
     heard: bool,
@@ -101,7 +101,7 @@ struct Sender {
     last: Option<u32>,
 }
 
-/// What a participant does, and what it finds.
+/// A participant: its schedule and its measurements.
 struct Peer {
     id: u16,
     rate: f64,
@@ -109,20 +109,20 @@ struct Peer {
     drain: Span,
     hello: Span,
     start_ns: u64,
-    /// The harness's clock at the actors' time zero.
+    /// Harness clock at the actors' time zero \[ns\].
     zero_ns: u64,
     hellos: u32,
     sent: u32,
     next: Time,
     next_heartbeat: Time,
     next_mode: Time,
-    /// When messages are sent, once that is known.
+    /// Interval in which messages are sent, once it is known.
     window: Option<(Time, Time)>,
     cpu: [f64; 2],
     send_ns: u64,
     mesh_ns: u64,
     senders: Vec<Sender>,
-    /// A histogram, by `step`.
+    /// Histogram of delays, by bin.
     delays: Vec<u64>,
     max_ns: u64,
     last_arrival_ns: u64,
@@ -130,7 +130,7 @@ struct Peer {
 
 enum In {
     Arrived(Latent),
-    /// The measurement begins at this time of the harness's clock.
+    /// Start of the measurement on the harness clock \[ns\].
     Go(u64),
 }
 
@@ -214,7 +214,7 @@ impl Peer {
         self.last_arrival_ns = now;
     }
 
-    /// When message number `sent` is due.
+    /// Returns the due time of message number `sent`.
     fn due(&self, begin: Time) -> Time {
         if self.rate <= 0.0 {
             return self.next;
@@ -239,7 +239,7 @@ impl Peer {
             self.next = Time::MAX;
             return;
         }
-        // As fast as possible means: a handful, then a look at what has arrived.
+        // At the maximum rate: a burst of messages, then received datagrams are handled.
         for _ in 0..if self.rate == 0.0 { 16 } else { 1 } {
             self.say(self.sent, out);
             self.sent += 1;
@@ -255,7 +255,7 @@ impl Peer {
         self.window.is_some_and(|(_, end)| now >= end + self.drain)
     }
 
-    /// The file that the harness reads.
+    /// Formats the result file, which the harness reads.
     fn result(&self) -> String {
         let now = cpu();
         let begin_ns = self.window.map_or(0, |(begin, _)| begin.as_nanos() + self.zero_ns);
@@ -300,7 +300,7 @@ impl Core for Peer {
     }
 
     fn tolerance(&self, _: Span) -> Span {
-        // A message leaves in time; a heartbeat or a mode may wait for something else to be done.
+        // Messages are sent on time; a heartbeat or a mode may be delayed to share a wake-up.
         let soft = self.next_heartbeat.min(self.next_mode);
         if self.next > soft { self.next.since(soft).min(MAX_LATE) } else { Span::ZERO }
     }
@@ -359,14 +359,14 @@ fn main() {
     put(&folder, id, "out", &peer.borrow().result());
 }
 
-/// Writes a file whole.
+/// Replaces a file atomically.
 fn put(folder: &std::path::Path, id: u16, name: &str, text: &str) {
     let temporary = folder.join(format!(".tmp.{id}"));
     fs::write(&temporary, text).expect("the harness's folder can be written");
     fs::rename(&temporary, folder.join(format!("{name}.{id}"))).expect("the harness's folder can be written");
 }
 
-/// Starts Network, transport and peer.
+/// Starts the actors: Network, transport and peer.
 fn wire(
     clock: &Clock,
     readers: &mut Readers,

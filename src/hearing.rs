@@ -1,5 +1,5 @@
-//! What a robot hears of its neighbours: the communication range R_COM of the paper (section III), and for how long a
-//! message is of use.
+//! Reception of neighbours' messages by a robot: the communication range R_COM of the paper (section III), and how
+//! long a message is used.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,34 +7,34 @@ use crate::messages::geometry::Vec2;
 use crate::random;
 use crate::random::Stream;
 
-/// What becomes of neighbours' messages once the agent has seen them.
+/// Lifetime of neighbours' messages after the agent's first step with them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Handling {
-    /// The newest of each neighbour is seen again at every step, until it is older than the window.
+    /// The newest message of each neighbour is used at every step until it is older than the policy's window.
     Hold,
-    /// They are dropped, as in the published system: each is seen in one step at most.
+    /// Messages are dropped after one step, as in the published system.
     AsPublished,
 }
 
-/// A communication range, fixed or drawn anew for every message received.
+/// Communication range, fixed or drawn from a normal distribution for every received message.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommRange {
     /// Mean \[m\].
     pub mean_m: f32,
-    /// Standard deviation \[m\]; a drawn range is cut off at zero.
+    /// Standard deviation \[m\]; a negative draw counts as zero.
     #[serde(default)]
     pub std_m: f32,
 }
 
 impl CommRange {
-    /// A range of exactly `mean_m` \[m\].
+    /// Returns a range of exactly `mean_m` \[m\].
     pub fn fixed(mean_m: f32) -> CommRange {
         CommRange { mean_m, std_m: 0.0 }
     }
 
-    /// Whether one message from `sender` is heard at `receiver`. The sender is out of range only beyond it:
-    /// the published per-robot node drops a message if the distance is greater.
+    /// Whether one message from `sender` is within range of `receiver` (positions \[m\], one frame). The boundary is
+    /// within range: the published per-robot node drops a message only if the distance is greater.
     pub fn admits(&self, receiver: Vec2, sender: Vec2, stream: &mut Stream) -> bool {
         let range = if self.std_m > 0.0 {
             (self.mean_m + self.std_m * random::normals(stream)[0] as f32).max(0.0)

@@ -10,7 +10,7 @@ use crate::messages::latch::Latch;
 use crate::messages::local::{Action, Progress};
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Heartbeat, Mode, MotorCommand, Phase, Stop};
-use crate::safety::guard::{self, Granted, Guard, Ruling, SafetyCounts};
+use crate::safety::guard::{self, Decision, Granted, Guard, SafetyCounts};
 use crate::time::{Span, Time};
 
 /// How often a robot tells where it stands.
@@ -91,7 +91,7 @@ impl Controller {
 
     fn follow(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
         // The stop counts whoever the instruction is for, and however old it is.
-        let changed = self.guard.learn(mode.latch);
+        let changed = self.guard.learn_latch(mode.latch);
         self.latched(now, changed, out);
         if !self.round.admits(mode.round) {
             return;
@@ -104,7 +104,7 @@ impl Controller {
         if (mode.round, mode.phase) == (self.round.round(), self.team) {
             return;
         }
-        self.guard.instructed();
+        self.guard.new_instruction();
         self.round.follow(mode.round);
         self.team = mode.phase;
         self.own = match mode.phase {
@@ -127,8 +127,8 @@ impl Controller {
         if !(moving && meant) {
             return;
         }
-        match self.guard.rule(now, action) {
-            Ruling::Drive(granted) => {
+        match self.guard.decide(now, action) {
+            Decision::Drive(granted) => {
                 self.own = match (self.team, action.progress) {
                     (Phase::Resetting, Progress::Reached) => Phase::FinishedResetting,
                     (Phase::Resetting, Progress::Underway) => Phase::Resetting,
@@ -138,8 +138,8 @@ impl Controller {
                 };
                 self.command(granted, out);
             }
-            Ruling::Stand => self.stand(out),
-            Ruling::GiveUp => self.give_up(out),
+            Decision::Stop => self.stand(out),
+            Decision::Abort => self.give_up(out),
         }
     }
 
@@ -162,7 +162,7 @@ impl Controller {
     }
 
     fn stand(&mut self, out: &mut Vec<Out>) {
-        let granted = self.guard.stand();
+        let granted = self.guard.stop();
         self.command(granted, out);
     }
 
@@ -182,7 +182,7 @@ impl Core for Controller {
             In::Action(action) => self.obey(now, &action, out),
             In::Fresh => self.guard.own_state(now),
             In::Stop(stop) => {
-                let changed = self.guard.told(&stop);
+                let changed = self.guard.apply_stop(&stop);
                 self.latched(now, changed, out);
                 out.push(Out::Follows(self.guard.latch()));
             }
@@ -200,7 +200,7 @@ impl Core for Controller {
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         match self.guard.wake(now) {
             None => {}
-            Some(Ruling::GiveUp) => self.give_up(out),
+            Some(Decision::Abort) => self.give_up(out),
             Some(_) => self.stand(out),
         }
         if self.next_beat <= now {

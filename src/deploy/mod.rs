@@ -21,7 +21,7 @@ use crate::edge::Settings;
 use crate::faults::Targets;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{KINDS, Kind};
-use crate::net::media::medium::Impairment;
+use crate::net::media::emulator::Impairment;
 use crate::net::media::radio::{Radio, Topology};
 use crate::net::protocol::reliability::Reliabilities;
 use crate::time::Span;

@@ -1,4 +1,4 @@
-//! Fault plans as TOML, read and written.
+//! Fault plans as TOML.
 //!
 //! ```toml
 //! [[actor]]
@@ -24,7 +24,7 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// The latest instant and the longest delay that a plan may name \[s\].
+/// Latest time and longest delay that a plan may contain \[s\].
 const LATEST_S: f64 = 1e6;
 const LONGEST_DELAY_S: f64 = 10.0;
 
@@ -59,7 +59,7 @@ struct LinkEntry {
     kinds: Vec<Kind>,
     #[serde(default)]
     hosts: Vec<u16>,
-    #[serde(default = "whole")]
+    #[serde(default = "all_frames")]
     share: f64,
     #[serde(default)]
     by_s: f64,
@@ -67,12 +67,12 @@ struct LinkEntry {
     until_s: f64,
 }
 
-fn whole() -> f64 {
+fn all_frames() -> f64 {
     1.0
 }
 
 impl FaultPlan {
-    /// Reads a plan from TOML; `check` holds it against a team.
+    /// Reads a plan from TOML; an error names the field. `check` compares it with a team.
     pub fn from_toml(text: &str) -> Result<FaultPlan, ConfigError> {
         let file: PlanFile = config::from_toml(text)?;
         let actors = file.actor.into_iter().enumerate().map(|(i, entry)| entry.checked(i));
@@ -107,10 +107,10 @@ impl FaultPlan {
 }
 
 fn seconds(field: String, value: f64) -> Result<Span, ConfigError> {
-    within(field, value, LATEST_S)
+    duration(field, value, LATEST_S)
 }
 
-fn within(field: String, value: f64, most_s: f64) -> Result<Span, ConfigError> {
+fn duration(field: String, value: f64, most_s: f64) -> Result<Span, ConfigError> {
     if (0.0..=most_s).contains(&value) {
         return Ok(Span::from_secs(value));
     }
@@ -121,7 +121,7 @@ impl ActorEntry {
     fn checked(self, index: usize) -> Result<ActorFault, ConfigError> {
         let field = |name: &str| format!("actor[{index}].{name}");
         if self.fault == ActorFaultKind::Slow && self.by_s <= 0.0 {
-            let reason = "a slow actor needs to know by how much; give seconds above 0".to_owned();
+            let reason = "a slow actor needs a delay; give seconds above 0".to_owned();
             return Err(ConfigError::field(field("by_s"), reason));
         }
         Ok(ActorFault {
@@ -130,7 +130,7 @@ impl ActorEntry {
             kind: self.fault,
             at: Time::ZERO + seconds(field("at_s"), self.at_s)?,
             lasts: seconds(field("for_s"), self.for_s)?,
-            by: within(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
+            by: duration(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
         })
     }
 }
@@ -147,7 +147,7 @@ impl LinkEntry {
             return Err(ConfigError::field(field("hosts"), reason));
         }
         if matches!(self.fault, LinkFaultKind::Delay | LinkFaultKind::Reorder) && self.by_s <= 0.0 {
-            let reason = "frames that come late need to know by how much; give seconds above 0".to_owned();
+            let reason = "delayed or reordered frames need a delay; give seconds above 0".to_owned();
             return Err(ConfigError::field(field("by_s"), reason));
         }
         let (from, until) = (seconds(field("from_s"), self.from_s)?, seconds(field("until_s"), self.until_s)?);
@@ -161,7 +161,7 @@ impl LinkEntry {
             kinds: self.kinds,
             hosts: self.hosts.into_iter().map(HostId).collect(),
             share: self.share,
-            by: within(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
+            by: duration(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
             from: Time::ZERO + from,
             until: Time::ZERO + until,
         })
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_plan_is_refused_by_its_field() {
+    fn an_error_in_a_plan_names_its_field() {
         let read = |text: &str| FaultPlan::from_toml(text).and_then(|plan| plan.check(&targets()).map(|()| plan));
         let error = |text: &str| read(text).unwrap_err().to_string();
         let actor = "[[actor]]\nactor = \"cache\"\nfault = \"crash\"\nat_s = 1.0\nfor_s = 1.0\n";

@@ -1,7 +1,7 @@
-//! What is to go wrong in a trial, and when: faults of actors and of links, in one plan.
+//! Fault plans: faults of actors and of links to inject in a trial, with their times.
 //!
-//! A plan is read from TOML (`fault_file`) or drawn from a seed. It is data: the Shell acts out the actors' faults,
-//! the medium those of the links.
+//! A plan is read from TOML (`file`) or drawn from a seed. It is data: the Shell injects the faults of actors, the link
+//! emulator those of links.
 
 mod file;
 
@@ -14,7 +14,7 @@ use crate::messages::wire::Kind;
 use crate::random::Seed;
 use crate::time::{Span, Time};
 
-/// Which actor a fault strikes.
+/// Role of the actor that a fault is injected into.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
@@ -34,17 +34,17 @@ pub enum Role {
     Network,
 }
 
-/// What happens to an actor.
+/// Kind of fault of an actor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ActorFaultKind {
-    /// It stops, loses all state and everything sent to it, and starts afresh after the fault.
+    /// It stops, loses all state and all messages sent to it, and restarts with initial state after the fault.
     Crash,
-    /// It does nothing; what is sent to it waits in its mailbox.
+    /// It does nothing; messages wait in its mailbox.
     Stall,
-    /// It works, and nothing that it says gets out.
+    /// It runs, and its output is dropped.
     Mute,
-    /// It takes everything up late.
+    /// It handles messages and timers late.
     Slow,
 }
 
@@ -53,33 +53,33 @@ pub enum ActorFaultKind {
 pub struct ActorFault {
     /// The actor's role.
     pub role: Role,
-    /// The robot that it belongs to; of no account for the StateServer.
+    /// The robot that the actor belongs to; ignored for the StateServer.
     pub robot: RobotId,
-    /// What happens.
+    /// Kind of fault.
     pub kind: ActorFaultKind,
-    /// When it begins.
+    /// Start.
     pub at: Time,
-    /// How long it lasts.
+    /// Duration.
     pub lasts: Span,
-    /// How much later everything is taken up; only for `Slow`.
+    /// Additional delay before messages and timers are handled; only for `Slow`.
     pub by: Span,
 }
 
-/// What happens to the frames of a link.
+/// Kind of fault of a link's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkFaultKind {
     /// They are lost.
     Drop,
-    /// They take longer.
+    /// They are delayed.
     Delay,
-    /// They arrive twice.
+    /// They are duplicated.
     Duplicate,
-    /// Each takes a random while longer, so that they overtake each other.
+    /// Each is delayed by a random time, so that they are reordered.
     Reorder,
-    /// A bit of the body is turned over.
+    /// One bit of the body is flipped.
     Corrupt,
-    /// Those between the named hosts and all others are lost.
+    /// Frames between the named hosts and all others are lost.
     Partition,
 }
 
@@ -88,24 +88,24 @@ pub enum LinkFaultKind {
 pub struct LinkFault {
     /// The link's name.
     pub link: String,
-    /// What happens.
+    /// Kind of fault.
     pub kind: LinkFaultKind,
-    /// The kinds of messages that it happens to; empty for all.
+    /// Kinds of messages that are affected; empty for all.
     pub kinds: Vec<Kind>,
     /// The hosts on one side of a partition.
     pub hosts: Vec<HostId>,
-    /// The share of frames that it happens to, 0 to 1.
+    /// Probability that a frame is affected, 0 to 1.
     pub share: f64,
-    /// How much longer frames take: exactly (`Delay`) or at most (`Reorder`).
+    /// Additional delay: exact (`Delay`) or maximum (`Reorder`).
     pub by: Span,
-    /// When it begins.
+    /// Start.
     pub from: Time,
-    /// When it ends.
+    /// End, exclusive.
     pub until: Time,
 }
 
 impl LinkFault {
-    /// A drop of every frame on `link`, for the whole run: the base to change fields of.
+    /// Returns a drop of every frame on `link` for the whole run, as a base for struct update syntax.
     pub fn always(link: &str) -> LinkFault {
         LinkFault {
             link: link.to_owned(),
@@ -119,7 +119,7 @@ impl LinkFault {
         }
     }
 
-    /// Whether a frame sent now falls under this fault, the share aside.
+    /// Whether a frame sent at `now` is subject to this fault; `share` is drawn by the caller.
     pub fn hits(&self, now: Time, kind: Kind, from: HostId, to: HostId) -> bool {
         let divides = self.hosts.contains(&from) != self.hosts.contains(&to);
         (self.from <= now && now < self.until)
@@ -128,18 +128,18 @@ impl LinkFault {
     }
 }
 
-/// What there is to strike.
+/// Actors and links of a team that faults can be injected into.
 #[derive(Clone, Debug)]
 pub struct Targets<'a> {
     /// The size of the team.
     pub robots: usize,
-    /// How many hosts there are.
+    /// Number of hosts.
     pub hosts: usize,
-    /// The links by name, and what each carries.
+    /// Links by name, with the kinds of messages that each carries.
     pub links: Vec<(&'a str, &'a [Kind])>,
 }
 
-/// Everything that is to go wrong in a trial.
+/// All faults to inject in a trial.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FaultPlan {
     /// Faults of actors.
@@ -148,8 +148,8 @@ pub struct FaultPlan {
     pub links: Vec<LinkFault>,
 }
 
-/// Whom a drawn plan strikes, and how.
-const STRUCK: [Role; 5] = [Role::Cache, Role::Agent, Role::Controller, Role::Body, Role::StateServer];
+/// Roles and kinds of faults in a drawn plan.
+const ROLES: [Role; 5] = [Role::Cache, Role::Agent, Role::Controller, Role::Body, Role::StateServer];
 const ACTOR_FAULTS: [ActorFaultKind; 4] =
     [ActorFaultKind::Crash, ActorFaultKind::Stall, ActorFaultKind::Mute, ActorFaultKind::Slow];
 const LINK_FAULTS: [LinkFaultKind; 6] = [
@@ -161,8 +161,8 @@ const LINK_FAULTS: [LinkFaultKind; 6] = [
     LinkFaultKind::Partition,
 ];
 impl FaultPlan {
-    /// Draws a plan from a seed: about one fault in ten seconds until `horizon`, one at least, each over within
-    /// three seconds. Two of three strike an actor, the others a link.
+    /// Draws a plan from a seed: about one fault per ten seconds until `horizon`, at least one, each of at most three
+    /// seconds. Two of three are faults of actors, the others of links.
     pub fn random(seed: u64, targets: &Targets, horizon: Span) -> FaultPlan {
         let mut stream = Seed::of_run(seed).stream("fault-plan");
         let count = (horizon.as_secs() / 10.0).round().max(1.0) as usize;
@@ -186,14 +186,14 @@ impl FaultPlan {
                 });
             } else {
                 let kind = ACTOR_FAULTS[stream.random_range(0..ACTOR_FAULTS.len())];
-                let role = STRUCK[stream.random_range(0..STRUCK.len())];
+                let role = ROLES[stream.random_range(0..ROLES.len())];
                 plan.actors.push(ActorFault { role, robot, kind, at, lasts, by });
             }
         }
         plan
     }
 
-    /// Checks that the faults are of this team, its hosts and its links with what they carry.
+    /// Checks that robots, hosts, links and their kinds of messages exist in this team; an error names the field.
     pub fn check(&self, targets: &Targets) -> Result<(), ConfigError> {
         let Targets { robots, hosts, ref links } = *targets;
         if let Some(index) = self.actors.iter().position(|fault| fault.robot.index() >= robots) {
@@ -218,12 +218,12 @@ impl FaultPlan {
         Ok(())
     }
 
-    /// The faults planned for one link.
+    /// Returns the faults planned for one link.
     pub fn of_link(&self, name: &str) -> Vec<LinkFault> {
         self.links.iter().filter(|fault| fault.link == name).cloned().collect()
     }
 
-    /// When the last fault is over; the start of the run if there is none.
+    /// Returns the end of the last fault; the start of the run if there is none.
     pub fn over(&self) -> Time {
         let actors = self.actors.iter().map(|fault| fault.at + fault.lasts);
         actors.chain(self.links.iter().map(|fault| fault.until)).max().unwrap_or(Time::ZERO)
@@ -246,7 +246,7 @@ mod tests {
         assert!(draw(3).actors.len() > 5 && draw(3).links.len() > 1);
         let no_links = Targets { links: Vec::new(), ..targets() };
         assert_eq!(FaultPlan::random(1, &no_links, Span::from_secs(1.0)).actors.len(), 1, "one at least");
-        assert!((0..50).all(|seed| draw(seed).check(&targets()).is_ok()), "what is drawn is there");
+        assert!((0..50).all(|seed| draw(seed).check(&targets()).is_ok()), "drawn plans pass the check");
         let again = FaultPlan::from_toml(&draw(3).to_toml()).unwrap();
         assert_eq!(again.actors, draw(3).actors);
     }

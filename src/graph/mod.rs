@@ -31,9 +31,9 @@ use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Stop, Wire};
-use crate::net::media::air::Air;
+use crate::net::media::emulator::LinkEmulator;
 use crate::net::media::ether::{self, Ether};
-use crate::net::media::medium::Medium;
+use crate::net::media::radio_link::RadioLink;
 use crate::net::media::reach::Reach;
 use crate::net::protocol::codec::Frame;
 use crate::net::transport::Arrive;
@@ -340,11 +340,11 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
         let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
         let make = move |life| {
             let stream = seed.stream(&format!("link/{name}/{life}"));
-            let medium = Medium::new(impairment.clone(), faults.clone(), stream);
+            let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream);
             let air = || seed.child(&format!("link/{name}/radio/{life}"));
-            let air = radio.clone().map(|radio| Air::new(radio, &robots_of, &air()));
+            let radio_link = radio.clone().map(|radio| RadioLink::new(radio, &robots_of, &air()));
             let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
-            Ether::new(medium, air, reach, |kind| routes.listeners(kind))
+            Ether::new(emulator, radio_link, reach, |kind| routes.listeners(kind))
         };
         let (networks, record) = (graph.networks.clone(), graph.record());
         let observed = plan.steps.kept() && link.carries.contains(&Kind::Latent);

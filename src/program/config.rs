@@ -1,4 +1,4 @@
-//! `murmurate config`: what a team file comes to, and whether it is sound.
+//! `murmurate config`: checks a team file, or shows the values in effect.
 
 use std::collections::BTreeSet;
 
@@ -44,7 +44,7 @@ pub struct Show {
     json: bool,
 }
 
-/// Checks or shows.
+/// Runs `config check` or `config show`.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     match args {
         Args::Check(args) => check(args, registry),
@@ -73,7 +73,7 @@ fn check(args: &Check, registry: &Registry) -> Result<Ended> {
     let keys = if seen.is_empty() { "no key".to_owned() } else { format!("key {}", Vec::from_iter(seen).join(", ")) };
     let (links, hosts) = (deployment.links.len(), hosts.len());
     let path = args.team.path().display();
-    print(&format!("{path}: sound: mode {}, {hosts} hosts, {links} links, {keys}", deployment.mode))?;
+    print(&format!("{path}: valid: mode {}, {hosts} hosts, {links} links, {keys}", deployment.mode))?;
     Ok(Ended::Done)
 }
 

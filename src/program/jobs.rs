@@ -1,16 +1,16 @@
-//! Pieces of work on several threads. The numbers never depend on how many.
+//! Independent jobs on several threads. Results do not depend on the number of threads.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// How many threads to use for so many pieces: as asked for, or one a core.
+/// Returns the number of threads for `pieces` jobs: as asked for or one per core, at most one per job.
 pub fn threads(asked: Option<u16>, pieces: usize) -> usize {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     asked.map_or(cores, usize::from).min(pieces)
 }
 
 #[cfg(feature = "study")]
-/// Does what is missing of some pieces, until all are there or `stop` is set: `found` is what is there already. Where
-/// nothing came of a piece, or it was not begun, there is none; the first error ends everything.
+/// Runs the jobs whose result is missing from `found`, until all are done or `stop` is set. Returns the results by job;
+/// none where a job had no result or was not started. The first error stops all jobs.
 pub fn finish<T: Send>(
     mut found: Vec<Option<T>>,
     asked: Option<u16>,
@@ -18,7 +18,7 @@ pub fn finish<T: Send>(
     work: impl Fn(usize) -> anyhow::Result<Option<T>> + Sync,
 ) -> anyhow::Result<Vec<Option<T>>> {
     let open: Vec<usize> = (0..found.len()).filter(|at| found[*at].is_none()).collect();
-    // A disk that is full ends the study; what was written stays.
+    // An error, such as a full disk, ends the study; files already written stay.
     let work = |at: usize| work(open[at]).inspect_err(|_| stop.store(true, Ordering::Relaxed));
     for (at, done) in run(open.len(), threads(asked, open.len()), stop, work) {
         found[open[at]] = done?;
@@ -26,7 +26,7 @@ pub fn finish<T: Send>(
     Ok(found)
 }
 
-/// Does each piece once, until all are done or `stop` is set; what came of them, in their order.
+/// Runs each job once, until all are done or `stop` is set. Returns the results with their job's index, in that order.
 pub fn run<T: Send>(
     pieces: usize,
     threads: usize,

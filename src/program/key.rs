@@ -1,6 +1,6 @@
-//! `murmurate key`: the team key, 32 bytes that only its owner may read, as 64 hexadecimal digits in a file.
+//! `murmurate key`: the team key, 32 bytes as 64 hexadecimal digits in a file that only its owner may read.
 //!
-//! A key is never printed; what is shown is a fingerprint, to see whether two robots have the same.
+//! A key is never printed; its fingerprint shows whether two robots have the same one.
 
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Read, Write};
@@ -17,7 +17,7 @@ use crate::program::Ended;
 use crate::program::output;
 use crate::program::temporary::Temporary;
 
-/// The size of a key \[bytes\].
+/// Length of a key \[bytes\].
 const BYTES: usize = 32;
 
 /// Subcommands of `murmurate key`.
@@ -30,20 +30,20 @@ pub enum Args {
 /// Flags of `murmurate key new`.
 #[derive(clap::Args)]
 pub struct New {
-    /// Where to write it
+    /// File to write
     #[arg(long, value_name = "FILE", default_value = "team.key")]
     out: PathBuf,
-    /// Replaces a key that is there; every robot of the team then needs the new one
+    /// Replaces an existing key; every robot of the team then needs the new one
     #[arg(long)]
     force: bool,
 }
 
-/// Makes a key.
+/// Creates a key file. Errors: the file exists and `--force` is missing, or it cannot be written.
 pub fn run(args: &Args) -> Result<Ended> {
     let Args::New(New { out, force }) = args;
     let shown = out.display();
     let refuse = |why: String| BadInput(format!("cannot write the key file '{shown}': {why}"));
-    let there = || refuse("it is there already; --force replaces it, and every robot then needs the new one".into());
+    let there = || refuse("it exists already; --force replaces it, and every robot then needs the new one".into());
     if !force && out.symlink_metadata().is_ok() {
         return Err(there().into());
     }
@@ -56,7 +56,7 @@ pub fn run(args: &Args) -> Result<Ended> {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    // From its first moment only its owner can read it (mode 0600), and it has its name only once it is whole.
+    // Only its owner can read it from the start (mode 0600), and it gets its name once it is complete.
     let mut file =
         Temporary::new_in(folder, 0o600).map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
     let digits: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -71,11 +71,11 @@ pub fn run(args: &Args) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Reads a key file that belongs to the user of this program and that nobody else can read. Links are followed: what
-/// counts is the file that was opened, not its name.
+/// Reads a key file. Errors unless it belongs to this program's user or to root, has mode 0600 or less, and holds a
+/// key. Links are followed; owner and mode are those of the opened file.
 pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     let refuse = |why: String| anyhow::Error::from(BadInput(format!("the key file '{}' {why}", path.display())));
-    // Without waiting: opening a pipe would wait for its other end.
+    // Non-blocking: opening a pipe would wait for its writer.
     let opened = OpenOptions::new().read(true).custom_flags(nix::libc::O_NONBLOCK | nix::libc::O_NOCTTY).open(path);
     let file = opened.map_err(|e| match e.kind() {
         ErrorKind::NotFound => {
@@ -85,7 +85,7 @@ pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     })?;
     let about = file.metadata().map_err(|e| refuse(format!("cannot be read: {e}")))?;
     if !about.is_file() {
-        return Err(refuse("is no regular file: name a file that holds the key".to_owned()));
+        return Err(refuse("is not a regular file: name a file that holds the key".to_owned()));
     }
     let (owner, user) = (about.uid(), geteuid().as_raw());
     if !may_own(owner, user) {
@@ -97,10 +97,10 @@ pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     }
     let mode = about.mode() & 0o777;
     if mode & 0o177 != 0 {
-        return Err(refuse(format!("has mode {mode:04o}, so it is not its owner's alone: chmod 600 it")));
+        return Err(refuse(format!("has mode {mode:04o}, so others than its owner may use it: chmod 600 it")));
     }
     let mut digits = Vec::new();
-    // A little more than a key is enough to see that it is none.
+    // Bounded: a file longer than this holds no key.
     file.take(4 * BYTES as u64).read_to_end(&mut digits).map_err(|e| refuse(format!("cannot be read: {e}")))?;
     let key = parse(digits.trim_ascii()).ok_or_else(|| {
         refuse(format!("does not hold {} hexadecimal digits ({BYTES} bytes): copy the team's key again", 2 * BYTES))
@@ -108,8 +108,8 @@ pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     Ok(key)
 }
 
-/// Whether a key of this owner is taken from this user: from oneself, and from root, who could do anything anyway. So
-/// root takes no key that an ordinary user could exchange.
+/// Whether `user` accepts a key file of `owner`: one's own or root's. So root accepts no key that an ordinary user
+/// could replace.
 fn may_own(owner: u32, user: u32) -> bool {
     owner == user || owner == 0
 }
@@ -126,7 +126,7 @@ fn parse(digits: &[u8]) -> Option<[u8; BYTES]> {
     Some(key)
 }
 
-/// A few digits that tell two keys apart and tell nothing else.
+/// Returns 8 hexadecimal digits of a hash of the key, which reveal nothing else about it.
 pub fn fingerprint(key: &[u8; BYTES]) -> String {
     let mut digest = Hash::new();
     digest.update(b"murmurate team key\0");
@@ -139,9 +139,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_key_is_taken_from_its_user_and_from_root_alone() {
+    fn a_key_is_accepted_from_its_user_and_from_root_only() {
         assert!(may_own(1000, 1000) && may_own(0, 1000) && may_own(0, 0));
-        assert!(!may_own(1000, 0), "an ordinary user could exchange it under root");
+        assert!(!may_own(1000, 0), "an ordinary user could replace root's key");
         assert!(!may_own(1001, 1000));
     }
 }

@@ -6,6 +6,7 @@
 // The comments of flags are their help, for a terminal: [m] is a unit there and <FILE> a name.
 #![allow(rustdoc::broken_intra_doc_links, rustdoc::invalid_html_tags)]
 
+mod background_writer;
 mod config;
 #[cfg(feature = "sim")]
 mod deployment;
@@ -14,7 +15,6 @@ mod host;
 #[cfg(feature = "sim")]
 mod jobs;
 mod key;
-mod lane;
 #[cfg(feature = "sim")]
 mod launch;
 mod names;
@@ -175,7 +175,7 @@ pub fn main(registry: &Registry) -> ExitCode {
 
 /// All commands and flags, with the names that the registry has.
 fn command(registry: &Registry) -> clap::Command {
-    names::put(Cli::command(), registry)
+    names::add(Cli::command(), registry)
 }
 
 fn parse(registry: &Registry) -> Result<Cli, clap::Error> {

@@ -1,13 +1,13 @@
-//! What a registry has, in the flags that take a name and in their help.
+//! Names of the registry's entries as possible values of flags and in their help.
 
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Arg, Command};
 
 use crate::registry::Registry;
 
-/// The command and all below it, with the registry's names where a flag takes one.
-pub fn put(command: Command, registry: &Registry) -> Command {
-    command.mut_args(|arg| named(arg, registry)).mut_subcommands(|below| put(below, registry))
+/// Adds the registry's names to the flags of a command and its subcommands.
+pub fn add(command: Command, registry: &Registry) -> Command {
+    command.mut_args(|arg| named(arg, registry)).mut_subcommands(|below| add(below, registry))
 }
 
 fn named(arg: Arg, registry: &Registry) -> Arg {

@@ -1,4 +1,4 @@
-//! Outlets: everything that a running host writes, each on a lane of its own: events or a table on stdout,
+//! Outlets: everything that a running host writes, each through a writer of its own: events or a table on stdout,
 //! trajectories, and its state for the service manager. Nothing here waits; what is dropped is counted by its kind.
 
 use std::cell::{Cell, RefCell};
@@ -16,17 +16,17 @@ use anyhow::{Context, Result, anyhow};
 use sd_notify::NotifyState;
 
 use crate::program::BadInput;
-use crate::program::lane::{Lane, Target};
+use crate::program::background_writer::{BackgroundWriter, Target};
 use crate::program::output::{FAREWELL, log_lines_dropped};
 use crate::program::paths::Paths;
 
 /// The outlets of a host.
 pub struct Outlets {
-    stdout: Lane,
+    stdout: BackgroundWriter,
     /// Whether stdout has events.
     json: bool,
-    trajectories: Option<(Lane, RefCell<Rows>)>,
-    service: Option<Lane>,
+    trajectories: Option<(BackgroundWriter, RefCell<Rows>)>,
+    service: Option<BackgroundWriter>,
     events: Cell<u64>,
     steps: Cell<u64>,
 }
@@ -36,7 +36,7 @@ impl Outlets {
     pub fn open(json: bool, trajectories: Option<&Path>) -> Result<Outlets> {
         let thread = "cannot start a thread to write";
         let stdout = Target::copy_of(io::stdout()).context("stdout is not open")?;
-        let stdout = Lane::open(stdout, None).context(thread)?;
+        let stdout = BackgroundWriter::open(stdout, None).context(thread)?;
         let trajectories = match trajectories {
             None => None,
             Some(path) => {
@@ -44,11 +44,13 @@ impl Outlets {
                 let target = Target::create(path).map_err(refuse)?;
                 // Two threads that write to one pipe could mix their lines.
                 let same = target.is_same(io::stdout());
-                let lane = if same { stdout.clone() } else { Lane::open(target, None).context(thread)? };
-                Some((lane, RefCell::new(Rows::new()?)))
+                let writer =
+                    if same { stdout.clone() } else { BackgroundWriter::open(target, None).context(thread)? };
+                Some((writer, RefCell::new(Rows::new()?)))
             }
         };
-        let service = service_socket().map(|socket| Lane::open(Target::Open(OwnedFd::from(socket).into()), None));
+        let service =
+            service_socket().map(|socket| BackgroundWriter::open(Target::Open(OwnedFd::from(socket).into()), None));
         let service = service.transpose().context(thread)?;
         Ok(Outlets { stdout, json, trajectories, service, events: Cell::new(0), steps: Cell::new(0) })
     }
@@ -67,8 +69,8 @@ impl Outlets {
 
     /// Writes a step of the World, if trajectories are asked for.
     pub fn step(&self, step: &Step) {
-        let Some((lane, rows)) = &self.trajectories else { return };
-        if !lane.push(rows.borrow_mut().of(step)) {
+        let Some((writer, rows)) = &self.trajectories else { return };
+        if !writer.push(rows.borrow_mut().of(step)) {
             if self.steps.get() == 0 {
                 tracing::warn!("steps of the trajectories are dropped: they cannot be written in time, or at all");
             }
@@ -78,9 +80,9 @@ impl Outlets {
 
     /// Tells the service manager something.
     pub fn notify(&self, state: &NotifyState<'_>) {
-        if let Some(lane) = &self.service {
+        if let Some(writer) = &self.service {
             // The manager misses what it has no room for; what keeps a watchdog quiet is said again.
-            lane.push(format!("{state}\n").into_bytes());
+            writer.push(format!("{state}\n").into_bytes());
         }
     }
 
@@ -97,18 +99,18 @@ impl Outlets {
 
     /// Waits a little for what is still to be written, logs what is not, and tells why, if it could not be.
     pub fn close(&self) -> Result<()> {
-        let others = self.trajectories.iter().map(|(lane, _)| lane).chain(&self.service);
-        let lanes: Vec<&Lane> = std::iter::once(&self.stdout).chain(others).collect();
-        for lane in &lanes {
-            lane.flush(FAREWELL);
+        let others = self.trajectories.iter().map(|(writer, _)| writer).chain(&self.service);
+        let writers: Vec<&BackgroundWriter> = std::iter::once(&self.stdout).chain(others).collect();
+        for writer in &writers {
+            writer.flush(FAREWELL);
         }
-        let dropped: u64 = lanes.iter().map(|lane| lane.dropped()).sum();
+        let dropped: u64 = writers.iter().map(|writer| writer.dropped()).sum();
         if dropped > 0 {
             let Unwritten { log_lines, events, steps } = self.unwritten();
             tracing::warn!(dropped, events, steps, log_lines, "output was dropped: nobody took it in time");
         }
         // No robot stops for trajectories, but whoever wanted them is told.
-        let trajectories = self.trajectories.as_ref().and_then(|(lane, _)| lane.failure());
+        let trajectories = self.trajectories.as_ref().and_then(|(writer, _)| writer.failure());
         match (self.failure(), trajectories) {
             (Some(error), _) => Err(error),
             (None, Some(error)) => Err(anyhow!("cannot write the trajectories: {error}")),

@@ -10,18 +10,18 @@ use crate::config::{is_key, redacted};
 use anyhow::{Context, Result};
 
 use crate::program::BadInput;
-use crate::program::lane::{Lane, Target};
+use crate::program::background_writer::{BackgroundWriter, Target};
 
 /// How long the end of a process waits for what is still to be written to a pipe or a disk.
 pub const FAREWELL: Duration = Duration::from_millis(500);
 
-/// The lane to stderr, in commands that must not wait for it.
-static LOG: OnceLock<Lane> = OnceLock::new();
+/// The background writer to stderr, in commands that must not wait for it.
+static LOG: OnceLock<BackgroundWriter> = OnceLock::new();
 
 /// Has everything for stderr written by a thread of its own from now on, the message of a panic included.
 pub fn open_log_lane() -> io::Result<()> {
-    let lane = Lane::open(Target::copy_of(io::stderr())?, Some(missing))?;
-    if LOG.set(lane).is_ok() {
+    let writer = BackgroundWriter::open(Target::copy_of(io::stderr())?, Some(missing))?;
+    if LOG.set(writer).is_ok() {
         std::panic::set_hook(Box::new(|panic| {
             let trace = Backtrace::capture();
             let traced = trace.status() == BacktraceStatus::Captured;
@@ -37,13 +37,13 @@ fn missing(lines: u64) -> String {
 
 /// Log lines that were dropped so far.
 pub fn log_lines_dropped() -> u64 {
-    LOG.get().map_or(0, Lane::dropped)
+    LOG.get().map_or(0, BackgroundWriter::dropped)
 }
 
 /// Waits a little for the last lines to reach stderr.
 pub fn flush_log() {
-    if let Some(lane) = LOG.get() {
-        lane.flush(FAREWELL);
+    if let Some(writer) = LOG.get() {
+        writer.flush(FAREWELL);
     }
 }
 
@@ -54,11 +54,11 @@ pub fn talk(text: &str) {
 
 fn say(lines: String) {
     match LOG.get() {
-        Some(lane) => {
-            lane.push(lines.into_bytes());
+        Some(writer) => {
+            writer.push(lines.into_bytes());
             // What follows a panic is the end of the process.
             if std::thread::panicking() {
-                lane.flush(FAREWELL);
+                writer.flush(FAREWELL);
             }
         }
         // Nobody is there to be told that stderr is closed.

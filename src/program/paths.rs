@@ -1,4 +1,4 @@
-//! Every robot's path as CSV, a line a robot and step: of a trial that is over, or of a team that is running.
+//! Robots' trajectories as CSV, one line per robot and step, of a finished trial or a running team.
 
 use std::io::Write;
 
@@ -6,7 +6,7 @@ use crate::messages::geometry::Vec2;
 use crate::report::trial::Step;
 use anyhow::{Context, Result};
 
-/// What is in a line.
+/// Columns; positions and velocities in the world frame.
 const COLUMNS: [&str; 11] = [
     "repeat",
     "episode",
@@ -21,17 +21,17 @@ const COLUMNS: [&str; 11] = [
     "command_y_m_s",
 ];
 
-/// A file of paths. Nothing in it needs quotes: numbers, and names of phases.
+/// Writer of trajectories. No field needs quotes: they are numbers and names of phases.
 pub struct Paths<W: Write>(W);
 
 impl<W: Write> Paths<W> {
-    /// Begins it.
+    /// Writes the header line.
     pub fn new(mut file: W) -> Result<Paths<W>> {
         writeln!(file, "{}", COLUMNS.join(",")).context("cannot write the trajectories")?;
         Ok(Paths(file))
     }
 
-    /// The whole team at one instant.
+    /// Writes one line for each robot of a step.
     pub fn write(&mut self, repeat: usize, step: &Step) -> Result<()> {
         for sample in &step.samples {
             let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
@@ -46,7 +46,7 @@ impl<W: Write> Paths<W> {
         Ok(())
     }
 
-    /// Lets go of what is still here.
+    /// Flushes the underlying writer.
     pub fn flush(&mut self) -> Result<()> {
         self.0.flush().context("cannot write the trajectories")
     }

@@ -1,4 +1,4 @@
-//! The policy that a user has named, or the scenario's own, from its name or its file to a model.
+//! Loading of a policy, by its name or from its file.
 
 use std::path::Path;
 
@@ -10,18 +10,18 @@ use anyhow::Result;
 use crate::program::BadInput;
 use crate::program::output::read_bytes;
 
-/// A policy that can drive a team.
+/// A loaded policy.
 pub struct Loaded {
-    /// What drives it.
+    /// The model that drives each robot.
     pub model: Model,
     /// Its name in reports.
     pub name: String,
-    /// What its file does not say and was assumed, for a warning.
+    /// Warning about defaults that stand for fields missing from its file.
     pub assumed: Option<String>,
 }
 
-/// Loads the policy: one that the registry has a name for, or a file; without any the one that the scenario has
-/// usually. `draw` says how actions are drawn; without it the file does.
+/// Loads a policy by a name in the registry or from a file; without `named`, the scenario's default. `draw` overrides
+/// the file's choice between mean and sampled actions. Errors name the flag or the file.
 pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scenario: &dyn Scenario) -> Result<Loaded> {
     let named = named.unwrap_or_else(|| Path::new(registry.usual_policy(scenario)));
     let name = named.display().to_string();
@@ -35,7 +35,8 @@ pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scena
     };
     let mut model = model.map_err(|error| BadInput(format!("{place}: {error}")))?;
     if let Some(draw) = draw {
-        let nothing = || BadInput(format!("--action: the policy '{name}' draws nothing; leave the flag out"));
+        let nothing =
+            || BadInput(format!("--action: the policy '{name}' has no action distribution; leave the flag out"));
         model = model.with_draw(draw).ok_or_else(nothing)?;
     }
     let assumed = model.assumed().map(|assumed| format!("{place}: {assumed}"));

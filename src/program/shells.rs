@@ -1,4 +1,4 @@
-//! `murmurate completions` and `murmurate man`: what shells and `man` know of the program, made from its flags.
+//! `murmurate completions` and `murmurate man`: shell completions and man pages, generated from the flags.
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ use crate::registry::Registry;
     after_help = "For example: murmurate completions bash > ~/.local/share/bash-completion/completions/murmurate"
 )]
 pub struct Completions {
-    /// The shell that is to complete
+    /// Shell that the completions are for
     shell: Shell,
 }
 
@@ -26,12 +26,12 @@ pub struct Completions {
 #[derive(clap::Args)]
 #[command(after_help = "For example: murmurate man --out ~/.local/share/man/man1")]
 pub struct Manual {
-    /// Writes the page of every command into this folder, which is made if need be
+    /// Writes the page of every command into this folder, which is created if it does not exist
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
 }
 
-/// Prints what a shell needs to complete commands and flags.
+/// Prints the completion script of a shell.
 pub fn complete(args: &Completions, registry: &Registry) -> Result<Ended> {
     let (mut command, mut script) = (command(registry), Vec::new());
     let name = command.get_name().to_owned();
@@ -40,7 +40,7 @@ pub fn complete(args: &Completions, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Prints the program's page, or writes the pages of all its commands.
+/// Prints the program's man page, or writes the pages of all its commands into a folder.
 pub fn manual(args: &Manual, registry: &Registry) -> Result<Ended> {
     let mut command = command(registry).disable_help_subcommand(true);
     command.build();
@@ -55,7 +55,7 @@ pub fn manual(args: &Manual, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Writes the pages of a command and of those below it; how many there are.
+/// Writes the pages of a command and its subcommands; returns their number.
 fn write(command: &Command, folder: &Path) -> Result<usize> {
     let name = command.get_display_name().unwrap_or(command.get_name());
     let mut file = WholeFile::create(&folder.join(format!("{name}.1")))?;

@@ -1,23 +1,23 @@
-//! Files that are made beside their place under a name of chance, and take their own name once they are whole.
+//! Temporary files with a random name, which are renamed once they are complete.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-/// How often a name is drawn that is taken before that is an error.
+/// Maximum number of random names to try.
 const DRAWS: usize = 16;
 
-/// A file that goes when it is dropped, unless it was given a name.
+/// Temporary file, removed when dropped unless it was renamed.
 pub struct Temporary {
     path: PathBuf,
     file: File,
-    /// It has its name, or another file has.
+    /// True once it was renamed.
     done: bool,
 }
 
 impl Temporary {
-    /// Makes an empty file in this folder; `mode` is who may do what with it, of which the user's mask takes its part.
+    /// Creates an empty file in this folder with permissions `mode`, less the user's umask.
     pub fn new_in(folder: &Path, mode: u32) -> io::Result<Temporary> {
         let mut taken = None;
         for _ in 0..DRAWS {
@@ -33,21 +33,21 @@ impl Temporary {
         Err(taken.expect("names were drawn"))
     }
 
-    /// Waits until its content is on the disk.
+    /// Flushes its content to the disk (fsync).
     pub fn sync(&self) -> io::Result<()> {
         self.file.sync_all()
     }
 
-    /// Gives it this name, in place of a file that has it; both are in one folder.
+    /// Renames it, replacing an existing file of that name; both must be in one folder.
     pub fn replace(mut self, path: &Path) -> io::Result<()> {
         fs::rename(&self.path, path)?;
         self.done = true;
         Ok(())
     }
 
-    /// Gives it this name, which no file may have.
+    /// Gives it this name; an error of kind `AlreadyExists` if there is such a file.
     pub fn add(self, path: &Path) -> io::Result<()> {
-        // A link to a name that is taken is an error, where a renaming would replace what is there.
+        // Linking to an existing name fails, whereas renaming would replace that file.
         fs::hard_link(&self.path, path)
     }
 }
@@ -65,7 +65,7 @@ impl Write for Temporary {
 impl Drop for Temporary {
     fn drop(&mut self) {
         if !self.done {
-            // There is nobody to be told, and nothing that depends on it.
+            // Nothing depends on its removal, so an error is ignored.
             let _ = fs::remove_file(&self.path);
         }
     }
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_has_its_name_once_it_is_whole_and_leaves_nothing_otherwise() {
+    fn a_file_gets_its_name_once_complete_and_is_removed_otherwise() {
         let folder = tempfile::TempDir::new().unwrap();
         let names = || {
             let entries = fs::read_dir(folder.path()).unwrap();

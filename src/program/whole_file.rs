@@ -1,4 +1,4 @@
-//! Files that are written whole or not at all.
+//! Atomic replacement of files.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write;
@@ -9,22 +9,22 @@ use anyhow::{Context, Result};
 use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 
-/// A file that replaces the one of its name only once it is whole. What is no regular file (a pipe, a device) is
-/// written to as it is.
+/// File that replaces the existing one of its name atomically, once it is complete. A pipe or a device is written to
+/// directly.
 pub enum WholeFile {
-    /// Beside its place, until it is kept.
+    /// Temporary file in the same folder, until `keep`.
     Beside {
-        /// Its place, links resolved.
+        /// Path of the final file, links resolved.
         path: PathBuf,
-        /// What is written.
+        /// The temporary file.
         file: Temporary,
     },
-    /// Straight into what is there.
+    /// An open pipe or device.
     Straight(File),
 }
 
 impl WholeFile {
-    /// Opens a place for it, so that a wrong path is known before any work is done.
+    /// Creates the temporary file, so that a wrong path is an error before any work is done.
     pub fn create(path: &Path) -> Result<WholeFile> {
         let refuse = |why: String| BadInput(format!("cannot write '{}': {why}", path.display()));
         let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
@@ -44,7 +44,7 @@ impl WholeFile {
         Ok(WholeFile::Beside { path, file })
     }
 
-    /// Where to write.
+    /// Returns the file to write to.
     pub fn writer(&mut self) -> &mut dyn Write {
         match self {
             WholeFile::Beside { file, .. } => file,
@@ -52,7 +52,7 @@ impl WholeFile {
         }
     }
 
-    /// Puts the whole file in its place.
+    /// Flushes the file to the disk and replaces the existing one.
     pub fn keep(self) -> Result<()> {
         if let WholeFile::Beside { path, file } = self {
             file.sync()

@@ -1,9 +1,9 @@
-//! Guard: the one state machine between what a policy wants and what a motor is told. Every motor command of a robot
-//! is a `Granted` velocity, and only a guard grants.
+//! Guard: the state machine between the policy's velocity and the motors. Every motor command of a robot is a `Granted`
+//! velocity, and only a guard can make one.
 //!
-//! It stops while a trigger lasts, gives a running episode up, or stays latched until it is re-armed; `Trigger` says
-//! which. It reads no clock: it is told the time, and says when it has to be woken. That the last command lapses is
-//! the Body's affair, and holds even if this guard has died.
+//! A guard stops the robot while a trigger lasts, aborts a running episode, or stays latched until it is re-armed;
+//! `Trigger` says which. It reads no clock: the time is an argument, and `wake_at` is its next deadline. The Body
+//! expires the last command by itself, even if this guard has died.
 
 use std::collections::BTreeMap;
 use std::iter::Sum;
@@ -20,38 +20,38 @@ use crate::messages::wire::Stop;
 use crate::time::{Span, Time};
 use crate::world::Clamp;
 
-/// Why a robot is stopped or slowed.
+/// Reason for stopping or slowing a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigger {
-    /// The emergency stop is engaged, or the team is held after it: it stands until a resume.
+    /// The emergency stop is engaged, or the team is held after it: stops until a resume.
     Stop,
-    /// The state server is silent: it stands until that is heard again, and a running episode is given up.
+    /// The state server is silent: stops until it is heard again; a running episode is aborted.
     Silence,
-    /// The policy's output was no velocity: it stands until the next instruction; a running episode is given up.
+    /// The policy's output was not finite: stops until the next instruction; a running episode is aborted.
     Output,
-    /// A control tick is late or missing: it stands until one is in time.
+    /// A control tick is late or missing: stops until one is in time.
     LateTick,
-    /// Its own state is too old: it stands until a new reading has led to an action.
+    /// The robot's own state is too old: stops until a new reading has led to an action.
     OwnState,
-    /// It is far outside its ground: it stands while that lasts, and a running episode is given up.
+    /// The robot is far outside its ground: stops while that lasts; a running episode is aborted.
     Outside,
-    /// It was to leave its ground: the outward part of the velocity is taken away.
+    /// The command would cross the geofence: the outward component of the velocity is removed.
     Fence,
-    /// It was to come too near to a neighbour: that part of the velocity is taken away.
+    /// The command would violate the minimum distance to a neighbour: the component toward it is removed.
     Distance,
 }
 
 impl Trigger {
-    /// What it means for an episode that runs.
-    fn ruling(self) -> Ruling {
+    /// Returns the decision while this trigger acts.
+    fn decision(self) -> Decision {
         match self {
-            Trigger::Stop | Trigger::Silence | Trigger::Output | Trigger::Outside => Ruling::GiveUp,
-            Trigger::LateTick | Trigger::OwnState | Trigger::Fence | Trigger::Distance => Ruling::Stand,
+            Trigger::Stop | Trigger::Silence | Trigger::Output | Trigger::Outside => Decision::Abort,
+            Trigger::LateTick | Trigger::OwnState | Trigger::Fence | Trigger::Distance => Decision::Stop,
         }
     }
 }
 
-/// How often each trigger has begun to act.
+/// Activations of each trigger.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SafetyCounts {
@@ -59,7 +59,7 @@ pub struct SafetyCounts {
     pub stop: u64,
     /// The state server fell silent.
     pub silence: u64,
-    /// A policy's output was no velocity.
+    /// A policy's output was not finite.
     pub output: u64,
     /// A control tick was late or missing.
     pub late_tick: u64,
@@ -67,9 +67,9 @@ pub struct SafetyCounts {
     pub own_state: u64,
     /// A robot was far outside its ground.
     pub outside: u64,
-    /// A robot was kept on its ground.
+    /// The geofence limited a command.
     pub fence: u64,
-    /// A robot was kept from a neighbour.
+    /// The minimum distance to a neighbour limited a command.
     pub distance: u64,
 }
 
@@ -89,17 +89,17 @@ impl SafetyCounts {
 }
 
 impl SafetyCounts {
-    /// What there is to tell: how often, and what.
+    /// Returns the nonzero counts, each with a text for its trigger.
     pub fn reasons(&self) -> impl Iterator<Item = (u64, &'static str)> {
         let all = [
             (self.stop, "emergency stops"),
             (self.silence, "server silent"),
-            (self.output, "unsound outputs"),
+            (self.output, "invalid outputs"),
             (self.late_tick, "late ticks"),
             (self.own_state, "own state too old"),
             (self.outside, "far outside"),
-            (self.fence, "kept on the ground"),
-            (self.distance, "kept apart"),
+            (self.fence, "geofence"),
+            (self.distance, "minimum distance"),
         ];
         all.into_iter().filter(|(times, _)| *times > 0)
     }
@@ -120,7 +120,7 @@ impl Sum for SafetyCounts {
     }
 }
 
-/// A velocity that a guard has let through.
+/// Velocity that a guard has approved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Granted(Vec2);
 
@@ -131,54 +131,54 @@ impl Granted {
     }
 }
 
-/// What a robot is to do.
+/// Decision of a guard on one action or deadline.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Ruling {
-    /// To drive so.
+pub enum Decision {
+    /// Drive with this velocity.
     Drive(Granted),
-    /// To stand while it lasts.
-    Stand,
-    /// To stand, and to give up an episode that runs.
-    GiveUp,
+    /// Stop while the trigger lasts.
+    Stop,
+    /// Stop, and abort a running episode.
+    Abort,
 }
 
-/// How a guard is set up.
+/// Configuration of a guard.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
-    /// When it acts.
+    /// Thresholds of the triggers.
     pub safety: Safety,
-    /// The robot's ground: its centre stays within this of the origin along x and y \[m\].
+    /// Half extent of the robot's ground along x and y \[m\], world frame, centred at the origin.
     pub half_extent: Vec2,
     /// Largest speed along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// How the policy's velocity is limited, in episodes and in resets.
+    /// Limit of the policy's velocity against the measured one, in episodes and in resets.
     pub clamp: Clamp,
-    /// How often the policy acts.
+    /// Control period of the policy.
     pub period: Span,
 }
 
-/// One robot's guard.
+/// Guard of one robot.
 #[derive(Debug)]
 pub struct Guard {
     config: Config,
     latch: LatchFollower,
-    /// When the state server was last heard; `None` before, and after it fell silent.
+    /// Time of the state server's newest message; none before the first, and after a silence.
     server: Option<Time>,
-    /// When the newest reading of the robot has arrived.
+    /// Arrival of the robot's newest reading.
     own: Option<Time>,
-    /// When the tick was due that the robot drives by; `None` while it stands.
+    /// Due time of the tick whose command the robot follows; none while it stands.
     driving: Option<Time>,
-    /// Since the last instruction the policy has said something that is no velocity.
-    unsound: bool,
-    /// When each neighbour was last told of, how old it was then, and where it was.
+    /// True if the policy's output was not finite since the last instruction.
+    invalid_output: bool,
+    /// By neighbour: time of its last update, the age of its state at that time, and its state.
     neighbours: BTreeMap<RobotId, (Time, Span, Motion)>,
-    /// What acts at the moment.
+    /// Triggers that act at the moment.
     acting: Vec<Trigger>,
     counts: SafetyCounts,
 }
 
 impl Guard {
-    /// A guard that has heard of nothing and lets nothing through.
+    /// Returns a guard that has received nothing yet, and so stops the robot.
     pub fn new(config: Config) -> Guard {
         Guard {
             config,
@@ -186,31 +186,31 @@ impl Guard {
             server: None,
             own: None,
             driving: None,
-            unsound: false,
+            invalid_output: false,
             neighbours: BTreeMap::new(),
             acting: Vec::new(),
             counts: SafetyCounts::default(),
         }
     }
 
-    /// What it knows of the emergency stop.
+    /// Returns its state of the emergency stop.
     pub fn latch(&self) -> Latch {
         self.latch.latch()
     }
 
-    /// How often each trigger has begun to act.
+    /// Returns the activations of each trigger.
     pub fn counts(&self) -> SafetyCounts {
         self.counts
     }
 
-    /// The emergency stop was engaged or taken back by someone; whether that has changed anything.
-    pub fn told(&mut self, stop: &Stop) -> bool {
+    /// Applies an operator's stop or re-arm; true if the latch has changed.
+    pub fn apply_stop(&mut self, stop: &Stop) -> bool {
         let before = self.latch();
         self.latch.told(stop.latch) && self.changed(before)
     }
 
-    /// The state server repeats what it knows of the emergency stop; whether that has changed anything.
-    pub fn learn(&mut self, latch: Latch) -> bool {
+    /// Merges the latch that the state server repeats; true if the own latch has changed.
+    pub fn learn_latch(&mut self, latch: Latch) -> bool {
         let before = self.latch();
         self.latch.learned(latch) && self.changed(before)
     }
@@ -232,57 +232,57 @@ impl Guard {
         true
     }
 
-    /// The state server was heard.
+    /// Notes a message of the state server.
     pub fn server_heard(&mut self, now: Time) {
         self.server = Some(now);
         self.end(Trigger::Silence);
     }
 
-    /// It has given a new instruction.
-    pub fn instructed(&mut self) {
-        self.unsound = false;
+    /// Notes a new instruction of the state server.
+    pub fn new_instruction(&mut self) {
+        self.invalid_output = false;
         self.end(Trigger::Output);
     }
 
-    /// To stand: always granted.
-    pub fn stand(&mut self) -> Granted {
+    /// Returns the zero velocity, which is always granted.
+    pub fn stop(&mut self) -> Granted {
         self.driving = None;
         Granted(Vec2::zeros())
     }
 
-    /// A new reading of the robot has arrived.
+    /// Notes the arrival of a new reading of the robot.
     pub fn own_state(&mut self, now: Time) {
         self.own = Some(now);
     }
 
-    /// What becomes of an action that is meant for this moment of the episode.
-    pub fn rule(&mut self, now: Time, action: &Action) -> Ruling {
+    /// Decides on an action that belongs to the current phase of the episode.
+    pub fn decide(&mut self, now: Time, action: &Action) -> Decision {
         self.remember(now, action);
         let Config { clamp, limit_m_s, .. } = self.config;
         let wanted = clamp.limit(action.velocity, action.estimate.velocity, limit_m_s);
-        self.unsound |= !is_finite(action.velocity) || !is_finite(wanted);
-        if let Some(trigger) = self.forbids(now, action) {
+        self.invalid_output |= !is_finite(action.velocity) || !is_finite(wanted);
+        if let Some(trigger) = self.blocking_trigger(now, action) {
             self.begin(trigger);
             self.driving = None;
-            return trigger.ruling();
+            return trigger.decision();
         }
         let acting = std::mem::take(&mut self.acting);
         self.acting = acting.into_iter().filter(|at| matches!(at, Trigger::Fence | Trigger::Distance)).collect();
         let granted = self.filtered(now, action.estimate.position, wanted);
         self.driving = (granted != Vec2::zeros()).then_some(action.due);
-        Ruling::Drive(Granted(granted))
+        Decision::Drive(Granted(granted))
     }
 
-    /// Why a robot must not move at all.
-    fn forbids(&self, now: Time, action: &Action) -> Option<Trigger> {
+    /// Returns the first trigger that forbids any motion.
+    fn blocking_trigger(&self, now: Time, action: &Action) -> Option<Trigger> {
         let Config { safety, half_extent, .. } = self.config;
         let late = now.since(action.due) > Span::from_secs(safety.late_tick_s);
         let old = self.own.is_none_or(|at| now.since(at) > Span::from_secs(safety.own_state_s));
-        let beyond = filter::beyond(half_extent, action.estimate.position) > safety.geofence_stop_m;
+        let beyond = filter::distance_outside(half_extent, action.estimate.position) > safety.geofence_stop_m;
         [
             (Trigger::Stop, !self.latch().is_clear()),
             (Trigger::Silence, self.server.is_none()),
-            (Trigger::Output, self.unsound),
+            (Trigger::Output, self.invalid_output),
             (Trigger::LateTick, safety.late_tick == Switch::On && late),
             (Trigger::OwnState, safety.own_state == Switch::On && old),
             (Trigger::Outside, safety.geofence == Switch::On && beyond),
@@ -295,32 +295,32 @@ impl Guard {
         if self.config.safety.distance == Switch::On {
             self.neighbours.extend(action.others.iter().map(|other| (other.robot, (now, other.age, other.motion))));
             let longest = Span::from_secs(self.config.safety.distance_age_s);
-            self.neighbours.retain(|_, (told, age, _)| *age + now.since(*told) <= longest);
+            self.neighbours.retain(|_, (heard, age, _)| *age + now.since(*heard) <= longest);
         }
     }
 
-    /// The velocity without what would carry the robot off its ground or too near to a neighbour.
+    /// Returns the velocity after the geofence and the minimum distances; counts what they have removed.
     fn filtered(&mut self, now: Time, position: Vec2, wanted: Vec2) -> Vec2 {
         let Config { safety, half_extent, .. } = self.config;
         let mut limits: Vec<Limit> = Vec::new();
-        let mut kept = wanted;
+        let mut limited = wanted;
         if safety.geofence == Switch::On {
             let edge = half_extent.map(|axis| axis + safety.geofence_margin_m);
-            limits.extend(filter::fence(edge, safety.geofence_horizon_s, position));
-            kept = filter::within(wanted, &limits);
-            self.set(Trigger::Fence, kept != wanted);
+            limits.extend(filter::geofence(edge, safety.geofence_horizon_s, position));
+            limited = filter::limited(wanted, &limits);
+            self.set(Trigger::Fence, limited != wanted);
         }
         if safety.distance == Switch::On {
-            let before = kept;
-            limits.extend(self.neighbours.values().map(|(told, age, motion)| {
-                let age_s = (*age + now.since(*told)).as_secs() as f32;
+            let before = limited;
+            limits.extend(self.neighbours.values().map(|(heard, age, motion)| {
+                let age_s = (*age + now.since(*heard)).as_secs() as f32;
                 let moved = Motion { position: motion.position + motion.velocity * age_s, ..*motion };
-                filter::apart(position, moved, safety.distance_min_m, safety.distance_gain_per_s)
+                filter::separation(position, moved, safety.distance_min_m, safety.distance_gain_per_s)
             }));
-            kept = filter::within(kept, &limits);
-            self.set(Trigger::Distance, kept != before);
+            limited = filter::limited(limited, &limits);
+            self.set(Trigger::Distance, limited != before);
         }
-        kept
+        limited
     }
 
     fn set(&mut self, trigger: Trigger, acts: bool) {
@@ -336,12 +336,12 @@ impl Guard {
         match trigger {
             Trigger::Stop => tracing::error!(number = self.latch().number(), "emergency stop: it holds until a resume"),
             Trigger::Silence => tracing::warn!("the state server has fallen silent; the robot stops"),
-            Trigger::Output => tracing::error!("the policy's output is no velocity; the robot stops for the episode"),
+            Trigger::Output => tracing::error!("the policy's output is not finite; the robot stops for the episode"),
             Trigger::LateTick => tracing::warn!("a control tick is late; the robot stops until one is in time"),
             Trigger::OwnState => tracing::warn!("the robot's own state is too old; it stops"),
             Trigger::Outside => tracing::error!("the robot is far outside its ground; it stops: carry it back"),
-            Trigger::Fence => tracing::info!("the robot is kept on its ground"),
-            Trigger::Distance => tracing::info!("the robot is kept from a neighbour"),
+            Trigger::Fence => tracing::info!("the geofence limits the robot's velocity"),
+            Trigger::Distance => tracing::info!("the minimum distance to a neighbour limits the robot's velocity"),
         }
     }
 
@@ -349,10 +349,10 @@ impl Guard {
         self.acting.retain(|acting| *acting != trigger);
     }
 
-    /// The next moment at which a robot has to be stopped if nothing is heard until then, and why.
+    /// Returns the next time at which the robot is stopped if nothing arrives before, and the trigger.
     fn deadline(&self) -> Option<(Time, Trigger)> {
         let Config { safety, period, .. } = self.config;
-        // Older, or later, than allowed: one nanosecond past it.
+        // The limit itself is allowed: the deadline is one nanosecond past it.
         let past = |seconds: f64| Span::from_secs(seconds) + Span::from_nanos(1);
         let silence = self.server.map(|heard| (heard + Span::from_secs(safety.silence_s), Trigger::Silence));
         let own = self.own.filter(|_| self.driving.is_some() && safety.own_state == Switch::On);
@@ -362,20 +362,20 @@ impl Guard {
         [silence, own, tick].into_iter().flatten().min_by_key(|(at, _)| *at)
     }
 
-    /// When `wake` is next due.
+    /// Returns the next deadline.
     pub fn wake_at(&self) -> Option<Time> {
         self.deadline().map(|(at, _)| at)
     }
 
-    /// What was due at `now`; `None` if nothing was.
-    pub fn wake(&mut self, now: Time) -> Option<Ruling> {
+    /// Handles a deadline that has passed at `now`; none if there is none.
+    pub fn wake(&mut self, now: Time) -> Option<Decision> {
         let (_, trigger) = self.deadline().filter(|(at, _)| *at <= now)?;
         if trigger == Trigger::Silence {
             self.server = None;
         }
         self.driving = None;
         self.begin(trigger);
-        Some(trigger.ruling())
+        Some(trigger.decision())
     }
 }
 
@@ -390,7 +390,7 @@ mod tests {
         Time::ZERO + Span::from_millis(ms)
     }
 
-    /// A guard of everything that has just heard the state server and a reading.
+    /// Returns a guard that has just received a message of the state server and a reading.
     fn guard(safety: Safety) -> Guard {
         let (half_extent, period) = (Vec2::new(2.0, 3.0), Span::from_millis(50));
         let mut guard = Guard::new(Config { safety, half_extent, limit_m_s: 1.5, clamp: Clamp::Training, period });
@@ -413,122 +413,122 @@ mod tests {
     }
 
     const EAST: Vec2 = Vec2::new(1.0, 0.0);
-    const DRIVE: Ruling = Ruling::Drive(Granted(EAST));
+    const DRIVE: Decision = Decision::Drive(Granted(EAST));
 
     #[test]
     fn nothing_moves_before_the_state_server_is_heard_or_after_it_falls_silent() {
         let mut guard = Guard::new(guard(Safety::emulated()).config);
-        assert_eq!(guard.rule(at_ms(0), &action(0, EAST)), Ruling::GiveUp);
+        assert_eq!(guard.decide(at_ms(0), &action(0, EAST)), Decision::Abort);
         guard.server_heard(at_ms(10));
-        assert_eq!(guard.rule(at_ms(50), &action(50, EAST)), DRIVE);
+        assert_eq!(guard.decide(at_ms(50), &action(50, EAST)), DRIVE);
         assert_eq!(guard.wake_at(), Some(at_ms(1010)));
         assert_eq!(guard.wake(at_ms(1009)), None, "not yet");
-        assert_eq!(guard.wake(at_ms(1010)), Some(Ruling::GiveUp));
+        assert_eq!(guard.wake(at_ms(1010)), Some(Decision::Abort));
         assert_eq!(guard.wake_at(), None, "once");
-        assert_eq!(guard.rule(at_ms(1050), &action(1050, EAST)), Ruling::GiveUp);
+        assert_eq!(guard.decide(at_ms(1050), &action(1050, EAST)), Decision::Abort);
         guard.server_heard(at_ms(1060));
-        assert_eq!(guard.rule(at_ms(1100), &action(1100, EAST)), DRIVE);
+        assert_eq!(guard.decide(at_ms(1100), &action(1100, EAST)), DRIVE);
         assert_eq!(guard.counts().silence, 2);
     }
 
     #[test]
-    fn an_output_that_is_no_velocity_is_distrusted_until_the_next_instruction() {
+    fn an_output_that_is_not_finite_stops_the_robot_until_the_next_instruction() {
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             let mut guard = guard(Safety::emulated());
-            assert_eq!(guard.rule(at_ms(0), &action(0, Vec2::new(0.0, bad))), Ruling::GiveUp);
-            assert_eq!(guard.rule(at_ms(50), &action(50, EAST)), Ruling::GiveUp);
-            guard.instructed();
-            assert_eq!(guard.rule(at_ms(100), &action(100, EAST)), DRIVE);
+            assert_eq!(guard.decide(at_ms(0), &action(0, Vec2::new(0.0, bad))), Decision::Abort);
+            assert_eq!(guard.decide(at_ms(50), &action(50, EAST)), Decision::Abort);
+            guard.new_instruction();
+            assert_eq!(guard.decide(at_ms(100), &action(100, EAST)), DRIVE);
             assert_eq!(guard.counts().output, 1);
         }
     }
 
     #[test]
-    fn an_own_state_that_grows_old_stops_at_once_and_a_new_reading_ends_it() {
+    fn an_own_state_that_is_too_old_stops_at_once_and_a_new_reading_ends_it() {
         let mut guard = guard(Safety { late_tick: Switch::Off, ..Safety::deployed() });
-        assert_eq!(guard.rule(at_ms(60), &action(60, EAST)), DRIVE);
+        assert_eq!(guard.decide(at_ms(60), &action(60, EAST)), DRIVE);
         let deadline = at_ms(100) + Span::from_nanos(1);
         assert_eq!(guard.wake_at(), Some(deadline), "100 ms are not yet too old");
-        assert_eq!(guard.wake(deadline), Some(Ruling::Stand));
-        assert_eq!(guard.rule(at_ms(110), &action(110, EAST)), Ruling::Stand);
+        assert_eq!(guard.wake(deadline), Some(Decision::Stop));
+        assert_eq!(guard.decide(at_ms(110), &action(110, EAST)), Decision::Stop);
         guard.own_state(at_ms(120));
-        assert_eq!(guard.rule(at_ms(160), &action(160, EAST)), DRIVE);
+        assert_eq!(guard.decide(at_ms(160), &action(160, EAST)), DRIVE);
         assert_eq!(guard.counts().own_state, 1);
     }
 
     #[test]
     fn a_tick_that_is_late_or_never_comes_stops_until_one_is_in_time() {
         let mut guard = guard(Safety { own_state: Switch::Off, ..Safety::deployed() });
-        assert_eq!(guard.rule(at_ms(50), &action(0, EAST)), DRIVE, "50 ms late are allowed");
-        assert_eq!(guard.rule(at_ms(101), &action(50, EAST)), Ruling::Stand, "more are not");
-        assert_eq!(guard.rule(at_ms(110), &action(100, EAST)), DRIVE);
+        assert_eq!(guard.decide(at_ms(50), &action(0, EAST)), DRIVE, "50 ms late are allowed");
+        assert_eq!(guard.decide(at_ms(101), &action(50, EAST)), Decision::Stop, "more are not");
+        assert_eq!(guard.decide(at_ms(110), &action(100, EAST)), DRIVE);
         let missing = at_ms(100 + 50 + 50) + Span::from_nanos(1);
         assert_eq!(guard.wake_at(), Some(missing));
-        assert_eq!(guard.wake(missing), Some(Ruling::Stand));
-        assert_eq!(guard.wake_at(), Some(at_ms(1000)), "who stands waits for nothing but the state server");
+        assert_eq!(guard.wake(missing), Some(Decision::Stop));
+        assert_eq!(guard.wake_at(), Some(at_ms(1000)), "a standing robot only has the deadline of the state server");
         assert_eq!(guard.counts().late_tick, 2);
     }
 
     #[test]
     fn the_emergency_stop_is_latched_until_a_later_re_arm_and_a_resume() {
         let mut guard = guard(Safety::emulated());
-        assert_eq!(guard.rule(at_ms(0), &action(0, EAST)), DRIVE);
-        assert!(guard.told(&Stop::engage(HostId(1), Latch::default())));
-        assert!(!guard.told(&Stop::engage(HostId(2), Latch::default())), "again");
-        assert!(!guard.told(&Stop::rearm(HostId(1), Latch::default())), "no later than the stop");
-        assert_eq!(guard.rule(at_ms(50), &action(50, EAST)), Ruling::GiveUp);
-        guard.instructed();
-        assert_eq!(guard.rule(at_ms(100), &action(100, EAST)), Ruling::GiveUp, "no instruction takes it back");
-        assert!(guard.told(&Stop::rearm(HostId(1), guard.latch())));
+        assert_eq!(guard.decide(at_ms(0), &action(0, EAST)), DRIVE);
+        assert!(guard.apply_stop(&Stop::engage(HostId(1), Latch::default())));
+        assert!(!guard.apply_stop(&Stop::engage(HostId(2), Latch::default())), "again");
+        assert!(!guard.apply_stop(&Stop::rearm(HostId(1), Latch::default())), "no later than the stop");
+        assert_eq!(guard.decide(at_ms(50), &action(50, EAST)), Decision::Abort);
+        guard.new_instruction();
+        assert_eq!(guard.decide(at_ms(100), &action(100, EAST)), Decision::Abort, "no instruction takes it back");
+        assert!(guard.apply_stop(&Stop::rearm(HostId(1), guard.latch())));
         assert_eq!(guard.latch(), Latch::held(2));
-        assert_eq!(guard.rule(at_ms(150), &action(150, EAST)), Ruling::GiveUp, "a re-arm alone moves nothing");
-        assert!(!guard.told(&Stop::resume(HostId(1), guard.latch())), "the state server grants it");
-        assert!(guard.learn(Latch::clear(3)));
-        assert_eq!(guard.rule(at_ms(200), &action(200, EAST)), DRIVE);
-        assert!(!guard.learn(Latch::engaged(1)), "what was known before the re-arm");
-        assert!(guard.learn(Latch::engaged(4)), "a later stop, heard of others");
+        assert_eq!(guard.decide(at_ms(150), &action(150, EAST)), Decision::Abort, "a re-arm alone moves nothing");
+        assert!(!guard.apply_stop(&Stop::resume(HostId(1), guard.latch())), "the state server grants it");
+        assert!(guard.learn_latch(Latch::clear(3)));
+        assert_eq!(guard.decide(at_ms(200), &action(200, EAST)), DRIVE);
+        assert!(!guard.learn_latch(Latch::engaged(1)), "older than the re-arm");
+        assert!(guard.learn_latch(Latch::engaged(4)), "a later stop");
         assert_eq!(guard.counts().stop, 2);
     }
 
     #[test]
-    fn the_ground_is_not_left_and_far_outside_nobody_moves() {
+    fn the_geofence_holds_and_far_outside_the_robot_stops() {
         let mut guard = guard(Safety { late_tick: Switch::Off, own_state: Switch::Off, ..Safety::deployed() });
         let mut from = |x: f32, velocity: Vec2| {
             let estimate = Motion::at_rest(Vec2::new(x, 0.0));
-            guard.rule(at_ms(0), &Action { estimate, ..action(0, velocity) })
+            guard.decide(at_ms(0), &Action { estimate, ..action(0, velocity) })
         };
         let north = Vec2::new(0.0, 1.0);
         assert_eq!(from(1.0, EAST), DRIVE);
-        assert_eq!(from(2.3, EAST + north), Ruling::Drive(Granted(north)), "the outward part alone");
-        assert_eq!(from(2.3, -EAST), Ruling::Drive(Granted(-EAST)), "it may come back");
-        assert_eq!(from(3.1, -EAST), Ruling::GiveUp);
+        assert_eq!(from(2.3, EAST + north), Decision::Drive(Granted(north)), "the outward part alone");
+        assert_eq!(from(2.3, -EAST), Decision::Drive(Granted(-EAST)), "it may come back");
+        assert_eq!(from(3.1, -EAST), Decision::Abort);
         assert_eq!(from(1.0, EAST), DRIVE, "someone has carried it back");
         assert_eq!((guard.counts().fence, guard.counts().outside), (1, 1));
     }
 
     #[test]
-    fn a_neighbour_is_not_run_into_even_if_it_is_no_longer_heard() {
+    fn the_minimum_distance_holds_after_a_neighbour_is_no_longer_heard() {
         let mut guard = guard(Safety { late_tick: Switch::Off, own_state: Switch::Off, ..Safety::deployed() });
         let motion = Motion::at_rest(Vec2::new(0.5, 0.0));
         let others = vec![Other { robot: RobotId(1), motion, age: Span::from_millis(100) }];
-        let mut speed = |ms: u64, others: Vec<Other>| match guard.rule(at_ms(ms), &Action { others, ..action(0, EAST) })
-        {
-            Ruling::Drive(granted) => granted.velocity().x,
-            ruling => panic!("{ruling:?}"),
-        };
+        let mut speed =
+            |ms: u64, others: Vec<Other>| match guard.decide(at_ms(ms), &Action { others, ..action(0, EAST) }) {
+                Decision::Drive(granted) => granted.velocity().x,
+                decision => panic!("{decision:?}"),
+            };
         assert!((speed(0, others) - 0.1).abs() < 1e-6, "0.1 m are left");
         assert!((speed(400, Vec::new()) - 0.1).abs() < 1e-6, "500 ms old");
-        assert_eq!(speed(401, Vec::new()), 1.0, "forgotten");
+        assert_eq!(speed(401, Vec::new()), 1.0, "older than 500 ms");
         assert_eq!(guard.counts().distance, 1);
     }
 
     #[test]
-    fn as_emulated_nothing_comes_between() {
+    fn the_emulated_settings_change_no_velocity() {
         let mut guard = guard(Safety::emulated());
         let motion = Motion::at_rest(Vec2::new(9.1, 0.0));
         let others = vec![Other { robot: RobotId(1), motion, age: Span::ZERO }];
         let estimate = Motion::at_rest(Vec2::new(9.0, 0.0));
-        assert_eq!(guard.rule(at_ms(900), &Action { estimate, others, ..action(0, EAST) }), DRIVE);
+        assert_eq!(guard.decide(at_ms(900), &Action { estimate, others, ..action(0, EAST) }), DRIVE);
         assert_eq!((guard.counts(), guard.wake_at()), (SafetyCounts::default(), Some(at_ms(1000))));
     }
 }

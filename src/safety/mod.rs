@@ -1,7 +1,7 @@
-//! Safety on the robot's side: what stops or slows a robot whatever its policy and its operator want. `guard` is the
-//! one state machine, `filter` the safety filter of commands; here is what may be configured.
+//! Safety on the robot's side: stopping and slowing it, independently of policy and operator. `guard` is the state
+//! machine, `filter` the safety filter of commands; this file holds the configuration.
 //!
-//! `docs/safety.md` has every trigger in one table. No actor lives here, and no clock: the Controller owns a guard.
+//! `docs/safety.md` has every trigger in one table. There is no actor and no clock here: the Controller owns a guard.
 
 pub mod filter;
 pub mod guard;
@@ -10,45 +10,45 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{self, ConfigError};
 
-/// Whether a trigger is watched.
+/// State of a safety trigger.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Switch {
-    /// It is.
+    /// The trigger is monitored.
     On,
-    /// It is not.
+    /// The trigger is ignored.
     Off,
 }
 
-/// When a robot is stopped or slowed. What is left out of a file is as on a real host.
+/// Thresholds of the safety triggers. Fields missing from a file have the values for real hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Safety {
-    /// Without a new own reading for longer than this a robot has no estimate: its agent does not step \[s\].
+    /// Maximum age of the robot's newest reading \[s\]. Beyond it there is no estimate, and the agent does not step.
     pub own_state_s: f64,
-    /// Whether it is then stopped at once; otherwise its last command lapses.
+    /// Whether the robot is then stopped at once; otherwise its last command expires.
     pub own_state: Switch,
-    /// How much later than it was due a control tick may reach the wheels \[s\].
+    /// Maximum delay of a control tick's command behind the tick's due time \[s\].
     pub late_tick_s: f64,
-    /// Whether later ones, and those that never come, stop the robot.
+    /// Whether later or missing ticks stop the robot.
     pub late_tick: Switch,
-    /// How long the state server may be silent \[s\].
+    /// Maximum time without a message of the state server \[s\].
     pub silence_s: f64,
-    /// Whether a robot is kept on its ground.
+    /// Whether the geofence is enforced.
     pub geofence: Switch,
-    /// How far beyond the ground's edge a robot's centre may be driven \[m\].
+    /// Distance of the geofence beyond the edge of the ground \[m\].
     pub geofence_margin_m: f32,
-    /// Within which time no command may carry it farther \[s\].
+    /// Time horizon within which no command may carry the robot's centre past the geofence \[s\].
     pub geofence_horizon_s: f32,
-    /// How far beyond the ground's edge its estimate stops it \[m\].
+    /// Distance of the estimated position beyond the edge of the ground at which the robot is stopped \[m\].
     pub geofence_stop_m: f32,
-    /// Whether robots are kept apart.
+    /// Whether a minimum distance to neighbours is enforced.
     pub distance: Switch,
-    /// The least distance between two centres that a command may lead to \[m\].
+    /// Minimum distance between the centres of two robots \[m\].
     pub distance_min_m: f32,
-    /// The largest speed toward a neighbour, for each metre beyond that distance \[1/s\].
+    /// Maximum approach speed for each metre beyond the minimum distance \[1/s\].
     pub distance_gain_per_s: f32,
-    /// How old a neighbour's last known position may be to count \[s\].
+    /// Maximum age of a neighbour's last known position \[s\]; older ones are ignored.
     pub distance_age_s: f64,
 }
 
@@ -59,7 +59,7 @@ impl Default for Safety {
 }
 
 impl Safety {
-    /// On real hosts: everything is watched.
+    /// Returns the settings for real hosts: every trigger is monitored.
     pub const fn deployed() -> Safety {
         Safety {
             own_state_s: 0.1,
@@ -78,7 +78,7 @@ impl Safety {
         }
     }
 
-    /// As in the paper's experiments: nothing comes between the policy and the wheels that was not there.
+    /// Returns the settings for emulation: only the triggers that the paper's experiments had.
     pub const fn emulated() -> Safety {
         Safety {
             own_state: Switch::Off,
@@ -89,16 +89,16 @@ impl Safety {
         }
     }
 
-    /// Reads it from TOML and checks it.
+    /// Reads settings from TOML and checks them; an error names the field.
     pub fn from_toml(text: &str) -> Result<Safety, ConfigError> {
         let safety: Safety = config::from_toml(text)?;
         safety.check()?;
         Ok(safety)
     }
 
-    /// Checks that every number makes sense; the error names the field.
+    /// Checks the range of every number; an error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
-        // The state server speaks every 0.1 s, and eight of its words may be missed.
+        // The state server sends every 0.1 s, and eight messages in a row may be lost.
         let ranges = [
             ("own_state_s", self.own_state_s, 0.01, 1.0, "s"),
             ("late_tick_s", self.late_tick_s, 0.001, 1.0, "s"),
@@ -116,7 +116,7 @@ impl Safety {
             }
         }
         if self.geofence_stop_m < self.geofence_margin_m {
-            let reason = format!("{} m is nearer than geofence_margin_m", self.geofence_stop_m);
+            let reason = format!("{} m is less than geofence_margin_m", self.geofence_stop_m);
             return Err(ConfigError::field("geofence_stop_m", reason));
         }
         Ok(())
@@ -128,7 +128,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_presets_are_sound_and_what_is_wrong_is_named() {
+    fn the_presets_pass_their_check_and_an_error_names_the_field() {
         assert_eq!((Safety::deployed().check(), Safety::emulated().check()), (Ok(()), Ok(())));
         assert_eq!(Safety::from_toml(""), Ok(Safety::deployed()));
         let set = Safety::from_toml("distance = \"off\"\nown_state_s = 0.2").expect("two fields");

@@ -1,39 +1,39 @@
-//! The columns of each study, as data: what differs between them, and nothing else.
+//! Columns of each study, as data: the conditions that differ between them.
 
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::Entrant;
-use super::conditions::{self, Medium};
+use super::PolicyUnderTest;
+use super::conditions::{self, LinkModel};
 use crate::deploy::{Deployment, Stepping};
 use crate::hearing::CommRange;
 use crate::scenario::Scenario;
 use crate::trial::Trial;
 
-/// One column.
+/// A column: one set of conditions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Column {
-    /// Its name in results.
+    /// Name in results.
     pub name: String,
-    /// Which mode of the paper; `sim` stands for the conditions of training, all others share one deployed world.
+    /// Mode of the paper; `sim` has the conditions of training, all others share one deployed world.
     pub mode: String,
-    /// Who is near enough to be heard.
+    /// Communication range.
     pub range: Range,
-    /// What messages go through.
-    pub medium: Medium,
+    /// Model of the links.
+    pub medium: LinkModel,
 }
 
-/// Who is near enough to be heard: the communication range R_COM of the paper.
+/// Communication range R_COM of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Range {
-    /// As the policy was trained.
+    /// The range that the policy was trained with.
     Own,
-    /// Everyone.
+    /// Unlimited.
     Everyone,
-    /// Within a radius \[m\], drawn for every message from a normal distribution.
+    /// A radius drawn for every message from a normal distribution.
     Within {
         /// Mean \[m\].
         mean_m: f32,
@@ -52,10 +52,10 @@ impl Range {
     }
 }
 
-/// The name of the column that all others are measured against.
+/// Baseline: the column that all others are compared with.
 pub const BASELINE: &str = "sim";
 
-/// The names of the columns of the paper's Table I, in its order.
+/// Columns of the paper's Table I, in its order.
 pub const MODES: [&str; 7] = [
     BASELINE,
     "centralized",
@@ -69,16 +69,16 @@ pub const MODES: [&str; 7] = [
 /// R_COM ~ N(2, 0.5) m (paper, section V).
 const NOISY: Range = Range::Within { mean_m: 2.0, std_m: 0.5 };
 
-/// The delays \[s\] and losses of the grid.
+/// Delays of the study `delay` \[s\].
 pub const DELAYS_S: [f64; 5] = [0.0, 0.02, 0.05, 0.1, 0.2];
-/// See `DELAYS_S`.
+/// Loss probabilities of the study `delay`.
 pub const LOSSES: [f64; 4] = [0.0, 0.16, 0.3, 0.56];
 
-/// The communication radii of the sweep \[m\]; the last column hears everyone.
+/// Communication ranges of the study `range` \[m\]; its last column is unlimited.
 pub const RANGES_M: [f32; 8] = [0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0];
 
 impl Column {
-    /// The column of Table I that has this name.
+    /// Returns the column of Table I of this name.
     pub fn of_table(name: &str) -> Option<Column> {
         let name = MODES.into_iter().find(|other| *other == name)?;
         let (mode, range) = match name {
@@ -86,46 +86,46 @@ impl Column {
             "onboard-adhoc-noise" => ("onboard-adhoc", NOISY),
             mode => (mode, Range::Own),
         };
-        Some(Column { name: name.to_owned(), mode: mode.to_owned(), range, medium: Medium::Radio })
+        Some(Column { name: name.to_owned(), mode: mode.to_owned(), range, medium: LinkModel::Radio })
     }
 
-    fn adhoc(name: String, range: Range, medium: Medium) -> Column {
+    fn adhoc(name: String, range: Range, medium: LinkModel) -> Column {
         Column { name, mode: "onboard-adhoc".to_owned(), range, medium }
     }
 
-    /// Every delay with every loss.
+    /// Returns a column for each combination of delay \[s\] and loss.
     pub fn delays(delays_s: &[f64], losses: &[f64]) -> Vec<Column> {
         let cell = |&delay_s: &f64, &loss: &f64| {
             let name = format!("{:.0}ms-{:.0}%", 1000.0 * delay_s, 100.0 * loss);
-            Column::adhoc(name, Range::Own, Medium::Impaired { delay_s, loss })
+            Column::adhoc(name, Range::Own, LinkModel::Impaired { delay_s, loss })
         };
         losses.iter().flat_map(|loss| delays_s.iter().map(move |delay| cell(delay, loss))).collect()
     }
 
-    /// Every radius, and no limit at all.
+    /// Returns a column for each range \[m\], and one with an unlimited range.
     pub fn ranges(ranges_m: &[f32]) -> Vec<Column> {
         let within = |&mean_m: &f32| {
             let range = Range::Within { mean_m, std_m: 0.0 };
-            Column::adhoc(format!("{mean_m}m"), range, Medium::Radio)
+            Column::adhoc(format!("{mean_m}m"), range, LinkModel::Radio)
         };
-        let everyone = Column::adhoc("everyone".to_owned(), Range::Everyone, Medium::Radio);
+        let everyone = Column::adhoc("everyone".to_owned(), Range::Everyone, LinkModel::Radio);
         ranges_m.iter().map(within).chain([everyone]).collect()
     }
 
-    /// The delay \[s\] and the loss of a column that has them in place of the radio.
+    /// Returns delay \[s\] and loss of a column that has them instead of the radio.
     pub fn impairment(&self) -> Option<(f64, f64)> {
         match self.medium {
-            Medium::Radio => None,
-            Medium::Impaired { delay_s, loss } => Some((delay_s, loss)),
+            LinkModel::Radio => None,
+            LinkModel::Impaired { delay_s, loss } => Some((delay_s, loss)),
         }
     }
 
-    /// A trial of an entrant in this column, of one episode.
-    pub fn trial(&self, scenario: Arc<dyn Scenario>, entrant: &Entrant) -> Trial {
+    /// Returns a trial of a policy in this column, of one episode.
+    pub fn trial(&self, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest) -> Trial {
         let deployment = Deployment::preset(&self.mode, scenario.robots()).expect("columns name modes");
         match deployment.stepping {
-            Stepping::Lockstep => conditions::training(deployment, scenario, entrant),
-            Stepping::Seeded => conditions::deployed(deployment, self.medium, self.range.resolved(), scenario, entrant),
+            Stepping::Lockstep => conditions::training(deployment, scenario, tested),
+            Stepping::Seeded => conditions::deployed(deployment, self.medium, self.range.resolved(), scenario, tested),
         }
     }
 }
@@ -135,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_column_of_the_table_is_there_and_the_grids_are_whole() {
+    fn every_column_of_the_table_exists_and_the_grids_are_complete() {
         for name in MODES {
             assert_eq!(Column::of_table(name).unwrap().name, name);
         }

@@ -1,22 +1,21 @@
-//! How a policy is handled once it is deployed: what becomes of messages, how actions are drawn, what limits them. Two
-//! presets, by name.
+//! Handling of a deployed policy: lifetime of messages, choice of actions, limit of commands. Two presets, by name.
 
 use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::world::Clamp;
 
-/// One way to handle a policy.
+/// A handling of policies.
 #[derive(Debug, PartialEq)]
 pub struct Preset {
-    /// Its name on the command line.
+    /// Name on the command line.
     pub name: &'static str,
-    /// What it means, in one sentence.
+    /// Description, in one sentence.
     pub about: &'static str,
-    /// What becomes of neighbours' messages once a step has seen them.
+    /// Lifetime of neighbours' messages.
     pub messages: Handling,
-    /// How actions are drawn.
+    /// Mean or sampled actions.
     pub draw: Draw,
-    /// What limits them in the deployed columns.
+    /// Limit of commands in the deployed columns.
     pub clamp: Clamp,
 }
 
@@ -24,7 +23,7 @@ pub struct Preset {
 pub const PRESETS: [Preset; 2] = [
     Preset {
         name: "default",
-        about: "a neighbour's newest message is held for the policy's own window (0.2 s if its file says none), \
+        about: "a neighbour's newest message is held for the policy's own window (0.2 s if its file has none), \
                 actions are the mean, and one limit holds for resets, episodes and the training of the shipped \
                 policy: commands within 0.25 m/s of the measured velocity along each axis",
         messages: Handling::Hold,
@@ -41,12 +40,12 @@ pub const PRESETS: [Preset; 2] = [
     },
 ];
 
-/// The preset of that name.
+/// Returns the preset of that name.
 pub fn preset(name: &str) -> Option<&'static Preset> {
     PRESETS.iter().find(|preset| preset.name == name)
 }
 
-/// What there is, for errors.
+/// Returns the names of all presets, for errors.
 pub fn names() -> String {
     PRESETS.iter().map(|preset| preset.name).collect::<Vec<_>>().join(", ")
 }

@@ -1,7 +1,7 @@
-//! Studies: the same policies in several columns of conditions, on the same layouts, as often as asked for.
+//! Studies: repeated trials of the same policies on the same layouts, in several columns of conditions.
 //!
-//! Pure: a study says which trials there are, makes each of them, and puts together what came of them. Who runs them,
-//! on how many threads, and what is kept in files, is the program's. [`docs/study.md`] walks through it.
+//! Pure: a study lists its trials, builds each of them and aggregates the results. The program runs the trials on
+//! threads and keeps their files. [`docs/study.md`] walks through it.
 //!
 //! [`docs/study.md`]: https://github.com/murmurate/murmurate/blob/main/docs/study.md
 
@@ -29,96 +29,97 @@ use crate::scenario::Scenario;
 use crate::scenario::layout::Layouts;
 use crate::trial::Trial;
 
-/// A policy under one handling.
+/// Policy under test: a policy with one handling.
 #[derive(Clone)]
-pub struct Entrant {
-    /// The policy's name in reports.
+pub struct PolicyUnderTest {
+    /// Name of the policy in reports.
     pub policy: String,
-    /// What drives the robots, drawing actions as the handling says.
+    /// Model of the policy, with mean or sampled actions as the handling says.
     pub model: Model,
-    /// A digest of its file; empty for scripted navigation.
+    /// Digest of its file; empty for scripted navigation.
     pub digest: String,
-    /// How it is handled.
+    /// Its handling.
     pub handling: &'static Preset,
 }
 
-impl Entrant {
-    /// What it is called beside others.
+impl PolicyUnderTest {
+    /// Returns the name in figures and tables: policy and handling.
     pub fn name(&self) -> String {
         format!("{}, {}", self.policy, self.handling.name)
     }
 }
 
-/// A whole study.
+/// A study.
 #[derive(Clone)]
 pub struct Study {
-    /// Which one: `modes`, `delay`, `range`.
+    /// Name: `modes`, `delay` or `range`.
     pub name: &'static str,
-    /// The conditions.
+    /// Columns of conditions.
     pub columns: Vec<Column>,
-    /// Who is compared.
-    pub entrants: Vec<Entrant>,
-    /// What the team is to do.
+    /// Policies to compare.
+    pub policies: Vec<PolicyUnderTest>,
+    /// Task of the team.
     pub scenario: Arc<dyn Scenario>,
-    /// Width of its bottleneck \[m\], if it was chosen.
+    /// Width of the scenario's bottleneck \[m\]; none for the scenario's default.
     pub gap_m: Option<f32>,
-    /// The episodes of every trial.
+    /// Starts and goals of every trial's episodes.
     pub layouts: Layouts,
-    /// Trials of every entrant in every column.
+    /// Trials of every policy in every column.
     pub repeats: u32,
-    /// The root of all randomness. Trials of one repeat share it over columns and entrants.
+    /// Root of all randomness. Trials of one repeat share it over columns and policies.
     pub seed: u64,
-    /// The command that makes this study.
+    /// Command that reproduces this study.
     pub command: String,
-    /// What tells programs apart that may compute other numbers; `origin::BUILD` for this crate's own.
+    /// Identifier of programs that compute the same numbers; `origin::BUILD` for this crate's own program.
     pub build: String,
 }
 
 /// One trial of a study.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Job {
-    /// Which column.
+    /// Index of its column.
     pub column: usize,
-    /// Which entrant.
-    pub entrant: usize,
-    /// Which repeat.
+    /// Index of its policy under test.
+    pub policy: usize,
+    /// Index of its repeat.
     pub repeat: u32,
 }
 
-/// What makes a study this one and no other: what was computed for one identity is of use to no other.
+/// Identity of a study: results of one identity are not valid for another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Identity {
-    /// Which study.
+    /// Name of the study.
     pub study: String,
     /// The program's version.
     pub version: String,
     /// Digest of the program's sources.
     pub build: String,
-    /// The scenario, with its team and its gap.
+    /// Scenario, team size and bottleneck width, as text.
     pub scenario: String,
-    /// How many layouts, and their digest.
+    /// Number of layouts, and their digest.
     pub layouts: String,
-    /// Trials of every entrant in every column.
+    /// Trials of every policy in every column.
     pub repeats: u32,
-    /// The seed.
+    /// Root of all randomness.
     pub seed: u64,
-    /// The columns in full.
+    /// Columns of conditions.
     pub columns: Vec<Column>,
-    /// The world and the radio of the deployed columns.
+    /// World and radio of the deployed columns.
     pub conditions: conditions::Deployed,
-    /// Policies with the digests of their files, and how they are handled.
-    pub entrants: Vec<String>,
-    /// The command that makes this study.
+    /// Policies with the digests of their files, and their handlings.
+    #[serde(rename = "entrants")]
+    pub policies: Vec<String>,
+    /// Command that reproduces this study.
     pub command: String,
 }
 
-/// The fields that make it this study, those first that say most. How its command was typed does not.
+/// Fields that `difference` compares, the most informative first. The command is not one of them.
 const FIELDS: [&str; 10] =
     ["study", "scenario", "seed", "repeats", "entrants", "columns", "conditions", "layouts", "version", "build"];
 
 impl Identity {
-    /// The first field in which another one differs: its name, and the values here and there.
+    /// Returns the first field in which the other identity differs: its name, and the value of each.
     pub fn difference(&self, other: &Identity) -> Option<(String, String, String)> {
         let fields = |identity: &Identity| match serde_json::to_value(identity) {
             Ok(serde_json::Value::Object(fields)) => fields,
@@ -141,70 +142,71 @@ impl Identity {
 }
 
 impl Study {
-    /// All trials, column by column.
+    /// Returns all trials, by column, policy and repeat.
     pub fn jobs(&self) -> Vec<Job> {
-        let entrants = self.entrants.len();
-        let of = |column| (0..entrants).flat_map(move |entrant| (0..self.repeats).map(move |r| (column, entrant, r)));
+        let policies = self.policies.len();
+        let of = |column| (0..policies).flat_map(move |policy| (0..self.repeats).map(move |r| (column, policy, r)));
         let all = (0..self.columns.len()).flat_map(of);
-        all.map(|(column, entrant, repeat)| Job { column, entrant, repeat }).collect()
+        all.map(|(column, policy, repeat)| Job { column, policy, repeat }).collect()
     }
 
-    /// One of its trials.
+    /// Builds one of its trials.
     pub fn trial(&self, job: Job) -> Trial {
-        let (column, entrant) = (&self.columns[job.column], &self.entrants[job.entrant]);
-        let mut trial = column.trial(Arc::clone(&self.scenario), entrant);
+        let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
+        let mut trial = column.trial(Arc::clone(&self.scenario), tested);
         (trial.seed, trial.repeat, trial.layouts) = (self.seed, job.repeat, self.layouts.clone());
         trial.keeping_steps()
     }
 
-    /// Whether every trial can be run, so that nothing is found to be wrong half-way.
+    /// Checks the configuration of every trial before the first one runs; an error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let first = self.jobs().into_iter().filter(|job| job.repeat == 0);
         first.map(|job| self.trial(job)).try_for_each(|trial| trial.check())
     }
 
-    /// What makes it this study.
+    /// Returns the identity.
     pub fn identity(&self) -> Identity {
-        let entrant = |entrant: &Entrant| {
-            let digest = if entrant.digest.is_empty() { String::new() } else { format!(" [{}]", entrant.digest) };
-            format!("{}{digest}", entrant.name())
+        let tested = |tested: &PolicyUnderTest| {
+            let digest = if tested.digest.is_empty() { String::new() } else { format!(" [{}]", tested.digest) };
+            format!("{}{digest}", tested.name())
         };
         Identity {
             study: self.name.to_owned(),
             version: origin::VERSION.to_owned(),
             build: self.build.clone(),
-            scenario: self.place(),
-            layouts: self.episodes(),
+            scenario: self.scenario_text(),
+            layouts: self.layouts_text(),
             repeats: self.repeats,
             seed: self.seed,
             columns: self.columns.clone(),
             conditions: conditions::Deployed::shared(),
-            entrants: self.entrants.iter().map(entrant).collect(),
+            policies: self.policies.iter().map(tested).collect(),
             command: self.command.clone(),
         }
     }
 
-    /// The origin of a trial's record. Other columns, other entrants and the number of repeats decide nothing.
+    /// Returns the origin of a trial's record. It does not depend on other columns, other policies or the number of
+    /// repeats.
     pub fn origin(&self, job: Job) -> Origin {
-        let (column, entrant) = (&self.columns[job.column], &self.entrants[job.entrant]);
+        let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
         let conditions = (
-            self.place(),
-            self.episodes(),
+            self.scenario_text(),
+            self.layouts_text(),
             column,
             conditions::Deployed::shared(),
-            entrant.handling.name,
-            &entrant.policy,
+            tested.handling.name,
+            &tested.policy,
         );
-        Origin { build: self.build.clone(), ..Origin::here(self.name, self.seed, &entrant.digest, &conditions) }
+        Origin { build: self.build.clone(), ..Origin::here(self.name, self.seed, &tested.digest, &conditions) }
     }
 
-    /// How many layouts, and their digest.
-    fn episodes(&self) -> String {
+    /// Returns the number of layouts, and their digest.
+    fn layouts_text(&self) -> String {
         format!("{} [{}]", self.layouts.len(), self.layouts_digest())
     }
 
-    /// The scenario, its team, and its bottleneck if that was chosen, in words.
-    pub fn place(&self) -> String {
+    /// Returns scenario, team size and, unless it is the default, bottleneck width as text.
+    pub fn scenario_text(&self) -> String {
         let gap = self.gap_m.map_or(String::new(), |gap_m| format!(", gap {gap_m} m"));
         format!("{}, {} robots{gap}", self.scenario.name(), self.scenario.robots())
     }

@@ -1,5 +1,5 @@
-//! Origin: the study, program, seed, policy and conditions that a kept record was computed for. A record carries it by
-//! itself, so that records of several folders can be put together and none counts where it does not belong.
+//! Origin: the study, program, seed, policy and conditions that a record was computed for. Every record contains its
+//! origin, so that records of several folders can be combined and a record of other conditions is ignored.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,26 +8,26 @@ pub const BUILD: &str = env!("SOURCE_DIGEST");
 /// The program's version.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// The origin of a record. Two records with equal origins and of equal repeats are the same numbers.
+/// Origin of a record. Two records of one repeat with equal origins contain the same numbers.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Origin {
-    /// Which study.
+    /// Name of the study.
     pub study: String,
     /// The program's version.
     pub version: String,
     /// Digest of the program's sources.
     pub build: String,
-    /// The seed.
+    /// Root of all randomness.
     pub seed: u64,
     /// Digest of the policy's file; empty for scripted navigation, and where no policy runs.
     pub policy: String,
-    /// Digest of everything else that decides what comes of it.
+    /// Digest of all other conditions that determine the result.
     pub conditions: String,
 }
 
 impl Origin {
-    /// An origin in this program.
+    /// Returns the origin of a record that this program computes.
     pub fn here(study: &str, seed: u64, policy: &str, conditions: &impl Serialize) -> Origin {
         let conditions = serde_json::to_vec(conditions).expect("conditions are plain data");
         Origin {
@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn origins_differ_in_whatever_decides_and_survive_their_file() {
+    fn origins_differ_in_every_condition_and_survive_json() {
         let one = Origin::here("delay", 1, "ab", &("passage", 5));
         assert_eq!(one, Origin::here("delay", 1, "ab", &("passage", 5)));
         let others = [

@@ -1,4 +1,4 @@
-//! The report of a study: which figures it has, and its page.
+//! Report of a study: its figures and its page.
 
 use super::columns::{BASELINE, Column};
 use super::conditions::Deployed;
@@ -10,20 +10,20 @@ use crate::report::figures::{
 };
 use crate::report::page::{self, Part};
 
-/// All figures of a study: over all entrants, and then of each.
+/// Returns all figures of a study: over all policies, then of each policy.
 pub fn figures(study: &Study, results: &Results) -> Result<Vec<Figure>, FigureError> {
     let mut all = vec![overview(study, results)?];
     if study.name != "modes" {
         return Ok(all);
     }
-    for (at, entrant) in study.entrants.iter().enumerate() {
-        let cells = results.of_entrant(study, at);
+    for (at, tested) in study.policies.iter().enumerate() {
+        let cells = results.of_policy(study, at);
         let number = at + 1;
-        all.push(makespans(number, &entrant.name(), &cells)?);
-        all.push(positions(study, number, &entrant.name(), &cells)?);
-        all.push(separation(study, number, &entrant.name(), &cells)?);
+        all.push(makespans(number, &tested.name(), &cells)?);
+        all.push(positions(study, number, &tested.name(), &cells)?);
+        all.push(separation(study, number, &tested.name(), &cells)?);
         if cells.iter().any(|cell| cell.listening.due > 0) {
-            all.push(delays(number, &entrant.name(), &cells)?);
+            all.push(delays(number, &tested.name(), &cells)?);
         }
     }
     Ok(all)
@@ -38,7 +38,7 @@ fn overview(study: &Study, results: &Results) -> Result<Figure, FigureError> {
     let caption = match study.name {
         "delay" | "range" => {
             "Each point: all episodes of a column, with the 95 % Wilson interval of the success rate, or \
-                              with the quartiles of the makespans of its successes."
+             with the quartiles of the makespans of its successes."
         }
         _ => "Marks: the share of successes over all layouts and repeats; bars: its 95 % Wilson interval.",
     };
@@ -47,21 +47,21 @@ fn overview(study: &Study, results: &Results) -> Result<Figure, FigureError> {
 }
 
 fn names(study: &Study) -> Vec<String> {
-    study.entrants.iter().map(super::Entrant::name).collect()
+    study.policies.iter().map(super::PolicyUnderTest::name).collect()
 }
 
-/// By column, the cell of each entrant.
+/// Returns, by column, the cell of each policy.
 fn by_column<'a>(study: &Study, results: &'a Results) -> Vec<Vec<Option<&'a Cell>>> {
-    let of = |column: &str, entrant: usize| {
-        let entrant = &study.entrants[entrant];
+    let of = |column: &str, policy: usize| {
+        let tested = &study.policies[policy];
         let is = |cell: &&Cell| {
             let row = &cell.row;
-            row.name == column && row.policy == entrant.policy && row.handling == entrant.handling.name
+            row.name == column && row.policy == tested.policy && row.handling == tested.handling.name
         };
         results.cells.iter().find(is)
     };
-    let entrants = |column: &str| (0..study.entrants.len()).map(|entrant| of(column, entrant)).collect();
-    study.columns.iter().map(|column| entrants(&column.name)).collect()
+    let policies = |column: &str| (0..study.policies.len()).map(|policy| of(column, policy)).collect();
+    study.columns.iter().map(|column| policies(&column.name)).collect()
 }
 
 fn modes(study: &Study, results: &Results) -> Result<String, FigureError> {
@@ -85,7 +85,7 @@ fn makespan_of(cell: &Cell) -> Option<Point> {
     Some(Point { value: cell.row.outcomes.makespan_median_s?, within: cell.row.outcomes.makespan_quartiles_s? })
 }
 
-/// One panel an entrant, one line a loss, over the delays.
+/// Draws success over delay: one panel per policy, one line per loss.
 fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> {
     let mut delays: Vec<f64> = Vec::new();
     let mut losses: Vec<f64> = Vec::new();
@@ -98,8 +98,8 @@ fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> 
             losses.push(loss);
         }
     }
-    let panels = study.entrants.iter().enumerate().map(|(at, entrant)| {
-        let cells = results.of_entrant(study, at);
+    let panels = study.policies.iter().enumerate().map(|(at, tested)| {
+        let cells = results.of_policy(study, at);
         let point = |loss: f64, delay: f64| {
             let found = cells.iter().find(|cell| (cell.row.loss, cell.row.delay_ms) == (Some(loss), Some(delay)));
             found.map(|cell| success_of(cell))
@@ -109,25 +109,25 @@ fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> 
             points: delays.iter().map(|&delay| point(loss, delay)).collect(),
         };
         let lines = losses.iter().map(line).collect();
-        Panel { title: entrant.name(), y: "success [%]".to_owned(), ends: Some((0.0, 100.0)), lines }
+        Panel { title: tested.name(), y: "success [%]".to_owned(), ends: Some((0.0, 100.0)), lines }
     });
     let places: Vec<String> = delays.iter().map(|delay| format!("{delay:.0}")).collect();
     let title = "Success over delay and loss of messages between robots";
     figures::sweep(title, "delay [ms]", &places, &panels.collect::<Vec<_>>())
 }
 
-/// Success and makespan, one line an entrant, over the radii.
+/// Draws success and makespan over the communication range, one line per policy.
 fn range_sweep(study: &Study, results: &Results) -> Result<String, FigureError> {
     let cells = by_column(study, results);
-    let line = |point: &dyn Fn(&Cell) -> Option<Point>, entrant: usize| Line {
-        name: study.entrants[entrant].name(),
-        points: cells.iter().map(|column| column[entrant].and_then(point)).collect(),
+    let line = |point: &dyn Fn(&Cell) -> Option<Point>, policy: usize| Line {
+        name: study.policies[policy].name(),
+        points: cells.iter().map(|column| column[policy].and_then(point)).collect(),
     };
     let panel = |title: &str, y: &str, ends, point: &dyn Fn(&Cell) -> Option<Point>| Panel {
         title: title.to_owned(),
         y: y.to_owned(),
         ends,
-        lines: (0..study.entrants.len()).map(|entrant| line(point, entrant)).collect(),
+        lines: (0..study.policies.len()).map(|policy| line(point, policy)).collect(),
     };
     let panels = [
         panel("success", "success [%]", Some((0.0, 100.0)), &|cell| Some(success_of(cell))),
@@ -193,7 +193,7 @@ fn delays(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureEr
         name: format!("delay-{number}"),
         title: format!("Delays of messages: {name}"),
         caption: "Messages between robots while episodes ran. Left: from publication to arrival at each other host, \
-                  as a share of all that were due there, so that a curve ends at what was delivered. Right: from \
+                  as a share of all expected deliveries, so that a curve ends at the share delivered. Right: from \
                   publication to each control step that had the message, within range and not yet dropped. Dashed: \
                   20 and 50 ms. Columns in which no message crosses a link (sim, centralized) have no curve."
             .to_owned(),
@@ -201,20 +201,20 @@ fn delays(number: usize, name: &str, cells: &[&Cell]) -> Result<Figure, FigureEr
     })
 }
 
-/// The page of a study.
+/// Returns the HTML page of a study.
 pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
     let mut parts = vec![Part::Text(format!(
         "{}; {} layouts, each repeated {} times; seed {}.",
-        study.place(),
+        study.scenario_text(),
         study.layouts.len(),
         study.repeats,
         study.seed
     ))];
-    for (at, entrant) in study.entrants.iter().enumerate() {
-        let (heads, rows) = table::of_entrant(study, results, at);
-        parts.push(Part::Heading(format!("Policy {}, handling {}", entrant.policy, entrant.handling.name)));
+    for (at, tested) in study.policies.iter().enumerate() {
+        let (heads, rows) = table::of_policy(study, results, at);
+        parts.push(Part::Heading(format!("Policy {}, handling {}", tested.policy, tested.handling.name)));
         parts.push(Part::Table(heads, rows));
-        let drop = Results::largest_drop_points(&results.of_entrant(study, at));
+        let drop = Results::largest_drop_points(&results.of_policy(study, at));
         if let (Some(drop), "modes") = (drop, study.name) {
             let most = published::LARGEST_DROP_POINTS;
             let text = format!("Success falls by up to {drop:.1} points against sim; in the paper by up to {most}.");
@@ -224,8 +224,8 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
     parts.push(Part::Text(
         "Success with its 95 % Wilson interval; median makespan of the successes with its quartiles; 'paper': Table \
          I of Blumenkamp et al., ICRA 2022, on real robots, where the figure is known. Failures by what came first: \
-         robots nearer to each other than the rules allow, a wall touched, too late, given up. 'within 50 ms': \
-         messages between robots that arrived within 50 ms, of all that were due."
+         robots nearer to each other than the rules allow, a wall touched, too late, aborted. 'within 50 ms': \
+         messages between robots that arrived within 50 ms, of all expected deliveries."
             .to_owned(),
     ));
     parts.push(Part::Heading("Figures".to_owned()));
@@ -240,7 +240,7 @@ fn configuration(study: &Study) -> Vec<(String, String)> {
     let identity = study.identity();
     let Deployed { plant, radio } = Deployed::shared();
     let radio = if study.columns.iter().all(|column| column.impairment().is_some()) {
-        "links as slow and as lossy as the column says".to_owned()
+        "links with the delay and loss of the column".to_owned()
     } else {
         format!("radio '{radio}' (docs/radio.md)")
     };
@@ -248,14 +248,14 @@ fn configuration(study: &Study) -> Vec<(String, String)> {
         ("program".to_owned(), format!("murmurate {}", identity.version)),
         ("scenario".to_owned(), identity.scenario),
         ("layouts, with a digest".to_owned(), identity.layouts),
-        ("policies, with digests of their files".to_owned(), identity.entrants.join("; ")),
+        ("policies, with digests of their files".to_owned(), identity.policies.join("; ")),
         ("column sim".to_owned(), "the training world: lock step, exact placement, perfect messages".to_owned()),
         (
             "all other columns".to_owned(),
             format!("world '{plant}' (docs/world.md), motion capture, unattended resets; {radio}"),
         ),
     ];
-    let used = PRESETS.iter().filter(|preset| study.entrants.iter().any(|entrant| entrant.handling == *preset));
+    let used = PRESETS.iter().filter(|preset| study.policies.iter().any(|tested| tested.handling == *preset));
     terms.extend(used.map(|preset| (format!("handling '{}'", preset.name), preset.about.to_owned())));
     terms
 }

@@ -1,4 +1,4 @@
-//! What stays of one trial of a study: its episodes, and histograms in place of its steps.
+//! Record of one trial of a study: its episodes, and histograms of its steps.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,47 +12,46 @@ use crate::report::listening::Listening;
 use crate::report::trial::{Step, TrialReport};
 use crate::scenario::Arena;
 
-/// Bins of the position histogram are this wide \[m\], unless the arena is so large that there would be more than
-/// `MOST_BINS` of them along an axis.
+/// Bin width of the position histogram \[m\]; wider if an axis would have more than `MOST_BINS` bins.
 const CELL_M: f32 = 0.1;
 const MOST_BINS: usize = 80;
-/// Distances between robots above this count with it \[m\].
+/// Largest distance between robots in the histogram; larger ones count as this one \[m\].
 const FAR_M: f32 = 2.0;
 
-/// What stays of a trial.
+/// Record of a trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
     /// Its origin.
     pub origin: Origin,
-    /// The column.
+    /// Name of the column.
     pub column: String,
-    /// The policy.
+    /// Name of the policy.
     pub policy: String,
-    /// Its handling.
+    /// Name of the handling.
     pub handling: String,
-    /// The repeat.
+    /// Index of the repeat.
     pub repeat: u32,
-    /// What came of each episode.
+    /// Results of the episodes.
     pub episodes: Vec<Episode>,
-    /// What robots heard of each other.
+    /// Delivery and age of messages between robots.
     pub listening: Listening,
-    /// Where robots were.
+    /// Histograms of the robots' positions.
     pub traces: Traces,
 }
 
-/// Where robots were while episodes ran, one count a robot and World step.
+/// Histograms of the robots' positions in running episodes, one count per robot and World step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Traces {
-    /// Over x and y \[m\].
+    /// Position x and y \[m\], world frame.
     pub position: Grid,
-    /// Over a robot's distance from the origin, d_origin, and its distance to the nearest other robot, d_min \[m\].
+    /// Distance of a robot from the origin, d_origin, and to the nearest other robot, d_min \[m\].
     pub separation: Grid,
 }
 
 impl Traces {
-    /// Nothing yet, in an arena.
+    /// Returns empty histograms for an arena.
     pub fn new(arena: &Arena) -> Traces {
         let half = arena.half_extent;
         let axis = |half: f32| Axis::new(-half, half, CELL_M, MOST_BINS);
@@ -62,22 +61,22 @@ impl Traces {
         }
     }
 
-    fn see(&mut self, step: &Step) {
+    fn add_step(&mut self, step: &Step) {
         if step.phase != Phase::Running {
             return;
         }
-        let places: Vec<Vec2> = step.samples.iter().map(|sample| sample.motion.position).collect();
-        for (at, place) in places.iter().enumerate() {
-            self.position.add(place.x, place.y);
-            let others = places.iter().enumerate().filter(|(other, _)| *other != at);
-            let nearest = others.map(|(_, other)| (*other - *place).norm()).fold(f32::INFINITY, f32::min);
+        let positions: Vec<Vec2> = step.samples.iter().map(|sample| sample.motion.position).collect();
+        for (at, position) in positions.iter().enumerate() {
+            self.position.add(position.x, position.y);
+            let others = positions.iter().enumerate().filter(|(other, _)| *other != at);
+            let nearest = others.map(|(_, other)| (*other - *position).norm()).fold(f32::INFINITY, f32::min);
             if nearest.is_finite() {
-                self.separation.add(place.norm(), nearest);
+                self.separation.add(position.norm(), nearest);
             }
         }
     }
 
-    /// Adds those of another trial.
+    /// Adds the counts of another trial.
     pub fn merge(&mut self, other: &Traces) {
         self.position.merge(&other.position);
         self.separation.merge(&other.separation);
@@ -85,16 +84,16 @@ impl Traces {
 }
 
 impl Record {
-    /// What stays of a trial of a study.
+    /// Returns the record of a finished trial.
     pub fn of(study: &Study, job: Job, report: &TrialReport) -> Record {
         let mut traces = Traces::new(study.scenario.arena());
-        report.steps.iter().for_each(|step| traces.see(step));
-        let entrant = &study.entrants[job.entrant];
+        report.steps.iter().for_each(|step| traces.add_step(step));
+        let tested = &study.policies[job.policy];
         Record {
             origin: study.origin(job),
             column: study.columns[job.column].name.clone(),
-            policy: entrant.policy.clone(),
-            handling: entrant.handling.name.to_owned(),
+            policy: tested.policy.clone(),
+            handling: tested.handling.name.to_owned(),
             repeat: job.repeat,
             episodes: report.episodes.clone(),
             listening: report.totals.listening,
@@ -102,14 +101,14 @@ impl Record {
         }
     }
 
-    /// Whether it is of that trial of the study, and whole.
-    pub fn is_of(&self, study: &Study, job: Job) -> bool {
-        let entrant = &study.entrants[job.entrant];
+    /// Whether it is a complete record of that trial of the study.
+    pub fn belongs_to(&self, study: &Study, job: Job) -> bool {
+        let tested = &study.policies[job.policy];
         let traces = Traces::new(study.scenario.arena());
         self.origin == study.origin(job)
             && self.column == study.columns[job.column].name
-            && self.policy == entrant.policy
-            && self.handling == entrant.handling.name
+            && self.policy == tested.policy
+            && self.handling == tested.handling.name
             && self.repeat == job.repeat
             && self.episodes.len() == study.layouts.len() as usize
             && (self.traces.position.x, self.traces.position.y) == (traces.position.x, traces.position.y)

@@ -1,4 +1,4 @@
-//! What came of a study: one row a column and entrant, from the records of its trials.
+//! Results of a study, aggregated from the records of its trials: one row per column and policy.
 
 use serde::Serialize;
 
@@ -10,86 +10,86 @@ use crate::report::listening::Listening;
 use crate::report::outcomes::Outcomes;
 use crate::time::Span;
 
-/// Shares and times of one column and entrant, as `--json` prints them. Fields are only ever added.
+/// Results of one column and policy, as `--json` prints them. Fields are only ever added.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// The column.
+    /// Name of the column.
     pub name: String,
-    /// The policy.
+    /// Name of the policy.
     pub policy: String,
-    /// Its handling.
+    /// Name of the handling.
     pub handling: String,
-    /// What came of its episodes.
+    /// Success, makespan and failures over all its episodes.
     #[serde(flatten)]
     pub outcomes: Outcomes,
-    /// The share that the paper reports for the column, where it is known.
+    /// Success rate that the paper reports for the column, if known.
     pub paper_success_rate: Option<f64>,
-    /// The median makespan that the paper reports for the column, where it is known \[s\].
+    /// Median makespan that the paper reports for the column, if known \[s\].
     pub paper_makespan_median_s: Option<f64>,
-    /// What messages between robots suffered in place of the shared radio: delay \[ms\]; null where the radio is.
+    /// Fixed delay of messages between robots \[ms\]; null with the shared radio.
     pub delay_ms: Option<f64>,
-    /// And the share lost.
+    /// Loss probability of messages between robots; null with the shared radio.
     pub loss: Option<f64>,
-    /// The radius within which robots hear each other \[m\]; null for the policy's own, or none.
+    /// Communication range \[m\]; null if it is the policy's own, or unlimited.
     pub range_m: Option<f32>,
-    /// The share of messages between robots that arrived; null where none crosses a link.
+    /// Share of messages between robots that arrived; null where none crosses a link.
     pub delivered: Option<f64>,
-    /// The share of arrivals within 20 ms of publication.
+    /// Share of arrivals within 20 ms of publication.
     pub within_20ms: Option<f64>,
-    /// The share of arrivals within 50 ms.
+    /// Share of arrivals within 50 ms of publication.
     pub within_50ms: Option<f64>,
-    /// How many neighbours a control step had a message of, on average.
+    /// Mean number of neighbours with a usable message at a control step.
     pub neighbours: Option<f64>,
-    /// Median age of those messages, from publication \[ms\], by the bins of the histogram.
+    /// Median age of those messages since publication \[ms\], from the histogram.
     pub age_p50_ms: Option<f64>,
 }
 
-/// One column and entrant, with what its figures are drawn from.
+/// Results of one column and policy, with the data for its figures.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    /// Shares and times.
+    /// Row of the table.
     pub row: Row,
-    /// Makespans of the successes \[s\], by repeat and episode.
+    /// Makespans of the successful episodes \[s\], by repeat and episode.
     pub makespans_s: Vec<f64>,
-    /// What robots heard.
+    /// Delivery and age of messages between robots.
     pub listening: Listening,
-    /// Where they were.
+    /// Histograms of the robots' positions.
     pub traces: Traces,
 }
 
-/// A whole study's results.
+/// Results of a study.
 #[derive(Clone, Debug)]
 pub struct Results {
-    /// By column and then by entrant, without those that have no result yet.
+    /// By column and then by policy, without those that have no result yet.
     pub cells: Vec<Cell>,
 }
 
 impl Results {
-    /// Puts together the records, each with its trial, in the order of their trials.
+    /// Aggregates records; panics unless they are in the order of their trials, which fixes the order of float sums.
     pub fn of(study: &Study, records: &[(Job, Record)]) -> Results {
-        assert!(records.is_sorted_by_key(|(job, _)| *job), "sums run in the order of trials");
-        let pairs = (0..study.columns.len()).flat_map(|column| (0..study.entrants.len()).map(move |e| (column, e)));
-        let cell = |(column, entrant): (usize, usize)| {
-            let of = |job: &Job| (job.column, job.entrant) == (column, entrant);
+        assert!(records.is_sorted_by_key(|(job, _)| *job), "records must be in the order of trials");
+        let pairs = (0..study.columns.len()).flat_map(|column| (0..study.policies.len()).map(move |e| (column, e)));
+        let cell = |(column, policy): (usize, usize)| {
+            let of = |job: &Job| (job.column, job.policy) == (column, policy);
             let records: Vec<&Record> = records.iter().filter(|(job, _)| of(job)).map(|(_, record)| record).collect();
-            (!records.is_empty()).then(|| Cell::of(study, (column, entrant), &records))
+            (!records.is_empty()).then(|| Cell::of(study, (column, policy), &records))
         };
         Results { cells: pairs.filter_map(cell).collect() }
     }
 
-    /// The cells of one entrant, by column.
-    pub fn of_entrant<'a>(&'a self, study: &'a Study, entrant: usize) -> Vec<&'a Cell> {
-        let entrant = &study.entrants[entrant];
-        let is = |row: &Row| row.policy == entrant.policy && row.handling == entrant.handling.name;
+    /// Returns the cells of one policy, by column.
+    pub fn of_policy<'a>(&'a self, study: &'a Study, policy: usize) -> Vec<&'a Cell> {
+        let tested = &study.policies[policy];
+        let is = |row: &Row| row.policy == tested.policy && row.handling == tested.handling.name;
         self.cells.iter().filter(|cell| is(&cell.row)).collect()
     }
 
-    /// The rows.
+    /// Returns the rows.
     pub fn rows(&self) -> impl Iterator<Item = &Row> {
         self.cells.iter().map(|cell| &cell.row)
     }
 
-    /// The largest fall of success against the baseline, over the columns of an entrant \[percentage points\].
+    /// Returns the largest drop of success against the baseline, over the columns of a policy \[percentage points\].
     pub fn largest_drop_points(cells: &[&Cell]) -> Option<f64> {
         let baseline = cells.iter().find(|cell| cell.row.name == BASELINE)?.row.outcomes.success_rate;
         cells.iter().map(|cell| 100.0 * (baseline - cell.row.outcomes.success_rate)).reduce(f64::max)
@@ -97,7 +97,7 @@ impl Results {
 }
 
 impl Cell {
-    fn of(study: &Study, (column, entrant): (usize, usize), records: &[&Record]) -> Cell {
+    fn of(study: &Study, (column, policy): (usize, usize), records: &[&Record]) -> Cell {
         let episodes: Vec<Episode> = records.iter().flat_map(|record| &record.episodes).copied().collect();
         let mut listening = Listening::default();
         let mut traces = Traces::new(study.scenario.arena());
@@ -105,13 +105,13 @@ impl Cell {
             listening.merge(&record.listening);
             traces.merge(&record.traces);
         }
-        let (column, entrant) = (&study.columns[column], &study.entrants[entrant]);
+        let (column, tested) = (&study.columns[column], &study.policies[policy]);
         let paper = published::of(&column.name);
         let within = |ms| listening.delay.share_within(Span::from_millis(ms));
         let row = Row {
             name: column.name.clone(),
-            policy: entrant.policy.clone(),
-            handling: entrant.handling.name.to_owned(),
+            policy: tested.policy.clone(),
+            handling: tested.handling.name.to_owned(),
             outcomes: Outcomes::of(&episodes),
             paper_success_rate: paper.success,
             paper_makespan_median_s: paper.makespan_s,

@@ -1,15 +1,15 @@
-//! The table of a study: one row a column and entrant, with the paper's figures beside.
+//! Table of a study: one row per column and policy, with the paper's results.
 
 use std::fmt::Write as _;
 
 use super::results::{Results, Row};
 use super::{Study, published};
 
-/// The heads of its columns.
+/// Column heads.
 const HEADS: [&str; 9] =
     ["column", "success", "95 %", "paper", "makespan", "quartiles", "paper", "failures", "within 50 ms"];
 
-/// A row as text, by column of the table.
+/// Formats a row, by column of the table.
 fn cells(row: &Row) -> [String; 9] {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
@@ -17,7 +17,7 @@ fn cells(row: &Row) -> [String; 9] {
         (row.outcomes.collisions_robot, "near"),
         (row.outcomes.collisions_wall, "wall"),
         (row.outcomes.timeouts, "late"),
-        (row.outcomes.aborts, "given up"),
+        (row.outcomes.aborts, "aborted"),
         (row.outcomes.unseen, "unseen"),
     ];
     let failed: Vec<String> = failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
@@ -34,13 +34,13 @@ fn cells(row: &Row) -> [String; 9] {
     ]
 }
 
-/// The columns of the table that hold the paper's figures.
+/// Table columns with the paper's results.
 const PAPER: [usize; 2] = [3, 6];
-/// The columns of the table that hold words.
+/// Table columns that hold text.
 const WORDS: [&str; 2] = ["column", "failures"];
 
-/// The table of one entrant: its heads and its rows. The paper's figures are there where they could be.
-pub fn of_entrant(study: &Study, results: &Results, entrant: usize) -> (Vec<&'static str>, Vec<Vec<String>>) {
+/// Returns heads and rows of one policy's table. Only the study `modes` has the paper's results.
+pub fn of_policy(study: &Study, results: &Results, policy: usize) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let compared = study.name == "modes";
     let shown = |at: &usize| compared || !PAPER.contains(at);
     let heads = (0..HEADS.len()).filter(shown).map(|at| HEADS[at]).collect();
@@ -48,22 +48,22 @@ pub fn of_entrant(study: &Study, results: &Results, entrant: usize) -> (Vec<&'st
         let all = cells(row);
         (0..all.len()).filter(shown).map(|at| all[at].clone()).collect()
     };
-    (heads, results.of_entrant(study, entrant).into_iter().map(|cell| row(&cell.row)).collect())
+    (heads, results.of_policy(study, policy).into_iter().map(|cell| row(&cell.row)).collect())
 }
 
-/// The same as a person reads it in a terminal, for all entrants.
+/// Formats the tables of all policies for a terminal.
 pub fn text(study: &Study, results: &Results) -> String {
     let mut text = format!(
         "study {}: {}, {} layouts x {} repeats, seed {}\n",
         study.name,
-        study.place(),
+        study.scenario_text(),
         study.layouts.len(),
         study.repeats,
         study.seed
     );
-    for (at, entrant) in study.entrants.iter().enumerate() {
-        let (heads, rows) = of_entrant(study, results, at);
-        let _ = writeln!(text, "\npolicy {}, handling {}", entrant.policy, entrant.handling.name);
+    for (at, tested) in study.policies.iter().enumerate() {
+        let (heads, rows) = of_policy(study, results, at);
+        let _ = writeln!(text, "\npolicy {}, handling {}", tested.policy, tested.handling.name);
         let heads: Vec<String> = heads.into_iter().map(str::to_owned).collect();
         let widths: Vec<usize> = (0..heads.len())
             .map(|column| [&heads].into_iter().chain(&rows).map(|row| row[column].chars().count()).max().unwrap_or(0))
@@ -71,13 +71,13 @@ pub fn text(study: &Study, results: &Results) -> String {
         for row in [&heads].into_iter().chain(&rows) {
             let mut line = String::from(" ");
             for (column, (cell, width)) in row.iter().zip(&widths).enumerate() {
-                // Names and lists to the left, numbers to the right.
+                // Text is aligned left, numbers right.
                 let left = WORDS.contains(&heads[column].as_str());
                 let _ = if left { write!(line, " {cell:<width$} ") } else { write!(line, " {cell:>width$} ") };
             }
             let _ = writeln!(text, "{}", line.trim_end());
         }
-        let cells = results.of_entrant(study, at);
+        let cells = results.of_policy(study, at);
         if let (Some(drop), "modes") = (Results::largest_drop_points(&cells), study.name) {
             let most = published::LARGEST_DROP_POINTS;
             let _ =

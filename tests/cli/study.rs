@@ -206,11 +206,11 @@ fn trials_of_another_seed_or_policy_are_run_again() {
     done(&args, &["--out", &other]);
     take("passage.safetensors");
     let output = done(&args, &["--out", &ours]);
-    assert!(text(&output.stderr).contains("2 of 2 trials are there already"), "equal runs go on");
+    assert!(text(&output.stderr).contains("2 of 2 trials are finished already"), "equal runs go on");
     for theirs in [seed, other] {
         let theirs = files(&theirs);
         let (_, said) = with_changed_trials(&args, &ours, |name, _| theirs[Path::new(name)].clone());
-        assert!(!said.contains("are there already"), "{said}");
+        assert!(!said.contains("are finished already"), "{said}");
     }
 }
 
@@ -229,7 +229,7 @@ fn trials_of_another_version_or_build_or_other_conditions_are_run_again() {
             record["origin"][field] = value.into();
             record.to_string().into_bytes()
         });
-        assert!(!said.contains("are there already"), "{field}: {said}");
+        assert!(!said.contains("are finished already"), "{field}: {said}");
     }
     // A folder of another build is refused as a whole: its report would be of two programs.
     let study = Path::new(&out).join("study.json");

@@ -129,7 +129,7 @@ fn what_a_robot_of_a_growing_team_costs_is_measured_once_and_kept() {
     assert!(number(large, "airtime_around") > 2.0 * number(small, "airtime_around"), "{small} {large}");
     // Processor time is another one each time; what is kept is not measured again.
     assert!(study() == (grown, page));
-    assert!(text(&fs::read(out.join("table.txt")).unwrap()).contains("what a robot of a team costs"));
+    assert!(text(&fs::read(out.join("table.txt")).unwrap()).contains("cost per robot"));
 }
 
 #[test]

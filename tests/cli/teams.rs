@@ -40,7 +40,7 @@ fn every_example_is_sound_and_says_all_that_it_is() {
         let content = read_to_string(&path).expect("it is text");
         write(&copy, &content).expect("it can be written");
         let output = run(&["config", "check", &copy.to_string_lossy()]);
-        assert!(done(&output).contains("sound"), "{}", path.display());
+        assert!(done(&output).contains("valid"), "{}", path.display());
         let err = text(&output.stderr);
         assert_eq!(content.contains("key_file ="), err.is_empty(), "no key is said loudly: {err}");
         assert!(content.contains("docs/teams.md"), "{} points to the docs", path.display());

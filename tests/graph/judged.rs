@@ -8,7 +8,7 @@ use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::{Kind, Phase};
 use murmurate::report::episode::{Episode, Judged};
 use murmurate::report::trial::{Step, TrialReport};
-use murmurate::scenario::judge::{Finding, Judge, Seen, Verdict};
+use murmurate::scenario::judge::{Finding, Judge, JudgedRobot, Verdict};
 use murmurate::scenario::sightings::SIGHT;
 use murmurate::time::Span;
 use murmurate::trial::Trial;
@@ -53,8 +53,8 @@ fn truth(trial: &Trial, report: &TrialReport, episode: u32) -> Option<Finding> {
     let mut judge = Judge::new(trial.scenario.rules(), goals);
     let begun = report.steps.iter().find(of)?.samples[0].time;
     report.steps.iter().filter(of).find_map(|step| {
-        let seen = step.samples.iter().map(|s| Seen { position: s.motion.position, contacts: s.contacts });
-        judge.see(step.samples[0].time.since(begun), &seen.collect::<Vec<_>>())
+        let seen = step.samples.iter().map(|s| JudgedRobot { position: s.motion.position, contacts: s.contacts });
+        judge.update(step.samples[0].time.since(begun), &seen.collect::<Vec<_>>())
     })
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use murmurate::deploy::{Deployment, LinkMedium, MODES};
 use murmurate::messages::geometry::Vec2;
 use murmurate::net::media::radio::bianchi::Saturation;
-use murmurate::net::media::radio::{Channel, Counting, Delivery, Radio, RadioCounts, To, Topology};
+use murmurate::net::media::radio::{Channel, Counting, Delivery, Destination, Radio, RadioCounts, Topology};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
@@ -23,7 +23,7 @@ fn at_s(s: f64) -> Time {
 fn saturated(radio: &Radio, stations: u16, bytes: usize, lasts_s: f64) -> RadioCounts {
     let mut channel = Channel::new(radio.clone(), stations, &seed(1));
     for station in 0..stations {
-        channel.saturate(Time::ZERO, station, To::One((station + 1) % stations), bytes, ());
+        channel.saturate(Time::ZERO, station, Destination::One((station + 1) % stations), bytes, ());
     }
     channel.wake(at_s(lasts_s), &mut Vec::new());
     channel.counts(at_s(lasts_s))
@@ -61,7 +61,7 @@ fn saturation_is_as_in_bianchis_model() {
 }
 
 /// What arrives of `frames` frames that are offered one by one, each long after the last one.
-fn one_by_one(channel: &mut Channel<u32>, frames: u32, to: &To, bytes: usize) -> Vec<Delivery<u32>> {
+fn one_by_one(channel: &mut Channel<u32>, frames: u32, to: &Destination, bytes: usize) -> Vec<Delivery<u32>> {
     let mut arrived = Vec::new();
     for frame in 0..frames {
         let now = at_s(0.1 * f64::from(frame + 1));
@@ -78,7 +78,7 @@ fn unicast_is_sent_again_as_often_as_it_may_be() {
         let radio = Radio { retries, noise_loss: 0.5, ..ad_hoc() };
         let mut channel = Channel::new(radio, 2, &seed(2));
         let frames = 20_000;
-        one_by_one(&mut channel, frames, &To::One(1), 200);
+        one_by_one(&mut channel, frames, &Destination::One(1), 200);
         let counts = channel.counts(at_s(3000.0));
         let expected = 0.5_f64.powi(1 + retries.cast_signed());
         let lost = counts.lost_retries as f64 / f64::from(frames);
@@ -88,24 +88,24 @@ fn unicast_is_sent_again_as_often_as_it_may_be() {
         let mut channel = Channel::new(Radio { retries, range_m: Some(1.0), ..ad_hoc() }, 2, &seed(2));
         channel.place(0, Vec2::new(0.0, 0.0));
         channel.place(1, Vec2::new(1.5, 0.0));
-        assert!(one_by_one(&mut channel, 10, &To::One(1), 200).is_empty());
+        assert!(one_by_one(&mut channel, 10, &Destination::One(1), 200).is_empty());
         assert_eq!(channel.counts(at_s(1.0)).transmissions, 10 * u64::from(1 + retries));
     }
 }
 
 #[test]
 fn a_relay_takes_two_airtimes() {
-    let once = |radio: &Radio, to: &To| {
+    let once = |radio: &Radio, to: &Destination| {
         let mut channel = Channel::new(radio.clone(), 3, &seed(3));
         let arrived = one_by_one(&mut channel, 1, to, 300);
         (arrived.len(), channel.counts(at_s(1.0)))
     };
     let infra = Radio::default();
     let (unicast, acknowledged) = (infra.frame_airtime(300), infra.times().acknowledged);
-    let (arrived, counts) = once(&infra, &To::One(1));
+    let (arrived, counts) = once(&infra, &Destination::One(1));
     assert_eq!((arrived, counts.transmissions), (1, 2));
     assert_eq!(counts.airtime_ns, ((unicast + acknowledged) * 2).as_nanos());
-    let all = To::Many(Arc::new([0, 1, 2]));
+    let all = Destination::Many(Arc::new([0, 1, 2]));
     let (arrived, counts) = once(&infra, &all);
     assert_eq!((arrived, counts.transmissions), (2, 2), "its sender is not among those that hear it");
     assert_eq!(counts.airtime_ns, (unicast + acknowledged + infra.multicast_airtime(300)).as_nanos());
@@ -118,7 +118,7 @@ fn a_relay_takes_two_airtimes() {
 fn a_frame_on_an_idle_channel_takes_its_airtime_and_less_than_a_slot() {
     let radio = ad_hoc();
     let mut channel = Channel::new(radio.clone(), 2, &seed(4));
-    for delivery in one_by_one(&mut channel, 50, &To::One(1), 300) {
+    for delivery in one_by_one(&mut channel, 50, &Destination::One(1), 300) {
         let took = delivery.at.since(at_s(0.1 * f64::from(delivery.token + 1)));
         let airtime = radio.frame_airtime(300);
         assert!(took >= airtime && took < airtime + radio.times().slot, "{took}");
@@ -129,7 +129,7 @@ fn a_frame_on_an_idle_channel_takes_its_airtime_and_less_than_a_slot() {
 fn a_full_queue_drops_what_comes_last() {
     let radio = Radio { queue: 4, ..ad_hoc() };
     let mut channel = Channel::new(radio, 2, &seed(5));
-    (0..10).for_each(|frame| channel.offer(Time::ZERO, 0, To::One(1), 300, frame));
+    (0..10).for_each(|frame| channel.offer(Time::ZERO, 0, Destination::One(1), 300, frame));
     let mut arrived = Vec::new();
     channel.wake(at_s(1.0), &mut arrived);
     assert_eq!(arrived.iter().map(|delivery| delivery.token).collect::<Vec<_>>(), [0, 1, 2, 3]);
@@ -146,7 +146,7 @@ fn an_access_point_has_a_queue_of_its_own() {
     for step in 0..4000 {
         let now = at_s(0.001 * f64::from(step));
         channel.wake(now, &mut arrived);
-        channel.offer(now, 0, To::Many(Arc::clone(&all)), 300, ());
+        channel.offer(now, 0, Destination::Many(Arc::clone(&all)), 300, ());
     }
     let end = at_s(10.0);
     channel.wake(end, &mut arrived);
@@ -163,7 +163,7 @@ fn a_ranged_multicast_reaches_those_who_are_near() {
         channel.place(station, Vec2::new(x, 0.0));
     }
     // Of station 3 nobody knows where it is: it is in everybody's reach.
-    let all = To::Many(Arc::new([0, 1, 2, 3]));
+    let all = Destination::Many(Arc::new([0, 1, 2, 3]));
     let reached = |arrived: &[Delivery<u32>]| arrived.iter().map(|delivery| delivery.to).collect::<Vec<_>>();
     assert_eq!(reached(&one_by_one(&mut channel, 1, &all, 100)), [1, 3]);
     assert_eq!(channel.counts(at_s(1.0)).lost_range, 1);
@@ -172,7 +172,7 @@ fn a_ranged_multicast_reaches_those_who_are_near() {
 #[test]
 fn noise_spoils_multicast_for_each_listener_by_itself() {
     let mut channel = Channel::new(Radio { noise_loss: 0.16, ..ad_hoc() }, 3, &seed(8));
-    let arrived = one_by_one(&mut channel, 5000, &To::Many(Arc::new([1, 2])), 100);
+    let arrived = one_by_one(&mut channel, 5000, &Destination::Many(Arc::new([1, 2])), 100);
     let share = arrived.len() as f64 / 10_000.0;
     assert!((share - 0.84).abs() < 0.015, "{share}");
     let both = arrived.windows(2).filter(|pair| pair[0].token == pair[1].token).count() as f64 / 5000.0;
@@ -200,7 +200,7 @@ fn a_channel_repeats_itself_and_a_seed_makes_a_difference() {
         for step in 0..2000_u32 {
             let now = at_s(0.0007 * f64::from(step));
             channel.wake(now, &mut arrived);
-            channel.offer(now, (step % 5) as u16, To::Many(Arc::clone(&all)), 250, step);
+            channel.offer(now, (step % 5) as u16, Destination::Many(Arc::clone(&all)), 250, step);
         }
         channel.wake(at_s(3.0), &mut arrived);
         (arrived, channel.counts(at_s(3.0)))

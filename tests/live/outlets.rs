@@ -20,7 +20,7 @@ use nix::unistd::{Pid, mkfifo};
 use serde_json::Value;
 
 const ROBOTS: usize = 12;
-/// How long nobody reads: a lane holds 13 seconds of the trajectories of so many robots.
+/// How long nobody reads: the queue holds 13 seconds of the trajectories of so many robots.
 const STUCK: Duration = Duration::from_secs(18);
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How long a host may take to end with its pipes stuck: three times half a second of waiting, and what it does anyway.

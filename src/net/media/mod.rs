@@ -1,7 +1,7 @@
-//! The emulation of media: what becomes of frames in one process. All pure.
+//! Emulated links for hosts that run in one process. All pure.
 
-pub mod air;
+pub mod emulator;
 pub mod ether;
-pub mod medium;
 pub mod radio;
+pub mod radio_link;
 pub mod reach;

@@ -1,4 +1,4 @@
-//! The flags of the studies, and the study that they ask for.
+//! Flags of the studies in columns, and the study that they define.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -9,11 +9,11 @@ use crate::scenario::{Scenario, ScenarioError, Settings};
 use crate::study::columns::{self, Column};
 use crate::study::handling::{self, Preset};
 use crate::study::origin;
-use crate::study::{Entrant, Study};
+use crate::study::{PolicyUnderTest, Study};
 use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 
-use super::run::{Run, Typed, once};
+use super::run::{CommandLine, Run, check_unique};
 use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::output::{read_text, talk};
@@ -22,15 +22,15 @@ use crate::program::policy;
 /// Flags of every study.
 #[derive(clap::Args)]
 pub struct Shared {
-    /// Who is to be compared: policies by their names, or policy files; may be given several times. 'NAME@HANDLING'
-    /// gives one policy a handling of its own [default: shipped, or orca where the scenario has none]
+    /// Policies to compare, by their names or as policy files; may be given several times. 'NAME@HANDLING' gives one
+    /// policy a handling of its own [default: shipped, or orca where the scenario has none]
     #[arg(long = "policy", value_name = "NAME|FILE[@HANDLING]")]
     policies: Vec<String>,
-    /// How policies are handled: 'default' (newest message held, mean actions) or 'as-published' (buffer cleared every
+    /// Handling of policies: 'default' (newest message held, mean actions) or 'as-published' (buffer cleared every
     /// step, sampled actions); may be given several times, for every policy without one of its own [default: default]
     #[arg(long = "handling", value_parser = PossibleValuesParser::new(handling::PRESETS.iter().map(|p| p.name)))]
     handlings: Vec<String>,
-    /// What the team is to do
+    /// Task of the team
     #[arg(long, default_value = "passage")]
     scenario: String,
     /// Size of the team [default: the scenario's own]
@@ -42,7 +42,7 @@ pub struct Shared {
     /// Episodes of a trial, each with a layout of its own
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     layouts: u32,
-    /// Layouts from a file, its first so many; without it the scenario draws them from the seed
+    /// Layouts from a file, the first --layouts of it; without it the scenario draws them from the seed
     #[arg(long, value_name = "FILE.json")]
     episodes_file: Option<PathBuf>,
     /// Trials in every column: the same layouts with other random numbers
@@ -78,7 +78,7 @@ pub struct Delay {
 /// Flags of `murmurate study range`.
 #[derive(clap::Args)]
 pub struct Range {
-    /// Radii [m], separated by commas; a column that hears everyone comes last
+    /// Communication ranges [m], separated by commas; a column with an unlimited range comes last
     /// [default: 0.5,0.75,1,1.5,2,2.5,3,4]
     #[arg(long, value_delimiter = ',')]
     ranges_m: Vec<f32>,
@@ -89,8 +89,8 @@ pub struct Range {
 impl Modes {
     /// The study that is asked for.
     pub fn study(&self, registry: &Registry) -> Result<Study> {
-        once("--columns", &self.columns)?;
-        // In the order of the table, however they were given.
+        check_unique("--columns", &self.columns)?;
+        // In the order of the table, not of the flag.
         let wanted = |name: &&str| self.columns.is_empty() || self.columns.iter().any(|column| column == name);
         let columns = columns::MODES.iter().filter(|name| wanted(name));
         let columns = columns.map(|name| Column::of_table(name).expect("a column of the table")).collect();
@@ -110,7 +110,7 @@ impl Delay {
         };
         let losses = if self.losses.is_empty() { columns::LOSSES.to_vec() } else { self.losses.clone() };
         for (flag, values, most) in [("--delays-ms", &delays_ms, 60_000.0), ("--losses", &losses, 1.0)] {
-            once(flag, values)?;
+            check_unique(flag, values)?;
             if let Some(value) = values.iter().find(|value| !(0.0..=most).contains(*value)) {
                 return bad(format!("{flag}: {value} is not 0 to {most}"));
             }
@@ -118,7 +118,7 @@ impl Delay {
         let delays_s: Vec<f64> = delays_ms.iter().map(|delay| delay / 1000.0).collect();
         let columns = Column::delays(&delays_s, &losses);
         let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
-        once("--delays-ms, --losses", &names)?;
+        check_unique("--delays-ms, --losses", &names)?;
         let own = list("--delays-ms", &self.delays_ms) + &list("--losses", &self.losses);
         self.shared.study(registry, "delay", columns.clone(), &own)
     }
@@ -128,7 +128,7 @@ impl Range {
     /// The study that is asked for.
     pub fn study(&self, registry: &Registry) -> Result<Study> {
         let ranges_m = if self.ranges_m.is_empty() { columns::RANGES_M.to_vec() } else { self.ranges_m.clone() };
-        once("--ranges-m", &ranges_m)?;
+        check_unique("--ranges-m", &ranges_m)?;
         if let Some(range) = ranges_m.iter().find(|range| !(0.0..=1e6).contains(*range)) {
             return bad(format!("--ranges-m: {range} is not 0 to 1000000"));
         }
@@ -165,7 +165,7 @@ impl Shared {
         let study = Study {
             name,
             columns,
-            entrants: self.entrants(registry, &*scenario)?,
+            policies: self.policies_under_test(registry, &*scenario)?,
             layouts,
             repeats: self.repeats,
             seed: self.run.seed,
@@ -178,8 +178,8 @@ impl Shared {
         Ok(study)
     }
 
-    /// Every policy under every handling that it is to have.
-    fn entrants(&self, registry: &Registry, scenario: &dyn Scenario) -> Result<Vec<Entrant>> {
+    /// Loads every policy with each of its handlings.
+    fn policies_under_test(&self, registry: &Registry, scenario: &dyn Scenario) -> Result<Vec<PolicyUnderTest>> {
         let usual = [registry.usual_policy(scenario).to_owned()];
         let policies = if self.policies.is_empty() { &usual[..] } else { &self.policies };
         let named = |name: &String| handling::preset(name).expect("the parser lets only presets through");
@@ -187,37 +187,37 @@ impl Shared {
         if handlings.is_empty() {
             handlings.push(&handling::PRESETS[0]);
         }
-        let mut entrants = Vec::new();
+        let mut tested = Vec::new();
         for given in policies {
             let (policy, own) = split(given)?;
             for handling in own.map_or(handlings.clone(), |own| vec![own]) {
-                entrants.push(self.entrant(registry, (policy, handling), scenario)?);
+                tested.push(self.load(registry, (policy, handling), scenario)?);
             }
         }
-        let names: Vec<String> = entrants.iter().map(Entrant::name).collect();
-        once("--policy, --handling", &names)?;
-        Ok(entrants)
+        let names: Vec<String> = tested.iter().map(PolicyUnderTest::name).collect();
+        check_unique("--policy, --handling", &names)?;
+        Ok(tested)
     }
 
-    fn entrant(
+    fn load(
         &self,
         registry: &Registry,
         (policy, handling): (&str, &'static Preset),
         scenario: &dyn Scenario,
-    ) -> Result<Entrant> {
+    ) -> Result<PolicyUnderTest> {
         let loaded = policy::load(registry, Some(Path::new(policy)), None, scenario)?;
         if let Some(assumed) = loaded.assumed.filter(|_| !self.run.quiet) {
             talk(&format!("warning: {assumed}"));
         }
         let digest = loaded.model.digest().to_owned();
-        // What draws nothing stays as it is, whatever the handling.
+        // A policy without action distribution is the same under every handling.
         let model = loaded.model.clone().with_draw(handling.draw).unwrap_or(loaded.model);
-        Ok(Entrant { policy: loaded.name, model, digest, handling })
+        Ok(PolicyUnderTest { policy: loaded.name, model, digest, handling })
     }
 
-    /// The command that makes the study, whatever it was typed as. Not in it: what makes no difference to the results.
+    /// Returns the command that reproduces the study, without flags that do not change the results.
     fn command(&self, name: &str, own: &str) -> String {
-        let mut command = Typed(format!("murmurate study {name}{own}"));
+        let mut command = CommandLine(format!("murmurate study {name}{own}"));
         let mut add = |flag: &str, value: Option<String>| command.add(flag, value);
         self.policies.iter().for_each(|policy| add("policy", Some(policy.clone())));
         self.handlings.iter().for_each(|handling| add("handling", Some(handling.clone())));
@@ -232,8 +232,8 @@ impl Shared {
     }
 }
 
-/// What tells the records of this program from those of others: its sources, if this crate has all that it runs. The
-/// digest of these says nothing of a scenario or a policy from another crate, so then the program itself counts.
+/// Returns the identifier of the program in records: the digest of this crate's sources. If another crate has added
+/// entries to the registry, the digest of the executable is part of it.
 fn build(registry: &Registry) -> Result<String> {
     if !registry.is_extended() {
         return Ok(origin::BUILD.to_owned());
@@ -242,7 +242,7 @@ fn build(registry: &Registry) -> Result<String> {
     Ok(format!("{}+{}", origin::BUILD, &blake3::hash(&program).to_hex()[..16]))
 }
 
-/// A policy and the handling that goes with it alone, if one does.
+/// Splits 'NAME@HANDLING' into the policy and its own handling, if it has one.
 fn split(given: &str) -> Result<(&str, Option<&'static Preset>)> {
     match given.rsplit_once('@') {
         // A file may be called anything.

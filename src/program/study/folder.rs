@@ -1,4 +1,4 @@
-//! The folder of a study: whose it is, and files that are replaced whole. What is in them is each study's own matter.
+//! Folder of a study: its identity, and files that are replaced atomically. Each study defines the contents.
 
 use std::path::{Path, PathBuf};
 
@@ -12,15 +12,15 @@ use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
 
-/// The file that says which study a folder is of.
+/// File with the identity of a folder's study.
 const IDENTITY: &str = "study.json";
 
-/// A folder that a study writes to.
+/// Folder of a study.
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Makes the folder and the one of its finished `pieces` if need be, and finds out whether both can be written and
-    /// are of this study or of none. `difference` says in which way another identity is another one.
+    /// Opens or creates the folder and its subfolder `pieces` for finished jobs. Errors name `--out`: a folder cannot
+    /// be written, or belongs to another study. `difference` describes how another identity differs, if it does.
     pub fn open<I: Serialize + DeserializeOwned>(
         path: &Path,
         pieces: &str,
@@ -54,28 +54,28 @@ impl Folder {
         Ok(folder)
     }
 
-    /// Where it is.
+    /// Returns its path.
     pub fn path(&self) -> &Path {
         &self.0
     }
 
-    /// The report's file.
+    /// Returns the path of the report.
     pub fn page(&self) -> PathBuf {
         self.0.join("report.html")
     }
 
-    /// What was kept of a finished piece, if that is there and whole; else the piece is done again.
+    /// Reads the record of a finished job; none if it is missing or damaged.
     pub fn kept<R: DeserializeOwned>(&self, name: &str) -> Option<R> {
         serde_json::from_str(&std::fs::read_to_string(self.0.join(name)).ok()?).ok()
     }
 
-    /// Keeps what came of a piece: one file a piece, each whole or not there, so that no moment of an interruption
-    /// loses more than what was under way.
+    /// Writes the record of a finished job to its own file, atomically, so that an interruption loses only unfinished
+    /// jobs.
     pub fn keep(&self, name: &str, record: &impl Serialize) -> Result<()> {
         self.write(name, serde_json::to_string(record).context("a record is JSON")?.as_bytes())
     }
 
-    /// Writes figures and page. The page goes last of all: what it is of is then there.
+    /// Writes figures, then the page that contains them.
     pub fn write_page(&self, figures: &[Figure], page: &str) -> Result<()> {
         for figure in figures {
             self.write(&format!("figures/{}.svg", figure.name), figure.svg.as_bytes())?;
@@ -85,13 +85,13 @@ impl Folder {
         self.write("report.html", page.as_bytes())
     }
 
-    /// Writes plain data for people and programs.
+    /// Writes plain data as indented JSON.
     pub fn write_json(&self, name: &str, value: &impl Serialize) -> Result<()> {
         let text = serde_json::to_string_pretty(value).context("plain data is JSON")? + "\n";
         self.write(name, text.as_bytes())
     }
 
-    /// Writes rows, one a line below their names.
+    /// Writes rows as CSV, with a header line.
     pub fn write_csv(&self, name: &str, rows: impl IntoIterator<Item = impl Serialize>) -> Result<()> {
         let mut csv = csv::Writer::from_writer(Vec::new());
         for row in rows {
@@ -100,7 +100,7 @@ impl Folder {
         self.write(name, &csv.into_inner().context("memory takes everything")?)
     }
 
-    /// Writes a file.
+    /// Replaces a file atomically.
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<()> {
         let path = self.0.join(name);
         let wrong = || format!("cannot write '{}'; what was finished before is kept", path.display());

@@ -1,5 +1,4 @@
-//! `murmurate study`: whole studies, with a report. What a study is lives in the library; here are its flags, its
-//! threads, its clock and its files.
+//! `murmurate study`: flags, threads, clock and files of the studies. The studies themselves are in the library.
 
 mod flags;
 mod folder;
@@ -26,7 +25,7 @@ use folder::Folder;
 #[cfg(feature = "train")]
 pub use network::medium;
 
-/// The studies.
+/// Subcommands of `murmurate study`.
 #[derive(clap::Subcommand)]
 pub enum Args {
     /// The paper's Table I: four modes and two variations, against the conditions of training
@@ -39,7 +38,7 @@ pub enum Args {
     Network(Box<network::Args>),
 }
 
-/// What a study came to, for `--json`.
+/// Output of a study with `--json`.
 #[derive(Serialize)]
 struct Report<'a> {
     study: &'a str,
@@ -47,7 +46,7 @@ struct Report<'a> {
     columns: Vec<&'a Row>,
     wall_s: f64,
     seed: u64,
-    /// Trials that are done, and that there are.
+    /// Number of finished trials, and of all trials.
     trials: [usize; 2],
     interrupted: bool,
 }
@@ -75,7 +74,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     }
     let report = Report {
         study: study.name,
-        scenario: study.place(),
+        scenario: study.scenario_text(),
         columns: results.rows().collect(),
         wall_s: began.elapsed().as_secs_f64(),
         seed: study.seed,
@@ -88,11 +87,12 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     } else {
         format!("{}\n\n{done} of {all} trials; {wall_s:.1} s", table::text(&study, &results))
     })?;
-    shared.run.farewell(folder.as_ref(), "trials", done, all);
+    shared.run.print_location(folder.as_ref(), "trials", done, all);
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// The records of all trials, in their order: those of the journal, and the rest run now. Fewer after a Ctrl-C.
+/// Returns the records of all trials, in their order: reads those in the folder and runs the others. Fewer after
+/// Ctrl-C.
 fn run_all(
     study: &Study,
     folder: Option<&Folder>,
@@ -105,7 +105,7 @@ fn run_all(
     let there = found.iter().flatten().count();
     let bar = progress(u64::from(study.layouts.len()) * (all.len() - there) as u64, quiet);
     if there > 0 && !quiet {
-        talk(&format!("{there} of {} trials are there already", all.len()));
+        talk(&format!("{there} of {} trials are finished already", all.len()));
     }
     let work = |at: usize| -> Result<Option<Record>> {
         let job = all[at];
@@ -116,7 +116,7 @@ fn run_all(
         let record = Record::of(study, job, &report);
         if let Some(folder) = folder {
             trials::write(folder, study, job, &record)?;
-            tracing::info!("kept repeat {} of '{}', {}", job.repeat, record.column, study.entrants[job.entrant].name());
+            tracing::info!("kept repeat {} of '{}', {}", job.repeat, record.column, study.policies[job.policy].name());
         }
         Ok(Some(record))
     };

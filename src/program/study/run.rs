@@ -1,4 +1,4 @@
-//! What every study is told on the command line of how it runs, and what it says when it ends.
+//! Flags that all studies share, and their last message.
 
 use std::fmt::Display;
 use std::path::PathBuf;
@@ -15,24 +15,24 @@ pub struct Run {
     /// The root of all randomness
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Pieces of work at the same time [default: one per core]; the numbers do not depend on it
+    /// Number of threads [default: one per core]; the results do not depend on it
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub jobs: Option<u16>,
-    /// Where report, figures and rows go. What is finished is kept there, and the same command goes on from it
+    /// Folder for report, figures and rows. Finished work is kept there, and the same command continues it
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Prints one JSON object in place of the table
+    /// Prints one JSON object instead of the table
     #[arg(long)]
     pub json: bool,
-    /// Says nothing on stderr but errors and what an interruption leaves
+    /// Prints only errors and interruptions on stderr
     #[arg(long)]
     pub quiet: bool,
 }
 
-/// A command line that grows; what a shell would not take as it is stands in quotes.
-pub struct Typed(pub String);
+/// Builder of a command line, with quotes where a shell needs them.
+pub struct CommandLine(pub String);
 
-impl Typed {
+impl CommandLine {
     /// Adds a flag, if it has a value.
     pub fn add(&mut self, flag: &str, value: Option<String>) {
         if let Some(value) = value {
@@ -42,24 +42,24 @@ impl Typed {
         }
     }
 
-    /// Adds a flag with a list, if there is anything in it.
+    /// Adds a flag with a list, unless it is empty.
     pub fn add_all(&mut self, flag: &str, values: impl IntoIterator<Item = impl ToString>) {
         let values: Vec<String> = values.into_iter().map(|value| value.to_string()).collect();
         self.add(flag, (!values.is_empty()).then(|| values.join(",")));
     }
 }
 
-/// Each of these is there once.
-pub fn once<T: PartialEq + Display>(flag: &str, values: &[T]) -> Result<()> {
+/// Checks that no value is given twice; the error names the flag.
+pub fn check_unique<T: PartialEq + Display>(flag: &str, values: &[T]) -> Result<()> {
     match values.iter().enumerate().find(|(at, value)| values[..*at].contains(value)) {
-        Some((_, twice)) => bad(format!("{flag}: {twice} is there twice")),
+        Some((_, twice)) => bad(format!("{flag}: {twice} is given twice")),
         None => Ok(()),
     }
 }
 
 impl Run {
-    /// Says where everything is; `what` is what there are `done` of `all`.
-    pub fn farewell(&self, folder: Option<&Folder>, what: &str, done: usize, all: usize) {
+    /// Prints the location of the results, and after an interruption how many jobs are finished; `what` is their noun.
+    pub fn print_location(&self, folder: Option<&Folder>, what: &str, done: usize, all: usize) {
         match (folder, done < all) {
             (Some(folder), true) => talk(&format!(
                 "interrupted; {done} of {all} {what} are kept in '{}': the same command goes on from there",

@@ -1,4 +1,4 @@
-//! What a study in columns keeps in its folder: a file for each finished trial, and rows, figures, table and page.
+//! Files of a study in columns: a record for each finished trial, and rows, figures, table and page.
 
 use crate::scenario::judge::Verdict;
 use crate::study::record::Record;
@@ -9,10 +9,10 @@ use serde::Serialize;
 
 use super::folder::Folder;
 
-/// The folder of finished trials.
+/// Subfolder of finished trials.
 const TRIALS: &str = "trials";
 
-/// One line of `episodes.csv`; `docs/study.md` has the schema.
+/// Row of `episodes.csv`; `docs/study.md` has the schema.
 #[derive(Serialize)]
 struct Line<'a> {
     column: &'a str,
@@ -26,7 +26,7 @@ struct Line<'a> {
     min_separation_m: Option<f32>,
 }
 
-/// The folder of this study.
+/// Opens the folder of a study.
 pub fn open(path: &std::path::Path, study: &Study) -> Result<Folder> {
     let identity = study.identity();
     Folder::open(path, TRIALS, &identity, |theirs| {
@@ -35,18 +35,18 @@ pub fn open(path: &std::path::Path, study: &Study) -> Result<Folder> {
     })
 }
 
-/// Where a trial's record is.
+/// Returns the file name of a trial's record.
 fn name(study: &Study, job: Job) -> String {
     let column = study.columns[job.column].name.replace(['/', '%'], "");
-    format!("{TRIALS}/{column}.{}.{:03}.json", job.entrant + 1, job.repeat)
+    format!("{TRIALS}/{column}.{}.{:03}.json", job.policy + 1, job.repeat)
 }
 
-/// The record of a trial; `None` if there is none that is whole, and then the trial is run again.
+/// Reads the record of a trial; `None` if it is missing, damaged or of other conditions.
 pub fn read(folder: &Folder, study: &Study, job: Job) -> Option<Record> {
-    folder.kept(&name(study, job)).filter(|record: &Record| record.is_of(study, job))
+    folder.kept(&name(study, job)).filter(|record: &Record| record.belongs_to(study, job))
 }
 
-/// Keeps the record of a trial.
+/// Writes the record of a trial.
 pub fn write(folder: &Folder, study: &Study, job: Job, record: &Record) -> Result<()> {
     folder.keep(&name(study, job), record)
 }

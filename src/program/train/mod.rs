@@ -237,7 +237,7 @@ fn plan(args: &Args) -> Result<Plan> {
     };
     if let Some(radio) = &args.radio {
         let medium = study::medium("--radio", radio)?;
-        conditions::put(&medium, config.robots.unwrap_or(TEAM), &mut config.conditions)
+        conditions::apply(&medium, config.robots.unwrap_or(TEAM), &mut config.conditions)
             .ok_or_else(|| BadInput(format!("--radio: none of a team's messages arrives on '{radio}'")))?;
     }
     let (scenario, preset) = (args.scenario.clone(), preset.to_owned());

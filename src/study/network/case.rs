@@ -1,140 +1,146 @@
-//! What a network study varies, as data, and the cases that follow.
+//! Parameters of a network study, as data, and the cases that follow.
 
 use serde::{Deserialize, Serialize};
 
 use super::medium::Medium;
-use super::talk::AROUND_BYTES;
+use super::traffic::FRAMING_BYTES;
 use crate::config::ConfigError;
 use crate::messages::wire::MAX_FEATURES;
 use crate::net::media::radio::Topology;
 
-/// How a message finds its readers.
+/// Addressing of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Addressing {
-    /// A datagram of its own for every reader.
+    /// One datagram per reader.
     Unicast,
-    /// One datagram for all.
+    /// One datagram for all readers.
     Multicast,
 }
 
-/// How sure a message is to arrive.
+/// Reliability of a message: one of the link layer's (`net::protocol::reliability`), or of RTPS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Assurance {
-    /// It is sent once (the project's link layer, as the next two).
+pub enum ReliabilityMode {
+    /// Sent once (link layer).
     BestEffort,
-    /// It is sent again a little later while readers report loss.
+    /// Repeated once after a short time while readers report loss (link layer).
     Repeat,
-    /// Whoever misses it asks for it, while nothing newer is there.
+    /// Retransmitted on the request of a reader that misses it, unless there is a newer message (link layer).
     Nack,
-    /// RTPS reliable: heartbeats, positive acknowledgements, repairs.
+    /// RTPS reliable: heartbeats, positive acknowledgements, retransmissions.
     Ack,
-    /// The same with positive acknowledgements disabled: a reader answers a heartbeat only when it misses something.
+    /// RTPS reliable with positive acknowledgements disabled: a reader answers a heartbeat only if it misses a sample.
     AckOff,
 }
 
-impl Assurance {
-    /// Every one of them.
-    pub const ALL: [Assurance; 5] =
-        [Assurance::BestEffort, Assurance::Repeat, Assurance::Nack, Assurance::Ack, Assurance::AckOff];
+impl ReliabilityMode {
+    /// All modes.
+    pub const ALL: [ReliabilityMode; 5] = [
+        ReliabilityMode::BestEffort,
+        ReliabilityMode::Repeat,
+        ReliabilityMode::Nack,
+        ReliabilityMode::Ack,
+        ReliabilityMode::AckOff,
+    ];
 }
 
-/// How stations are connected.
+/// Kind of network between the stations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Network {
+pub enum NetworkKind {
     /// A radio channel with an access point.
     Infrastructure,
-    /// A radio channel from station to station.
+    /// A radio channel between stations, in one hop.
     AdHoc,
-    /// Not a radio: each station's own shaped link.
+    /// A wired network with a shaped link for each station.
     Shaped,
 }
 
-/// How much an RTPS writer keeps for repairs.
+/// History of an RTPS writer: samples that it keeps for retransmission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum History {
-    /// The newest so many samples (KEEP_LAST).
+    /// This number of newest samples (KEEP_LAST).
     Last(u32),
-    /// Everything that not all readers have acknowledged (KEEP_ALL).
+    /// All samples that are not acknowledged by all readers (KEEP_ALL).
     All,
 }
 
-/// How it was found what becomes of a case.
+/// Source of a case's outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
-    /// On an emulated medium.
+    /// Emulation.
     Emulated,
-    /// Between hosts.
+    /// Measurement between hosts.
     Live,
 }
 
 impl Source {
-    /// Both.
+    /// Both sources.
     pub const ALL: [Source; 2] = [Source::Emulated, Source::Live];
 }
 
-/// One case: everything that decides what becomes of the messages.
+/// One combination of the varied parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Case {
-    /// How stations are connected.
-    pub network: Network,
-    /// How messages find their readers.
+    /// Kind of network.
+    pub network: NetworkKind,
+    /// Addressing of messages.
     pub addressing: Addressing,
-    /// How sure they are to arrive.
-    pub reliability: Assurance,
-    /// How often the medium access sends a unicast frame again. Multicast frames are never sent again; their way up to
-    /// an access point is.
+    /// Reliability of messages.
+    pub reliability: ReliabilityMode,
+    /// Retry limit of unicast frames (MAC). Multicast frames are not retransmitted, except on their way to an access
+    /// point.
     pub retries: u32,
-    /// Messages of all stations together \[1/s\].
+    /// Message rate of all stations together \[1/s\].
     pub rate: f64,
 }
 
-/// A whole sweep.
+/// A sweep over all combinations of parameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sweep {
-    /// Stations; each publishes, and each of the others is to hear it.
+    /// Number of stations; each publishes to all others.
     pub stations: u16,
-    /// Content of a message \[bytes\]: sender, number, stamp and two floats of position (24), the rest features.
+    /// Content of a message \[bytes\]: sender, sequence number, timestamp and two floats of position (24), the rest
+    /// features.
     pub bytes: usize,
-    /// What it is sent over.
+    /// The medium.
     pub medium: Medium,
-    /// Messages of all stations together \[1/s\].
+    /// Message rates of all stations together \[1/s\].
     pub rates: Vec<f64>,
     /// See `Case`.
-    pub networks: Vec<Network>,
+    pub networks: Vec<NetworkKind>,
     /// See `Case`.
     pub addressings: Vec<Addressing>,
     /// See `Case`.
-    pub reliabilities: Vec<Assurance>,
+    pub reliabilities: Vec<ReliabilityMode>,
     /// See `Case`.
     pub retries: Vec<u32>,
-    /// What an RTPS writer keeps.
+    /// History of RTPS writers.
     pub history: History,
-    /// How long messages are counted, in each case \[s\].
+    /// Duration of the measurement of each case, without warm-up and drain \[s\].
     pub seconds: f64,
-    /// The root of all randomness.
+    /// Root of all randomness.
     pub seed: u64,
 }
 
-/// Bytes of a message that are no features.
+/// Bytes of a message besides its features.
 pub const FIXED_BYTES: usize = 24;
-/// The rates of a sweep \[1/s\]: 60 and 200 are those of the paper's figures.
+/// Default rates of a sweep \[1/s\]; 60 and 200 are those of the paper's figures.
 pub const RATES: [f64; 8] = [10.0, 20.0, 60.0, 100.0, 200.0, 300.0, 400.0, 500.0];
-/// Its retry limits.
+/// Default retry limits of a sweep.
 pub const RETRIES: [u32; 4] = [1, 3, 5, 7];
 
 impl Sweep {
-    /// Everything that is varied, over a medium.
+    /// Returns the sweep over all default values on a medium.
     pub fn whole(medium: Medium) -> Sweep {
         let networks = match &medium {
-            Medium::Radio(_) => vec![Network::Infrastructure, Network::AdHoc],
-            Medium::Shaped(_) => vec![Network::Shaped],
+            Medium::Radio(_) => vec![NetworkKind::Infrastructure, NetworkKind::AdHoc],
+            Medium::Shaped(_) => vec![NetworkKind::Shaped],
         };
         Sweep {
             stations: 5,
@@ -143,7 +149,7 @@ impl Sweep {
             rates: RATES.to_vec(),
             networks,
             addressings: vec![Addressing::Unicast, Addressing::Multicast],
-            reliabilities: Assurance::ALL.to_vec(),
+            reliabilities: ReliabilityMode::ALL.to_vec(),
             retries: RETRIES.to_vec(),
             history: History::Last(1),
             seconds: 20.0,
@@ -151,12 +157,12 @@ impl Sweep {
         }
     }
 
-    /// How many features a message has.
+    /// Returns the number of features in a message.
     pub fn features(&self) -> usize {
         (self.bytes.saturating_sub(FIXED_BYTES) / 4).min(MAX_FEATURES)
     }
 
-    /// Checks that there can be such a sweep.
+    /// Checks all ranges; an error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if !(2..=200).contains(&self.stations) {
@@ -188,7 +194,7 @@ impl Sweep {
         }
         self.medium.check()?;
         let Medium::Shaped(shaped) = &self.medium else { return Ok(()) };
-        let frame = self.bytes + AROUND_BYTES + shaped.overhead_bytes;
+        let frame = self.bytes + FRAMING_BYTES + shaped.overhead_bytes;
         for (field, bytes) in [("burst_bytes", shaped.burst_bytes), ("queue_bytes", shaped.queue_bytes)] {
             if bytes < frame {
                 return wrong("medium", format!("{field} is {bytes}, and a message is {frame} bytes on the link"));
@@ -197,7 +203,7 @@ impl Sweep {
         Ok(())
     }
 
-    /// All cases, by combination and then by rate.
+    /// Returns all cases, by combination and then by rate.
     pub fn cases(&self) -> Vec<Case> {
         let mut cases = Vec::new();
         for &network in &self.networks {
@@ -213,24 +219,24 @@ impl Sweep {
         cases
     }
 
-    fn retries_of(&self, network: Network, addressing: Addressing) -> Vec<u32> {
+    fn retries_of(&self, network: NetworkKind, addressing: Addressing) -> Vec<u32> {
         match (network, addressing, &self.medium) {
-            (Network::Shaped, ..) | (_, _, Medium::Shaped(_)) => vec![0],
+            (NetworkKind::Shaped, ..) | (_, _, Medium::Shaped(_)) => vec![0],
             (_, Addressing::Unicast, _) => self.retries.clone(),
-            (Network::AdHoc, Addressing::Multicast, _) => vec![0],
+            (NetworkKind::AdHoc, Addressing::Multicast, _) => vec![0],
             (_, Addressing::Multicast, Medium::Radio(radio)) => vec![radio.retries],
         }
     }
 
-    /// The medium as it is in a case.
+    /// Returns the medium with topology and retry limit of a case.
     pub fn medium_of(&self, case: &Case) -> Medium {
         let mut medium = self.medium.clone();
         if let Medium::Radio(radio) = &mut medium {
             radio.channel = match case.network {
-                Network::AdHoc | Network::Shaped => Topology::AdHoc,
-                Network::Infrastructure => Topology::Infrastructure,
+                NetworkKind::AdHoc | NetworkKind::Shaped => Topology::AdHoc,
+                NetworkKind::Infrastructure => Topology::Infrastructure,
             };
-            // Repairs to one reader are unicast in every case.
+            // Retransmissions to one reader are unicast in every case.
             if case.addressing == Addressing::Unicast {
                 radio.retries = case.retries;
             }
@@ -252,7 +258,7 @@ macro_rules! named {
     )* };
 }
 
-named!(Addressing, Assurance, Network, Source);
+named!(Addressing, ReliabilityMode, NetworkKind, Source);
 
 impl std::fmt::Display for History {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -264,11 +270,11 @@ impl std::fmt::Display for History {
 }
 
 impl Case {
-    /// What all its rates have in common, in a few words.
+    /// Returns all parameters but the rate as text.
     pub fn combination(&self) -> String {
         let Case { network, addressing, reliability, retries, .. } = self;
         match addressing {
-            Addressing::Unicast if *network != Network::Shaped => {
+            Addressing::Unicast if *network != NetworkKind::Shaped => {
                 format!("{network} {addressing} {reliability}, {retries} retries")
             }
             _ => format!("{network} {addressing} {reliability}"),
@@ -282,7 +288,7 @@ mod tests {
     use crate::net::media::radio::Radio;
 
     #[test]
-    fn retries_are_varied_for_unicast_alone() {
+    fn retries_are_varied_for_unicast_only() {
         let sweep = Sweep::whole(Medium::Radio(Radio::default()));
         sweep.check().unwrap();
         let cases = sweep.cases();

@@ -1,48 +1,48 @@
-//! The end of a protocol at one station, and the times of a case, emulated or measured.
+//! Endpoint of a protocol at one station, and the time constants of a case, emulated or measured.
 
 use crate::time::{Span, Time};
 
-/// Stations speak for so long before anything is counted: hosts have to prove themselves, queues to fill.
-pub const WARM: Span = Span::from_millis(3000);
-/// What is under way at the end of the window has so long to arrive.
+/// Warm-up before anything is counted: hosts have to authenticate, queues to fill.
+pub const WARM_UP: Span = Span::from_millis(3000);
+/// Time after the end of the window in which messages may still arrive.
 pub const DRAIN: Span = Span::from_millis(2000);
-/// The paper's control steps: 20 Hz.
+/// Control period: 20 Hz, as in the paper.
 pub const STEP: Span = Span::from_millis(50);
 
-/// The age of what never came, at a control step.
+/// Age at a control step if no message was received yet.
 pub const NEVER: Span = Span::from_millis(1_000_000);
 
-/// What a station does.
+/// Output of an endpoint.
 #[derive(Clone, Debug)]
-pub enum Said<P> {
-    /// It gives its medium something to send: for one, or for all the others.
+pub enum Output<P> {
+    /// Sends a datagram.
     Send {
-        /// For whom.
+        /// Receiving station; none for all others.
         to: Option<u16>,
-        /// Length of the datagram.
+        /// Length of the datagram \[bytes\].
         bytes: usize,
-        /// What it is.
+        /// Content.
         packet: P,
     },
-    /// It has a message that it had not before.
-    Hear {
-        /// Of whom.
+    /// Delivers a new message to the application.
+    Deliver {
+        /// Station that published it.
         from: u16,
-        /// Which one.
+        /// Its sequence number.
         sequence: u32,
     },
 }
 
-/// The end of a protocol at one station.
+/// Endpoint of a protocol at one station.
 pub trait Endpoint {
-    /// What is on its way between two ends.
+    /// Content of a datagram.
     type Packet: Clone;
-    /// The station says its message of this number.
-    fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Said<Self::Packet>>);
-    /// Something has arrived.
-    fn receive(&mut self, now: Time, packet: &Self::Packet, out: &mut Vec<Said<Self::Packet>>);
-    /// When anything is next due.
+    /// Publishes the message with this sequence number.
+    fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Output<Self::Packet>>);
+    /// Handles a received datagram.
+    fn receive(&mut self, now: Time, packet: &Self::Packet, out: &mut Vec<Output<Self::Packet>>);
+    /// Returns when it next has to be woken.
     fn wake_at(&self) -> Option<Time>;
-    /// Does what is due.
-    fn wake(&mut self, now: Time, out: &mut Vec<Said<Self::Packet>>);
+    /// Handles timers that have expired at `now`.
+    fn wake(&mut self, now: Time, out: &mut Vec<Output<Self::Packet>>);
 }

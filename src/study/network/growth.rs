@@ -1,5 +1,5 @@
-//! What a robot of a team costs as the team grows at constant density: scenario `swap`, scripted navigation, with one
-//! agent for all robots or a host for each. Counts are simulated; processor time is handed in by whoever has a clock.
+//! Cost per robot as a team grows at constant density: scenario `swap`, scripted navigation, with one agent for all
+//! robots or one host per robot. Counts are simulated; processor time is measured by the caller.
 
 use serde::{Deserialize, Serialize};
 
@@ -11,22 +11,22 @@ use crate::report::cost::Cost;
 use crate::time::Span;
 use crate::trial::{Trial, TrialError};
 
-/// The deployments: one agent for all in lock step, and a host for each robot.
+/// Deployments: one agent for all robots in lock step, and one host per robot.
 pub const MODES: [&str; 2] = ["sim", "onboard-adhoc"];
-/// How much of a team's time is simulated \[s\].
-pub const LASTS_S: f64 = 10.0;
-/// How much farther frames carry than they are listened to \[m\]: how far two robots may have come since they were
-/// measured.
+/// Simulated time of a run \[s\].
+pub const DURATION_S: f64 = 10.0;
+/// Transmission range beyond the communication range \[m\]: the distance that two robots may have moved since they
+/// were measured.
 const MARGIN_M: f32 = 0.25;
-/// Ground of each robot in the scenario \[m²\].
+/// Ground area per robot in the scenario \[m²\].
 pub const GROUND_M2: f64 = 4.0;
 
-/// How far the frames of these teams carry \[m\].
+/// Returns the transmission range of these teams \[m\].
 pub fn range_m() -> f32 {
     orca::INTERFACE.radius_m + MARGIN_M
 }
 
-/// A team of so many robots for so long. Between hosts latents carry a little farther than they are listened to.
+/// Returns a trial of a team that lasts for `lasts`. Links between hosts have the range `range_m`.
 pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError> {
     let trial = Trial::of_team(mode, "swap", robots)?.lasting(lasts);
     if trial.deployment.hosts.len() == 1 {
@@ -36,34 +36,34 @@ pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError
     Ok(Trial { deployment, ..trial })
 }
 
-/// What a robot of a team of one size costs, per second of its time.
+/// Cost per robot of a team of one size, per simulated second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
-    /// The deployment.
+    /// Deployment, one of `MODES`.
     pub mode: String,
-    /// Robots.
+    /// Number of robots.
     pub robots: usize,
-    /// Messages that it says, of all kinds \[1/s\].
+    /// Messages published, of all kinds \[1/s\].
     pub messages: f64,
-    /// Their bytes \[1/s\].
+    /// Bytes published \[1/s\].
     pub bytes: f64,
-    /// Datagrams that its hosts take in \[1/s\]: 0 where all is one host.
+    /// Datagrams received by its hosts \[1/s\]; 0 if there is one host only.
     pub deliveries: f64,
-    /// The share of time that its own latents are on the air, by multicast; none without a radio.
+    /// Share of airtime of its own latents, by multicast; none without a radio.
     pub airtime: Option<f64>,
-    /// The share of time that the air around it is taken, with those whose frames carry to it; none without a radio.
+    /// Share of airtime of all robots within range, itself included; none without a radio.
     pub airtime_around: Option<f64>,
-    /// Time of one processor \[µs\] that it takes to simulate it.
+    /// Processor time of its simulation \[µs\].
     pub cpu_us: f64,
 }
 
 impl Growth {
-    /// What a run in this deployment has cost, and so much processor time \[s\].
+    /// Returns the cost per robot of a run in this deployment that took `cpu_s` of processor time \[s\].
     pub fn of(mode: &str, cost: &Cost, cpu_s: f64, radio: Option<&Radio>) -> Growth {
         let latents = cost.kinds.iter().find(|kind| kind.kind == Kind::Latent).expect("all kinds are counted");
         let on_air = |radio: &Radio| {
             let datagram_bytes = (latents.bytes / latents.messages.max(f64::MIN_POSITIVE)).round() as usize + TAG_BYTES;
-            latents.messages * (radio.multicast_airtime(datagram_bytes) + radio.times().space).as_secs()
+            latents.messages * (radio.multicast_airtime(datagram_bytes) + radio.times().aifs).as_secs()
         };
         let airtime = radio.filter(|_| cost.deliveries > 0.0).map(on_air);
         Growth {
@@ -73,14 +73,14 @@ impl Growth {
             bytes: cost.bytes,
             deliveries: cost.deliveries,
             airtime,
-            airtime_around: airtime.map(|own| own * (1.0 + around()).min(cost.robots as f64)),
+            airtime_around: airtime.map(|own| own * (1.0 + neighbours_in_range()).min(cost.robots as f64)),
             cpu_us: 1e6 * cpu_s / (cost.robots as f64 * cost.virtual_s),
         }
     }
 }
 
-/// How many robots the frames of one carry to, far from the edge of the ground.
-pub fn around() -> f64 {
+/// Returns the mean number of robots within transmission range, far from the edge of the ground.
+pub fn neighbours_in_range() -> f64 {
     std::f64::consts::PI * f64::from(range_m()).powi(2) / GROUND_M2
 }
 
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_team_is_simulated_and_its_air_reckoned() {
+    fn airtime_is_computed_from_a_simulated_team() {
         let of = |mode, robots| {
             let trial = trial(mode, robots, Span::from_secs(2.0)).unwrap();
             let cost = Cost::of(robots, &trial.run());
@@ -102,7 +102,10 @@ mod tests {
         assert!((0.01..0.06).contains(&own), "{five:?}");
         assert!((five.airtime_around.unwrap() / own - 5.0).abs() < 1e-9, "all five hear each other");
         let near = fifty.airtime_around.unwrap() / fifty.airtime.unwrap();
-        assert!((near - 1.0 - around()).abs() < 1e-9 && (14.0..15.0).contains(&around()), "{near}");
+        assert!(
+            (near - 1.0 - neighbours_in_range()).abs() < 1e-9 && (14.0..15.0).contains(&neighbours_in_range()),
+            "{near}"
+        );
         assert!(trial("onboard-adhoc", 1, Span::from_secs(1.0)).is_err());
     }
 }

@@ -1,8 +1,8 @@
-//! A station that speaks through the project's own link layer: best-effort, repeated, or repaired when missed.
+//! A station that uses the project's own link layer: best effort, repeated, or retransmitted on request.
 
-use super::case::{Addressing, Assurance};
-use super::endpoint::{Endpoint, Said};
-use super::talk;
+use super::case::{Addressing, ReliabilityMode};
+use super::endpoint::{Endpoint, Output};
+use super::traffic;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::net::protocol::codec::{self, Content, Frame};
@@ -13,7 +13,7 @@ use crate::net::protocol::router::Audience;
 use crate::random::{Seed, Stream};
 use crate::time::Time;
 
-/// A key like any other: what authentication takes does not depend on it.
+/// Any key: the length of datagrams does not depend on it.
 const KEY: [u8; 32] = *b"the key of the network study....";
 const LINK: LinkId = LinkId(0);
 
@@ -26,13 +26,13 @@ pub struct Linked {
     leaving: Vec<(Audience, Frame)>,
 }
 
-/// How a link is set up for a reliability.
-pub fn setup(addressing: Addressing, reliability: Assurance) -> Setup {
+/// Returns the setup of a link. Panics for the reliability modes of RTPS.
+pub fn setup(addressing: Addressing, reliability: ReliabilityMode) -> Setup {
     let reliability = match reliability {
-        Assurance::BestEffort => Reliability::BestEffort,
-        Assurance::Repeat => Reliability::Repeat,
-        Assurance::Nack => Reliability::Nack,
-        Assurance::Ack | Assurance::AckOff => unreachable!("RTPS has stations of its own"),
+        ReliabilityMode::BestEffort => Reliability::BestEffort,
+        ReliabilityMode::Repeat => Reliability::Repeat,
+        ReliabilityMode::Nack => Reliability::Nack,
+        ReliabilityMode::Ack | ReliabilityMode::AckOff => unreachable!("RTPS has stations of its own"),
     };
     let reliabilities = Reliabilities::from([(Kind::Latent, reliability)]);
     match addressing {
@@ -42,7 +42,7 @@ pub fn setup(addressing: Addressing, reliability: Assurance) -> Setup {
 }
 
 impl Linked {
-    /// A station of a team with a key.
+    /// Returns a station of a team with a key.
     pub fn new(station: u16, setup: Setup, features: usize, seed: &Seed) -> Linked {
         let mut stream = seed.stream(&format!("link/{station}"));
         let me = Identity { host: HostId(station), team: 1, epoch: 1 };
@@ -50,13 +50,13 @@ impl Linked {
         Linked { station, features, state, stream, leaving: Vec::new() }
     }
 
-    fn leave(&mut self, out: &mut Vec<Said<Frame>>) {
+    fn leave(&mut self, out: &mut Vec<Output<Frame>>) {
         for (audience, packet) in self.leaving.drain(..) {
             let to = match audience {
                 Audience::All => None,
                 Audience::Host(host) => Some(host.0),
             };
-            out.push(Said::Send { to, bytes: packet.len(), packet });
+            out.push(Output::Send { to, bytes: packet.len(), packet });
         }
     }
 }
@@ -64,15 +64,15 @@ impl Linked {
 impl Endpoint for Linked {
     type Packet = Frame;
 
-    fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Said<Frame>>) {
-        let latent = talk::message(self.station, 0, sequence, now.since(Time::ZERO), self.features);
+    fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Output<Frame>>) {
+        let latent = traffic::message(self.station, 0, sequence, now.since(Time::ZERO), self.features);
         self.state
             .say(now, Audience::All, &Wire::Latent(latent), &mut self.leaving)
             .expect("a checked sweep has messages that fit");
         self.leave(out);
     }
 
-    fn receive(&mut self, now: Time, frame: &Frame, out: &mut Vec<Said<Frame>>) {
+    fn receive(&mut self, now: Time, frame: &Frame, out: &mut Vec<Output<Frame>>) {
         let admitted = self.state.admit(now, frame, &mut self.stream, &mut self.leaving);
         let mut heard = Vec::new();
         if let Some((header, plain)) = admitted {
@@ -80,7 +80,7 @@ impl Endpoint for Linked {
                 let Content::Message(kind) = content else { continue };
                 let Ok(Wire::Latent(latent)) = codec::message(kind, body) else { continue };
                 if self.state.accept(&header, kind, latent.robot) {
-                    heard.push(Said::Hear { from: latent.robot.0, sequence: latent.round.episode });
+                    heard.push(Output::Deliver { from: latent.robot.0, sequence: latent.round.episode });
                 }
             }
         }
@@ -92,7 +92,7 @@ impl Endpoint for Linked {
         self.state.due()
     }
 
-    fn wake(&mut self, now: Time, out: &mut Vec<Said<Frame>>) {
+    fn wake(&mut self, now: Time, out: &mut Vec<Output<Frame>>) {
         self.state.wake(now, &mut self.stream, &mut self.leaving);
         self.leave(out);
     }

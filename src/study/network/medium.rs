@@ -1,28 +1,28 @@
-//! What a network study sends over: a radio channel or shaped links, by name or as a file; and one of them at work.
+//! Medium of a network study: a radio channel or shaped links, by name or from a file; and its emulator.
 
 use serde::{Deserialize, Serialize};
 
 use super::shaped::{Links, Shaped};
 use crate::config::{self, ConfigError};
-use crate::net::media::radio::{self, Channel, Delivery, Radio, To};
+use crate::net::media::radio::{self, Channel, Delivery, Destination, Radio};
 use crate::random::Seed;
 use crate::time::Time;
 
-/// What messages are sent over.
+/// Medium between the stations.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Medium {
-    /// A channel of 802.11 that all stations share.
+    /// One channel of 802.11, shared by all stations.
     Radio(Radio),
     /// A shaped link for each station.
     Shaped(Shaped),
 }
 
-/// The name of the medium that is no radio.
+/// Name of the preset with shaped links.
 const SHAPED: &str = "shaped";
 
 impl Medium {
-    /// The medium of that name.
+    /// Returns the medium of that name.
     pub fn named(name: &str) -> Option<Medium> {
         if name == SHAPED {
             return Some(Medium::Shaped(Shaped::megabit()));
@@ -30,12 +30,13 @@ impl Medium {
         Radio::preset(name).map(Medium::Radio)
     }
 
-    /// All names.
+    /// Returns all names, for errors.
     pub fn names() -> String {
         radio::PRESETS.into_iter().chain([SHAPED]).collect::<Vec<_>>().join(", ")
     }
 
-    /// Reads a medium from TOML and checks it: a radio file, or shaped links if it says `rate_bit_s`.
+    /// Reads a medium from TOML and checks it: a radio, or shaped links if there is `rate_bit_s`. An error names the
+    /// field.
     pub fn from_toml(text: &str) -> Result<Medium, ConfigError> {
         let table: toml::Table = config::from_toml(text)?;
         if !table.contains_key("rate_bit_s") {
@@ -46,7 +47,7 @@ impl Medium {
         Ok(Medium::Shaped(shaped))
     }
 
-    /// Checks that there can be such a medium.
+    /// Checks all ranges; an error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         match self {
             Medium::Radio(radio) => radio.check(),
@@ -55,52 +56,52 @@ impl Medium {
     }
 }
 
-/// A medium at work.
-pub enum Air<T> {
+/// Emulator of a medium.
+pub enum MediumEmulator<T> {
     /// A radio channel.
     Radio(Box<Channel<T>>),
     /// Shaped links.
     Shaped(Box<Links<T>>),
 }
 
-impl<T: Clone> Air<T> {
-    /// A silent medium with so many stations.
-    pub fn new(medium: Medium, stations: u16, seed: &Seed) -> Air<T> {
+impl<T: Clone> MediumEmulator<T> {
+    /// Returns an emulator with idle stations.
+    pub fn new(medium: Medium, stations: u16, seed: &Seed) -> MediumEmulator<T> {
         match medium {
-            Medium::Radio(radio) => Air::Radio(Box::new(Channel::new(radio, stations, seed))),
-            Medium::Shaped(shaped) => Air::Shaped(Box::new(Links::new(shaped, stations, seed))),
+            Medium::Radio(radio) => MediumEmulator::Radio(Box::new(Channel::new(radio, stations, seed))),
+            Medium::Shaped(shaped) => MediumEmulator::Shaped(Box::new(Links::new(shaped, stations, seed))),
         }
     }
 
-    /// A station is given a datagram of so many bytes to send.
-    pub fn offer(&mut self, now: Time, from: u16, to: To, bytes: usize, token: T) {
+    /// Queues a datagram of `bytes` at a station.
+    pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         match self {
-            Air::Radio(channel) => channel.offer(now, from, to, bytes, token),
-            Air::Shaped(links) => links.offer(now, from, to, bytes, token),
+            MediumEmulator::Radio(channel) => channel.offer(now, from, to, bytes, token),
+            MediumEmulator::Shaped(links) => links.offer(now, from, to, bytes, token),
         }
     }
 
-    /// When anything is next due.
+    /// Returns when it next has to be woken.
     pub fn wake_at(&self) -> Option<Time> {
         match self {
-            Air::Radio(channel) => channel.wake_at(),
-            Air::Shaped(links) => links.wake_at(),
+            MediumEmulator::Radio(channel) => channel.wake_at(),
+            MediumEmulator::Shaped(links) => links.wake_at(),
         }
     }
 
-    /// Does what is due.
+    /// Runs the medium up to `now`; appends received frames to `deliveries`.
     pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<T>>) {
         match self {
-            Air::Radio(channel) => channel.wake(now, deliveries),
-            Air::Shaped(links) => links.wake(now, deliveries),
+            MediumEmulator::Radio(channel) => channel.wake(now, deliveries),
+            MediumEmulator::Shaped(links) => links.wake(now, deliveries),
         }
     }
 
-    /// For how long it was taken by the stations until now \[s\].
-    pub fn taken_s(&self, now: Time) -> f64 {
+    /// Returns the time in which it was busy with the stations' frames until now \[s\].
+    pub fn busy_s(&self, now: Time) -> f64 {
         match self {
-            Air::Radio(channel) => channel.counts(now).airtime_ns as f64 * 1e-9,
-            Air::Shaped(links) => links.taken_s(),
+            MediumEmulator::Radio(channel) => channel.counts(now).airtime_ns as f64 * 1e-9,
+            MediumEmulator::Shaped(links) => links.busy_s(),
         }
     }
 }

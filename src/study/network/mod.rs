@@ -1,8 +1,8 @@
-//! The network study: which addressing and which reliability carry a team's messages over a medium, at which rates.
+//! Network study: delivery, delay and airtime of a team's messages by addressing, reliability, retry limit and rate.
 //!
-//! Pure: `case` says what is varied, `medium` what it is sent over, `emulate` runs one case, `outcome` is what came of
-//! it. Stations speak through the project's own link layer (`linked`) or as the reliable mode of RTPS does (`rtps`).
-//! Nothing here reads a clock or opens a socket: a measurement between real hosts hands in the same outcomes.
+//! Pure: `case` holds the parameters that are varied, `medium` the medium, `emulate` runs one case, `outcome` is its
+//! result. Stations use the project's own link layer (`linked`) or the reliable mode of RTPS (`rtps`). Nothing here
+//! reads a clock or opens a socket; measurements between real hosts produce the same outcomes.
 
 pub mod case;
 #[cfg(feature = "train")]
@@ -21,8 +21,8 @@ pub mod saturation;
 pub mod scale;
 pub mod shaped;
 pub mod table;
-pub mod talk;
+pub mod traffic;
 
-pub use case::{Addressing, Assurance, Case, History, Network, Source, Sweep};
+pub use case::{Addressing, Case, History, NetworkKind, ReliabilityMode, Source, Sweep};
 pub use medium::Medium;
 pub use outcome::{Outcome, Row};

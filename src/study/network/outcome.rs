@@ -1,51 +1,51 @@
-//! What came of one case: delays, what was delivered in time, how old the newest message was at each control step.
+//! Outcome of one case: delays, shares delivered in time, and the age of the newest message at each control step.
 
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
-use super::case::{Addressing, Assurance, Case, Network, Source};
+use super::case::{Addressing, Case, NetworkKind, ReliabilityMode, Source};
 use super::endpoint::NEVER;
 use crate::report::ages::Ages;
 use crate::report::statistics::quantile;
 use crate::time::{Span, Time};
 
-/// For how long a control step may use a message: the policies' hold window.
+/// Maximum age of a message that a control step uses: the policies' hold window.
 pub const USABLE: Span = Span::from_millis(200);
-/// The marks of the paper's network study.
+/// Delay thresholds of the paper's network study.
 pub const MARKS: [Span; 2] = [Span::from_millis(20), Span::from_millis(50)];
 
-/// What came of a case.
+/// Outcome of a case.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outcome {
-    /// How long messages were counted \[s\].
+    /// Duration of the measurement \[s\].
     pub seconds: f64,
-    /// Copies that there would be if nothing was lost: every message of the window at every other station.
+    /// Expected deliveries: every message published in the window, at every other station.
     pub due: u64,
-    /// Those that there were.
+    /// Deliveries.
     pub arrived: u64,
-    /// Those that came within 20 and within 50 ms.
+    /// Deliveries within 20 ms and within 50 ms.
     pub within: [u64; 2],
-    /// Quantiles of the delays of those that came: 10, 50, 90 and 99 % \[s\].
+    /// Quantiles of the delay of deliveries: 10, 50, 90 and 99 % \[s\].
     pub quantiles_s: Option<[f64; 4]>,
-    /// Their delays.
+    /// Histogram of the delays.
     pub delays: Ages,
-    /// How old the newest message of each other station was, at each control step.
+    /// Histogram of the age of the newest message of each other station, at each control step.
     pub ages: Ages,
-    /// Quantiles of the same: 50 and 90 % \[s\].
+    /// Quantiles of that age: 50 and 90 % \[s\].
     pub age_quantiles_s: Option<[f64; 2]>,
-    /// The share of control steps and other stations in which that was `USABLE`.
+    /// Share of pairs of control step and other station with an age of at most `USABLE`.
     pub usable: f64,
-    /// Datagrams of all stations a second; unknown where it was measured between hosts.
+    /// Datagrams of all stations \[1/s\]; none in a measurement between hosts.
     pub datagrams_per_s: Option<f64>,
-    /// Their bytes a second, likewise.
+    /// Bytes of all stations \[1/s\]; none in a measurement between hosts.
     pub bytes_per_s: Option<f64>,
-    /// The share of time in which the medium was taken by them; unknown where it was measured between hosts.
+    /// Share of time in which the medium was busy with them; none in a measurement between hosts.
     pub airtime: Option<f64>,
 }
 
-/// Counts while a case runs.
+/// Counters of a running case.
 #[derive(Clone, Debug)]
 pub struct Tally {
     window: (Time, Time),
@@ -58,18 +58,18 @@ pub struct Tally {
     ages_s: Vec<f64>,
     usable: u64,
     sent: (u64, u64),
-    taken_s: [Option<f64>; 2],
-    /// By station: when its newest messages were said, and the number of the first of them.
-    said: Vec<(u32, VecDeque<Time>)>,
-    /// By receiver and sender: when the newest message that has come was said.
+    busy_s: [Option<f64>; 2],
+    /// By station: publication times of its newest messages, and the sequence number of the first of them.
+    published_at: Vec<(u32, VecDeque<Time>)>,
+    /// By receiver and sender: publication time of the newest received message.
     newest: Vec<Option<Time>>,
 }
 
-/// Messages of one station whose times are remembered.
+/// Maximum number of publication times kept for one station.
 const REMEMBERED: usize = 100_000;
 
 impl Tally {
-    /// Nothing yet; what is said in the window counts.
+    /// Returns empty counters; messages published in the window count.
     pub fn new(stations: u16, window: (Time, Time)) -> Tally {
         let stations = usize::from(stations);
         Tally {
@@ -83,13 +83,13 @@ impl Tally {
             ages_s: Vec::new(),
             usable: 0,
             sent: (0, 0),
-            taken_s: [None; 2],
-            said: vec![(0, VecDeque::new()); stations],
+            busy_s: [None; 2],
+            published_at: vec![(0, VecDeque::new()); stations],
             newest: vec![None; stations * stations],
         }
     }
 
-    /// When messages count.
+    /// Returns the window in which published messages count.
     pub fn window(&self) -> (Time, Time) {
         self.window
     }
@@ -98,9 +98,9 @@ impl Tally {
         at >= self.window.0 && at < self.window.1
     }
 
-    /// A station says a message.
+    /// Counts a published message. Panics unless sequence numbers are consecutive.
     pub fn published(&mut self, now: Time, station: u16, sequence: u32) {
-        let (first, times) = &mut self.said[usize::from(station)];
+        let (first, times) = &mut self.published_at[usize::from(station)];
         assert_eq!(sequence as usize, *first as usize + times.len(), "numbers follow each other");
         times.push_back(now);
         if times.len() > REMEMBERED {
@@ -112,20 +112,20 @@ impl Tally {
         }
     }
 
-    /// A station has a message that it had not before.
-    pub fn heard(&mut self, now: Time, station: u16, from: u16, sequence: u32) {
-        let (first, times) = &self.said[usize::from(from)];
+    /// Counts a message that a station receives for the first time.
+    pub fn received(&mut self, now: Time, station: u16, from: u16, sequence: u32) {
+        let (first, times) = &self.published_at[usize::from(from)];
         let place = sequence.checked_sub(*first).and_then(|place| times.get(place as usize));
-        let Some(&said) = place else { return };
+        let Some(&published) = place else { return };
         let newest = &mut self.newest[usize::from(station) * self.stations + usize::from(from)];
-        *newest = (*newest).max(Some(said));
-        if self.counts(said) {
-            self.delayed(now.since(said));
+        *newest = (*newest).max(Some(published));
+        if self.counts(published) {
+            self.add_delay(now.since(published));
         }
     }
 
-    /// A message of the window came after so long.
-    pub fn delayed(&mut self, delay: Span) {
+    /// Counts the delay of a message of the window.
+    pub fn add_delay(&mut self, delay: Span) {
         self.delays.add(delay);
         for (within, mark) in self.within.iter_mut().zip(MARKS) {
             *within += u64::from(delay <= mark);
@@ -133,23 +133,23 @@ impl Tally {
         self.delays_s.push(delay.as_secs());
     }
 
-    /// A station looks at the newest message of each other one.
+    /// Counts a control step: the age of the newest message of each other station.
     pub fn step(&mut self, now: Time, station: u16) {
         for from in (0..self.stations).filter(|from| *from != usize::from(station)) {
-            // Of whom nothing was ever heard, everything is too old.
+            // Without any message of a station, the age exceeds every limit.
             let age = self.newest[usize::from(station) * self.stations + from].map_or(NEVER, |at| now.since(at));
-            self.aged(age);
+            self.add_age(age);
         }
     }
 
-    /// At a control step the newest message of another station was so old.
-    pub fn aged(&mut self, age: Span) {
+    /// Counts the age of another station's newest message at a control step.
+    pub fn add_age(&mut self, age: Span) {
         self.ages.add(age);
         self.ages_s.push(age.as_secs());
         self.usable += u64::from(age <= USABLE);
     }
 
-    /// A station has handed its medium a datagram.
+    /// Counts datagrams that a station has sent.
     pub fn sent(&mut self, now: Time, datagrams: u64, bytes: usize) {
         if self.counts(now) {
             self.sent.0 += datagrams;
@@ -157,26 +157,26 @@ impl Tally {
         }
     }
 
-    /// Asks how long the medium was taken, at the beginning and at the end of the window.
-    pub fn sees_airtime(&mut self, now: Time, taken_s: impl Fn() -> f64) {
-        for (seen, edge) in self.taken_s.iter_mut().zip([self.window.0, self.window.1]) {
+    /// Samples the medium's busy time at both ends of the window.
+    pub fn sample_airtime(&mut self, now: Time, busy_s: impl Fn() -> f64) {
+        for (seen, edge) in self.busy_s.iter_mut().zip([self.window.0, self.window.1]) {
             if seen.is_none() && now >= edge {
-                *seen = Some(taken_s());
+                *seen = Some(busy_s());
             }
         }
     }
 
-    /// So many copies are due: where nobody sees all stations.
-    pub fn expects(&mut self, due: u64) {
+    /// Adds expected deliveries, for a measurement in which each station counts its own messages.
+    pub fn add_due(&mut self, due: u64) {
         self.due += due;
     }
 
-    /// What came of it.
+    /// Returns the outcome.
     pub fn outcome(self) -> Outcome {
         let window_s = self.window.1.since(self.window.0).as_secs();
         let (arrived, seen) = (self.delays_s.len() as u64, self.sent.0 > 0);
         let delay = |q: f64| quantile(&self.delays_s, q);
-        // Where that many were never heard there is no such age.
+        // There is no such quantile if too many pairs never had a message.
         let age = |q: f64| quantile(&self.ages_s, q).filter(|age| *age < NEVER.as_secs());
         let steps = self.ages_s.len().max(1) as f64;
         let all = |qs: [f64; 4]| Some([delay(qs[0])?, delay(qs[1])?, delay(qs[2])?, delay(qs[3])?]);
@@ -192,35 +192,35 @@ impl Tally {
             usable: self.usable as f64 / steps,
             datagrams_per_s: seen.then_some(self.sent.0 as f64 / window_s),
             bytes_per_s: seen.then_some(self.sent.1 as f64 / window_s),
-            airtime: self.taken_s[0].zip(self.taken_s[1]).map(|(from, to)| (to - from) / window_s),
+            airtime: self.busy_s[0].zip(self.busy_s[1]).map(|(from, to)| (to - from) / window_s),
         }
     }
 }
 
-/// One line of the results, as `--json` prints it. Fields are only ever added.
+/// Row of the results, as `--json` prints it. Fields are only ever added.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// How it was found.
+    /// Emulation or measurement.
     pub source: Source,
     /// See `Case`.
     pub addressing: Addressing,
     /// See `Case`.
-    pub reliability: Assurance,
+    pub reliability: ReliabilityMode,
     /// See `Case`.
     pub retries: u32,
     /// See `Case`.
-    pub network: Network,
-    /// Messages of all stations together \[1/s\].
+    pub network: NetworkKind,
+    /// Message rate of all stations together \[1/s\].
     pub rate: f64,
-    /// How long they were counted \[s\].
+    /// Duration of the measurement \[s\].
     pub seconds: f64,
-    /// The share of messages that came, over all readers.
+    /// Share of expected deliveries that arrived.
     pub delivered: f64,
-    /// The share that came within 20 ms, of all that were due.
+    /// Share of expected deliveries that arrived within 20 ms.
     pub within_20ms: f64,
-    /// The share that came within 50 ms, of all that were due.
+    /// Share of expected deliveries that arrived within 50 ms.
     pub within_50ms: f64,
-    /// Quantiles of the delay of those that came \[ms\]; none if none came.
+    /// Quantiles of the delay of deliveries \[ms\]; none if there were none.
     pub p10_ms: Option<f64>,
     /// See `p10_ms`.
     pub p50_ms: Option<f64>,
@@ -228,32 +228,32 @@ pub struct Row {
     pub p90_ms: Option<f64>,
     /// See `p10_ms`.
     pub p99_ms: Option<f64>,
-    /// The share of time in which the medium was taken; none where it was not measured.
+    /// Share of time in which the medium was busy; none where it was not measured.
     pub airtime: Option<f64>,
-    /// Age of the newest message of another station at a control step, median and 90 % \[ms\].
+    /// Age of the newest message of another station at a control step, median and 90 % quantile \[ms\].
     pub age_p50_ms: Option<f64>,
     /// See `age_p50_ms`.
     pub age_p90_ms: Option<f64>,
-    /// The share of control steps at which it was no older than 200 ms.
+    /// Share of control steps at which that age was at most 200 ms.
     pub usable: f64,
-    /// Datagrams a message, all that protocols add included; none where it was not counted.
+    /// Datagrams per message, including protocol overhead; none where they were not counted.
     pub datagrams_per_message: Option<f64>,
 }
 
 impl Row {
-    /// The case that it is of.
+    /// Returns the case of the row.
     pub fn case(&self) -> Case {
         let Row { network, addressing, reliability, retries, rate, .. } = *self;
         Case { network, addressing, reliability, retries, rate }
     }
 
-    /// What all rates of its combination have in common, in a few words.
+    /// Returns all parameters but the rate as text.
     pub fn combination(&self) -> String {
         let name = self.case().combination();
         if self.source == Source::Emulated { name } else { format!("{name}, {}", self.source) }
     }
 
-    /// The line of a case.
+    /// Returns the row of a case.
     pub fn of(source: Source, case: &Case, outcome: &Outcome) -> Row {
         let due = outcome.due.max(1) as f64;
         let delay = |at: usize| outcome.quantiles_s.map(|all| 1000.0 * all[at]);

@@ -1,6 +1,6 @@
-//! The report of a network study: its figures and its page.
+//! Report of a network study: its figures and its page.
 
-use super::case::{Addressing, Assurance, Case, Network, Source, Sweep};
+use super::case::{Addressing, Case, NetworkKind, ReliabilityMode, Source, Sweep};
 use super::growth::Growth;
 use super::medium::Medium;
 use super::outcome::{Outcome, Row};
@@ -10,30 +10,30 @@ use crate::report::figures::{self, Figure, FigureError, Heard, Line, Panel, Poin
 use crate::report::listening::Listening;
 use crate::report::page::{self, Part};
 
-/// A case with what came of it.
+/// A case with its outcome and its source.
 pub type Found = (Source, Case, Outcome);
 
-/// A line's name, and whether a case is on it.
+/// Name of a line, and a predicate for the cases on it.
 type OnLine = (String, Box<dyn Fn(&Found) -> bool>);
 
-/// The rates of the paper's two figures \[1/s\]; the nearest of a sweep are drawn.
+/// Rates of the paper's two figures \[1/s\]; the nearest rates of a sweep are drawn.
 const DRAWN: [f64; 2] = [60.0, 200.0];
 
-/// Everything a study found.
+/// Results of a study.
 pub struct Findings<'a> {
-    /// What was varied.
+    /// Parameters.
     pub sweep: &'a Sweep,
-    /// What came of it.
+    /// Outcomes by case.
     pub results: &'a [Found],
-    /// What robots of growing teams cost.
+    /// Cost per robot of growing teams.
     pub grown: &'a [Growth],
-    /// The command that makes it.
+    /// Command that reproduces the study.
     pub command: &'a str,
-    /// What else there is to say: of clocks, of fits.
+    /// Remarks, such as the uncertainty of clocks.
     pub notes: &'a [String],
 }
 
-/// One set of lines of a figure: cases that differ in one thing.
+/// Lines of one figure: cases that differ in one parameter.
 struct Group {
     name: String,
     title: String,
@@ -41,18 +41,18 @@ struct Group {
 }
 
 impl Findings<'_> {
-    /// The rows.
+    /// Returns the rows.
     pub fn rows(&self) -> Vec<Row> {
         self.results.iter().map(|(source, case, outcome)| Row::of(*source, case, outcome)).collect()
     }
 
-    /// By network: reliabilities by multicast, by unicast, and RTPS over retry limits.
+    /// Groups the cases by network: reliabilities by multicast, by unicast, and RTPS over retry limits.
     fn groups(&self) -> Vec<Group> {
         let mut groups = Vec::new();
         let most = self.sweep.retries.iter().copied().max().unwrap_or(0);
         for &network in &self.sweep.networks {
             for &addressing in &self.sweep.addressings {
-                let retried = addressing == Addressing::Unicast && network != Network::Shaped;
+                let retried = addressing == Addressing::Unicast && network != NetworkKind::Shaped;
                 let with = if retried { format!(", {most} retries") } else { String::new() };
                 let mut lines = Vec::new();
                 for &reliability in &self.sweep.reliabilities {
@@ -66,14 +66,14 @@ impl Findings<'_> {
                 groups.push(Group { name: format!("{network}-{addressing}"), title, lines });
             }
             let unicast = self.sweep.addressings.contains(&Addressing::Unicast);
-            let acks = self.sweep.reliabilities.contains(&Assurance::Ack);
-            if network != Network::Shaped && unicast && acks && self.sweep.retries.len() > 1 {
+            let acks = self.sweep.reliabilities.contains(&ReliabilityMode::Ack);
+            if network != NetworkKind::Shaped && unicast && acks && self.sweep.retries.len() > 1 {
                 let mut lines = Vec::new();
                 for &retries in &self.sweep.retries {
                     let is = move |case: &Case| {
                         let Case { addressing, reliability, .. } = case;
                         case.network == network
-                            && (*addressing, *reliability) == (Addressing::Unicast, Assurance::Ack)
+                            && (*addressing, *reliability) == (Addressing::Unicast, ReliabilityMode::Ack)
                             && case.retries == retries
                     };
                     self.sources(&mut lines, &format!("ack, retry limit {retries}"), is);
@@ -86,7 +86,7 @@ impl Findings<'_> {
         groups
     }
 
-    /// A line for what was emulated and one for what was measured, as far as there are such.
+    /// Adds a line for emulated and one for measured cases, if there are such.
     fn sources(&self, lines: &mut Vec<OnLine>, name: &str, is: impl Fn(&Case) -> bool + Copy + 'static) {
         let live = self.results.iter().any(|(source, ..)| *source == Source::Live);
         for source in Source::ALL {
@@ -97,7 +97,7 @@ impl Findings<'_> {
         }
     }
 
-    /// The figures.
+    /// Returns the figures.
     pub fn figures(&self) -> Result<Vec<Figure>, FigureError> {
         let mut all = Vec::new();
         for group in self.groups() {
@@ -121,9 +121,9 @@ impl Findings<'_> {
         Ok(all)
     }
 
-    /// How long one message is as a datagram: the shortest of the project's own, which bears no reports.
+    /// Returns the length of a message's datagram \[bytes\]: the link layer's shortest, without reports.
     fn datagram_bytes(&self) -> usize {
-        self.sweep.bytes + super::talk::AROUND_BYTES
+        self.sweep.bytes + super::traffic::FRAMING_BYTES
     }
 
     fn over_rates(&self, group: &Group) -> Result<Figure, FigureError> {
@@ -146,9 +146,9 @@ impl Findings<'_> {
             name: format!("rates-{}", group.name),
             title: format!("Over the rate: {}", group.title),
             caption:
-                "Messages of all stations together along x. Above: the share that came within 20 ms, and at all, of \
-                      all messages at all readers. Below: the share of time in which the medium was taken; and how old \
-                      the newest message of another station was at the control steps, every 50 ms."
+                "Horizontal: message rate of all stations together. Above: shares of all expected deliveries that \
+                 arrived within 20 ms, and at all. Below: share of time in which the medium was busy; age of the \
+                 newest message of another station at the control steps, every 50 ms."
                     .to_owned(),
             svg: figures::sweep(&group.title, "messages/s", &places, &panels)?,
         })
@@ -176,16 +176,15 @@ impl Findings<'_> {
         Ok(Figure {
             name: format!("delay-{}-{rate}", group.name),
             title: format!("Delays: {title}"),
-            caption:
-                "Left: from publication to arrival, as a share of all messages at all readers, so that a curve ends \
+            caption: "Left: from publication to arrival, as a share of all expected deliveries, so that a curve ends \
                       at what was delivered. Right: from publication of the newest message of another station to each \
                       control step. Dashed: 20 and 50 ms."
-                    .to_owned(),
+                .to_owned(),
             svg: figures::delays(&title, &heard)?,
         })
     }
 
-    /// The page.
+    /// Returns the HTML page.
     pub fn page(&self, figures: &[Figure]) -> String {
         let Sweep { stations, bytes, seconds, history, seed, .. } = self.sweep;
         let mut parts = vec![Part::Text(format!(
@@ -205,14 +204,14 @@ impl Findings<'_> {
         }
         if !self.grown.is_empty() {
             let (heads, lines) = scale::of_costs(self.grown);
-            parts.push(Part::Heading("What a robot of a growing team costs".to_owned()));
+            parts.push(Part::Heading("Cost per robot of growing teams".to_owned()));
             parts.extend(scale::remark(self.grown).map(Part::Text));
             parts.push(Part::Table(heads, lines));
         }
         if let Medium::Radio(radio) = &self.sweep.medium {
             let bytes = self.datagram_bytes();
             let (heads, lines) = scale::of_loads(&saturation::table(radio, bytes));
-            parts.push(Part::Heading("Where one channel is full".to_owned()));
+            parts.push(Part::Heading("Saturation of one channel".to_owned()));
             parts.push(Part::Text(saturation::advice(radio, bytes)));
             parts.push(Part::Table(heads, lines));
         }

@@ -1,74 +1,74 @@
-//! One station of a measured case: says what the emulated one would say, at the same moments, and notes what it hears.
-//! A core like any other; who gives it a clock and a network is not its business.
+//! One station of a measured case: publishes the same messages at the same times as an emulated one, and records what
+//! it receives. A pure core; the caller supplies clock and network.
 
 use serde::{Deserialize, Serialize};
 
 use super::case::Case;
 use super::emulate;
-use super::endpoint::{DRAIN, NEVER, STEP, WARM};
+use super::endpoint::{DRAIN, NEVER, STEP, WARM_UP};
 use super::outcome::{Outcome, Tally};
-use super::talk::{self, Schedule};
+use super::traffic::{self, Schedule};
 use crate::actor::Core;
 use crate::messages::wire::{Latent, Wire};
 use crate::time::{Span, Time};
 
-/// Messages that a station says at once when it was held up: a burst of this many is what a busy machine makes of a
-/// tenth of a second at 500 a second. Older ones are skipped and counted, so that no burst is as long as a hold-up.
+/// Maximum burst of messages after a scheduling delay: about a tenth of a second at 500 messages a second. Older ones
+/// are skipped and counted, so that the burst does not grow with the delay.
 const BURST: u32 = 64;
 
-/// A case that hosts are to measure together.
+/// Measurement of one case, which the coordinator sends to all hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Task {
-    /// Its number, by which messages of other cases are told apart.
+    /// Number of the case; messages of other cases are ignored.
     pub number: u32,
-    /// What is measured.
+    /// The case.
     pub case: Case,
-    /// How many stations there are.
+    /// Number of stations.
     pub stations: u16,
-    /// How many features a message has.
+    /// Number of features in a message.
     pub features: usize,
-    /// How long messages count \[s\].
+    /// Duration of the measurement \[s\].
     pub seconds: f64,
-    /// The seed of the schedules.
+    /// Seed of the publication schedules.
     pub seed: u64,
 }
 
-/// What one station found.
+/// Result of one station.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Notes {
-    /// Messages that it said in the window.
+pub struct StationResult {
+    /// Messages published in the window.
     pub said: u64,
-    /// Messages that were due in the window and never said, because the station was held up for too long. They count
-    /// as expected and not as delivered.
+    /// Messages that were due in the window and not published because of a long scheduling delay. They count as
+    /// expected and not as delivered.
     #[serde(default)]
     pub skipped: u64,
-    /// Delays of those of others that came \[us\].
+    /// Delays of received messages \[us\].
     pub delays_us: Vec<u64>,
-    /// At its control steps, ages of the newest message of each other station \[us\]; `None` where there was none yet.
+    /// Ages of the newest message of each other station at each control step \[us\]; `None` where there was none yet.
     pub ages_us: Vec<Option<u64>>,
 }
 
 impl Task {
-    /// How long it takes from its beginning.
+    /// Returns the duration including warm-up and drain.
     pub fn lasts(&self) -> Span {
-        WARM + Span::from_secs(self.seconds) + DRAIN
+        WARM_UP + Span::from_secs(self.seconds) + DRAIN
     }
 
-    /// What all stations found, together.
-    pub fn outcome(&self, notes: &[Notes]) -> Outcome {
-        let begin = Time::ZERO + WARM;
+    /// Combines the results of all stations.
+    pub fn outcome(&self, results: &[StationResult]) -> Outcome {
+        let begin = Time::ZERO + WARM_UP;
         let mut tally = Tally::new(self.stations, (begin, begin + Span::from_secs(self.seconds)));
         let us = |us: u64| Span::from_nanos(1000 * us);
-        for one in notes {
-            tally.expects((one.said + one.skipped) * u64::from(self.stations - 1));
-            one.delays_us.iter().for_each(|delay| tally.delayed(us(*delay)));
-            one.ages_us.iter().for_each(|age| tally.aged(age.map_or(NEVER, us)));
+        for one in results {
+            tally.add_due((one.said + one.skipped) * u64::from(self.stations - 1));
+            one.delays_us.iter().for_each(|delay| tally.add_delay(us(*delay)));
+            one.ages_us.iter().for_each(|age| tally.add_age(age.map_or(NEVER, us)));
         }
         tally.outcome()
     }
 }
 
-/// One station.
+/// A measuring station.
 #[derive(Debug)]
 pub struct Peer {
     task: Task,
@@ -79,16 +79,16 @@ pub struct Peer {
     ended: bool,
     schedule: Schedule,
     step: Time,
-    /// By station: when its newest message was said.
+    /// By station: publication time of its newest message.
     newest: Vec<Option<Time>>,
-    notes: Notes,
+    result: StationResult,
 }
 
 impl Peer {
-    /// A station of a case that begins then, on its own clock.
+    /// Returns a station of a case that begins at `begin` on the station's own clock.
     pub fn new(task: Task, station: u16, begin: Time) -> Peer {
         let seed = emulate::seed(task.seed, &task.case);
-        let window = (begin + WARM, begin + WARM + Span::from_secs(task.seconds));
+        let window = (begin + WARM_UP, begin + WARM_UP + Span::from_secs(task.seconds));
         Peer {
             station,
             begin,
@@ -96,9 +96,9 @@ impl Peer {
             over: window.1 + DRAIN,
             ended: false,
             schedule: Schedule::new(begin, station, (task.stations, task.case.rate), &seed),
-            step: window.0 + talk::phases(task.stations, STEP, &seed)[usize::from(station)],
+            step: window.0 + traffic::phases(task.stations, STEP, &seed)[usize::from(station)],
             newest: vec![None; usize::from(task.stations)],
-            notes: Notes::default(),
+            result: StationResult::default(),
             task,
         }
     }
@@ -108,9 +108,9 @@ impl Peer {
         self.ended || now >= self.over
     }
 
-    /// What it has found.
-    pub fn notes(&self) -> &Notes {
-        &self.notes
+    /// Returns its result so far.
+    pub fn result(&self) -> &StationResult {
+        &self.result
     }
 
     fn counts(&self, at: Time) -> bool {
@@ -127,10 +127,10 @@ impl Core for Peer {
         if latent.round.epoch != self.task.number {
             return;
         }
-        let said = self.begin + talk::stamp(&latent);
-        *newest = (*newest).max(Some(said));
-        if self.counts(said) {
-            self.notes.delays_us.push(now.since(said).as_nanos() / 1000);
+        let published = self.begin + traffic::stamp(&latent);
+        *newest = (*newest).max(Some(published));
+        if self.counts(published) {
+            self.result.delays_us.push(now.since(published).as_nanos() / 1000);
         }
     }
 
@@ -143,12 +143,12 @@ impl Core for Peer {
             self.ended = true;
             return;
         }
-        self.speak(now, out);
+        self.publish_due(now, out);
         if self.step <= now {
             let others = (0..self.newest.len()).filter(|from| *from != usize::from(self.station));
-            let age = |from: usize| self.newest[from].map(|said| now.since(said).as_nanos() / 1000);
-            self.notes.ages_us.extend(others.map(age));
-            // Steps that were missed are not made up for: a robot that was held up has not acted meanwhile.
+            let age = |from: usize| self.newest[from].map(|published| now.since(published).as_nanos() / 1000);
+            self.result.ages_us.extend(others.map(age));
+            // Missed steps are not repeated: a robot that was delayed has not acted in the meantime.
             while self.step <= now {
                 self.step += STEP;
             }
@@ -160,19 +160,25 @@ impl Core for Peer {
 }
 
 impl Peer {
-    /// Says what is due: after a hold-up in a burst, in which the oldest are left out if there are too many.
-    fn speak(&mut self, now: Time, out: &mut Vec<Wire>) {
-        let mut owed = Vec::new();
+    /// Publishes all messages that are due, after a delay in a burst of at most `BURST`; the oldest are skipped.
+    fn publish_due(&mut self, now: Time, out: &mut Vec<Wire>) {
+        let mut due_messages = Vec::new();
         while self.schedule.next() <= now {
             let due = self.schedule.next();
-            owed.push((due, self.schedule.say()));
+            due_messages.push((due, self.schedule.publish()));
         }
-        let skipped = owed.len().saturating_sub(BURST as usize);
-        self.notes.skipped += owed[..skipped].iter().filter(|(due, _)| self.counts(*due)).count() as u64;
-        for (_, sequence) in &owed[skipped..] {
+        let skipped = due_messages.len().saturating_sub(BURST as usize);
+        self.result.skipped += due_messages[..skipped].iter().filter(|(due, _)| self.counts(*due)).count() as u64;
+        for (_, sequence) in &due_messages[skipped..] {
             let stamp = now.since(self.begin);
-            self.notes.said += u64::from(self.counts(now));
-            out.push(Wire::Latent(talk::message(self.station, self.task.number, *sequence, stamp, self.task.features)));
+            self.result.said += u64::from(self.counts(now));
+            out.push(Wire::Latent(traffic::message(
+                self.station,
+                self.task.number,
+                *sequence,
+                stamp,
+                self.task.features,
+            )));
         }
     }
 }
@@ -180,44 +186,44 @@ impl Peer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::study::network::{Addressing, Assurance, Network};
+    use crate::study::network::{Addressing, NetworkKind, ReliabilityMode};
 
     fn peer() -> Peer {
         let case = Case {
-            network: Network::AdHoc,
+            network: NetworkKind::AdHoc,
             addressing: Addressing::Multicast,
-            reliability: Assurance::BestEffort,
+            reliability: ReliabilityMode::BestEffort,
             retries: 7,
             rate: 1000.0,
         };
         Peer::new(Task { number: 3, case, stations: 2, features: 4, seconds: 20.0, seed: 1 }, 0, Time::ZERO)
     }
 
-    /// The messages of one wake.
+    /// Wakes the station; returns the number of messages that it publishes.
     fn woken(peer: &mut Peer, now: Time) -> usize {
         let mut out = Vec::new();
         peer.wake(now, &mut out);
-        assert!(peer.wake_at().is_none_or(|next| next > now), "it has to be woken once at one instant");
+        assert!(peer.wake_at().is_none_or(|next| next > now), "one wake handles everything that is due");
         out.len()
     }
 
     #[test]
-    fn a_station_that_was_held_up_says_a_burst_and_counts_what_it_skips() {
+    fn a_delayed_station_publishes_a_burst_and_counts_skipped_messages() {
         let mut peer = peer();
-        let begin = Time::ZERO + WARM;
+        let begin = Time::ZERO + WARM_UP;
         while let Some(next) = peer.wake_at().filter(|next| *next < begin) {
-            assert!(woken(&mut peer, next) <= 1, "one that is woken in time says one at a time");
+            assert!(woken(&mut peer, next) <= 1, "a station that is woken in time publishes one message at a time");
         }
-        assert_eq!(peer.notes().said, 0, "nothing counts before the window");
-        // A tenth of a second at 500 a second: all of it is said late.
+        assert_eq!(peer.result().said, 0, "nothing counts before the window");
+        // A tenth of a second at 500 a second: all messages are published late.
         let said = woken(&mut peer, begin + Span::from_millis(100));
         assert!((45..=55).contains(&said), "{said}");
-        assert_eq!(peer.notes().skipped, 0);
-        // Ten seconds: more than could be said one wake at a time.
+        assert_eq!(peer.result().skipped, 0);
+        // Ten seconds: more than one burst.
         assert_eq!(woken(&mut peer, begin + Span::from_millis(10_100)), BURST as usize);
-        let Notes { said, skipped, ages_us, .. } = peer.notes();
+        let StationResult { said, skipped, ages_us, .. } = peer.result();
         assert!((4990..=5110).contains(&(said + skipped)), "{said} and {skipped}");
-        assert!(ages_us.len() <= 3, "missed steps are not made up for");
+        assert!(ages_us.len() <= 3, "missed steps are not repeated");
         woken(&mut peer, begin + Span::from_secs(1000.0));
         assert!(peer.is_over(begin + Span::from_secs(1000.0)));
     }

@@ -1,15 +1,15 @@
-//! A station that speaks as the reliable mode of RTPS does: OMG DDSI-RTPS 2.5, section 8.4, one stateful writer (8.4.9)
-//! and a stateful reader (8.4.12) for each other station. What the standard leaves open is as in Fast DDS.
+//! A station with the reliable mode of RTPS: OMG DDSI-RTPS 2.5, section 8.4, one stateful writer (8.4.9) and a stateful
+//! reader (8.4.12) for each other station. Where the standard leaves a choice, it is that of Fast DDS.
 //!
-//! Every sample carries a heartbeat, as Fast DDS does once the writer's history is full; a heartbeat is answered by an
-//! ACKNACK after `heartbeatResponseDelay`; what is asked for leaves again after `nackResponseDelay`, to the one who
-//! asked; what is no longer kept is declared irrelevant. Readers hand samples on in order (8.7.2.2.1, reliable).
-//! Not modelled: discovery, fragments, liveliness.
+//! Every sample carries a heartbeat, as in Fast DDS once the writer's history is full. A reader answers a heartbeat by
+//! an ACKNACK after `heartbeatResponseDelay`. The writer retransmits requested samples after `nackResponseDelay`, to
+//! the requesting reader; a GAP declares samples that it no longer keeps irrelevant. Readers deliver samples in order
+//! (8.7.2.2.1, reliable). Not modelled: discovery, fragments, liveliness.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::case::{Assurance, History};
-use super::endpoint::{Endpoint, Said};
+use super::case::{History, ReliabilityMode};
+use super::endpoint::{Endpoint, Output};
 use crate::time::{Span, Time};
 
 /// `heartbeatPeriod` of Fast DDS.
@@ -18,12 +18,11 @@ const HEARTBEAT_PERIOD: Span = Span::from_millis(3000);
 const NACK_RESPONSE_DELAY: Span = Span::from_millis(5);
 /// `heartbeatResponseDelay` of Fast DDS; the standard has 500 ms (8.4.10.1.1).
 const HEARTBEAT_RESPONSE_DELAY: Span = Span::from_millis(5);
-/// The most numbers that one ACKNACK or GAP names: a `SequenceNumberSet` (9.4.2.6).
+/// Maximum size of the `SequenceNumberSet` of one ACKNACK or GAP (9.4.2.6).
 const MOST_NAMED: usize = 256;
 
-/// Bytes of the parts of an RTPS message (9.4.4, 9.4.5), submessage headers of 4 bytes included: the header, the
-/// timestamp and destination that go before, a DATA without its payload but with the encapsulation of 4 (10.2), a
-/// HEARTBEAT, and an ACKNACK and a GAP without their bitmaps.
+/// Lengths of an RTPS header and of submessages with their 4-byte headers (9.4.4, 9.4.5) \[bytes\]. DATA includes the
+/// encapsulation of 4 bytes (10.2) and excludes its payload. ACKNACK and GAP exclude their bitmaps.
 const HEADER: usize = 20;
 const INFO_TS: usize = 12;
 const INFO_DST: usize = 16;
@@ -32,49 +31,49 @@ const HEARTBEAT: usize = 32;
 const ACKNACK: usize = 28;
 const GAP: usize = 32;
 
-/// From which number to below which a writer holds samples.
+/// Range of sequence numbers that a writer keeps: first, and one past the last.
 pub type Holds = (u32, u32);
 
-/// What is on its way.
+/// RTPS message: its sender and content.
 #[derive(Clone, Debug)]
 pub enum Packet {
-    /// A writer's sample of this number, with a heartbeat.
+    /// A writer's sample with this sequence number, and a HEARTBEAT.
     Data(u16, u32, Holds),
-    /// A writer's heartbeat alone, or its GAP.
+    /// A writer's HEARTBEAT alone, or its GAP.
     Heartbeat(u16, Holds),
-    /// A reader has everything below this number, and asks for those.
+    /// A reader's ACKNACK: it has all samples below this number, and requests these.
     AckNack(u16, u32, Vec<u32>),
 }
 
-/// What a writer knows of one reader.
+/// A writer's state of one reader.
 #[derive(Clone, Debug, Default)]
 struct ReaderProxy {
-    /// Everything below is acknowledged.
+    /// All samples below this number are acknowledged.
     acked: u32,
     requested: BTreeSet<u32>,
     due: Option<Time>,
 }
 
-/// What a reader knows of one writer.
+/// A reader's state of one writer.
 #[derive(Clone, Debug, Default)]
 struct WriterProxy {
-    /// The next number that is to be handed on.
+    /// Next sequence number to deliver.
     next: u32,
-    /// What came early.
+    /// Samples received out of order.
     waiting: BTreeSet<u32>,
-    /// The newest number that is known to be there.
+    /// Largest sequence number that the writer is known to have.
     last: Option<u32>,
-    /// When it is answered.
+    /// Time of the next ACKNACK.
     due: Option<Time>,
 }
 
-/// One station.
+/// An RTPS station.
 pub struct Rtps {
     station: u16,
     payload: usize,
     positive: bool,
     history: History,
-    /// What the writer holds: from the first of these numbers to below the second.
+    /// The writer keeps samples from `first` to below `end`.
     first: u32,
     end: u32,
     readers: BTreeMap<u16, ReaderProxy>,
@@ -83,13 +82,13 @@ pub struct Rtps {
 }
 
 impl Rtps {
-    /// A station among others, with messages of so many bytes.
-    pub fn new(station: u16, stations: u16, payload: usize, reliability: Assurance, history: History) -> Rtps {
+    /// Returns a station among `stations`, with messages of `payload` bytes.
+    pub fn new(station: u16, stations: u16, payload: usize, reliability: ReliabilityMode, history: History) -> Rtps {
         let others = || (0..stations).filter(move |other| *other != station);
         Rtps {
             station,
             payload,
-            positive: reliability == Assurance::Ack,
+            positive: reliability == ReliabilityMode::Ack,
             history,
             first: 0,
             end: 0,
@@ -104,11 +103,11 @@ impl Rtps {
         (bytes, Packet::Data(self.station, sequence, (self.first, self.end)))
     }
 
-    /// Forgets what need not be kept.
+    /// Removes samples that need not be kept from the history.
     fn trim(&mut self) {
         match self.history {
             History::Last(depth) => self.first = self.first.max(self.end.saturating_sub(depth)),
-            // A reader that never acknowledges would have to be waited for: only a limit of resources ends that.
+            // A reader that never acknowledges blocks this: in DDS, resource limits end it.
             History::All if self.positive => {
                 let acked = self.readers.values().map(|reader| reader.acked).min().unwrap_or(self.end);
                 self.first = self.first.max(acked);
@@ -117,12 +116,12 @@ impl Rtps {
         }
     }
 
-    /// A writer holds these: what is below the first is not to be waited for.
-    fn hear_heartbeat(&mut self, now: Time, writer: u16, (first, end): (u32, u32), out: &mut Vec<Said<Packet>>) {
+    /// Handles a heartbeat: samples below `first` are irrelevant, samples up to `end` exist.
+    fn hear_heartbeat(&mut self, now: Time, writer: u16, (first, end): (u32, u32), out: &mut Vec<Output<Packet>>) {
         let positive = self.positive;
         let Some(proxy) = self.writers.get_mut(&writer) else { return };
         proxy.last = proxy.last.max(end.checked_sub(1));
-        let from = |sequence| Said::Hear { from: writer, sequence };
+        let from = |sequence| Output::Deliver { from: writer, sequence };
         while proxy.next < first {
             out.extend(proxy.waiting.remove(&proxy.next).then(|| from(proxy.next)));
             proxy.next += 1;
@@ -137,7 +136,7 @@ impl Rtps {
         }
     }
 
-    fn acknowledge(&mut self, writer: u16, out: &mut Vec<Said<Packet>>) {
+    fn acknowledge(&mut self, writer: u16, out: &mut Vec<Output<Packet>>) {
         let (reader, positive) = (self.station, self.positive);
         let proxy = self.writers.get_mut(&writer).expect("it was due");
         proxy.due = None;
@@ -149,7 +148,7 @@ impl Rtps {
         let span = missing.first().zip(missing.last()).map_or(0, |(first, last)| (last - first + 1) as usize);
         let bytes = HEADER + INFO_DST + ACKNACK + 4 * span.min(MOST_NAMED).div_ceil(32);
         let packet = Packet::AckNack(reader, proxy.next, missing);
-        out.push(Said::Send { to: Some(writer), bytes, packet });
+        out.push(Output::Send { to: Some(writer), bytes, packet });
     }
 
     fn hear_acknack(&mut self, now: Time, reader: u16, (base, missing): (u32, &[u32])) {
@@ -162,18 +161,18 @@ impl Rtps {
         self.trim();
     }
 
-    fn repair(&mut self, reader: u16, out: &mut Vec<Said<Packet>>) {
+    fn repair(&mut self, reader: u16, out: &mut Vec<Output<Packet>>) {
         let proxy = self.readers.get_mut(&reader).expect("it was due");
         proxy.due = None;
         let requested = std::mem::take(&mut proxy.requested);
         let to = Some(reader);
         if requested.iter().any(|sequence| *sequence < self.first) {
             let packet = Packet::Heartbeat(self.station, (self.first, self.end));
-            out.push(Said::Send { to, bytes: HEADER + INFO_DST + GAP, packet });
+            out.push(Output::Send { to, bytes: HEADER + INFO_DST + GAP, packet });
         }
         for sequence in requested.into_iter().filter(|sequence| (self.first..self.end).contains(sequence)) {
             let (bytes, packet) = self.data(sequence);
-            out.push(Said::Send { to, bytes: bytes + INFO_DST, packet });
+            out.push(Output::Send { to, bytes: bytes + INFO_DST, packet });
         }
     }
 }
@@ -181,16 +180,16 @@ impl Rtps {
 impl Endpoint for Rtps {
     type Packet = Packet;
 
-    fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Said<Packet>>) {
+    fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Output<Packet>>) {
         assert_eq!(sequence, self.end, "numbers follow each other");
         self.end += 1;
         self.trim();
         let (bytes, packet) = self.data(sequence);
-        out.push(Said::Send { to: None, bytes, packet });
+        out.push(Output::Send { to: None, bytes, packet });
         self.heartbeat = self.heartbeat.or(Some(now + HEARTBEAT_PERIOD));
     }
 
-    fn receive(&mut self, now: Time, packet: &Packet, out: &mut Vec<Said<Packet>>) {
+    fn receive(&mut self, now: Time, packet: &Packet, out: &mut Vec<Output<Packet>>) {
         match packet {
             Packet::Data(writer, sequence, holds) => {
                 if let Some(proxy) = self.writers.get_mut(writer)
@@ -211,7 +210,7 @@ impl Endpoint for Rtps {
         readers.chain(writers).chain(self.heartbeat).min()
     }
 
-    fn wake(&mut self, now: Time, out: &mut Vec<Said<Packet>>) {
+    fn wake(&mut self, now: Time, out: &mut Vec<Output<Packet>>) {
         let is_due = |due: Option<Time>| due.is_some_and(|due| due <= now);
         let others: Vec<u16> = self.readers.keys().copied().collect();
         for other in others {
@@ -223,12 +222,12 @@ impl Endpoint for Rtps {
             }
         }
         if is_due(self.heartbeat) {
-            // Without acknowledgements it cannot know better than to go on.
+            // Without acknowledgements, heartbeats never end.
             let open = !self.positive || self.readers.values().any(|reader| reader.acked < self.end);
             self.heartbeat = open.then_some(now + HEARTBEAT_PERIOD);
             if open {
                 let packet = Packet::Heartbeat(self.station, (self.first, self.end));
-                out.push(Said::Send { to: None, bytes: HEADER + INFO_TS + HEARTBEAT, packet });
+                out.push(Output::Send { to: None, bytes: HEADER + INFO_TS + HEARTBEAT, packet });
             }
         }
     }
@@ -238,51 +237,52 @@ impl Endpoint for Rtps {
 mod tests {
     use super::*;
 
-    fn heard(said: &[Said<Packet>]) -> Vec<u32> {
-        said.iter()
-            .filter_map(|said| if let Said::Hear { sequence, .. } = said { Some(*sequence) } else { None })
+    fn heard(outputs: &[Output<Packet>]) -> Vec<u32> {
+        outputs
+            .iter()
+            .filter_map(|outputs| if let Output::Deliver { sequence, .. } = outputs { Some(*sequence) } else { None })
             .collect()
     }
 
-    fn sent(said: &mut Vec<Said<Packet>>) -> Vec<Packet> {
-        let sent = |said| if let Said::Send { packet, .. } = said { Some(packet) } else { None };
-        said.drain(..).filter_map(sent).collect()
+    fn sent(outputs: &mut Vec<Output<Packet>>) -> Vec<Packet> {
+        let sent = |outputs| if let Output::Send { packet, .. } = outputs { Some(packet) } else { None };
+        outputs.drain(..).filter_map(sent).collect()
     }
 
     #[test]
-    fn a_later_sample_waits_for_an_earlier_one_that_is_repaired() {
-        let station = |station| Rtps::new(station, 2, 152, Assurance::Ack, History::All);
+    fn a_later_sample_waits_for_the_retransmission_of_an_earlier_one() {
+        let station = |station| Rtps::new(station, 2, 152, ReliabilityMode::Ack, History::All);
         let (mut writer, mut reader) = (station(0), station(1));
         let ms = |ms| Time::ZERO + Span::from_millis(ms);
-        let mut said = Vec::new();
-        writer.publish(ms(0), 0, &mut said);
-        writer.publish(ms(1), 1, &mut said);
-        let packets = sent(&mut said);
-        reader.receive(ms(2), &packets[1], &mut said);
-        assert!(heard(&said).is_empty(), "the first one is missing");
+        let mut outputs = Vec::new();
+        writer.publish(ms(0), 0, &mut outputs);
+        writer.publish(ms(1), 1, &mut outputs);
+        let packets = sent(&mut outputs);
+        reader.receive(ms(2), &packets[1], &mut outputs);
+        assert!(heard(&outputs).is_empty(), "the first one is missing");
         assert_eq!(reader.wake_at(), Some(ms(7)));
-        reader.wake(ms(7), &mut said);
-        let asks = sent(&mut said);
+        reader.wake(ms(7), &mut outputs);
+        let asks = sent(&mut outputs);
         let [Packet::AckNack(1, 0, missing)] = &asks[..] else { panic!("{asks:?}") };
         assert_eq!(missing, &[0]);
-        writer.receive(ms(8), &asks[0], &mut said);
+        writer.receive(ms(8), &asks[0], &mut outputs);
         assert_eq!(writer.wake_at(), Some(ms(13)));
-        writer.wake(ms(13), &mut said);
-        let repair = sent(&mut said);
-        reader.receive(ms(14), &repair[0], &mut said);
-        assert_eq!(heard(&said), [0, 1], "in order");
+        writer.wake(ms(13), &mut outputs);
+        let repair = sent(&mut outputs);
+        reader.receive(ms(14), &repair[0], &mut outputs);
+        assert_eq!(heard(&outputs), [0, 1], "in order");
     }
 
     #[test]
-    fn what_is_no_longer_kept_is_not_waited_for() {
-        let station = |station| Rtps::new(station, 2, 152, Assurance::AckOff, History::Last(1));
+    fn a_reader_does_not_wait_for_samples_that_are_no_longer_kept() {
+        let station = |station| Rtps::new(station, 2, 152, ReliabilityMode::AckOff, History::Last(1));
         let (mut writer, mut reader) = (station(0), station(1));
-        let mut said = Vec::new();
-        writer.publish(Time::ZERO, 0, &mut said);
-        writer.publish(Time::ZERO, 1, &mut said);
-        let packets = sent(&mut said);
-        reader.receive(Time::ZERO, &packets[1], &mut said);
-        assert_eq!(heard(&said), [1]);
+        let mut outputs = Vec::new();
+        writer.publish(Time::ZERO, 0, &mut outputs);
+        writer.publish(Time::ZERO, 1, &mut outputs);
+        let packets = sent(&mut outputs);
+        reader.receive(Time::ZERO, &packets[1], &mut outputs);
+        assert_eq!(heard(&outputs), [1]);
         assert_eq!(reader.wake_at(), None, "nothing is missing, and nothing is acknowledged");
     }
 }

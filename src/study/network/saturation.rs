@@ -1,7 +1,7 @@
-//! Where one channel is full as a team grows, by the medium's own figures and by Bianchi's model: no simulation.
+//! Saturation of one channel as a team grows, from airtimes and from Bianchi's model. No simulation.
 //!
-//! All robots share one channel and speak at the same rate each. Density does not matter for multicast: one frame is
-//! for whoever is near. By unicast each message goes to so many neighbours, whatever the size of the team.
+//! All robots share one channel and publish at the same rate. Multicast is independent of density: one frame serves
+//! all receivers. By unicast each message goes to a fixed number of neighbours.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,39 +9,39 @@ use super::case::Addressing;
 use crate::net::media::radio::Radio;
 use crate::net::media::radio::bianchi::{Lengths, Saturation};
 
-/// The sizes of teams.
+/// Team sizes.
 pub const SIZES: [usize; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];
-/// What each robot says: a message a control step \[1/s\].
+/// Message rate of a robot: one message per control step \[1/s\].
 pub const RATE: f64 = 20.0;
-/// Whom it says it to by unicast, at constant density: as many as in a team of five.
+/// Receivers of a message by unicast, at constant density: as many as in a team of five.
 pub const NEIGHBOURS: u32 = 4;
 
-/// A team of one size on one channel.
+/// Load of one channel by a team of one size.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Load {
-    /// Robots.
+    /// Number of robots.
     pub robots: usize,
-    /// How messages find their readers.
+    /// Addressing of messages.
     pub addressing: Addressing,
-    /// Messages of all robots together \[1/s\].
+    /// Message rate of all robots together \[1/s\].
     pub messages_per_s: f64,
-    /// The share of time that their frames take, acknowledgements and the spaces between frames included; more than 1
-    /// cannot be.
+    /// Share of airtime that their frames need, including acknowledgements and interframe spaces. More than 1 means
+    /// that the channel cannot carry it.
     pub airtime: f64,
-    /// The same through an access point.
+    /// Share of airtime that they need through an access point.
     pub airtime_relayed: f64,
-    /// Messages that get through in one hop if everybody always has one to send, by Bianchi's model \[1/s\].
+    /// Saturation throughput in one hop, by Bianchi's model \[messages/s\].
     pub saturation_per_s: f64,
-    /// The probability that a frame collides then.
+    /// Probability that a frame collides at saturation.
     pub collision: f64,
 }
 
 impl Load {
-    /// A team of so many robots with datagrams of so many bytes.
+    /// Returns the load of a team with datagrams of `datagram_bytes`.
     pub fn of(radio: &Radio, addressing: Addressing, robots: usize, datagram_bytes: usize) -> Load {
         let times = radio.times();
-        let unicast = (radio.frame_airtime(datagram_bytes) + times.acknowledged + times.space).as_secs();
-        let spread = (radio.multicast_airtime(datagram_bytes) + times.space).as_secs();
+        let unicast = (radio.frame_airtime(datagram_bytes) + times.acknowledged + times.aifs).as_secs();
+        let spread = (radio.multicast_airtime(datagram_bytes) + times.aifs).as_secs();
         let neighbours = f64::from(NEIGHBOURS);
         // An access point sends everything a second time.
         let (frames, taken, again) = match addressing {
@@ -52,10 +52,10 @@ impl Load {
             Addressing::Unicast => Saturation::of_radio(radio, robots, datagram_bytes),
             Addressing::Multicast => {
                 let frame = radio.multicast_airtime(datagram_bytes);
-                // Nobody acknowledges, so no window grows.
+                // Multicast is not acknowledged, so the contention window never grows.
                 let lengths = Lengths {
                     slot: times.slot,
-                    success: frame + times.propagation + times.space,
+                    success: frame + times.propagation + times.aifs,
                     collision: frame + times.propagation + times.recovery,
                     payload: radio.payload_airtime(datagram_bytes),
                 };
@@ -74,19 +74,19 @@ impl Load {
         }
     }
 
-    /// Whether the channel is full.
+    /// Whether the channel is saturated.
     pub fn is_full(&self) -> bool {
         self.airtime >= 1.0 || self.messages_per_s >= self.saturation_per_s
     }
 }
 
-/// Both addressings, all sizes.
+/// Returns the loads of all team sizes, by multicast and by unicast.
 pub fn table(radio: &Radio, datagram_bytes: usize) -> Vec<Load> {
     let of = |addressing| SIZES.map(|robots| Load::of(radio, addressing, robots, datagram_bytes));
     [Addressing::Multicast, Addressing::Unicast].into_iter().flat_map(of).collect()
 }
 
-/// What to change, in one sentence.
+/// Returns advice on the first parameter to change, in one sentence.
 pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
     let last = |radio: &Radio, addressing| {
         let fits = |robots: &usize| !Load::of(radio, addressing, *robots, datagram_bytes).is_full();
@@ -97,16 +97,16 @@ pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
     let by_unicast = last(radio, Addressing::Unicast);
     let change = if fast > slow {
         format!(
-            "first raise the rate of multicast frames from {} to {} (iw: mcast_rate), which makes room for {fast}",
+            "first raise the rate of multicast frames from {} to {} (iw: mcast_rate), which suffices for {fast}",
             radio.basic_rate, radio.rate
         )
     } else {
-        "first say less often or to fewer".to_owned()
+        "first send less often or to fewer receivers".to_owned()
     };
     format!(
-        "At {RATE} messages a second and robot this channel is full, in one hop, above {slow} robots by multicast and \
-         above {by_unicast} by unicast to {NEIGHBOURS} neighbours: {change}; beyond that only more channels help, or \
-         less transmit power, so that distant groups no longer share one."
+        "At {RATE} messages a second and robot this channel is saturated, in one hop, above {slow} robots by multicast \
+         and above {by_unicast} by unicast to {NEIGHBOURS} neighbours: {change}. Beyond that only more channels help, \
+         or less transmit power, so that distant groups no longer share one."
     )
 }
 
@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_channel_fills_with_the_team_and_an_access_point_halves_it() {
+    fn load_grows_with_the_team_and_an_access_point_doubles_it() {
         let radio = Radio::default();
         let loads = table(&radio, 234);
         let multicast: Vec<&Load> = loads.iter().filter(|load| load.addressing == Addressing::Multicast).collect();

@@ -1,12 +1,12 @@
-//! How a network study shows growing teams: what a robot costs (`growth`), and where one channel is full
-//! (`saturation`). Figures and tables; nothing is reckoned here.
+//! Figures and tables of growing teams in a network study: cost per robot (`growth`) and saturation of one channel
+//! (`saturation`). Nothing is computed here.
 
 use super::case::Addressing;
 use super::growth::{self, Growth};
 use super::saturation::{self, Load};
 use crate::report::figures::{self, Figure, FigureError, Line, Panel, Point};
 
-/// The figure of what a robot costs.
+/// Draws the cost per robot.
 pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
     let mut sizes: Vec<usize> = grown.iter().map(|growth| growth.robots).collect();
     sizes.sort_unstable();
@@ -30,37 +30,37 @@ pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
         Panel::new(title, y, Some((0.0, 1.1 * most)), lines)
     };
     let panels = [
-        panel("messages that it says", "messages/s", |growth| growth.messages),
-        panel("their bytes", "kB/s", |growth| 1e-3 * growth.bytes),
-        panel("datagrams that it takes in", "datagrams/s", |growth| growth.deliveries),
-        panel("processor time, measured", "µs for each second", |growth| growth.cpu_us),
+        panel("messages published", "messages/s", |growth| growth.messages),
+        panel("bytes published", "kB/s", |growth| 1e-3 * growth.bytes),
+        panel("datagrams received", "datagrams/s", |growth| growth.deliveries),
+        panel("processor time, measured", "µs per second", |growth| growth.cpu_us),
     ];
-    let title = "What a robot of a team costs";
+    let title = "Cost per robot";
     let places: Vec<String> = sizes.iter().map(usize::to_string).collect();
     Ok(Figure {
         name: "growth".to_owned(),
         title: title.to_owned(),
         caption: format!(
-            "Per robot and second of its time, simulated over {} s at constant density ({} m² a robot). A line that is \
-             flat is a team that costs as much as it has robots. Processor time was measured when this report was \
-             made, and another time is another figure.",
-            growth::LASTS_S,
+            "Per robot and simulated second, simulated over {} s at constant density ({} m² per robot). A flat line \
+             means that the team's cost is proportional to its size. Processor time was measured when this report was \
+             made, and varies from run to run.",
+            growth::DURATION_S,
             growth::GROUND_M2
         ),
         svg: figures::sweep(title, "robots", &places, &panels)?,
     })
 }
 
-/// The table of what a robot costs.
+/// Returns heads and rows of the cost per robot.
 pub fn of_costs(grown: &[Growth]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let heads = vec![
         "robots",
         "mode",
         "messages/s",
         "bytes/s",
-        "datagrams taken in/s",
+        "datagrams received/s",
         "airtime of its latents",
-        "of all around it",
+        "of all in range",
         "processor time, µs/s",
     ];
     let percent = |share: Option<f64>| share.map_or("-".to_owned(), |share| format!("{:.1} %", 100.0 * share));
@@ -79,25 +79,25 @@ pub fn of_costs(grown: &[Growth]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     (heads, grown.iter().map(line).collect())
 }
 
-/// What the air around a robot comes to, in a sentence; nothing without a radio.
+/// Returns a remark on the airtime around a robot; none without a radio.
 pub fn remark(grown: &[Growth]) -> Option<String> {
     let largest = grown.iter().filter(|growth| growth.airtime.is_some()).max_by_key(|growth| growth.robots)?;
     let (own, around) = (100.0 * largest.airtime?, 100.0 * largest.airtime_around?);
     let change = if around < 100.0 {
-        "so there is room, if stations that do not hear each other are rare"
+        "so the channel suffices, if hidden stations are rare"
     } else {
-        "more than there is: raise the rate of multicast frames, speak less often, or let frames carry less far"
+        "more than the channel has: raise the rate of multicast frames, send less often, or reduce the range"
     };
     Some(format!(
-        "A robot's latents take {own:.1} % of the air. Where frames carry {} m, it shares the air with {:.0} others \
-         however large the team is: {around:.0} % is taken around it, {change}. Without that limit the team shares \
-         one channel, as in the table below.",
+        "A robot's latents take {own:.1} % of the airtime. With a transmission range of {} m it shares the channel \
+         with {:.0} others, however large the team is. Together they take {around:.0} %, {change}. Without that limit \
+         the team shares one channel, as in the table below.",
         growth::range_m(),
-        growth::around().min(largest.robots as f64 - 1.0),
+        growth::neighbours_in_range().min(largest.robots as f64 - 1.0),
     ))
 }
 
-/// The figure of where one channel is full.
+/// Draws the saturation of one channel.
 pub fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
     let line = |addressing: Addressing, name: &str, value: fn(&Load) -> Option<f64>| Line {
         name: name.to_owned(),
@@ -108,9 +108,9 @@ pub fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
             .collect(),
     };
     let (multicast, unicast) = (Addressing::Multicast, Addressing::Unicast);
-    // Less than a message a second is none.
+    // Less than one message a second is drawn as one.
     let lines = vec![
-        line(multicast, &format!("wanted: {} messages a second and robot", saturation::RATE), |load| {
+        line(multicast, &format!("offered: {} messages a second and robot", saturation::RATE), |load| {
             Some(load.messages_per_s.log10())
         }),
         line(multicast, "saturation by multicast", |load| Some(load.saturation_per_s.max(1.0).log10())),
@@ -124,24 +124,24 @@ pub fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
         line(unicast, "", |load| Some(100.0 * load.collision)),
     ];
     let panels = [
-        Panel::new("messages that want and find room", "messages/s, power of ten", None, lines),
+        Panel::new("offered load and saturation throughput", "messages/s, power of ten", None, lines),
         Panel::new("frames that collide at saturation", "collisions [%]", Some((0.0, 100.0)), collisions),
     ];
-    let title = "Where one channel is full";
+    let title = "Saturation of one channel";
     let places: Vec<String> = saturation::SIZES.iter().map(usize::to_string).collect();
     Ok(Figure {
         name: "saturation".to_owned(),
         title: title.to_owned(),
-        caption: "What teams of growing size want to say on one channel, in one hop, and what gets through when \
-                  everybody always has something to send (Bianchi's model): where the first line is above another, the \
-                  channel is full. A multicast frame that collides is not sent again, so no window grows, and a large \
-                  team drowns."
+        caption: "Offered load of growing teams on one channel, in one hop, and throughput when every station always \
+                  has a frame to send (Bianchi's model). Where the first line is above another, the channel is \
+                  saturated. A multicast frame that collides is not retransmitted, so the contention window never \
+                  grows, and most frames of a large team collide."
             .to_owned(),
         svg: figures::sweep(title, "robots", &places, &panels)?,
     })
 }
 
-/// The table of where one channel is full.
+/// Returns heads and rows of the saturation of one channel.
 pub fn of_loads(loads: &[Load]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let heads = vec![
         "robots",

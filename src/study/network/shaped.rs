@@ -1,5 +1,5 @@
-//! A wired network whose stations' links are shaped: a token bucket with a queue at each sender, and loss by chance at
-//! each receiver. What `tc tbf` and a random drop make of an Ethernet; no contention.
+//! A wired network with shaped links: a token bucket with a queue at each sender, and independent loss at each
+//! receiver. It models an Ethernet with `tc tbf` and `netem loss`; there is no contention.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -7,27 +7,27 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use crate::config::ConfigError;
-use crate::net::media::radio::{Delivery, To};
+use crate::net::media::radio::{Delivery, Destination};
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
-/// What such a network is like.
+/// Parameters of shaped links.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Shaped {
-    /// The rate of each station's link \[bit/s\].
+    /// Rate of each station's link \[bit/s\].
     pub rate_bit_s: f64,
-    /// What may leave at once after a silence \[bytes\].
+    /// Size of the token bucket \[bytes\].
     pub burst_bytes: usize,
-    /// What waits for the link; frames that find no room are lost \[bytes\].
+    /// Size of the queue \[bytes\]; a frame that does not fit is lost.
     pub queue_bytes: usize,
-    /// The share of frames that each receiver loses by itself, 0 to 1.
+    /// Probability that a receiver loses a frame, 0 to 1, independently for each receiver.
     #[serde(default)]
     pub loss: f64,
-    /// What everything but the link takes: stack, bridge, wake-up of the receiver \[us\].
+    /// Constant latency of network stack, bridge and wake-up of the receiver \[us\].
     #[serde(default)]
     pub latency_us: f64,
-    /// On the link beside a datagram \[bytes\]: Ethernet 14, IPv4 20, UDP 8.
+    /// Header bytes on the link for each datagram \[bytes\]: Ethernet 14, IPv4 20, UDP 8.
     #[serde(default = "headers")]
     pub overhead_bytes: usize,
 }
@@ -37,7 +37,7 @@ fn headers() -> usize {
 }
 
 impl Shaped {
-    /// Links as `tc tbf rate 1mbit` with 16 % loss makes them.
+    /// Returns links with `tc tbf rate 1mbit` and 16 % loss.
     pub fn megabit() -> Shaped {
         Shaped {
             rate_bit_s: 1e6,
@@ -49,7 +49,7 @@ impl Shaped {
         }
     }
 
-    /// Checks that there can be such a network.
+    /// Checks all ranges; an error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if !(1e3..=1e12).contains(&self.rate_bit_s) {
@@ -70,46 +70,46 @@ impl Shaped {
     }
 }
 
-/// The link of one station.
+/// State of one station's link.
 #[derive(Clone, Debug)]
 struct Sender {
     /// Tokens \[bytes\] as of the last departure.
     tokens: f64,
     at: Time,
-    /// Departures to come, with their lengths.
+    /// Departure times of queued frames, with their lengths \[bytes\].
     queue: VecDeque<(Time, usize)>,
     waiting: usize,
 }
 
-/// Such a network at work.
+/// Emulator of shaped links.
 #[derive(Clone, Debug)]
 pub struct Links<T> {
     shaped: Shaped,
     senders: Vec<Sender>,
-    /// By arrival, in the order in which they were offered.
-    under_way: BTreeMap<(Time, u64), (u16, To, T)>,
+    /// Frames in flight, by time of arrival, then by order of sending.
+    in_flight: BTreeMap<(Time, u64), (u16, Destination, T)>,
     offered: u64,
     loss: Stream,
     sent_bytes: f64,
 }
 
 impl<T: Clone> Links<T> {
-    /// A silent network of so many stations.
+    /// Returns a network with idle stations.
     pub fn new(shaped: Shaped, stations: u16, seed: &Seed) -> Links<T> {
         let tokens = shaped.burst_bytes as f64;
         let sender = Sender { tokens, at: Time::ZERO, queue: VecDeque::new(), waiting: 0 };
         Links {
             shaped,
             senders: vec![sender; usize::from(stations)],
-            under_way: BTreeMap::new(),
+            in_flight: BTreeMap::new(),
             offered: 0,
             loss: seed.stream("loss"),
             sent_bytes: 0.0,
         }
     }
 
-    /// A station is given a datagram of so many bytes to send.
-    pub fn offer(&mut self, now: Time, from: u16, to: To, bytes: usize, token: T) {
+    /// Queues a datagram of `bytes` at a station; drops it if the queue is full.
+    pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         let length = bytes + self.shaped.overhead_bytes;
         let sender = &mut self.senders[usize::from(from)];
         while let Some(&(left, length)) = sender.queue.front().filter(|(left, _)| *left <= now) {
@@ -131,25 +131,25 @@ impl<T: Clone> Links<T> {
         self.sent_bytes += length as f64;
         self.offered += 1;
         let arrives = leaves + Span::from_secs(self.shaped.latency_us * 1e-6);
-        self.under_way.insert((arrives, self.offered), (from, to, token));
+        self.in_flight.insert((arrives, self.offered), (from, to, token));
     }
 
-    /// When anything arrives next.
+    /// Returns the time of the next arrival.
     pub fn wake_at(&self) -> Option<Time> {
-        self.under_way.first_key_value().map(|((at, _), _)| *at)
+        self.in_flight.first_key_value().map(|((at, _), _)| *at)
     }
 
-    /// Puts what has arrived until `now` into `deliveries`.
+    /// Appends frames that have arrived until `now` to `deliveries`.
     pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<T>>) {
-        while let Some(first) = self.under_way.first_entry().filter(|first| first.key().0 <= now) {
+        while let Some(first) = self.in_flight.first_entry().filter(|first| first.key().0 <= now) {
             let ((at, _), (from, to, token)) = first.remove_entry();
             let one;
             let listeners: &[u16] = match &to {
-                To::One(to) => {
+                Destination::One(to) => {
                     one = [*to];
                     &one
                 }
-                To::Many(all) => all,
+                Destination::Many(all) => all,
             };
             for &to in listeners.iter().filter(|to| **to != from) {
                 if self.shaped.loss == 0.0 || !self.loss.random_bool(self.shaped.loss) {
@@ -159,8 +159,8 @@ impl<T: Clone> Links<T> {
         }
     }
 
-    /// For how long the links were taken until now, on average over the stations \[s\].
-    pub fn taken_s(&self) -> f64 {
+    /// Returns the time in which the links were busy until now, averaged over the stations \[s\].
+    pub fn busy_s(&self) -> f64 {
         self.sent_bytes * 8.0 / self.shaped.rate_bit_s / self.senders.len() as f64
     }
 }
@@ -175,11 +175,11 @@ mod tests {
     }
 
     #[test]
-    fn a_burst_leaves_at_once_and_the_rest_at_the_rate() {
+    fn a_burst_leaves_at_once_and_later_frames_leave_at_the_rate() {
         let mut links = links(10_000, 0.0);
-        let all: To = To::Many([0, 1, 2].into());
+        let all: Destination = Destination::Many([0, 1, 2].into());
         (0..3).for_each(|token| links.offer(Time::ZERO, 0, all.clone(), 500, token));
-        links.offer(Time::ZERO, 1, To::One(2), 500, 9);
+        links.offer(Time::ZERO, 1, Destination::One(2), 500, 9);
         let mut deliveries = Vec::new();
         links.wake(Time::MAX, &mut deliveries);
         let at = |token: u8| deliveries.iter().find(|d| d.token == token).unwrap().at.as_nanos();
@@ -189,15 +189,15 @@ mod tests {
     }
 
     #[test]
-    fn a_full_queue_loses_and_so_does_every_receiver_by_itself() {
+    fn frames_are_lost_at_a_full_queue_and_independently_at_each_receiver() {
         let mut tight = links(1200, 0.0);
-        (0..5).for_each(|token| tight.offer(Time::ZERO, 0, To::One(1), 500, token));
+        (0..5).for_each(|token| tight.offer(Time::ZERO, 0, Destination::One(1), 500, token));
         let mut deliveries = Vec::new();
         tight.wake(Time::MAX, &mut deliveries);
-        // Two leave with the tokens of the burst, two wait, one finds no room.
+        // Two leave with the tokens of the burst, two are queued, one is dropped.
         assert_eq!(deliveries.len(), 4);
         let mut lossy = links(1 << 20, 0.16);
-        let all: To = To::Many([0, 1, 2].into());
+        let all: Destination = Destination::Many([0, 1, 2].into());
         deliveries.clear();
         for ms in 0..5000 {
             lossy.offer(Time::ZERO + Span::from_millis(10 * ms), 0, all.clone(), 100, 0);

@@ -1,4 +1,4 @@
-//! The table of a network study, for a terminal and for its page.
+//! Tables of a network study, for a terminal and for its page.
 
 use std::fmt::Write as _;
 
@@ -7,10 +7,10 @@ use super::growth::Growth;
 use super::outcome::Row;
 use super::scale;
 
-/// What a table shows of a row, and its name.
+/// A quantity of a row, with its name.
 type Shown = (&'static str, fn(&Row) -> Option<f64>);
 
-/// What is shown: of all messages that were due, in per cent; of those that came, in milliseconds.
+/// Quantities of the tables: shares of expected deliveries \[%\], times of deliveries \[ms\].
 pub const SHOWN: [Shown; 5] = [
     ("within 20 ms [%]", |row| Some(100.0 * row.within_20ms)),
     ("delivered [%]", |row| Some(100.0 * row.delivered)),
@@ -19,12 +19,12 @@ pub const SHOWN: [Shown; 5] = [
     ("age at control steps, median [ms]", |row| row.age_p50_ms),
 ];
 
-/// Heads: the rates.
+/// Returns the heads: the rates.
 pub fn heads(sweep: &Sweep) -> Vec<String> {
     ["messages/s".to_owned()].into_iter().chain(sweep.rates.iter().map(f64::to_string)).collect()
 }
 
-/// One line a combination, one column a rate.
+/// Returns one line per combination, with one column per rate.
 pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     for row in rows {
@@ -44,7 +44,7 @@ pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>>
     names.into_iter().map(line).collect()
 }
 
-/// Lines under heads, the first column to the left.
+/// Formats heads and lines; the first column is aligned left.
 fn aligned(heads: &[String], lines: &[Vec<String>]) -> String {
     let width =
         |at: usize| lines.iter().map(|line| &line[at]).chain([&heads[at]]).map(|cell| cell.chars().count()).max();
@@ -61,7 +61,7 @@ fn aligned(heads: &[String], lines: &[Vec<String>]) -> String {
     text
 }
 
-/// All of it as a person reads it in a terminal: what arrives in time, and what robots of growing teams cost.
+/// Formats the tables for a terminal: shares delivered, and cost per robot of growing teams.
 pub fn text(sweep: &Sweep, rows: &[Row], grown: &[Growth]) -> String {
     let mut text = format!(
         "study network: {} stations, messages of {} bytes, {} s a case, RTPS history {}, seed {}\n",
@@ -69,12 +69,12 @@ pub fn text(sweep: &Sweep, rows: &[Row], grown: &[Growth]) -> String {
     );
     for shown in &SHOWN[..2] {
         let lines = lines(sweep, rows, *shown);
-        let _ = write!(text, "\n{}, of all that were due\n{}", shown.0, aligned(&heads(sweep), &lines));
+        let _ = write!(text, "\n{}, of all expected deliveries\n{}", shown.0, aligned(&heads(sweep), &lines));
     }
     if !grown.is_empty() {
         let (heads, lines) = scale::of_costs(grown);
         let heads: Vec<String> = heads.into_iter().map(str::to_owned).collect();
-        let _ = write!(text, "\nwhat a robot of a team costs\n{}", aligned(&heads, &lines));
+        let _ = write!(text, "\ncost per robot\n{}", aligned(&heads, &lines));
     }
     text.trim_end().to_owned()
 }

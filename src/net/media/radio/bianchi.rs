@@ -1,48 +1,49 @@
-//! Where a channel saturates: the model of G. Bianchi, "Performance analysis of the IEEE 802.11 distributed
-//! coordination function", IEEE JSAC 18(3), 2000. Closed form; no simulation.
+//! Saturation throughput of a channel by the model of G. Bianchi, "Performance analysis of the IEEE 802.11
+//! distributed coordination function", IEEE JSAC 18(3), 2000. Solved numerically; no simulation.
 
 use super::Radio;
 use crate::time::Span;
 
-/// What becomes of n stations that always have a frame to send.
+/// Performance of n saturated stations: each always has a frame to send.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Saturation {
-    /// The probability that a station transmits in a slot: tau of equation (7).
+    /// Probability that a station transmits in a slot: tau of equation (7).
     pub attempt: f64,
-    /// The probability that a frame on the air collides: p of equation (9).
+    /// Probability that a transmitted frame collides: p of equation (9).
     pub collision: f64,
-    /// The share of time in which payload goes out: S of equation (13).
+    /// Share of time in which payload is transmitted without collision: S of equation (13).
     pub throughput: f64,
-    /// Frames that arrive, of all stations together \[1/s\].
+    /// Delivered frames of all stations together \[1/s\].
     pub frames_per_s: f64,
 }
 
-/// The lengths that the model is made of.
+/// Time intervals of the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lengths {
-    /// A slot.
+    /// Slot time: sigma.
     pub slot: Span,
-    /// The channel is taken by a frame that arrives: T_s.
+    /// Time that the channel is busy with a successful transmission: T_s.
     pub success: Span,
-    /// The channel is taken by frames that collide: T_c.
+    /// Time that the channel is busy with a collision: T_c.
     pub collision: Span,
-    /// The payload alone: E\[P\].
+    /// Airtime of the payload alone: E\[P\].
     pub payload: Span,
 }
 
-/// tau as a function of p: equation (7), with its geometric series written out, so that p = 1/2 is like any other.
+/// Returns tau as a function of p: equation (7). Its geometric series is summed term by term, so that p = 1/2 needs
+/// no special case.
 fn attempt(p: f64, window: f64, stages: i32) -> f64 {
     let series: f64 = (0..stages).map(|stage| (2.0 * p).powi(stage)).sum();
     2.0 / (1.0 + window + p * window * series)
 }
 
 impl Saturation {
-    /// Of `stations` stations with backoff windows from `window` slots, doubled `stages` times at the most, and retries
-    /// without end.
+    /// Solves the model for `stations` stations with an initial contention window of `window` slots, doubled at most
+    /// `stages` times, and unlimited retries.
     pub fn of(stations: usize, window: u32, stages: i32, lengths: &Lengths) -> Saturation {
         let n = stations as f64;
         let window = f64::from(window);
-        // Equations (7) and (9) meet once: the one falls with p, the other grows.
+        // Equations (7) and (9) have one common solution, since one falls and the other grows with p: bisection.
         let (mut low, mut high) = (0.0, 1.0);
         for _ in 0..60 {
             let p = f64::midpoint(low, high);
@@ -65,13 +66,14 @@ impl Saturation {
         }
     }
 
-    /// Of stations on this channel that all send one another datagrams of so many bytes, by unicast in a single hop.
+    /// Solves the model for `stations` stations on this channel that send unicast datagrams of `datagram_bytes` in one
+    /// hop.
     pub fn of_radio(radio: &Radio, stations: usize, datagram_bytes: usize) -> Saturation {
         let times = radio.times();
         let frame = radio.frame_airtime(datagram_bytes);
         let lengths = Lengths {
             slot: times.slot,
-            success: frame + times.propagation + times.acknowledged + times.space,
+            success: frame + times.propagation + times.acknowledged + times.aifs,
             collision: frame + times.propagation + times.recovery,
             payload: radio.payload_airtime(datagram_bytes),
         };
@@ -97,7 +99,7 @@ mod tests {
         let all = [2, 5, 10, 20, 50].map(|n| Saturation::of(n, 32, 3, &lengths));
         assert!(all.windows(2).all(|pair| pair[0].throughput > pair[1].throughput), "{all:?}");
         assert!(all.windows(2).all(|pair| pair[0].collision < pair[1].collision), "{all:?}");
-        // Equation (28): with K = 9.334, the window that suits the number of stations gives 0.824.
+        // Equation (28): with K = 9.334, the optimal window for the number of stations gives 0.824.
         let (n, k): (usize, f64) = (50, (8713.0_f64 / 50.0 / 2.0).sqrt());
         assert!((k - 9.334).abs() < 1e-3);
         let window = (2.0 * n as f64 * k) as u32 - 1;

@@ -1,38 +1,38 @@
-//! A channel that stations share by the distributed coordination function (10.3): who sends when, and who hears it.
+//! A channel that stations share by the distributed coordination function (10.3).
 //!
-//! Event-driven: from one transmission to the next, however many slots lie between. All stations hear each other start,
-//! so none is hidden from another; two that start in one slot collide, and nobody reads either. A study runs it by
-//! itself, an emulated ether inside of an actor.
+//! Event-driven: time advances from one transmission to the next, however many idle slots lie between. All stations
+//! sense each other, so there are no hidden terminals. Two that start in one slot collide, and neither frame is
+//! received; there is no capture effect. A study runs it by itself, an emulated link inside of an actor.
 
 use rand::RngExt;
 
 use super::counts::RadioCounts;
-pub use super::station::To;
-use super::station::{Hop, Job, Station};
+pub use super::station::Destination;
+use super::station::{Hop, QueuedFrame, Station};
 use super::{Radio, Times, Topology};
 use crate::messages::geometry::Vec2;
 use crate::random;
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
-/// What foreign frames carry: a full Ethernet payload (IEEE 802.3, 3.2.7), less what `OVERHEAD_BYTES` counts of IP and
-/// UDP \[bytes\].
+/// Datagram length of frames of other networks: a full Ethernet payload (IEEE 802.3, 3.2.7) less the IP and UDP
+/// headers, which are part of `OVERHEAD_BYTES` \[bytes\].
 const FOREIGN_BYTES: usize = 1500 - 28;
 
-/// A frame that a station has received.
+/// Frame received by a station.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Delivery<T> {
-    /// When its last bit came.
+    /// Arrival of its last bit.
     pub at: Time,
-    /// Whose it is.
+    /// Station that sent it.
     pub from: u16,
-    /// Who has received it.
+    /// Station that has received it.
     pub to: u16,
-    /// What it was offered with.
+    /// Payload it was offered with.
     pub token: T,
 }
 
-/// A transmission under way.
+/// Transmission in progress.
 #[derive(Clone, Copy, Debug)]
 struct OnAir {
     since: Time,
@@ -44,14 +44,14 @@ struct OnAir {
 pub struct Channel<T> {
     radio: Radio,
     times: Times,
-    /// Those that were asked for, then the access point and the foreign one if there are such.
+    /// The members, then the access point and the station of another network, if there are such.
     stations: Vec<Station<T>>,
     members: u16,
-    /// Where the members are; those of whom nothing is known are in everybody's reach.
-    places: Vec<Option<Vec2>>,
+    /// Positions of the members \[m\]; a member without a position is within range of all.
+    positions: Vec<Option<Vec2>>,
     on_air: Option<OnAir>,
     senders: Vec<usize>,
-    /// From when on slots are counted.
+    /// Start of slot counting: the medium is idle and the interframe space is over.
     free_at: Time,
     due: Option<Time>,
     foreign_due: Option<Time>,
@@ -63,8 +63,8 @@ pub struct Channel<T> {
 }
 
 impl<T: Clone> Channel<T> {
-    /// A channel with idle stations, at the start of the run; draws from streams of this seed alone. Panics unless the
-    /// radio is checked.
+    /// Returns a channel with idle stations at time zero; it draws from streams of this seed alone. The radio must have
+    /// passed its check; panics otherwise.
     pub fn new(radio: Radio, members: u16, seed: &Seed) -> Channel<T> {
         let relays = usize::from(radio.channel == Topology::Infrastructure);
         let all = usize::from(members) + relays + usize::from(radio.background > 0.0);
@@ -74,10 +74,10 @@ impl<T: Clone> Channel<T> {
             times,
             stations: (0..all).map(|_| Station::new(&radio)).collect(),
             members,
-            places: vec![None; usize::from(members)],
+            positions: vec![None; usize::from(members)],
             on_air: None,
             senders: Vec::new(),
-            free_at: Time::ZERO + times.space,
+            free_at: Time::ZERO + times.aifs,
             due: None,
             foreign_due: None,
             foreign_gap_s: taken.as_secs() / radio.background,
@@ -94,43 +94,43 @@ impl<T: Clone> Channel<T> {
         channel
     }
 
-    /// A station is given a datagram of so many bytes to send. `now` must not lie beyond `wake_at`.
-    pub fn offer(&mut self, now: Time, from: u16, to: To, bytes: usize, token: T) {
-        assert!(self.due.is_none_or(|due| now <= due), "a channel is woken before it is offered more");
-        let job = self.job(from, to, bytes, token);
+    /// Queues a datagram of `bytes` at a station. Panics if `now` is later than `wake_at`.
+    pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
+        assert!(self.due.is_none_or(|due| now <= due), "wake the channel before offering more");
+        let frame = self.frame(from, to, bytes, token);
         self.counts.offered += 1;
-        self.counts.wanted += job.copies();
-        self.push(now, usize::from(from), job);
+        self.counts.wanted += frame.copies();
+        self.push(now, usize::from(from), frame);
         self.plan();
     }
 
-    /// From now on a station always has such a datagram to send.
-    pub fn saturate(&mut self, now: Time, from: u16, to: To, bytes: usize, token: T) {
-        self.stations[usize::from(from)].refill = Some(self.job(from, to.clone(), bytes, token.clone()));
+    /// Saturates a station: from now on it always has such a datagram to send.
+    pub fn saturate(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
+        self.stations[usize::from(from)].refill = Some(self.frame(from, to.clone(), bytes, token.clone()));
         self.offer(now, from, to, bytes, token);
     }
 
-    /// A station is there \[m\].
+    /// Sets the position of a station \[m\].
     pub fn place(&mut self, station: u16, position: Vec2) {
-        self.places[usize::from(station)] = Some(position);
+        self.positions[usize::from(station)] = Some(position);
     }
 
-    /// What was counted until `now`.
+    /// Returns the counters up to `now`.
     pub fn counts(&self, now: Time) -> RadioCounts {
         RadioCounts { channel_ns: now.as_nanos(), ..self.counts }
     }
 
-    /// How many frames wait at a station.
+    /// Returns the queue length of a station \[frames\].
     pub fn queued(&self, station: u16) -> usize {
         self.stations[usize::from(station)].queue.len()
     }
 
-    /// When anything is next due.
+    /// Returns when it next has to be woken.
     pub fn wake_at(&self) -> Option<Time> {
         self.due
     }
 
-    /// Does all that is due until `now`, and puts what has arrived into `deliveries`, in the order of its arrival.
+    /// Runs the channel up to `now`; appends received frames to `deliveries` in order of arrival.
     pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<T>>) {
         while let Some(due) = self.due.filter(|&due| due <= now) {
             if self.foreign_due == Some(due) {
@@ -145,9 +145,9 @@ impl<T: Clone> Channel<T> {
         }
     }
 
-    fn job(&self, from: u16, to: To, bytes: usize, token: T) -> Job<T> {
+    fn frame(&self, from: u16, to: Destination, bytes: usize, token: T) -> QueuedFrame<T> {
         let hop = if self.radio.channel == Topology::Infrastructure { Hop::Up } else { Hop::Direct };
-        Job { hop, from, to, bytes, token: Some(token) }
+        QueuedFrame { hop, from, to, bytes, token: Some(token) }
     }
 
     fn next_foreign(&mut self, now: Time) -> Time {
@@ -155,25 +155,26 @@ impl<T: Clone> Channel<T> {
     }
 
     fn push_foreign(&mut self, now: Time) {
-        let job = Job { hop: Hop::Foreign, from: 0, to: To::One(0), bytes: FOREIGN_BYTES, token: None };
-        self.push(now, self.stations.len() - 1, job);
+        let frame =
+            QueuedFrame { hop: Hop::Foreign, from: 0, to: Destination::One(0), bytes: FOREIGN_BYTES, token: None };
+        self.push(now, self.stations.len() - 1, frame);
     }
 
-    /// Puts a frame into a station's queue, if there is room; the first one starts its access to the medium.
-    fn push(&mut self, now: Time, station: usize, job: Job<T>) {
+    /// Puts a frame into a station's queue, if there is room; the first one starts the contention for the medium.
+    fn push(&mut self, now: Time, station: usize, frame: QueuedFrame<T>) {
         let at = &mut self.stations[station];
         if at.queue.len() >= self.radio.queue {
-            self.counts.lost_queue += job.copies();
+            self.counts.lost_queue += frame.copies();
             return;
         }
-        at.queue.push_back(job);
+        at.queue.push_back(frame);
         if at.queue.len() > 1 {
             return;
         }
         if self.on_air.is_some() || now < self.free_at {
             at.ready_after(&mut self.backoff);
         } else {
-            // All stations send at the boundaries of slots, long after the last frame too (10.22.2.4).
+            // Stations transmit at slot boundaries, however long the medium was idle (10.22.2.4).
             at.ready_at(now.since(self.free_at).as_nanos().div_ceil(self.times.slot.as_nanos()));
         }
     }
@@ -189,18 +190,18 @@ impl<T: Clone> Channel<T> {
         self.due = [next, self.foreign_due].into_iter().flatten().min();
     }
 
-    /// Those whose slot this is send.
+    /// Starts the transmissions of the stations whose backoff ends in this slot.
     fn begin(&mut self, now: Time) {
         let slot = now.since(self.free_at).as_nanos() / self.times.slot.as_nanos();
         self.senders.clear();
         let mut longest = Span::ZERO;
         for (at, station) in self.stations.iter_mut().enumerate() {
             if station.pass(slot, self.radio.counting) {
-                let job = station.queue.front().expect("who sends has a frame");
-                let airtime = if job.unicast() {
-                    self.radio.frame_airtime(job.bytes)
+                let frame = station.queue.front().expect("a station that sends has a frame");
+                let airtime = if frame.unicast() {
+                    self.radio.frame_airtime(frame.bytes)
                 } else {
-                    self.radio.multicast_airtime(job.bytes)
+                    self.radio.multicast_airtime(frame.bytes)
                 };
                 longest = longest.max(airtime);
                 self.senders.push(at);
@@ -209,93 +210,93 @@ impl<T: Clone> Channel<T> {
         self.on_air = Some(OnAir { since: now, until: now + longest + self.times.propagation });
     }
 
-    /// What was sent has arrived or collided.
+    /// Ends the transmission: its frames are received or have collided.
     fn end(&mut self, on_air: OnAir, deliveries: &mut Vec<Delivery<T>>) {
         let OnAir { since, until } = on_air;
         let senders = std::mem::take(&mut self.senders);
         let collision = senders.len() > 1;
-        let (mut own, mut quiet) = (false, self.times.recovery);
+        let (mut own, mut idle) = (false, self.times.recovery);
         let mut taken = until.since(since);
         for &at in &senders {
-            let job = self.stations[at].queue.pop_front().expect("who has sent has a frame");
-            if job.hop != Hop::Foreign {
+            let frame = self.stations[at].queue.pop_front().expect("a station that has sent has a frame");
+            if frame.hop != Hop::Foreign {
                 own = true;
                 self.counts.transmissions += 1;
                 self.counts.collided += u64::from(collision);
             }
-            if !job.unicast() {
+            if !frame.unicast() {
                 self.stations[at].done(&self.radio, &mut self.backoff);
                 if collision {
-                    self.counts.lost_collision += job.copies();
+                    self.counts.lost_collision += frame.copies();
                 } else {
-                    quiet = self.times.space;
-                    self.spread(until, &job, deliveries);
+                    idle = self.times.aifs;
+                    self.deliver_multicast(until, &frame, deliveries);
                 }
-            } else if !collision && self.hears(&job) {
+            } else if !collision && self.receives(&frame) {
                 taken = taken + self.times.acknowledged;
-                quiet = self.times.acknowledged + self.times.space;
+                idle = self.times.acknowledged + self.times.aifs;
                 self.stations[at].done(&self.radio, &mut self.backoff);
-                self.arrive(until, job, deliveries);
-            } else if let Some(given_up) = self.stations[at].failed(job, &self.radio, &mut self.backoff) {
-                self.counts.lost_retries += given_up.copies();
+                self.receive_unicast(until, frame, deliveries);
+            } else if let Some(dropped) = self.stations[at].failed(frame, &self.radio, &mut self.backoff) {
+                self.counts.lost_retries += dropped.copies();
             }
         }
         (self.senders, self.on_air) = (senders, None);
-        self.free_at = until + quiet;
+        self.free_at = until + idle;
         let time = if own { &mut self.counts.airtime_ns } else { &mut self.counts.foreign_ns };
         *time += taken.as_nanos();
     }
 
-    /// Whether the one that an undisturbed unicast frame is for can read it.
-    fn hears(&mut self, job: &Job<T>) -> bool {
-        match (job.hop, &job.to) {
+    /// Whether the receiver of a unicast frame without collision can decode it.
+    fn receives(&mut self, frame: &QueuedFrame<T>) -> bool {
+        match (frame.hop, &frame.to) {
             (Hop::Foreign, _) => true,
-            (Hop::Direct, To::One(to)) if !self.in_reach(job.from, *to) => false,
-            _ => !self.spoilt(),
+            (Hop::Direct, Destination::One(to)) if !self.in_range(frame.from, *to) => false,
+            _ => !self.lost_to_noise(),
         }
     }
 
-    fn spoilt(&mut self) -> bool {
+    fn lost_to_noise(&mut self) -> bool {
         self.radio.noise_loss > 0.0 && self.noise.random_bool(self.radio.noise_loss)
     }
 
-    fn in_reach(&self, from: u16, to: u16) -> bool {
+    fn in_range(&self, from: u16, to: u16) -> bool {
         let Some(range_m) = self.radio.range_m else { return true };
-        match (self.places[usize::from(from)], self.places[usize::from(to)]) {
+        match (self.positions[usize::from(from)], self.positions[usize::from(to)]) {
             (Some(from), Some(to)) => (to - from).norm_squared() <= range_m * range_m,
             _ => true,
         }
     }
 
-    /// A unicast frame has been read by the station that it was sent to.
-    fn arrive(&mut self, at: Time, job: Job<T>, deliveries: &mut Vec<Delivery<T>>) {
-        match (job.hop, &job.to) {
+    /// Handles a unicast frame at its receiver: an access point relays it, a station delivers it.
+    fn receive_unicast(&mut self, at: Time, frame: QueuedFrame<T>, deliveries: &mut Vec<Delivery<T>>) {
+        match (frame.hop, &frame.to) {
             (Hop::Foreign, _) => {}
             (Hop::Up, _) => {
-                self.push(at, usize::from(self.members), Job { hop: Hop::Down, ..job });
+                self.push(at, usize::from(self.members), QueuedFrame { hop: Hop::Down, ..frame });
             }
-            (_, To::One(to)) => self.deliver(at, job.from, *to, job.token.as_ref(), deliveries),
-            (_, To::Many(_)) => unreachable!("a frame for many is unicast on its way up alone"),
+            (_, Destination::One(to)) => self.deliver(at, frame.from, *to, frame.token.as_ref(), deliveries),
+            (_, Destination::Many(_)) => unreachable!("a frame for many is unicast on its way up alone"),
         }
     }
 
-    /// A multicast frame is over: each listener has read it or not.
-    fn spread(&mut self, at: Time, job: &Job<T>, deliveries: &mut Vec<Delivery<T>>) {
-        let To::Many(listeners) = &job.to else { unreachable!("a frame for one is unicast") };
-        for &to in listeners.iter().filter(|&&to| to != job.from) {
-            if job.hop == Hop::Direct && !self.in_reach(job.from, to) {
+    /// Delivers a multicast frame to each receiver, or counts its loss there.
+    fn deliver_multicast(&mut self, at: Time, frame: &QueuedFrame<T>, deliveries: &mut Vec<Delivery<T>>) {
+        let Destination::Many(listeners) = &frame.to else { unreachable!("a frame for one is unicast") };
+        for &to in listeners.iter().filter(|&&to| to != frame.from) {
+            if frame.hop == Hop::Direct && !self.in_range(frame.from, to) {
                 self.counts.lost_range += 1;
-            } else if self.spoilt() {
+            } else if self.lost_to_noise() {
                 self.counts.lost_noise += 1;
             } else {
-                self.deliver(at, job.from, to, job.token.as_ref(), deliveries);
+                self.deliver(at, frame.from, to, frame.token.as_ref(), deliveries);
             }
         }
     }
 
     fn deliver(&mut self, at: Time, from: u16, to: u16, token: Option<&T>, deliveries: &mut Vec<Delivery<T>>) {
         self.counts.arrived += 1;
-        let token = token.expect("a foreign frame is for nobody here").clone();
+        let token = token.expect("frames of other networks are not delivered").clone();
         deliveries.push(Delivery { at, from, to, token });
     }
 }

@@ -1,4 +1,4 @@
-//! What is counted on a radio channel: what was offered, what was on the air, and what was lost, by its cause.
+//! Counters of a radio channel: offered and transmitted frames, and losses by cause.
 
 use std::iter::Sum;
 
@@ -6,7 +6,8 @@ use serde::{Deserialize, Serialize};
 
 macro_rules! counts {
     ($($(#[$doc:meta])* $name:ident,)*) => {
-        /// Frames and airtime of radio channels. A frame for many is lost, or arrives, once a listener.
+        /// Counters of frames and airtime of radio channels. A multicast frame is lost or delivered once for each
+        /// receiver.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(default)]
         pub struct RadioCounts {
@@ -22,48 +23,48 @@ macro_rules! counts {
 }
 
 counts! {
-    /// Datagrams that stations were given to send.
+    /// Datagrams offered to stations.
     offered,
-    /// Copies of them that are to arrive: one a listener.
+    /// Expected deliveries: one per offered datagram and receiver.
     wanted,
-    /// Frames on the air, retries and an access point's relaying included, foreign ones not.
+    /// Transmitted frames, including retries and an access point's relaying, without those of other networks.
     transmissions,
-    /// Those of them that collided.
+    /// Transmitted frames that collided.
     collided,
-    /// Copies that arrived, counted at the last listener alone and not at an access point.
+    /// Deliveries at the final receivers; arrivals at an access point do not count.
     arrived,
-    /// Lost: the transmit queue of a station or the access point was full.
+    /// Lost deliveries: the transmit queue of a station or the access point was full.
     lost_queue,
-    /// Lost: unicast without an acknowledgement, however often it was sent again.
+    /// Lost deliveries: a unicast frame reached its retry limit without an acknowledgement.
     lost_retries,
-    /// Lost to one listener: multicast that collided.
+    /// Lost deliveries: a multicast frame collided.
     lost_collision,
-    /// Lost to one listener: multicast that noise has spoilt.
+    /// Lost deliveries: noise corrupted a multicast frame.
     lost_noise,
-    /// Lost to one listener: multicast, too far away.
+    /// Lost deliveries: the receiver of a multicast frame was out of range.
     lost_range,
-    /// How long the medium was taken by these stations and the access point \[ns\].
+    /// Time in which the medium was busy with these stations and the access point \[ns\].
     airtime_ns,
-    /// How long it was taken by foreign frames alone \[ns\].
+    /// Time in which the medium was busy only with frames of other networks \[ns\].
     foreign_ns,
-    /// How long channels have existed, all together: what airtime is a share of \[ns\].
+    /// Lifetime of all channels together, of which airtime is a share \[ns\].
     channel_ns,
 }
 
 impl RadioCounts {
-    /// What was lost, by its cause.
+    /// Lost deliveries with a text for each cause.
     pub fn causes(&self) -> impl Iterator<Item = (u64, &'static str)> {
         let multicast =
             [(self.lost_collision, "to collisions"), (self.lost_noise, "to noise"), (self.lost_range, "out of range")];
         [(self.lost_queue, "to full queues"), (self.lost_retries, "after all retries")].into_iter().chain(multicast)
     }
 
-    /// Everything that was lost, whatever the cause.
+    /// Lost deliveries of all causes.
     pub fn lost(&self) -> u64 {
         self.causes().map(|(n, _)| n).sum()
     }
 
-    /// The share of time in which the medium was taken by these stations, over all channels.
+    /// Share of time in which the medium was busy with these stations, over all channels.
     pub fn airtime(&self) -> f64 {
         self.airtime_ns as f64 / self.channel_ns.max(1) as f64
     }

@@ -1,8 +1,8 @@
-//! The radio channel of 802.11, pure: this file says what a channel is like, as data, and what follows from it.
+//! The radio channel of IEEE 802.11, pure. This file holds its parameters and the interframe spaces that follow.
 //!
-//! `channel` is the distributed coordination function, `station` the queue and backoff of one station, `rate` how long
-//! frames are on the air, `bianchi` the model that says where a channel saturates. Nothing here knows an actor, a
-//! message or a clock. Clauses are those of IEEE 802.11-2016. `docs/radio.md` says what is left out.
+//! `channel` is the distributed coordination function (DCF), `station` the queue and backoff of one station. `rate` has
+//! the airtime of frames, `bianchi` a model of saturation. Nothing here knows an actor, a message or a clock.
+//! Clauses are those of IEEE 802.11-2016. `docs/radio.md` lists what is not modelled.
 
 pub mod bianchi;
 pub mod channel;
@@ -10,7 +10,7 @@ pub mod counts;
 pub mod rate;
 mod station;
 
-pub use channel::{Channel, Delivery, To};
+pub use channel::{Channel, Delivery, Destination};
 pub use counts::RadioCounts;
 pub use rate::{Band, Rate, Width};
 
@@ -19,90 +19,90 @@ use serde::{Deserialize, Serialize};
 use crate::config::{self, ConfigError};
 use crate::time::Span;
 
-/// How frames find their way.
+/// Topology of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Topology {
-    /// Through an access point, which is one station more and sends everything a second time (4.3.5).
+    /// Frames go through an access point, an additional station that transmits each of them a second time (4.3.5).
     Infrastructure,
-    /// From station to station, in one hop (4.3.2).
+    /// Frames go from station to station, in one hop (4.3.2).
     AdHoc,
 }
 
-/// What becomes of a backoff counter in the slot in which another station begins to send.
+/// Rule for the backoff counter in a slot in which another station starts to transmit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Counting {
-    /// It keeps its value: only a slot without activity counts (DCF, 10.3.4.3).
+    /// The counter is frozen: only an idle slot decrements it (DCF, 10.3.4.3).
     Dcf,
-    /// It counts that slot too: one step at every slot boundary (EDCA, 10.22.2.4; and the model of Bianchi).
+    /// The counter is decremented in that slot, too (EDCA, 10.22.2.4; and the model of Bianchi).
     Edca,
 }
 
-/// How long stations wait after a frame that nobody could read, before they count slots again.
+/// Interframe space after a frame that no station could decode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Recovery {
-    /// As after any frame (the model of Bianchi).
+    /// DIFS, as after any other frame (the model of Bianchi).
     Difs,
-    /// For as long as an acknowledgement would have taken, too (EIFS, 10.3.2.3.7).
+    /// EIFS: additionally the time of an acknowledgement (10.3.2.3.7).
     Eifs,
 }
 
-/// What a radio channel is like.
+/// Parameters of a radio channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Radio {
-    /// How frames find their way.
+    /// Infrastructure or ad hoc.
     pub channel: Topology,
-    /// The rate of unicast frames.
+    /// Data rate of unicast frames.
     pub rate: Rate,
-    /// The rate of multicast frames.
+    /// Data rate of multicast frames.
     pub basic_rate: Rate,
-    /// The rate of acknowledgements.
+    /// Data rate of acknowledgements.
     pub ack_rate: Rate,
-    /// The width of the channel \[MHz\].
+    /// Channel width \[MHz\].
     pub width_mhz: Width,
-    /// Its band.
+    /// Frequency band.
     pub band: Band,
-    /// A slot \[us\].
+    /// Slot time \[us\].
     pub slot_us: u32,
-    /// The short interframe space \[us\].
+    /// Short interframe space (SIFS) \[us\].
     pub sifs_us: u32,
-    /// How many slots the medium must be idle after a SIFS: two are a DIFS (10.3.7).
+    /// Arbitration interframe space number: idle slots after a SIFS; two make a DIFS (10.3.7).
     pub aifsn: u32,
-    /// How long a frame takes to the other station \[us\].
+    /// Propagation delay \[us\].
     pub propagation_us: u32,
-    /// The first contention window \[slots\]: a backoff is drawn from 0 to this.
+    /// Minimum contention window \[slots\]: the first backoff is drawn from 0 to this.
     pub cw_min: u32,
-    /// The last one \[slots\].
+    /// Maximum contention window \[slots\].
     pub cw_max: u32,
-    /// What becomes of a backoff counter in a busy slot.
+    /// Rule for the backoff counter in a busy slot.
     pub counting: Counting,
-    /// How long to wait after a frame that nobody could read.
+    /// Interframe space after a frame that no station could decode.
     pub after_error: Recovery,
-    /// How often a unicast frame without an acknowledgement is sent again, after the first time.
+    /// Retry limit: retransmissions of an unacknowledged unicast frame after its first transmission.
     pub retries: u32,
-    /// How many frames wait at a station or at the access point; those that come then are lost.
+    /// Capacity of the transmit queue of a station or the access point \[frames\]; a frame that finds it full is lost.
     pub queue: usize,
-    /// What is on the air beside a datagram \[bytes\].
+    /// Header and trailer bytes on the air for each datagram \[bytes\].
     pub overhead_bytes: usize,
-    /// How far a station is heard \[m\]; none for everywhere. Ad-hoc alone: all are in reach of an access point.
+    /// Transmission range of a station \[m\]; none for unlimited. Ad hoc only: an access point reaches all stations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range_m: Option<f32>,
-    /// The share of frames that noise spoils, for each receiver by itself, 0 to 1.
+    /// Probability that noise corrupts a frame, 0 to 1, independently for each receiver.
     pub noise_loss: f64,
-    /// The share of airtime that foreign stations ask for, 0 to 1.
+    /// Share of airtime that is offered by stations of other networks, 0 to 1.
     pub background: f64,
 }
 
-/// On the air beside a datagram: MAC header 24 (9.2.3) with QoS control 2 (9.2.4.5) and FCS 4, LLC and SNAP 8 (RFC
+/// Bytes on the air for each datagram: MAC header 24 (9.2.3), QoS control 2 (9.2.4.5), FCS 4, LLC and SNAP 8 (RFC
 /// 1042), IPv4 20 (RFC 791), UDP 8 (RFC 768) \[bytes\].
 pub const OVERHEAD_BYTES: usize = 24 + 2 + 4 + 8 + 20 + 8;
-/// An acknowledgement (9.3.1.4) \[bytes\].
+/// Length of an ACK frame (9.3.1.4) \[bytes\].
 pub const ACK_BYTES: usize = 14;
 
-/// The presets by name.
+/// Names of the presets.
 pub const PRESETS: [&str; 4] = ["wifi", "wifi-n", "wifi-slow", "paper"];
 
 impl Default for Radio {
@@ -111,7 +111,7 @@ impl Default for Radio {
         Radio {
             channel: Topology::Infrastructure,
             rate: rate("ofdm-54"),
-            // What access points take by default, so that any station understands it.
+            // The default of access points, which any station can decode.
             basic_rate: rate("dsss-1"),
             // The highest mandatory rate not above that of the data (10.7.6.5.2).
             ack_rate: rate("ofdm-24"),
@@ -141,23 +141,23 @@ fn rate(name: &str) -> Rate {
     name.parse().expect("a rate of the table")
 }
 
-/// The lengths of time that the access to a channel is made of.
+/// Time intervals of medium access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Times {
-    /// A slot.
+    /// Slot time.
     pub slot: Span,
-    /// A frame on its way.
+    /// Propagation delay.
     pub propagation: Span,
-    /// Idle before slots are counted: AIFS, or DIFS where it is two slots and a SIFS.
-    pub space: Span,
-    /// From the arrival of a unicast frame to that of its acknowledgement.
+    /// AIFS: idle time before slots are counted; equal to DIFS if `aifsn` is 2.
+    pub aifs: Span,
+    /// Time from the arrival of a unicast frame to the arrival of its acknowledgement.
     pub acknowledged: Span,
-    /// From the end of what nobody could read to where slots are counted.
+    /// Time from the end of a frame that no station could decode to the start of slot counting.
     pub recovery: Span,
 }
 
 impl Radio {
-    /// The preset of that name, with an access point; `None` if there is none.
+    /// Returns the preset of that name, with an access point; `None` if there is none.
     pub fn preset(name: &str) -> Option<Radio> {
         Some(match name {
             "wifi" => Radio::default(),
@@ -170,7 +170,7 @@ impl Radio {
                 sifs_us: 16,
                 ..Radio::default()
             },
-            // Table 16-4 (HR/DSSS), without EDCA and its QoS control: everything at the rate that reaches farthest.
+            // Table 16-4 (HR/DSSS), without EDCA and its QoS control: all frames at the rate of longest range.
             "wifi-slow" => Radio {
                 rate: rate("dsss-1"),
                 ack_rate: rate("dsss-1"),
@@ -181,16 +181,17 @@ impl Radio {
                 overhead_bytes: OVERHEAD_BYTES - 2,
                 ..Radio::default()
             },
-            // Fitted to two figures of the paper's network study: of 200 messages a second among five robots 44 % came
-            // within 20 ms by reliable unicast with 7 retries, of 60 a second 84 % by best-effort multicast, the rest
-            // lost (`docs/network-study.md` has the fit and its residual).
+            // Fitted to two figures of the paper's network study, with five robots. At 200 messages/s, 44 % arrived
+            // within 20 ms by reliable unicast with 7 retries. At 60 messages/s, 84 % arrived by best-effort multicast;
+            // the rest were lost (`docs/network-study.md` has the fit and its residual).
             "paper" => Radio { rate: rate("ofdm-18"), noise_loss: 0.085, background: 0.6, ..Radio::default() },
             _ => return None,
         })
     }
 
-    /// The system of Bianchi's Table II (JSAC 18(3), 2000): FHSS at 1 Mbit/s, MAC header 272 bits, PHY header 128 bits,
-    /// ACK 112 bits and PHY header, window 32 doubled `stages` times, retries without end. Its payload is 1023 bytes.
+    /// Returns the system of Bianchi's Table II (JSAC 18(3), 2000): FHSS at 1 Mbit/s, MAC header 272 bits, PHY header
+    /// 128 bits, ACK 112 bits and PHY header, window 32 doubled `stages` times, unlimited retries. Its payload is 1023
+    /// bytes.
     pub fn bianchi(stages: u32) -> Radio {
         let fhss = rate("fhss-1");
         Radio {
@@ -212,14 +213,15 @@ impl Radio {
         }
     }
 
-    /// Reads a channel from TOML and checks it; what is not given is as in the preset `wifi`.
+    /// Reads a channel from TOML and checks it; missing fields are those of the preset `wifi`. An error names the
+    /// field.
     pub fn from_toml(text: &str) -> Result<Radio, ConfigError> {
         let radio: Radio = config::from_toml(text)?;
         radio.check()?;
         Ok(radio)
     }
 
-    /// Checks that there can be such a channel.
+    /// Checks all ranges; an error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         for (field, rate) in [("rate", self.rate), ("basic_rate", self.basic_rate), ("ack_rate", self.ack_rate)] {
@@ -254,7 +256,7 @@ impl Radio {
         }
         if let Some(range_m) = self.range_m {
             if self.channel == Topology::Infrastructure {
-                return wrong("range_m", "all are in reach of an access point; only 'ad-hoc' has a range".to_owned());
+                return wrong("range_m", "an access point reaches all stations; only 'ad-hoc' has a range".to_owned());
             }
             if range_m.is_nan() || range_m < 0.0 {
                 return wrong("range_m", format!("{range_m} is not a distance"));
@@ -268,30 +270,30 @@ impl Radio {
         Ok(())
     }
 
-    /// The lengths of time that follow.
+    /// Returns the time intervals that follow from the parameters.
     pub fn times(&self) -> Times {
         let us = |us: u32| Span::from_nanos(1000 * u64::from(us));
         let (slot, sifs, propagation) = (us(self.slot_us), us(self.sifs_us), us(self.propagation_us));
-        let space = sifs + slot * u64::from(self.aifsn);
+        let aifs = sifs + slot * u64::from(self.aifsn);
         let answer = sifs + self.ack_rate.airtime(ACK_BYTES, self.width_mhz, self.band);
         let recovery = match self.after_error {
-            Recovery::Difs => space,
-            Recovery::Eifs => answer + space,
+            Recovery::Difs => aifs,
+            Recovery::Eifs => answer + aifs,
         };
-        Times { slot, propagation, space, acknowledged: answer + propagation, recovery }
+        Times { slot, propagation, aifs, acknowledged: answer + propagation, recovery }
     }
 
-    /// How long a unicast frame with a datagram of so many bytes is on the air.
+    /// Returns the airtime of a unicast frame with a datagram of `datagram_bytes`.
     pub fn frame_airtime(&self, datagram_bytes: usize) -> Span {
         self.rate.airtime(self.overhead_bytes + datagram_bytes, self.width_mhz, self.band)
     }
 
-    /// The same of a multicast frame.
+    /// Returns the airtime of a multicast frame with a datagram of `datagram_bytes`.
     pub fn multicast_airtime(&self, datagram_bytes: usize) -> Span {
         self.basic_rate.airtime(self.overhead_bytes + datagram_bytes, self.width_mhz, self.band)
     }
 
-    /// How long the datagram alone takes of that.
+    /// Returns the part of a unicast frame's airtime that the datagram itself takes.
     pub fn payload_airtime(&self, datagram_bytes: usize) -> Span {
         let empty = self.rate.airtime(self.overhead_bytes, self.width_mhz, self.band);
         self.frame_airtime(datagram_bytes) - empty
@@ -330,12 +332,12 @@ mod tests {
     }
 
     #[test]
-    fn bianchis_times_are_those_of_his_table() {
+    fn intervals_of_the_bianchi_system_match_the_published_table() {
         let radio = Radio::bianchi(3);
         let times = radio.times();
-        assert_eq!(times.space, Span::from_nanos(128_000));
+        assert_eq!(times.aifs, Span::from_nanos(128_000));
         // Ts = 8982 us and Tc = 8713 us of basic access.
-        let success = radio.frame_airtime(1023) + times.propagation + times.acknowledged + times.space;
+        let success = radio.frame_airtime(1023) + times.propagation + times.acknowledged + times.aifs;
         assert_eq!(success, Span::from_nanos(8_982_000));
         let collision = radio.frame_airtime(1023) + times.propagation + times.recovery;
         assert_eq!(collision, Span::from_nanos(8_713_000));

@@ -1,4 +1,4 @@
-//! The rates of 802.11, and how long a frame is on the air at each. No medium access.
+//! Data rates of 802.11, and the airtime of a frame at each. No medium access.
 //!
 //! Clauses and tables are those of IEEE 802.11-2016.
 
@@ -9,23 +9,23 @@ use serde::{Deserialize, Serialize};
 
 use crate::time::Span;
 
-/// Time on air that follows an ERP-OFDM or HT frame at 2.4 GHz with nothing sent (18.3.2.4, 19.4.3) \[ns\].
+/// Signal extension: silence after an ERP-OFDM or HT frame at 2.4 GHz (18.3.2.4, 19.4.3) \[ns\].
 const SIGNAL_EXTENSION_NS: u64 = 6_000;
-/// Of an OFDM frame: 16 bits of SERVICE before the data and 6 of tail after it (17.3.5.2, 17.3.5.3).
+/// Bits of an OFDM frame beside its data: 16 of SERVICE before it and 6 of tail after it (17.3.5.2, 17.3.5.3).
 const SERVICE_AND_TAIL_BITS: u64 = 22;
 
-/// How frames are modulated.
+/// Modulation family.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Family {
-    /// Bits go out one by one after a preamble of this length.
+    /// Serial bits after a preamble of this length (DSSS, FHSS).
     Serial { preamble_ns: u64 },
-    /// Symbols of 4 us at 20 MHz, of more where the channel is narrower (clause 17).
+    /// OFDM symbols of 4 us at 20 MHz, longer in narrower channels (clause 17).
     Ofdm,
-    /// Symbols of 4 us after the longer preamble of the mixed format, one spatial stream (clause 19).
+    /// OFDM symbols of 4 us after the longer preamble of the HT-mixed format, one spatial stream (clause 19).
     Ht,
 }
 
-/// A rate by name, and how many bits it carries in two symbols of its family: of a serial one, in two microseconds.
+/// A rate by name, with its bits per two symbols; for a serial family, per two microseconds.
 struct Coding {
     name: &'static str,
     family: Family,
@@ -66,17 +66,17 @@ const CODINGS: [Coding; 21] = [
     coding("ht-mcs7", Family::Ht, 2 * 260),
 ];
 
-/// The width of a channel.
+/// Channel width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "u8", into = "u8")]
 pub enum Width {
-    /// 5 MHz, OFDM alone.
+    /// 5 MHz, OFDM only.
     Quarter,
-    /// 10 MHz, OFDM alone.
+    /// 10 MHz, OFDM only.
     Half,
     /// 20 MHz, all rates.
     Full,
-    /// 40 MHz: HT frames carry more, all others are as at 20 MHz.
+    /// 40 MHz: HT frames carry more; all others are as at 20 MHz.
     Double,
 }
 
@@ -96,10 +96,10 @@ impl From<Width> for u8 {
     }
 }
 
-/// The band of a channel.
+/// Frequency band of a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Band {
-    /// 2.4 GHz: OFDM frames are followed by 6 us of silence.
+    /// 2.4 GHz: OFDM frames are followed by a signal extension of 6 us.
     #[serde(rename = "2.4GHz")]
     Low,
     /// 5 GHz.
@@ -107,7 +107,7 @@ pub enum Band {
     High,
 }
 
-/// A rate of 802.11, by name.
+/// Data rate of 802.11, by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Rate(u8);
@@ -122,13 +122,13 @@ impl Rate {
         &CODINGS[usize::from(self.0)]
     }
 
-    /// Whether there are channels of this width at this rate.
+    /// Whether this rate exists at this channel width.
     pub fn fits(self, width: Width) -> bool {
         matches!(width, Width::Full | Width::Double) || self.coding().family == Family::Ofdm
     }
 
-    /// How long a frame of so many bytes is on the air, headers and check sequence of its MAC included: TXTIME of
-    /// 16.3.4, 17.4.3, 18.5.3.2 and 19.4.3.
+    /// Returns the airtime of a frame of `bytes`, which include MAC header and frame check sequence: TXTIME of 16.3.4,
+    /// 17.4.3, 18.5.3.2 and 19.4.3.
     pub fn airtime(self, bytes: usize, width: Width, band: Band) -> Span {
         let Coding { family, bits_in_two, .. } = *self.coding();
         let bits = 8 * bytes as u64;
@@ -136,21 +136,22 @@ impl Rate {
         Span::from_nanos(match family {
             Family::Serial { preamble_ns } => preamble_ns + 1_000 * (2 * bits).div_ceil(bits_in_two),
             Family::Ofdm => {
-                // Table 17-21: everything is slower in a narrow channel.
+                // Table 17-21: all intervals are longer in a narrow channel.
                 let slower = match width {
                     Width::Quarter => 4,
                     Width::Half => 2,
                     Width::Full | Width::Double => 1,
                 };
                 let symbols = (2 * (SERVICE_AND_TAIL_BITS + bits)).div_ceil(bits_in_two);
-                // Training of 16 us and SIGNAL of 4 us (17.4.3).
+                // Training fields of 16 us and SIGNAL of 4 us (17.4.3).
                 slower * (20_000 + 4_000 * symbols) + extension
             }
             Family::Ht => {
-                // 108 in place of 52 subcarriers carry data: Table 19-31 beside Table 19-27.
+                // 108 instead of 52 data subcarriers: Table 19-31 beside Table 19-27.
                 let (wider, narrower) = if width == Width::Double { (27, 13) } else { (1, 1) };
                 let symbols = (2 * narrower * (SERVICE_AND_TAIL_BITS + bits)).div_ceil(wider * bits_in_two);
-                // Legacy training and SIGNAL, HT-SIG 8 us, HT-STF 4 us, one HT-LTF of 4 us (Table 19-6, 19.4.3).
+                // Legacy training fields and SIGNAL 20 us, HT-SIG 8 us, HT-STF 4 us, one HT-LTF of 4 us (Table 19-6,
+                // 19.4.3).
                 36_000 + 4_000 * symbols + extension
             }
         })
@@ -173,7 +174,7 @@ impl FromStr for Rate {
 impl TryFrom<String> for Rate {
     type Error = String;
     fn try_from(name: String) -> Result<Rate, String> {
-        // What a file says is not repeated.
+        // Errors do not quote the contents of a file.
         name.parse().map_err(|_| format!("there is no such rate; there are: {}", names()))
     }
 }
@@ -199,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_on_the_air_as_long_as_the_standard_says() {
+    fn airtimes_match_the_standard() {
         use Band::*;
         use Width::*;
         // 14 bytes of ACK: 192 + 112 us.
@@ -216,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rate_has_one_name() {
+    fn every_rate_parses_from_its_name() {
         for coding in &CODINGS {
             assert_eq!(coding.name.parse::<Rate>().unwrap().to_string(), coding.name);
         }

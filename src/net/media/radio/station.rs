@@ -1,4 +1,4 @@
-//! One station of a channel: its transmit queue, its contention window and its backoff counter. Knows no other station.
+//! One station of a channel: its transmit queue, contention window and backoff counter.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -8,65 +8,66 @@ use rand::RngExt;
 use super::{Counting, Radio};
 use crate::random::Stream;
 
-/// Whom a frame is for.
+/// Destination of a frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum To {
-    /// One station: acknowledged, and sent again without an acknowledgement.
+pub enum Destination {
+    /// One station: unicast, acknowledged, retransmitted up to the retry limit.
     One(u16),
-    /// These stations, its sender aside: at the basic rate, once.
+    /// These stations, except the sender: multicast, sent once at the basic rate.
     Many(Arc<[u16]>),
 }
 
-/// Which way a frame goes in one transmission.
+/// Hop that one transmission makes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Hop {
-    /// From station to station.
+    /// Station to station.
     Direct,
-    /// To the access point.
+    /// Station to access point.
     Up,
-    /// From the access point.
+    /// Access point to station.
     Down,
-    /// Between stations that are not of this channel's.
+    /// Between stations of another network.
     Foreign,
 }
 
-/// A frame that waits.
+/// Frame in a transmit queue.
 #[derive(Clone, Debug)]
-pub(super) struct Job<T> {
+pub(super) struct QueuedFrame<T> {
     pub hop: Hop,
     pub from: u16,
-    pub to: To,
+    pub to: Destination,
     pub bytes: usize,
-    /// None for a foreign one.
+    /// Payload of the caller; none for a frame of another network.
     pub token: Option<T>,
 }
 
-impl<T> Job<T> {
-    /// How many stations it is for.
+impl<T> QueuedFrame<T> {
+    /// Returns the number of receivers; 0 for a frame of another network.
     pub fn copies(&self) -> u64 {
         match &self.to {
             _ if self.hop == Hop::Foreign => 0,
-            To::One(_) => 1,
-            To::Many(all) => all.iter().filter(|&&to| to != self.from).count() as u64,
+            Destination::One(_) => 1,
+            Destination::Many(all) => all.iter().filter(|&&to| to != self.from).count() as u64,
         }
     }
 
-    /// Whether it is acknowledged.
+    /// Whether it is sent by unicast, and so acknowledged.
     pub fn unicast(&self) -> bool {
         match self.hop {
             Hop::Up | Hop::Foreign => true,
-            Hop::Direct | Hop::Down => matches!(self.to, To::One(_)),
+            Hop::Direct | Hop::Down => matches!(self.to, Destination::One(_)),
         }
     }
 }
 
-/// A station of a channel.
+/// State of one station.
 #[derive(Clone, Debug)]
 pub(super) struct Station<T> {
-    pub queue: VecDeque<Job<T>>,
-    /// What takes the place of a frame that has left, where there is always one to send.
-    pub refill: Option<Job<T>>,
-    /// When it sends, or may send again: so many slots after the medium is free. None if it may at once.
+    pub queue: VecDeque<QueuedFrame<T>>,
+    /// Frame that refills an empty queue, if the station is saturated.
+    pub refill: Option<QueuedFrame<T>>,
+    /// Backoff counter: slots after the medium becomes idle before the station transmits, or may again. None if it may
+    /// transmit at once.
     counter: Option<u64>,
     window: u32,
     failures: u32,
@@ -77,36 +78,37 @@ impl<T: Clone> Station<T> {
         Station { queue: VecDeque::new(), refill: None, counter: None, window: radio.cw_min, failures: 0 }
     }
 
-    /// In which slot after the medium is free it sends, if the medium stays so.
+    /// Returns the slot, counted since the medium became idle, in which it transmits if the medium stays idle.
     pub fn slot(&self) -> Option<u64> {
         self.counter.filter(|_| !self.queue.is_empty())
     }
 
-    /// A frame has come to an empty queue while the medium is idle, not before this slot (10.3.4.2).
+    /// Schedules a frame that came to an empty queue while the medium was idle: not before this slot (10.3.4.2).
     pub fn ready_at(&mut self, slot: u64) {
         self.counter = Some(self.counter.unwrap_or(0).max(slot));
     }
 
-    /// The same while the medium is taken: a backoff is drawn, unless one is still under way (10.3.4.2, 10.3.4.3).
+    /// Schedules a frame that came to an empty queue while the medium was busy: draws a backoff, unless one is still in
+    /// progress (10.3.4.2, 10.3.4.3).
     pub fn ready_after(&mut self, stream: &mut Stream) {
         if self.counter.is_none() {
             self.draw(stream);
         }
     }
 
-    /// A transmission begins in this slot; whether it is one of this station.
+    /// Updates the backoff counter for a transmission that starts in this slot; true if this station transmits, too.
     pub fn pass(&mut self, slot: u64, counting: Counting) -> bool {
         let Some(counter) = self.counter.take() else { return false };
         if counter <= slot {
             return !self.queue.is_empty();
         }
         let left = counter - slot - u64::from(counting == Counting::Edca);
-        // Nothing to send and nothing left to count: the backoff after the last frame is over.
+        // Empty queue and counter at zero: the backoff after the last frame is over.
         self.counter = Some(left).filter(|&left| left > 0 || !self.queue.is_empty());
         false
     }
 
-    /// Its frame is done with, acknowledged or not to be sent again: there is a backoff before the next (10.3.4.3).
+    /// Ends a frame that was acknowledged or is not sent again: draws the backoff before the next one (10.3.4.3).
     pub fn done(&mut self, radio: &Radio, stream: &mut Stream) {
         (self.window, self.failures) = (radio.cw_min, 0);
         self.draw(stream);
@@ -115,14 +117,14 @@ impl<T: Clone> Station<T> {
         }
     }
 
-    /// Its frame was not acknowledged: it goes out again from a window twice as large (10.3.3, 10.3.4.4), or comes back
-    /// as given up.
-    pub fn failed(&mut self, job: Job<T>, radio: &Radio, stream: &mut Stream) -> Option<Job<T>> {
+    /// Handles a missing acknowledgement: doubles the contention window and requeues the frame (10.3.3, 10.3.4.4).
+    /// Returns the frame if it has reached the retry limit.
+    pub fn failed(&mut self, frame: QueuedFrame<T>, radio: &Radio, stream: &mut Stream) -> Option<QueuedFrame<T>> {
         if self.failures >= radio.retries {
             self.done(radio, stream);
-            return Some(job);
+            return Some(frame);
         }
-        self.queue.push_front(job);
+        self.queue.push_front(frame);
         self.failures += 1;
         self.window = (2 * self.window + 1).min(radio.cw_max);
         self.draw(stream);
@@ -139,15 +141,15 @@ mod tests {
     use super::*;
     use crate::random::Seed;
 
-    fn job() -> Job<u8> {
-        Job { hop: Hop::Direct, from: 0, to: To::One(1), bytes: 100, token: Some(0) }
+    fn frame() -> QueuedFrame<u8> {
+        QueuedFrame { hop: Hop::Direct, from: 0, to: Destination::One(1), bytes: 100, token: Some(0) }
     }
 
     #[test]
-    fn a_counter_stands_still_while_the_medium_is_taken() {
+    fn a_backoff_counter_is_frozen_while_the_medium_is_busy() {
         for (counting, left) in [(Counting::Dcf, 6), (Counting::Edca, 5)] {
             let mut station = Station::new(&Radio::default());
-            station.queue.push_back(job());
+            station.queue.push_back(frame());
             station.ready_at(10);
             assert!(!station.pass(4, counting));
             assert_eq!(station.slot(), Some(left));
@@ -156,30 +158,30 @@ mod tests {
     }
 
     #[test]
-    fn a_window_doubles_up_to_its_bound_and_a_frame_is_given_up() {
+    fn a_contention_window_doubles_up_to_its_maximum_and_a_frame_is_dropped_at_the_retry_limit() {
         let radio = Radio { cw_max: 63, retries: 3, ..Radio::default() };
         let (mut station, mut stream) = (Station::new(&radio), Seed::of_run(1).stream("station"));
         let mut windows = Vec::new();
         for _ in 0..3 {
-            assert!(station.failed(job(), &radio, &mut stream).is_none());
+            assert!(station.failed(frame(), &radio, &mut stream).is_none());
             windows.push(station.window);
             station.queue.clear();
         }
         assert_eq!(windows, [31, 63, 63]);
-        assert!(station.failed(job(), &radio, &mut stream).is_some(), "once and three times more");
+        assert!(station.failed(frame(), &radio, &mut stream).is_some(), "once and three times more");
         assert_eq!((station.window, station.failures), (15, 0));
     }
 
     #[test]
-    fn a_backoff_follows_every_frame() {
+    fn every_frame_is_followed_by_a_backoff() {
         let radio = Radio { cw_min: 1023, ..Radio::default() };
         let (mut station, mut stream) = (Station::<u8>::new(&radio), Seed::of_run(1).stream("station"));
         station.done(&radio, &mut stream);
         assert_eq!(station.slot(), None, "there is nothing to send");
         let counter = station.counter.unwrap();
-        assert!(counter > 4, "the seed gives a long one");
+        assert!(counter > 4, "the seed gives a long backoff");
         station.ready_at(3);
-        assert_eq!(station.counter, Some(counter), "a frame that comes early waits for it");
+        assert_eq!(station.counter, Some(counter), "a frame that comes early waits for the backoff");
         station.ready_at(2000);
         assert_eq!(station.counter, Some(2000), "one that comes late does not");
     }

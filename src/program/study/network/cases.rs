@@ -1,4 +1,4 @@
-//! What a network study keeps in its folder: a file for each finished case, and rows, figures, table and page.
+//! Files of a network study: a record for each finished case, and rows, figures, table and page.
 
 use std::path::Path;
 
@@ -10,12 +10,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::program::study::folder::Folder;
 
-/// The folder of finished cases.
+/// Subfolder of finished cases.
 const CASES: &str = "cases";
-/// The name of the study in its records.
+/// Name of the study in its records.
 const STUDY: &str = "network";
 
-/// What makes it this study and no other.
+/// Identity of a network study.
 #[derive(PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Identity {
@@ -23,34 +23,34 @@ struct Identity {
     version: String,
     build: String,
     sweep: Sweep,
-    /// What was measured on, if anything is: who takes part, and a digest of their link.
+    /// Names of the participants and a digest of their link, in a measurement.
     link: Option<String>,
 }
 
-/// A finished case.
+/// Record of a finished case.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
     /// Its origin.
     origin: Origin,
     case: Case,
-    /// What came of it.
+    /// Its outcome.
     pub outcome: Outcome,
-    /// How far off its delays may be \[s\]: zero where nothing was measured.
+    /// Uncertainty of its one-way delays \[s\]; zero in an emulation.
     pub uncertainty_s: f64,
 }
 
-/// The finished cases of a sweep, in a folder if there is one.
+/// Finished cases of a sweep, in a folder if there is one.
 pub struct Journal {
     /// The sweep.
     pub sweep: Sweep,
-    /// Where they are kept.
+    /// The folder.
     pub folder: Option<Folder>,
     link: Option<String>,
 }
 
 impl Journal {
-    /// The journal of a sweep, which is measured on this link if it is.
+    /// Opens the journal of a sweep; `link` describes the measured link, in a measurement.
     pub fn open(path: Option<&Path>, sweep: Sweep, link: Option<String>) -> Result<Journal> {
         let (version, build) = (origin::VERSION.to_owned(), origin::BUILD.to_owned());
         let study = STUDY.to_owned();
@@ -61,14 +61,14 @@ impl Journal {
         Ok(Journal { sweep, folder, link })
     }
 
-    /// The origin of a case's record. Nothing else that is varied decides it.
+    /// Returns the origin of a case's record. It does not depend on the sweep's other cases.
     fn origin(&self, source: Source, case: &Case) -> Origin {
         let Sweep { stations, bytes, medium, history, seconds, seed, .. } = &self.sweep;
         let link = self.link.as_ref().filter(|_| source == Source::Live);
         Origin::here(STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
     }
 
-    /// The outcome of each case, as far as it is there and whole.
+    /// Reads the record of each case; none if it is missing, damaged or of other conditions.
     pub fn kept(&self, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
         let one = |(at, case): (usize, &Case)| {
             let record: Record = self.folder.as_ref()?.kept(&name(source, at))?;
@@ -77,7 +77,7 @@ impl Journal {
         cases.iter().enumerate().map(one).collect()
     }
 
-    /// Keeps what came of a case, if there is a folder.
+    /// Writes the record of a case, if there is a folder, and returns it.
     pub fn keep(
         &self,
         source: Source,
@@ -95,12 +95,12 @@ fn name(source: Source, at: usize) -> String {
     format!("{CASES}/{source}-{at:04}.json")
 }
 
-/// The file of a team that was simulated.
+/// Returns the file name of a simulated team's record.
 pub fn team(mode: &str, robots: usize) -> String {
     format!("{CASES}/team-{mode}-{robots:04}.json")
 }
 
-/// Writes rows, what teams cost, figures, table and page.
+/// Writes rows, costs of growing teams, figures, table and page.
 pub fn write_report(folder: &Folder, findings: &Findings) -> Result<()> {
     let rows = findings.rows();
     folder.write_csv("rows.csv", &rows)?;

@@ -1,4 +1,4 @@
-//! Fitting a radio to rows: their file, and the radio file that comes of it. How it is fitted lives in the library.
+//! Files of a fit: the rows to read, and the radio to write. The fit itself is in the library.
 
 use std::fmt;
 use std::path::Path;
@@ -17,14 +17,14 @@ use crate::program::jobs;
 use crate::program::output::{read_text, talk};
 use crate::program::whole_file::WholeFile;
 
-/// What a fit came to, for `--json`.
+/// Result of a fit with `--json`.
 #[derive(Serialize)]
 pub struct Report {
     noise_loss: f64,
     background: f64,
     rate: String,
     basic_rate: String,
-    /// Root mean square of what is left: of shares, and of the logarithms of delays.
+    /// Root mean square of the residuals of shares, and of the logarithms of delays.
     residual_shares: f64,
     residual_log_delays: f64,
     /// Other rates that fit almost as well.
@@ -32,7 +32,7 @@ pub struct Report {
     rows: usize,
 }
 
-/// Reads rows: a list of them, or an object that has one. Where some were measured, those alone.
+/// Reads rows: a list, or an object with a field `rows`. If some were measured, only those are returned.
 pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     let wrong = |why: String| {
         let expected = "it has to be what 'murmurate study network --json' printed, or rows.json of its report";
@@ -53,7 +53,7 @@ pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     if rows.is_empty() { Err(wrong("it has no rows".to_owned()).into()) } else { Ok(rows) }
 }
 
-/// The file that is to be written, for a medium that can be fitted: what is wrong with either is known before the work.
+/// Creates the radio file before the work begins. Errors: the medium is not a radio, or the file cannot be written.
 pub fn prepare(file: &Path, sweep: &Sweep) -> Result<WholeFile> {
     match &sweep.medium {
         Medium::Radio(_) => WholeFile::create(file),
@@ -61,7 +61,7 @@ pub fn prepare(file: &Path, sweep: &Sweep) -> Result<WholeFile> {
     }
 }
 
-/// Fits and writes the radio file; `None` after a Ctrl-C, and then nothing is written.
+/// Fits a radio and writes its file; `None` after Ctrl-C, without writing.
 pub fn run(
     sweep: &Sweep,
     observed: &[Observed],
@@ -96,7 +96,7 @@ pub fn run(
         basic_rate: radio.basic_rate.to_string(),
         residual_shares: fitted.shares,
         residual_log_delays: fitted.delays,
-        rivals: fitted.rivals.iter().map(ToString::to_string).collect(),
+        rivals: fitted.alternatives.iter().map(ToString::to_string).collect(),
         rows: fitted.rows.len(),
     }))
 }
@@ -105,8 +105,8 @@ impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "noise loss {:.3}, background {:.3}, rate {}, multicast rate {}\nleft: {:.1} points of the shares, {:.0} % \
-             of the delays (root mean square over {} rows)",
+            "noise loss {:.3}, background {:.3}, rate {}, multicast rate {}\nresiduals: {:.1} points of the shares, \
+             {:.0} % of the delays (root mean square over {} rows)",
             self.noise_loss,
             self.background,
             self.rate,
@@ -119,7 +119,7 @@ impl fmt::Display for Report {
             let rivals = self.rivals.join(", ");
             write!(
                 f,
-                "\nnot certain: {rivals} fit almost as well; rows by multicast, and of more rates, tell them apart"
+                "\nnot certain: {rivals} fit almost as well; rows by multicast, and of more rates, distinguish them"
             )?;
         }
         Ok(())

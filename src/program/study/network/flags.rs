@@ -1,23 +1,22 @@
-//! The flags of `murmurate study network`, and the sweep that they ask for.
+//! Flags of `murmurate study network`, and the sweep that they define.
 
 use std::path::{Path, PathBuf};
 
 use crate::study::network::case::{RATES, RETRIES};
 use crate::study::network::saturation::SIZES;
-use crate::study::network::{Addressing, Assurance, History, Medium, Network, Sweep};
+use crate::study::network::{Addressing, History, Medium, NetworkKind, ReliabilityMode, Sweep};
 use anyhow::Result;
 use serde::de::DeserializeOwned;
 
 use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::output::{read_text, talk};
-use crate::program::study::run::{Run, Typed, once};
+use crate::program::study::run::{CommandLine, Run, check_unique};
 
 /// Flags of `murmurate study network`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// What messages are sent over: a preset (paper, wifi, wifi-n, wifi-slow, shaped), a radio file, or shaped links as
-    /// a file
+    /// Medium: a preset (paper, wifi, wifi-n, wifi-slow, shaped), a radio file, or a file of shaped links
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "paper")]
     pub medium: String,
     /// Messages of all stations together [1/s], separated by commas [default: 10,20,60,100,200,300,400,500]
@@ -33,7 +32,7 @@ pub struct Args {
     /// without positive acknowledgements)
     #[arg(long, value_delimiter = ',')]
     reliability: Vec<String>,
-    /// How often the medium access sends a unicast frame again, separated by commas [default: 1,3,5,7]
+    /// Retry limits of unicast frames, separated by commas [default: 1,3,5,7]
     #[arg(long, value_delimiter = ',')]
     pub retries: Vec<u32>,
     /// Stations [default: 5, or the hosts of --live]
@@ -42,43 +41,43 @@ pub struct Args {
     /// Content of a message [bytes]
     #[arg(long, default_value_t = 152)]
     bytes: usize,
-    /// What an RTPS writer keeps for repairs: its newest so many samples, or 'all'
+    /// History of an RTPS writer: the number of newest samples that it keeps, or 'all'
     #[arg(long, value_name = "N|all", default_value = "1")]
     history: String,
-    /// How long messages are counted in each case [s]
+    /// Duration of each case [s]
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
-    /// Sizes of teams of which is simulated and measured what a robot costs, separated by commas, or 'none' [default:
-    /// 5,10,20,50,100,200,500,1000; none with --live or --fit]
+    /// Team sizes for the cost per robot, separated by commas, or 'none' [default: 5,10,20,50,100,200,500,1000; none
+    /// with --live or --fit]
     #[arg(long, value_name = "N,N|none", value_delimiter = ',')]
     teams: Vec<String>,
-    /// Measures between the hosts of a team, on its link that carries latents, and draws both. Without --host this is
-    /// the coordinator, which says what is measured when and writes the report
+    /// Measures between the hosts of a team, on its link that carries latents, and reports measurement and emulation.
+    /// Without --host this is the coordinator, which starts each case and writes the report
     #[arg(long, value_name = "TEAM.toml")]
     pub live: Option<PathBuf>,
-    /// Takes part in a measurement as this host; what is measured, the coordinator says
+    /// Takes part in a measurement as this host; the coordinator starts each case
     #[arg(long, value_name = "NAME", requires = "live", conflicts_with_all = ["fit", "out", "json"])]
     pub host: Option<String>,
-    /// Where the coordinator of a measurement listens, and its participants find it
+    /// Address at which the coordinator of a measurement listens, and to which its participants connect
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7790", requires = "live")]
     pub coordinator: std::net::SocketAddr,
     /// Sets a field of the team file, such as link.ad-hoc.interface=wlan1; may be given several times
     #[arg(long, value_name = "FIELD=VALUE", requires = "live")]
     pub set: Vec<String>,
-    /// Fits noise loss, background load and rate of a radio to the rows of --rows, or to those measured by --live, and
-    /// writes it as a radio file
+    /// Radio file to write: noise loss, background load and rate are fitted to the rows of --rows, or to those measured
+    /// by --live
     #[arg(long, value_name = "FILE.toml")]
     pub fit: Option<PathBuf>,
-    /// Rows to fit to: what --json printed, or rows.json of a report. Where some were measured, those alone
+    /// Rows to fit to: output of --json, or rows.json of a report. If some were measured, only those
     #[arg(long, value_name = "FILE.json", requires = "fit", conflicts_with_all = ["live", "out", "teams"])]
     pub rows: Option<PathBuf>,
     #[command(flatten)]
     pub run: Run,
 }
 
-/// What was named, or all there is.
+/// Parses names of a flag; all values if there are none.
 fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], all: &[T]) -> Result<Vec<T>> {
-    once(flag, given)?;
+    check_unique(flag, given)?;
     let mut chosen = Vec::new();
     for name in given {
         match serde_json::from_value::<T>(name.as_str().into()) {
@@ -89,7 +88,7 @@ fn named<T: DeserializeOwned + PartialEq + Clone>(flag: &str, given: &[String], 
     Ok(if chosen.is_empty() { all.to_vec() } else { chosen })
 }
 
-/// The medium of that name or file.
+/// Returns the medium of a name or a file; errors name the flag or the file.
 pub fn medium(flag: &str, given: &str) -> Result<Medium> {
     match Medium::named(given) {
         Some(medium) => Ok(medium),
@@ -102,36 +101,38 @@ pub fn medium(flag: &str, given: &str) -> Result<Medium> {
     }
 }
 
-/// Stations where nobody says how many.
+/// Default number of stations.
 const STATIONS: u16 = 5;
 
 impl Args {
-    /// Says where the radio is that was fitted.
-    pub fn farewell(&self) {
+    /// Prints the location of the fitted radio.
+    pub fn print_location(&self) {
         if let (Some(file), false) = (&self.fit, self.run.quiet) {
             talk(&format!("radio in '{0}': use it with 'sim --radio {0}' or 'train --radio {0}'", file.display()));
         }
     }
 
-    /// The sweep that is asked for.
+    /// Returns the sweep that the flags define; errors name the flag.
     pub fn sweep(&self) -> Result<Sweep> {
         if self.fit.is_some() && self.rows.is_none() && self.live.is_none() {
             return bad("--fit: to what? Give --rows FILE.json, or measure with --live TEAM.toml".to_owned());
         }
         let mut sweep = Sweep::whole(medium("--medium", &self.medium)?);
         sweep.networks = match &sweep.medium {
-            Medium::Radio(_) => named("--networks", &self.networks, &[Network::Infrastructure, Network::AdHoc])?,
+            Medium::Radio(_) => {
+                named("--networks", &self.networks, &[NetworkKind::Infrastructure, NetworkKind::AdHoc])?
+            }
             Medium::Shaped(_) if !self.networks.is_empty() || !self.retries.is_empty() => {
                 return bad("--networks, --retries: shaped links have neither; leave both out".to_owned());
             }
-            Medium::Shaped(_) => vec![Network::Shaped],
+            Medium::Shaped(_) => vec![NetworkKind::Shaped],
         };
         sweep.addressings = named("--addressing", &self.addressing, &[Addressing::Unicast, Addressing::Multicast])?;
-        sweep.reliabilities = named("--reliability", &self.reliability, &Assurance::ALL)?;
+        sweep.reliabilities = named("--reliability", &self.reliability, &ReliabilityMode::ALL)?;
         sweep.rates = if self.rates.is_empty() { RATES.to_vec() } else { self.rates.clone() };
         sweep.retries = if self.retries.is_empty() { RETRIES.to_vec() } else { self.retries.clone() };
-        once("--rates", &sweep.rates)?;
-        once("--retries", &sweep.retries)?;
+        check_unique("--rates", &sweep.rates)?;
+        check_unique("--retries", &sweep.retries)?;
         sweep.history = match self.history.as_str() {
             "all" => History::All,
             depth => match depth.parse() {
@@ -145,7 +146,7 @@ impl Args {
         Ok(sweep)
     }
 
-    /// The sizes of teams that are asked for.
+    /// Returns the team sizes, sorted.
     pub fn teams(&self) -> Result<Vec<usize>> {
         match self.teams.as_slice() {
             [] if self.live.is_some() || self.fit.is_some() => Ok(Vec::new()),
@@ -157,19 +158,19 @@ impl Args {
             given => {
                 let size = |given: &String| match given.parse::<usize>() {
                     Ok(size) => Ok(size),
-                    Err(_) => bad(format!("--teams: '{given}' is no number of robots")),
+                    Err(_) => bad(format!("--teams: '{given}' is not a number of robots")),
                 };
                 let mut sizes = given.iter().map(size).collect::<Result<Vec<usize>>>()?;
-                once("--teams", &sizes)?;
+                check_unique("--teams", &sizes)?;
                 sizes.sort_unstable();
                 Ok(sizes)
             }
         }
     }
 
-    /// The command that makes the study, whatever it was typed as. Not in it: what makes no difference to the results.
+    /// Returns the command that reproduces the study, without flags that do not change the results.
     pub fn command(&self) -> String {
-        let mut command = Typed("murmurate study network".to_owned());
+        let mut command = CommandLine("murmurate study network".to_owned());
         command.add("medium", Some(self.medium.clone()));
         command.add_all("rates", &self.rates);
         command.add_all("networks", &self.networks);

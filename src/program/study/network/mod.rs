@@ -1,11 +1,10 @@
-//! `murmurate study network`: flags, threads, clock and files of the network study. What is emulated lives in the
-//! library.
+//! `murmurate study network`: flags, threads, clock and files of the network study. The emulation is in the library.
 
 mod cases;
 mod fit;
 mod flags;
 mod live;
-mod room;
+mod live_team;
 mod teams;
 
 use std::path::Path;
@@ -31,31 +30,31 @@ pub use flags::Args;
 #[cfg(feature = "train")]
 pub use flags::medium;
 use live::Measured;
-use room::Room;
+use live_team::LiveTeam;
 use teams::Team;
 
-/// What a study came to, for `--json`.
+/// Output of a study with `--json`.
 #[derive(Serialize)]
 struct Report<'a> {
     study: &'static str,
     rows: Vec<Row>,
     growth: &'a [Growth],
-    /// How far off one-way delays may be that were measured \[s\]; null where none were.
+    /// Uncertainty of measured one-way delays \[s\]; null without measurement.
     uncertainty_s: Option<f64>,
-    /// The radio that was fitted to what was measured, if that was asked for.
+    /// Radio fitted to the measured rows, with `--fit`.
     fit: Option<&'a fit::Report>,
     wall_s: f64,
     seed: u64,
     interrupted: bool,
 }
 
-/// A study that is asked for.
+/// Network study to run.
 struct Study<'a> {
     args: &'a Args,
     journal: Journal,
-    /// The team that measures, if one does.
-    room: Option<Room>,
-    /// The teams of which it is found what a robot costs.
+    /// Team that measures, with `--live`.
+    live_team: Option<LiveTeam>,
+    /// Growing teams, for the cost per robot.
     teams: Vec<Team>,
     stop: Arc<AtomicBool>,
 }
@@ -64,25 +63,25 @@ struct Study<'a> {
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let mut sweep = args.sweep()?;
     let teams = teams::of_sizes(&args.teams()?, sweep.seed)?;
-    let room = args.live.as_ref().map(|file| Room::of(file, args, registry)).transpose()?;
-    if let (Some(room), Some(name)) = (&room, &args.host) {
-        return live::participate(room.part(name)?, name, args.coordinator, args.run.quiet);
+    let live_team = args.live.as_ref().map(|file| LiveTeam::of(file, args, registry)).transpose()?;
+    if let (Some(live_team), Some(name)) = (&live_team, &args.host) {
+        return live::participate(live_team.participation(name)?, name, args.coordinator, args.run.quiet);
     }
-    if let Some(room) = &room {
-        room.restrict(&mut sweep, args)?;
+    if let Some(live_team) = &live_team {
+        live_team.restrict(&mut sweep, args)?;
     }
-    let link = room.as_ref().map(Room::link).transpose()?;
+    let link = live_team.as_ref().map(LiveTeam::link).transpose()?;
     let journal = Journal::open(args.run.out.as_deref(), sweep, link)?;
     let stop = Arc::new(AtomicBool::new(false));
-    let (signal, measuring) = (Arc::clone(&stop), room.is_some());
+    let (signal, measuring) = (Arc::clone(&stop), live_team.is_some());
     let told = move || {
         if !signal.swap(true, Ordering::Relaxed) && measuring {
-            talk("stopping; a case that is under way is measured to its end");
+            talk("stopping; the running case is measured to its end");
         }
     };
     ctrlc::set_handler(told).context("cannot listen for Ctrl-C")?;
     let radio_file = args.fit.as_deref().map(|file| fit::prepare(file, &journal.sweep)).transpose()?;
-    let study = Study { args, journal, room, teams, stop };
+    let study = Study { args, journal, live_team, teams, stop };
     match (radio_file, &args.rows) {
         (Some(file), Some(rows)) => study.fit_rows(rows, file),
         (file, _) => study.sweep(file),
@@ -98,34 +97,35 @@ impl Study<'_> {
             return Ok(Ended::Interrupted);
         };
         print(&if self.args.run.json { json(&fitted)? } else { fitted.to_string() })?;
-        self.args.farewell();
+        self.args.print_location();
         Ok(Ended::Done)
     }
 
-    /// Measures and emulates, and fits a radio to what was measured if there is a file for it.
+    /// Measures and emulates all cases, and fits a radio to the measured rows if there is a file for it.
     fn sweep(&self, file: Option<WholeFile>) -> Result<Ended> {
-        let Study { args, journal, room, teams, stop } = self;
+        let Study { args, journal, live_team, teams, stop } = self;
         let Journal { sweep, folder, .. } = journal;
         let began = Instant::now();
-        let measured = room.as_ref().map(|room| self.measured(room)).transpose()?;
-        // Ahead of the sweep, which leaves memory in pieces.
+        let measured = live_team.as_ref().map(|live_team| self.measured(live_team)).transpose()?;
+        // Before the sweep, which fragments memory.
         let grown = teams::run(teams, sweep, folder.as_ref(), args.run.quiet, stop)?;
         let mut results = self.emulated()?;
         let observed: Vec<Observed> = measured.iter().flat_map(|measured| &measured.results).map(observed).collect();
         let uncertainty_s = measured.as_ref().map(|measured| measured.uncertainty_s);
         results.extend(measured.into_iter().flat_map(|measured| measured.results));
         let done = results.len() + grown.len();
-        let all = sweep.cases().len() * if room.is_some() { 2 } else { 1 } + teams.len();
+        let all = sweep.cases().len() * if live_team.is_some() { 2 } else { 1 } + teams.len();
         let interrupted = done < all;
 
-        let notes: Vec<String> = room.iter().zip(uncertainty_s).map(|(room, off)| clocks(room, off)).collect();
+        let notes: Vec<String> =
+            live_team.iter().zip(uncertainty_s).map(|(live_team, off)| clocks(live_team, off)).collect();
         let command = args.command();
         let findings = Findings { sweep, results: &results, grown: &grown, command: &command, notes: &notes };
         if let (Some(folder), false) = (folder, interrupted) {
             cases::write_report(folder, &findings)?;
         }
         let rows = findings.rows();
-        // Whatever comes of the fit, what was measured is printed first.
+        // The measured rows are printed even if the fit fails.
         let fitted = file.filter(|_| !interrupted).map(|file| fit::run(sweep, &observed, file, args, stop));
         let fit = fitted.as_ref().and_then(|fitted| fitted.as_ref().ok()?.as_ref());
         let wall_s = began.elapsed().as_secs_f64();
@@ -136,23 +136,23 @@ impl Study<'_> {
             let fit = fit.map_or(String::new(), |fit| format!("\n\n{fit}"));
             format!("{}{fit}\n\n{done} of {all} cases; {wall_s:.1} s", table::text(sweep, &rows, &grown))
         })?;
-        args.run.farewell(folder.as_ref(), "cases", done, all);
+        args.run.print_location(folder.as_ref(), "cases", done, all);
         match fitted.transpose()? {
             Some(None) => Ok(Ended::Interrupted),
             Some(Some(_)) => {
-                args.farewell();
+                args.print_location();
                 Ok(Ended::Done)
             }
             None => Ok(if interrupted { Ended::Interrupted } else { Ended::Done }),
         }
     }
 
-    fn measured(&self, room: &Room) -> Result<Measured> {
-        let line = (self.args.coordinator, room.key()?);
-        live::measure(&self.journal, &room.names(), line, (&self.stop, self.args.run.quiet))
+    fn measured(&self, live_team: &LiveTeam) -> Result<Measured> {
+        let line = (self.args.coordinator, live_team.key()?);
+        live::measure(&self.journal, &live_team.names(), line, (&self.stop, self.args.run.quiet))
     }
 
-    /// All cases, emulated: those that are kept, and the rest now. Fewer after a Ctrl-C.
+    /// Returns all emulated cases: reads finished ones and runs the others. Fewer after Ctrl-C.
     fn emulated(&self) -> Result<Vec<Found>> {
         let Study { args, journal, stop, .. } = self;
         let (source, sweep, cases) = (Source::Emulated, &journal.sweep, journal.sweep.cases());
@@ -174,12 +174,12 @@ fn observed((source, case, outcome): &Found) -> Observed {
     Observed::from(&Row::of(*source, case, outcome))
 }
 
-/// What a report has to say of clocks.
-fn clocks(room: &Room, uncertainty_s: f64) -> String {
+/// Returns the report's remark on clocks.
+fn clocks(live_team: &LiveTeam, uncertainty_s: f64) -> String {
     format!(
         "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were compared \
-         before and after each case; they are this much off at the most: {:.3} ms.",
-        room.file().display(),
+         before and after each case; their uncertainty is at most {:.3} ms.",
+        live_team.file().display(),
         1000.0 * uncertainty_s
     )
 }

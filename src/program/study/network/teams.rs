@@ -1,5 +1,5 @@
-//! What robots of growing teams cost: runs them one after the other and measures the processor time of each. What is
-//! simulated lives in the library.
+//! Cost per robot of growing teams: runs one team after the other and measures the processor time of each. The
+//! simulation is in the library.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -19,7 +19,7 @@ use crate::program::bad;
 use crate::program::sim::progress;
 use crate::program::study::folder::Folder;
 
-/// A team that is to be simulated.
+/// Team to simulate.
 pub struct Team {
     mode: &'static str,
     robots: usize,
@@ -29,11 +29,11 @@ pub struct Team {
 
 impl Team {
     fn origin(&self) -> Origin {
-        Origin::here("network, growing teams", self.seed, "", &(self.mode, self.robots, growth::LASTS_S))
+        Origin::here("network, growing teams", self.seed, "", &(self.mode, self.robots, growth::DURATION_S))
     }
 }
 
-/// What was measured of a team.
+/// Record of a simulated team.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Record {
@@ -44,12 +44,12 @@ struct Record {
     cpu_s: f64,
 }
 
-/// The teams of these sizes, in both deployments.
+/// Returns the teams of these sizes, in both deployments; an error names the flag.
 pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
     let mut teams = Vec::new();
     for mode in growth::MODES {
         for &robots in sizes {
-            match growth::trial(mode, robots, Span::from_secs(growth::LASTS_S)) {
+            match growth::trial(mode, robots, Span::from_secs(growth::DURATION_S)) {
                 Ok(trial) => teams.push(Team { mode, robots, seed, trial: trial.seed(seed) }),
                 Err(error) => return bad(format!("--teams: {error}")),
             }
@@ -58,8 +58,8 @@ pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
     Ok(teams)
 }
 
-/// What a robot of each team costs: those that are kept, and the rest now. Fewer after a Ctrl-C. One at a time, because
-/// two that share a cache would slow each other down.
+/// Returns the cost per robot of each team: reads finished ones and simulates the others. Fewer after Ctrl-C. Teams run
+/// one at a time, because two that share a processor cache slow each other down.
 pub fn run(
     teams: &[Team],
     sweep: &Sweep,
@@ -80,7 +80,7 @@ pub fn run(
             Some(kept) => kept,
             None if stop.load(Ordering::Relaxed) => continue,
             None => {
-                // On a thread of its own, and so in memory that no team before it has left in pieces.
+                // On its own thread, so that its memory is not fragmented by earlier teams.
                 let thread = std::thread::scope(|scope| scope.spawn(|| measured(team, stop)).join());
                 let Some(record) = thread.unwrap_or_else(|panic| std::panic::resume_unwind(panic))? else { continue };
                 folder.map_or(Ok(()), |folder| folder.keep(&name, &record))?;
@@ -106,7 +106,7 @@ fn measured(team: &Team, stop: &AtomicBool) -> Result<Option<Record>> {
     Ok((!stop.load(Ordering::Relaxed)).then(record))
 }
 
-/// How much of a processor this thread has had so far \[s\].
+/// Returns the processor time of this thread \[s\].
 fn cpu_s() -> Result<f64> {
     let time = clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).context("cannot read the processor time")?;
     Ok(time.tv_sec() as f64 + 1e-9 * time.tv_nsec() as f64)

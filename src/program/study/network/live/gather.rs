@@ -1,5 +1,5 @@
-//! Arrival of the participants: connections are greeted side by side, each within a deadline, and whoever shows the key
-//! and a name of the team is let in.
+//! Arrival of the participants: connections are authenticated concurrently, each within a deadline. A participant needs
+//! the team's key and the name of one of its hosts.
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -11,25 +11,25 @@ use std::thread;
 use anyhow::{Context, Result, bail};
 use nix::poll::{PollFd, PollFlags, poll};
 
-use super::line::{End, Line};
-use super::{Answer, GREETING, Instruction};
+use super::connection::{Connection, Side};
+use super::{GREETING, Request, Response};
 use crate::program::output::talk;
 
-/// How long one wait for a host lasts: then it is looked whether all is to end \[ms\].
+/// Poll interval at which an interruption is noticed \[ms\].
 const LOOK: u16 = 100;
-/// Connections that are greeted at the same time: several for each host of a large team. Each lasts `GREETING` at most,
-/// so that strangers who say nothing hold nobody up for longer.
+/// Maximum number of concurrent unauthenticated connections: several for each host of a large team. Each times out
+/// after two `GREETING`s, which bounds the delay by silent strangers.
 const GREETED: usize = 256;
 
-/// A connection that was greeted: the host's name, and the way to it.
-type Greeted = (SocketAddr, Result<(String, Line)>);
+/// Authenticated connection, with the host's name and address.
+type Greeted = (SocketAddr, Result<(String, Connection)>);
 
-/// Waits until every host has come; nobody is there after a Ctrl-C.
+/// Waits for a connection of every host, and returns them in the order of `hosts`; none after Ctrl-C.
 pub fn gather(
     (listener, key): (&TcpListener, Option<[u8; 32]>),
     hosts: &[String],
     (stop, quiet): (&AtomicBool, bool),
-) -> Result<Vec<Line>> {
+) -> Result<Vec<Connection>> {
     listener.set_nonblocking(true).context("cannot wait for hosts")?;
     if !quiet {
         let at = listener.local_addr().map_or("ADDRESS:PORT".to_owned(), |at| at.to_string());
@@ -39,24 +39,24 @@ pub fn gather(
         ));
     }
     let (sender, greeted): (Sender<Greeted>, Receiver<Greeted>) = channel();
-    let (mut here, mut greeting): (BTreeMap<usize, Line>, usize) = (BTreeMap::new(), 0);
+    let (mut here, mut greeting): (BTreeMap<usize, Connection>, usize) = (BTreeMap::new(), 0);
     while here.len() < hosts.len() {
         if stop.load(Ordering::Relaxed) {
-            for line in here.values_mut() {
-                line.say(&Instruction::Done)?;
+            for connection in here.values_mut() {
+                connection.send(&Request::Done)?;
             }
             return Ok(Vec::new());
         }
         let mut waiting = [PollFd::new(listener.as_fd(), PollFlags::POLLIN)];
-        // An interruption is no mistake: it is looked at above.
+        // An interrupted poll is no error: the loop checks `stop`.
         let _ = poll(&mut waiting, LOOK);
         while let Ok((stream, from)) = listener.accept() {
-            // One too many is closed.
+            // Connections beyond the limit are closed.
             if greeting < GREETED {
                 greeting += 1;
                 let sender = sender.clone();
                 thread::spawn(move || {
-                    // Nobody waits for it any more when all are here.
+                    // The receiver is gone once all hosts have connected.
                     let _ = sender.send((from, greet(stream, key)));
                 });
             }
@@ -72,31 +72,36 @@ pub fn gather(
     Ok(here.into_values().collect())
 }
 
-/// Learns which host is at the other end, within the time that a greeting may take.
-fn greet(stream: TcpStream, key: Option<[u8; 32]>) -> Result<(String, Line)> {
+/// Authenticates a connection and receives the host's name, within the greeting's timeouts.
+fn greet(stream: TcpStream, key: Option<[u8; 32]>) -> Result<(String, Connection)> {
     stream.set_nonblocking(false).context("cannot set up the connection")?;
-    let mut line = Line::open(stream, End::Coordinator, key.as_ref())?;
-    match line.hear_first(GREETING)? {
-        Answer::Host(name) => Ok((name, line)),
-        _ => bail!("it does not say which host it is"),
+    let mut connection = Connection::open(stream, Side::Coordinator, key.as_ref())?;
+    match connection.receive_first(GREETING)? {
+        Response::Host(name) => Ok((name, connection)),
+        _ => bail!("it did not send its host name"),
     }
 }
 
-fn admit(here: &mut BTreeMap<usize, Line>, hosts: &[String], from: SocketAddr, greeted: Result<(String, Line)>) {
+fn admit(
+    here: &mut BTreeMap<usize, Connection>,
+    hosts: &[String],
+    from: SocketAddr,
+    greeted: Result<(String, Connection)>,
+) {
     match greeted {
-        Ok((name, line)) => match hosts.iter().position(|host| *host == name) {
-            Some(at) => drop(here.insert(at, line)),
-            None => talk(&format!("{from} says that it is '{name}', which runs no agent of this team; ignored")),
+        Ok((name, connection)) => match hosts.iter().position(|host| *host == name) {
+            Some(at) => drop(here.insert(at, connection)),
+            None => talk(&format!("{from} is ignored: its host name '{name}' is not one of a host with agents")),
         },
         Err(error) => talk(&format!("{from} is ignored: {error:#}")),
     }
 }
 
-fn progress(here: &BTreeMap<usize, Line>, hosts: &[String]) -> String {
+fn progress(here: &BTreeMap<usize, Connection>, hosts: &[String]) -> String {
     let missing = hosts.iter().enumerate().filter(|(at, _)| !here.contains_key(at)).map(|(_, host)| host.as_str());
     let missing: Vec<&str> = missing.collect();
     let missing = if missing.is_empty() { String::new() } else { format!("; missing: {}", missing.join(", ")) };
-    format!("{} of {} hosts are here{missing}", here.len(), hosts.len())
+    format!("{} of {} hosts are connected{missing}", here.len(), hosts.len())
 }
 
 #[cfg(test)]
@@ -106,24 +111,25 @@ mod tests {
 
     use super::*;
 
-    fn participant(address: SocketAddr, key: [u8; 32], name: &str) -> Line {
-        let mut line = Line::open(TcpStream::connect(address).unwrap(), End::Participant, Some(&key)).unwrap();
-        line.say(&Answer::Host(name.to_owned())).unwrap();
-        line
+    fn participant(address: SocketAddr, key: [u8; 32], name: &str) -> Connection {
+        let mut connection =
+            Connection::open(TcpStream::connect(address).unwrap(), Side::Participant, Some(&key)).unwrap();
+        connection.send(&Response::Host(name.to_owned())).unwrap();
+        connection
     }
 
     #[test]
-    fn connections_that_say_nothing_or_too_much_hold_up_no_host() {
+    fn silent_and_flooding_connections_delay_no_host() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
         let hosts = ["a".to_owned(), "b".to_owned()];
-        // Twenty that say nothing: one after the other they would take twenty deadlines.
+        // Twenty silent connections: in sequence they would take twenty deadlines.
         let mute: Vec<TcpStream> = (0..20).map(|_| TcpStream::connect(address).unwrap()).collect();
         let flood = thread::spawn(move || {
             let mut stream = TcpStream::connect(address).unwrap();
             let number = [b'0'; 32];
             stream.write_all(&number).and_then(|()| stream.write_all(b"\n")).unwrap();
-            // Until it is shut out: much less than what was read before a tag once.
+            // Until the connection is closed.
             let mut sent = 0;
             while stream.write_all(&[b'x'; 1 << 16]).is_ok() {
                 sent += 1 << 16;
@@ -134,7 +140,7 @@ mod tests {
         let there = thread::spawn(move || ["a", "b"].map(|name| participant(address, [7; 32], name)));
         let here = gather((&listener, Some([7; 32])), &hosts, (&AtomicBool::new(false), true)).unwrap();
         assert_eq!(here.len(), 2);
-        assert!(began.elapsed() < GREETING, "the mute ones were waited for");
+        assert!(began.elapsed() < GREETING, "it waited for the silent connections");
         drop((there.join().unwrap(), mute));
         let sent = flood.join().unwrap();
         assert!(sent < 16 << 20, "{sent} bytes were taken");
@@ -147,14 +153,14 @@ mod tests {
         let began = Instant::now();
         let slow = thread::spawn(move || {
             let mut one = [0; 1];
-            // As slowly as its own clock of reads allows: each byte comes long before a timeout of its own.
+            // Each byte comes long before a timeout of a single read.
             stream.set_read_timeout(Some(GREETING / 20)).unwrap();
             while stream.write_all(b"0").is_ok() {
                 while stream.read(&mut one).is_ok_and(|read| read > 0) {}
             }
         });
         let (accepted, _) = listener.accept().unwrap();
-        assert!(Line::open(accepted, End::Coordinator, None).is_err());
+        assert!(Connection::open(accepted, Side::Coordinator, None).is_err());
         let took = began.elapsed();
         assert!(took >= GREETING && took < 2 * GREETING, "{took:?}");
         slow.join().unwrap();

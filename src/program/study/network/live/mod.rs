@@ -1,45 +1,44 @@
-//! The network study measured between hosts: a coordinator says what is measured when, each participant measures.
+//! Network study measured between hosts: a coordinator starts each case, the participants measure.
 //!
-//! They talk over TCP (`line`), while the network is otherwise idle: it carries no measured message, and nothing on it
-//! is timed but the clocks. The clock of each participant is compared before and after each case: of several questions
-//! and answers that with the shortest way there and back counts (RFC 5905, section 8), and half of that way, with what
-//! the clock has run away between the two, is how far off it may be. One-way delays are then differences of two such
-//! clocks.
+//! They communicate over TCP (`connection`) between cases, while no measured message is in flight. The coordinator
+//! compares each participant's clock before and after each case: of several requests, the one with the shortest
+//! round-trip time counts (RFC 5905, section 8). The uncertainty of a clock is half of that time plus the drift during
+//! the case. One-way delays are differences of two such clocks.
 
+mod connection;
 mod coordinator;
 mod gather;
-mod line;
 mod participant;
 
 pub use coordinator::{Measured, measure};
-pub use participant::{Part, participate};
+pub use participant::{Participation, participate};
 
 use std::time::Duration;
 
-use crate::study::network::peer::{Notes, Task};
+use crate::study::network::peer::{StationResult, Task};
 use serde::{Deserialize, Serialize};
 
-/// How long a new connection may take for each of its first two lines, of the number and of the name.
+/// Timeout of each of a new connection's first two lines, the nonce and the host's name.
 const GREETING: Duration = Duration::from_secs(5);
 
-/// What the coordinator says.
+/// Request of the coordinator.
 #[derive(Debug, Serialize, Deserialize)]
-enum Instruction {
-    /// Say what your clock shows.
+enum Request {
+    /// Read the clock.
     Clock,
-    /// Measure this; it begins then on your clock \[ns\].
+    /// Measure this case, from this time of the participant's clock \[ns\].
     Measure(Task, u64),
-    /// That was all.
+    /// The study is finished.
     Done,
 }
 
-/// What a participant says.
+/// Response of a participant.
 #[derive(Debug, Serialize, Deserialize)]
-enum Answer {
-    /// Its name, as the first thing.
+enum Response {
+    /// Its name, sent first.
     Host(String),
-    /// What its clock shows \[ns\].
+    /// Time of its clock \[ns\].
     Clock(u64),
-    /// What it has found.
-    Found(Notes),
+    /// Result of a case.
+    Found(StationResult),
 }

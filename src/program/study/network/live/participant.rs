@@ -1,5 +1,5 @@
-//! A participant of a measurement: Network actor, link and transport of `murmurate host`, with a talker in place of
-//! a robot.
+//! Participant of a measurement: Network actor, link and transport of `murmurate host`, with a station instead of a
+//! robot.
 
 use std::cell::RefCell;
 use std::net::{SocketAddr, TcpStream};
@@ -19,53 +19,53 @@ use crate::runtime::clock::Clock;
 use crate::runtime::real::{Readers, run_real};
 use crate::runtime::shell::{Mailbox, start};
 use crate::study::network::linked;
-use crate::study::network::peer::{Notes, Peer, Task};
+use crate::study::network::peer::{Peer, StationResult, Task};
 use crate::time::Time;
 use anyhow::{Context, Result, anyhow};
 use nix::poll::poll;
 use tracing::info_span;
 
-use super::line::{End, Line};
-use super::{Answer, Instruction};
+use super::connection::{Connection, Side};
+use super::{Request, Response};
 use crate::live::links;
 use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::output::talk;
 
 const LINK: LinkId = LinkId(0);
-/// How long the coordinator is waited for, and how often it is tried \[ms\].
+/// Timeout of the connection to the coordinator, and the interval between attempts \[ms\].
 const PATIENCE: Duration = Duration::from_secs(120);
 const TRY_EVERY: u16 = 250;
 
-/// The part of a host in a measurement.
-pub struct Part {
+/// Settings of one participant.
+pub struct Participation {
     /// The host and its team.
     pub team: Team,
-    /// Its key.
+    /// The team's key.
     pub key: Option<[u8; 32]>,
     /// Its place on the link that carries latents.
     pub place: Place,
-    /// The hosts that take part, in the order of their stations.
+    /// Participating hosts, in the order of their stations.
     pub stations: Vec<HostId>,
 }
 
-/// Measures what the coordinator says, until it says that that was all.
-pub fn participate(mut part: Part, name: &str, address: SocketAddr, quiet: bool) -> Result<Ended> {
-    part.place.way = part.place.way.among(&part.stations);
+/// Measures the cases that the coordinator requests, until the study is finished. An error if the connection fails.
+pub fn participate(mut participation: Participation, name: &str, address: SocketAddr, quiet: bool) -> Result<Ended> {
+    participation.place.way = participation.place.way.among(&participation.stations);
     let origin = Instant::now();
-    let mut line = Line::open(connect(address)?, End::Participant, part.key.as_ref())?;
-    line.say(&Answer::Host(name.to_owned()))?;
+    let mut connection = Connection::open(connect(address)?, Side::Participant, participation.key.as_ref())?;
+    connection.send(&Response::Host(name.to_owned()))?;
     loop {
-        match line.hear(None)? {
-            Instruction::Clock => line.say(&Answer::Clock(origin.elapsed().as_nanos() as u64))?,
-            Instruction::Measure(task, begin) => {
+        match connection.receive(None)? {
+            Request::Clock => connection.send(&Response::Clock(origin.elapsed().as_nanos() as u64))?,
+            Request::Measure(task, begin) => {
                 if !quiet {
                     talk(&format!("case {}: {}, {} messages/s", task.number, task.case.combination(), task.case.rate));
                 }
-                let found = measure(&part, task, Time::from_nanos(begin), origin)?;
-                line.say(&Answer::Found(found))?;
+                let found = measure(&participation, task, Time::from_nanos(begin), origin)?;
+                connection.send(&Response::Found(found))?;
             }
-            Instruction::Done => return Ok(Ended::Done),
+            Request::Done => return Ok(Ended::Done),
         }
     }
 }
@@ -76,37 +76,38 @@ fn connect(address: SocketAddr) -> Result<TcpStream> {
         match TcpStream::connect_timeout(&address, PATIENCE) {
             Ok(stream) => return Ok(stream),
             Err(error) if began.elapsed() > PATIENCE => {
-                let why = format!("--coordinator: nobody answers at {address}: {error}; start the coordinator there");
+                let why = format!("--coordinator: no answer at {address}: {error}; start the coordinator there");
                 return Err(BadInput(why).into());
             }
-            // Waits on nothing at all.
+            // Sleeps: there is no descriptor to poll.
             Err(_) => drop(poll(&mut [], TRY_EVERY)),
         }
     }
 }
 
-/// One case.
-fn measure(part: &Part, task: Task, begin: Time, origin: Instant) -> Result<Notes> {
-    let at = part.stations.iter().position(|host| *host == part.team.host);
+/// Measures one case.
+fn measure(participation: &Participation, task: Task, begin: Time, origin: Instant) -> Result<StationResult> {
+    let at = participation.stations.iter().position(|host| *host == participation.team.host);
     let station = at.and_then(|at| u16::try_from(at).ok()).context("this host runs no agent")?;
-    let open = part.place.way.open(part.team.host, links::filter(&part.team)).map_err(|error| anyhow!("{error}"))?;
+    let (me, filter) = (participation.team.host, links::filter(&participation.team));
+    let open = participation.place.way.open(me, filter).map_err(|error| anyhow!("{error}"))?;
     let peer = Rc::new(RefCell::new(Peer::new(task, station, begin)));
     run_real(
         origin,
-        |clock, readers| wire(clock, readers, (open, station), &peer, (part, &task)),
+        |clock, readers| wire(clock, readers, (open, station), &peer, (participation, &task)),
         |_, now| peer.borrow().is_over(now),
     );
-    let notes = peer.borrow().notes().clone();
-    Ok(notes)
+    let result = peer.borrow().result().clone();
+    Ok(result)
 }
 
-/// Starts Network, transport and talker.
+/// Starts the actors: Network, transport and station.
 fn wire(
     clock: &Clock,
     readers: &mut Readers,
     (open, station): (Box<dyn Transport>, u16),
     peer: &Rc<RefCell<Peer>>,
-    (part, task): (&Part, &Task),
+    (participation, task): (&Participation, &Task),
 ) -> Mailbox<Latent> {
     let to_peer = Mailbox::<Latent>::new("peer");
     let router = Router::new(usize::from(task.stations), |kind, robot| {
@@ -114,11 +115,11 @@ fn wire(
         let latent = kind == Kind::Latent;
         Route { local: latent && !own, leaves: (latent && own).then_some((LINK, Audience::All)) }
     });
-    let host = part.team.host;
+    let host = participation.team.host;
     let fresh = links::Fresh::draw().expect("the operating system gives random bytes");
     let station = Station {
-        me: network::Identity { host, team: part.team.number, epoch: fresh.incarnation },
-        key: part.key.map(Key::new),
+        me: network::Identity { host, team: participation.team.number, epoch: fresh.incarnation },
+        key: participation.key.map(Key::new),
         links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
         router,
         seed: fresh.seed,

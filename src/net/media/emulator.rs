@@ -1,7 +1,7 @@
-//! The emulated medium of one link: when, and whether, a frame reaches each listener.
+//! Delay, loss and planned faults of the frames on one emulated link, as `tc netem` applies them on Linux.
 //!
-//! Ideal but for a fixed delay and an independent loss per listener, and for the faults of a plan. What comes
-//! through a radio channel (`radio`) goes through here after it. Pure: time and randomness are handed in.
+//! Delay is fixed, loss independent for each receiver, faults come from the plan. Frames that have come through a
+//! radio channel (`radio`) pass through here afterwards. Pure: time and randomness are handed in.
 
 use rand::RngExt;
 
@@ -12,32 +12,33 @@ use crate::net::protocol::codec::{Frame, HEADER_BYTES};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// What the medium does to the frames of some kinds.
+/// Delay and loss of the frames of some kinds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Impairment {
-    /// How long every frame takes.
+    /// One-way delay of every frame.
     pub delay: Span,
-    /// Which share of frames each listener misses, 0 to 1.
+    /// Probability that a receiver loses a frame, 0 to 1, independently for each receiver.
     pub loss: f64,
-    /// The kinds that suffer; all others pass at once and whole.
+    /// Kinds of message that are impaired; all others pass without delay or loss.
     pub kinds: Vec<Kind>,
 }
 
-/// The medium of one link.
+/// Emulator of one link.
 #[derive(Clone, Debug)]
-pub struct Medium {
+pub struct LinkEmulator {
     impairment: Impairment,
     faults: Vec<LinkFault>,
     stream: Stream,
 }
 
-impl Medium {
-    /// A medium with the faults planned for its link; draws from `stream` alone.
-    pub fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> Medium {
-        Medium { impairment, faults, stream }
+impl LinkEmulator {
+    /// Returns an emulator with the faults planned for its link; it draws from `stream` alone.
+    pub fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> LinkEmulator {
+        LinkEmulator { impairment, faults, stream }
     }
 
-    /// Carries one frame from one host to one listener: puts each copy that arrives, and when, into `arrivals`.
+    /// Carries one frame from one host to one receiver: puts each copy that arrives, with its time of arrival, into
+    /// `arrivals`.
     pub fn carry(
         &mut self,
         now: Time,
@@ -78,7 +79,8 @@ impl Medium {
     }
 }
 
-/// The frame with one bit of its body turned over: the header would be a different fault, a forged one.
+/// Returns the frame with one bit of its body flipped. The header is left alone: changing it would forge a frame, a
+/// different fault.
 fn flip_a_bit(frame: &Frame, stream: &mut Stream) -> Frame {
     let mut bytes = frame.to_vec();
     if bytes.len() > HEADER_BYTES {
@@ -93,32 +95,33 @@ mod tests {
     use super::*;
     use crate::random::Seed;
 
-    fn carry(medium: &mut Medium, kind: Kind) -> Vec<(Time, Frame)> {
+    fn carry(emulator: &mut LinkEmulator, kind: Kind) -> Vec<(Time, Frame)> {
         let mut arrivals = Vec::new();
         let frame: Frame = vec![0; 20].into();
-        medium.carry(Time::ZERO, kind, (HostId(0), HostId(1)), &frame, &mut arrivals);
+        emulator.carry(Time::ZERO, kind, (HostId(0), HostId(1)), &frame, &mut arrivals);
         arrivals
     }
 
     #[test]
-    fn loss_takes_its_share_of_the_kinds_it_is_for() {
+    fn loss_applies_to_the_impaired_kinds_only() {
         let impairment = Impairment { delay: Span::from_millis(20), loss: 0.3, kinds: vec![Kind::Latent] };
-        let mut medium = Medium::new(impairment, Vec::new(), Seed::of_run(1).stream("link"));
-        let arrived = (0..2000).filter(|_| !carry(&mut medium, Kind::Latent).is_empty()).count();
+        let mut emulator = LinkEmulator::new(impairment, Vec::new(), Seed::of_run(1).stream("link"));
+        let arrived = (0..2000).filter(|_| !carry(&mut emulator, Kind::Latent).is_empty()).count();
         assert!((1340..1460).contains(&arrived), "{arrived} of 2000 arrived at 30 % loss");
-        assert_eq!(carry(&mut medium, Kind::Mode)[0].0, Time::ZERO, "other kinds pass at once");
+        assert_eq!(carry(&mut emulator, Kind::Mode)[0].0, Time::ZERO, "other kinds pass at once");
     }
 
     #[test]
     fn a_planned_fault_acts_in_its_window_only() {
         let fault = |kind| LinkFault { kind, by: Span::from_millis(5), ..LinkFault::always("any") };
-        let medium = |kind| Medium::new(Impairment::default(), vec![fault(kind)], Seed::of_run(1).stream("link"));
-        assert!(carry(&mut medium(LinkFaultKind::Drop), Kind::Latent).is_empty());
-        assert_eq!(carry(&mut medium(LinkFaultKind::Duplicate), Kind::Latent).len(), 2);
-        assert_eq!(carry(&mut medium(LinkFaultKind::Delay), Kind::Latent)[0].0, Time::ZERO + Span::from_millis(5));
-        let corrupted = carry(&mut medium(LinkFaultKind::Corrupt), Kind::Latent);
+        let emulator =
+            |kind| LinkEmulator::new(Impairment::default(), vec![fault(kind)], Seed::of_run(1).stream("link"));
+        assert!(carry(&mut emulator(LinkFaultKind::Drop), Kind::Latent).is_empty());
+        assert_eq!(carry(&mut emulator(LinkFaultKind::Duplicate), Kind::Latent).len(), 2);
+        assert_eq!(carry(&mut emulator(LinkFaultKind::Delay), Kind::Latent)[0].0, Time::ZERO + Span::from_millis(5));
+        let corrupted = carry(&mut emulator(LinkFaultKind::Corrupt), Kind::Latent);
         assert_eq!(corrupted[0].1.iter().map(|byte| byte.count_ones()).sum::<u32>(), 1);
-        let mut late = Medium::new(
+        let mut late = LinkEmulator::new(
             Impairment::default(),
             vec![LinkFault { from: Time::ZERO + Span::from_millis(1), ..fault(LinkFaultKind::Drop) }],
             Seed::of_run(1).stream("link"),

@@ -1,4 +1,4 @@
-//! What a team file says of a measurement: who takes part, on which link, and what can be measured there.
+//! Team of a measurement, from its team file: the participants, their link, and the cases that can be measured on it.
 
 use std::path::Path;
 
@@ -7,28 +7,28 @@ use crate::deploy::team::TeamFile;
 use crate::messages::ids::HostId;
 use crate::messages::wire::Kind;
 use crate::registry::Registry;
-use crate::study::network::{Addressing, Assurance, Medium, Network, Sweep};
+use crate::study::network::{Addressing, Medium, NetworkKind, ReliabilityMode, Sweep};
 use anyhow::Result;
 
 use super::Args;
-use super::live::Part;
+use super::live::Participation;
 use crate::program::BadInput;
 use crate::program::bad;
 use crate::program::team::{self, TeamArgs};
 
-/// A team whose hosts measure.
-pub struct Room {
+/// Team whose hosts measure.
+pub struct LiveTeam {
     args: TeamArgs,
     file: TeamFile,
-    /// Hosts that run agents, in the order of their ids: the stations.
+    /// Stations: the hosts that run agents, in the order of their ids.
     stations: Vec<HostId>,
-    /// The link that carries latents.
+    /// Index of the link that carries latents.
     link: usize,
 }
 
-impl Room {
-    /// Reads the team file.
-    pub fn of(path: &Path, args: &Args, registry: &Registry) -> Result<Room> {
+impl LiveTeam {
+    /// Reads the team file; an error names the flag or the field.
+    pub fn of(path: &Path, args: &Args, registry: &Registry) -> Result<LiveTeam> {
         let args = TeamArgs::of(path.to_owned(), args.set.clone());
         let file = args.read(registry)?;
         let deployment = file.deployment();
@@ -36,7 +36,7 @@ impl Room {
         let stations: Vec<HostId> = file.hosts().filter(agents).collect();
         let link = deployment.links.iter().position(|link| link.carries.contains(&Kind::Latent));
         match link {
-            Some(link) if stations.len() > 1 => Ok(Room { args, file, stations, link }),
+            Some(link) if stations.len() > 1 => Ok(LiveTeam { args, file, stations, link }),
             _ => bad(format!(
                 "--live: in mode '{}' no latents cross a link between hosts; take an onboard mode",
                 deployment.mode
@@ -44,31 +44,31 @@ impl Room {
         }
     }
 
-    /// The team file.
+    /// Returns the path of the team file.
     pub fn file(&self) -> &Path {
         self.args.path()
     }
 
-    /// The names of those that take part, in the order of their stations.
+    /// Returns the names of the participants, in the order of their stations.
     pub fn names(&self) -> Vec<String> {
         let hosts = &self.file.deployment().hosts;
         self.stations.iter().map(|host| hosts[usize::from(host.0)].name.clone()).collect()
     }
 
-    /// What it is that is measured: who takes part, and a digest of the link as the first of them has it.
+    /// Returns the names of the participants and a digest of the link's settings at the first of them.
     pub fn link(&self) -> Result<String> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
         let place = format!("{:?}", team.links[self.link]);
         Ok(format!("{}: {}", self.names().join(", "), blake3::hash(place.as_bytes()).to_hex()))
     }
 
-    /// The team's key.
+    /// Returns the team's key, if it has one.
     pub fn key(&self) -> Result<Option<[u8; 32]>> {
         team::key(&self.args.for_host(&self.file, self.stations[0])?)
     }
 
-    /// What one host needs to take part.
-    pub fn part(&self, name: &str) -> Result<Part> {
+    /// Returns the settings of one participant; an error names the flag.
+    pub fn participation(&self, name: &str) -> Result<Participation> {
         let host = self.file.host_named(name).map_err(|e| BadInput(format!("--{e}")))?;
         if !self.stations.contains(&host) {
             return bad(format!("--host: '{name}' runs no agent; these do: {}", self.names().join(", ")));
@@ -81,10 +81,11 @@ impl Room {
                 team.deployment.links[self.link].name
             ));
         };
-        Ok(Part { team, key, place, stations: self.stations.clone() })
+        Ok(Participation { team, key, place, stations: self.stations.clone() })
     }
 
-    /// Leaves of a sweep what can be measured on this link, so that both are of the same cases.
+    /// Restricts a sweep to the cases that can be measured on this link, so that emulation and measurement have the
+    /// same cases. An error names the flag.
     pub fn restrict(&self, sweep: &mut Sweep, args: &Args) -> Result<()> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
         let link = &team.deployment.links[self.link];
@@ -100,22 +101,22 @@ impl Room {
         if args.stations.is_some_and(|stations| stations != sweep.stations) {
             return bad(format!("--stations: {} hosts of the team file take part; leave it out", sweep.stations));
         }
-        sweep.reliabilities.retain(|one| !matches!(one, Assurance::Ack | Assurance::AckOff));
+        sweep.reliabilities.retain(|one| !matches!(one, ReliabilityMode::Ack | ReliabilityMode::AckOff));
         if sweep.reliabilities.is_empty() {
             return bad(
-                "--reliability: RTPS is emulated alone; best-effort, repeat and nack can be measured".to_owned()
+                "--reliability: RTPS can only be emulated; best-effort, repeat and nack can be measured".to_owned()
             );
         }
         match &sweep.medium {
             Medium::Shaped(_) => {}
             Medium::Radio(radio) => {
                 let network = match link.medium {
-                    LinkMedium::AdHoc => Network::AdHoc,
-                    _ => Network::Infrastructure,
+                    LinkMedium::AdHoc => NetworkKind::AdHoc,
+                    _ => NetworkKind::Infrastructure,
                 };
                 if !args.retries.is_empty() && args.retries != [radio.retries] {
                     return bad(format!(
-                        "--retries: what is measured has the retries of its own hardware; the medium says {}",
+                        "--retries: a measurement has the retry limit of its hardware; that of the medium is {}",
                         radio.retries
                     ));
                 }

@@ -1,5 +1,6 @@
-//! Lane: a bounded queue to one destination (stderr, stdout, a file), written by a thread of its own. So the thread
-//! that drives a robot never waits for a disk, a terminal or a pipe. What does not fit is dropped whole and counted.
+//! Background writer: a bounded queue to one destination (stderr, stdout, a file), written by its own thread. So the
+//! control thread never waits for a disk, a terminal or a pipe. A record that does not fit is dropped whole and
+//! counted.
 
 use std::collections::VecDeque;
 use std::fs::{File, OpenOptions};
@@ -14,28 +15,28 @@ use std::time::Duration;
 use nix::libc::{ENXIO, O_NONBLOCK};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
-/// Bytes that may wait: twenty seconds of the trajectories of five robots (12 kB/s), and a thousand log lines and more.
-/// A worn SD card stalls for a second or two.
-const WAITING_BYTES: usize = 1 << 18;
-/// Pieces that may wait, so that many empty ones are bounded as well.
-const WAITING_PIECES: usize = 16_384;
+/// Capacity of the queue \[bytes\]: twenty seconds of the trajectories of five robots (12 kB/s), or more than a
+/// thousand log lines. A worn SD card stalls for a second or two.
+const QUEUE_BYTES: usize = 1 << 18;
+/// Capacity of the queue \[records\], which bounds empty records, too.
+const QUEUE_RECORDS: usize = 16_384;
 
-/// Where a lane leads.
+/// Destination of a background writer.
 pub enum Target {
-    /// To what is open.
+    /// An open file descriptor.
     Open(File),
-    /// To a pipe that may have no reader yet: it is opened by the lane's thread, which waits for one. The probe keeps a
-    /// reader that is there from seeing the end before the beginning.
+    /// A pipe that may have no reader yet: the writer's thread opens it and waits for one. The probe descriptor keeps
+    /// an existing reader from seeing an end of file before the first record.
     Pipe(PathBuf, Option<File>),
 }
 
 impl Target {
-    /// A copy of an open descriptor, such as stdout.
+    /// Duplicates an open descriptor, such as stdout.
     pub fn copy_of(open: impl AsFd) -> io::Result<Target> {
         open.as_fd().try_clone_to_owned().map(|fd| Target::Open(File::from(fd)))
     }
 
-    /// A file that is made or emptied, or a pipe or a device that is there; does not wait for a pipe's reader.
+    /// Creates or truncates a file, or opens an existing pipe or device; does not wait for a pipe's reader.
     pub fn create(path: &Path) -> io::Result<Target> {
         let is_pipe = path.metadata().is_ok_and(|about| about.file_type().is_fifo());
         if !is_pipe {
@@ -48,7 +49,7 @@ impl Target {
         }
     }
 
-    /// Whether what is written there ends up where `other` does, as `/dev/stdout` and stdout.
+    /// Whether it is the same file as `other`, such as `/dev/stdout` and stdout.
     pub fn is_same(&self, other: impl AsFd) -> bool {
         let place = |file: &File| file.metadata().map(|about| (about.dev(), about.ino()));
         let (Target::Open(file) | Target::Pipe(_, Some(file))) = self else { return false };
@@ -64,98 +65,98 @@ impl Target {
     }
 }
 
-/// The way to one destination. Clones lead to the same.
+/// Handle of a background writer; clones share its queue.
 #[derive(Clone)]
-pub struct Lane(Arc<Shared>);
+pub struct BackgroundWriter(Arc<Shared>);
 
 struct Shared {
     state: Mutex<State>,
-    /// Rings when there is something to write.
-    more: Condvar,
-    /// Rings when nothing waits any more.
+    /// Notified when the queue is not empty.
+    not_empty: Condvar,
+    /// Notified when everything is written.
     idle: Condvar,
-    /// Makes the line that tells a reader how much is missing before it; none where nothing may stand between data.
+    /// Formats the line that reports dropped records to a reader; none where nothing may be inserted between records.
     notice: Option<fn(u64) -> String>,
 }
 
 #[derive(Default)]
 struct State {
-    waiting: VecDeque<Vec<u8>>,
+    queue: VecDeque<Vec<u8>>,
     bytes: usize,
     writing: bool,
     dropped: u64,
-    /// Of those dropped, how many the reader was told of.
-    noticed: u64,
+    /// Dropped records that were already reported to the reader.
+    reported: u64,
     failure: Option<io::Error>,
     failed: bool,
 }
 
-impl Lane {
-    /// Opens a lane; its thread ends with the process.
-    pub fn open(target: Target, notice: Option<fn(u64) -> String>) -> io::Result<Lane> {
-        let shared = Arc::new(Shared { state: Mutex::default(), more: Condvar::new(), idle: Condvar::new(), notice });
-        let lane = Lane(Arc::clone(&shared));
+impl BackgroundWriter {
+    /// Opens a destination and starts the thread, which ends with the process.
+    pub fn open(target: Target, notice: Option<fn(u64) -> String>) -> io::Result<BackgroundWriter> {
+        let shared =
+            Arc::new(Shared { state: Mutex::default(), not_empty: Condvar::new(), idle: Condvar::new(), notice });
+        let writer = BackgroundWriter(Arc::clone(&shared));
         thread::Builder::new().name("writer".to_owned()).spawn(move || shared.serve(target))?;
-        Ok(lane)
+        Ok(writer)
     }
 
-    /// Has a piece written after those before it, whole or not at all. Never waits for the destination; says whether
-    /// there was room.
-    pub fn push(&self, piece: Vec<u8>) -> bool {
+    /// Appends a record to the queue; it is written whole or not at all. Never waits; returns false if it was dropped.
+    pub fn push(&self, record: Vec<u8>) -> bool {
         let mut state = self.0.lock();
-        let full = state.bytes + piece.len() > WAITING_BYTES || state.waiting.len() >= WAITING_PIECES;
+        let full = state.bytes + record.len() > QUEUE_BYTES || state.queue.len() >= QUEUE_RECORDS;
         if full || state.failed {
             state.dropped += 1;
             return false;
         }
-        state.bytes += piece.len();
-        state.waiting.push_back(piece);
+        state.bytes += record.len();
+        state.queue.push_back(record);
         drop(state);
-        self.0.more.notify_one();
+        self.0.not_empty.notify_one();
         true
     }
 
-    /// Pieces that were dropped so far.
+    /// Returns the number of records dropped so far.
     pub fn dropped(&self) -> u64 {
         self.0.lock().dropped
     }
 
-    /// The error that has ended it, given once. A reader that has closed a pipe has seen enough, which is none.
+    /// Returns the error that has ended it, once. A pipe closed by its reader is not an error.
     pub fn failure(&self) -> Option<io::Error> {
         self.0.lock().failure.take()
     }
 
-    /// Waits until all is written, or for so long. What still waits then counts as dropped.
+    /// Waits until everything is written, at most for `most`. Records that are still queued then count as dropped.
     pub fn flush(&self, most: Duration) {
-        let busy = |state: &mut State| (state.writing || !state.waiting.is_empty()) && !state.failed;
+        let busy = |state: &mut State| (state.writing || !state.queue.is_empty()) && !state.failed;
         let guard = self.0.lock();
         let (mut state, _) =
             self.0.idle.wait_timeout_while(guard, most, busy).unwrap_or_else(|poisoned| poisoned.into_inner());
-        state.dropped += state.waiting.len() as u64 + u64::from(state.writing);
-        state.waiting.clear();
+        state.dropped += state.queue.len() as u64 + u64::from(state.writing);
+        state.queue.clear();
         state.bytes = 0;
     }
 }
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A panic elsewhere leaves plain data behind, and the log of that panic comes this way.
+        // A panic in another thread leaves the state valid, and the log of that panic needs this lock.
         self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    /// Writes until writing fails, which ends the lane.
+    /// Writes records until writing fails.
     fn serve(&self, target: Target) {
         let written = target.open().and_then(|file| {
             loop {
-                let piece = self.next();
-                write_whole(&file, &piece)?;
+                let record = self.next();
+                write_whole(&file, &record)?;
             }
         });
         let Err(error): io::Result<()> = written else { return };
         let mut state = self.lock();
-        state.dropped += state.waiting.len() as u64 + u64::from(state.writing);
+        state.dropped += state.queue.len() as u64 + u64::from(state.writing);
         (state.failed, state.writing, state.bytes) = (true, false, 0);
-        state.waiting.clear();
+        state.queue.clear();
         state.failure = Some(error).filter(|error| error.kind() != ErrorKind::BrokenPipe);
         self.idle.notify_all();
     }
@@ -163,24 +164,26 @@ impl Shared {
     fn next(&self) -> Vec<u8> {
         let mut state = self.lock();
         state.writing = false;
-        if state.waiting.is_empty() {
+        if state.queue.is_empty() {
             self.idle.notify_all();
         }
-        let mut state =
-            self.more.wait_while(state, |state| state.waiting.is_empty()).unwrap_or_else(|poison| poison.into_inner());
+        let mut state = self
+            .not_empty
+            .wait_while(state, |state| state.queue.is_empty())
+            .unwrap_or_else(|poison| poison.into_inner());
         state.writing = true;
-        let mut piece = state.waiting.pop_front().expect("it is not empty");
-        state.bytes -= piece.len();
-        if let (Some(notice), true) = (self.notice, state.dropped > state.noticed) {
-            let missing = notice(state.dropped - state.noticed);
-            state.noticed = state.dropped;
-            piece.splice(..0, missing.into_bytes());
+        let mut record = state.queue.pop_front().expect("it is not empty");
+        state.bytes -= record.len();
+        if let (Some(notice), true) = (self.notice, state.dropped > state.reported) {
+            let missing = notice(state.dropped - state.reported);
+            state.reported = state.dropped;
+            record.splice(..0, missing.into_bytes());
         }
-        piece
+        record
     }
 }
 
-/// Writes all of it, also to a descriptor that another program has set not to wait.
+/// Writes all bytes, also to a descriptor that another program has made non-blocking.
 fn write_whole(mut file: &File, mut bytes: &[u8]) -> io::Result<()> {
     while !bytes.is_empty() {
         match file.write(bytes) {
@@ -207,26 +210,26 @@ mod tests {
     const LIMIT: Duration = Duration::from_millis(50);
     const PATIENCE: Duration = Duration::from_secs(30);
 
-    fn piped(notice: Option<fn(u64) -> String>) -> (PipeReader, Lane) {
+    fn piped(notice: Option<fn(u64) -> String>) -> (PipeReader, BackgroundWriter) {
         let (reader, writer) = pipe().expect("a pipe");
-        (reader, Lane::open(Target::Open(File::from(OwnedFd::from(writer))), notice).expect("a thread"))
+        (reader, BackgroundWriter::open(Target::Open(File::from(OwnedFd::from(writer))), notice).expect("a thread"))
     }
 
     #[test]
-    fn what_is_pushed_is_written_in_order() {
-        let (mut reader, lane) = piped(None);
-        assert!(["one\n", "two\n"].into_iter().all(|line| lane.push(line.into())));
-        lane.flush(PATIENCE);
+    fn records_are_written_in_order() {
+        let (mut reader, writer) = piped(None);
+        assert!(["one\n", "two\n"].into_iter().all(|line| writer.push(line.into())));
+        writer.flush(PATIENCE);
         let mut read = [0; 8];
         reader.read_exact(&mut read).expect("it is there");
-        assert_eq!((&read, lane.dropped()), (b"one\ntwo\n", 0));
+        assert_eq!((&read, writer.dropped()), (b"one\ntwo\n", 0));
     }
 
     #[test]
-    fn a_pipe_that_nobody_reads_holds_nobody_up_and_its_reader_is_told_what_is_missing() {
-        let (mut reader, lane) = piped(Some(|missing| format!("{missing} missing\n")));
-        let taken = (0..64).filter(|_| lane.push(vec![b'x'; 1 << 16])).count();
-        // Of four megabytes 256 KiB wait, a pipe's worth is in the pipe, and one piece is being written.
+    fn a_pipe_without_reading_never_blocks_and_its_reader_gets_the_number_of_dropped_records() {
+        let (mut reader, writer) = piped(Some(|missing| format!("{missing} missing\n")));
+        let taken = (0..64).filter(|_| writer.push(vec![b'x'; 1 << 16])).count();
+        // Of four megabytes, 256 KiB are queued, a pipe's capacity is in the pipe, and one record is being written.
         assert!((4..8).contains(&taken), "{taken} of 64 pieces");
         let reading = thread::spawn(move || {
             let (mut all, mut some) = (Vec::new(), [0; 1 << 16]);
@@ -236,30 +239,30 @@ mod tests {
             }
             String::from_utf8(all).expect("it is text")
         });
-        lane.flush(PATIENCE);
-        assert!(lane.push(b"last\n".to_vec()), "there is room again");
+        writer.flush(PATIENCE);
+        assert!(writer.push(b"last\n".to_vec()), "there is room again");
         let all = reading.join().expect("it reads");
-        assert_eq!(lane.dropped(), 64 - taken as u64);
-        let told = all.split(" missing\n").map(|part| part.trim_start_matches(['x', '\n']));
-        let told: u64 = told.filter_map(|number| number.parse::<u64>().ok()).sum();
-        assert_eq!(told, lane.dropped(), "once or in parts, all of them");
+        assert_eq!(writer.dropped(), 64 - taken as u64);
+        let reported = all.split(" missing\n").map(|part| part.trim_start_matches(['x', '\n']));
+        let reported: u64 = reported.filter_map(|number| number.parse::<u64>().ok()).sum();
+        assert_eq!(reported, writer.dropped(), "all of them, in one report or several");
         assert_eq!(all.matches('x').count(), taken << 16);
     }
 
     #[test]
-    fn a_pipe_without_a_reader_is_opened_when_there_is_one() {
+    fn a_pipe_without_a_reader_is_opened_once_a_reader_opens_it() {
         let folder = tempfile::TempDir::new().expect("a temporary folder");
         let path = folder.path().join("pipe");
         assert!(std::process::Command::new("mkfifo").arg(&path).status().expect("it is there").success());
-        let lane = Lane::open(Target::create(&path).expect("it does not wait"), None).expect("a thread");
-        assert!(lane.push(b"a line\n".to_vec()));
+        let writer = BackgroundWriter::open(Target::create(&path).expect("it does not wait"), None).expect("a thread");
+        assert!(writer.push(b"a line\n".to_vec()));
         let mut read = [0; 7];
         File::open(&path).expect("it is there").read_exact(&mut read).expect("it is written");
         assert_eq!(&read, b"a line\n");
     }
 
     #[test]
-    fn two_ways_to_one_pipe_are_known_as_such() {
+    fn two_descriptors_of_one_pipe_are_the_same_target() {
         let (_reader, writer) = pipe().expect("a pipe");
         let (_other_reader, other) = pipe().expect("a pipe");
         let target = Target::copy_of(&writer).expect("a copy");
@@ -267,20 +270,21 @@ mod tests {
     }
 
     #[test]
-    fn the_end_waits_for_a_stuck_pipe_no_longer_than_it_is_told_and_counts_what_it_leaves() {
-        let (_reader, lane) = piped(None);
+    fn flushing_a_stuck_pipe_stops_at_its_time_limit_and_counts_the_dropped_records() {
+        let (_reader, writer) = piped(None);
         for _ in 0..2 {
-            assert!(lane.push(vec![b'x'; 1 << 17]));
+            assert!(writer.push(vec![b'x'; 1 << 17]));
         }
         let before = Instant::now();
-        lane.flush(LIMIT);
+        writer.flush(LIMIT);
         assert!(before.elapsed() >= LIMIT && before.elapsed() < PATIENCE);
-        assert_eq!(lane.dropped(), 2, "one in part, one whole");
+        assert_eq!(writer.dropped(), 2, "one in part, one whole");
     }
 
     #[test]
-    fn a_full_disk_is_a_failure_and_a_reader_that_has_gone_is_none() {
-        let full = Lane::open(Target::create(Path::new("/dev/full")).expect("it is there"), None).expect("a thread");
+    fn a_full_disk_is_a_failure_and_a_closed_pipe_is_not() {
+        let full = BackgroundWriter::open(Target::create(Path::new("/dev/full")).expect("it is there"), None)
+            .expect("a thread");
         assert!(full.push(b"a line\n".to_vec()));
         full.flush(PATIENCE);
         assert_eq!(full.failure().map(|error| error.kind()), Some(ErrorKind::StorageFull));

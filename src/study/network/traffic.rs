@@ -1,4 +1,4 @@
-//! What stations say and when: the same in the emulation and between real hosts.
+//! Messages of the stations and their publication schedule, the same in the emulation and between real hosts.
 
 use rand::RngExt;
 
@@ -8,11 +8,11 @@ use crate::messages::wire::{Features, Latent, Phase, Round};
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
-/// By how much a message's datagram is longer than its content: header 14, block 3, tag 16, and what MessagePack needs.
-/// Not in it: UDP, IP and what is below.
-pub const AROUND_BYTES: usize = 40;
+/// Overhead of a datagram over its message's content: header 14, block 3, tag 16, and MessagePack's own bytes. UDP, IP
+/// and lower layers are not included \[bytes\].
+pub const FRAMING_BYTES: usize = 40;
 
-/// A message: the number `sequence` of a station in case number `case`, said at `stamp` after the case began.
+/// Returns message `sequence` of a station in case number `case`, published at `stamp` after the case began.
 pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: usize) -> Latent {
     let own = 0.5 * f32::from(station + 1);
     let us = stamp.as_nanos() / 1000;
@@ -27,54 +27,54 @@ pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: us
     }
 }
 
-/// When a message says that it was said, after its case began.
+/// Returns the publication time in a message, since its case began.
 pub fn stamp(latent: &Latent) -> Span {
     let position = latent.motion.position;
     Span::from_nanos(1_000_000 * position.x as u64 + 1000 * position.y as u64)
 }
 
-/// When in every period each station takes its control step.
+/// Returns, by station, the phase of its control steps within the period.
 pub fn phases(stations: u16, period: Span, seed: &Seed) -> Vec<Span> {
     let mut stream = seed.stream("steps");
     (0..stations).map(|_| Span::from_secs(period.as_secs() * stream.random_range(0.0..1.0))).collect()
 }
 
-/// When one station speaks: once in every period, at a moment of it that is drawn anew each time. So no two stations
-/// keep step, and no phase decides a whole case.
+/// Publication schedule of one station: once in every period, at a time drawn uniformly from the period. So stations
+/// are not synchronized, and no fixed phase dominates a case.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     begin: Time,
     period: Span,
     stream: Stream,
-    said: u32,
+    published: u32,
     next: Time,
 }
 
 impl Schedule {
-    /// Of a station of `stations`, which say `rate` messages a second together.
+    /// Returns the schedule of one of `stations` stations, which publish `rate` messages a second together.
     pub fn new(begin: Time, station: u16, (stations, rate): (u16, f64), seed: &Seed) -> Schedule {
         let period = Span::from_secs(f64::from(stations) / rate);
         let stream = seed.stream(&format!("publish/{station}"));
-        let mut schedule = Schedule { begin, period, stream, said: 0, next: begin };
+        let mut schedule = Schedule { begin, period, stream, published: 0, next: begin };
         schedule.draw();
         schedule
     }
 
     fn draw(&mut self) {
         let within = Span::from_secs(self.period.as_secs() * self.stream.random_range(0.0..1.0));
-        self.next = self.begin + self.period * u64::from(self.said) + within;
+        self.next = self.begin + self.period * u64::from(self.published) + within;
     }
 
-    /// When it speaks next.
+    /// Returns the time of the next message.
     pub fn next(&self) -> Time {
         self.next
     }
 
-    /// It speaks: the number of what it says.
-    pub fn say(&mut self) -> u32 {
-        self.said += 1;
+    /// Advances to the next message; returns the sequence number of the current one.
+    pub fn publish(&mut self) -> u32 {
+        self.published += 1;
         self.draw();
-        self.said - 1
+        self.published - 1
     }
 }
 
@@ -83,13 +83,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_station_speaks_once_a_period_and_its_stamp_survives() {
+    fn a_station_publishes_once_a_period_and_its_timestamp_survives() {
         let seed = Seed::of_run(1);
         let mut schedule = Schedule::new(Time::ZERO, 3, (5, 100.0), &seed);
         for k in 0..50 {
             let (at, low) = (schedule.next(), Time::ZERO + Span::from_millis(50 * k));
             assert!(at >= low && at <= low + Span::from_millis(50), "{k}: {at}");
-            assert_eq!(u64::from(schedule.say()), k);
+            assert_eq!(u64::from(schedule.publish()), k);
         }
         let at = Span::from_nanos(61_234_567_000);
         assert_eq!(stamp(&message(1, 0, 7, at, 32)), at);
