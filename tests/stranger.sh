@@ -42,7 +42,7 @@ robots = 3
 episodes = 1
 TOML
 team=("$folder/team.toml" --interface lo)
-has "$("$program" config check "${team[@]}" 2>/dev/null)" sound
+has "$("$program" config check "${team[@]}" 2>/dev/null)" valid
 has "$("$program" launch "${team[@]}" --json --quiet 2>/dev/null)" '"scenario":"round"' '"successes":1'
 
 # One robot that is not simulated, all of it on one host: driven by the driver, seen by the source. Two episodes that ran

@@ -67,8 +67,9 @@ pub enum Worked {
 /// The control thread's end of a channel.
 #[derive(Debug)]
 pub struct Gate {
-    tells: mpsc::Sender<Packet>,
+    /// Dropped first: a worker that hears nothing more finds its mouth closed.
     heard: mpsc::Receiver<Packet>,
+    tells: mpsc::Sender<Packet>,
     bell: Arc<EventFd>,
     /// Packets that have found no room: to the worker, and from it.
     refused: u64,

@@ -93,10 +93,10 @@ fn a_key_that_is_none_is_refused_in_one_line() {
     std::fs::remove_file(&key).expect("it is ours");
     refused(&["team.key", "is not there", "murmurate key new"]);
     std::fs::create_dir(&key).expect("a folder");
-    refused(&["team.key", "no regular file"]);
+    refused(&["team.key", "not a regular file"]);
     std::fs::remove_dir(&key).expect("it is empty");
     mkfifo(&key, Mode::S_IRUSR | Mode::S_IWUSR).expect("a pipe");
-    refused(&["team.key", "no regular file"]);
+    refused(&["team.key", "not a regular file"]);
 }
 
 #[test]
