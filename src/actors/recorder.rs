@@ -3,8 +3,8 @@
 //! It digests both into the run's trace, follows the state server's instructions, and lets the judge see
 //! each step of a running episode. Nothing that it finds goes back into the graph.
 //!
-//! Where one World simulates the whole team, the judge sees true states. Elsewhere nobody has them, and it sees what is
-//! measured of each robot (`Judged::Readings`; `scenario::sightings` has how good that is). Then a wall is touched by a
+//! Where one World simulates the whole team, the judge gets true states. Elsewhere there are none, and it gets the
+//! readings of each robot (`Judged::Readings`; `scenario::sightings` has how good that is). Then a wall is touched by a
 //! robot that is measured within its radius of it; what a World holds back before a wall, no reading shows.
 
 use std::collections::BTreeMap;
@@ -68,7 +68,7 @@ pub struct Config {
     pub steps: Steps,
     /// At how many other hosts a message to neighbours is due.
     pub hearers: u64,
-    /// What verdicts are found from.
+    /// Source of the states that are judged.
     pub judged: Judged,
     /// Whether robots are put at their starts, and do not drive there.
     pub placed: bool,

@@ -25,6 +25,11 @@ impl Deployment {
         HostId(u16::try_from(found).expect("a checked deployment has few hosts"))
     }
 
+    /// The host that judges from readings, and needs those of all robots; none where true states are judged.
+    pub fn judge_of_readings(&self) -> Option<HostId> {
+        (self.judged() == Judged::Readings).then(|| self.judge())
+    }
+
     /// Why a kind has to cross hosts, where it is for the judge's sake; else nothing.
     pub(super) fn needed_by_judge(&self, kind: Kind) -> String {
         match (kind, self.judged()) {

@@ -8,7 +8,6 @@ use super::Deployment;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
-use crate::report::episode::Judged;
 
 /// Who runs what in a checked deployment, and the ways of all messages.
 #[derive(Clone, Debug)]
@@ -95,8 +94,7 @@ impl Routes {
         let hosts = |some: &[HostId], more: &[HostId]| -> Vec<HostId> {
             some.iter().chain(more).copied().collect::<BTreeSet<HostId>>().into_iter().collect()
         };
-        // The host that judges from readings, if they are what verdicts are found from.
-        let judge = &[server_host][..usize::from(deployment.judged() == Judged::Readings)];
+        let judge = deployment.judge_of_readings();
         Routes {
             robots,
             companions,
@@ -118,8 +116,8 @@ impl Routes {
             // Who drives a real robot needs its heading; who simulates one does not.
             readers: RobotId::team(robots)
                 .map(|robot| match world_host[robot.index()] {
-                    Some(_) => hosts(&[agent_host[robot.index()]], judge),
-                    None => hosts(&[agent_host[robot.index()], actuator_host[robot.index()]], judge),
+                    Some(_) => hosts(&[agent_host[robot.index()]], judge.as_slice()),
+                    None => hosts(&[agent_host[robot.index()], actuator_host[robot.index()]], judge.as_slice()),
                 })
                 .collect(),
             agent_host,

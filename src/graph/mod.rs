@@ -39,7 +39,6 @@ use crate::net::protocol::codec::Frame;
 use crate::net::transport::Arrive;
 use crate::policy::Model;
 use crate::random::Seed;
-use crate::report::episode::Judged;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::start;
 use crate::safety::{Safety, Switch, guard};
@@ -303,7 +302,7 @@ fn wire_network(
         span: info_span!("network", host = name),
     };
     let (hear, alone, record) = (Rc::clone(&process.hear), process.only.is_some(), graph.record());
-    let judges = plan.deployment.judged() == Judged::Readings && plan.deployment.judge() == host;
+    let judges = plan.deployment.judge_of_readings() == Some(host);
     station.start(clock, &graph.networks[usize::from(host.0)], Rc::clone(&graph.transports), move |out| match out {
         station::Out::Deliver(message) => {
             hear(Heard::Message(&message));

@@ -48,6 +48,9 @@ impl Pictures {
             let Some(path) = path else { continue };
             found.push((path, draw(flag, path, &endings)?));
         }
+        if args.animate.is_some() && args.animate == args.svg {
+            return bad("--svg: the file is that of --animate, too; give each its own".to_owned());
+        }
         match args.episode {
             Some(_) if found.is_empty() => {
                 return bad("--episode: there is nothing to draw; add --animate or --svg".to_owned());

@@ -140,5 +140,6 @@ fn pictures_that_cannot_be_made_are_refused_before_the_run() {
     let html = path.replace(".gif", ".html");
     refuses(&["sim", "--animate", &html, "--episodes", "2", "--episode", "2"], &["--episode", "2, from 0"]);
     refuses(&["sim", "--episode", "1"], &["--episode", "--animate"]);
+    refuses(&["sim", "--animate", "one.svg", "--svg", "one.svg"], &["--svg", "--animate", "its own"]);
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left behind");
 }
