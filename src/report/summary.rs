@@ -39,6 +39,9 @@ pub struct Summary {
     /// What came of the episodes.
     #[serde(flatten)]
     pub outcomes: Outcomes,
+    /// Former names of `robot_collisions`, `wall_collisions` and `aborted`, for one version.
+    #[serde(flatten)]
+    former: FormerNames,
     /// What their verdicts were found from.
     pub judged: Judged,
     /// Whose counts these are.
@@ -72,6 +75,14 @@ pub struct Summary {
     pub interrupted: bool,
 }
 
+/// Former names of fields of [`Outcomes`], so that scripts that read them go on working.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+struct FormerNames {
+    collisions_robot: usize,
+    collisions_wall: usize,
+    aborts: usize,
+}
+
 /// What a run was, beside its results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
@@ -97,6 +108,7 @@ impl Summary {
     /// Sums up the trials of a run, in the order of their repeats.
     pub fn of(run: Run, trials: &[TrialReport]) -> Summary {
         let episodes: Vec<Episode> = trials.iter().flat_map(|trial| &trial.episodes).copied().collect();
+        let outcomes = Outcomes::of(&episodes);
         let totals = || trials.iter().map(|trial| trial.totals);
         let mut trace = Xxh3::new();
         totals().for_each(|totals| trace.update(&totals.trace.to_le_bytes()));
@@ -106,7 +118,12 @@ impl Summary {
             scenario,
             policy,
             robots,
-            outcomes: Outcomes::of(&episodes),
+            former: FormerNames {
+                collisions_robot: outcomes.robot_collisions,
+                collisions_wall: outcomes.wall_collisions,
+                aborts: outcomes.aborted,
+            },
+            outcomes,
             judged,
             counts: Counts::Team,
             virtual_s: trials.iter().map(|trial| trial.simulated.as_secs()).sum(),
@@ -159,17 +176,7 @@ impl fmt::Display for Summary {
             }
             _ => writeln!(f, "  makespan            -   no episode succeeded")?,
         }
-        let failed = [
-            (self.outcomes.collisions_robot, "robots too near"),
-            (self.outcomes.collisions_wall, "wall touched"),
-            (self.outcomes.timeouts, "too late"),
-            (self.outcomes.aborts, "given up"),
-            (self.outcomes.unseen, "with a robot out of sight"),
-        ];
-        let failed: Vec<String> =
-            failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
-        let what = if failed.is_empty() { "none".to_owned() } else { failed.join(", ") };
-        writeln!(f, "  failures     {:>8}   {what}", episodes - successes)?;
+        writeln!(f, "  failures     {:>8}   {}", episodes - successes, self.outcomes.failures())?;
         if self.judged == Judged::Readings {
             writeln!(f, "  judged       readings   what touched between two readings of a robot was not seen")?;
         }

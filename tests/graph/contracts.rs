@@ -88,14 +88,14 @@ fn a_reward_is_finite_and_comes_to_an_end_at_the_goal() {
                 let motion = Motion { position, velocity: task.goal - task.start };
                 let contacts = Contacts { robot: k == 10, wall: k == 20 };
                 let before = stage;
-                let earned = scenario.reward(&task, &motion, contacts, &mut stage);
+                let Some(earned) = scenario.reward(&task, &motion, contacts, &mut stage) else { break };
                 assert!(earned.is_finite() && stage >= before, "{}: {earned} at {stage:?}", scenario.name());
             }
             let motion = Motion::at_rest(task.goal);
             assert!(scenario.reached(&task, task.goal));
             let free = scenario.reward(&task, &motion, Contacts::default(), &mut stage.clone());
-            let blocked = Contacts { robot: true, wall: true };
-            assert!(scenario.reward(&task, &motion, blocked, &mut stage) < free, "being blocked costs");
+            let blocked = scenario.reward(&task, &motion, Contacts { robot: true, wall: true }, &mut stage);
+            assert!(blocked < free || free.is_none(), "{}: being blocked costs", scenario.name());
         }
     }
 }
@@ -103,9 +103,17 @@ fn a_reward_is_finite_and_comes_to_an_end_at_the_goal() {
 #[test]
 fn the_scripted_baseline_solves_every_scenario() {
     for entry in scenario::REGISTRY {
-        let report = Trial::preset("sim", entry.name).expect("a preset").seed(1).episodes(12).run();
-        assert_eq!(report.episodes.len(), 12);
-        assert!(report.successes() >= 11, "{}: {:?}", entry.name, report.episodes);
+        let trial = Trial::preset("sim", entry.name).expect("a preset").episodes(12);
+        let bar = trial.scenario.scripted_success();
+        let (mut successes, mut failed) = (0, Vec::new());
+        for seed in 1..=5 {
+            let report = trial.clone().seed(seed).run();
+            assert_eq!(report.episodes.len(), 12);
+            successes += report.successes();
+            let wrong = report.episodes.iter().filter(|episode| episode.verdict != Verdict::Success);
+            failed.extend(wrong.map(|episode| (seed, episode.episode, episode.verdict)));
+        }
+        assert!(successes as f64 >= 60.0 * bar, "{}: {successes} of 60, bar {bar}: {failed:?}", entry.name);
     }
 }
 

@@ -138,7 +138,7 @@ fn every_step_of_the_environment_matches() {
                 let task = Task { start, goal: vec2(&goal, rollout * ROBOTS + i) };
                 let mut reached = Stage(stage[before + i]);
                 let motion = Motion { position: position[i], velocity: velocity[i] };
-                let earned = scenario.reward(&task, &motion, contacts[i], &mut reached);
+                let earned = scenario.reward(&task, &motion, contacts[i], &mut reached).expect("the passage has one");
                 let expected = Contacts { robot: hit_agent[now + i] == 1, wall: hit_wall[now + i] == 1 };
                 assert_eq!(contacts[i], expected, "{place}");
                 assert_eq!(reached.0, stage[after + i], "{place}: stage");
@@ -183,8 +183,8 @@ fn compare(row: &Row, episodes: &[Episode]) {
         100.0 * ours,
         100.0 * rate,
         (ours - rate).abs() / error,
-        found.collisions_wall,
-        found.collisions_robot,
+        found.wall_collisions,
+        found.robot_collisions,
         found.timeouts
     );
     assert!((ours - rate).abs() <= 2.6 * error, "{name}: success {ours}, published {rate}");

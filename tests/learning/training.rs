@@ -94,6 +94,7 @@ fn dynamics_and_reward_are_those_of_the_world() {
                         "{name}, step {step}"
                     );
                     let reward = scenario.reward(&tasks[robot], &state.motion, state.contacts, &mut stages[robot]);
+                    let reward = reward.expect("both scenarios have a reward");
                     assert_eq!(
                         (environments.reward[at], environments.stage[at]),
                         (reward, stages[robot]),

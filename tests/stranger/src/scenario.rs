@@ -6,7 +6,7 @@ use std::sync::Arc;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::random::{Rng, Seed};
-use murmurate::scenario::{Arena, Entry, Frame, Rules, Scenario, ScenarioError, Settings, Stage};
+use murmurate::scenario::{Arena, Entry, Frame, Rules, Scenario, ScenarioError, Settings, Stage, TeamSizes};
 use murmurate::time::Span;
 
 /// Its line in a registry.
@@ -22,10 +22,7 @@ struct Round {
 }
 
 fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
-    let robots = settings.robots.unwrap_or(5);
-    if !(1..=8).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: ROUND.name, min: 1, max: 8, robots });
-    }
+    let robots = TeamSizes::new(1, 8).check(ROUND.name, settings.robots.unwrap_or(5))?;
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: ROUND.name, gap_m, hint: "; it has no walls" });
     }
@@ -66,12 +63,12 @@ impl Scenario for Round {
     }
 
     /// Speed toward the goal, one off for a contact.
-    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32 {
+    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> Option<f32> {
         if self.reached(task, after.position) {
             *stage = Stage(1);
         }
         let way = (task.goal - after.position).try_normalize(1e-6).unwrap_or_default();
-        way.dot(&after.velocity) - if contacts.robot || contacts.wall { 1.0 } else { 0.0 }
+        Some(way.dot(&after.velocity) - if contacts.robot || contacts.wall { 1.0 } else { 0.0 })
     }
 
     fn finished(&self, stage: Stage) -> bool {
