@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use crate::actors::{agent, body, cache, controller, localizer, network, recorder, state_server, status, world};
 use crate::deploy::{Deployment, Link, Routes};
-use crate::faults::{ActorFault, Role};
+use crate::faults::{ActorFault, EpisodeStarts, Role};
 use crate::graph::Plan;
 use crate::graph::devices::Devices;
 use crate::messages::ids::{HostId, RobotId};
@@ -109,6 +109,8 @@ pub struct Graph {
     pub(super) transports: Rc<[Mailbox<transport::In>]>,
     /// Where there is one.
     pub(super) recorder: Option<Mailbox<recorder::In>>,
+    /// Start times of episodes, for faults that are timed from them.
+    pub(super) starts: EpisodeStarts,
 }
 
 impl Graph {
@@ -141,6 +143,7 @@ impl Graph {
             networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
             transports: links.map(Mailbox::new).collect(),
             recorder: process.records.then(|| Mailbox::new("recorder")),
+            starts: EpisodeStarts::default(),
             routes,
         }
     }

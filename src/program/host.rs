@@ -140,6 +140,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             judged: team.deployment.judged(),
             seed: team.seed,
             wall_s: began.elapsed().as_secs_f64(),
+            faults: Vec::new(),
             interrupted,
         };
         let counts = if team.deployment.hosts.len() == 1 { Counts::Team } else { Counts::Host };

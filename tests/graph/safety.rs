@@ -52,7 +52,7 @@ fn driven(report: &TrialReport, from: Time, until: Time) -> Vec<(RobotId, Time)>
 }
 
 fn actor(role: Role, robot: u16, kind: ActorFaultKind, at: Time, lasts: Span) -> FaultPlan {
-    let fault = ActorFault { role, robot: RobotId(robot), kind, at, lasts, by: Span::ZERO };
+    let fault = ActorFault { role, robot: RobotId(robot), kind, at, lasts, by: Span::ZERO, episode: None };
     FaultPlan { actors: vec![fault], links: Vec::new() }
 }
 
