@@ -1,5 +1,5 @@
-//! A scenario of one's own: robots face each other in two rows and change sides. Scripted navigation does it at once.
-//! `tests/stranger/` shows how a scenario comes to the command line.
+//! A scenario of your own: robots face each other in two rows and change sides, with scripted navigation.
+//! `tests/stranger/` shows how to add a scenario to the command line.
 //!
 //!     cargo run --release --example scenario
 
@@ -39,7 +39,7 @@ impl Scenario for Rows {
         &self.arena
     }
 
-    /// The goals of one episode are the starts of the next.
+    /// Returns the tasks of an episode; its goals are the starts of the next.
     fn tasks(&self, _: u64, episode: u32) -> Vec<Task> {
         let place = |robot: usize, episode: u32| {
             let side = if (robot + episode as usize).is_multiple_of(2) { 1.0 } else { -1.0 };

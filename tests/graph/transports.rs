@@ -1,4 +1,4 @@
-//! What every transport of the registry keeps to, and one that does its work on a thread of its own.
+//! Requirements on every transport of the registry, and a transport that works on its own thread.
 
 use std::net::SocketAddr;
 use std::os::fd::AsFd;
@@ -22,12 +22,12 @@ use murmurate::registry::Registry;
 use murmurate::time::Time;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
-/// How long a frame may take, and how long is waited for one that should not come \[ms\].
+/// Longest time for a frame to arrive, and the wait for one that should not arrive \[ms\].
 const PATIENCE: u16 = 5000;
 const SURPLUS: u16 = 30;
 
-/// What the team file says of a link with each transport, in a team of three robots and a World; and mistakes, with how
-/// the error begins.
+/// Returns a link's lines in the team file for each transport, in a team of three robots and a World; and mistakes,
+/// each with the start of its error.
 fn lines(name: &str) -> (&'static str, &'static [(&'static str, &'static str, &'static str)]) {
     match name {
         "multicast" => (
@@ -51,7 +51,7 @@ fn lines(name: &str) -> (&'static str, &'static [(&'static str, &'static str, &'
     }
 }
 
-/// Held by a test that opens links: others would hear what it says.
+/// Lock of a test that opens links: other tests would receive its frames.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
@@ -75,7 +75,7 @@ fn read(text: &str) -> Result<TeamFile, ConfigError> {
     Ok(file)
 }
 
-/// The places of the three robots' hosts on the link that is tried.
+/// Returns the places of the three robots' hosts on the tested link.
 fn places(name: &str) -> Vec<Place> {
     let file = read(&text(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
     let at = file.deployment().links.iter().position(|link| link.name == "infra").expect("the preset has it");
@@ -92,7 +92,7 @@ fn say(transport: &mut dyn Transport, audience: Audience, frame: &[u8]) {
     transport.handle(Time::ZERO, In::Transmit(Transmit { from: HostId(0), audience, frame: frame.into() }));
 }
 
-/// What arrives: so many frames, and whatever comes soon after them.
+/// Receives this many frames, and those that arrive soon after them.
 fn hear(transport: &mut dyn Transport, count: usize) -> Vec<(Option<SocketAddr>, Vec<u8>)> {
     let mut heard = Vec::new();
     loop {
@@ -111,7 +111,7 @@ fn frames(transport: &mut dyn Transport, count: usize) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn what_is_said_to_all_arrives_once_at_each_other_host() {
+fn a_frame_to_all_arrives_once_at_each_other_host() {
     let _alone = alone();
     for entry in registry().transports() {
         let mut hosts = open(&places(entry.name));
@@ -126,7 +126,7 @@ fn what_is_said_to_all_arrives_once_at_each_other_host() {
 }
 
 #[test]
-fn what_is_for_one_reaches_that_one_and_no_other_where_the_link_is_addressed() {
+fn a_frame_to_one_host_reaches_only_that_host_on_an_addressed_link() {
     let _alone = alone();
     for entry in registry().transports() {
         let places = places(entry.name);
@@ -141,7 +141,7 @@ fn what_is_for_one_reaches_that_one_and_no_other_where_the_link_is_addressed() {
 }
 
 #[test]
-fn a_guest_is_heard_by_all_and_answered_once_it_is_admitted() {
+fn a_guest_reaches_all_hosts_and_is_answered_once_admitted() {
     let _alone = alone();
     for entry in registry().transports() {
         let places = places(entry.name);
@@ -165,13 +165,13 @@ fn a_guest_is_heard_by_all_and_answered_once_it_is_admitted() {
 }
 
 #[test]
-fn what_a_team_file_says_wrong_is_refused_by_its_field() {
+fn mistakes_in_a_team_file_are_refused_by_their_field() {
     for entry in registry().transports() {
         let sound = text(entry.name);
         for (from, to, start) in lines(entry.name).1 {
             assert!(sound.contains(from), "{from}");
             let error = read(&sound.replacen(from, to, 1)).expect_err("it is refused").to_string();
-            // A field that is left out leaves its line empty.
+            // A missing field leaves its line empty.
             assert!(error.starts_with(start), "{}: {error}", entry.name);
         }
         let transport = format!("transport = \"{}\"", entry.name);
@@ -184,18 +184,18 @@ fn what_a_team_file_says_wrong_is_refused_by_its_field() {
 }
 
 #[test]
-fn transports_whose_fields_have_one_name_take_the_same_there() {
+fn fields_of_one_name_take_the_same_values_in_all_transports() {
     let mut all = Registry::builtin();
     for entry in transport::REGISTRY {
-        // A copy under another name is let in only if its fields agree with all others.
+        // A copy under another name is accepted only if its fields agree with all others.
         let name = Box::leak(format!("{}-copy", entry.name).into_boxed_str());
         all = all.with_transport(transport::Entry { name, ..*entry });
     }
     assert_eq!(all.transports().len(), 2 * transport::REGISTRY.len());
 }
 
-/// A transport whose work is done on a thread of its own, as an asynchronous library's is: hosts of this process meet
-/// at hubs that have names.
+/// Transport that works on its own thread, as an asynchronous library does: hosts of this process exchange frames
+/// through named hubs.
 const HUB: transport::Entry = transport::Entry {
     name: "hub",
     about: "a thread for each host of this process",
@@ -206,7 +206,7 @@ const HUB: transport::Entry = transport::Entry {
     },
 };
 
-/// Everyone who is at a hub.
+/// Members of each hub.
 static MEMBERS: Mutex<Vec<(Hub, HostId, Mouth)>> = Mutex::new(Vec::new());
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -247,7 +247,7 @@ impl Way for Hub {
 }
 
 impl Hub {
-    /// Passes on what `host` says, each packet with whom it is for in front.
+    /// Passes on the packets of `host`, each with its audience in front.
     fn work(&self, host: HostId, mut port: Port) {
         while let Some(packet) = port.wait() {
             let to = u16::from_le_bytes([packet[0], packet[1]]);

@@ -1,4 +1,4 @@
-//! The scenario `round`: robots stand on a circle with one free place, and each goes on to the next.
+//! The scenario `round`: robots stand on a circle with one free place, and each moves to the next place.
 
 use std::f32::consts::TAU;
 use std::sync::Arc;
@@ -9,10 +9,10 @@ use murmurate::random::{Rng, Seed};
 use murmurate::scenario::{Arena, Entry, Frame, Rules, Scenario, ScenarioError, Settings, Stage, TeamSizes};
 use murmurate::time::Span;
 
-/// Its line in a registry.
+/// Entry in a registry.
 pub const ROUND: Entry = Entry { name: "round", about: "robots on a circle go on to the next place", build };
 
-/// How far places lie from the middle \[m\].
+/// Distance of the places from the centre \[m\].
 const RADIUS_M: f32 = 1.5;
 
 #[derive(Debug)]
@@ -32,7 +32,7 @@ fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
 }
 
 impl Round {
-    /// The place that a robot has before this episode \[m\].
+    /// Returns the place of a robot before this episode \[m\].
     fn place(&self, seed: u64, episode: u32, robot: usize) -> Vec2 {
         let turned = Seed::of_run(seed).stream("round/turned").next_u32() as f32 / u32::MAX as f32;
         let angle = TAU * (turned + (robot as f32 + episode as f32) / (self.robots + 1) as f32);
@@ -62,7 +62,7 @@ impl Scenario for Round {
         Frame::World
     }
 
-    /// Speed toward the goal, one off for a contact.
+    /// Returns the speed toward the goal, minus one for a contact.
     fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> Option<f32> {
         if self.reached(task, after.position) {
             *stage = Stage(1);

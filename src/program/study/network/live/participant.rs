@@ -127,8 +127,8 @@ fn wire(
         span: info_span!("network"),
     };
     let inward = to_peer.clone();
-    let network = station.open((clock, readers), vec![(LINK, open)], move |said| {
-        if let station::Out::Deliver(Wire::Latent(latent)) = said {
+    let network = station.open((clock, readers), vec![(LINK, open)], move |out| {
+        if let station::Out::Deliver(Wire::Latent(latent)) = out {
             inward.send(latent);
         }
     });
