@@ -1,21 +1,23 @@
-//! Latch: whether the team may move. Soft state: robots and state server repeat it, and of two the later one holds.
+//! Emergency stop latch: whether the team may move. Soft state: robots and state server repeat it, and the later of two
+//! holds.
 //!
-//! An emergency stop engages it. A re-arm takes the stop back and leaves the team held; a resume lets it move again.
-//! A stop is never refused; a re-arm and a resume count only if they are later than what they take back.
+//! An emergency stop engages it. A re-arm takes the stop back and leaves the team held; a resume lets it move again. A
+//! stop is never refused; a re-arm and a resume count only if they are later than the state that they end.
 
 use serde::{Deserialize, Serialize};
 
-/// Every latch on the wire is a multiple of this, so that no single bit error turns one latch into another.
+/// Factor of every latch on the wire, so that no single bit error turns one latch into another.
 const WIRE_FACTOR: u64 = 251;
-/// The largest number on the wire. At `JUMP` for each of 8000 messages a second it is reached after 17 years.
+/// Largest number on the wire. At `JUMP` for each of 8000 messages a second it is reached after 17 years.
 const MAX_NUMBER: u64 = 1 << 52;
-/// The largest number that is believed at once: a team that is stopped once a second reaches it after 45 years.
+/// Largest number that is accepted without a look at the known one: a team that is stopped once a second reaches it
+/// after 45 years.
 const CREDIBLE: u64 = 1 << 32;
-/// The furthest that a number beyond `CREDIBLE` may be ahead of what is known. Without these bounds, one message with
-/// the largest number would keep a team stopped for good.
+/// Most that a number beyond `CREDIBLE` may exceed the known one. Without these bounds, one message with the largest
+/// number would keep a team stopped for good.
 const JUMP: u64 = 1024;
 
-/// Whether motors may turn; a later one is the more restrictive.
+/// Whether motors may turn, in ascending order of restriction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum State {
     #[default]
@@ -24,8 +26,8 @@ enum State {
     Engaged,
 }
 
-/// The state of the emergency stop, and how often it has changed: the larger number outranks, and of two with the same
-/// number the more restrictive state.
+/// State of the emergency stop and the number of its changes. The larger number outranks; with equal numbers, the more
+/// restrictive state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "u64", try_from = "u64")]
 pub struct Latch {
@@ -34,17 +36,17 @@ pub struct Latch {
 }
 
 impl Latch {
-    /// Robots may move, as the change with this number; zero is how a team starts.
+    /// Robots may move, as of the change with this number; zero is the initial state of a team.
     pub const fn clear(number: u64) -> Latch {
         Latch { number, state: State::Clear }
     }
 
-    /// The stop is taken back and the team waits for a resume, as the change with this number.
+    /// The stop is taken back and the team waits for a resume, as of the change with this number.
     pub const fn held(number: u64) -> Latch {
         Latch { number, state: State::Held }
     }
 
-    /// Everyone is to stand, as the change with this number.
+    /// All robots stand, as of the change with this number.
     pub const fn engaged(number: u64) -> Latch {
         Latch { number, state: State::Engaged }
     }
@@ -64,12 +66,12 @@ impl Latch {
         self.state == State::Engaged
     }
 
-    /// Which change it is.
+    /// Number of the change.
     pub fn number(self) -> u64 {
         self.number
     }
 
-    /// The state as a word for people and JSON.
+    /// Word for the state, for people and JSON.
     pub fn word(self) -> &'static str {
         match self.state {
             State::Clear => "clear",
@@ -78,19 +80,19 @@ impl Latch {
         }
     }
 
-    /// Whether another latch is so far ahead of this one that it cannot be an honest one.
+    /// Whether another latch is so far ahead of this one that it cannot be genuine.
     pub fn is_overshot_by(self, other: Latch) -> bool {
         other.number > ceiling(self.number)
     }
 
-    /// The later of this latch and one that another host repeats; one that overshoots is ignored.
+    /// Returns the later of this latch and one that another host repeats; one that overshoots is ignored.
     pub fn joined(self, other: Latch) -> Latch {
         if self.is_overshot_by(other) { self } else { self.max(other) }
     }
 
-    /// The latch after a message of an operator or a host. A stop counts whatever its number, since who says it need
-    /// not know how often that was said before; a re-arm has to be later than the stop. A resume changes nothing here:
-    /// it is the state server's to grant ([`Latch::resumed`]), and everyone else learns of it from there.
+    /// Returns the latch after a message of an operator or a host. A stop counts whatever its number, since its sender
+    /// need not know the present number; a re-arm has to be later than the stop. A resume changes nothing here: the
+    /// state server grants it ([`Latch::resumed`]) and all others follow the state server.
     pub fn told(self, said: Latch) -> Latch {
         match said.state {
             State::Clear => self,
@@ -101,46 +103,47 @@ impl Latch {
         }
     }
 
-    /// The latch after a resume, if this one is held and the resume is meant for exactly this hold.
+    /// Returns the latch after a resume, if this one is held and the resume names exactly this hold.
     pub fn resumed(self, said: Latch) -> Option<Latch> {
         (self.is_held() && said.is_clear() && said.number == self.number + 1).then_some(said)
     }
 }
 
-/// The latch that one actor on a robot's side follows: guard or body.
+/// Latch that one actor of a robot follows: guard or body.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LatchFollower {
     latch: Latch,
-    /// Whether the state server was heard.
+    /// Whether a message of the state server has arrived.
     informed: bool,
-    /// The latch that the state server said last, if that overshoots.
+    /// Newest latch of the state server, if that overshoots.
     doubted: Option<Latch>,
 }
 
 impl LatchFollower {
-    /// The latch that it follows.
+    /// Latch that is followed.
     pub fn latch(&self) -> Latch {
         self.latch
     }
 
-    /// Whether it has heard from the state server how the latch stands; before, nothing may move.
+    /// Whether the state server's latch is known; before that, nothing may move.
     pub fn is_informed(&self) -> bool {
         self.informed
     }
 
-    /// Takes a message of an operator or a host; whether that has changed anything.
+    /// Applies a message of an operator or a host; returns whether that changed the latch.
     pub fn told(&mut self, said: Latch) -> bool {
         self.set(self.latch.told(said))
     }
 
-    /// Takes what the state server repeats; whether that has changed anything. What overshoots counts when it is said a
-    /// second time: an actor that was started afresh cannot know, and a garbled number does not repeat.
+    /// Applies a latch that the state server repeats; returns whether that changed the latch. A latch that overshoots
+    /// counts the second time it arrives: an actor that has just started cannot know the number, and a corrupted number
+    /// does not repeat.
     pub fn learned(&mut self, said: Latch) -> bool {
         let before = self.doubted.take();
         let later = if !self.latch.is_overshot_by(said) {
             self.latch.joined(said)
         } else if before.is_some_and(|before| before <= said && !before.is_overshot_by(said)) {
-            // A stop that the state server has not heard of yet is not forgotten.
+            // Keep a stop that has not reached the state server yet.
             if self.latch.is_engaged() { said.told(self.latch) } else { said }
         } else {
             self.doubted = Some(said);
@@ -155,19 +158,19 @@ impl LatchFollower {
     }
 }
 
-/// The largest number that is believed where this one is known.
+/// Largest number that is accepted where this one is known.
 fn ceiling(known: u64) -> u64 {
     known.max(CREDIBLE) + JUMP
 }
 
-/// The latest of some latches, without one that alone is out of reach of the others and of what is known.
+/// Returns the latest of some latches, without a single one that is out of reach of the others and of the known one.
 pub fn latest(known: Latch, latches: impl Iterator<Item = Latch> + Clone) -> Latch {
     let known_of_two = second_largest(latches.clone().map(Latch::number));
     let ceiling = ceiling(known.number.max(known_of_two));
     latches.filter(|latch| latch.number <= ceiling).fold(known, Latch::max)
 }
 
-/// The second largest of some numbers, which two have claimed; zero of fewer.
+/// Returns the second largest number, which at least two senders have reached; zero of fewer than two.
 pub fn second_largest(numbers: impl Iterator<Item = u64>) -> u64 {
     let (mut largest, mut second) = (0, 0);
     for number in numbers {
