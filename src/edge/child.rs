@@ -1,4 +1,4 @@
-//! A program of the user's as a worker: what it is told stands on its stdin, what it says on its stdout, a line each.
+//! A user's program as a worker: it reads packets from stdin and writes packets to stdout, one a line.
 //!
 //! So a driver or a source can be written in any language. Its stderr is this program's own.
 
@@ -8,13 +8,13 @@ use std::thread;
 
 use super::{Mouth, Packet, Port, Worker};
 
-/// The longest line that is taken; a longer one is cut, and so refused by whoever reads it \[bytes\].
+/// Longest line that is taken \[bytes\]; a longer one is cut, and so refused by its reader.
 const LONGEST: u64 = 4096;
 
 /// A program and its arguments.
 #[derive(Clone, Debug)]
 pub struct Program {
-    /// The program, and what it is started with.
+    /// The program and its arguments.
     pub command: Vec<String>,
 }
 
@@ -39,14 +39,14 @@ impl Worker for Program {
                 break;
             }
         }
-        // It is told to end by the end of its input.
+        // The end of its input tells it to end.
         drop(stdin);
         end(&mut child, program);
         let _ = reader.join();
     }
 }
 
-/// Passes lines on until there are no more.
+/// Passes lines on until the program closes its stdout.
 fn read(says: impl Read, mouth: &Mouth) {
     let mut says = BufReader::new(says);
     loop {
@@ -58,7 +58,7 @@ fn read(says: impl Read, mouth: &Mouth) {
     }
 }
 
-/// Waits for a program that has been told to end, which it has a moment for; then it is killed.
+/// Waits a moment for a program that has been told to end, then kills it.
 fn end(child: &mut Child, program: &str) {
     let waited = (0..100).find_map(|_| {
         thread::park_timeout(std::time::Duration::from_millis(5));

@@ -1,8 +1,9 @@
-//! What joins the thread that drives a robot with the threads that do its I/O: one bounded channel for each worker.
+//! Channels between the thread that drives a robot and the threads that do its I/O: one bounded channel for each
+//! worker.
 //!
-//! The control thread has the [`Gate`], the worker the [`Port`]. Both ways hold `ROOM` packets; what finds none is
-//! dropped and counted, and nobody waits. A packet is a plain value as bytes, so what comes in can be kept and played
-//! again like a datagram. Whatever a worker says rings a descriptor, which the driver of real time watches.
+//! The control thread has the [`Gate`], the worker the [`Port`]. Each direction holds `ROOM` packets; further ones are
+//! dropped and counted, and no thread blocks. A packet is a plain value as bytes, so input can be recorded and replayed
+//! like a datagram. Every packet of a worker signals a descriptor, which the driver of real time watches.
 
 pub mod child;
 mod settings;
@@ -19,25 +20,25 @@ use tokio::sync::mpsc::error::TryRecvError;
 /// One message over the channel.
 pub type Packet = Box<[u8]>;
 
-/// Packets that wait in one direction at the most: three seconds of a robot that is told something 20 times a second.
+/// Capacity of each direction: three seconds of a robot that gets 20 packets a second.
 pub const ROOM: usize = 64;
 
-/// What does the I/O of a driver or a source. It has a thread of its own, and may start a runtime there.
+/// I/O of a driver or a source. It runs on a thread of its own, and may start a runtime there.
 pub trait Worker: Send {
-    /// Works until the port is closed. It then has a second to end, and the robot is to stand.
+    /// Runs until the port is closed. After that it has a second to end, and the robot has to stand.
     fn run(self: Box<Self>, port: Port);
 }
 
-/// The worker's end of a channel.
+/// Worker's end of a channel.
 #[derive(Debug)]
 pub struct Port {
     told: mpsc::Receiver<Packet>,
     mouth: Mouth,
-    /// Dropped last: whoever looks then finds that the worker is gone.
+    /// Dropped last, so that the control thread then finds that the worker has ended.
     _last: LastRing,
 }
 
-/// Rings when the worker has ended.
+/// Signals the control thread when it is dropped, at the worker's end.
 #[derive(Debug)]
 struct LastRing(Arc<EventFd>);
 
@@ -47,7 +48,7 @@ impl Drop for LastRing {
     }
 }
 
-/// A worker's way to the control thread, of which it may have several.
+/// Sender of packets to the control thread; a worker may have several.
 #[derive(Clone, Debug)]
 pub struct Mouth {
     says: mpsc::Sender<Packet>,
@@ -55,28 +56,28 @@ pub struct Mouth {
     dropped: Arc<AtomicU64>,
 }
 
-/// Whether a worker works.
+/// State of a worker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Worked {
-    /// It does.
+    /// It runs.
     On,
-    /// It has ended, and all that it has said was taken.
+    /// It has ended, and all its packets were taken.
     Ended,
 }
 
-/// The control thread's end of a channel.
+/// Control thread's end of a channel.
 #[derive(Debug)]
 pub struct Gate {
-    /// Dropped first: a worker that hears nothing more finds its mouth closed.
+    /// Dropped first: then the worker finds its sender closed.
     heard: mpsc::Receiver<Packet>,
     tells: mpsc::Sender<Packet>,
     bell: Arc<EventFd>,
-    /// Packets that have found no room: to the worker, and from it.
+    /// Packets to the worker that were dropped.
     refused: u64,
     dropped: Arc<AtomicU64>,
 }
 
-/// Both ends of a new channel. An error is the machine's, which has no descriptor left.
+/// Returns both ends of a new channel. It fails if the machine has no descriptor left.
 pub fn channel() -> std::io::Result<(Gate, Port)> {
     let (tells, told) = mpsc::channel(ROOM);
     let (says, heard) = mpsc::channel(ROOM);
@@ -88,28 +89,28 @@ pub fn channel() -> std::io::Result<(Gate, Port)> {
 }
 
 impl Port {
-    /// Waits for a packet, on a thread that is free to wait; none once the control thread is gone.
+    /// Blocks until there is a packet; none once the control thread is gone.
     pub fn wait(&mut self) -> Option<Packet> {
         self.told.blocking_recv()
     }
 
-    /// The same in a task.
+    /// Awaits a packet; none once the control thread is gone.
     pub async fn next(&mut self) -> Option<Packet> {
         self.told.recv().await
     }
 
-    /// The way back.
+    /// Returns a sender to the control thread.
     pub fn mouth(&self) -> Mouth {
         self.mouth.clone()
     }
 }
 
 impl Mouth {
-    /// Says something to the control thread. It is dropped and counted where that has not kept up.
+    /// Sends a packet to the control thread. It is dropped and counted if the channel is full.
     pub fn say(&self, packet: Packet) {
         match self.says.try_send(packet) {
             Ok(()) => {
-                // A bell that has rung too often to count has rung.
+                // The write fails only if the counter is at its maximum, which signals as well.
                 let _ = self.bell.write(1);
             }
             Err(mpsc::error::TrySendError::Full(_)) => {
@@ -129,7 +130,7 @@ impl Mouth {
 }
 
 impl Gate {
-    /// Tells the worker something. It is dropped and counted where the worker has not kept up.
+    /// Sends a packet to the worker. It is dropped and counted if the channel is full.
     pub fn tell(&mut self, packet: Packet) {
         if let Err(mpsc::error::TrySendError::Full(_)) = self.tells.try_send(packet) {
             self.refused += 1;
@@ -139,9 +140,9 @@ impl Gate {
         }
     }
 
-    /// Takes what the worker has said: at most `ROOM` packets, so that a worker that never stops holds up nobody.
+    /// Takes the worker's packets: at most `ROOM`, so that a worker that never stops delays no other actor.
     pub fn take(&mut self, mut each: impl FnMut(Packet)) -> Worked {
-        // Before the packets: what comes between rings again.
+        // Read before the packets are taken: one that arrives meanwhile signals again.
         let _ = self.bell.read();
         for _ in 0..ROOM {
             match self.heard.try_recv() {
@@ -154,12 +155,12 @@ impl Gate {
         Worked::On
     }
 
-    /// Packets that have found no room: to the worker, and from it.
+    /// Number of dropped packets: to the worker, and from it.
     pub fn dropped(&self) -> (u64, u64) {
         (self.refused, self.dropped.load(Ordering::Relaxed))
     }
 
-    /// What has something to read when the worker has said something.
+    /// Returns the descriptor that is readable when the worker has sent packets.
     pub fn bell(&self) -> Arc<EventFd> {
         Arc::clone(&self.bell)
     }

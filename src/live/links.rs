@@ -1,5 +1,5 @@
-//! A process's links, from what the team file says to open transports, and who the process is on them. What is said on
-//! them never matters here.
+//! Links of a process: from the team file to open transports, with the identity of the process on them. Does not
+//! interpret frames.
 
 use std::sync::Arc;
 
@@ -12,32 +12,32 @@ use crate::net::transport::{Filter, OpenError, Place, Transport, Way};
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Why a process has no part in its links.
+/// Reason for which a process has no access to its links.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
-    /// The team file says what cannot be on this machine.
+    /// The team file does not fit this machine.
     #[error("{0}")]
     Wrong(String),
-    /// It may go well later, as where an interface is down.
+    /// It may work later, for example when an interface is up.
     #[error("{0}")]
     NotNow(String),
 }
 
-/// A link and what is open of it.
+/// A link and its open transport.
 pub type Open = (LinkId, Box<dyn Transport>);
 
-/// Random numbers of the operating system that make a process itself and no other.
+/// Random numbers of the operating system that identify a process.
 pub struct Fresh {
-    /// Its incarnation on every link. No clock is asked: many robots have none that survives a restart.
+    /// Its incarnation on every link. Not from a clock: many robots have none that survives a restart.
     pub incarnation: u32,
-    /// The root of what its link layer draws; nobody else can know it.
+    /// Seed of its link layer; unpredictable for others.
     pub seed: Seed,
-    /// The number that it has as an operator.
+    /// Its number as an operator.
     pub operator: HostId,
 }
 
 impl Fresh {
-    /// Draws them.
+    /// Draws the numbers.
     pub fn draw() -> Result<Fresh, LinkError> {
         let no_random = |e| LinkError::NotNow(format!("the operating system gives no random bytes: {e}"));
         let (mut seed, mut numbers) = ([0; 32], [0; 8]);
@@ -50,19 +50,19 @@ impl Fresh {
         })
     }
 
-    /// An operator of this team.
+    /// Returns the identity of an operator of this team.
     pub fn operator_of(&self, team: u16) -> Identity {
         Identity { host: self.operator, team, epoch: self.incarnation }
     }
 }
 
-/// How the links are set up that have a place here: as the deployment has them, and as the team file has it otherwise.
+/// Returns the setups of the links that have a place: the deployment's, overridden by the team file's.
 pub fn setups<'a>(deployment: &Deployment, places: impl IntoIterator<Item = Option<&'a Place>>) -> Vec<Option<Setup>> {
     let setup = |(link, place): (&Link, Option<&Place>)| place.map(|place| place.setup(&link.reliability));
     deployment.links.iter().zip(places).map(setup).collect()
 }
 
-/// How they are set up for an operator, which is to be believed at once: a report goes with every datagram.
+/// Returns the setups for an operator, which is to be accepted at once: a report goes with every datagram.
 pub fn of_operator<'a>(
     deployment: &Deployment,
     places: impl IntoIterator<Item = Option<&'a Place>>,
@@ -71,18 +71,18 @@ pub fn of_operator<'a>(
     setups.map(|setup| setup.map(|setup| Setup { report_rides: Span::ZERO, ..setup })).collect()
 }
 
-/// The place of an operator that has a part in the link of the stop alone.
+/// Returns the places of an operator that takes part only in the link that carries `Stop`.
 pub fn at_post<'a>(post: &'a Post, deployment: &Deployment) -> impl Iterator<Item = Option<&'a Place>> {
     let at = usize::from(post.link.0);
     (0..deployment.links.len()).map(move |link| (link == at).then(|| &post.places[0]))
 }
 
-/// What a host of the team has to hear.
+/// Returns the filter for the frames of the team.
 pub fn filter(team: &Team) -> Filter {
     Filter::Team { number: team.number, tagged: team.key_file.is_some() }
 }
 
-/// Opens the links that the team's host uses, for `me`.
+/// Opens the links of the team's host, for `me`.
 pub fn open(team: &Team, me: HostId) -> Result<Vec<Open>, LinkError> {
     let mut open = Vec::new();
     for (at, (link, place)) in team.deployment.links.iter().zip(&team.links).enumerate() {
@@ -101,14 +101,14 @@ fn failed(link: &str, error: OpenError) -> LinkError {
     }
 }
 
-/// Opens the link of the stop for an operator: by every way of the team file that this machine has; or, where it has
-/// none of those, by all that it has. Where a flag has `named` the interface, by that one or none.
+/// Opens the link that carries `Stop` for an operator: on every interface of the team file that this machine has; if it
+/// has none of those, on all that it has. If a flag has `named` the interface, only on that one.
 pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
     let all = || post.places.iter().map(|place| &place.way);
     let mut ways: Vec<Arc<dyn Way>> = all().filter(|way| way.is_here()).cloned().collect();
     if ways.is_empty() {
         let first = &post.places[0].way;
-        // Of a flag nothing else is meant.
+        // An interface named by a flag has no substitute.
         ways = if named { vec![Arc::clone(first)] } else { first.everywhere() };
     }
     let filter = Filter::Team { number: post.number, tagged: post.key_file.is_some() };

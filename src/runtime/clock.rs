@@ -1,6 +1,6 @@
-//! The clock of a run: the present, an event queue ordered by (time, sequence), and who has been rung since, in that
-//! order. There is no other source of order, so under virtual time a seed gives the same run, however often. `drive`
-//! and `real` move it on.
+//! Clock of a run: the current time, an event queue ordered by (time, sequence), and the queue of tasks that were
+//! woken, in that order. Nothing else determines the order, so under virtual time the same seed gives the same run.
+//! `drive` and `real` advance it.
 
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
@@ -9,7 +9,7 @@ use std::rc::Rc;
 
 use crate::time::Time;
 
-/// What the actors of one virtual world share: the time, and the queue of what is due.
+/// Time and event queue that the actors of one run share.
 #[derive(Clone, Default)]
 pub struct Clock {
     now: Rc<Cell<Time>>,
@@ -26,13 +26,13 @@ struct Queue {
 
 struct Registered {
     attend: Rc<dyn Fn()>,
-    /// It is not rung twice before it has attended.
+    /// Whether it is in the queue of woken tasks.
     rung: bool,
-    /// When it has to be rung at the latest, in real time; `Time::MAX` if it need not be.
+    /// Latest time at which it has to be woken, in real time; `Time::MAX` if never.
     latest: Time,
 }
 
-/// Who can be rung, by a mailbox or by the clock.
+/// Handle of a task, which a mailbox or the clock can wake.
 #[derive(Clone, Copy, Debug)]
 pub struct Sleeper(usize);
 
@@ -49,7 +49,7 @@ enum What {
 
 impl Ord for Event {
     fn cmp(&self, other: &Event) -> Ordering {
-        // Reversed: the heap gives its greatest first, and the earliest event is due first.
+        // Reversed: the heap returns its greatest element first, and the earliest event is due first.
         (other.at, other.sequence).cmp(&(self.at, self.sequence))
     }
 }
@@ -69,22 +69,22 @@ impl PartialEq for Event {
 impl Eq for Event {}
 
 impl Clock {
-    /// The present.
+    /// Returns the current time.
     pub fn now(&self) -> Time {
         self.now.get()
     }
 
-    /// Makes `attend` known; it is called once after every time that it was rung.
+    /// Registers a task; `attend` runs once after each time that it was woken.
     pub fn register(&self, attend: Rc<dyn Fn()>) -> Sleeper {
         let mut queue = self.queue.borrow_mut();
         queue.sleepers.push(Registered { attend, rung: false, latest: Time::MAX });
         Sleeper(queue.sleepers.len() - 1)
     }
 
-    /// `sleeper` attends when those have attended that were rung before it.
+    /// Wakes a task: it runs after all tasks that were woken before it.
     pub fn ring(&self, sleeper: Sleeper) {
         let Queue { sleepers, rung, .. } = &mut *self.queue.borrow_mut();
-        // A run that has ended has nobody left to ring.
+        // After the end of a run no task is left.
         if let Some(registered) = sleepers.get_mut(sleeper.0)
             && !std::mem::replace(&mut registered.rung, true)
         {
@@ -92,7 +92,7 @@ impl Clock {
         }
     }
 
-    /// Lets everyone attend who is rung, until nobody is.
+    /// Runs woken tasks until none is left.
     pub(super) fn attend(&self) {
         while let Some(attend) = self.next_rung() {
             attend();
@@ -106,19 +106,19 @@ impl Clock {
         Some(Rc::clone(&registered.attend))
     }
 
-    /// Rings `sleeper` at `at`. Real time may pass over that until whoever is rung has to be.
+    /// Schedules a wake-up of a task. In real time it may be delayed until the time given to [`Clock::expect`].
     pub fn arm(&self, at: Time, sleeper: Sleeper) {
         self.push(at, What::Wake(sleeper));
     }
 
-    /// From now on `sleeper`, which is armed for then or before, has to be rung by `latest`, or never.
+    /// Sets the latest time at which a task that is armed for then or before has to be woken; none for never.
     pub fn expect(&self, latest: Option<Time>, sleeper: Sleeper) {
         if let Some(registered) = self.queue.borrow_mut().sleepers.get_mut(sleeper.0) {
             registered.latest = latest.unwrap_or(Time::MAX);
         }
     }
 
-    /// Calls `call` at `at`.
+    /// Schedules a call.
     pub fn call(&self, at: Time, call: Box<dyn FnOnce()>) {
         self.push(at, What::Call(call));
     }
@@ -131,7 +131,7 @@ impl Clock {
         queue.events.push(Event { at, sequence, what });
     }
 
-    /// Goes to the earliest event and lets it happen; `false` if there is none.
+    /// Advances to the earliest event and executes it; `false` if there is none.
     pub(super) fn step(&self) -> bool {
         let Some(event) = self.queue.borrow_mut().events.pop() else { return false };
         assert!(event.at >= self.now(), "time runs forward");
@@ -140,13 +140,13 @@ impl Clock {
         true
     }
 
-    /// When the earliest event is due.
+    /// Returns the time of the earliest event.
     fn next(&self) -> Option<Time> {
         self.queue.borrow().events.peek().map(|event| event.at)
     }
 
-    /// When a driver of real time has to be awake at the latest. Looks at everyone, of whom a host has few; an event
-    /// for a sleeper that has changed its mind since wakes nobody by itself.
+    /// Returns the latest time until which a driver of real time may sleep. It looks at all tasks, of which a host has
+    /// few; an event for a task that has since been re-armed does not wake the driver.
     pub(super) fn latest(&self) -> Option<Time> {
         let queue = self.queue.borrow();
         let calls = queue.events.iter().filter(|event| matches!(event.what, What::Call(_))).map(|event| event.at);
@@ -154,12 +154,12 @@ impl Clock {
         Some(latest).filter(|latest| *latest < Time::MAX)
     }
 
-    /// The present is `now`, as read from a real clock, which may have passed over events.
+    /// Sets the current time, as read from a real clock; events before it stay in the queue.
     pub(super) fn set(&self, now: Time) {
         self.now.set(now.max(self.now()));
     }
 
-    /// Lets the earliest event happen that is due by now, however late; `false` if there is none.
+    /// Executes the earliest event that is due by now, however late; `false` if there is none.
     pub(super) fn catch_up(&self) -> bool {
         if self.next().is_none_or(|at| at > self.now()) {
             return false;
@@ -176,7 +176,7 @@ impl Clock {
         }
     }
 
-    /// Lets go of all sleepers and events, which hold the actors that hold this clock.
+    /// Drops all tasks and events, which hold the actors that hold this clock.
     pub(super) fn clear(&self) {
         *self.queue.borrow_mut() = Queue::default();
     }

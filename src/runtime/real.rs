@@ -1,7 +1,7 @@
-//! The driver of real time: does what is due, lets the actors run until every mailbox is empty, then sleeps until the
-//! next event or until a file descriptor has something to read. One thread, no runtime's timers: they are a
-//! millisecond coarse, and an alarm of the kernel is not. What is due comes before what has arrived, so a flood of
-//! datagrams delays no control tick by more than one reading. What the actors do never lives here.
+//! Driver of real time: executes due events, runs the actors until every mailbox is empty, then sleeps until the next
+//! event or until a file descriptor is readable. It uses one thread and a kernel timer; a runtime's timers have a
+//! resolution of a millisecond. Due events come before received datagrams, so a flood delays a control tick by at most
+//! one read. It contains no actor logic.
 
 use std::cell::Cell;
 use std::os::fd::AsFd;
@@ -18,35 +18,35 @@ use super::drive::Tasks;
 use super::shell::in_system;
 use crate::time::{Span, Time};
 
-/// The longest sleep. Whoever has to be heard sooner has something to read.
+/// Longest sleep. Events before its end come from descriptors.
 const MAX_SLEEP: Span = Span::from_millis(1000);
-/// Descriptors that one look tells of; the others are told of by the next.
+/// Most descriptors reported by one wait; the next wait reports the others.
 const TOLD_AT_ONCE: usize = 16;
-/// The name of the alarm among the descriptors.
+/// Key of the timer among the descriptors.
 const ALARM: u64 = u64::MAX;
 
-/// File descriptors, and who is rung when one of them has something to read.
+/// File descriptors, and the callback for each when it is readable.
 pub struct Readers {
     readers: Vec<Reader>,
-    /// Watches all of them, and the alarm.
+    /// Watches all of them, and the timer.
     all: Epoll,
-    /// Watches those that never rest, and the alarm.
+    /// Watches those that are never paused, and the timer.
     restless: Epoll,
     alarm: TimerFd,
-    /// When the alarm goes off.
+    /// Time for which the timer is set.
     alarm_at: Option<Time>,
-    /// Those that have something to read and are not rung yet.
+    /// Readable descriptors whose callback has not been called yet.
     ready: Vec<usize>,
 }
 
 struct Reader {
     source: Rc<dyn AsFd>,
-    /// Whether the end of it is awaited, and not what it says.
+    /// Whether the reader waits for the end of the source and not for input.
     end: bool,
-    /// Whether it has nothing more to tell.
+    /// Whether that end has been reported.
     over: Cell<bool>,
     ring: Box<dyn Fn()>,
-    /// Until when it is to be left alone.
+    /// Time until which the source is paused.
     rests: Option<Box<dyn Fn() -> Option<Time>>>,
 }
 
@@ -57,19 +57,19 @@ impl Readers {
         let alarm = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags).expect("a process may have a timer");
         let (all, restless) = (epoll(), epoll());
         for epoll in [&all, &restless] {
-            // It tells once, and needs not be read before it is set again.
+            // Edge-triggered, so that it need not be read before it is set again.
             let event = EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, ALARM);
             epoll.add(alarm.as_fd(), event).expect("a timer can be watched");
         }
         Readers { readers: Vec::new(), all, restless, alarm, alarm_at: None, ready: Vec::new() }
     }
 
-    /// Rings whenever `source` has something to read, until it has been read.
+    /// Calls `ring` whenever `source` is readable, until it has been read.
     pub fn watch(&mut self, source: Rc<dyn AsFd>, ring: impl Fn() + 'static) {
         self.add(Reader { source, end: false, over: Cell::new(false), ring: Box::new(ring), rests: None });
     }
 
-    /// Rings whenever `source` has something to read, but not before the time that `rests` answers with.
+    /// Calls `ring` whenever `source` is readable, but not before the time that `rests` returns.
     pub fn watch_link(
         &mut self,
         source: Rc<dyn AsFd>,
@@ -80,7 +80,8 @@ impl Readers {
         self.add(Reader { source, end: false, over: Cell::new(false), ring, rests });
     }
 
-    /// Rings once when the other end of `source`, which is written to, has gone. A regular file has no other end.
+    /// Calls `ring` once when the other end of `source`, which is written to, is closed. A regular file has no other
+    /// end.
     pub fn watch_end(&mut self, source: Rc<dyn AsFd>, ring: impl Fn() + 'static) {
         self.add(Reader { source, end: true, over: Cell::new(false), ring: Box::new(ring), rests: None });
     }
@@ -99,12 +100,12 @@ impl Readers {
         self.readers.push(reader);
     }
 
-    /// Until when links are to be left alone, if any is.
+    /// Latest time until which a link is paused, if any is.
     fn rest(&self, now: Time) -> Option<Time> {
         self.readers.iter().filter_map(|reader| reader.rests.as_ref()?()).filter(|until| *until > now).max()
     }
 
-    /// Sleeps until one has something to read or `next` has come, or looks only, where it has come.
+    /// Sleeps until a descriptor is readable or `next` has come; if it has come, only polls.
     fn sleep(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
         let rest = self.rest(now);
         let until = rest.map_or(next, |rest| rest.min(next));
@@ -125,12 +126,12 @@ impl Readers {
             .extend(events[..told].iter().filter(|event| event.data() != ALARM).map(|event| event.data() as usize));
     }
 
-    /// Rings for those that have something to read.
+    /// Calls the callbacks of readable descriptors.
     fn ring(&mut self) {
         for reader in self.ready.drain(..).map(|index| &self.readers[index]) {
             if reader.end && !reader.over.replace(true) {
                 for epoll in [&self.all, &self.restless] {
-                    // One that is not watched is not to be told of, which is all that is wanted.
+                    // An error means that it is not watched any more, which is the aim.
                     let _ = epoll.delete(reader.source.as_fd());
                 }
             }
@@ -138,11 +139,11 @@ impl Readers {
         }
     }
 
-    /// Wakes the sleep at `next` at the latest. A timeout of the sleep itself would set the machine's timer for every
-    /// datagram that arrives, and take it back, which costs more than the datagram; an alarm stands until something
-    /// earlier is due.
+    /// Sets the timer to end the sleep at `next` at the latest. A timeout of the sleep itself would set and clear the
+    /// machine's timer for every datagram, which costs more than the datagram; this timer stays until something earlier
+    /// is due.
     fn set_alarm(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
-        // One that has gone off is silent until it is set again.
+        // A timer that has expired does not fire until it is set again.
         if self.alarm_at.is_some_and(|at| at > now && at <= next) {
             return;
         }
@@ -154,8 +155,8 @@ impl Readers {
     }
 }
 
-/// Runs actors in real time on this thread: `build` starts them and says which descriptors are read, and time goes by
-/// from `origin` until `done`, which is asked after every turn.
+/// Runs actors in real time on this thread. `build` starts them and names the descriptors to watch. Time counts from
+/// `origin`; the run ends when `done`, called after every turn, returns true.
 pub fn run_real<W>(
     origin: Instant,
     build: impl FnOnce(&Clock, &mut Readers) -> W,

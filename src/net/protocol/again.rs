@@ -1,7 +1,7 @@
-//! Retransmission: the newest datagram of each stream, until it is out of date. Decides when; seals
-//! and sends nothing.
+//! Retransmission of the newest datagram of each stream, until it is out of date. Decides when; seals and sends
+//! nothing.
 //!
-//! A newer message of a stream takes the older one's place, so nothing fresh ever waits behind something old.
+//! A newer message of a stream replaces the older one, so nothing fresh ever waits behind something old.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,21 +15,21 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// How long after a message its repeat follows, unless the next of its stream is due before.
+/// Delay of a repeat, unless the next message of its stream is sent before.
 pub const REPEAT_AFTER: Span = Span::from_millis(4);
-/// How long the first retry waits for an acknowledgement; each further one twice as long as the one before.
+/// First retransmission timeout for an acknowledgement; each further one is twice as long as the one before.
 pub const RETRY_AFTER: Span = Span::from_millis(5);
-/// How often a message is sent again without an acknowledgement.
+/// Most retransmissions of a message without an acknowledgement.
 pub const RETRIES: u8 = 5;
-/// Two requests for one datagram within this time are answered once.
+/// Interval within which two requests for one datagram are answered once.
 const ONCE_WITHIN: Span = Span::from_millis(2);
 
-/// A kind about a robot.
+/// A stream: a kind about a robot.
 pub type Stream = (Kind, RobotId);
-/// A datagram that is to leave once more: for whom, and its bytes without a tag.
+/// A datagram to retransmit: its receivers, and its bytes without a tag.
 pub type Once = (Audience, Frame);
 
-/// The newest datagram of a stream, kept as long as it may have to be sent again.
+/// Newest datagram of a stream, kept for retransmission.
 #[derive(Clone, Debug)]
 struct Kept {
     audience: Audience,
@@ -38,27 +38,28 @@ struct Kept {
     reliability: Reliability,
     left: Time,
     due: Option<Time>,
-    /// How often it has been, and how often it may be sent again.
+    /// Number of retransmissions so far, and the most allowed.
     again: u8,
     most: u8,
-    /// When it was last offered to be asked for: counted in offers.
+    /// Index of the offer that last contained it.
     offered: u64,
     acked: BTreeSet<HostId>,
 }
 
-/// All that may have to be sent again.
+/// All datagrams that may be retransmitted.
 #[derive(Clone, Debug, Default)]
 pub struct Again {
     kept: BTreeMap<Stream, Kept>,
     dues: BTreeSet<(Time, Stream)>,
-    /// The hosts that have acknowledged anything, and when last.
+    /// Hosts that have acknowledged anything, and the time of the last acknowledgement.
     ackers: BTreeMap<HostId, Time>,
-    /// How many offers there were.
+    /// Number of offers so far.
     offers: u64,
 }
 
 impl Again {
-    /// A newer message of this stream is about to leave. What waits of the older one goes before it or not at all.
+    /// Removes the datagram that a newer message of its stream replaces. Returns it if a repeat is pending: that is
+    /// sent first or never.
     pub fn supersede(&mut self, now: Time, stream: Stream) -> Option<Once> {
         let kept = self.kept.get(&stream)?;
         let before = kept.reliability == Reliability::Repeat && kept.due.is_some() && kept.left < now;
@@ -73,7 +74,8 @@ impl Again {
         }
     }
 
-    /// A datagram with a message of this stream has left; `repeats` is how often receivers want it again.
+    /// Keeps a datagram that was sent with a message of this stream; `repeats` is the number of repeats that receivers
+    /// need.
     pub fn keep(
         &mut self,
         now: Time,
@@ -96,7 +98,7 @@ impl Again {
         self.dues.extend(due.map(|due| (due, stream)));
     }
 
-    /// Takes what is kept of a stream to be sent once more, and plans the next time.
+    /// Returns the kept datagram of a stream for retransmission, and schedules the next one.
     fn once_more(&mut self, now: Time, stream: Stream) -> Option<Once> {
         let kept = self.kept.get_mut(&stream)?;
         if let Some(due) = kept.due.take() {
@@ -108,7 +110,7 @@ impl Again {
         match kept.reliability {
             Reliability::Repeat if kept.again >= kept.most => self.forget(stream),
             Reliability::Repeat => kept.due = Some(now + REPEAT_AFTER),
-            // The last retry is waited for as well.
+            // Wait for the answer to the last retransmission as well.
             Reliability::Ack => kept.due = Some(now + RETRY_AFTER * (1 << kept.again.min(RETRIES))),
             Reliability::BestEffort | Reliability::Nack => {}
         }
@@ -116,7 +118,8 @@ impl Again {
         Some(once)
     }
 
-    /// `from` acknowledges these. One that is for all is done when everyone has who acknowledged anything of late.
+    /// Handles acknowledgements of `from`. A multicast datagram is done once all hosts that have acknowledged anything
+    /// lately have acknowledged it.
     pub fn acknowledged(&mut self, now: Time, from: HostId, names: &[Name]) {
         self.ackers.insert(from, now);
         self.ackers.retain(|_, at| now.since(*at) < FRESH);
@@ -130,7 +133,7 @@ impl Again {
         }
     }
 
-    /// The stream of the datagram that `from` names: numbers are counted to all, or to `from` alone.
+    /// Returns the stream of the datagram that `from` names: numbers count datagrams to all hosts, or to `from` alone.
     fn find(&self, from: HostId, name: &Name, reliability: Reliability) -> Option<Stream> {
         let audience = if name.direct { Audience::Host(from) } else { Audience::All };
         let named = |kept: &Kept| kept.sequence == name.sequence && kept.audience == audience;
@@ -138,7 +141,7 @@ impl Again {
         found.map(|(stream, _)| *stream)
     }
 
-    /// `from` asks for these again; what has been overtaken by newer state is not worth it.
+    /// Returns the datagrams that `from` requests, without those that newer state has replaced.
     pub fn asked(&mut self, now: Time, from: HostId, names: &[Name]) -> Vec<Once> {
         let mut wanted = |name: &Name| {
             let stream = self.find(from, name, Reliability::Nack)?;
@@ -149,8 +152,8 @@ impl Again {
         names.iter().filter_map(&mut wanted).collect()
     }
 
-    /// The numbers that receivers may ask for: of the streams that are repaired those that were offered
-    /// longest ago, so that each has its turn.
+    /// Returns the numbers that receivers may request. Of the streams with `Nack` those that were offered longest ago
+    /// come first, so that they take turns.
     pub fn held(&mut self, audience: Audience) -> Vec<u32> {
         let repaired = |kept: &&mut Kept| kept.reliability == Reliability::Nack && kept.audience == audience;
         let mut all: Vec<&mut Kept> = self.kept.values_mut().filter(repaired).collect();
@@ -165,12 +168,12 @@ impl Again {
         all.iter().map(|kept| kept.sequence).collect()
     }
 
-    /// When anything is next due.
+    /// Time of the next retransmission.
     pub fn due(&self) -> Option<Time> {
         self.dues.first().map(|(due, _)| *due)
     }
 
-    /// The next that is due now; what has been sent often enough is given up.
+    /// Returns the next datagram that is due; one that has been retransmitted often enough is given up.
     pub fn next(&mut self, now: Time, counts: &mut LinkCounts) -> Option<Once> {
         while let Some(&(_, stream)) = self.dues.first().filter(|(due, _)| *due <= now) {
             if self.kept[&stream].again < self.kept[&stream].most {

@@ -1,8 +1,8 @@
-//! Incarnations that have not shown yet that they are alive: each is echoed for a while, so that it can.
+//! Candidates: incarnations that have not proved their liveness yet. Each is echoed for a while, so that it can.
 //!
-//! A recording of a former run is such a candidate for ever, so candidates are bounded, hosts of the team apart from
-//! guests, and their places are given fairly: first to those that were echoed least. A recording that repeats itself
-//! grows old, since only a stamp that has advanced keeps a candidate fresh.
+//! A recording of a former run stays a candidate for ever. So candidates are bounded, hosts of the team apart from
+//! guests, and those that were echoed least come first. A repeated recording expires, since only a stamp that has
+//! advanced keeps a candidate fresh.
 
 use std::collections::BTreeMap;
 
@@ -11,27 +11,27 @@ use super::report::Stamp;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// The most candidates that are hosts of the team.
+/// Most candidates that are hosts of the team.
 const MAX_HOSTS: usize = 1024;
-/// The most candidates that are guests: operators, and hosts that the deployment does not know.
+/// Most candidates that are guests: operators, and hosts that the deployment does not know.
 const MAX_GUESTS: usize = 256;
-/// The share of a full table that makes room at once, so that a flood does not search it for every datagram.
+/// Share of a full table that is removed at once, so that a flood does not cause a search for every datagram.
 const MAKES_ROOM: usize = 16;
-/// The most candidates of one host: more former runs than one is likely to have recorded of the same key and link.
+/// Most candidates of one host: more former runs than are likely to have been recorded with the same key and link.
 pub const MAX_CANDIDATES: usize = 32;
-/// Stamps that lie further apart are of two runs, even of one incarnation: an hour \[us\].
+/// Difference beyond which two stamps are of two runs, even of one incarnation: an hour \[us\].
 const SAME_CLOCK_US: i64 = 3_600_000_000;
 
-/// An incarnation that has not shown yet that it is alive.
+/// An incarnation that has not proved its liveness yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate {
     /// The incarnation.
     pub epoch: u32,
-    /// Its greatest stamp.
+    /// Its largest stamp.
     pub stamp: Stamp,
-    /// When that came.
+    /// Time of arrival of that stamp.
     pub at: Time,
-    /// How often it was echoed.
+    /// Number of times it was echoed.
     pub echoed: u32,
 }
 
@@ -40,21 +40,21 @@ impl Candidate {
         now.since(self.at) < FRESH
     }
 
-    /// How little would be lost with it: one that says nothing new, then one that has had many chances; of several the
-    /// one that has said nothing new for longest.
+    /// Order of removal. First candidates that have expired, then those that were echoed most; of several, the one
+    /// whose stamp has not advanced for longest.
     fn weakness(&self, now: Time) -> (bool, u32, Span) {
         (!self.is_fresh(now), self.echoed, now.since(self.at))
     }
 }
 
-/// News that a stamp was to the candidates.
+/// Novelty of a candidate's stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Noted {
-    /// A new candidate's, or it has advanced: its sender may be waiting for an answer.
+    /// A new candidate, or its stamp has advanced: the sender may wait for an answer.
     News,
-    /// No news of a candidate that has said something new lately.
+    /// The stamp has not advanced; the candidate is still fresh.
     Known,
-    /// No news of a candidate that has not.
+    /// The stamp has not advanced; the candidate has expired.
     Old,
 }
 
@@ -97,7 +97,7 @@ impl Table {
         Noted::News
     }
 
-    /// The weakest leave, whichever host's they are.
+    /// Removes the first candidates in order of removal, whichever host they are of.
     fn make_room(&mut self, now: Time) {
         let each = self.by_host.iter().flat_map(|(&host, all)| all.iter().map(move |one| (host, *one)));
         let mut all: Vec<(HostId, Candidate)> = each.collect();
@@ -117,7 +117,7 @@ impl Table {
         }
     }
 
-    /// Those whose stamp is fresh enough to be echoed: those that were echoed least first, then the newest.
+    /// Returns the fresh candidates: those that were echoed least first, then the newest.
     fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let each = self.by_host.iter().flat_map(|(&host, all)| all.iter().map(move |one| (host, *one)));
         let mut waiting: Vec<(HostId, Candidate)> = each.filter(|(_, one)| one.is_fresh(now)).collect();
@@ -135,7 +135,7 @@ pub struct Candidates {
 }
 
 impl Candidates {
-    /// None yet. Hosts of the team have numbers below `first_guest`.
+    /// Returns an empty table. Hosts of the team have numbers below `first_guest`.
     pub fn new(first_guest: HostId) -> Candidates {
         Candidates { hosts: Table::new(MAX_HOSTS), guests: Table::new(MAX_GUESTS), first_guest }
     }
@@ -144,12 +144,12 @@ impl Candidates {
         if host < self.first_guest { &mut self.hosts } else { &mut self.guests }
     }
 
-    /// Takes up the stamp of a report.
+    /// Notes the stamp of a report.
     pub fn note(&mut self, now: Time, host: HostId, epoch: u32, stamp: Stamp) -> Noted {
         self.table(host).note(now, host, Candidate { epoch, stamp, at: now, echoed: 0 })
     }
 
-    /// This incarnation has shown that it is alive, and is no candidate any more. Gives what was known of it.
+    /// Removes an incarnation that has proved its liveness. Returns its candidate.
     pub fn forget(&mut self, host: HostId, epoch: u32) -> Option<Candidate> {
         let table = self.table(host);
         let all = table.by_host.get(&host)?.iter();
@@ -158,8 +158,8 @@ impl Candidates {
         known
     }
 
-    /// Those whose stamp is fresh enough to be echoed, guests and hosts by turns: neither kind holds the other up. Of
-    /// each kind those that were echoed least first, then the newest.
+    /// Returns the fresh candidates, guests and hosts alternately, so that neither delay the other. Of each, those that
+    /// were echoed least come first, then the newest.
     pub fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let [mut guests, mut hosts] = [&self.guests, &self.hosts].map(|table| table.waiting(now).into_iter());
         let mut waiting = Vec::with_capacity(guests.len() + hosts.len());
@@ -170,7 +170,7 @@ impl Candidates {
         waiting
     }
 
-    /// A report leaves that echoes this stamp.
+    /// Counts a report that echoes this stamp.
     pub fn echoed(&mut self, host: HostId, stamp: Stamp) {
         let all = self.table(host).by_host.get_mut(&host);
         if let Some(one) = all.and_then(|all| all.iter_mut().find(|one| one.stamp == stamp)) {
@@ -178,7 +178,7 @@ impl Candidates {
         }
     }
 
-    /// Of each host the candidate that said something new last.
+    /// Returns the candidate of each host whose stamp advanced last.
     pub fn newest(&self) -> impl Iterator<Item = (HostId, Candidate)> {
         let all = self.hosts.by_host.iter().chain(&self.guests.by_host);
         all.filter_map(|(&host, all)| Some((host, *all.iter().max_by_key(|one| one.at)?)))

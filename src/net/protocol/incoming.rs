@@ -1,9 +1,9 @@
-//! Arrival on a link: which incarnations are believed, what is new, what is missing. Decides; sends nothing.
+//! Reception on a link: which incarnations are accepted, which datagrams are new, which are missing. Sends nothing.
 //!
-//! On a link with a key a sender is let in only once it has shown that it is alive now: it echoes a stamp of this host
-//! that is no older than `FRESH`. So a recording proves nothing, not even to a host that has just been restarted. Of a
-//! host of the deployment one incarnation is believed; another one takes its place when it has fallen silent. Operators
-//! are told apart by their incarnations, any number of them side by side.
+//! On a link with a key a sender is accepted once it proves its liveness: it echoes a stamp of this host that is no
+//! older than `FRESH`. So a recording proves nothing, not even to a host that has just restarted. Of a host of the
+//! deployment one incarnation is accepted; another replaces it after it has fallen silent. Operators are identified by
+//! incarnation, and any number are accepted at once.
 
 use super::bucket::Rate;
 use super::candidates::{Candidates, Noted};
@@ -23,35 +23,35 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// Datagrams of a second live host from which it is logged: a host that is restarted within `SILENT` is none.
+/// Datagrams of a second live host from which it is logged: a host restarted within `SILENT` sends fewer.
 const TWINS_TO_LOG: u64 = 8;
 
-/// How soon another host should hear from this one.
+/// Urgency of a report for another host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Prompt {
-    /// No sooner than usual.
+    /// With the next regular report.
     #[default]
     No,
-    /// With the next datagram.
+    /// Piggybacked on the next datagram.
     Soon,
-    /// At once.
+    /// Immediately.
     Now,
 }
 
-/// Fate of a datagram.
+/// Outcome of the admission of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// It is new.
     New(Prompt),
-    /// It was here; a sender that wants acknowledgements has missed one.
+    /// It is a duplicate; if its sender wants acknowledgements, one was lost.
     Again,
-    /// It is not let in: its sender has to show first that it is alive, and may be waiting for an answer to do so.
+    /// It is refused: its sender has to prove its liveness first, and may wait for a report to do so.
     Unproven(Prompt),
-    /// It is not let in.
+    /// It is refused.
     Refused,
 }
 
-/// This host as one link knows it.
+/// This host's identity and settings on one link.
 #[derive(Clone, Copy, Debug)]
 pub struct Here {
     /// The host.
@@ -60,40 +60,40 @@ pub struct Here {
     pub epoch: u32,
     /// The link.
     pub link: LinkId,
-    /// Whether senders have to show that they are alive: on a link with a key.
+    /// Whether senders have to prove their liveness: on a link with a key.
     pub guarded: bool,
-    /// The least number that no host of the team has.
+    /// Smallest number of a guest: one that no host of the team has.
     pub first_guest: HostId,
-    /// Bytes of an entry of its reports.
+    /// Bytes of an entry in its reports.
     pub entry_bytes: usize,
-    /// The clock of its stamps.
+    /// Clock of its stamps.
     pub stamps: Stamps,
 }
 
-/// An entry about this host that can only have been written just now.
+/// Liveness proof: an entry about this host that echoes a recent stamp of it.
 #[derive(Clone, Copy, Debug)]
 struct Proof {
     entry: Entry,
-    /// How old the stamp is that it echoes.
+    /// Age of the echoed stamp.
     age: Span,
 }
 
-/// Everything that has arrived on one link.
+/// Reception state of one link.
 #[derive(Clone, Debug)]
 pub struct Incoming {
     here: Here,
     rate: Option<Rate>,
     senders: Senders,
     candidates: Candidates,
-    /// Datagrams that are missing.
+    /// Missing datagrams.
     pub gaps: Gaps,
     telling: Telling,
-    /// Others with the id of this host.
+    /// Other processes with the id of this host.
     pub twins: Twins,
 }
 
 impl Incoming {
-    /// Nothing yet.
+    /// Returns the initial state.
     pub fn new(here: Here, rate: Option<Rate>) -> Incoming {
         let telling = Telling::new(here.host, here.guarded, here.entry_bytes);
         let twins = Twins::new(here.link, here.host, here.epoch);
@@ -101,7 +101,7 @@ impl Incoming {
         Incoming { here, rate, senders, candidates, gaps: Gaps::default(), telling, twins }
     }
 
-    /// Takes up a datagram of this team whose tag is right.
+    /// Admits a datagram of this team with a valid tag.
     pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
         let proof = report.and_then(|report| self.about_us(now, report));
         let known = match self.here.guarded {
@@ -129,7 +129,7 @@ impl Incoming {
                 counts.replay += 1;
                 return Verdict::Refused;
             }
-            // Without a key there is no replay to fear, and newest wins all the same.
+            // Without a key replays are not detected, and the newest message of a stream counts anyway.
             Place::Behind => {}
         }
         if let Some(rate) = &self.rate
@@ -160,7 +160,7 @@ impl Incoming {
         })
     }
 
-    /// Whether this incarnation is believed, on a link with a key; takes it up if it proves to be alive.
+    /// Checks that this incarnation is accepted, on a link with a key; accepts it if the datagram proves its liveness.
     fn known(
         &mut self,
         now: Time,
@@ -170,7 +170,7 @@ impl Incoming {
         counts: &mut LinkCounts,
     ) -> Result<(), Verdict> {
         let id = (header.sender, header.epoch);
-        // A report to one host alone would not show where the datagrams to all stand.
+        // A unicast report would not show where the sequence to all hosts stands.
         let proof = proof.filter(|_| !header.flags.has(Flags::DIRECT));
         let believed = self.senders.get_mut(id).filter(|sender| now.since(sender.proved) <= PROOF_HOLDS);
         match (believed, report) {
@@ -180,7 +180,8 @@ impl Incoming {
                     counts.late += 1;
                     return Err(Verdict::Refused);
                 } else if off {
-                    // Written now by what comes back, and not by its own clock: that clock has stood still.
+                    // The echo shows that the report is recent although its stamp is not: the sender's clock has
+                    // paused.
                     sender.offsets = Offsets::default();
                 }
                 return Ok(());
@@ -194,7 +195,8 @@ impl Incoming {
         }
     }
 
-    /// An incarnation has said something without showing that it is alive: it has to hear from this host, to do so.
+    /// Notes a datagram of an incarnation without a liveness proof. It needs a report of this host to prove its
+    /// liveness.
     #[cold]
     fn noted(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
         let rival = self.senders.rival((header.sender, header.epoch)).and_then(|id| self.senders.get(id));
@@ -203,8 +205,8 @@ impl Incoming {
             return Verdict::Refused;
         }
         counts.unproven += 1;
-        // Without a report there is nothing to echo; with a stamp that was there before there is nothing to add. So a
-        // recording that is repeated makes this host say nothing.
+        // Without a report there is nothing to echo, and a stamp that is known adds nothing. So a repeated recording
+        // gets no answer.
         let noted = report.map(|report| self.candidates.note(now, header.sender, header.epoch, report.stamp));
         match noted {
             Some(Noted::News) if header.sender.is_operator() => Verdict::Unproven(Prompt::Now),
@@ -214,7 +216,7 @@ impl Incoming {
         }
     }
 
-    /// An incarnation shows that it is alive.
+    /// Accepts an incarnation that proves its liveness.
     #[cold]
     fn taken_up(
         &mut self,
@@ -229,7 +231,7 @@ impl Incoming {
         if let Some(rival) = self.senders.rival((header.sender, header.epoch)) {
             let other = self.senders.get_mut(rival).expect("it was found");
             if proof.age >= now.since(other.since) {
-                // Proof of having been alive before the other one was: a recording.
+                // The echoed stamp predates the accepted incarnation: a recording.
                 counts.replay += 1;
                 return Err(Verdict::Refused);
             }
@@ -262,7 +264,7 @@ impl Incoming {
         Ok(())
     }
 
-    /// The same on a link without a key: everyone is believed, one incarnation of a host at a time.
+    /// The same without a key: every sender is accepted, one incarnation of a host at a time.
     fn known_openly(&mut self, now: Time, header: &Header, counts: &mut LinkCounts) -> Result<(), Verdict> {
         let id = (header.sender, header.epoch);
         if self.senders.get(id).is_some() {
@@ -286,7 +288,7 @@ impl Incoming {
         Ok(())
     }
 
-    /// Another incarnation of this very host has said this: a live one, or a recording of a former run.
+    /// Handles a report of another incarnation of this host: a live one, or a recording of a former run.
     #[cold]
     pub fn rival_of_us(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
         self.candidates.note(now, header.sender, header.epoch, report.stamp);
@@ -299,7 +301,7 @@ impl Incoming {
         }
     }
 
-    /// The entry of a report about this host, if it can only have been written just now.
+    /// Returns the liveness proof in a report: an entry about this host with a recent echo.
     fn about_us(&self, now: Time, report: &Report) -> Option<Proof> {
         let about_us = report.heard.iter().filter(|entry| entry.host == self.here.host);
         about_us
@@ -307,8 +309,8 @@ impl Incoming {
             .find(|proof| proof.age <= FRESH)
     }
 
-    /// Whether a message about `robot` is the newest of its stream; all kinds are state, so an older one is worth
-    /// nothing.
+    /// Whether a message about `robot` is the newest of its stream, and if so records it. All kinds are state, so an
+    /// older message is useless.
     pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
         let Some(sender) = self.senders.get_mut((header.sender, header.epoch)) else { return false };
         let newest = &mut sender.lanes[usize::from(header.flags.has(Flags::DIRECT))].newest;
@@ -328,7 +330,7 @@ impl Incoming {
         true
     }
 
-    /// A new datagram says what its sender still holds: what of it has not been here is missing.
+    /// Notes the numbers that a new datagram offers and that have not arrived.
     pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], backoff: impl FnMut() -> Span) {
         if held.is_empty() && self.gaps.is_empty() {
             return;
@@ -338,12 +340,12 @@ impl Incoming {
         self.gaps.note(now, header, held, &lane.window, backoff);
     }
 
-    /// Another host has asked for these.
+    /// Notes requests of another host.
     pub fn asked_by_others(&mut self, now: Time, names: &[Name]) {
         self.gaps.asked_by_others(now, names);
     }
 
-    /// The next report, in at most `room` bytes.
+    /// Returns the next report, in at most `room` bytes.
     pub fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
         let places = room.checked_sub(REPORT_BYTES)? / self.here.entry_bytes;
         let uptime = self.twins.uptime(now);
@@ -352,12 +354,12 @@ impl Incoming {
         Some(Report { stamp: self.here.stamps.of(now), heard })
     }
 
-    /// How many times a message to these hosts is to be repeated, by what they report.
+    /// Returns the number of repeats of a message to these hosts, by their reported loss.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         self.senders.repeats(now, audience)
     }
 
-    /// All that is known of the others: of a host that nobody is believed to be, the newest candidate.
+    /// Returns summaries of all other hosts; of a host without an accepted incarnation, that of the newest candidate.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let link = self.here.link;
         let believed = self.senders.iter().map(move |(id, sender)| {

@@ -1,5 +1,4 @@
-//! One link as one host sees it: what leaves (`outgoing`), what arrives (`incoming`), and everything counted. Pure;
-//! no sockets, no clock.
+//! One link of one host: sending (`outgoing`), reception (`incoming`) and counters. Pure; no sockets, no clock.
 
 use std::net::SocketAddr;
 
@@ -29,31 +28,31 @@ pub struct Identity {
     pub host: HostId,
     /// Its team.
     pub team: u16,
-    /// Its incarnation: a random number for each start of the host.
+    /// Its incarnation: a random number drawn at each start of the host.
     pub epoch: u32,
 }
 
-/// How far an operator has come to be believed.
+/// State of an operator on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// It has to show first that it is alive, and for that to hear the reports of this host.
+    /// It has to prove its liveness, and needs the reports of this host to do so.
     Unproven,
-    /// It has just said something that is new.
+    /// It is accepted, and its newest datagram is new.
     Proven,
 }
 
-/// A host at an address that is in no file.
+/// A host whose address is in no file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Guest {
     /// The host.
     pub host: HostId,
-    /// Where it was heard from.
+    /// Address that its datagram came from.
     pub at: SocketAddr,
-    /// Whether it is believed.
+    /// Whether it is accepted.
     pub standing: Standing,
 }
 
-/// One link as one host sees it.
+/// State of one link of one host.
 #[derive(Clone, Debug)]
 pub struct LinkState {
     me: Identity,
@@ -63,15 +62,15 @@ pub struct LinkState {
     incoming: Incoming,
     outgoing: Outgoing,
     counts: LinkCounts,
-    /// When anything is next due: asked for far more often than it changes.
+    /// Time of the next action; cached, since it is read far more often than it changes.
     due: Option<Time>,
-    /// The operator that the newest datagram came from, if it is to be heard where that came from.
+    /// Operator that sent the newest datagram, if the transport should send to its address.
     operator: Option<(HostId, Standing)>,
 }
 
 impl LinkState {
-    /// The state at the start of an incarnation. With a key there are always reports: they show who is alive. Draws
-    /// from `stream` where its stamps begin, so on a real host nobody may be able to foretell that.
+    /// Returns the state at the start of an incarnation. With a key there are always reports: they prove liveness.
+    /// Draws the start of its stamps from `stream`, which must be unpredictable on a real host.
     pub fn new(me: Identity, id: LinkId, key: Option<Key>, mut setup: Setup, stream: &mut Stream) -> LinkState {
         if key.is_some() {
             setup.reports = Reports::On;
@@ -103,7 +102,7 @@ impl LinkState {
         self.due = [self.outgoing.due(), self.incoming.gaps.due()].into_iter().flatten().min();
     }
 
-    /// A message leaves for these hosts. Gives what was encoded.
+    /// Sends a message to these hosts. Returns it as encoded.
     pub fn say(
         &mut self,
         now: Time,
@@ -117,7 +116,7 @@ impl LinkState {
         encoded
     }
 
-    /// Takes a datagram in: what it holds, without its tag, if it is to be believed and new.
+    /// Admits a datagram; returns its header and its bytes without the tag if it is accepted and new.
     pub fn admit<'a>(
         &mut self,
         now: Time,
@@ -167,7 +166,7 @@ impl LinkState {
             return Ok(None);
         }
         let said = Said::read(plain)?;
-        // An operator's number is drawn at random, and two may have drawn the same.
+        // Operator numbers are drawn at random, and two operators may have drawn the same.
         if header.sender == self.me.host && !header.sender.is_operator() {
             self.note_twin(now, &header, &said);
             return Ok(None);
@@ -199,7 +198,7 @@ impl LinkState {
         Ok(Some((header, plain)))
     }
 
-    /// Another process with the id of this host has said something.
+    /// Notes a datagram of another process with the id of this host.
     #[cold]
     fn note_twin(&mut self, now: Time, header: &Header, said: &Said) {
         match (&self.key, &said.report) {
@@ -209,7 +208,7 @@ impl LinkState {
         }
     }
 
-    /// Takes in what `from` has acknowledged and what it asks for.
+    /// Handles the acknowledgements and requests of `from`.
     #[inline(never)]
     fn answer(&mut self, now: Time, from: HostId, said: Said, out: &mut Vec<Leaving>) {
         let mine = |names: Vec<Name>| -> (Vec<Name>, Vec<Name>) {
@@ -225,7 +224,7 @@ impl LinkState {
         }
     }
 
-    /// The process that this one duplicates, if another live host with this id was started before it.
+    /// Returns the process that this one duplicates: another live host with this id that was started earlier.
     pub fn duplicate(&self) -> Option<Duplicate> {
         self.incoming.twins.duplicate()
     }
@@ -235,13 +234,13 @@ impl LinkState {
         self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// The operator that the newest datagram came from; none if it came from a host, or was neither new nor of one that
-    /// may still prove itself. A transport has to be told where it is, so that it can.
+    /// Returns the operator that sent the newest datagram. None if a host sent it, or if it was neither new nor of a
+    /// candidate. The transport needs its address, so that reports reach it.
     pub fn operator(&self) -> Option<(HostId, Standing)> {
         self.operator
     }
 
-    /// Counts bytes that are no message.
+    /// Counts bytes that are not a message.
     #[cold]
     pub fn refuse(&mut self, error: &DecodeError) {
         match error {
@@ -251,28 +250,28 @@ impl LinkState {
         }
     }
 
-    /// The counts, to add to them.
+    /// Counters, mutable.
     pub fn counts(&mut self) -> &mut LinkCounts {
         &mut self.counts
     }
 
-    /// The counts so far.
+    /// Counters so far.
     pub fn counted(&self) -> LinkCounts {
         self.counts
     }
 
-    /// Summaries of the others; none on a link without reports.
+    /// Returns summaries of the other hosts; none on a link without reports.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let told = self.reports == Reports::On;
         self.incoming.peers(now).filter(move |_| told)
     }
 
-    /// When anything is next due.
+    /// Time of the next action.
     pub fn due(&self) -> Option<Time> {
         self.due
     }
 
-    /// Does what is due.
+    /// Performs the actions that are due.
     pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Leaving>) {
         self.incoming.twins.uptime(now);
         self.outgoing.wake(now, &mut self.incoming, &mut self.counts, out);
@@ -286,7 +285,7 @@ impl LinkState {
     }
 }
 
-/// The blocks of a datagram that are for the link layer.
+/// Control blocks of a datagram.
 #[derive(Default)]
 struct Said {
     report: Option<Report>,
@@ -314,10 +313,10 @@ impl Said {
     }
 }
 
-/// How long to wait before asking for a repair: mostly long, rarely short, so that few ask (RFC 5401, section 3.2,
-/// `RandomBackoff`).
+/// Draws the wait before a request for a repair: mostly long, rarely short, so that few receivers ask (RFC 5401,
+/// section 3.2, `RandomBackoff`).
 fn backoff(stream: &mut Stream) -> Span {
-    /// The size of a group that is assumed.
+    /// Assumed group size.
     const GROUP: f64 = 10.0;
     let (lambda, longest) = (libm::log(GROUP) + 1.0, BACKOFF.as_secs());
     let scale = lambda / (longest * (libm::exp(lambda) - 1.0));

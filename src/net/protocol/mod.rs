@@ -1,4 +1,4 @@
-//! The protocol of hosts: bytes, who is believed, what is sent again, and the way of every message. All pure.
+//! Protocol of hosts: encoding, authentication, retransmission and routing. All pure.
 
 pub mod again;
 pub mod bucket;

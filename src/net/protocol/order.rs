@@ -1,30 +1,29 @@
-//! Age of datagrams by what reports say: one that is numbered below a report that came long ago was held back.
-//! No bytes, no clock.
+//! Detection of late datagrams: one numbered below a report that arrived long ago was held back. No bytes, no clock.
 //!
-//! A relay without the key can otherwise release one long after it was said, as long as nothing newer of its stream has
-//! come. Numbers order the datagrams, so it costs no byte to refuse it.
+//! Otherwise a relay without the key could release a datagram long after it was sent, as long as nothing newer of its
+//! stream has arrived. The sequence numbers give the order, so this costs no bytes.
 
 use std::collections::VecDeque;
 
 use crate::time::{Span, Time};
 
-/// How long after a report a datagram that left before it may still come: jitter of 100 ms, and all retries of one
-/// that was lost. Those take 155 ms, and 174 ms where each timer is an eighth late to share a wake-up.
+/// Time after a report during which datagrams sent before it may arrive: jitter of 100 ms, and all retransmissions of a
+/// lost one. Those take 155 ms, or 174 ms where each timer is an eighth late to share a wake-up.
 pub const LATE: Span = Span::from_millis(280);
-/// Reports that come faster than this are not all remembered, so that few are.
+/// Smallest interval of remembered reports, which bounds their number.
 const APART: Span = Span::from_nanos(LATE.as_nanos() / 16);
 
-/// The reports of one sender that were admitted, in the order of their arrival.
+/// Admitted reports of one sender, in order of arrival.
 #[derive(Clone, Debug, Default)]
 pub struct Order {
-    /// When; the numbers of the next datagrams to all and to this host.
+    /// Time of arrival; numbers of the next datagrams to all hosts and to this host.
     lately: VecDeque<(Time, [Option<u32>; 2])>,
-    /// The least numbers that are not late.
+    /// Smallest numbers that are not late.
     least: [Option<u32>; 2],
 }
 
 impl Order {
-    /// A report was admitted: all datagrams before these numbers, to all and to this host, had left before it.
+    /// Notes a report: all datagrams before these numbers, to all hosts and to this host, were sent before it.
     pub fn reported(&mut self, now: Time, numbers: [Option<u32>; 2]) {
         self.advance(now);
         if self.lately.back().is_none_or(|(at, _)| now.since(*at) >= APART) {
@@ -44,7 +43,7 @@ impl Order {
         }
     }
 
-    /// Whether a datagram with this number, to all or (1) to this host, has been held back.
+    /// Whether the datagram with this number, to all hosts (0) or to this host (1), is late.
     pub fn is_late(&mut self, now: Time, lane: usize, sequence: u32) -> bool {
         self.advance(now);
         self.least[lane].is_some_and(|least| is_before(sequence, least))

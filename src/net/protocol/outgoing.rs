@@ -1,5 +1,5 @@
-//! Departure on a link: sequence numbers, what rides on what, what is sent again and when. Knows no receiver but
-//! by what `incoming` says of it.
+//! Transmission on a link: sequence numbers, piggybacking, reports and retransmission. Knows other hosts only through
+//! `incoming`.
 
 use std::collections::BTreeMap;
 
@@ -19,29 +19,29 @@ use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
 
-/// How long soft state waits for data to ride on, where data has left within this time: a robot that says something
-/// twelve times a second still takes all of it along. What may not wait is no soft state: a `Stop` leaves at once.
+/// Longest time soft state waits to be piggybacked on data, where data was sent within this time: data twelve times a
+/// second carries all of it. Messages that may not wait, such as `Stop`, are not soft state and are sent at once.
 pub const HOLD: Span = Span::from_millis(100);
-/// Soft state leaves by itself no more often than this; half of it where there are modes among it.
+/// Smallest interval between datagrams with only soft state; half of it if there are modes among it.
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
-/// A report leaves by itself when the last one is this old.
+/// Age of the last report at which the next one is sent alone.
 pub const REPORT_PERIOD: Span = Span::from_millis(250);
-/// A report for which another host waits rides as soon as the last one is this old.
+/// Age of the last report from which a pending one may be piggybacked.
 const PROMPTED_RIDES: Span = Span::from_millis(10);
-/// Reports that must leave at once do so no more often than this: a flood of recordings makes no flood of answers.
+/// Smallest interval between urgent reports: a flood of recordings causes no flood of answers.
 const URGENT_PERIOD: Span = Span::from_millis(20);
-/// Reports that must leave at once, in the long run and in a burst: ten operators that act at one instant take some
-/// ten of them; sequences of recordings cause no more than there are regular reports.
+/// Sustained rate and burst of urgent reports. Ten operators that act at one instant take about ten of them; sequences
+/// of recordings cause no more than there are regular reports.
 const URGENT_RATE: Rate = Rate { per_s: 4.0, burst: 25.0 };
-/// The period for an operator, which has to be believed soon by a whole team.
+/// Interval of urgent reports from an operator, which a whole team has to accept soon.
 const EAGER_PERIOD: Span = Span::from_millis(5);
-/// How long acknowledgements wait for each other.
+/// Time for which acknowledgements are collected.
 const ACK_WITHIN: Span = Span::from_millis(2);
 
-/// A datagram on its way to a transport.
+/// A sealed datagram for a transport.
 pub type Leaving = (Audience, Frame);
 
-/// Everything that leaves on one link.
+/// Transmission state of one link.
 #[derive(Clone, Debug)]
 pub struct Outgoing {
     me: Header,
@@ -51,30 +51,31 @@ pub struct Outgoing {
     to_all: u32,
     direct: BTreeMap<HostId, u32>,
     again: Again,
-    /// Soft state that waits: the newest of each stream, whom it is for, its block.
+    /// Pending soft state: for the newest message of each stream its receivers and its encoding.
     soft: BTreeMap<Stream, (Audience, Frame)>,
     soft_due: Option<Time>,
-    /// Since when any waits.
+    /// Time since which any is pending.
     soft_since: Option<Time>,
-    /// When that was said which last left by itself: periods count from there, so that waiting does not add up.
+    /// Time at which the soft state last sent alone became pending: periods count from there, so that waits do not add
+    /// up.
     soft_said: Option<Time>,
     data_left: Option<Time>,
     report_left: Option<Time>,
     report_due: Option<Time>,
-    /// A host waits for a report.
+    /// Whether another host waits for a report.
     prompted: bool,
-    /// When a report that must leave at once does, and when the last one did.
+    /// Time at which a pending urgent report is sent, and that of the last one.
     urgent_due: Option<Time>,
     urgent_left: Option<Time>,
     urgent_bucket: Bucket,
-    /// Whether reports say of each host what is next for it alone.
+    /// Whether report entries have the number of the next datagram to their host alone.
     numbered: bool,
     acks: BTreeMap<HostId, Vec<Name>>,
     acks_due: Option<Time>,
 }
 
 impl Outgoing {
-    /// Nothing yet. `first_report` is when the first report leaves at the latest.
+    /// Returns the initial state. `first_report` is the latest time of the first report.
     pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
@@ -103,7 +104,7 @@ impl Outgoing {
         }
     }
 
-    /// A message leaves, at once or, if it is soft state, with the next datagram. Gives what was encoded.
+    /// Sends a message, at once or, if it is soft state, with the next datagram. Returns it as encoded.
     pub fn say(
         &mut self,
         now: Time,
@@ -125,7 +126,7 @@ impl Outgoing {
             self.leave_soft(now, incoming, counts, out);
             return Ok(frame);
         }
-        // What waits of the same stream goes before it or not at all: never after.
+        // A pending repeat of the same stream is sent before the new message or never.
         if let Some(once) = self.again.supersede(now, stream) {
             self.leave_again(once, counts, out);
         }
@@ -163,7 +164,7 @@ impl Outgoing {
         *next = next.wrapping_add(1);
     }
 
-    /// The datagram as it leaves: with more flags, and a tag if there is a key.
+    /// Returns the datagram as sent: with additional flags, and a tag if there is a key.
     fn seal(&self, plain: &Frame, audience: Audience, flags: u8) -> Frame {
         if self.key.is_none() && flags == 0 {
             return plain.clone();
@@ -178,7 +179,7 @@ impl Outgoing {
         bytes.into()
     }
 
-    /// The datagram with what may ride on it.
+    /// Returns the datagram with piggybacked blocks.
     fn with_riders(
         &mut self,
         now: Time,
@@ -200,7 +201,7 @@ impl Outgoing {
         bytes.into()
     }
 
-    /// Puts all that waits, may ride and finds room on a datagram.
+    /// Piggybacks all pending blocks that may share the datagram and fit into it.
     fn board(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, incoming: &mut Incoming) {
         let any = self.setup.ride == Ride::Any;
         self.soft.retain(|_, (to, frame)| {
@@ -220,12 +221,12 @@ impl Outgoing {
         if audience == Audience::All && self.report_rides(now) {
             let urgent = self.urgent_due;
             self.report(now, bytes, incoming, Occasion::Regular);
-            // Where datagrams are addressed, one who is not believed yet is sent reports that go alone and no data.
+            // Where datagrams are addressed, a candidate is sent only reports that are sent alone, and no data.
             self.urgent_due = urgent.filter(|_| !any);
         }
     }
 
-    /// Puts acknowledgements on a datagram, as many as find room.
+    /// Adds acknowledgements to a datagram, as many as fit.
     fn board_acks(&mut self, bytes: &mut Vec<u8>) {
         while let Some(mut waiting) = self.acks.first_entry() {
             let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / NAME_BYTES;
@@ -263,7 +264,7 @@ impl Outgoing {
             && self.report_left.is_none_or(|left| now.since(left) >= rides)
     }
 
-    /// Adds a report, if there is room and, where it is urgent, anybody that it would list. Gives whether it did.
+    /// Adds a report, if it fits and, if urgent, lists any host. Returns whether it did.
     fn report(&mut self, now: Time, bytes: &mut Vec<u8>, incoming: &mut Incoming, occasion: Occasion) -> bool {
         let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES);
         let Some(mut report) = incoming.report(now, room, occasion) else { return false };
@@ -289,7 +290,7 @@ impl Outgoing {
         true
     }
 
-    /// Another host waits for a report of this one, to prove itself or to believe this one.
+    /// Makes a report pending, for which another host waits to prove its liveness or to accept this host.
     pub fn prompt(&mut self, now: Time, prompt: Prompt) {
         if prompt == Prompt::No || self.setup.reports == Reports::Off {
             return;
@@ -343,7 +344,7 @@ impl Outgoing {
         counts.copies += 1;
     }
 
-    /// A datagram that wants it is to be acknowledged.
+    /// Notes a datagram that is to be acknowledged.
     pub fn acknowledge(&mut self, now: Time, name: Name) {
         let names = self.acks.entry(name.host).or_default();
         if names.len() < MAX_NAMES {
@@ -352,33 +353,33 @@ impl Outgoing {
         self.acks_due = self.acks_due.or(Some(now + ACK_WITHIN));
     }
 
-    /// `from` acknowledges these.
+    /// Handles acknowledgements of `from`.
     pub fn acknowledged(&mut self, now: Time, from: HostId, names: &[Name]) {
         self.again.acknowledged(now, from, names);
     }
 
-    /// `from` asks for these again.
+    /// Retransmits datagrams that `from` requests.
     pub fn asked(&mut self, now: Time, from: HostId, names: &[Name], counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
         for once in self.again.asked(now, from, names) {
             self.leave_again(once, counts, out);
         }
     }
 
-    /// Asks for datagrams that are missing.
+    /// Requests missing datagrams.
     pub fn ask(&mut self, names: &[Name], counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
         let mut bytes = codec::start(&self.header(Audience::All, 0));
         add(&mut bytes, Content::Nack, |bytes| write_names(names, bytes));
         self.leave_alone(Audience::All, bytes, counts, out);
     }
 
-    /// When anything is next due.
+    /// Time of the next action.
     pub fn due(&self) -> Option<Time> {
         let dues = [self.again.due(), self.soft_due, self.acks_due, self.report_due, self.urgent_due];
         let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);
         Some(first).filter(|due| *due < Time::MAX)
     }
 
-    /// Does what is due.
+    /// Performs the actions that are due.
     pub fn wake(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
         while let Some(once) = self.again.next(now, counts) {
             self.leave_again(once, counts, out);
@@ -387,7 +388,7 @@ impl Outgoing {
         if self.acks_due.is_some_and(|due| due <= now) {
             self.leave_acks(counts, out);
         }
-        // A regular report lists those who wait as well.
+        // A regular report also lists the hosts that wait for an urgent one.
         if self.report_due.is_some_and(|due| due <= now) {
             self.leave_report(now, Occasion::Regular, incoming, counts, out);
         }
@@ -400,7 +401,7 @@ impl Outgoing {
         }
     }
 
-    /// A report leaves alone, unless it is urgent and would list nobody.
+    /// Sends a report alone, unless it is urgent and would list no host.
     fn leave_report(
         &mut self,
         now: Time,

@@ -1,8 +1,8 @@
-//! Choice of the hosts in the next report: reports have a budget of bytes, so they take turns. Decides; sends nothing.
+//! Schedule of report entries: reports have a budget of bytes, so hosts take turns. Sends nothing.
 //!
-//! First candidates, which wait for an echo to prove themselves; then hosts that asked this one for proof; then those
-//! whose proof is getting old, to ask them; then those of which more or less is lost than was told; then the others,
-//! the one that was listed longest ago first.
+//! Order of priority: candidates, which wait for an echo to prove their liveness; hosts that asked this one for a
+//! proof; hosts whose proof gets old, to ask them for one; hosts whose loss has changed since it was last reported; the
+//! others, those listed longest ago first.
 
 use super::bucket::{Bucket, Rate};
 use super::candidates::{Candidate, Candidates};
@@ -13,48 +13,48 @@ use super::senders::Senders;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// Budget of the entries of reports in the long run \[bytes/s\]: with headers, tags and heartbeats a host stays
-/// below 1.5 kB/s of soft state.
+/// Sustained budget of the entries of reports \[bytes/s\]: with headers, tags and heartbeats a host stays below 1.5
+/// kB/s of soft state.
 const ENTRY_BYTES_PER_S: f64 = 900.0;
-/// Budget of the entries at once \[bytes\]: a team of 200 joins without waiting for the long run.
+/// Burst budget of the entries \[bytes\]: a team of 200 joins without waiting for the sustained rate.
 const ENTRY_BYTES_AT_ONCE: f64 = 2400.0;
-/// Operators that an urgent report lists whatever the budget: more than ten of them act at once hardly ever.
+/// Operators that an urgent report lists whatever the budget: more than ten of them hardly ever act at once.
 const URGENT_ENTRIES: usize = 8;
-/// After half of its time a proof is asked for, as often as this at most; a loss is told again no sooner.
+/// Smallest interval between two entries about a host that ask for a proof or report a changed loss.
 const AGAIN: Span = Span::from_millis(400);
-/// A change of loss that is worth telling before its turn, of 64.
+/// Change of loss that is reported before its turn, of 64.
 const LOSS_STEP: u8 = 4;
 
-/// Why a report leaves.
+/// Reason for sending a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Occasion {
-    /// It was time.
+    /// It is time for the next one.
     Regular,
-    /// Another host must hear from this one at once: it lists those that wait and no others.
+    /// Another host needs it at once: it lists the hosts that wait and no others.
     Urgent,
 }
 
-/// The turns and the budget of one link's reports.
+/// Turns and budget of the entries of one link's reports.
 #[derive(Clone, Debug)]
 pub struct Telling {
     me: HostId,
     rate: Rate,
     budget: Bucket,
-    /// Whether candidates have the odd place of this report.
+    /// Whether candidates have the odd place of the next report.
     odd: bool,
-    /// Whether hosts have to prove that they are alive.
+    /// Whether hosts have to prove their liveness.
     guarded: bool,
 }
 
 impl Telling {
-    /// A full budget for entries of so many bytes.
+    /// Returns a full budget for entries of this size.
     pub fn new(me: HostId, guarded: bool, entry_bytes: usize) -> Telling {
         let size = entry_bytes as f64;
         let rate = Rate { per_s: ENTRY_BYTES_PER_S / size, burst: ENTRY_BYTES_AT_ONCE / size };
         Telling { me, rate, budget: Bucket::full(Time::ZERO, &rate), odd: false, guarded }
     }
 
-    /// The entries of a report that leaves now, at most `places`. `uptime` is how long this process has run.
+    /// Returns the entries of a report that is sent now, at most `places`. `uptime` is that of this process.
     pub fn entries(
         &mut self,
         (now, uptime): (Time, Span),
@@ -77,7 +77,7 @@ impl Telling {
         let mut entries = Vec::new();
         let room = self.budget.left(now, &self.rate).min(places);
         self.odd = !self.odd;
-        // Recordings must not keep those who are believed from being listed, nor the other way round.
+        // Recordings must not displace accepted hosts, nor these the candidates.
         let share = (room + usize::from(self.odd)) / 2;
         let mut share = share.max(room.saturating_sub(others.len()));
         for (host, candidate) in waiting {
@@ -116,7 +116,7 @@ impl Telling {
         Entry { host, echo, held: now.since(at), lost, asks: self.asks(now, sender), direct: None }
     }
 
-    /// Whether a sender is asked for proof.
+    /// Whether to ask a sender for a proof: after half of the validity of its last one.
     fn asks(&self, now: Time, sender: &Sender) -> bool {
         self.guarded && now.since(sender.proved) > Span::from_nanos(PROOF_HOLDS.as_nanos() / 2)
     }

@@ -1,30 +1,30 @@
-//! Two live hosts with one id: which of the two was started later, and is to end. Decides; ends nothing.
+//! Duplicate ids: of two live hosts with one id, the one that was started later has to end. Ends nothing itself.
 //!
-//! Each lists the other in its reports with the stamp that it has heard and how long it has run itself. So the later
-//! one learns of the earlier one within a few reports of its start.
+//! Each lists the other in its reports with the other's stamp and its own uptime. So the later one learns of the
+//! earlier one within a few reports of its start.
 
 use super::report::MAX_HELD_FOR;
 use crate::messages::ids::{HostId, LinkId};
 use crate::time::{Span, Time};
 
-/// A process that has run for so long does not end for what another one says: only members with the key can say it,
-/// and one that lies must not end a team.
+/// Uptime from which a process does not end for a duplicate: any member with the key can claim to be one, and a false
+/// claim must not end a team.
 pub const SETTLED: Span = Span::from_millis(10_000);
-/// Two that were started within this time are told apart by their incarnations.
+/// Difference of uptime below which two are ordered by their incarnations.
 const TOGETHER: Span = Span::from_millis(50);
 
-/// Another live host has the id of this one, and was started before it.
+/// Another live host with this host's id, which was started before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Duplicate {
-    /// The link on which it was heard.
+    /// Link on which it was received.
     pub link: LinkId,
     /// The id.
     pub host: HostId,
-    /// The other one's incarnation.
+    /// Incarnation of the other process.
     pub epoch: u32,
 }
 
-/// Others with the id of this process on one link.
+/// Other processes with the id of this one on one link.
 #[derive(Clone, Copy, Debug)]
 pub struct Twins {
     me: (LinkId, HostId, u32),
@@ -34,18 +34,18 @@ pub struct Twins {
 }
 
 impl Twins {
-    /// None known. `epoch` is this incarnation.
+    /// Returns the initial state. `epoch` is this process's incarnation.
     pub fn new(link: LinkId, host: HostId, epoch: u32) -> Twins {
         const { assert!(SETTLED.as_nanos() < MAX_HELD_FOR.as_nanos(), "a report can say that it has run for so long") };
         Twins { me: (link, host, epoch), began: None, claims: 0, duplicate: None }
     }
 
-    /// How long this process has run on this link, which begins with the first time that it is asked.
+    /// Uptime of this process on this link, counted from the first call.
     pub fn uptime(&mut self, now: Time) -> Span {
         now.since(*self.began.get_or_insert(now))
     }
 
-    /// Another incarnation with this id echoes a stamp of now, and says that it has run for `theirs`.
+    /// Handles the claim of another incarnation with this id, which echoes a recent stamp, that its uptime is `theirs`.
     pub fn claim(&mut self, now: Time, epoch: u32, theirs: Span) {
         let ours = self.uptime(now);
         let (link, host, mine) = self.me;
@@ -54,14 +54,14 @@ impl Twins {
             let times = self.claims;
             tracing::error!("a second live host has the id {} of this one (noticed {times} times)", host.0);
         }
-        // Each allows for the other's report having been under way, in such a way that one of the two gives in.
+        // The claim was in transit for a while; both sides allow for it such that exactly one of the two ends.
         let later = if mine < epoch { theirs + TOGETHER > ours } else { theirs > ours + TOGETHER };
         if later && ours < SETTLED && self.duplicate.is_none() {
             self.duplicate = Some(Duplicate { link, host, epoch });
         }
     }
 
-    /// The process that this one duplicates, if it does.
+    /// Returns the process that this one duplicates, if any.
     pub fn duplicate(&self) -> Option<Duplicate> {
         self.duplicate
     }

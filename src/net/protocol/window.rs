@@ -1,44 +1,44 @@
-//! Which datagrams of one sender have been here: the replay window, and how many were lost. No time, no bytes.
+//! Replay window of one sequence space, and its loss. No time, no bytes.
 
-/// How far back a datagram may lie and still be told new or not.
+/// Size of the replay window \[datagrams\].
 pub const WINDOW: u32 = 1024;
 const WORDS: usize = WINDOW as usize / 64;
-/// Over how many datagrams loss is measured: the newest.
+/// Newest datagrams over which loss is measured.
 pub const LOSS_SPAN: u32 = 64;
 
-/// Where a datagram stands among those that were here.
+/// Position of a datagram in the window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// It has not been here.
+    /// It has not arrived before.
     New,
-    /// It has been here.
+    /// It has arrived before.
     Seen,
     /// It is older than the window.
     Behind,
 }
 
-/// The window of one sequence of numbers.
+/// Replay window of one sequence space.
 #[derive(Clone, Debug, Default)]
 pub struct Window {
     newest: Option<u32>,
-    /// By sequence number, modulo its length.
+    /// Arrivals by sequence number, modulo the size of the window.
     seen: [u64; WORDS],
-    /// The newest `LOSS_SPAN`, the lowest bit the newest: set where the first transmission itself arrived.
+    /// The newest `LOSS_SPAN`, the lowest bit the newest: set where the first transmission arrived.
     originals: u64,
-    /// How many numbers have passed, and how many of them were here.
+    /// How many numbers have passed, and how many of those arrived.
     passed: u64,
     here: u64,
 }
 
 impl Window {
-    /// A window that begins at `first`: everything before it is behind.
+    /// Returns a window that begins at `first`: everything before it is behind.
     pub fn starting(first: u32) -> Window {
         let mut window = Window { newest: Some(first.wrapping_sub(1)), ..Window::default() };
         window.seen = [u64::MAX; WORDS];
         window
     }
 
-    /// Takes a datagram up; `copy` says that it is not the first transmission.
+    /// Records a datagram; `copy` says that it is a retransmission.
     pub fn place(&mut self, sequence: u32, copy: bool) -> Place {
         let Some(newest) = self.newest else {
             *self = Window::starting(sequence);
@@ -55,7 +55,7 @@ impl Window {
                 return Place::Behind;
             }
             if self.has(sequence) {
-                // The first transmission, overtaken by its copy, was not lost.
+                // The first transmission was overtaken by its retransmission, not lost.
                 self.mark_original(behind, copy);
                 return Place::Seen;
             }
@@ -92,18 +92,18 @@ impl Window {
         self.seen[word(sequence)] & bit(sequence) != 0
     }
 
-    /// Whether this one lies within the window and has not been here.
+    /// Whether this one lies within the window and has not arrived.
     pub fn misses(&self, sequence: u32) -> bool {
         self.newest.is_some_and(|newest| newest.wrapping_sub(sequence) < WINDOW) && !self.has(sequence)
     }
 
-    /// How many of the newest `LOSS_SPAN` first transmissions did not arrive.
+    /// Number of the newest `LOSS_SPAN` first transmissions that did not arrive.
     pub fn lost(&self) -> u8 {
         let span = self.passed.min(u64::from(LOSS_SPAN)) as u32;
         (span - self.originals.count_ones().min(span)) as u8
     }
 
-    /// How many datagrams have passed, and how many of them never came, not even as a copy.
+    /// Number of datagrams that have passed, and number of those that never arrived, not even as a retransmission.
     pub fn missing(&self) -> (u64, u64) {
         (self.passed, self.passed.saturating_sub(self.here))
     }

@@ -1,4 +1,4 @@
-//! Whether this machine is fit for the sockets of a link: its interface, the size of packets, the address, the buffer.
+//! Checks of this machine for the sockets of a link: interface, packet size, address, receive buffer.
 
 use super::open::OpenError;
 use super::socket::{SocketConfig, Whom};
@@ -8,7 +8,7 @@ use crate::net::protocol::codec::MAX_FRAME_BYTES;
 use crate::net::transport::interface;
 use crate::net::transport::{Finding, Fitness};
 
-/// What is found of the sockets of this host on the link of this name, for a person.
+/// Checks the sockets of this host on the link of this name; returns the findings.
 pub(super) fn examine(
     config: &SocketConfig,
     (host, link): (HostId, &str),
@@ -53,7 +53,7 @@ pub(super) fn examine(
     match Udp::open(host, config, Filter::All) {
         Ok(udp) => {
             add(Fitness::Ok, what, said, String::new());
-            // The kernel doubles what it is asked for, to keep its own books in, and tells the double.
+            // The kernel doubles the requested size for its own bookkeeping and reports the double.
             let (granted, wanted) = (udp.granted_bytes() / 2, config.receive_buffer_bytes);
             if granted >= wanted {
                 add(Fitness::Ok, "receive buffer", format!("{granted} bytes"), String::new());

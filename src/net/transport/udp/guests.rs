@@ -1,8 +1,8 @@
-//! Hosts that a unicast link sends to for a while although no file has their address: operators. Which are admitted is
-//! decided elsewhere.
+//! Guests of a unicast link: operators, whose address is in no file and to which it sends for a while. The link layer
+//! decides which are admitted.
 //!
-//! A recording of an operator can be sent from any address. So only what is new moves an operator that is believed, and
-//! all others have a table of their own, which brings them nothing but reports: what they need to prove themselves.
+//! A recording of an operator can be sent from any address. So only a new datagram changes the address of an accepted
+//! operator. All others have a table of their own and are sent reports only, which they need to prove their liveness.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -11,16 +11,16 @@ use crate::messages::ids::HostId;
 use crate::net::protocol::link::{Guest, Standing};
 use crate::time::{Span, Time};
 
-/// Believed guests at one time: each costs a datagram for every one that is said to all, and a team has few operators.
+/// Most accepted guests: each costs a datagram for every one that is sent to all, and a team has few operators.
 pub const MAX_GUESTS: usize = 32;
-/// How long a guest stays after it was last admitted: a hundred of the datagrams that a live operator sends, at least.
+/// Time for which a guest is kept after it was last admitted: at least a hundred datagrams of a live operator.
 pub const STAY: Span = Span::from_millis(10_000);
-/// Addresses at one time of guests that have not proven themselves: each costs a datagram for every report.
+/// Most addresses of guests that have not proved their liveness: each costs a datagram for every report.
 pub const MAX_UNPROVEN: usize = 32;
-/// How long such an address stays: as long as a stamp is echoed.
+/// Time for which such an address is kept: as long as a stamp is echoed.
 pub const UNPROVEN_STAY: Span = Span::from_millis(2000);
 
-/// The guests of one link.
+/// Guests of one link.
 #[derive(Clone, Debug, Default)]
 pub struct Guests {
     proven: BTreeMap<HostId, (SocketAddr, Time)>,
@@ -28,7 +28,7 @@ pub struct Guests {
 }
 
 impl Guests {
-    /// Admits a guest, or goes on admitting it. One that is believed is from now on at this address.
+    /// Admits a guest or extends its stay. An accepted one is sent to at this address from now on.
     pub fn admit(&mut self, now: Time, Guest { host, at, standing }: Guest) {
         match standing {
             Standing::Proven => {
@@ -48,7 +48,7 @@ impl Guests {
         }
     }
 
-    /// Those leave whose time is over, or else of the host with the most addresses the one admitted longest ago.
+    /// Removes expired addresses; if there are none, the oldest address of the host with the most addresses.
     fn make_room(&mut self, now: Time) {
         self.unproven.retain(|_, admitted| now.since(*admitted) < UNPROVEN_STAY);
         if self.unproven.len() < MAX_UNPROVEN {
@@ -60,18 +60,18 @@ impl Guests {
         weakest.and_then(|place| self.unproven.remove(&place));
     }
 
-    /// Where a believed guest is, if it still is one.
+    /// Returns the address of an accepted guest, unless it has expired.
     pub fn find(&self, now: Time, host: HostId) -> Option<SocketAddr> {
         self.proven.get(&host).filter(|(_, admitted)| now.since(*admitted) < STAY).map(|(at, _)| *at)
     }
 
-    /// Where all believed guests are; those whose time is over leave.
+    /// Returns the addresses of all accepted guests, after removing expired ones.
     pub fn proven(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
         self.proven.retain(|_, (_, admitted)| now.since(*admitted) < STAY);
         self.proven.values().map(|(at, _)| *at)
     }
 
-    /// Where guests have been heard that are not believed yet; those whose time is over leave.
+    /// Returns the addresses of guests that are not accepted yet, after removing expired ones.
     pub fn unproven(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
         self.unproven.retain(|_, admitted| now.since(*admitted) < UNPROVEN_STAY);
         self.unproven.keys().map(|(_, at)| *at)

@@ -1,5 +1,5 @@
-//! UDP: the sockets of one link of one host, open. `socket.rs` has them as data, `multicast.rs` and `unicast.rs` are
-//! the transports that are made of them. What frames mean, and who may send them, never matters here.
+//! UDP: the open sockets of one link of one host. `socket.rs` has their configuration, `multicast.rs` and `unicast.rs`
+//! are the transports made of them. Nothing here interprets frames or decides who may send them.
 
 mod batch;
 mod filter;
@@ -34,27 +34,28 @@ use crate::time::{Span, Time};
 
 /// Datagrams that are read before the other actors have their turn: a quarter of a millisecond of work.
 const READ_AT_ONCE: usize = 128;
-/// A link that rings again within this time is busy. Longer than a turn takes, and than another link's flood holds this
-/// one up: what is read once a ring falls behind for ever where more than one arrives between two rings.
+/// Interval of readiness events below which a link is busy. It is longer than a turn of the driver and than the delay
+/// by another link's flood. A link read once per event would otherwise fall behind for ever when more than one datagram
+/// arrives between two events.
 const BUSY: Span = Span::from_millis(10);
-/// How long a flooded link is left alone after each reading. With `READ_AT_ONCE` it bounds what a flood costs: 128 000
-/// datagrams a second, in 1000 turns. What the kernel has no room for until then is lost.
+/// Pause of a flooded link after each read. With `READ_AT_ONCE` it bounds the cost of a flood: 128 000 datagrams a
+/// second, in 1000 turns. Datagrams for which the kernel has no room meanwhile are lost.
 pub const REST: Span = Span::from_millis(1);
-/// Datagrams within `REST` from which a link is flooded: four times what the fastest team says.
+/// Datagrams within `REST` from which a link is flooded: four times what the fastest team sends.
 const FLOOD: usize = 20;
-/// Datagrams of one reading below which a flood is over.
+/// Datagrams of one read below which a flood is over.
 const EBB: usize = 10;
 
-/// The sockets of one link on one host.
+/// Sockets of one link on one host.
 #[derive(Debug)]
 struct Udp {
-    /// Hears what the others send.
+    /// Socket that receives.
     ears: Rc<UdpSocket>,
     to: To,
-    /// How much the kernel keeps \[bytes\].
+    /// Receive buffer that the kernel has granted \[bytes\].
     granted: usize,
     batch: Batch,
-    /// When it was last looked whether something has arrived.
+    /// Time of the last read.
     looked: Time,
     flood: Flood,
     unsent: u64,
@@ -62,12 +63,12 @@ struct Udp {
 
 #[derive(Debug)]
 enum To {
-    /// Through a socket of its own, so that its port tells this process's frames from those of others on the same
-    /// machine.
+    /// Sends through a socket of its own, whose port distinguishes this process's frames from those of other processes
+    /// on the same machine.
     Group { mouth: UdpSocket, own: SocketAddr, loopback: Loopback },
     Peers {
         peers: BTreeMap<HostId, SocketAddr>,
-        /// None where this process is a guest itself: it is answered, and answers nobody else.
+        /// None if this process is a guest itself: hosts answer it, and it answers no other guest.
         guests: Option<Guests>,
     },
 }
@@ -100,7 +101,7 @@ impl Udp {
         Udp::new(ears, to, config).map_err(failed("ask for the size of the buffer".to_owned()))
     }
 
-    /// Opens the socket of a host that is in no file: at whatever address the machine has, to all hosts of the link.
+    /// Opens the socket of a host that is in no file: at any address of the machine, to all hosts of the link.
     fn open_guest(
         (host, peers): (HostId, &BTreeMap<HostId, SocketAddr>),
         config: &SocketConfig,
@@ -119,7 +120,7 @@ impl Udp {
 
     fn new(ears: Socket, to: To, config: &SocketConfig) -> io::Result<Udp> {
         let granted = ears.recv_buffer_size()?;
-        // The kernel doubles what it is asked for, to keep its own books in, and halves nothing when it tells.
+        // The kernel doubles the requested size for its own bookkeeping and reports the double.
         if granted < 2 * config.receive_buffer_bytes {
             tracing::warn!(
                 interface = config.interface,
@@ -132,7 +133,7 @@ impl Udp {
         Ok(Udp { ears, to, granted, batch, looked: Time::ZERO, flood: Flood::default(), unsent: 0 })
     }
 
-    /// How much the kernel keeps of what has arrived and is not read \[bytes\].
+    /// Receive buffer that the kernel has granted \[bytes\].
     fn granted_bytes(&self) -> usize {
         self.granted
     }
@@ -140,7 +141,7 @@ impl Udp {
     fn transmit(&mut self, now: Time, transmit: &Transmit) {
         if let Err(error) = self.to.transmit(now, &self.ears, transmit) {
             self.unsent += 1;
-            // A link that is down must not fill the log: the first, the second, the fourth, and so on.
+            // Log the first failure, the second, the fourth and so on: a link that is down must not fill the log.
             if self.unsent.is_power_of_two() {
                 tracing::warn!(unsent = self.unsent, "a frame did not get out: {error}");
             }
@@ -148,11 +149,11 @@ impl Udp {
     }
 }
 
-/// Whether more arrives than is worth a wake-up for each.
+/// Detection of a flood: more datagrams than are worth a wake-up each.
 #[derive(Clone, Copy, Debug, Default)]
 struct Flood {
     on: bool,
-    /// How many were read since.
+    /// Datagrams read since then.
     count: usize,
     since: Time,
 }
@@ -193,12 +194,12 @@ impl To {
                 ears.send_to(frame, at).map(drop)
             }
             (To::Peers { peers, guests }, Audience::All) => {
-                // One that cannot be reached keeps nobody else from hearing.
+                // An unreachable peer does not prevent sending to the others.
                 let mut all = Ok(());
                 for at in peers.values().copied().chain(guests.iter_mut().flat_map(|guests| guests.proven(now))) {
                     all = all.and(ears.send_to(frame, at).map(drop));
                 }
-                // What has to be echoed is in a report, and nothing else is for one that is not believed yet.
+                // Candidates need only the echoes in reports.
                 if matches!(codec::first(frame), Ok(Content::Report | Content::NumberedReport)) {
                     for at in guests.iter_mut().flat_map(|guests| guests.unproven(now)) {
                         all = all.and(ears.send_to(frame, at).map(drop));
@@ -209,7 +210,7 @@ impl To {
         }
     }
 
-    /// Whether what comes from there is for this process; an echo is not, where the kernel's filter has let it through.
+    /// Whether a datagram from this address is for this process. An echo that the kernel's filter has passed is not.
     fn hears(&mut self, now: Time, from: SocketAddr) -> bool {
         if let To::Group { own, loopback, .. } = self
             && own.ip() == from.ip()
@@ -223,7 +224,7 @@ impl To {
     }
 
     fn admit(&mut self, now: Time, guest: Guest) {
-        // The address in the file stands, and a group is heard by everyone.
+        // An address in the file takes precedence, and every host receives what is sent to a group.
         if let To::Peers { peers, guests: Some(guests) } = self
             && !peers.contains_key(&guest.host)
         {
@@ -237,9 +238,8 @@ impl Transport for Udp {
         Rc::clone(&self.ears) as Rc<dyn AsFd>
     }
 
-    /// To ask the kernel in vain costs as
-    /// much as to read, so a quiet link is read once a ring, and only a busy one until nothing is left or it is the
-    /// others' turn.
+    /// A read of an empty socket costs as much as one that succeeds. So a quiet link is read once per readiness event,
+    /// and only a busy one until it is empty or it is the others' turn.
     fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
         let busy = now.since(self.looked) < BUSY || self.flood.on;
         self.looked = now;
@@ -257,7 +257,7 @@ impl Transport for Udp {
         match read {
             Ok(count) => self.flood.read(now, count),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => self.flood.read(now, 0),
-            // What a former datagram has met on its way (a closed port, a lost route) says nothing of the next.
+            // An error about an earlier datagram (a closed port, a lost route) says nothing of the next one.
             Err(error) => tracing::debug!("an error has arrived in place of a frame: {error}"),
         }
     }

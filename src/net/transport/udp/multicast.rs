@@ -1,4 +1,4 @@
-//! Multicast: to a group that all hosts of a link listen to.
+//! Multicast: sends to a group that all hosts of a link join.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use crate::config::fields::{Takes, Value};
 use crate::net::transport::interface::LOOPBACK;
 use crate::net::transport::{Entry, Field, Given, Way};
 
-/// The port of the default groups.
+/// Port of the default groups.
 const PORT: u16 = 7700;
 
 /// The transport.
@@ -20,7 +20,7 @@ pub const ENTRY: Entry = Entry {
     read,
 };
 
-/// The group of a link that names none: one for each link.
+/// Returns the default group of a link: one for each link.
 fn default_group(at: usize) -> String {
     let last = u8::try_from(at % 254).expect("it is below 254") + 1;
     SocketAddr::new(IpAddr::from([239, 255, 77, last]), PORT).to_string()
@@ -40,8 +40,8 @@ fn read(given: &Given) -> Result<Arc<dyn Way>, ConfigError> {
     Ok(Arc::new(SocketConfig { whom: Whom::Group(group), interface, receive_buffer_bytes }))
 }
 
-/// The way onto a link by this group on this interface, where no team file says it. The kernel is asked to keep so many
-/// bytes of what has arrived.
+/// Returns an endpoint in this group on this interface, without a team file. The kernel is asked for a receive buffer
+/// of this size.
 pub fn way(group: SocketAddr, interface: &str, receive_buffer_bytes: usize) -> Arc<dyn Way> {
     let interface = interface.to_owned();
     Arc::new(SocketConfig { whom: Whom::Group(group), interface, receive_buffer_bytes })

@@ -1,4 +1,4 @@
-//! How the sockets of a host on a link of UDP are set up, as data, and what of that others have to know.
+//! Configuration of a host's UDP sockets on a link, as data, and its properties as an endpoint.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -12,16 +12,16 @@ use crate::net::protocol::reliability::{Reliabilities, Setup};
 use crate::net::transport::interface::{self, LOOPBACK};
 use crate::net::transport::{Claim, Field, Filter, Finding, Given, OpenError, Transport, Way};
 
-/// The network interface that both transports are bound to.
+/// Field for the network interface of both transports.
 pub(super) const INTERFACE: Field = Field::new("interface", Takes::Interface);
 
-/// What the kernel is asked to keep of what has arrived \[bytes\].
+/// Field for the receive buffer that is requested from the kernel \[bytes\].
 pub(super) const RECEIVE_BUFFER: Field = Field {
     default: Some(|_| (4 << 20).to_string()),
     ..Field::new("receive_buffer_bytes", Takes::Whole(4096, 1 << 30))
 };
 
-/// The values of these two.
+/// Reads both fields.
 pub(super) fn bound(given: &Given) -> Result<(String, usize), ConfigError> {
     let advice = || {
         let (link, host) = (given.link, given.host_name());
@@ -32,33 +32,33 @@ pub(super) fn bound(given: &Given) -> Result<(String, usize), ConfigError> {
     Ok((interface, usize::try_from(bytes).expect("its range is smaller")))
 }
 
-/// The sockets of a host on a link.
+/// Sockets of a host on a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SocketConfig {
-    /// Who is talked to, and where.
+    /// Addresses of the link.
     pub whom: Whom,
     /// The network interface, by name.
     pub interface: String,
-    /// What the socket's receive buffer is asked to hold \[bytes\].
+    /// Requested receive buffer of the socket \[bytes\].
     pub receive_buffer_bytes: usize,
 }
 
-/// Who is talked to, and where.
+/// Addresses of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Whom {
-    /// Everyone who listens to a group.
+    /// A multicast group.
     Group(SocketAddr),
-    /// Each host by itself.
+    /// Unicast to each host.
     Each {
-        /// Where this host listens.
+        /// Address of this host.
         listen: SocketAddr,
-        /// Where the others listen.
+        /// Addresses of the other hosts.
         peers: BTreeMap<HostId, SocketAddr>,
     },
-    /// Each host by itself, from whatever address the machine has: a guest speaks from a port of its own, on whatever
-    /// interface leads there, and is answered there.
+    /// Unicast to each host, from any address of the machine: a guest sends from a port of its own, on the interface
+    /// with a route to the host, and is answered there.
     FromAnywhere {
-        /// Where all hosts of the link listen.
+        /// Addresses of all hosts of the link.
         peers: BTreeMap<HostId, SocketAddr>,
     },
 }
@@ -80,7 +80,7 @@ impl Way for SocketConfig {
                 let peers = peers.iter().map(|(host, at)| (*host, *at)).chain([(beside, *listen)]).collect();
                 self.with(Whom::FromAnywhere { peers })
             }
-            // A group is open to everyone.
+            // A guest may join a group like any host.
             _ => Arc::new(self.clone()),
         }
     }
@@ -127,7 +127,7 @@ impl Way for SocketConfig {
     }
 
     fn is_here(&self) -> bool {
-        // Where the kernel does not tell, opening says why.
+        // If the kernel does not list its interfaces, opening reports the error.
         let there = |all: Vec<interface::Interface>| all.iter().any(|one| one.up && one.name == self.interface);
         matches!(self.whom, Whom::FromAnywhere { .. }) || interface::interfaces().map_or(true, there)
     }

@@ -1,4 +1,4 @@
-//! Unicast: to each host of a link by itself, at the address that the team file has for it.
+//! Unicast: sends to each host of a link at its address in the team file.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
