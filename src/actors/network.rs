@@ -15,8 +15,8 @@ use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
 use crate::net::protocol::link::{Duplicate, Guest, LinkCounts, LinkState};
-use crate::net::protocol::outgoing::Leaving;
-use crate::net::protocol::reliability::{Ride, Setup};
+use crate::net::protocol::outgoing::Outbound;
+use crate::net::protocol::reliability::{Piggyback, Setup};
 use crate::net::protocol::router::{Audience, Router};
 use crate::net::protocol::sender::Peer;
 use crate::random::Stream;
@@ -84,7 +84,7 @@ pub struct Network {
     indoors: Header,
     indoor_counts: LinkCounts,
     stream: Stream,
-    leaving: Vec<Leaving>,
+    leaving: Vec<Outbound>,
     next_counts: Time,
     /// Whether it has said that it duplicates another host.
     duplicates: bool,
@@ -119,7 +119,7 @@ impl Network {
     /// A network at the start of its epoch. It draws from `stream` when to ask and when to answer.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
-        let shared = links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.ride == Ride::Any)).collect();
+        let shared = links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.piggyback == Piggyback::Any)).collect();
         let ids = (0..=u16::MAX).map(LinkId);
         let hosts = router.hosts();
         let mut state = |id, setup| LinkState::new(me, id, key.clone(), Setup { hosts, ..setup }, &mut stream);
@@ -155,7 +155,7 @@ impl Network {
         let encoded = match leaves {
             Some((link, audience)) => {
                 let state = self.links[usize::from(link.0)].as_mut().expect("this host has a part in it");
-                let encoded = state.say(now, audience, &message, &mut self.leaving);
+                let encoded = state.send(now, audience, &message, &mut self.leaving);
                 self.due[usize::from(link.0)] = state.due();
                 transmit(link, &mut self.leaving, out);
                 encoded
@@ -226,7 +226,7 @@ impl Network {
     }
 }
 
-fn transmit(link: LinkId, leaving: &mut Vec<Leaving>, out: &mut Vec<Out>) {
+fn transmit(link: LinkId, leaving: &mut Vec<Outbound>, out: &mut Vec<Out>) {
     out.extend(leaving.drain(..).map(|(audience, frame)| Out::Transmit(link, audience, frame)));
 }
 

@@ -68,7 +68,7 @@ pub fn of_operator<'a>(
     places: impl IntoIterator<Item = Option<&'a Place>>,
 ) -> Vec<Option<Setup>> {
     let setups = setups(deployment, places).into_iter();
-    setups.map(|setup| setup.map(|setup| Setup { report_rides: Span::ZERO, ..setup })).collect()
+    setups.map(|setup| setup.map(|setup| Setup { report_piggyback_age: Span::ZERO, ..setup })).collect()
 }
 
 /// Returns the places of an operator that takes part only in the link that carries `Stop`.

@@ -360,7 +360,7 @@ fn operator(number: u16, epoch: u32) -> Config {
         _ => Route::default(),
     });
     let me = Identity { host: HostId::operator(number), team: TEAM, epoch };
-    let setup = Setup { report_rides: Span::ZERO, ..multicast(Reliabilities::new()) };
+    let setup = Setup { report_piggyback_age: Span::ZERO, ..multicast(Reliabilities::new()) };
     Config { me, key: Some(key()), links: vec![Some(setup)], router }
 }
 
@@ -371,7 +371,7 @@ fn with_operator(setup: &Setup) -> (Rig, Vec<Vec<u8>>) {
     let mut rig = Rig::new([host(0), host(1), config(9, 2, 1, None, setup.clone())]);
     rig.run_ms(1000);
     let mut config = operator(5, 7);
-    config.links = vec![Some(Setup { report_rides: Span::ZERO, ..setup.clone() })];
+    config.links = vec![Some(Setup { report_piggyback_age: Span::ZERO, ..setup.clone() })];
     rig.restart(2, config);
     for _ in 0..10 {
         rig.publish(2, engage(5));

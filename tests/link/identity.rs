@@ -159,7 +159,7 @@ fn released(setup: &Setup, everything: bool, after_ms: u64) -> usize {
 fn what_was_held_back_while_reports_passed_is_refused_whenever_it_is_released() {
     for after_ms in [1000, 8000, 45_000, 300_000] {
         for setup in [setup(), Setup::unicast(Reliabilities::new())] {
-            assert_eq!(released(&setup, false, after_ms), 0, "{:?}, {after_ms} ms", setup.ride);
+            assert_eq!(released(&setup, false, after_ms), 0, "{:?}, {after_ms} ms", setup.piggyback);
         }
     }
     // Where nothing passes that could order it, its sender is not heard either.
@@ -204,7 +204,7 @@ fn jitter_and_retransmissions_make_nothing_late() {
             for turn in 0..100 {
                 (0..5).for_each(|host| rig.publish(host, latent(host as u16, 3)));
                 let mut operator = operator(turn, u32::from(turn));
-                operator.links = vec![Some(Setup { report_rides: Span::ZERO, ..setup.clone() })];
+                operator.links = vec![Some(Setup { report_piggyback_age: Span::ZERO, ..setup.clone() })];
                 rig.restart(5, operator);
                 // The report comes as soon as it can, the last retry as late as it can.
                 for (jitter_ms, ms) in [(0, 40), (100, 360)] {
@@ -257,7 +257,7 @@ fn operator(number: u16, epoch: u32) -> Config {
         Kind::Stop => Route { local: true, leaves: Some((LINK, Audience::All)) },
         _ => Route::default(),
     });
-    let eager = Setup { report_rides: Span::ZERO, ..setup() };
+    let eager = Setup { report_piggyback_age: Span::ZERO, ..setup() };
     let me = Identity { host: HostId::operator(number), team: TEAM, epoch };
     Config { me, key: Some(key()), links: vec![Some(eager)], router }
 }

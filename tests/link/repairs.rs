@@ -8,7 +8,7 @@ use murmurate::actors::network::{Config, Identity};
 use murmurate::messages::geometry::Motion;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Kind, MotorCommand, Reading, Wire};
-use murmurate::net::protocol::again::{RETRIES, RETRY_AFTER};
+use murmurate::net::protocol::retransmit::{RETRIES, RETRY_AFTER};
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, Flags, MAX_FRAME_BYTES};
 use murmurate::net::protocol::reliability::{Reliabilities, Reliability, Setup};

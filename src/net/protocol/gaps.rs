@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::codec::{Flags, Header};
 use super::order::LATE;
-use super::report::Name;
+use super::report::DatagramId;
 use super::window::Window;
 use crate::time::{Span, Time};
 
@@ -24,7 +24,7 @@ struct Gap {
 
 /// All missing datagrams of one link.
 #[derive(Clone, Debug, Default)]
-pub struct Gaps(BTreeMap<Name, Gap>);
+pub struct Gaps(BTreeMap<DatagramId, Gap>);
 
 impl Gaps {
     /// Adds the numbers that a new datagram offers for retransmission and that have not arrived. `backoff` draws the
@@ -37,11 +37,11 @@ impl Gaps {
         window: &Window,
         mut backoff: impl FnMut() -> Span,
     ) {
-        self.0.remove(&Name::of(header));
+        self.0.remove(&DatagramId::of(header));
         for &sequence in held.iter().filter(|sequence| window.misses(**sequence)) {
             if self.0.len() < MAX_GAPS {
-                let name = Name::of(&Header { sequence, ..*header });
-                self.0.entry(name).or_insert_with(|| Gap { due: now + backoff(), asked: 0 });
+                let id = DatagramId::of(&Header { sequence, ..*header });
+                self.0.entry(id).or_insert_with(|| Gap { due: now + backoff(), asked: 0 });
             }
         }
     }
@@ -53,14 +53,14 @@ impl Gaps {
 
     /// Whether this is a retransmission that was requested: however old, its sender still keeps it.
     pub fn awaits(&self, header: &Header) -> bool {
-        header.flags.has(Flags::COPY) && self.0.contains_key(&Name::of(header))
+        header.flags.has(Flags::COPY) && self.0.contains_key(&DatagramId::of(header))
     }
 
     /// Postpones requests for datagrams that another host has requested. Unicast datagrams have a sequence space for
     /// each receiver, so another host's request says nothing about this host's.
-    pub fn asked_by_others(&mut self, now: Time, names: &[Name]) {
-        for name in names.iter().filter(|name| !name.direct) {
-            if let Some(gap) = self.0.get_mut(name) {
+    pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
+        for id in ids.iter().filter(|id| !id.direct) {
+            if let Some(gap) = self.0.get_mut(id) {
                 gap.due = gap.due.max(now + BACKOFF * 2);
             }
         }
@@ -72,17 +72,17 @@ impl Gaps {
     }
 
     /// Returns the datagrams to request now, at most `room`.
-    pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<Name> {
-        let mut names = Vec::new();
+    pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<DatagramId> {
+        let mut ids = Vec::new();
         self.0.retain(|_, gap| gap.asked < ASKS || gap.due > now);
-        for (name, gap) in &mut self.0 {
-            if gap.due <= now && names.len() < room {
-                names.push(*name);
+        for (id, gap) in &mut self.0 {
+            if gap.due <= now && ids.len() < room {
+                ids.push(*id);
                 gap.asked += 1;
                 // Wait one round trip for the answer to the last request.
                 gap.due = now + if gap.asked < ASKS { BACKOFF * (1 << gap.asked) + backoff() } else { LATE * 2 };
             }
         }
-        names
+        ids
     }
 }

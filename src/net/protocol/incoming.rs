@@ -12,7 +12,7 @@ use super::counts::LinkCounts;
 use super::gaps::Gaps;
 use super::limits::{FRESH, PROOF_HOLDS, REPORT_HOLDS, SILENT, UNHEARD};
 use super::offset::Offsets;
-use super::report::{Entry, Name, REPORT_BYTES, Report, Stamps};
+use super::report::{Entry, DatagramId, REPORT_BYTES, Report, Stamps};
 use super::router::Audience;
 use super::sender::{Peer, Sender};
 use super::senders::Senders;
@@ -341,8 +341,8 @@ impl Incoming {
     }
 
     /// Notes requests of another host.
-    pub fn asked_by_others(&mut self, now: Time, names: &[Name]) {
-        self.gaps.asked_by_others(now, names);
+    pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
+        self.gaps.asked_by_others(now, ids);
     }
 
     /// Returns the next report, in at most `room` bytes.

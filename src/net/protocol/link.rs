@@ -10,9 +10,9 @@ pub use super::counts::LinkCounts;
 use super::gaps::BACKOFF;
 use super::incoming::{Here, Incoming, Verdict};
 use super::key::Key;
-use super::outgoing::{Leaving, Outgoing, REPORT_PERIOD};
+use super::outgoing::{Outbound, Outgoing, REPORT_PERIOD};
 use super::reliability::{Reports, Setup};
-use super::report::{ENTRY_BYTES, MAX_NAMES, NUMBERED_ENTRY_BYTES, Name, Report, Stamps, read_held, read_names};
+use super::report::{ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, DatagramId, Report, Stamps, read_held, read_ids};
 use super::router::Audience;
 use super::sender::Peer;
 pub use super::twins::Duplicate;
@@ -77,7 +77,7 @@ impl LinkState {
         }
         let Identity { host, team, epoch } = me;
         let jitter = Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
-        let first = if setup.report_rides == Span::ZERO { Span::ZERO } else { REPORT_PERIOD + jitter };
+        let first = if setup.report_piggyback_age == Span::ZERO { Span::ZERO } else { REPORT_PERIOD + jitter };
         let header = Header { flags: Flags::default(), team, sender: host, epoch, sequence: 0 };
         let guarded = key.is_some();
         let entry_bytes = if guarded && setup.is_addressed() { NUMBERED_ENTRY_BYTES } else { ENTRY_BYTES };
@@ -103,15 +103,15 @@ impl LinkState {
     }
 
     /// Sends a message to these hosts. Returns it as encoded.
-    pub fn say(
+    pub fn send(
         &mut self,
         now: Time,
         audience: Audience,
         message: &Wire,
-        out: &mut Vec<Leaving>,
+        out: &mut Vec<Outbound>,
     ) -> Result<Frame, EncodeError> {
         self.incoming.twins.uptime(now);
-        let encoded = self.outgoing.say(now, audience, message, &mut self.incoming, &mut self.counts, out);
+        let encoded = self.outgoing.send(now, audience, message, &mut self.incoming, &mut self.counts, out);
         self.plan();
         encoded
     }
@@ -122,7 +122,7 @@ impl LinkState {
         now: Time,
         frame: &'a [u8],
         stream: &mut Stream,
-        out: &mut Vec<Leaving>,
+        out: &mut Vec<Outbound>,
     ) -> Option<(Header, &'a [u8])> {
         self.incoming.twins.uptime(now);
         let read = self.read(now, frame, stream, out);
@@ -141,7 +141,7 @@ impl LinkState {
         now: Time,
         frame: &'a [u8],
         stream: &mut Stream,
-        out: &mut Vec<Leaving>,
+        out: &mut Vec<Outbound>,
     ) -> Result<Option<(Header, &'a [u8])>, DecodeError> {
         self.operator = None;
         let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
@@ -186,7 +186,7 @@ impl LinkState {
             return Ok(None);
         }
         if header.flags.has(Flags::ACK) {
-            self.outgoing.acknowledge(now, Name::of(&header));
+            self.outgoing.acknowledge(now, DatagramId::of(&header));
         }
         if verdict == Verdict::Again {
             return Ok(None);
@@ -210,9 +210,9 @@ impl LinkState {
 
     /// Handles the acknowledgements and requests of `from`.
     #[inline(never)]
-    fn answer(&mut self, now: Time, from: HostId, said: Said, out: &mut Vec<Leaving>) {
-        let mine = |names: Vec<Name>| -> (Vec<Name>, Vec<Name>) {
-            names.into_iter().partition(|name| (name.host, name.epoch) == (self.me.host, self.me.epoch))
+    fn answer(&mut self, now: Time, from: HostId, said: Said, out: &mut Vec<Outbound>) {
+        let mine = |ids: Vec<DatagramId>| -> (Vec<DatagramId>, Vec<DatagramId>) {
+            ids.into_iter().partition(|id| (id.host, id.epoch) == (self.me.host, self.me.epoch))
         };
         if !said.acks.is_empty() {
             self.outgoing.acknowledged(now, from, &mine(said.acks).0);
@@ -220,7 +220,7 @@ impl LinkState {
         if !said.asks.is_empty() {
             let (mine, others) = mine(said.asks);
             self.incoming.asked_by_others(now, &others);
-            self.outgoing.asked(now, from, &mine, &mut self.counts, out);
+            self.outgoing.requested(now, from, &mine, &mut self.counts, out);
         }
     }
 
@@ -272,13 +272,13 @@ impl LinkState {
     }
 
     /// Performs the actions that are due.
-    pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Leaving>) {
+    pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Outbound>) {
         self.incoming.twins.uptime(now);
         self.outgoing.wake(now, &mut self.incoming, &mut self.counts, out);
         if self.incoming.gaps.due().is_some_and(|due| due <= now) {
-            let names = self.incoming.gaps.ask(now, MAX_NAMES, || backoff(stream));
-            if !names.is_empty() {
-                self.outgoing.ask(&names, &mut self.counts, out);
+            let ids = self.incoming.gaps.ask(now, MAX_IDS, || backoff(stream));
+            if !ids.is_empty() {
+                self.outgoing.ask(&ids, &mut self.counts, out);
             }
         }
         self.plan();
@@ -290,8 +290,8 @@ impl LinkState {
 struct Said {
     report: Option<Report>,
     held: Vec<u32>,
-    acks: Vec<Name>,
-    asks: Vec<Name>,
+    acks: Vec<DatagramId>,
+    asks: Vec<DatagramId>,
 }
 
 impl Said {
@@ -305,8 +305,8 @@ impl Said {
                     said.report = Some(Report::read(content, body)?);
                 }
                 (Content::Held, body) => said.held.extend(read_held(body)?),
-                (content @ Content::Ack, body) => said.acks.extend(read_names(content, body)?),
-                (content @ Content::Nack, body) => said.asks.extend(read_names(content, body)?),
+                (content @ Content::Ack, body) => said.acks.extend(read_ids(content, body)?),
+                (content @ Content::Nack, body) => said.asks.extend(read_ids(content, body)?),
             }
         }
         if empty { Err(DecodeError::Blocks) } else { Ok(said) }

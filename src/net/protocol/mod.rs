@@ -1,6 +1,5 @@
 //! Protocol of hosts: encoding, authentication, retransmission and routing. All pure.
 
-pub mod again;
 pub mod bucket;
 pub mod candidates;
 pub mod codec;
@@ -15,6 +14,7 @@ pub mod order;
 pub mod outgoing;
 pub mod reliability;
 pub mod report;
+pub mod retransmit;
 pub mod router;
 pub mod sender;
 pub mod senders;

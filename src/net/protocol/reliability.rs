@@ -38,7 +38,7 @@ pub type Reliabilities = BTreeMap<Kind, Reliability>;
 
 /// Datagrams on which soft state may be piggybacked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ride {
+pub enum Piggyback {
     /// None: it is sent at once and alone, on emulated links, which treat kinds apart.
     Never,
     /// Datagrams to the same hosts: where datagrams are addressed.
@@ -57,21 +57,21 @@ pub enum Reports {
 }
 
 /// Age of the last report from which the next one may be piggybacked.
-pub const REPORT_RIDES: Span = Span::from_millis(150);
+pub const REPORT_PIGGYBACK_AGE: Span = Span::from_millis(150);
 
-/// Setup of a link; except for `report_rides`, the same on all hosts.
+/// Setup of a link; except for `report_piggyback_age`, the same on all hosts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
     /// Reliability modes of its messages.
     pub reliability: Reliabilities,
     /// Piggybacking of soft state.
-    pub ride: Ride,
+    pub piggyback: Piggyback,
     /// Whether there are link reports.
     pub reports: Reports,
     /// Age of the last report from which the next one may be piggybacked. Zero for an operator, which is to be accepted
     /// at once: a report goes with every datagram, the first one at time zero, and a host that waits for one is
     /// answered at once.
-    pub report_rides: Span,
+    pub report_piggyback_age: Span,
     /// Rate limit of a sender; none for no limit.
     pub rate: Option<Rate>,
     /// Number of hosts in the team: those with lower numbers. None if unknown; then every number that is not an
@@ -87,23 +87,23 @@ impl Setup {
     pub fn emulated(reliability: Reliabilities) -> Setup {
         let plain = reliability.values().all(|one| *one == Reliability::BestEffort);
         let reports = if plain { Reports::Off } else { Reports::On };
-        Setup { reliability, ride: Ride::Never, reports, report_rides: REPORT_RIDES, rate: None, hosts: None }
+        Setup { reliability, piggyback: Piggyback::Never, reports, report_piggyback_age: REPORT_PIGGYBACK_AGE, rate: None, hosts: None }
     }
 
     /// Setup of a link on which every datagram reaches every host.
     pub fn multicast(reliability: Reliabilities) -> Setup {
-        let (ride, reports, report_rides) = (Ride::Any, Reports::On, REPORT_RIDES);
-        Setup { reliability, ride, reports, report_rides, rate: Some(RATE), hosts: None }
+        let (piggyback, reports, report_piggyback_age) = (Piggyback::Any, Reports::On, REPORT_PIGGYBACK_AGE);
+        Setup { reliability, piggyback, reports, report_piggyback_age, rate: Some(RATE), hosts: None }
     }
 
     /// Setup of a link on which a datagram reaches the host it is addressed to.
     pub fn unicast(reliability: Reliabilities) -> Setup {
-        Setup { ride: Ride::SameAudience, ..Setup::multicast(reliability) }
+        Setup { piggyback: Piggyback::SameAudience, ..Setup::multicast(reliability) }
     }
 
     /// Whether some datagrams are addressed to one host.
     pub fn is_addressed(&self) -> bool {
-        self.ride != Ride::Any
+        self.piggyback != Piggyback::Any
     }
 
     /// Reliability mode of a kind.

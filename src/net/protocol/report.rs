@@ -22,7 +22,7 @@ pub const NUMBERED_ENTRY_BYTES: usize = 16;
 /// Bytes of a report before its entries.
 pub const REPORT_BYTES: usize = STAMP_BYTES;
 /// Bytes of a datagram's id.
-pub const NAME_BYTES: usize = 11;
+pub const ID_BYTES: usize = 11;
 /// Longest time that an entry can hold: three bytes of microseconds.
 pub const MAX_HELD_FOR: Span = Span::from_nanos(0xff_ffff * 1000);
 /// Bit in the loss field of an entry that asks for a liveness proof.
@@ -156,7 +156,7 @@ fn number(bytes: &[u8]) -> u64 {
 
 /// Id of a datagram: in acknowledgements and in requests to retransmit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Name {
+pub struct DatagramId {
     /// The host that sent it.
     pub host: HostId,
     /// That host's incarnation.
@@ -167,40 +167,40 @@ pub struct Name {
     pub sequence: u32,
 }
 
-impl Name {
+impl DatagramId {
     /// Returns the id of the datagram with this header.
-    pub fn of(header: &Header) -> Name {
+    pub fn of(header: &Header) -> DatagramId {
         let Header { sender: host, epoch, sequence, flags, .. } = *header;
-        Name { host, epoch, direct: flags.has(Flags::DIRECT), sequence }
+        DatagramId { host, epoch, direct: flags.has(Flags::DIRECT), sequence }
     }
 }
 
 /// Most ids in one block.
-pub const MAX_NAMES: usize = 64;
+pub const MAX_IDS: usize = 64;
 
 /// Appends the bytes of some ids.
-pub fn write_names(names: &[Name], bytes: &mut Vec<u8>) {
-    for name in names {
-        bytes.extend_from_slice(&name.host.0.to_le_bytes());
-        bytes.extend_from_slice(&name.epoch.to_le_bytes());
-        bytes.push(u8::from(name.direct));
-        bytes.extend_from_slice(&name.sequence.to_le_bytes());
+pub fn write_ids(ids: &[DatagramId], bytes: &mut Vec<u8>) {
+    for id in ids {
+        bytes.extend_from_slice(&id.host.0.to_le_bytes());
+        bytes.extend_from_slice(&id.epoch.to_le_bytes());
+        bytes.push(u8::from(id.direct));
+        bytes.extend_from_slice(&id.sequence.to_le_bytes());
     }
 }
 
 /// Reads the ids of a block.
-pub fn read_names(content: Content, bytes: &[u8]) -> Result<Vec<Name>, DecodeError> {
-    let (names, []) = bytes.as_chunks::<NAME_BYTES>() else { return Err(DecodeError::Link(content)) };
-    if names.is_empty() || names.len() > MAX_NAMES || names.iter().any(|name| name[6] > 1) {
+pub fn read_ids(content: Content, bytes: &[u8]) -> Result<Vec<DatagramId>, DecodeError> {
+    let (ids, []) = bytes.as_chunks::<ID_BYTES>() else { return Err(DecodeError::Link(content)) };
+    if ids.is_empty() || ids.len() > MAX_IDS || ids.iter().any(|id| id[6] > 1) {
         return Err(DecodeError::Link(content));
     }
-    let name = |b: &[u8; NAME_BYTES]| Name {
+    let id = |b: &[u8; ID_BYTES]| DatagramId {
         host: HostId(u16::from_le_bytes([b[0], b[1]])),
         epoch: u32::from_le_bytes([b[2], b[3], b[4], b[5]]),
         direct: b[6] == 1,
         sequence: u32::from_le_bytes([b[7], b[8], b[9], b[10]]),
     };
-    Ok(names.iter().map(name).collect())
+    Ok(ids.iter().map(id).collect())
 }
 
 /// Most numbers in one block of offered datagrams.
@@ -225,8 +225,8 @@ mod tests {
 
     #[test]
     fn what_was_written_is_read_and_nothing_shorter() {
-        let name = Name { host: HostId(3), epoch: 1 << 30, direct: true, sequence: u32::MAX };
-        let (host, held) = (name.host, Span::from_millis(7));
+        let id = DatagramId { host: HostId(3), epoch: 1 << 30, direct: true, sequence: u32::MAX };
+        let (host, held) = (id.host, Span::from_millis(7));
         for (direct, size) in [(None, ENTRY_BYTES), (Some(u32::MAX), NUMBERED_ENTRY_BYTES)] {
             let entry = Entry { host, echo: Stamp::new(1 << 47), held, lost: 64, asks: true, direct };
             let report = Report { stamp: Stamp::new(77), heard: vec![entry, Entry { asks: false, ..entry }] };
@@ -236,9 +236,9 @@ mod tests {
             assert!(Report::read(content, &bytes[1..]).is_err() && Report::read(Content::Ack, &bytes).is_err());
         }
         let mut bytes = Vec::new();
-        write_names(&[name; 2], &mut bytes);
-        assert_eq!(read_names(Content::Ack, &bytes), Ok(vec![name; 2]));
-        assert!(read_names(Content::Ack, &bytes[1..]).is_err() && read_names(Content::Nack, &[]).is_err());
+        write_ids(&[id; 2], &mut bytes);
+        assert_eq!(read_ids(Content::Ack, &bytes), Ok(vec![id; 2]));
+        assert!(read_ids(Content::Ack, &bytes[1..]).is_err() && read_ids(Content::Nack, &[]).is_err());
     }
 
     #[test]

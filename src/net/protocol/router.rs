@@ -72,7 +72,7 @@ impl Publishers {
         usize::from(host.0) < self.names.len()
     }
 
-    /// Name of a host, for people.
+    /// DatagramId of a host, for people.
     pub fn name(&self, host: HostId) -> String {
         match self.names.get(usize::from(host.0)) {
             Some(name) => format!("'{name}' (host {})", host.0),

@@ -67,7 +67,7 @@ impl Endpoint for Linked {
     fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Output<Frame>>) {
         let latent = traffic::message(self.station, 0, sequence, now.since(Time::ZERO), self.features);
         self.state
-            .say(now, Audience::All, &Wire::Latent(latent), &mut self.leaving)
+            .send(now, Audience::All, &Wire::Latent(latent), &mut self.leaving)
             .expect("a checked sweep has messages that fit");
         self.leave(out);
     }

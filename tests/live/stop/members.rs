@@ -98,7 +98,7 @@ fn speak(
     let deployment = Deployment::preset("offboard", 5).expect("it is a preset");
     let group = "239.255.77.1:7700".parse().expect("an address");
     let open = multicast::way(group, "loopback", 4 << 20).open(host, Filter::All).expect("it can be opened");
-    let setup = Setup { report_rides: Span::ZERO, ..Setup::multicast(Reliabilities::new()) };
+    let setup = Setup { report_piggyback_age: Span::ZERO, ..Setup::multicast(Reliabilities::new()) };
     let mut bytes = [0; 32];
     getrandom::fill(&mut bytes).expect("there are random numbers");
     let operator = Operator {
