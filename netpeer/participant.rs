@@ -329,7 +329,7 @@ fn main() {
     let folder: PathBuf = variable("NP_DIR", PathBuf::from("."));
     sleep_until(variable("NP_START_NS", 0));
     let group = SocketAddr::from((Ipv4Addr::new(239, 192, 7, 8), 45_451));
-    let way = multicast::way(group, &variable("NP_IFACE", "lo".to_owned()), 4 << 20);
+    let way = multicast::endpoint(group, &variable("NP_IFACE", "lo".to_owned()), 4 << 20);
     let open = way.open(HostId(id), Filter::Team { number: 1, tagged: true }).unwrap_or_else(|error| panic!("{error}"));
     let (origin, zero_ns) = (Instant::now(), monotonic_ns());
     let peer = Rc::new(RefCell::new(Peer::new(id, participants, zero_ns)));
@@ -387,7 +387,7 @@ fn wire(
     });
     let reliability = Reliabilities::from([(Kind::Latent, Reliability::Repeat)]);
     let station = Station {
-        me: network::Identity { host: HostId(id), team: 1, epoch: 1 },
+        me: network::Identity { host: HostId(id), team: 1, incarnation: 1 },
         key: Some(Key::new(KEY)),
         links: vec![Some(Setup::multicast(reliability))],
         router,

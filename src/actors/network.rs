@@ -14,7 +14,7 @@ use crate::messages::wire::{Kind, Wire};
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
-use crate::net::protocol::link::{Duplicate, Guest, LinkCounts, LinkState};
+use crate::net::protocol::link::{DuplicateId, Guest, LinkCounts, LinkState};
 use crate::net::protocol::outgoing::Outbound;
 use crate::net::protocol::reliability::{Piggyback, Setup};
 use crate::net::protocol::router::{Audience, Router};
@@ -48,7 +48,7 @@ pub enum Out {
     /// To those that show it: summaries of the other hosts, on links with reports.
     Peers(Vec<Peer>),
     /// Another live host has the id of this one and was started before it. Said once.
-    Duplicate(Duplicate),
+    Duplicate(DuplicateId),
     /// To a link's transport: an operator of the team speaks from an address that is in no file.
     Admit(LinkId, Guest),
 }
@@ -116,7 +116,7 @@ impl Impostors {
 }
 
 impl Network {
-    /// A network at the start of its epoch. It draws from `stream` when to ask and when to answer.
+    /// A network at the start of its incarnation. It draws from `stream` when to ask and when to answer.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
         let shared = links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.piggyback == Piggyback::Any)).collect();
@@ -126,8 +126,8 @@ impl Network {
         let links: Vec<Option<LinkState>> =
             ids.zip(links).map(|(id, setup)| setup.map(|setup| state(id, setup))).collect();
         let due = links.iter().map(|link| link.as_ref().and_then(LinkState::due)).collect();
-        let Identity { host, team, epoch } = me;
-        let indoors = Header { flags: codec::Flags::default(), team, sender: host, epoch, sequence: 0 };
+        let Identity { host, team, incarnation } = me;
+        let indoors = Header { flags: codec::Flags::default(), team, sender: host, incarnation, sequence: 0 };
         let indoor_counts = LinkCounts::default();
         let (leaving, next_counts, duplicates) = (Vec::new(), Time::ZERO, false);
         Network {
@@ -292,7 +292,7 @@ mod tests {
             local: kind == Kind::Reading && robot == RobotId(0),
             leaves: (robot == RobotId(1)).then_some((LINK, Audience::Host(HostId(9)))),
         });
-        let me = Identity { host: HostId(host), team, epoch: 1 };
+        let me = Identity { host: HostId(host), team, incarnation: 1 };
         let links = vec![Some(Setup::emulated(Reliabilities::new()))];
         Network::new(Config { me, key: None, links, router }, Seed::of_run(1).stream("network"))
     }

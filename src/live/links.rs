@@ -8,7 +8,7 @@ use crate::deploy::team::{Post, Team};
 use crate::deploy::{Deployment, Link};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::reliability::Setup;
-use crate::net::transport::{Filter, OpenError, Place, Transport, Way};
+use crate::net::transport::{Filter, OpenError, Place, Transport, Endpoint};
 use crate::random::Seed;
 use crate::time::Span;
 
@@ -52,7 +52,7 @@ impl Fresh {
 
     /// Returns the identity of an operator of this team.
     pub fn operator_of(&self, team: u16) -> Identity {
-        Identity { host: self.operator, team, epoch: self.incarnation }
+        Identity { host: self.operator, team, incarnation: self.incarnation }
     }
 }
 
@@ -87,7 +87,7 @@ pub fn open(team: &Team, me: HostId) -> Result<Vec<Open>, LinkError> {
     let mut open = Vec::new();
     for (at, (link, place)) in team.deployment.links.iter().zip(&team.links).enumerate() {
         let Some(place) = place else { continue };
-        let transport = place.way.open(me, filter(team)).map_err(|error| failed(&link.name, error))?;
+        let transport = place.endpoint.open(me, filter(team)).map_err(|error| failed(&link.name, error))?;
         tracing::info!(link = link.name, "open");
         open.push((LinkId(u16::try_from(at).expect("links are counted in u16")), transport));
     }
@@ -104,18 +104,18 @@ fn failed(link: &str, error: OpenError) -> LinkError {
 /// Opens the link that carries `Stop` for an operator: on every interface of the team file that this machine has; if it
 /// has none of those, on all that it has. If a flag has `named` the interface, only on that one.
 pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
-    let all = || post.places.iter().map(|place| &place.way);
-    let mut ways: Vec<Arc<dyn Way>> = all().filter(|way| way.is_here()).cloned().collect();
-    if ways.is_empty() {
-        let first = &post.places[0].way;
+    let all = || post.places.iter().map(|place| &place.endpoint);
+    let mut endpoints: Vec<Arc<dyn Endpoint>> = all().filter(|endpoint| endpoint.is_available()).cloned().collect();
+    if endpoints.is_empty() {
+        let first = &post.places[0].endpoint;
         // An interface named by a flag has no substitute.
-        ways = if named { vec![Arc::clone(first)] } else { first.everywhere() };
+        endpoints = if named { vec![Arc::clone(first)] } else { first.on_all_interfaces() };
     }
     let filter = Filter::Team { number: post.number, tagged: post.key_file.is_some() };
     let mut open = Vec::new();
     let mut refused = None;
-    for way in &ways {
-        match way.open(me, filter) {
+    for endpoint in &endpoints {
+        match endpoint.open(me, filter) {
             Ok(transport) => open.push((post.link, transport)),
             Err(error) => refused = Some(error),
         }
@@ -123,7 +123,7 @@ pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<Ope
     match refused {
         Some(error) if open.is_empty() => Err(failed(&link.name, error)),
         _ if open.is_empty() => {
-            let named: Vec<&str> = all().filter_map(|way| way.interface()).collect();
+            let named: Vec<&str> = all().filter_map(|endpoint| endpoint.interface()).collect();
             let why = format!("link '{}': no interface of this machine is up; the file names {named:?}", link.name);
             Err(LinkError::NotNow(why))
         }

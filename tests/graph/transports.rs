@@ -16,7 +16,7 @@ use murmurate::net::protocol::link::{Guest, Standing};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::router::Audience;
 use murmurate::net::transport::{
-    self, Claim, Counts, Field, Filter, Given, In, OpenError, Place, Transmit, Transport, Way,
+    self, Claim, Counts, Field, Filter, LinkSettings, In, OpenError, Place, Transmit, Transport, Endpoint,
 };
 use murmurate::registry::Registry;
 use murmurate::time::Time;
@@ -85,7 +85,7 @@ fn places(name: &str) -> Vec<Place> {
 
 fn open(places: &[Place]) -> Vec<Box<dyn Transport>> {
     let hosts = (0..).map(HostId);
-    hosts.zip(places).map(|(host, place)| place.way.open(host, Filter::All).expect("it can be opened")).collect()
+    hosts.zip(places).map(|(host, place)| place.endpoint.open(host, Filter::All).expect("it can be opened")).collect()
 }
 
 fn say(transport: &mut dyn Transport, audience: Audience, frame: &[u8]) {
@@ -147,15 +147,15 @@ fn a_guest_is_heard_by_all_and_answered_once_it_is_admitted() {
         let places = places(entry.name);
         let mut hosts = open(&places);
         let operator = HostId::operator(9);
-        let guest = places[0].for_guest(HostId(0)).way;
-        assert_eq!(guest.claim(), places[1].for_guest(HostId(1)).way.claim(), "{}: it is one link", entry.name);
+        let guest = places[0].for_guest(HostId(0)).endpoint;
+        assert_eq!(guest.claim(), places[1].for_guest(HostId(1)).endpoint.claim(), "{}: it is one link", entry.name);
         let mut guest = guest.open(operator, Filter::All).expect("it can be opened");
         say(&mut *guest, Audience::All, b"hello");
         for host in &mut hosts {
             let heard = hear(&mut **host, 1);
             assert_eq!(heard.len(), 1, "{}", entry.name);
             if let Some(at) = heard[0].0 {
-                let admitted = Guest { host: operator, at, standing: Standing::Proven };
+                let admitted = Guest { host: operator, at, standing: Standing::Accepted };
                 host.handle(Time::ZERO, In::Admit(admitted));
             }
         }
@@ -200,8 +200,8 @@ const HUB: transport::Entry = transport::Entry {
     name: "hub",
     about: "a thread for each host of this process",
     fields: &[Field::new("hub", Takes::Text)],
-    read: |given: &Given| {
-        let name = given.need("hub", || "; name the hub".to_owned())?.text().to_owned();
+    read: |settings: &LinkSettings| {
+        let name = settings.need("hub", || "; name the hub".to_owned())?.text().to_owned();
         Ok(Arc::new(Hub { name }))
     },
 };
@@ -214,7 +214,7 @@ struct Hub {
     name: String,
 }
 
-impl Way for Hub {
+impl Endpoint for Hub {
     fn open(&self, host: HostId, _: Filter) -> Result<Box<dyn Transport>, OpenError> {
         let (gate, port) = edge::channel().map_err(|error| OpenError::NotNow(error.to_string()))?;
         let mut members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
@@ -225,7 +225,7 @@ impl Way for Hub {
         Ok(Box::new(Line { gate, counts: Counts::default() }))
     }
 
-    fn for_guest(&self, _: HostId) -> Arc<dyn Way> {
+    fn for_guest(&self, _: HostId) -> Arc<dyn Endpoint> {
         Arc::new(self.clone())
     }
 
@@ -233,7 +233,7 @@ impl Way for Hub {
         Setup::unicast(reliability)
     }
 
-    fn stays_here(&self) -> bool {
+    fn is_local(&self) -> bool {
         true
     }
 
@@ -241,7 +241,7 @@ impl Way for Hub {
         Claim { field: "hub", what: self.name.clone(), on: String::new() }
     }
 
-    fn among(&self, _: &[HostId]) -> Arc<dyn Way> {
+    fn restricted_to(&self, _: &[HostId]) -> Arc<dyn Endpoint> {
         Arc::new(self.clone())
     }
 }

@@ -53,7 +53,7 @@ fn talk(rig: &mut Rig, kinds: &[Kind], ms: u64, mut each: impl FnMut(&mut Rig) -
 
 /// How many pairs of hosts believe each other, by the newest that they make known.
 fn believed(rig: &Rig) -> usize {
-    rig.peers.iter().map(|peers| peers.iter().filter(|peer| peer.proven).count()).sum()
+    rig.peers.iter().map(|peers| peers.iter().filter(|peer| peer.accepted).count()).sum()
 }
 
 /// The most soft state that any host sends \[bytes/s\].

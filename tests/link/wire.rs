@@ -17,7 +17,7 @@ use murmurate::net::protocol::codec::{
 use murmurate::time::Span;
 use proptest::prelude::*;
 
-const HEADER: Header = Header { flags: Flags(Flags::DIRECT), team: 7, sender: HostId(3), epoch: 2, sequence: u32::MAX };
+const HEADER: Header = Header { flags: Flags(Flags::DIRECT), team: 7, sender: HostId(3), incarnation: 2, sequence: u32::MAX };
 
 fn send(message: &Wire) -> Frame {
     encode(&HEADER, message).expect("a sound message can be sent")
@@ -38,7 +38,7 @@ fn phase() -> impl Strategy<Value = Phase> {
 }
 
 fn round() -> impl Strategy<Value = Round> {
-    (0..=1u32 << 30, any::<u32>()).prop_map(|(epoch, episode)| Round { epoch, episode })
+    (0..=1u32 << 30, any::<u32>()).prop_map(|(incarnation, episode)| Round { epoch, episode })
 }
 
 fn latch() -> impl Strategy<Value = Latch> {

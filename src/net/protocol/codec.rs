@@ -72,7 +72,7 @@ pub struct Header {
     /// The host that sent it.
     pub sender: HostId,
     /// The sender's incarnation; a restarted host has a new one.
-    pub epoch: u32,
+    pub incarnation: u32,
     /// Number of the datagram in its sequence space: per link and incarnation, those to all hosts or those to one.
     pub sequence: u32,
 }
@@ -174,7 +174,7 @@ pub fn start(header: &Header) -> Vec<u8> {
     bytes.extend_from_slice(&[VERSION, header.flags.0]);
     bytes.extend_from_slice(&header.team.to_le_bytes());
     bytes.extend_from_slice(&header.sender.0.to_le_bytes());
-    bytes.extend_from_slice(&header.epoch.to_le_bytes());
+    bytes.extend_from_slice(&header.incarnation.to_le_bytes());
     bytes.extend_from_slice(&header.sequence.to_le_bytes());
     bytes
 }
@@ -226,9 +226,9 @@ pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
     if flags.0 & !(Flags::TAGGED | Flags::DIRECT | Flags::COPY | Flags::ACK) != 0 {
         return Err(DecodeError::Flags(flags.0));
     }
-    let (epoch, sequence) = (u32::from_le_bytes([e0, e1, e2, e3]), u32::from_le_bytes([n0, n1, n2, n3]));
+    let (incarnation, sequence) = (u32::from_le_bytes([e0, e1, e2, e3]), u32::from_le_bytes([n0, n1, n2, n3]));
     let (team, sender) = (u16::from_le_bytes([t0, t1]), HostId(u16::from_le_bytes([s0, s1])));
-    Ok(Header { flags, team, sender, epoch, sequence })
+    Ok(Header { flags, team, sender, incarnation, sequence })
 }
 
 /// Returns the blocks of a datagram without its tag, up to the first error.

@@ -50,7 +50,8 @@ counts! {
     /// Refused: the sender has not proved its liveness yet.
     unproven,
     /// Refused: from a second live host with the same id.
-    twin,
+    #[serde(rename = "twin")]
+    duplicate_id,
     /// Refused: of another team.
     team,
     /// Refused: of another version.
@@ -76,7 +77,7 @@ counts! {
 impl LinkCounts {
     /// Everything refused or dropped on arrival, whatever the cause.
     pub fn refused(&self) -> u64 {
-        let forged = self.own + self.auth + self.replay + self.unproven + self.twin + self.team + self.version;
+        let forged = self.own + self.auth + self.replay + self.unproven + self.duplicate_id + self.team + self.version;
         let late = self.duplicate + self.stale + self.late + self.rate + self.crowd + self.queue;
         forged + late + self.range + self.malformed + self.misrouted
     }

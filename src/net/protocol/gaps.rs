@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::codec::{Flags, Header};
-use super::order::LATE;
+use super::lateness::LATE;
 use super::report::DatagramId;
 use super::window::Window;
 use crate::time::{Span, Time};

@@ -10,7 +10,7 @@ use super::codec::{FLAGS_AT, Flags, HEADER_BYTES, MAX_FRAME_BYTES, TAG_BYTES};
 use crate::messages::ids::{HostId, LinkId};
 
 /// Bytes of the link and the host that a datagram is for.
-const PLACE_BYTES: usize = 4;
+const ASSOCIATED_BYTES: usize = 4;
 
 /// Secret of a team, known to all its members.
 #[derive(Clone)]
@@ -38,7 +38,7 @@ impl Key {
         // The flag is not authenticated yet; it only says which of two tags to expect.
         let to = (plain[FLAGS_AT] & Flags::DIRECT != 0).then_some(here);
         // Clearing a buffer of the longest frame's length would take longer than allocating this one.
-        let mut hashed = Vec::with_capacity(plain.len() + PLACE_BYTES);
+        let mut hashed = Vec::with_capacity(plain.len() + ASSOCIATED_BYTES);
         hashed.extend_from_slice(plain);
         let expected = self.tag(&mut hashed, link, to);
         // Hashes compare in constant time; the half that is not sent is zero in both.
@@ -48,14 +48,14 @@ impl Key {
     /// Returns the whole hash of a datagram, its link and its receiver; the buffer grows for these if needed.
     fn tag(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) -> blake3::Hash {
         let length = datagram.len();
-        datagram.extend_from_slice(&place(link, to));
+        datagram.extend_from_slice(&associated(link, to));
         let hash = blake3::keyed_hash(&self.0, datagram);
         datagram.truncate(length);
         hash
     }
 }
 
-fn place(link: LinkId, to: Option<HostId>) -> [u8; PLACE_BYTES] {
+fn associated(link: LinkId, to: Option<HostId>) -> [u8; ASSOCIATED_BYTES] {
     let ([a, b], [c, d]) = (link.0.to_le_bytes(), to.map_or(u16::MAX, |host| host.0).to_le_bytes());
     [a, b, c, d]
 }

@@ -8,14 +8,14 @@ use super::codec::TAG_BYTES;
 use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
 pub use super::counts::LinkCounts;
 use super::gaps::BACKOFF;
-use super::incoming::{Here, Incoming, Verdict};
+use super::incoming::{LocalEnd, Incoming, Verdict};
 use super::key::Key;
 use super::outgoing::{Outbound, Outgoing, REPORT_PERIOD};
 use super::reliability::{Reports, Setup};
 use super::report::{ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, DatagramId, Report, Stamps, read_held, read_ids};
 use super::router::Audience;
 use super::sender::Peer;
-pub use super::twins::Duplicate;
+pub use super::duplicate_id::DuplicateId;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Wire};
 use crate::random::Stream;
@@ -29,16 +29,16 @@ pub struct Identity {
     /// Its team.
     pub team: u16,
     /// Its incarnation: a random number drawn at each start of the host.
-    pub epoch: u32,
+    pub incarnation: u32,
 }
 
 /// State of an operator on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
     /// It has to prove its liveness, and needs the reports of this host to do so.
-    Unproven,
+    Candidate,
     /// It is accepted, and its newest datagram is new.
-    Proven,
+    Accepted,
 }
 
 /// A host whose address is in no file.
@@ -75,19 +75,19 @@ impl LinkState {
         if key.is_some() {
             setup.reports = Reports::On;
         }
-        let Identity { host, team, epoch } = me;
+        let Identity { host, team, incarnation } = me;
         let jitter = Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
         let first = if setup.report_piggyback_age == Span::ZERO { Span::ZERO } else { REPORT_PERIOD + jitter };
-        let header = Header { flags: Flags::default(), team, sender: host, epoch, sequence: 0 };
-        let guarded = key.is_some();
-        let entry_bytes = if guarded && setup.is_addressed() { NUMBERED_ENTRY_BYTES } else { ENTRY_BYTES };
+        let header = Header { flags: Flags::default(), team, sender: host, incarnation, sequence: 0 };
+        let authenticated = key.is_some();
+        let entry_bytes = if authenticated && setup.is_addressed() { NUMBERED_ENTRY_BYTES } else { ENTRY_BYTES };
         let first_guest = setup.hosts.map_or(HostId::operator(0), HostId);
-        let here = Here { host, epoch, link: id, guarded, first_guest, entry_bytes, stamps: Stamps::random(stream) };
+        let local = LocalEnd { host, incarnation, link: id, authenticated, first_guest, entry_bytes, stamps: Stamps::random(stream) };
         let mut state = LinkState {
             me,
             id,
             reports: setup.reports,
-            incoming: Incoming::new(here, setup.rate),
+            incoming: Incoming::new(local, setup.rate),
             outgoing: Outgoing::new(header, id, key.clone(), setup, first),
             key,
             counts: LinkCounts::default(),
@@ -110,7 +110,7 @@ impl LinkState {
         message: &Wire,
         out: &mut Vec<Outbound>,
     ) -> Result<Frame, EncodeError> {
-        self.incoming.twins.uptime(now);
+        self.incoming.duplicate_ids.uptime(now);
         let encoded = self.outgoing.send(now, audience, message, &mut self.incoming, &mut self.counts, out);
         self.plan();
         encoded
@@ -124,7 +124,7 @@ impl LinkState {
         stream: &mut Stream,
         out: &mut Vec<Outbound>,
     ) -> Option<(Header, &'a [u8])> {
-        self.incoming.twins.uptime(now);
+        self.incoming.duplicate_ids.uptime(now);
         let read = self.read(now, frame, stream, out);
         self.plan();
         match read {
@@ -161,72 +161,72 @@ impl LinkState {
             self.counts.team += 1;
             return Ok(None);
         }
-        if (header.sender, header.epoch) == (self.me.host, self.me.epoch) {
+        if (header.sender, header.incarnation) == (self.me.host, self.me.incarnation) {
             self.counts.own += 1;
             return Ok(None);
         }
-        let said = Said::read(plain)?;
+        let blocks = ControlBlocks::read(plain)?;
         // Operator numbers are drawn at random, and two operators may have drawn the same.
         if header.sender == self.me.host && !header.sender.is_operator() {
-            self.note_twin(now, &header, &said);
+            self.note_duplicate_id(now, &header, &blocks);
             return Ok(None);
         }
-        let verdict = self.incoming.admit(now, &header, said.report.as_ref(), &mut self.counts);
+        let verdict = self.incoming.admit(now, &header, blocks.report.as_ref(), &mut self.counts);
         match verdict {
-            Verdict::New(prompt) | Verdict::Unproven(prompt) => self.outgoing.prompt(now, prompt),
-            Verdict::Again | Verdict::Refused => {}
+            Verdict::New(urgency) | Verdict::Candidate(urgency) => self.outgoing.request_report(now, urgency),
+            Verdict::Duplicate | Verdict::Refused => {}
         }
         let standing = match verdict {
-            Verdict::New(_) => Some(Standing::Proven),
-            Verdict::Unproven(_) => Some(Standing::Unproven),
-            Verdict::Again | Verdict::Refused => None,
+            Verdict::New(_) => Some(Standing::Accepted),
+            Verdict::Candidate(_) => Some(Standing::Candidate),
+            Verdict::Duplicate | Verdict::Refused => None,
         };
         self.operator = standing.filter(|_| header.sender.is_operator()).map(|standing| (header.sender, standing));
-        if matches!(verdict, Verdict::Unproven(_) | Verdict::Refused) {
+        if matches!(verdict, Verdict::Candidate(_) | Verdict::Refused) {
             return Ok(None);
         }
         if header.flags.has(Flags::ACK) {
             self.outgoing.acknowledge(now, DatagramId::of(&header));
         }
-        if verdict == Verdict::Again {
+        if verdict == Verdict::Duplicate {
             return Ok(None);
         }
-        self.incoming.note_gaps(now, &header, &said.held, || backoff(stream));
-        if !(said.acks.is_empty() && said.asks.is_empty()) {
-            self.answer(now, header.sender, said, out);
+        self.incoming.note_gaps(now, &header, &blocks.held, || backoff(stream));
+        if !(blocks.acks.is_empty() && blocks.requests.is_empty()) {
+            self.answer(now, header.sender, blocks, out);
         }
         Ok(Some((header, plain)))
     }
 
     /// Notes a datagram of another process with the id of this host.
     #[cold]
-    fn note_twin(&mut self, now: Time, header: &Header, said: &Said) {
-        match (&self.key, &said.report) {
-            (Some(_), Some(report)) => self.incoming.rival_of_us(now, header, report, &mut self.counts),
+    fn note_duplicate_id(&mut self, now: Time, header: &Header, blocks: &ControlBlocks) {
+        match (&self.key, &blocks.report) {
+            (Some(_), Some(report)) => self.incoming.note_duplicate_id(now, header, report, &mut self.counts),
             (Some(_), None) => self.counts.unproven += 1,
-            (None, _) => self.counts.twin += 1,
+            (None, _) => self.counts.duplicate_id += 1,
         }
     }
 
     /// Handles the acknowledgements and requests of `from`.
     #[inline(never)]
-    fn answer(&mut self, now: Time, from: HostId, said: Said, out: &mut Vec<Outbound>) {
+    fn answer(&mut self, now: Time, from: HostId, blocks: ControlBlocks, out: &mut Vec<Outbound>) {
         let mine = |ids: Vec<DatagramId>| -> (Vec<DatagramId>, Vec<DatagramId>) {
-            ids.into_iter().partition(|id| (id.host, id.epoch) == (self.me.host, self.me.epoch))
+            ids.into_iter().partition(|id| (id.host, id.incarnation) == (self.me.host, self.me.incarnation))
         };
-        if !said.acks.is_empty() {
-            self.outgoing.acknowledged(now, from, &mine(said.acks).0);
+        if !blocks.acks.is_empty() {
+            self.outgoing.acknowledged(now, from, &mine(blocks.acks).0);
         }
-        if !said.asks.is_empty() {
-            let (mine, others) = mine(said.asks);
+        if !blocks.requests.is_empty() {
+            let (mine, others) = mine(blocks.requests);
             self.incoming.asked_by_others(now, &others);
             self.outgoing.requested(now, from, &mine, &mut self.counts, out);
         }
     }
 
     /// Returns the process that this one duplicates: another live host with this id that was started earlier.
-    pub fn duplicate(&self) -> Option<Duplicate> {
-        self.incoming.twins.duplicate()
+    pub fn duplicate(&self) -> Option<DuplicateId> {
+        self.incoming.duplicate_ids.duplicate()
     }
 
     /// Whether a decoded message about `robot` is the newest of its stream.
@@ -273,7 +273,7 @@ impl LinkState {
 
     /// Performs the actions that are due.
     pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Outbound>) {
-        self.incoming.twins.uptime(now);
+        self.incoming.duplicate_ids.uptime(now);
         self.outgoing.wake(now, &mut self.incoming, &mut self.counts, out);
         if self.incoming.gaps.due().is_some_and(|due| due <= now) {
             let ids = self.incoming.gaps.ask(now, MAX_IDS, || backoff(stream));
@@ -287,29 +287,29 @@ impl LinkState {
 
 /// Control blocks of a datagram.
 #[derive(Default)]
-struct Said {
+struct ControlBlocks {
     report: Option<Report>,
     held: Vec<u32>,
     acks: Vec<DatagramId>,
-    asks: Vec<DatagramId>,
+    requests: Vec<DatagramId>,
 }
 
-impl Said {
-    fn read(plain: &[u8]) -> Result<Said, DecodeError> {
-        let (mut said, mut empty) = (Said::default(), true);
+impl ControlBlocks {
+    fn read(plain: &[u8]) -> Result<ControlBlocks, DecodeError> {
+        let (mut blocks, mut empty) = (ControlBlocks::default(), true);
         for block in codec::blocks(plain) {
             empty = false;
             match block? {
                 (Content::Message(_), _) => {}
                 (content @ (Content::Report | Content::NumberedReport), body) => {
-                    said.report = Some(Report::read(content, body)?);
+                    blocks.report = Some(Report::read(content, body)?);
                 }
-                (Content::Held, body) => said.held.extend(read_held(body)?),
-                (content @ Content::Ack, body) => said.acks.extend(read_ids(content, body)?),
-                (content @ Content::Nack, body) => said.asks.extend(read_ids(content, body)?),
+                (Content::Held, body) => blocks.held.extend(read_held(body)?),
+                (content @ Content::Ack, body) => blocks.acks.extend(read_ids(content, body)?),
+                (content @ Content::Nack, body) => blocks.requests.extend(read_ids(content, body)?),
             }
         }
-        if empty { Err(DecodeError::Blocks) } else { Ok(said) }
+        if empty { Err(DecodeError::Blocks) } else { Ok(blocks) }
     }
 }
 

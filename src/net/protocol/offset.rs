@@ -75,7 +75,7 @@ mod tests {
         for (start, back) in [(1_000_000, 600), (2_000_000, 100)] {
             let theirs = there.of(at_us(start + 200 + 5000));
             let (host, held, echo) = (HostId(0), Span::from_millis(5), here.of(at_us(start)));
-            let entry = Entry { host, echo, held, lost: 0, asks: false, direct: None };
+            let entry = Entry { host, echo, held, lost: 0, challenge: false, direct: None };
             let now = at_us(start + 5200 + back);
             offsets.measure(now, here.of(now), theirs, &entry);
         }

@@ -9,12 +9,12 @@ use super::codec::TAG_BYTES;
 use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Frame, HEADER_BYTES, Header};
 use super::codec::{MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
-use super::incoming::{Incoming, Prompt};
+use super::incoming::{Incoming, Urgency};
 use super::key::Key;
 use super::reliability::{Reliability, Reports, Piggyback, Setup};
 use super::report::{MAX_IDS, ID_BYTES, DatagramId, write_held, write_ids};
 use super::router::Audience;
-use super::telling::Occasion;
+use super::report_schedule::Occasion;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
@@ -291,13 +291,13 @@ impl Outgoing {
     }
 
     /// Makes a report pending, for which another host waits to prove its liveness or to accept this host.
-    pub fn prompt(&mut self, now: Time, prompt: Prompt) {
-        if prompt == Prompt::No || self.setup.reports == Reports::Off {
+    pub fn request_report(&mut self, now: Time, urgency: Urgency) {
+        if urgency == Urgency::Regular || self.setup.reports == Reports::Off {
             return;
         }
         self.report_pending = true;
         let eager = self.setup.report_piggyback_age == Span::ZERO;
-        if eager || prompt == Prompt::Now {
+        if eager || urgency == Urgency::Immediate {
             let period = if eager { EAGER_PERIOD } else { URGENT_PERIOD };
             let due = self.urgent_sent.map_or(now, |sent| now.max(sent + period));
             self.urgent_due = Some(self.urgent_due.map_or(due, |before| before.min(due)));

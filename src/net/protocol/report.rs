@@ -26,7 +26,7 @@ pub const ID_BYTES: usize = 11;
 /// Longest time that an entry can hold: three bytes of microseconds.
 pub const MAX_HELD_FOR: Span = Span::from_nanos(0xff_ffff * 1000);
 /// Bit in the loss field of an entry that asks for a liveness proof.
-const ASKS: u8 = 0x80;
+const CHALLENGE: u8 = 0x80;
 
 /// Timestamp in a report \[us\], on the clock of its sender, which starts at a random value. Differences are taken
 /// modulo 2^48.
@@ -86,7 +86,7 @@ pub struct Entry {
     /// Number of its newest 64 datagrams that were lost.
     pub lost: u8,
     /// Whether the sender asks this host for a liveness proof.
-    pub asks: bool,
+    pub challenge: bool,
     /// Number of the next datagram to this host alone, on links with unicast datagrams.
     pub direct: Option<u32>,
 }
@@ -115,7 +115,7 @@ impl Report {
             bytes.extend_from_slice(&entry.echo.0.to_le_bytes()[..STAMP_BYTES]);
             let held = entry.held.min(MAX_HELD_FOR).as_nanos() / 1000;
             bytes.extend_from_slice(&held.to_le_bytes()[..3]);
-            bytes.push(entry.lost & !ASKS | if entry.asks { ASKS } else { 0 });
+            bytes.push(entry.lost & !CHALLENGE | if entry.challenge { CHALLENGE } else { 0 });
             if numbered {
                 bytes.extend_from_slice(&entry.direct.unwrap_or_default().to_le_bytes());
             }
@@ -130,8 +130,8 @@ impl Report {
             host: HostId(u16::from_le_bytes([b[0], b[1]])),
             echo: Stamp(number(&b[2..8])),
             held: Span::from_nanos(number(&b[8..11]) * 1000),
-            lost: b[11] & !ASKS,
-            asks: b[11] & ASKS != 0,
+            lost: b[11] & !CHALLENGE,
+            challenge: b[11] & CHALLENGE != 0,
             direct,
         };
         let heard = match content {
@@ -160,7 +160,7 @@ pub struct DatagramId {
     /// The host that sent it.
     pub host: HostId,
     /// That host's incarnation.
-    pub epoch: u32,
+    pub incarnation: u32,
     /// Whether it is numbered in the sequence space of one receiver.
     pub direct: bool,
     /// Its number.
@@ -170,8 +170,8 @@ pub struct DatagramId {
 impl DatagramId {
     /// Returns the id of the datagram with this header.
     pub fn of(header: &Header) -> DatagramId {
-        let Header { sender: host, epoch, sequence, flags, .. } = *header;
-        DatagramId { host, epoch, direct: flags.has(Flags::DIRECT), sequence }
+        let Header { sender: host, incarnation, sequence, flags, .. } = *header;
+        DatagramId { host, incarnation, direct: flags.has(Flags::DIRECT), sequence }
     }
 }
 
@@ -182,7 +182,7 @@ pub const MAX_IDS: usize = 64;
 pub fn write_ids(ids: &[DatagramId], bytes: &mut Vec<u8>) {
     for id in ids {
         bytes.extend_from_slice(&id.host.0.to_le_bytes());
-        bytes.extend_from_slice(&id.epoch.to_le_bytes());
+        bytes.extend_from_slice(&id.incarnation.to_le_bytes());
         bytes.push(u8::from(id.direct));
         bytes.extend_from_slice(&id.sequence.to_le_bytes());
     }
@@ -196,7 +196,7 @@ pub fn read_ids(content: Content, bytes: &[u8]) -> Result<Vec<DatagramId>, Decod
     }
     let id = |b: &[u8; ID_BYTES]| DatagramId {
         host: HostId(u16::from_le_bytes([b[0], b[1]])),
-        epoch: u32::from_le_bytes([b[2], b[3], b[4], b[5]]),
+        incarnation: u32::from_le_bytes([b[2], b[3], b[4], b[5]]),
         direct: b[6] == 1,
         sequence: u32::from_le_bytes([b[7], b[8], b[9], b[10]]),
     };
@@ -225,11 +225,11 @@ mod tests {
 
     #[test]
     fn what_was_written_is_read_and_nothing_shorter() {
-        let id = DatagramId { host: HostId(3), epoch: 1 << 30, direct: true, sequence: u32::MAX };
+        let id = DatagramId { host: HostId(3), incarnation: 1 << 30, direct: true, sequence: u32::MAX };
         let (host, held) = (id.host, Span::from_millis(7));
         for (direct, size) in [(None, ENTRY_BYTES), (Some(u32::MAX), NUMBERED_ENTRY_BYTES)] {
-            let entry = Entry { host, echo: Stamp::new(1 << 47), held, lost: 64, asks: true, direct };
-            let report = Report { stamp: Stamp::new(77), heard: vec![entry, Entry { asks: false, ..entry }] };
+            let entry = Entry { host, echo: Stamp::new(1 << 47), held, lost: 64, challenge: true, direct };
+            let report = Report { stamp: Stamp::new(77), heard: vec![entry, Entry { challenge: false, ..entry }] };
             let (content, mut bytes) = (report.content(), Vec::new());
             report.write(&mut bytes);
             assert_eq!((bytes.len(), Report::read(content, &bytes)), (REPORT_BYTES + 2 * size, Ok(report)));

@@ -133,7 +133,7 @@ impl Retransmitter {
         }
     }
 
-    /// Returns the stream of the datagram that `from` ids: numbers count datagrams to all hosts, or to `from` alone.
+    /// Returns the stream of the datagram that `from` names: numbers count datagrams to all hosts, or to `from` alone.
     fn find(&self, from: HostId, id: &DatagramId, reliability: Reliability) -> Option<StreamId> {
         let audience = if id.direct { Audience::Host(from) } else { Audience::All };
         let named = |kept: &Kept| kept.sequence == id.sequence && kept.audience == audience;

@@ -55,13 +55,13 @@ impl Publishers {
             Wire::Status(status) => status.host == sender && self.knows(sender),
             Wire::Observe(observe) => observe.by == sender && sender.is_operator(),
             Wire::Telemetry(telemetry) => {
-                telemetry.host == sender && telemetry.robots.iter().all(|told| self.owns(sender, told))
+                telemetry.host == sender && telemetry.robots.iter().all(|told| self.may_report(sender, told))
             }
         }
     }
 
     /// Whether this host may publish this condition of a robot.
-    fn owns(&self, host: HostId, told: &Condition) -> bool {
+    fn may_report(&self, host: HostId, told: &Condition) -> bool {
         let of = |hosts: &[HostId]| hosts.get(told.robot.index()) == Some(&host);
         let decided = told.phase.is_none() && told.seen.is_none() || of(&self.agents);
         let moved = told.health.is_none() && told.battery.is_none() || of(&self.actuators);
@@ -72,7 +72,7 @@ impl Publishers {
         usize::from(host.0) < self.names.len()
     }
 
-    /// DatagramId of a host, for people.
+    /// Name of a host, for people.
     pub fn name(&self, host: HostId) -> String {
         match self.names.get(usize::from(host.0)) {
             Some(name) => format!("'{name}' (host {})", host.0),

@@ -10,7 +10,7 @@ use super::bucket::{Bucket, Rate};
 use super::candidates::Candidate;
 use super::limits::{LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE};
 use super::offset::Offsets;
-use super::order::Order;
+use super::lateness::Lateness;
 use super::report::Stamp;
 use super::window::{LOSS_SPAN, Window};
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -20,13 +20,13 @@ use crate::time::{Span, Time};
 /// Weight of a new interarrival time in the mean (as RFC 3550, section 6.4.1, weighs jitter).
 const WEIGHT: f64 = 1.0 / 16.0;
 /// Time for which a report of loss causes repeats: in a team of 200 the next report of the same host may take so long.
-const ASKS_FOR: Span = Span::from_millis(4000);
+const REPEATS_FOR: Span = Span::from_millis(4000);
 /// Time for which repeats go on after a report without loss.
 const STOPS_AFTER: Span = Span::from_millis(2000);
 
 /// Sequence space of a sender: its datagrams to all hosts, or those to this host.
 #[derive(Clone, Debug, Default)]
-pub struct Lane {
+pub struct SequenceSpace {
     /// Replay window.
     pub window: Window,
     /// The newest sequence number of each stream: a kind about a robot.
@@ -43,9 +43,9 @@ pub struct Sender {
     /// When its last report was admitted.
     pub reported: Time,
     /// Its datagrams to all hosts and, second, to this host.
-    pub lanes: [Lane; 2],
+    pub spaces: [SequenceSpace; 2],
     /// Detection of its late datagrams.
-    pub order: Order,
+    pub lateness: Lateness,
     /// Rate limit of its datagrams.
     pub bucket: Bucket,
     /// Its newest stamp, and the time of arrival.
@@ -55,17 +55,17 @@ pub struct Sender {
     /// Time at which a report of this host last listed it.
     pub listed: Option<Time>,
     /// Its loss as stated in that report.
-    pub told: u8,
+    pub loss_sent: u8,
     /// Whether it has asked for a proof that this host is alive.
-    pub wants: bool,
+    pub challenged: bool,
     /// How many of this host's newest 64 datagrams it has lost, by its own report.
-    pub told_lost: u8,
+    pub reported_lost: u8,
     /// Times until which that causes a repeat, and a second one.
-    pub asks: [Time; 2],
+    pub repeat_until: [Time; 2],
     /// Incarnation that it has replaced.
-    pub former: Option<u32>,
+    pub predecessor: Option<u32>,
     /// Number of datagrams of a second live host with this id.
-    pub twins: u64,
+    pub duplicate_ids: u64,
     heard: Option<Time>,
     spacing_s: f64,
     jitter_s: f64,
@@ -78,18 +78,18 @@ impl Sender {
             since: now,
             proved: now,
             reported: now,
-            lanes: [Lane::default(), Lane::default()],
-            order: Order::default(),
+            spaces: [SequenceSpace::default(), SequenceSpace::default()],
+            lateness: Lateness::default(),
             bucket: Bucket::full(now, rate.unwrap_or(&super::reliability::RATE)),
             stamp: None,
             offsets: Offsets::default(),
             listed: None,
-            told: 0,
-            wants: false,
-            told_lost: 0,
-            asks: [Time::ZERO; 2],
-            former: None,
-            twins: 0,
+            loss_sent: 0,
+            challenged: false,
+            reported_lost: 0,
+            repeat_until: [Time::ZERO; 2],
+            predecessor: None,
+            duplicate_ids: 0,
             heard: None,
             spacing_s: 0.0,
             jitter_s: 0.0,
@@ -105,10 +105,10 @@ impl Sender {
     }
 
     /// Notes its report that so many of this host's newest 64 datagrams were lost.
-    pub fn told_of_loss(&mut self, now: Time, lost: u8) {
-        self.told_lost = lost.min(LOSS_SPAN as u8);
-        for (asks, bar) in self.asks.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
-            *asks = if lost >= bar { now + ASKS_FOR } else { (*asks).min(now + STOPS_AFTER) };
+    pub fn note_reported_loss(&mut self, now: Time, lost: u8) {
+        self.reported_lost = lost.min(LOSS_SPAN as u8);
+        for (until, bar) in self.repeat_until.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
+            *until = if lost >= bar { now + REPEATS_FOR } else { (*until).min(now + STOPS_AFTER) };
         }
     }
 
@@ -131,32 +131,32 @@ impl Sender {
 
     /// Number of its newest 64 datagrams that were lost.
     pub fn lost(&self) -> u8 {
-        self.lanes.iter().map(|lane| lane.window.lost()).max().unwrap_or(0)
+        self.spaces.iter().map(|space| space.window.lost()).max().unwrap_or(0)
     }
 
-    /// Returns its summary; `proven` says whether it is accepted now.
-    pub fn peer(&self, now: Time, link: LinkId, (host, epoch): (HostId, u32), proven: bool) -> Peer {
+    /// Returns its summary; `accepted` says whether it is accepted now.
+    pub fn peer(&self, now: Time, link: LinkId, (host, incarnation): (HostId, u32), accepted: bool) -> Peer {
         let (passed, missing) = self
-            .lanes
+            .spaces
             .iter()
-            .map(|lane| lane.window.missing())
-            .fold((0, 0), |sum, lane| (sum.0 + lane.0, sum.1 + lane.1));
+            .map(|space| space.window.missing())
+            .fold((0, 0), |sum, space| (sum.0 + space.0, sum.1 + space.1));
         let offset = self.offsets.estimate(now);
         Peer {
             link: link.0,
             host: host.0,
-            epoch,
-            proven,
+            incarnation,
+            accepted,
             age_s: self.age(now).map(Span::as_secs),
             spacing_s: self.spacing_s,
             jitter_s: self.jitter_s,
             loss: f64::from(self.lost()) / f64::from(LOSS_SPAN),
             passed,
             missing,
-            told_loss: f64::from(self.told_lost) / f64::from(LOSS_SPAN),
+            reported_loss: f64::from(self.reported_lost) / f64::from(LOSS_SPAN),
             uncertainty_s: offset.map(|offset| offset.uncertainty_s),
             round_trip_s: offset.map(|offset| offset.round_trip_s),
-            twins: self.twins,
+            duplicate_ids: self.duplicate_ids,
         }
     }
 }
@@ -164,7 +164,7 @@ impl Sender {
 impl Peer {
     /// Returns the summary of an incarnation that has not proved its liveness yet.
     pub fn candidate(now: Time, link: LinkId, host: HostId, candidate: &Candidate) -> Peer {
-        let unknown = Sender::new(now, None).peer(now, link, (host, candidate.epoch), false);
+        let unknown = Sender::new(now, None).peer(now, link, (host, candidate.incarnation), false);
         Peer { age_s: Some(now.since(candidate.at).as_secs()), ..unknown }
     }
 }
@@ -177,9 +177,11 @@ pub struct Peer {
     /// The other host.
     pub host: u16,
     /// Its incarnation.
-    pub epoch: u32,
+    #[serde(rename = "epoch")]
+    pub incarnation: u32,
     /// Whether it has proved its liveness; otherwise nothing from it is accepted.
-    pub proven: bool,
+    #[serde(rename = "proven")]
+    pub accepted: bool,
     /// Time since its last datagram \[s\].
     pub age_s: Option<f64>,
     /// Mean interarrival time \[s\].
@@ -193,11 +195,13 @@ pub struct Peer {
     /// Number of those that never arrived, not even as a retransmission.
     pub missing: u64,
     /// Share of this host's newest 64 datagrams that it has lost, by its own report.
-    pub told_loss: f64,
+    #[serde(rename = "told_loss")]
+    pub reported_loss: f64,
     /// Error bound of the one-way delay from it \[s\]: half of the round trip, and drift since it was measured.
     pub uncertainty_s: Option<f64>,
     /// Round trip \[s\]; half of it approximates the latency of the link.
     pub round_trip_s: Option<f64>,
     /// Number of datagrams from a second live host with its id.
-    pub twins: u64,
+    #[serde(rename = "twins")]
+    pub duplicate_ids: u64,
 }

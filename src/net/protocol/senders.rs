@@ -19,18 +19,18 @@ pub const MAX_GUESTS: usize = 128;
 const FORGET: Span = Span::from_millis(20_000);
 
 /// A sender: a host and its incarnation.
-pub type Id = (HostId, u32);
+pub type SenderId = (HostId, u32);
 
 /// All accepted senders, by host and incarnation.
 #[derive(Clone, Debug)]
 pub struct Senders {
-    all: BTreeMap<Id, Sender>,
+    all: BTreeMap<SenderId, Sender>,
     first_guest: HostId,
     forgot: Time,
 }
 
 /// Range of all incarnations of the hosts from one to another.
-fn ids(from: HostId, to: HostId) -> RangeInclusive<Id> {
+fn ids(from: HostId, to: HostId) -> RangeInclusive<SenderId> {
     (from, 0)..=(to, u32::MAX)
 }
 
@@ -41,22 +41,22 @@ impl Senders {
     }
 
     /// Returns one sender.
-    pub fn get(&self, id: Id) -> Option<&Sender> {
+    pub fn get(&self, id: SenderId) -> Option<&Sender> {
         self.all.get(&id)
     }
 
     /// Returns one sender, mutable.
-    pub fn get_mut(&mut self, id: Id) -> Option<&mut Sender> {
+    pub fn get_mut(&mut self, id: SenderId) -> Option<&mut Sender> {
         self.all.get_mut(&id)
     }
 
     /// Returns all senders, mutable.
-    pub fn iter_mut(&mut self) -> IterMut<'_, Id, Sender> {
+    pub fn iter_mut(&mut self) -> IterMut<'_, SenderId, Sender> {
         self.all.iter_mut()
     }
 
     /// Returns all senders, in order.
-    pub fn iter(&self) -> impl Iterator<Item = (Id, &Sender)> {
+    pub fn iter(&self) -> impl Iterator<Item = (SenderId, &Sender)> {
         self.all.iter().map(|(id, sender)| (*id, sender))
     }
 
@@ -66,18 +66,18 @@ impl Senders {
     }
 
     /// Returns the accepted incarnation of this host, if it is another one. Incarnations of an operator do not compete.
-    pub fn rival(&self, (host, epoch): Id) -> Option<Id> {
+    pub fn other_incarnation(&self, (host, incarnation): SenderId) -> Option<SenderId> {
         let mut all = self.all.range(ids(host, host)).map(|(id, _)| *id);
-        all.find(|id| id.1 != epoch).filter(|_| !host.is_operator())
+        all.find(|id| id.1 != incarnation).filter(|_| !host.is_operator())
     }
 
     /// Adds a sender.
-    pub fn insert(&mut self, id: Id, sender: Sender) {
+    pub fn insert(&mut self, id: SenderId, sender: Sender) {
         self.all.insert(id, sender);
     }
 
     /// Removes a sender.
-    pub fn remove(&mut self, id: Id) {
+    pub fn remove(&mut self, id: SenderId) {
         self.all.remove(&id);
     }
 
@@ -89,7 +89,7 @@ impl Senders {
         let count = self.all.range(guests()).count();
         if host >= self.first_guest {
             let silent =
-                |(_, sender): &(&Id, &Sender)| (sender.age(now).unwrap_or(Span::ZERO), now.since(sender.since));
+                |(_, sender): &(&SenderId, &Sender)| (sender.age(now).unwrap_or(Span::ZERO), now.since(sender.since));
             let leaves = self.all.range(guests()).max_by_key(silent).map(|(id, _)| *id);
             if let Some(id) = leaves.filter(|_| count >= MAX_GUESTS) {
                 self.remove(id);
@@ -109,7 +109,7 @@ impl Senders {
 
     /// Returns the number of repeats of a message to these hosts, by their reported loss.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
-        let asked = |sender: &Sender| sender.asks.iter().filter(|until| **until > now).count() as u8;
+        let asked = |sender: &Sender| sender.repeat_until.iter().filter(|until| **until > now).count() as u8;
         let asking = match audience {
             Audience::Host(host) => ids(host, host),
             Audience::All => ids(HostId(0), HostId(u16::MAX)),
@@ -126,7 +126,7 @@ mod tests {
         Time::ZERO + Span::from_millis(ms)
     }
 
-    fn take_up(senders: &mut Senders, ms: u64, id: Id) -> bool {
+    fn take_up(senders: &mut Senders, ms: u64, id: SenderId) -> bool {
         let room = senders.make_room(at(ms), id.0);
         if room {
             let mut sender = Sender::new(at(ms), None);

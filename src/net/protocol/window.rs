@@ -8,7 +8,7 @@ pub const LOSS_SPAN: u32 = 64;
 
 /// Position of a datagram in the window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum Position {
     /// It has not arrived before.
     New,
     /// It has arrived before.
@@ -27,7 +27,7 @@ pub struct Window {
     originals: u64,
     /// How many numbers have passed, and how many of those arrived.
     passed: u64,
-    here: u64,
+    arrived: u64,
 }
 
 impl Window {
@@ -39,33 +39,33 @@ impl Window {
     }
 
     /// Records a datagram; `copy` says that it is a retransmission.
-    pub fn place(&mut self, sequence: u32, copy: bool) -> Place {
+    pub fn record(&mut self, sequence: u32, copy: bool) -> Position {
         let Some(newest) = self.newest else {
             *self = Window::starting(sequence);
-            return self.place(sequence, copy);
+            return self.record(sequence, copy);
         };
         // Serial number arithmetic (RFC 1982): half of the numbers are ahead, half behind.
         let ahead = sequence.wrapping_sub(newest);
-        let place = if ahead != 0 && ahead <= u32::MAX / 2 {
+        let position = if ahead != 0 && ahead <= u32::MAX / 2 {
             self.advance(newest, ahead);
-            Place::New
+            Position::New
         } else {
             let behind = newest.wrapping_sub(sequence);
             if behind >= WINDOW {
-                return Place::Behind;
+                return Position::Behind;
             }
             if self.has(sequence) {
                 // The first transmission was overtaken by its retransmission, not lost.
                 self.mark_original(behind, copy);
-                return Place::Seen;
+                return Position::Seen;
             }
-            Place::New
+            Position::New
         };
         let newest = self.newest.expect("there is one by now");
         self.seen[word(sequence)] |= bit(sequence);
         self.mark_original(newest.wrapping_sub(sequence), copy);
-        self.here += 1;
-        place
+        self.arrived += 1;
+        position
     }
 
     fn mark_original(&mut self, behind: u32, copy: bool) {
@@ -105,7 +105,7 @@ impl Window {
 
     /// Number of datagrams that have passed, and number of those that never arrived, not even as a retransmission.
     pub fn missing(&self) -> (u64, u64) {
-        (self.passed, self.passed.saturating_sub(self.here))
+        (self.passed, self.passed.saturating_sub(self.arrived))
     }
 }
 
@@ -124,25 +124,25 @@ mod tests {
     #[test]
     fn each_is_new_once_in_whatever_order_and_across_a_wrap() {
         let mut window = Window::default();
-        assert_eq!(window.place(u32::MAX - 1, false), Place::New);
-        assert_eq!(window.place(1, false), Place::New);
-        assert_eq!(window.place(u32::MAX, false), Place::New);
-        assert_eq!(window.place(u32::MAX, false), Place::Seen);
+        assert_eq!(window.record(u32::MAX - 1, false), Position::New);
+        assert_eq!(window.record(1, false), Position::New);
+        assert_eq!(window.record(u32::MAX, false), Position::New);
+        assert_eq!(window.record(u32::MAX, false), Position::Seen);
         assert_eq!(window.lost(), 1);
-        assert_eq!(window.place(0, true), Place::New);
+        assert_eq!(window.record(0, true), Position::New);
         assert_eq!((window.lost(), window.missing()), (1, (4, 0)), "a copy repairs and the loss remains known");
-        assert_eq!(window.place(0, false), Place::Seen);
+        assert_eq!(window.record(0, false), Position::Seen);
         assert_eq!(window.lost(), 0, "it was late, not lost");
-        assert_eq!(window.place(1 + WINDOW, false), Place::New);
-        assert_eq!(window.place(1, false), Place::Behind);
-        assert_eq!(window.place(2, false), Place::New);
+        assert_eq!(window.record(1 + WINDOW, false), Position::New);
+        assert_eq!(window.record(1, false), Position::Behind);
+        assert_eq!(window.record(2, false), Position::New);
     }
 
     #[test]
     fn a_window_that_begins_somewhere_takes_nothing_from_before() {
         let mut window = Window::starting(500);
-        assert_eq!(window.place(499, false), Place::Seen);
-        assert_eq!(window.place(500, false), Place::New);
+        assert_eq!(window.record(499, false), Position::Seen);
+        assert_eq!(window.record(500, false), Position::New);
         assert_eq!(window.missing(), (1, 0));
     }
 }

@@ -7,10 +7,10 @@
 pub mod interface;
 pub mod settings;
 pub mod udp;
-mod way;
+mod endpoint;
 
-pub use settings::{Field, Given};
-pub use way::{Claim, Filter, Finding, Fitness, OpenError, Place, Way};
+pub use settings::{Field, LinkSettings};
+pub use endpoint::{Claim, Filter, Finding, Fitness, OpenError, Place, Endpoint};
 
 use std::net::SocketAddr;
 use std::os::fd::AsFd;
@@ -37,7 +37,7 @@ pub trait Transport {
     fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8]));
 
     /// Time until which `receive` is not to be called, because frames arrive too fast for a wake-up each.
-    fn rests_until(&self) -> Option<Time> {
+    fn paused_until(&self) -> Option<Time> {
         None
     }
 
@@ -68,7 +68,7 @@ pub struct Entry {
     /// Fields of a link that belong to this transport, beside `transport` and `reliability`.
     pub fields: &'static [Field],
     /// Reads the endpoint of one host on a link; an error names the field.
-    pub read: fn(&Given) -> Result<Arc<dyn Way>, ConfigError>,
+    pub read: fn(&LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError>,
 }
 
 /// All transports.

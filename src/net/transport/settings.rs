@@ -33,7 +33,7 @@ impl Field {
 
 /// A value, and the name of its field for errors: with the line, the flag or the variable that set it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Said {
+pub struct FieldValue {
     /// The value.
     pub value: Value,
     /// Name of its field for errors.
@@ -42,7 +42,7 @@ pub struct Said {
 
 /// Settings of one link for one host of the team.
 #[derive(Clone, Debug)]
-pub struct Given<'a> {
+pub struct LinkSettings<'a> {
     /// The link's name.
     pub link: &'a str,
     /// The host.
@@ -51,13 +51,13 @@ pub struct Given<'a> {
     pub hosts: Vec<&'a str>,
     /// Values of the transport's fields; those of a table by host as `peers.robot-0`. Fields that are not set and have
     /// no default are left out.
-    pub values: BTreeMap<String, Said>,
+    pub values: BTreeMap<String, FieldValue>,
 }
 
-impl Given<'_> {
+impl LinkSettings<'_> {
     /// Returns the value of a field, if it has one.
     pub fn find(&self, field: &str) -> Option<&Value> {
-        self.values.get(field).map(|said| &said.value)
+        self.values.get(field).map(|field| &field.value)
     }
 
     /// Returns the value of a required field; the error says that it is missing, and `advice`.
@@ -67,7 +67,7 @@ impl Given<'_> {
 
     /// Returns an error about a field.
     pub fn wrong(&self, field: &str, why: impl Into<String>) -> ConfigError {
-        let place = self.values.get(field).map(|said| said.place.clone());
+        let place = self.values.get(field).map(|field| field.place.clone());
         ConfigError::field(place.unwrap_or_else(|| format!("link.{}.{field}", self.link)), why)
     }
 

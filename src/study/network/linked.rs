@@ -45,7 +45,7 @@ impl Linked {
     /// Returns a station of a team with a key.
     pub fn new(station: u16, setup: Setup, features: usize, seed: &Seed) -> Linked {
         let mut stream = seed.stream(&format!("link/{station}"));
-        let me = Identity { host: HostId(station), team: 1, epoch: 1 };
+        let me = Identity { host: HostId(station), team: 1, incarnation: 1 };
         let state = LinkState::new(me, LINK, Some(Key::new(KEY)), setup, &mut stream);
         Linked { station, features, state, stream, leaving: Vec::new() }
     }

@@ -97,12 +97,12 @@ fn speak(
 ) {
     let deployment = Deployment::preset("offboard", 5).expect("it is a preset");
     let group = "239.255.77.1:7700".parse().expect("an address");
-    let open = multicast::way(group, "loopback", 4 << 20).open(host, Filter::All).expect("it can be opened");
+    let open = multicast::endpoint(group, "loopback", 4 << 20).open(host, Filter::All).expect("it can be opened");
     let setup = Setup { report_piggyback_age: Span::ZERO, ..Setup::multicast(Reliabilities::new()) };
     let mut bytes = [0; 32];
     getrandom::fill(&mut bytes).expect("there are random numbers");
     let operator = Operator {
-        me: Identity { host, team: TEAM, epoch: u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) },
+        me: Identity { host, team: TEAM, incarnation: u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) },
         seed: Seed::of_bytes(bytes),
         robots: deployment.robots,
         publishers: Routes::of(&deployment).publishers(),
@@ -265,7 +265,7 @@ fn refusals(team: &Running) -> u64 {
     team.crew.until("all hosts tell their counts", |heard| {
         if let Said::Event(HostEvent::Counted(counted)) = &heard.said {
             let links = &counted.links;
-            by_host.insert(heard.host.clone(), links.twin + links.crowd + links.replay + links.rate);
+            by_host.insert(heard.host.clone(), links.duplicate_id + links.crowd + links.replay + links.rate);
         }
         (by_host.len() == 6).then_some(())
     });

@@ -5,7 +5,7 @@ use crate::time::{Span, Time};
 
 /// Time for which another process of this machine counts as present after a datagram from it. With a key each sends at
 /// least four times a second.
-const STAYS: Span = Span::from_millis(1000);
+const PRESENT: Span = Span::from_millis(1000);
 /// Interval at which a datagram is looped in any case, so that a process that has just started receives one. Two
 /// processes that receive each other's datagrams keep the loop on.
 const PROBE: Span = Span::from_millis(1000);
@@ -42,7 +42,7 @@ impl Loopback {
         }
         // A process that has just started has not been answered yet.
         let heard = *self.heard.get_or_insert(now);
-        let on = probe || now.since(heard) < STAYS;
+        let on = probe || now.since(heard) < PRESENT;
         (std::mem::replace(&mut self.on, on) != on).then_some(on)
     }
 }

@@ -71,7 +71,7 @@ fn first_v4(interface: &Interface) -> Ipv4Addr {
 }
 
 /// Opens a socket that receives datagrams to `address`: a group, or an address of this host.
-pub(super) fn listener(address: SocketAddr, interface: &Interface, buffer_bytes: usize) -> io::Result<Socket> {
+pub(super) fn receiving_socket(address: SocketAddr, interface: &Interface, buffer_bytes: usize) -> io::Result<Socket> {
     let socket = socket(address)?;
     pin(&socket, interface)?;
     socket.set_recv_buffer_size(buffer_bytes)?;
@@ -98,7 +98,7 @@ pub(super) fn listener(address: SocketAddr, interface: &Interface, buffer_bytes:
 
 /// Opens a socket that sends to the group. Connected, so that the kernel looks up the route once and not for each
 /// datagram.
-pub(super) fn speaker(group: SocketAddr, interface: &Interface) -> io::Result<UdpSocket> {
+pub(super) fn sending_socket(group: SocketAddr, interface: &Interface) -> io::Result<UdpSocket> {
     let socket = socket(group)?;
     pin(&socket, interface)?;
     match group {
@@ -124,7 +124,7 @@ pub(super) fn speaker(group: SocketAddr, interface: &Interface) -> io::Result<Ud
 
 /// Opens a socket that sends and receives, at a port that the kernel chooses, on any interface with a route to the
 /// peers.
-pub(super) fn guest(v6: bool, buffer_bytes: usize) -> io::Result<Socket> {
+pub(super) fn guest_socket(v6: bool, buffer_bytes: usize) -> io::Result<Socket> {
     let any: IpAddr = if v6 { Ipv6Addr::UNSPECIFIED.into() } else { Ipv4Addr::UNSPECIFIED.into() };
     let any = SocketAddr::from((any, 0));
     let socket = socket(any)?;

@@ -10,7 +10,7 @@ use crate::config::fields::{Takes, Value};
 use crate::messages::ids::HostId;
 use crate::net::protocol::reliability::{Reliabilities, Setup};
 use crate::net::transport::interface::{self, LOOPBACK};
-use crate::net::transport::{Claim, Field, Filter, Finding, Given, OpenError, Transport, Way};
+use crate::net::transport::{Claim, Field, Filter, Finding, LinkSettings, OpenError, Transport, Endpoint};
 
 /// Field for the network interface of both transports.
 pub(super) const INTERFACE: Field = Field::new("interface", Takes::Interface);
@@ -22,13 +22,13 @@ pub(super) const RECEIVE_BUFFER: Field = Field {
 };
 
 /// Reads both fields.
-pub(super) fn bound(given: &Given) -> Result<(String, usize), ConfigError> {
+pub(super) fn bound(settings: &LinkSettings) -> Result<(String, usize), ConfigError> {
     let advice = || {
-        let (link, host) = (given.link, given.host_name());
+        let (link, host) = (settings.link, settings.host_name());
         format!(", so link '{link}' cannot be set up on host '{host}'; name the network interface, such as \"wlan0\"")
     };
-    let interface = given.need("interface", advice)?.text().to_owned();
-    let bytes = given.find("receive_buffer_bytes").map(Value::whole).expect("it has a default");
+    let interface = settings.need("interface", advice)?.text().to_owned();
+    let bytes = settings.find("receive_buffer_bytes").map(Value::whole).expect("it has a default");
     Ok((interface, usize::try_from(bytes).expect("its range is smaller")))
 }
 
@@ -36,7 +36,7 @@ pub(super) fn bound(given: &Given) -> Result<(String, usize), ConfigError> {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SocketConfig {
     /// Addresses of the link.
-    pub whom: Whom,
+    pub addressing: Addressing,
     /// The network interface, by name.
     pub interface: String,
     /// Requested receive buffer of the socket \[bytes\].
@@ -45,11 +45,11 @@ pub struct SocketConfig {
 
 /// Addresses of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Whom {
+pub enum Addressing {
     /// A multicast group.
-    Group(SocketAddr),
+    Multicast(SocketAddr),
     /// Unicast to each host.
-    Each {
+    Unicast {
         /// Address of this host.
         listen: SocketAddr,
         /// Addresses of the other hosts.
@@ -57,28 +57,28 @@ pub enum Whom {
     },
     /// Unicast to each host, from any address of the machine: a guest sends from a port of its own, on the interface
     /// with a route to the host, and is answered there.
-    FromAnywhere {
+    Guest {
         /// Addresses of all hosts of the link.
         peers: BTreeMap<HostId, SocketAddr>,
     },
 }
 
 impl SocketConfig {
-    fn with(&self, whom: Whom) -> Arc<dyn Way> {
-        Arc::new(SocketConfig { whom, ..self.clone() })
+    fn with(&self, addressing: Addressing) -> Arc<dyn Endpoint> {
+        Arc::new(SocketConfig { addressing, ..self.clone() })
     }
 }
 
-impl Way for SocketConfig {
+impl Endpoint for SocketConfig {
     fn open(&self, host: HostId, filter: Filter) -> Result<Box<dyn Transport>, OpenError> {
         Ok(Box::new(Udp::open(host, self, filter)?))
     }
 
-    fn for_guest(&self, beside: HostId) -> Arc<dyn Way> {
-        match &self.whom {
-            Whom::Each { listen, peers } => {
+    fn for_guest(&self, beside: HostId) -> Arc<dyn Endpoint> {
+        match &self.addressing {
+            Addressing::Unicast { listen, peers } => {
                 let peers = peers.iter().map(|(host, at)| (*host, *at)).chain([(beside, *listen)]).collect();
-                self.with(Whom::FromAnywhere { peers })
+                self.with(Addressing::Guest { peers })
             }
             // A guest may join a group like any host.
             _ => Arc::new(self.clone()),
@@ -86,39 +86,39 @@ impl Way for SocketConfig {
     }
 
     fn setup(&self, reliability: Reliabilities) -> Setup {
-        match self.whom {
-            Whom::Group(_) => Setup::multicast(reliability),
+        match self.addressing {
+            Addressing::Multicast(_) => Setup::multicast(reliability),
             _ => Setup::unicast(reliability),
         }
     }
 
-    fn stays_here(&self) -> bool {
-        match &self.whom {
-            Whom::Group(_) => self.interface == LOOPBACK,
-            Whom::Each { listen, peers } => peers.values().chain([listen]).all(|at| at.ip().is_loopback()),
-            Whom::FromAnywhere { peers } => peers.values().all(|at| at.ip().is_loopback()),
+    fn is_local(&self) -> bool {
+        match &self.addressing {
+            Addressing::Multicast(_) => self.interface == LOOPBACK,
+            Addressing::Unicast { listen, peers } => peers.values().chain([listen]).all(|at| at.ip().is_loopback()),
+            Addressing::Guest { peers } => peers.values().all(|at| at.ip().is_loopback()),
         }
     }
 
     fn claim(&self) -> Claim {
-        match &self.whom {
-            Whom::Group(group) => Claim { field: "group", what: group.to_string(), on: self.interface.clone() },
-            Whom::Each { listen, .. } => Claim { field: "peers", what: listen.to_string(), on: String::new() },
-            Whom::FromAnywhere { peers } => {
+        match &self.addressing {
+            Addressing::Multicast(group) => Claim { field: "group", what: group.to_string(), on: self.interface.clone() },
+            Addressing::Unicast { listen, .. } => Claim { field: "peers", what: listen.to_string(), on: String::new() },
+            Addressing::Guest { peers } => {
                 let all: Vec<String> = peers.values().map(SocketAddr::to_string).collect();
                 Claim { field: "peers", what: all.join(", "), on: String::new() }
             }
         }
     }
 
-    fn among(&self, hosts: &[HostId]) -> Arc<dyn Way> {
+    fn restricted_to(&self, hosts: &[HostId]) -> Arc<dyn Endpoint> {
         let those = |peers: &BTreeMap<HostId, SocketAddr>| {
             peers.iter().filter(|(host, _)| hosts.contains(host)).map(|(host, at)| (*host, *at)).collect()
         };
-        self.with(match &self.whom {
-            Whom::Group(group) => Whom::Group(*group),
-            Whom::Each { listen, peers } => Whom::Each { listen: *listen, peers: those(peers) },
-            Whom::FromAnywhere { peers } => Whom::FromAnywhere { peers: those(peers) },
+        self.with(match &self.addressing {
+            Addressing::Multicast(group) => Addressing::Multicast(*group),
+            Addressing::Unicast { listen, peers } => Addressing::Unicast { listen: *listen, peers: those(peers) },
+            Addressing::Guest { peers } => Addressing::Guest { peers: those(peers) },
         })
     }
 
@@ -126,19 +126,19 @@ impl Way for SocketConfig {
         Some(&self.interface)
     }
 
-    fn is_here(&self) -> bool {
+    fn is_available(&self) -> bool {
         // If the kernel does not list its interfaces, opening reports the error.
         let there = |all: Vec<interface::Interface>| all.iter().any(|one| one.up && one.name == self.interface);
-        matches!(self.whom, Whom::FromAnywhere { .. }) || interface::interfaces().map_or(true, there)
+        matches!(self.addressing, Addressing::Guest { .. }) || interface::interfaces().map_or(true, there)
     }
 
-    fn everywhere(&self) -> Vec<Arc<dyn Way>> {
+    fn on_all_interfaces(&self) -> Vec<Arc<dyn Endpoint>> {
         let outward = interface::interfaces().unwrap_or_default().into_iter().filter(|one| one.up && !one.loopback);
         let by = |one: interface::Interface| SocketConfig { interface: one.name, ..self.clone() };
-        outward.map(|one| Arc::new(by(one)) as Arc<dyn Way>).collect()
+        outward.map(|one| Arc::new(by(one)) as Arc<dyn Endpoint>).collect()
     }
 
-    fn examine(&self, host: HostId, link: &str, mtu: &dyn Fn(&str) -> Option<usize>) -> Vec<Finding> {
-        fitness::examine(self, (host, link), mtu)
+    fn check(&self, host: HostId, link: &str, mtu: &dyn Fn(&str) -> Option<usize>) -> Vec<Finding> {
+        fitness::check(self, (host, link), mtu)
     }
 }

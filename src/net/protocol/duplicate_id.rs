@@ -11,33 +11,33 @@ use crate::time::{Span, Time};
 /// claim must not end a team.
 pub const SETTLED: Span = Span::from_millis(10_000);
 /// Difference of uptime below which two are ordered by their incarnations.
-const TOGETHER: Span = Span::from_millis(50);
+const TIE_MARGIN: Span = Span::from_millis(50);
 
 /// Another live host with this host's id, which was started before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Duplicate {
+pub struct DuplicateId {
     /// Link on which it was received.
     pub link: LinkId,
     /// The id.
     pub host: HostId,
     /// Incarnation of the other process.
-    pub epoch: u32,
+    pub incarnation: u32,
 }
 
 /// Other processes with the id of this one on one link.
 #[derive(Clone, Copy, Debug)]
-pub struct Twins {
+pub struct DuplicateIds {
     me: (LinkId, HostId, u32),
     began: Option<Time>,
     claims: u64,
-    duplicate: Option<Duplicate>,
+    duplicate: Option<DuplicateId>,
 }
 
-impl Twins {
-    /// Returns the initial state. `epoch` is this process's incarnation.
-    pub fn new(link: LinkId, host: HostId, epoch: u32) -> Twins {
+impl DuplicateIds {
+    /// Returns the initial state. `incarnation` is this process's incarnation.
+    pub fn new(link: LinkId, host: HostId, incarnation: u32) -> DuplicateIds {
         const { assert!(SETTLED.as_nanos() < MAX_HELD_FOR.as_nanos(), "a report can say that it has run for so long") };
-        Twins { me: (link, host, epoch), began: None, claims: 0, duplicate: None }
+        DuplicateIds { me: (link, host, incarnation), began: None, claims: 0, duplicate: None }
     }
 
     /// Uptime of this process on this link, counted from the first call.
@@ -46,7 +46,7 @@ impl Twins {
     }
 
     /// Handles the claim of another incarnation with this id, which echoes a recent stamp, that its uptime is `theirs`.
-    pub fn claim(&mut self, now: Time, epoch: u32, theirs: Span) {
+    pub fn claim(&mut self, now: Time, incarnation: u32, theirs: Span) {
         let ours = self.uptime(now);
         let (link, host, mine) = self.me;
         self.claims += 1;
@@ -55,14 +55,14 @@ impl Twins {
             tracing::error!("a second live host has the id {} of this one (noticed {times} times)", host.0);
         }
         // The claim was in transit for a while; both sides allow for it such that exactly one of the two ends.
-        let later = if mine < epoch { theirs + TOGETHER > ours } else { theirs > ours + TOGETHER };
+        let later = if mine < incarnation { theirs + TIE_MARGIN > ours } else { theirs > ours + TIE_MARGIN };
         if later && ours < SETTLED && self.duplicate.is_none() {
-            self.duplicate = Some(Duplicate { link, host, epoch });
+            self.duplicate = Some(DuplicateId { link, host, incarnation });
         }
     }
 
     /// Returns the process that this one duplicates, if any.
-    pub fn duplicate(&self) -> Option<Duplicate> {
+    pub fn duplicate(&self) -> Option<DuplicateId> {
         self.duplicate
     }
 }
@@ -72,17 +72,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn of_two_the_later_one_gives_in_and_of_two_at_once_the_smaller_incarnation() {
-        let gives_in = |ours_ms: u64, mine: u32, theirs_ms: u64, theirs: u32| {
-            let mut twins = Twins::new(LinkId(0), HostId(3), mine);
-            twins.uptime(Time::ZERO);
-            twins.claim(Time::ZERO + Span::from_millis(ours_ms), theirs, Span::from_millis(theirs_ms));
-            twins.duplicate().is_some()
+    fn of_two_the_later_one_ends_and_of_two_at_once_the_smaller_incarnation() {
+        let must_end = |ours_ms: u64, mine: u32, theirs_ms: u64, theirs: u32| {
+            let mut ids = DuplicateIds::new(LinkId(0), HostId(3), mine);
+            ids.uptime(Time::ZERO);
+            ids.claim(Time::ZERO + Span::from_millis(ours_ms), theirs, Span::from_millis(theirs_ms));
+            ids.duplicate().is_some()
         };
         for (mine, theirs) in [(1, 2), (2, 1)] {
-            assert!(gives_in(300, mine, 9000, theirs) && !gives_in(9000, mine, 300, theirs));
-            assert!(!gives_in(10_000, mine, 16_000, theirs), "it is settled");
+            assert!(must_end(300, mine, 9000, theirs) && !must_end(9000, mine, 300, theirs));
+            assert!(!must_end(10_000, mine, 16_000, theirs), "it is settled");
         }
-        assert!(gives_in(301, 1, 300, 2) && !gives_in(301, 2, 300, 1));
+        assert!(must_end(301, 1, 300, 2) && !must_end(301, 2, 300, 1));
     }
 }

@@ -6,7 +6,7 @@
 
 use super::bucket::{Bucket, Rate};
 use super::candidates::{Candidate, Candidates};
-use super::limits::{FRESH, LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE, PROOF_HOLDS};
+use super::limits::{FRESH, LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE, PROOF_VALIDITY};
 use super::report::Entry;
 use super::sender::Sender;
 use super::senders::Senders;
@@ -21,7 +21,7 @@ const ENTRY_BYTES_AT_ONCE: f64 = 2400.0;
 /// Operators that an urgent report lists whatever the budget: more than ten of them hardly ever act at once.
 const URGENT_ENTRIES: usize = 8;
 /// Smallest interval between two entries about a host that ask for a proof or report a changed loss.
-const AGAIN: Span = Span::from_millis(400);
+const MIN_INTERVAL: Span = Span::from_millis(400);
 /// Change of loss that is reported before its turn, of 64.
 const LOSS_STEP: u8 = 4;
 
@@ -36,22 +36,22 @@ pub enum Occasion {
 
 /// Turns and budget of the entries of one link's reports.
 #[derive(Clone, Debug)]
-pub struct Telling {
+pub struct ReportSchedule {
     me: HostId,
     rate: Rate,
     budget: Bucket,
     /// Whether candidates have the odd place of the next report.
     odd: bool,
     /// Whether hosts have to prove their liveness.
-    guarded: bool,
+    authenticated: bool,
 }
 
-impl Telling {
+impl ReportSchedule {
     /// Returns a full budget for entries of this size.
-    pub fn new(me: HostId, guarded: bool, entry_bytes: usize) -> Telling {
+    pub fn new(me: HostId, authenticated: bool, entry_bytes: usize) -> ReportSchedule {
         let size = entry_bytes as f64;
         let rate = Rate { per_s: ENTRY_BYTES_PER_S / size, burst: ENTRY_BYTES_AT_ONCE / size };
-        Telling { me, rate, budget: Bucket::full(Time::ZERO, &rate), odd: false, guarded }
+        ReportSchedule { me, rate, budget: Bucket::full(Time::ZERO, &rate), odd: false, authenticated }
     }
 
     /// Returns the entries of a report that is sent now, at most `places`. `uptime` is that of this process.
@@ -104,37 +104,37 @@ impl Telling {
     }
 
     fn of_candidate(&self, now: Time, uptime: Span, host: HostId, candidate: Candidate) -> Entry {
-        let rival = host == self.me && !host.is_operator();
-        let held = if rival { uptime } else { now.since(candidate.at) };
-        Entry { host, echo: candidate.stamp, held, lost: 0, asks: !rival, direct: None }
+        let own_id = host == self.me && !host.is_operator();
+        let held = if own_id { uptime } else { now.since(candidate.at) };
+        Entry { host, echo: candidate.stamp, held, lost: 0, challenge: !own_id, direct: None }
     }
 
     fn of_sender(&self, now: Time, host: HostId, sender: &mut Sender) -> Entry {
         let (echo, at) = sender.stamp.expect("one without a stamp is not listed");
         let lost = sender.lost();
-        (sender.listed, sender.told, sender.wants) = (Some(now), lost, false);
-        Entry { host, echo, held: now.since(at), lost, asks: self.asks(now, sender), direct: None }
+        (sender.listed, sender.loss_sent, sender.challenged) = (Some(now), lost, false);
+        Entry { host, echo, held: now.since(at), lost, challenge: self.challenges(now, sender), direct: None }
     }
 
     /// Whether to ask a sender for a proof: after half of the validity of its last one.
-    fn asks(&self, now: Time, sender: &Sender) -> bool {
-        self.guarded && now.since(sender.proved) > Span::from_nanos(PROOF_HOLDS.as_nanos() / 2)
+    fn challenges(&self, now: Time, sender: &Sender) -> bool {
+        self.authenticated && now.since(sender.proved) > Span::from_nanos(PROOF_VALIDITY.as_nanos() / 2)
     }
 
     fn class(&self, now: Time, sender: &Sender) -> u8 {
         let Some(listed) = sender.listed else { return 0 };
-        if sender.wants {
+        if sender.challenged {
             return 0;
         }
-        if now.since(listed) < AGAIN {
+        if now.since(listed) < MIN_INTERVAL {
             return 3;
         }
-        if self.asks(now, sender) {
+        if self.challenges(now, sender) {
             return 1;
         }
-        let (lost, told) = (sender.lost(), sender.told);
-        let crosses = |bar: u8| (lost >= bar) != (told >= bar);
-        let changed = crosses(LOSS_TO_REPEAT) || crosses(LOSS_TO_REPEAT_TWICE) || lost.abs_diff(told) >= LOSS_STEP;
+        let (lost, reported) = (sender.lost(), sender.loss_sent);
+        let crosses = |bar: u8| (lost >= bar) != (reported >= bar);
+        let changed = crosses(LOSS_TO_REPEAT) || crosses(LOSS_TO_REPEAT_TWICE) || lost.abs_diff(reported) >= LOSS_STEP;
         if changed { 2 } else { 3 }
     }
 }

@@ -8,25 +8,25 @@ use crate::messages::ids::HostId;
 use crate::net::protocol::reliability::{Reliabilities, Setup};
 
 /// Endpoint of one host on a link, as its transport has read it from the team file.
-pub trait Way: Debug + Send + Sync {
+pub trait Endpoint: Debug + Send + Sync {
     /// Opens it for this host. A host that is in no file, such as an operator, needs the endpoint of a guest.
     fn open(&self, host: HostId, filter: Filter) -> Result<Box<dyn Transport>, OpenError>;
 
     /// Returns the endpoint of a guest, which is in no file, on the same link, from the machine of `beside` or any
     /// other.
-    fn for_guest(&self, beside: HostId) -> Arc<dyn Way>;
+    fn for_guest(&self, beside: HostId) -> Arc<dyn Endpoint>;
 
     /// Returns the setup of the link layer: whether each datagram reaches every host, or only its receivers.
     fn setup(&self, reliability: Reliabilities) -> Setup;
 
     /// Whether frames stay on this machine.
-    fn stays_here(&self) -> bool;
+    fn is_local(&self) -> bool;
 
     /// Returns the resource that no other link of the host may use. Endpoints of guests with the same claim are equal.
     fn claim(&self) -> Claim;
 
     /// Returns the endpoint on the same link with only these hosts.
-    fn among(&self, hosts: &[HostId]) -> Arc<dyn Way>;
+    fn restricted_to(&self, hosts: &[HostId]) -> Arc<dyn Endpoint>;
 
     /// Name of the network interface that it is bound to.
     fn interface(&self) -> Option<&str> {
@@ -34,22 +34,22 @@ pub trait Way: Debug + Send + Sync {
     }
 
     /// Whether this machine has the interface that it is bound to.
-    fn is_here(&self) -> bool {
+    fn is_available(&self) -> bool {
         true
     }
 
     /// Returns endpoints on all interfaces of this machine, in place of one that is bound to an interface elsewhere.
-    fn everywhere(&self) -> Vec<Arc<dyn Way>> {
+    fn on_all_interfaces(&self) -> Vec<Arc<dyn Endpoint>> {
         Vec::new()
     }
 
     /// Checks whether this machine is fit for it as this host; returns the findings in order. `mtu` gives the largest
     /// packet of an interface \[bytes\], if known; the advice is for the link of this name.
-    fn examine(&self, host: HostId, link: &str, mtu: &dyn Fn(&str) -> Option<usize>) -> Vec<Finding> {
+    fn check(&self, host: HostId, link: &str, mtu: &dyn Fn(&str) -> Option<usize>) -> Vec<Finding> {
         let _ = (link, mtu);
         vec![match self.open(host, Filter::All) {
-            Ok(_) => Finding::ok("way", self.claim().what),
-            Err(error) => Finding { fitness: Fitness::Fail, ..Finding::ok("way", error.to_string()) },
+            Ok(_) => Finding::ok("endpoint", self.claim().what),
+            Err(error) => Finding { fitness: Fitness::Fail, ..Finding::ok("endpoint", error.to_string()) },
         }]
     }
 }
@@ -69,7 +69,7 @@ pub struct Claim {
 #[derive(Clone, Debug)]
 pub struct Place {
     /// Its endpoint on the link.
-    pub way: Arc<dyn Way>,
+    pub endpoint: Arc<dyn Endpoint>,
     /// Reliability modes by kind; kinds that are left out have the link's.
     pub reliability: Reliabilities,
 }
@@ -79,12 +79,12 @@ impl Place {
     pub fn setup(&self, of_link: &Reliabilities) -> Setup {
         let mut reliability = of_link.clone();
         reliability.extend(self.reliability.clone());
-        self.way.setup(reliability)
+        self.endpoint.setup(reliability)
     }
 
     /// Returns the participation of a guest, as [`Endpoint::for_guest`].
     pub fn for_guest(&self, beside: HostId) -> Place {
-        Place { way: self.way.for_guest(beside), reliability: self.reliability.clone() }
+        Place { endpoint: self.endpoint.for_guest(beside), reliability: self.reliability.clone() }
     }
 }
 
