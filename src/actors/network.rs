@@ -119,7 +119,8 @@ impl Network {
     /// A network at the start of its incarnation. It draws from `stream` when to ask and when to answer.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
-        let shared = links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.piggyback == Piggyback::Any)).collect();
+        let shared =
+            links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.piggyback == Piggyback::Any)).collect();
         let ids = (0..=u16::MAX).map(LinkId);
         let hosts = router.hosts();
         let mut state = |id, setup| LinkState::new(me, id, key.clone(), Setup { hosts, ..setup }, &mut stream);

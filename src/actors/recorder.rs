@@ -223,7 +223,7 @@ impl Recorder {
         if !goes_on {
             self.heard.iter_mut().for_each(|(_, heard)| heard.clear());
         }
-        // A new epoch of the same instruction changes nothing.
+        // A new term of the same instruction changes nothing.
         self.since = if goes_on { self.since } else { now };
         (self.round, self.phase) = (round, phase);
     }
@@ -417,7 +417,7 @@ mod tests {
     }
 
     fn say(recorder: &mut Recorder, ms: u64, episode: u32, phase: Phase) -> Vec<Out> {
-        let round = Round { epoch: 1, episode };
+        let round = Round { term: 1, episode };
         let tasks = recorder.config.layouts.episode(0).into();
         let mode = Wire::Mode(Mode { round, repeat: 4, phase, first: RobotId(0), tasks, latch: Latch::default() });
         let header = Header { flags: Flags::default(), team: 0, sender: HostId(0), incarnation: 1, sequence: 0 };

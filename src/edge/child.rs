@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
 use std::thread;
 
-use super::{Mouth, Packet, Port, Worker};
+use super::{Packet, PacketSender, Port, Worker};
 
 /// Longest line that is taken \[bytes\]; a longer one is cut, and so refused by its reader.
 const LONGEST: u64 = 4096;
@@ -29,8 +29,8 @@ impl Worker for Program {
                 return;
             }
         };
-        let (mouth, says) = (port.mouth(), child.stdout.take());
-        let reader = thread::spawn(move || says.map(|says| read(says, &mouth)));
+        let (sender, stdout) = (port.sender(), child.stdout.take());
+        let reader = thread::spawn(move || stdout.map(|stdout| read(stdout, &sender)));
         let mut stdin = child.stdin.take();
         while let Some(line) = port.wait() {
             let written = stdin.as_mut().map(|stdin| stdin.write_all(&line).and_then(|()| stdin.flush()));
@@ -47,13 +47,13 @@ impl Worker for Program {
 }
 
 /// Passes lines on until the program closes its stdout.
-fn read(says: impl Read, mouth: &Mouth) {
-    let mut says = BufReader::new(says);
+fn read(stdout: impl Read, sender: &PacketSender) {
+    let mut stdout = BufReader::new(stdout);
     loop {
         let mut line = Vec::new();
-        match says.by_ref().take(LONGEST).read_until(b'\n', &mut line) {
+        match stdout.by_ref().take(LONGEST).read_until(b'\n', &mut line) {
             Ok(0) | Err(_) => return,
-            Ok(_) => mouth.say(Packet::from(line)),
+            Ok(_) => sender.send(Packet::from(line)),
         }
     }
 }

@@ -62,7 +62,7 @@ fn wire(
     mailbox: &Mailbox<transport::In>,
     network: &Mailbox<network::In>,
 ) {
-    let (time, network, bell) = (clock.clone(), network.clone(), transport.bell());
+    let (time, network, descriptor) = (clock.clone(), network.clone(), transport.descriptor());
     let span = info_span!("transport", link = link.0);
     // It outlives its actor: what waits in a socket would be lost with it.
     let transport = Rc::new(RefCell::new(transport));
@@ -78,7 +78,7 @@ fn wire(
             network.send(network::In::Dropped(link, dropped - told.replace(dropped)));
         }
     };
-    readers.watch_link(bell, move || flooded.borrow().paused_until(), ring);
+    readers.watch_link(descriptor, move || flooded.borrow().paused_until(), ring);
     start(clock, mailbox, span, move |_| Outward(Rc::clone(&transport)), |never| match never {});
 }
 
@@ -188,7 +188,8 @@ mod tests {
                 ("peers.here".to_owned(), said(Value::Address(at(port)))),
                 ("peers.there".to_owned(), said(Value::Address(at(47_751)))),
             ];
-            let settings = LinkSettings { link: "test", host: HostId(0), hosts: vec!["here", "there"], values: values.into() };
+            let settings =
+                LinkSettings { link: "test", host: HostId(0), hosts: vec!["here", "there"], values: values.into() };
             let endpoint = (udp::unicast::ENTRY.read)(&settings).unwrap();
             (LinkId(3), endpoint.open(HostId(0), Filter::All).unwrap())
         };

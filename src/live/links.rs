@@ -8,7 +8,7 @@ use crate::deploy::team::{Post, Team};
 use crate::deploy::{Deployment, Link};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::reliability::Setup;
-use crate::net::transport::{Filter, OpenError, Place, Transport, Endpoint};
+use crate::net::transport::{Endpoint, Filter, OpenError, Place, Transport};
 use crate::random::Seed;
 use crate::time::Span;
 

@@ -17,12 +17,12 @@ pub struct Percept {
     /// Its own filtered estimate.
     pub estimate: Motion,
     /// Its usable neighbours, by robot id.
-    pub heard: Vec<Heard>,
+    pub heard: Vec<NeighbourLatent>,
 }
 
 /// Newest latent of one neighbour, as held by the Cache.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Heard {
+pub struct NeighbourLatent {
     /// The neighbour.
     pub robot: RobotId,
     /// Round in which it was computed.
@@ -42,7 +42,7 @@ pub const NEAR_M: f32 = 5.0;
 
 /// Last known position and velocity of another robot, whatever round and phase it is in.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Other {
+pub struct OtherRobot {
     /// The other robot.
     pub robot: RobotId,
     /// Its own estimate at that time, world frame.
@@ -75,8 +75,8 @@ pub struct Action {
     pub velocity: Vec2,
     /// The robot's own estimate for this step, world frame.
     pub estimate: Motion,
-    /// Other known robots within `NEAR_M`.
-    pub others: Vec<Other>,
+    /// OtherRobot known robots within `NEAR_M`.
+    pub others: Vec<OtherRobot>,
     /// Whether the robot has reached its target.
     pub progress: Progress,
 }

@@ -5,38 +5,38 @@ use serde::{Deserialize, Serialize};
 
 use super::latch::second_largest;
 
-/// Largest epoch on the wire. At `Round::JUMP` for each of a state server's 20 decisions a second it is reached after
+/// Largest term on the wire. At `Round::JUMP` for each of a state server's 20 decisions a second it is reached after
 /// 38 days.
-pub(super) const MAX_EPOCH: u32 = 1 << 30;
+pub(super) const MAX_TERM: u32 = 1 << 30;
 
 /// Number of an instruction of the state server: later epochs outrank, then later episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct Round {
-    /// Incarnation of the state server, counted from one; zero before any message of one.
-    pub epoch: u32,
+    /// Term of the state server, as of a leader in Raft: each start of one begins a later term. From one; zero before any message.
+    pub term: u32,
     /// Episode, counted from zero over the whole trial.
     pub episode: u32,
 }
 
 impl Round {
-    /// Largest epoch that is accepted without a look at the known one: a state server that is started once an hour
+    /// Largest term that is accepted without a look at the known one: a state server that is started once an hour
     /// reaches it after a century.
     const CREDIBLE: u32 = 1 << 20;
-    /// Most that an epoch beyond `CREDIBLE` may exceed the known one. Without these bounds, no later epoch could follow
-    /// one message with the largest epoch.
+    /// Most that a term beyond `CREDIBLE` may exceed the known one. Without these bounds, no later term could follow
+    /// one message with the largest term.
     const JUMP: u32 = 16;
 
     /// Whether another round is so far ahead of this one that it cannot be genuine.
     pub fn is_overshot_by(self, other: Round) -> bool {
-        other.epoch > self.epoch.max(Round::CREDIBLE) + Round::JUMP
+        other.term > self.term.max(Round::CREDIBLE) + Round::JUMP
     }
 
-    /// Returns the latest of some rounds, without a single one whose epoch is out of reach of the others and of the
-    /// known one. The epoch after it is still within reach of actors that follow the known one.
+    /// Returns the latest of some rounds, without a single one whose term is out of reach of the others and of the
+    /// known one. The term after it is still within reach of actors that follow the known one.
     pub fn latest(known: Round, rounds: impl Iterator<Item = Round> + Clone) -> Round {
-        let second = second_largest(rounds.clone().map(|round| round.epoch.into()));
-        let ceiling = u64::from(known.epoch).max(second).max(Round::CREDIBLE.into()) + u64::from(Round::JUMP) - 1;
-        rounds.filter(|round| u64::from(round.epoch) <= ceiling).max().unwrap_or_default()
+        let second = second_largest(rounds.clone().map(|round| round.term.into()));
+        let ceiling = u64::from(known.term).max(second).max(Round::CREDIBLE.into()) + u64::from(Round::JUMP) - 1;
+        rounds.filter(|round| u64::from(round.term) <= ceiling).max().unwrap_or_default()
     }
 }
 
@@ -55,13 +55,13 @@ impl RoundFollower {
     }
 
     /// Whether an instruction of this round is to be followed. An earlier round never is. One that overshoots is
-    /// followed the second time it arrives: an actor that has just started cannot know the epoch, and a corrupted one
+    /// followed the second time it arrives: an actor that has just started cannot know the term, and a corrupted one
     /// does not repeat.
     pub fn admits(&mut self, said: Round) -> bool {
         let before = self.doubted.take();
-        let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&said.epoch));
+        let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&said.term));
         if self.round.is_overshot_by(said) && !repeated {
-            self.doubted = Some(said.epoch);
+            self.doubted = Some(said.term);
             return false;
         }
         said >= self.round
@@ -79,7 +79,7 @@ mod tests {
 
     #[test]
     fn an_earlier_round_is_refused_and_one_that_overshoots_has_to_be_said_twice() {
-        let round = |epoch| Round { epoch, episode: 0 };
+        let round = |term| Round { term, episode: 0 };
         let mut follower = RoundFollower::default();
         assert!(follower.admits(round(1)));
         follower.follow(round(1));

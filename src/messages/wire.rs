@@ -13,7 +13,7 @@ use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2, is_sound};
 use super::ids::{HostId, RobotId};
 use super::latch::Latch;
 pub use super::phase::Phase;
-use super::round::MAX_EPOCH;
+use super::round::MAX_TERM;
 pub use super::round::Round;
 pub use super::status::{Following, Hindrance, Leading, MAX_HINDRANCES, Status};
 pub use super::telemetry::{Condition, Health, MAX_CONDITIONS, Observe, Seen, Telemetry};
@@ -240,9 +240,9 @@ pub enum Unfit {
     /// A `Mode` block runs past the last possible robot.
     #[error("a block of robots runs past the last possible one")]
     Block,
-    /// The epoch of a round is larger than any.
-    #[error("the epoch of a round is larger than any")]
-    Epoch,
+    /// The term of a round is larger than any.
+    #[error("the term of a round is larger than any")]
+    Term,
 }
 
 /// Whether no number is NaN, infinite or larger than `MAX_FEATURE`. No early return, so that it compiles to a few
@@ -301,8 +301,8 @@ impl Wire {
             Wire::Mode(m) => m.round,
             _ => Round::default(),
         };
-        if round.epoch > MAX_EPOCH {
-            return Err(Unfit::Epoch);
+        if round.term > MAX_TERM {
+            return Err(Unfit::Term);
         }
         match self {
             Wire::Latent(m) if m.features.0.len() > MAX_FEATURES => Err(Unfit::Length),

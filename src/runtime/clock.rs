@@ -20,30 +20,30 @@ pub struct Clock {
 struct Queue {
     events: BinaryHeap<Event>,
     sequence: u64,
-    sleepers: Vec<Registered>,
-    rung: VecDeque<usize>,
+    tasks: Vec<Task>,
+    woken: VecDeque<usize>,
 }
 
-struct Registered {
-    attend: Rc<dyn Fn()>,
+struct Task {
+    run: Rc<dyn Fn()>,
     /// Whether it is in the queue of woken tasks.
-    rung: bool,
+    woken: bool,
     /// Latest time at which it has to be woken, in real time; `Time::MAX` if never.
     latest: Time,
 }
 
 /// Handle of a task, which a mailbox or the clock can wake.
 #[derive(Clone, Copy, Debug)]
-pub struct Sleeper(usize);
+pub struct TaskId(usize);
 
 struct Event {
     at: Time,
     sequence: u64,
-    what: What,
+    action: Action,
 }
 
-enum What {
-    Wake(Sleeper),
+enum Action {
+    Wake(TaskId),
     Call(Box<dyn FnOnce()>),
 }
 
@@ -74,61 +74,61 @@ impl Clock {
         self.now.get()
     }
 
-    /// Registers a task; `attend` runs once after each time that it was woken.
-    pub fn register(&self, attend: Rc<dyn Fn()>) -> Sleeper {
+    /// Registers a task; `run` is called once after each time that it was woken.
+    pub fn register(&self, run: Rc<dyn Fn()>) -> TaskId {
         let mut queue = self.queue.borrow_mut();
-        queue.sleepers.push(Registered { attend, rung: false, latest: Time::MAX });
-        Sleeper(queue.sleepers.len() - 1)
+        queue.tasks.push(Task { run, woken: false, latest: Time::MAX });
+        TaskId(queue.tasks.len() - 1)
     }
 
     /// Wakes a task: it runs after all tasks that were woken before it.
-    pub fn ring(&self, sleeper: Sleeper) {
-        let Queue { sleepers, rung, .. } = &mut *self.queue.borrow_mut();
+    pub fn wake(&self, task: TaskId) {
+        let Queue { tasks, woken, .. } = &mut *self.queue.borrow_mut();
         // After the end of a run no task is left.
-        if let Some(registered) = sleepers.get_mut(sleeper.0)
-            && !std::mem::replace(&mut registered.rung, true)
+        if let Some(task_entry) = tasks.get_mut(task.0)
+            && !std::mem::replace(&mut task_entry.woken, true)
         {
-            rung.push_back(sleeper.0);
+            woken.push_back(task.0);
         }
     }
 
     /// Runs woken tasks until none is left.
-    pub(super) fn attend(&self) {
-        while let Some(attend) = self.next_rung() {
-            attend();
+    pub(super) fn run_woken(&self) {
+        while let Some(run) = self.next_woken() {
+            run();
         }
     }
 
-    fn next_rung(&self) -> Option<Rc<dyn Fn()>> {
-        let Queue { sleepers, rung, .. } = &mut *self.queue.borrow_mut();
-        let registered = &mut sleepers[rung.pop_front()?];
-        registered.rung = false;
-        Some(Rc::clone(&registered.attend))
+    fn next_woken(&self) -> Option<Rc<dyn Fn()>> {
+        let Queue { tasks, woken, .. } = &mut *self.queue.borrow_mut();
+        let task_entry = &mut tasks[woken.pop_front()?];
+        task_entry.woken = false;
+        Some(Rc::clone(&task_entry.run))
     }
 
     /// Schedules a wake-up of a task. In real time it may be delayed until the time given to [`Clock::expect`].
-    pub fn arm(&self, at: Time, sleeper: Sleeper) {
-        self.push(at, What::Wake(sleeper));
+    pub fn arm(&self, at: Time, task: TaskId) {
+        self.push(at, Action::Wake(task));
     }
 
     /// Sets the latest time at which a task that is armed for then or before has to be woken; none for never.
-    pub fn expect(&self, latest: Option<Time>, sleeper: Sleeper) {
-        if let Some(registered) = self.queue.borrow_mut().sleepers.get_mut(sleeper.0) {
-            registered.latest = latest.unwrap_or(Time::MAX);
+    pub fn expect(&self, latest: Option<Time>, task: TaskId) {
+        if let Some(task_entry) = self.queue.borrow_mut().tasks.get_mut(task.0) {
+            task_entry.latest = latest.unwrap_or(Time::MAX);
         }
     }
 
     /// Schedules a call.
     pub fn call(&self, at: Time, call: Box<dyn FnOnce()>) {
-        self.push(at, What::Call(call));
+        self.push(at, Action::Call(call));
     }
 
-    fn push(&self, at: Time, what: What) {
+    fn push(&self, at: Time, action: Action) {
         let mut queue = self.queue.borrow_mut();
         let sequence = queue.sequence;
         queue.sequence += 1;
         let at = at.max(self.now());
-        queue.events.push(Event { at, sequence, what });
+        queue.events.push(Event { at, sequence, action });
     }
 
     /// Advances to the earliest event and executes it; `false` if there is none.
@@ -136,7 +136,7 @@ impl Clock {
         let Some(event) = self.queue.borrow_mut().events.pop() else { return false };
         assert!(event.at >= self.now(), "time runs forward");
         self.now.set(event.at);
-        self.happen(event.what);
+        self.execute(event.action);
         true
     }
 
@@ -149,8 +149,8 @@ impl Clock {
     /// few; an event for a task that has since been re-armed does not wake the driver.
     pub(super) fn latest(&self) -> Option<Time> {
         let queue = self.queue.borrow();
-        let calls = queue.events.iter().filter(|event| matches!(event.what, What::Call(_))).map(|event| event.at);
-        let latest = queue.sleepers.iter().map(|sleeper| sleeper.latest).chain(calls).fold(Time::MAX, Time::min);
+        let calls = queue.events.iter().filter(|event| matches!(event.action, Action::Call(_))).map(|event| event.at);
+        let latest = queue.tasks.iter().map(|task| task.latest).chain(calls).fold(Time::MAX, Time::min);
         Some(latest).filter(|latest| *latest < Time::MAX)
     }
 
@@ -165,14 +165,14 @@ impl Clock {
             return false;
         }
         let event = self.queue.borrow_mut().events.pop().expect("there is a next event");
-        self.happen(event.what);
+        self.execute(event.action);
         true
     }
 
-    fn happen(&self, what: What) {
-        match what {
-            What::Call(call) => call(),
-            What::Wake(sleeper) => self.ring(sleeper),
+    fn execute(&self, action: Action) {
+        match action {
+            Action::Call(call) => call(),
+            Action::Wake(task) => self.wake(task),
         }
     }
 
@@ -191,15 +191,15 @@ mod tests {
     fn an_event_that_may_be_late_waits_for_one_that_may_not() {
         let clock = Clock::default();
         let ms = |ms: u64| Time::ZERO + Span::from_millis(ms);
-        let sleeper = clock.register(Rc::new(|| {}));
-        clock.arm(ms(10), sleeper);
-        clock.expect(Some(ms(15)), sleeper);
+        let task = clock.register(Rc::new(|| {}));
+        clock.arm(ms(10), task);
+        clock.expect(Some(ms(15)), task);
         assert_eq!(clock.latest(), Some(ms(15)));
         clock.call(ms(12), Box::new(|| {}));
         assert_eq!(clock.latest(), Some(ms(12)), "both at once");
         clock.set(ms(12));
         assert!(clock.catch_up() && clock.catch_up() && !clock.catch_up());
-        clock.expect(None, sleeper);
+        clock.expect(None, task);
         assert_eq!(clock.latest(), None);
     }
 
@@ -207,10 +207,10 @@ mod tests {
     fn who_wants_to_be_rung_later_than_before_is_not_waited_for_before() {
         let clock = Clock::default();
         let ms = |ms: u64| Time::ZERO + Span::from_millis(ms);
-        let sleeper = clock.register(Rc::new(|| {}));
-        clock.arm(ms(10), sleeper);
-        clock.expect(Some(ms(10)), sleeper);
-        clock.expect(Some(ms(30)), sleeper);
+        let task = clock.register(Rc::new(|| {}));
+        clock.arm(ms(10), task);
+        clock.expect(Some(ms(10)), task);
+        clock.expect(Some(ms(30)), task);
         assert_eq!(clock.latest(), Some(ms(30)));
         clock.set(ms(30));
         assert!(clock.catch_up(), "the event of before rings it");

@@ -73,7 +73,7 @@ impl Tasks {
     /// Runs the actors until every mailbox is empty.
     pub(super) fn drain(&mut self, clock: &Clock) {
         loop {
-            clock.attend();
+            clock.run_woken();
             if !self.signal.0.swap(false, atomic::Ordering::Relaxed) {
                 return;
             }

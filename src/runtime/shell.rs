@@ -14,7 +14,7 @@ use std::rc::{Rc, Weak};
 use actix::{Actor, ActorContext, Addr, Context, Handler, Message, Supervised, Supervisor, System};
 use tracing::Span as TraceSpan;
 
-use super::clock::{Clock, Sleeper};
+use super::clock::{Clock, TaskId};
 use crate::actor::Core;
 use crate::faults::{ActorFault, ActorFaultKind};
 use crate::time::{Span, Time};
@@ -38,7 +38,7 @@ struct Slot<I> {
     name: String,
     queue: RefCell<VecDeque<Envelope<I>>>,
     /// Wakes the actor, once it is started.
-    bell: OnceCell<(Clock, Sleeper)>,
+    waker: OnceCell<(Clock, TaskId)>,
     refused: Cell<u64>,
     lost: Cell<u64>,
 }
@@ -55,7 +55,7 @@ impl<I> Mailbox<I> {
         Mailbox(Rc::new(Slot {
             name: name.into(),
             queue: RefCell::default(),
-            bell: OnceCell::new(),
+            waker: OnceCell::new(),
             refused: Cell::new(0),
             lost: Cell::new(0),
         }))
@@ -93,8 +93,8 @@ impl<I> Mailbox<I> {
             return self.refuse();
         }
         queue.push_back(envelope);
-        if let Some((clock, actor)) = slot.bell.get() {
-            clock.ring(*actor);
+        if let Some((clock, actor)) = slot.waker.get() {
+            clock.wake(*actor);
         }
     }
 
@@ -113,13 +113,13 @@ struct Shell<C: Core + 'static> {
     core: Option<C>,
     incarnation: u32,
     /// Address of the supervised actor, which is told of a crash.
-    life: Option<Addr<Life<C>>>,
+    supervisee: Option<Addr<Supervisee<C>>>,
     /// Whether the supervisor has started or restarted it.
     alive: bool,
     sink: Box<dyn FnMut(C::Out)>,
     out: Vec<C::Out>,
     clock: Clock,
-    sleeper: Sleeper,
+    task: TaskId,
     armed: Option<Time>,
     /// Time given to the clock for its next turn.
     expected: Option<Time>,
@@ -158,23 +158,23 @@ pub fn start<C: Core + 'static>(
 ) {
     let shell = Rc::new_cyclic(|shell: &Weak<RefCell<Shell<C>>>| {
         let (shell, name, time) = (shell.clone(), mailbox.clone(), clock.clone());
-        let sleeper = clock.register(Rc::new(move || {
+        let task = clock.register(Rc::new(move || {
             if let Some(shell) = shell.upgrade() {
                 let (now, _inside) = (time.now(), span.enter());
-                let _guard = EndsTheProcess { name: name.name(), now };
-                shell.borrow_mut().attend(now);
+                let _guard = ExitOnPanic { name: name.name(), now };
+                shell.borrow_mut().run(now);
             }
         }));
         RefCell::new(Shell {
             core: Some(make(1)),
             make: Box::new(make),
             incarnation: 1,
-            life: None,
+            supervisee: None,
             alive: true,
             sink: Box::new(sink),
             out: Vec::new(),
             clock: clock.clone(),
-            sleeper,
+            task,
             armed: None,
             expected: None,
             faults: Faults::default(),
@@ -182,13 +182,13 @@ pub fn start<C: Core + 'static>(
             mailbox: mailbox.clone(),
         })
     });
-    let sleeper = shell.borrow().sleeper;
-    assert!(mailbox.0.bell.set((clock.clone(), sleeper)).is_ok(), "{} is started once", mailbox.name());
-    let life = Life(Rc::clone(&shell));
+    let task = shell.borrow().task;
+    assert!(mailbox.0.waker.set((clock.clone(), task)).is_ok(), "{} is started once", mailbox.name());
+    let supervisee = Supervisee(Rc::clone(&shell));
     // The supervisor stops an actor without a held address.
-    shell.borrow_mut().life = Some(Supervisor::start(move |_: &mut Context<Life<C>>| life));
+    shell.borrow_mut().supervisee = Some(Supervisor::start(move |_: &mut Context<Supervisee<C>>| supervisee));
     // In its first turn the core returns its first wake-up time.
-    clock.ring(sleeper);
+    clock.wake(task);
 }
 
 impl<C: Core + 'static> Shell<C> {
@@ -205,13 +205,13 @@ impl<C: Core + 'static> Shell<C> {
     }
 
     /// Processes the messages in the mailbox, up to a crash.
-    fn attend(&mut self, now: Time) {
+    fn run(&mut self, now: Time) {
         loop {
             let next = self.mailbox.0.queue.borrow_mut().pop_front();
             match next {
                 None => break,
                 Some(Envelope::Deliver(input)) => self.take_in(now, input),
-                Some(Envelope::Inject(fault)) => self.strike(now, &fault),
+                Some(Envelope::Inject(fault)) => self.inject(now, &fault),
             }
         }
         self.turn(now);
@@ -220,7 +220,7 @@ impl<C: Core + 'static> Shell<C> {
     /// Processes everything due, passes on the output, and sets the timer for the next turn.
     fn turn(&mut self, now: Time) {
         if self.core.is_none() {
-            self.revive(now);
+            self.restart(now);
         }
         if !self.held.is_empty() {
             self.take_up_held(now);
@@ -244,7 +244,7 @@ impl<C: Core + 'static> Shell<C> {
 
     /// Makes a new core, once the supervisor has restarted the actor and the crash is over.
     #[cold]
-    fn revive(&mut self, now: Time) {
+    fn restart(&mut self, now: Time) {
         if self.alive && now >= self.faults.down {
             self.incarnation += 1;
             self.core = Some((self.make)(self.incarnation));
@@ -275,20 +275,20 @@ impl<C: Core + 'static> Shell<C> {
         if next != self.expected {
             self.expected = next;
             let tolerance = |at: Time| self.core.as_ref().map_or(Span::ZERO, |core| core.tolerance(at.since(now)));
-            self.clock.expect(next.map(|at| at + tolerance(at)), self.sleeper);
+            self.clock.expect(next.map(|at| at + tolerance(at)), self.task);
         }
         // An earlier wake-up that is still scheduled calls this again: one event serves many re-armings.
         let stands = self.armed.filter(|at| *at > now);
         if let Some(next) = next
             && stands.is_none_or(|at| next < at)
         {
-            self.clock.arm(next, self.sleeper);
+            self.clock.arm(next, self.task);
             self.armed = Some(next);
         }
     }
 
     #[cold]
-    fn strike(&mut self, now: Time, fault: &ActorFault) {
+    fn inject(&mut self, now: Time, fault: &ActorFault) {
         tracing::warn!(kind = ?fault.kind, lasts = %fault.lasts, "fault injected");
         let until = now + fault.lasts;
         match fault.kind {
@@ -307,14 +307,14 @@ impl<C: Core + 'static> Shell<C> {
                 self.mailbox.lose(self.held.len());
                 self.held.clear();
                 self.alive = false;
-                self.life.as_ref().expect("it was started").do_send(Crash);
+                self.supervisee.as_ref().expect("it was started").do_send(Crash);
             }
         }
     }
 }
 
 /// The actor as supervised by the actor library, which starts it, stops it at a crash and restarts it.
-struct Life<C: Core + 'static>(Rc<RefCell<Shell<C>>>);
+struct Supervisee<C: Core + 'static>(Rc<RefCell<Shell<C>>>);
 
 /// Message that stops the supervised actor.
 struct Crash;
@@ -323,11 +323,11 @@ impl Message for Crash {
     type Result = ();
 }
 
-impl<C: Core + 'static> Actor for Life<C> {
+impl<C: Core + 'static> Actor for Supervisee<C> {
     type Context = Context<Self>;
 }
 
-impl<C: Core + 'static> Handler<Crash> for Life<C> {
+impl<C: Core + 'static> Handler<Crash> for Supervisee<C> {
     type Result = ();
 
     fn handle(&mut self, _: Crash, context: &mut Self::Context) {
@@ -335,21 +335,21 @@ impl<C: Core + 'static> Handler<Crash> for Life<C> {
     }
 }
 
-impl<C: Core + 'static> Supervised for Life<C> {
+impl<C: Core + 'static> Supervised for Supervisee<C> {
     fn restarting(&mut self, _: &mut Self::Context) {
         let mut shell = self.0.borrow_mut();
         shell.alive = true;
-        shell.clock.ring(shell.sleeper);
+        shell.clock.wake(shell.task);
     }
 }
 
 /// Ends the process when a panic drops it; the actor library would continue without a message.
-struct EndsTheProcess<'a> {
+struct ExitOnPanic<'a> {
     name: &'a str,
     now: Time,
 }
 
-impl Drop for EndsTheProcess<'_> {
+impl Drop for ExitOnPanic<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.end();
@@ -357,7 +357,7 @@ impl Drop for EndsTheProcess<'_> {
     }
 }
 
-impl EndsTheProcess<'_> {
+impl ExitOnPanic<'_> {
     #[cold]
     #[allow(clippy::print_stderr)] // Without a log, stderr is the only way to report it.
     fn end(&self) {

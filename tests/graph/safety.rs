@@ -85,7 +85,7 @@ fn without_own_readings_a_robot_stops_within_the_age_of_the_last() {
 /// The cores of one robot, one tick after the other: the same stamp keeps arriving, and the robot stands in time.
 #[test]
 fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
-    let (robot, round, period) = (RobotId(0), Round { epoch: 1, episode: 0 }, ms(50));
+    let (robot, round, period) = (RobotId(0), Round { term: 1, episode: 0 }, ms(50));
     let (range, hold, handling) = (CommRange::fixed(2.0), ms(200), Handling::Hold);
     let config = cache::Config {
         robot,

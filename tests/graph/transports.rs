@@ -10,13 +10,13 @@ use std::thread;
 use murmurate::config::ConfigError;
 use murmurate::config::fields::Takes;
 use murmurate::deploy::team::TeamFile;
-use murmurate::edge::{self, Gate, Mouth, Port};
+use murmurate::edge::{self, Gate, PacketSender, Port};
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::link::{Guest, Standing};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::router::Audience;
 use murmurate::net::transport::{
-    self, Claim, Counts, Field, Filter, LinkSettings, In, OpenError, Place, Transmit, Transport, Endpoint,
+    self, Claim, Counts, Endpoint, Field, Filter, In, LinkSettings, OpenError, Place, Transmit, Transport,
 };
 use murmurate::registry::Registry;
 use murmurate::time::Time;
@@ -96,8 +96,8 @@ fn say(transport: &mut dyn Transport, audience: Audience, frame: &[u8]) {
 fn hear(transport: &mut dyn Transport, count: usize) -> Vec<(Option<SocketAddr>, Vec<u8>)> {
     let mut heard = Vec::new();
     loop {
-        let bell = transport.bell();
-        let mut watched = [PollFd::new(bell.as_fd(), PollFlags::POLLIN)];
+        let descriptor = transport.descriptor();
+        let mut watched = [PollFd::new(descriptor.as_fd(), PollFlags::POLLIN)];
         let patience = if heard.len() < count { PATIENCE } else { SURPLUS };
         match poll(&mut watched, PollTimeout::from(patience)).expect("it can be watched") {
             0 => return heard,
@@ -207,7 +207,7 @@ const HUB: transport::Entry = transport::Entry {
 };
 
 /// Everyone who is at a hub.
-static MEMBERS: Mutex<Vec<(Hub, HostId, Mouth)>> = Mutex::new(Vec::new());
+static MEMBERS: Mutex<Vec<(Hub, HostId, PacketSender)>> = Mutex::new(Vec::new());
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Hub {
@@ -218,8 +218,8 @@ impl Endpoint for Hub {
     fn open(&self, host: HostId, _: Filter) -> Result<Box<dyn Transport>, OpenError> {
         let (gate, port) = edge::channel().map_err(|error| OpenError::NotNow(error.to_string()))?;
         let mut members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
-        members.retain(|(_, _, mouth)| !mouth.is_closed());
-        members.push((self.clone(), host, port.mouth()));
+        members.retain(|(_, _, sender)| !sender.is_closed());
+        members.push((self.clone(), host, port.sender()));
         let hub = self.clone();
         thread::spawn(move || hub.work(host, port));
         Ok(Box::new(Line { gate, counts: Counts::default() }))
@@ -253,8 +253,8 @@ impl Hub {
             let to = u16::from_le_bytes([packet[0], packet[1]]);
             let members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
             let others = members.iter().filter(|(hub, other, _)| hub == self && *other != host);
-            for (_, _, mouth) in others.filter(|(_, other, _)| to == u16::MAX || other.0 == to) {
-                mouth.say(packet[2..].into());
+            for (_, _, sender) in others.filter(|(_, other, _)| to == u16::MAX || other.0 == to) {
+                sender.send(packet[2..].into());
             }
         }
     }
@@ -266,8 +266,8 @@ struct Line {
 }
 
 impl Transport for Line {
-    fn bell(&self) -> Rc<dyn AsFd> {
-        Rc::new(self.gate.bell())
+    fn descriptor(&self) -> Rc<dyn AsFd> {
+        Rc::new(self.gate.event_fd())
     }
 
     fn receive(&mut self, _: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
@@ -278,7 +278,7 @@ impl Transport for Line {
     fn handle(&mut self, _: Time, input: In) {
         if let In::Transmit(Transmit { audience, frame, .. }) = input {
             let to = if let Audience::Host(host) = audience { host.0 } else { u16::MAX };
-            self.gate.tell([&to.to_le_bytes()[..], &frame].concat().into());
+            self.gate.send([&to.to_le_bytes()[..], &frame].concat().into());
         }
     }
 

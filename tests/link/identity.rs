@@ -302,7 +302,11 @@ fn operators_at_the_same_instant_and_of_the_same_number_are_all_heard_at_once() 
         println!("loss {loss}: ten operators at once are heard by 1 to 4 hosts after {after:?}");
         rig.loss = 0.0;
         rig.run_ms(2000);
-        assert_eq!((0..5).map(|host| rig.counted(host).duplicate_id).collect::<Vec<_>>(), duplicates, "none is refused for another");
+        assert_eq!(
+            (0..5).map(|host| rig.counted(host).duplicate_id).collect::<Vec<_>>(),
+            duplicates,
+            "none is refused for another"
+        );
         let ninth = rig.peers[0].iter().filter(|peer| peer.host == HostId::operator(9).0 && peer.accepted).count();
         assert_eq!(ninth, 2, "side by side");
     }

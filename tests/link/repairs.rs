@@ -8,11 +8,11 @@ use murmurate::actors::network::{Config, Identity};
 use murmurate::messages::geometry::Motion;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Kind, MotorCommand, Reading, Wire};
-use murmurate::net::protocol::retransmit::{RETRIES, RETRY_AFTER};
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, Flags, MAX_FRAME_BYTES};
 use murmurate::net::protocol::reliability::{Reliabilities, Reliability, Setup};
-use murmurate::net::protocol::report::read_names;
+use murmurate::net::protocol::report::read_ids;
+use murmurate::net::protocol::retransmit::{RETRIES, RETRY_AFTER};
 use murmurate::net::protocol::router::{Audience, Route, Router};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
@@ -76,7 +76,7 @@ fn checked_copies(rig: &Rig, reliability: Reliability) -> u64 {
             if !matches!(content, Content::Ack | Content::Nack) {
                 continue;
             }
-            let names = read_names(content, body).expect("sound names").into_iter();
+            let names = read_ids(content, body).expect("sound names").into_iter();
             let mine = names.filter(|name| usize::from(name.host.0) == *to);
             told.extend(mine.map(|name| (*at, header.sender.0, content, name.direct, name.sequence)));
         }

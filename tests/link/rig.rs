@@ -68,7 +68,7 @@ pub fn multicast(kinds: Reliabilities) -> Setup {
 pub fn latent(robot: u16, episode: u32) -> Wire {
     Wire::Latent(Latent {
         robot: RobotId(robot),
-        round: Round { epoch: 1, episode },
+        round: Round { term: 1, episode },
         phase: Phase::Running,
         motion: Motion::default(),
         features: Features(Arc::from(vec![0.5; 32])),
@@ -76,7 +76,7 @@ pub fn latent(robot: u16, episode: u32) -> Wire {
 }
 
 pub fn heartbeat(robot: u16, episode: u32) -> Wire {
-    let round = Round { epoch: 1, episode };
+    let round = Round { term: 1, episode };
     Wire::Heartbeat(Heartbeat { robot: RobotId(robot), round, phase: Phase::Running, latch: Latch::default() })
 }
 

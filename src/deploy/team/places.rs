@@ -62,7 +62,7 @@ impl TeamFile {
         {
             let Some(Entry { value, origin }) = self.of_link(&scopes, at, (field, &name)) else { continue };
             let value = FieldValue { value, place: place(&format!("link.{}.{name}", link.name), &origin) };
-            values.insert(name, said);
+            values.insert(name, value);
         }
         let hosts = self.deployment.hosts.iter().map(|host| host.name.as_str()).collect();
         let endpoint = (transport.read)(&LinkSettings { link: &link.name, host, hosts, values })?;

@@ -221,7 +221,10 @@ mod tests {
             all.note(at(ms), host, 2, Stamp::new(4));
         }
         let waiting = all.waiting(at(3000));
-        assert_eq!(waiting.iter().map(|(_, one)| (one.incarnation, one.stamp)).collect::<Vec<_>>(), [(2, Stamp::new(2905))]);
+        assert_eq!(
+            waiting.iter().map(|(_, one)| (one.incarnation, one.stamp)).collect::<Vec<_>>(),
+            [(2, Stamp::new(2905))]
+        );
     }
 
     #[test]

@@ -9,15 +9,15 @@ use super::bucket::Rate;
 use super::candidates::{Candidates, Novelty};
 use super::codec::{Flags, Header};
 use super::counts::LinkCounts;
+use super::duplicate_id::DuplicateIds;
 use super::gaps::Gaps;
 use super::limits::{FRESH, PROOF_VALIDITY, REPORT_VALIDITY, SILENT, SILENT_WITHOUT_KEY};
 use super::offset::Offsets;
-use super::report::{Entry, DatagramId, REPORT_BYTES, Report, Stamps};
+use super::report::{DatagramId, Entry, REPORT_BYTES, Report, Stamps};
+use super::report_schedule::{Occasion, ReportSchedule};
 use super::router::Audience;
 use super::sender::{Peer, Sender};
 use super::senders::Senders;
-use super::report_schedule::{Occasion, ReportSchedule};
-use super::duplicate_id::DuplicateIds;
 use super::window::{Position, Window};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::Kind;
@@ -198,8 +198,15 @@ impl Incoming {
     /// Notes a datagram of an incarnation without a liveness proof. It needs a report of this host to prove its
     /// liveness.
     #[cold]
-    fn note_candidate(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
-        let current = self.senders.other_incarnation((header.sender, header.incarnation)).and_then(|id| self.senders.get(id));
+    fn note_candidate(
+        &mut self,
+        now: Time,
+        header: &Header,
+        report: Option<&Report>,
+        counts: &mut LinkCounts,
+    ) -> Verdict {
+        let current =
+            self.senders.other_incarnation((header.sender, header.incarnation)).and_then(|id| self.senders.get(id));
         if current.is_some_and(|current| current.predecessor == Some(header.incarnation)) {
             counts.replay += 1;
             return Verdict::Refused;

@@ -7,15 +7,15 @@ use rand::RngExt;
 use super::codec::TAG_BYTES;
 use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
 pub use super::counts::LinkCounts;
+pub use super::duplicate_id::DuplicateId;
 use super::gaps::BACKOFF;
-use super::incoming::{LocalEnd, Incoming, Verdict};
+use super::incoming::{Incoming, LocalEnd, Verdict};
 use super::key::Key;
 use super::outgoing::{Outbound, Outgoing, REPORT_PERIOD};
 use super::reliability::{Reports, Setup};
-use super::report::{ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, DatagramId, Report, Stamps, read_held, read_ids};
+use super::report::{DatagramId, ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, Report, Stamps, read_held, read_ids};
 use super::router::Audience;
 use super::sender::Peer;
-pub use super::duplicate_id::DuplicateId;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Wire};
 use crate::random::Stream;
@@ -82,7 +82,15 @@ impl LinkState {
         let authenticated = key.is_some();
         let entry_bytes = if authenticated && setup.is_addressed() { NUMBERED_ENTRY_BYTES } else { ENTRY_BYTES };
         let first_guest = setup.hosts.map_or(HostId::operator(0), HostId);
-        let local = LocalEnd { host, incarnation, link: id, authenticated, first_guest, entry_bytes, stamps: Stamps::random(stream) };
+        let local = LocalEnd {
+            host,
+            incarnation,
+            link: id,
+            authenticated,
+            first_guest,
+            entry_bytes,
+            stamps: Stamps::random(stream),
+        };
         let mut state = LinkState {
             me,
             id,

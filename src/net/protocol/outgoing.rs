@@ -3,7 +3,6 @@
 
 use std::collections::BTreeMap;
 
-use super::retransmit::{Retransmitter, StreamId, Untagged};
 use super::bucket::{Bucket, Rate};
 use super::codec::TAG_BYTES;
 use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Frame, HEADER_BYTES, Header};
@@ -11,10 +10,11 @@ use super::codec::{MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
 use super::incoming::{Incoming, Urgency};
 use super::key::Key;
-use super::reliability::{Reliability, Reports, Piggyback, Setup};
-use super::report::{MAX_IDS, ID_BYTES, DatagramId, write_held, write_ids};
-use super::router::Audience;
+use super::reliability::{Piggyback, Reliability, Reports, Setup};
+use super::report::{DatagramId, ID_BYTES, MAX_IDS, write_held, write_ids};
 use super::report_schedule::Occasion;
+use super::retransmit::{Retransmitter, StreamId, Untagged};
+use super::router::Audience;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
@@ -258,7 +258,11 @@ impl Outgoing {
     }
 
     fn may_piggyback_report(&self, now: Time) -> bool {
-        let age = if self.report_pending { PENDING_PIGGYBACK_AGE.min(self.setup.report_piggyback_age) } else { self.setup.report_piggyback_age };
+        let age = if self.report_pending {
+            PENDING_PIGGYBACK_AGE.min(self.setup.report_piggyback_age)
+        } else {
+            self.setup.report_piggyback_age
+        };
         self.setup.reports == Reports::On
             && self.setup.piggyback != Piggyback::Never
             && self.report_sent.is_none_or(|sent| now.since(sent) >= age)
@@ -359,7 +363,14 @@ impl Outgoing {
     }
 
     /// Retransmits datagrams that `from` requests.
-    pub fn requested(&mut self, now: Time, from: HostId, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
+    pub fn requested(
+        &mut self,
+        now: Time,
+        from: HostId,
+        ids: &[DatagramId],
+        counts: &mut LinkCounts,
+        out: &mut Vec<Outbound>,
+    ) {
         for datagram in self.retransmitter.requested(now, from, ids) {
             self.send_copy(datagram, counts, out);
         }

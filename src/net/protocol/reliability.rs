@@ -87,7 +87,14 @@ impl Setup {
     pub fn emulated(reliability: Reliabilities) -> Setup {
         let plain = reliability.values().all(|one| *one == Reliability::BestEffort);
         let reports = if plain { Reports::Off } else { Reports::On };
-        Setup { reliability, piggyback: Piggyback::Never, reports, report_piggyback_age: REPORT_PIGGYBACK_AGE, rate: None, hosts: None }
+        Setup {
+            reliability,
+            piggyback: Piggyback::Never,
+            reports,
+            report_piggyback_age: REPORT_PIGGYBACK_AGE,
+            rate: None,
+            hosts: None,
+        }
     }
 
     /// Setup of a link on which every datagram reaches every host.

@@ -9,7 +9,7 @@ use super::codec::Frame;
 use super::counts::LinkCounts;
 use super::limits::FRESH;
 use super::reliability::Reliability;
-use super::report::{MAX_HELD, DatagramId};
+use super::report::{DatagramId, MAX_HELD};
 use super::router::Audience;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;

@@ -8,9 +8,9 @@ use serde::Serialize;
 
 use super::bucket::{Bucket, Rate};
 use super::candidates::Candidate;
+use super::lateness::Lateness;
 use super::limits::{LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE};
 use super::offset::Offsets;
-use super::lateness::Lateness;
 use super::report::Stamp;
 use super::window::{LOSS_SPAN, Window};
 use crate::messages::ids::{HostId, LinkId, RobotId};

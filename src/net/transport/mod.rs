@@ -4,13 +4,13 @@
 //! [`Transport`]. Transports do not interpret frames, except that on a unicast link reports go to more addresses than
 //! data. The emulated link of one-process runs (`net/media/ether.rs`) takes the same [`In`].
 
+mod endpoint;
 pub mod interface;
 pub mod settings;
 pub mod udp;
-mod endpoint;
 
+pub use endpoint::{Claim, Endpoint, Filter, Finding, Fitness, OpenError, Place};
 pub use settings::{Field, LinkSettings};
-pub use endpoint::{Claim, Filter, Finding, Fitness, OpenError, Place, Endpoint};
 
 use std::net::SocketAddr;
 use std::os::fd::AsFd;
@@ -29,7 +29,7 @@ use crate::time::Time;
 /// its own behind a channel of `edge`, whose event descriptor is then the one that is watched.
 pub trait Transport {
     /// Returns the descriptor to watch: `receive` is called while it is readable.
-    fn bell(&self) -> Rc<dyn AsFd>;
+    fn descriptor(&self) -> Rc<dyn AsFd>;
 
     /// Passes on received frames, each with its source address if the transport has addresses. Takes a quarter of a
     /// millisecond at most, so that the other actors have their turn; the descriptor stays readable while frames are

@@ -142,7 +142,7 @@ fn tick(clock: &murmurate::runtime::clock::Clock, period: Span) {
 
 /// The lies of a member: the largest numbers, and what is others' to say.
 fn lies(turn: u64, stops: bool) -> Vec<Wire> {
-    let far = Round { epoch: 1 << 30, episode: u32::MAX };
+    let far = Round { term: 1 << 30, episode: u32::MAX };
     let (robot, number) = (RobotId((turn % 5) as u16), 1 << 52);
     let task = Task { start: Vec2::zeros(), goal: Vec2::new(1.0, 1.0) };
     let mut all = vec![
@@ -219,7 +219,7 @@ fn a_member_that_lies_is_named_by_every_host_and_the_stop_works_and_can_be_taken
 /// that all hosts leave.
 fn lies_of_a_robot(turn: u64) -> Vec<Wire> {
     let latch = [Latch::held, Latch::clear][(turn % 2) as usize]((1 << 32) + 1000 * turn);
-    let round = Round { epoch: (1 << 20) + 15 * (turn as u32 % (1 << 20)), episode: u32::MAX };
+    let round = Round { term: (1 << 20) + 15 * (turn as u32 % (1 << 20)), episode: u32::MAX };
     let following = |robot| Following { robot: RobotId(robot), controller: Some(latch), body: Some(latch) };
     let mut all = vec![
         Wire::Heartbeat(Heartbeat { robot: RobotId(4), round, phase: Phase::Running, latch }),

@@ -1,7 +1,7 @@
 //! Checks of this machine for the sockets of a link: interface, packet size, address, receive buffer.
 
 use super::open::OpenError;
-use super::socket::{SocketConfig, Addressing};
+use super::socket::{Addressing, SocketConfig};
 use super::{Filter, Udp};
 use crate::messages::ids::HostId;
 use crate::net::protocol::codec::MAX_FRAME_BYTES;

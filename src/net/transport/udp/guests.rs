@@ -100,7 +100,11 @@ mod tests {
         let second = Time::ZERO + Span::from_millis(1000);
         guests.admit(Time::ZERO, accepted_guest(1, 1));
         guests.admit(second, accepted_guest(1, 2));
-        assert_eq!(guests.find(Time::ZERO + GUEST_LIFETIME, HostId(1)), Some(at(2)), "it was admitted again, elsewhere");
+        assert_eq!(
+            guests.find(Time::ZERO + GUEST_LIFETIME, HostId(1)),
+            Some(at(2)),
+            "it was admitted again, elsewhere"
+        );
         assert_eq!(guests.find(second + GUEST_LIFETIME, HostId(1)), None);
         assert_eq!(guests.accepted(second + GUEST_LIFETIME).count(), 0);
     }

@@ -28,7 +28,7 @@ use crate::net::transport::udp::batch::Batch;
 use crate::net::transport::udp::guests::Guests;
 use crate::net::transport::udp::loopback::Loopback;
 use crate::net::transport::udp::open::{OpenError, guest_socket, receiving_socket, sending_socket};
-use crate::net::transport::udp::socket::{SocketConfig, Addressing};
+use crate::net::transport::udp::socket::{Addressing, SocketConfig};
 use crate::net::transport::{Counts, Filter, In, Transmit, Transport};
 use crate::time::{Span, Time};
 
@@ -178,7 +178,12 @@ impl To {
         To::Peers { peers: others.collect(), guests }
     }
 
-    fn transmit(&mut self, now: Time, socket: &UdpSocket, Transmit { audience, frame, .. }: &Transmit) -> io::Result<()> {
+    fn transmit(
+        &mut self,
+        now: Time,
+        socket: &UdpSocket,
+        Transmit { audience, frame, .. }: &Transmit,
+    ) -> io::Result<()> {
         match (self, audience) {
             (To::Group { tx, own, loopback }, _) => {
                 if let Some(on) = loopback.switch(now) {
@@ -234,7 +239,7 @@ impl To {
 }
 
 impl Transport for Udp {
-    fn bell(&self) -> Rc<dyn AsFd> {
+    fn descriptor(&self) -> Rc<dyn AsFd> {
         Rc::clone(&self.socket) as Rc<dyn AsFd>
     }
 

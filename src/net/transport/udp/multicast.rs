@@ -3,11 +3,11 @@
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
-use super::socket::{INTERFACE, RECEIVE_BUFFER, SocketConfig, Addressing, bound};
+use super::socket::{Addressing, INTERFACE, RECEIVE_BUFFER, SocketConfig, bound};
 use crate::config::ConfigError;
 use crate::config::fields::{Takes, Value};
 use crate::net::transport::interface::LOOPBACK;
-use crate::net::transport::{Entry, Field, LinkSettings, Endpoint};
+use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 
 /// Port of the default groups.
 const PORT: u16 = 7700;

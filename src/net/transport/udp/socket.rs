@@ -10,7 +10,7 @@ use crate::config::fields::{Takes, Value};
 use crate::messages::ids::HostId;
 use crate::net::protocol::reliability::{Reliabilities, Setup};
 use crate::net::transport::interface::{self, LOOPBACK};
-use crate::net::transport::{Claim, Field, Filter, Finding, LinkSettings, OpenError, Transport, Endpoint};
+use crate::net::transport::{Claim, Endpoint, Field, Filter, Finding, LinkSettings, OpenError, Transport};
 
 /// Field for the network interface of both transports.
 pub(super) const INTERFACE: Field = Field::new("interface", Takes::Interface);
@@ -102,7 +102,9 @@ impl Endpoint for SocketConfig {
 
     fn claim(&self) -> Claim {
         match &self.addressing {
-            Addressing::Multicast(group) => Claim { field: "group", what: group.to_string(), on: self.interface.clone() },
+            Addressing::Multicast(group) => {
+                Claim { field: "group", what: group.to_string(), on: self.interface.clone() }
+            }
             Addressing::Unicast { listen, .. } => Claim { field: "peers", what: listen.to_string(), on: String::new() },
             Addressing::Guest { peers } => {
                 let all: Vec<String> = peers.values().map(SocketAddr::to_string).collect();

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use super::socket::{INTERFACE, RECEIVE_BUFFER, SocketConfig, Addressing, bound};
+use super::socket::{Addressing, INTERFACE, RECEIVE_BUFFER, SocketConfig, bound};
 use crate::config::ConfigError;
 use crate::config::fields::Takes;
 use crate::messages::ids::HostId;
-use crate::net::transport::{Entry, Field, LinkSettings, Endpoint};
+use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 
 /// The transport.
 pub const ENTRY: Entry = Entry {
@@ -37,7 +37,9 @@ fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
     }
     let listen = peers.remove(&settings.host).expect("every host has its address");
     if let Some(other) = peers.values().find(|other| other.is_ipv4() != listen.is_ipv4()) {
-        return Err(settings.wrong("peers", format!("{listen} and {other} are of two families; take one, IPv4 or IPv6")));
+        return Err(
+            settings.wrong("peers", format!("{listen} and {other} are of two families; take one, IPv4 or IPv6"))
+        );
     }
     Ok(Arc::new(SocketConfig { addressing: Addressing::Unicast { listen, peers }, interface, receive_buffer_bytes }))
 }
