@@ -12,7 +12,7 @@ pub(super) const MAX_TERM: u32 = 1 << 30;
 /// Number of an instruction of the state server: later epochs outrank, then later episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct Round {
-    /// Term of the state server, as of a leader in Raft: each start of one begins a later term. From one; zero before any message.
+    /// Term of the state server, as of a leader in Raft: each start begins a later one. Zero before its first message.
     pub term: u32,
     /// Episode, counted from zero over the whole trial.
     pub episode: u32,
