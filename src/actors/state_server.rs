@@ -228,7 +228,7 @@ impl StateServer {
         match self.latch.resumed(stop.latch) {
             Some(clear) if hindrances.is_empty() => self.latched(clear),
             Some(_) => {}
-            None => self.latched(self.latch.told(stop.latch)),
+            None => self.latched(self.latch.after(stop.latch)),
         }
         if stop.by.is_operator() {
             out.push(Out::Leading(Leading { latch: self.latch, hindrances }));

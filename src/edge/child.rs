@@ -35,7 +35,7 @@ impl Worker for Program {
         while let Some(line) = port.wait() {
             let written = stdin.as_mut().map(|stdin| stdin.write_all(&line).and_then(|()| stdin.flush()));
             if let Some(Err(error)) = written {
-                tracing::error!("'{program}' takes nothing any more: {error}");
+                tracing::error!("'{program}' does not read its input: {error}");
                 break;
             }
         }

@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn what_finds_no_room_is_counted_and_nobody_waits() {
+    fn packets_without_room_are_counted_and_no_thread_blocks() {
         let (mut gate, mut port) = channel().unwrap();
         (0..ROOM + 3).for_each(|n| gate.send(packet(n)));
         let sender = port.sender();
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_a_worker_rings_and_is_found_behind_its_last_word() {
+    fn the_end_of_a_worker_is_signalled_and_found_after_its_last_packet() {
         let (mut gate, port) = channel().unwrap();
         let sender = port.sender();
         sender.send(packet(7));
@@ -214,11 +214,11 @@ mod tests {
         let mut heard = Vec::new();
         assert_eq!((gate.take(|packet| heard.push(packet)), heard), (WorkerState::Ended, vec![packet(7)]));
         gate.send(packet(8));
-        assert_eq!(gate.dropped(), (0, 0), "there is nobody to keep up");
+        assert_eq!(gate.dropped(), (0, 0), "the worker is gone");
     }
 
     #[test]
-    fn the_bell_rings_as_long_as_something_is_left() {
+    fn the_descriptor_is_readable_as_long_as_something_is_left() {
         let (mut gate, port) = channel().unwrap();
         assert!(gate.event_fd().read().is_err(), "nothing yet");
         port.sender().send(packet(1));

@@ -27,7 +27,7 @@ pub enum LinkError {
 pub type Open = (LinkId, Box<dyn Transport>);
 
 /// Random numbers of the operating system that identify a process.
-pub struct Fresh {
+pub struct ProcessIdentity {
     /// Its incarnation on every link. Not from a clock: many robots have none that survives a restart.
     pub incarnation: u32,
     /// Seed of its link layer; unpredictable for others.
@@ -36,14 +36,14 @@ pub struct Fresh {
     pub operator: HostId,
 }
 
-impl Fresh {
+impl ProcessIdentity {
     /// Draws the numbers.
-    pub fn draw() -> Result<Fresh, LinkError> {
+    pub fn draw() -> Result<ProcessIdentity, LinkError> {
         let no_random = |e| LinkError::NotNow(format!("the operating system gives no random bytes: {e}"));
         let (mut seed, mut numbers) = ([0; 32], [0; 8]);
         getrandom::fill(&mut seed).and_then(|()| getrandom::fill(&mut numbers)).map_err(no_random)?;
         let [a, b, c, d, e, f, ..] = numbers;
-        Ok(Fresh {
+        Ok(ProcessIdentity {
             incarnation: u32::from_le_bytes([a, b, c, d]),
             seed: Seed::of_bytes(seed),
             operator: HostId::operator(u16::from_le_bytes([e, f])),

@@ -7,7 +7,7 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::time::Instant;
 
-use self::links::{Fresh, LinkError};
+use self::links::{LinkError, ProcessIdentity};
 use crate::actors::recorder::Out;
 use crate::deploy::team::Team;
 use crate::graph::Plan;
@@ -64,7 +64,7 @@ impl LiveHost {
     pub fn open(team: &Team, trial: &Trial, key: Option<Key>, registry: &Registry) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
         let transports = links::open(team, team.host)?;
-        let Fresh { incarnation, seed: secret, .. } = Fresh::draw()?;
+        let ProcessIdentity { incarnation, seed: secret, .. } = ProcessIdentity::draw()?;
         let entry = &team.deployment.hosts[usize::from(team.host.0)];
         let (devices, workers) = devices::open(entry, registry)?;
         let host = Host { id: team.host, team: team.number, incarnation, secret, key, links, devices, transports };

@@ -93,19 +93,19 @@ impl Latch {
     /// Returns the latch after a message of an operator or a host. A stop counts whatever its number, since its sender
     /// need not know the present number; a re-arm has to be later than the stop. A resume changes nothing here: the
     /// state server grants it ([`Latch::resumed`]) and all others follow the state server.
-    pub fn told(self, said: Latch) -> Latch {
-        match said.state {
+    pub fn after(self, other: Latch) -> Latch {
+        match other.state {
             State::Clear => self,
-            State::Held => self.joined(said),
-            State::Engaged if self.is_engaged() => self.joined(said),
-            State::Engaged if self.is_overshot_by(said) => Latch::engaged(self.number + 1),
-            State::Engaged => Latch::engaged(said.number.max(self.number + 1)),
+            State::Held => self.joined(other),
+            State::Engaged if self.is_engaged() => self.joined(other),
+            State::Engaged if self.is_overshot_by(other) => Latch::engaged(self.number + 1),
+            State::Engaged => Latch::engaged(other.number.max(self.number + 1)),
         }
     }
 
     /// Returns the latch after a resume, if this one is held and the resume names exactly this hold.
-    pub fn resumed(self, said: Latch) -> Option<Latch> {
-        (self.is_held() && said.is_clear() && said.number == self.number + 1).then_some(said)
+    pub fn resumed(self, other: Latch) -> Option<Latch> {
+        (self.is_held() && other.is_clear() && other.number == self.number + 1).then_some(other)
     }
 }
 
@@ -116,7 +116,7 @@ pub struct LatchFollower {
     /// Whether a message of the state server has arrived.
     informed: bool,
     /// Newest latch of the state server, if that overshoots.
-    doubted: Option<Latch>,
+    overshot: Option<Latch>,
 }
 
 impl LatchFollower {
@@ -131,22 +131,22 @@ impl LatchFollower {
     }
 
     /// Applies a message of an operator or a host; returns whether that changed the latch.
-    pub fn told(&mut self, said: Latch) -> bool {
-        self.set(self.latch.told(said))
+    pub fn apply(&mut self, other: Latch) -> bool {
+        self.set(self.latch.after(other))
     }
 
     /// Applies a latch that the state server repeats; returns whether that changed the latch. A latch that overshoots
     /// counts the second time it arrives: an actor that has just started cannot know the number, and a corrupted number
     /// does not repeat.
-    pub fn learned(&mut self, said: Latch) -> bool {
-        let before = self.doubted.take();
-        let later = if !self.latch.is_overshot_by(said) {
-            self.latch.joined(said)
-        } else if before.is_some_and(|before| before <= said && !before.is_overshot_by(said)) {
+    pub fn update(&mut self, other: Latch) -> bool {
+        let before = self.overshot.take();
+        let later = if !self.latch.is_overshot_by(other) {
+            self.latch.joined(other)
+        } else if before.is_some_and(|before| before <= other && !before.is_overshot_by(other)) {
             // Keep a stop that has not reached the state server yet.
-            if self.latch.is_engaged() { said.told(self.latch) } else { said }
+            if self.latch.is_engaged() { other.after(self.latch) } else { other }
         } else {
-            self.doubted = Some(said);
+            self.overshot = Some(other);
             self.latch
         };
         self.informed = true;
@@ -204,13 +204,13 @@ mod tests {
 
     #[test]
     fn a_stop_always_counts_and_a_re_arm_only_if_it_is_later() {
-        let stopped = Latch::default().told(Latch::engaged(0));
-        assert_eq!(stopped, Latch::engaged(1), "who says it need not know the number");
-        assert_eq!(stopped.told(Latch::engaged(1)), stopped, "again");
-        assert_eq!(stopped.told(Latch::held(1)), stopped, "no later than the stop");
-        let held = stopped.told(Latch::held(2));
+        let stopped = Latch::default().after(Latch::engaged(0));
+        assert_eq!(stopped, Latch::engaged(1), "its sender need not know the number");
+        assert_eq!(stopped.after(Latch::engaged(1)), stopped, "again");
+        assert_eq!(stopped.after(Latch::held(1)), stopped, "no later than the stop");
+        let held = stopped.after(Latch::held(2));
         assert_eq!(held, Latch::held(2));
-        assert_eq!(held.told(Latch::engaged(1)), Latch::engaged(3), "a stop is never too old");
+        assert_eq!(held.after(Latch::engaged(1)), Latch::engaged(3), "a stop is never too old");
         assert_eq!(held.joined(Latch::engaged(1)), held, "what others knew before is");
         assert_eq!(held.joined(Latch::engaged(2)), Latch::engaged(2), "in doubt everyone stands");
     }
@@ -218,7 +218,7 @@ mod tests {
     #[test]
     fn only_the_resume_for_this_very_hold_clears_it_and_nobody_but_the_state_server_takes_it() {
         let held = Latch::held(2);
-        assert_eq!(held.told(Latch::clear(3)), held, "robots do not take it from an operator");
+        assert_eq!(held.after(Latch::clear(3)), held, "robots do not take it from an operator");
         assert_eq!(held.resumed(Latch::clear(3)), Some(Latch::clear(3)));
         for wrong in [Latch::clear(2), Latch::clear(4), Latch::held(3), Latch::engaged(3)] {
             assert_eq!(held.resumed(wrong), None, "{wrong:?}");
@@ -232,28 +232,28 @@ mod tests {
     fn a_number_that_overshoots_stops_the_team_and_can_be_taken_back() {
         let far = MAX_NUMBER;
         for known in [Latch::clear(4), Latch::held(4), Latch::engaged(4)] {
-            for said in [Latch::clear(far), Latch::held(far), Latch::engaged(far)] {
-                assert_eq!(known.joined(said), known, "what others repeat");
+            for other in [Latch::clear(far), Latch::held(far), Latch::engaged(far)] {
+                assert_eq!(known.joined(other), known, "what others repeat");
             }
-            let stopped = known.told(Latch::engaged(far));
-            assert!(stopped.is_engaged() && stopped.number() <= 5, "{known:?} {said:?}", said = far);
-            assert!(stopped.told(Latch::held(stopped.number() + 1)).is_held());
+            let stopped = known.after(Latch::engaged(far));
+            assert!(stopped.is_engaged() && stopped.number() <= 5, "{known:?} {far:?}");
+            assert!(stopped.after(Latch::held(stopped.number() + 1)).is_held());
         }
     }
 
     #[test]
     fn a_fresh_follower_learns_any_number_from_the_state_server_and_forgets_no_stop() {
         let mut fresh = LatchFollower::default();
-        assert!(!fresh.is_informed() && fresh.learned(Latch::held(CREDIBLE)) && fresh.is_informed());
+        assert!(!fresh.is_informed() && fresh.update(Latch::held(CREDIBLE)) && fresh.is_informed());
         assert_eq!(fresh.latch(), Latch::held(CREDIBLE), "at once");
         let far = CREDIBLE + 9 * JUMP;
-        assert!(!fresh.learned(Latch::clear(far)), "what overshoots has to be said twice");
-        assert!(!fresh.learned(Latch::held(CREDIBLE)) && !fresh.learned(Latch::clear(far)), "and in a row");
-        assert!(fresh.learned(Latch::clear(far + 1)));
+        assert!(!fresh.update(Latch::clear(far)), "a latch that overshoots has to arrive twice");
+        assert!(!fresh.update(Latch::held(CREDIBLE)) && !fresh.update(Latch::clear(far)), "and in a row");
+        assert!(fresh.update(Latch::clear(far + 1)));
         assert_eq!(fresh.latch(), Latch::clear(far + 1));
         let mut stopped = LatchFollower::default();
-        assert!(stopped.told(Latch::engaged(0)) && !stopped.learned(Latch::clear(far)));
-        assert!(stopped.learned(Latch::clear(far)));
+        assert!(stopped.apply(Latch::engaged(0)) && !stopped.update(Latch::clear(far)));
+        assert!(stopped.update(Latch::clear(far)));
         assert_eq!(stopped.latch(), Latch::engaged(far + 1), "the state server has not heard of the stop yet");
     }
 
@@ -261,18 +261,18 @@ mod tests {
     fn a_robot_that_has_missed_a_thousand_changes_follows_the_next_and_so_does_a_server_that_forgot_them() {
         let mut robot = LatchFollower::default();
         assert!(
-            robot.told(Latch::engaged(5000)) && robot.told(Latch::held(9000)) && robot.learned(Latch::clear(20_000))
+            robot.apply(Latch::engaged(5000)) && robot.apply(Latch::held(9000)) && robot.update(Latch::clear(20_000))
         );
-        assert_eq!(Latch::default().told(Latch::engaged(5000)), Latch::engaged(5000));
-        assert_eq!(Latch::default().told(Latch::held(5000)), Latch::held(5000));
+        assert_eq!(Latch::default().after(Latch::engaged(5000)), Latch::engaged(5000));
+        assert_eq!(Latch::default().after(Latch::held(5000)), Latch::held(5000));
     }
 
     #[test]
-    fn what_one_claims_alone_out_of_reach_is_not_the_latest() {
+    fn a_single_claim_out_of_reach_is_not_the_latest() {
         let (far, known) = (Latch::engaged(MAX_NUMBER), Latch::clear(4));
         assert_eq!(latest(known, [far].into_iter()), known);
         assert_eq!(latest(known, [far, Latch::held(7)].into_iter()), Latch::held(7));
-        assert_eq!(latest(known, [far, far].into_iter()), far, "two say so");
+        assert_eq!(latest(known, [far, far].into_iter()), far, "two claim it");
         assert_eq!(latest(known, [Latch::held(CREDIBLE)].into_iter()), Latch::held(CREDIBLE));
     }
 

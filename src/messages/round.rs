@@ -45,7 +45,7 @@ impl Round {
 pub struct RoundFollower {
     round: Round,
     /// Epoch of the newest round, if that overshot.
-    doubted: Option<u32>,
+    overshot: Option<u32>,
 }
 
 impl RoundFollower {
@@ -57,14 +57,14 @@ impl RoundFollower {
     /// Whether an instruction of this round is to be followed. An earlier round never is. One that overshoots is
     /// followed the second time it arrives: an actor that has just started cannot know the term, and a corrupted one
     /// does not repeat.
-    pub fn admits(&mut self, said: Round) -> bool {
-        let before = self.doubted.take();
-        let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&said.term));
-        if self.round.is_overshot_by(said) && !repeated {
-            self.doubted = Some(said.term);
+    pub fn admits(&mut self, round: Round) -> bool {
+        let before = self.overshot.take();
+        let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&round.term));
+        if self.round.is_overshot_by(round) && !repeated {
+            self.overshot = Some(round.term);
             return false;
         }
-        said >= self.round
+        round >= self.round
     }
 
     /// Follows this round from now on.
@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_earlier_round_is_refused_and_one_that_overshoots_has_to_be_said_twice() {
+    fn an_earlier_round_is_refused_and_one_that_overshoots_has_to_arrive_twice() {
         let round = |term| Round { term, episode: 0 };
         let mut follower = RoundFollower::default();
         assert!(follower.admits(round(1)));

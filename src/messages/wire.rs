@@ -229,19 +229,19 @@ pub const KINDS: [Kind; 9] = [
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unfit {
     /// A position, velocity or feature is NaN, infinite or too large.
-    #[error("a number is not finite, or too large to be one")]
+    #[error("a number is not finite or out of range")]
     Number,
     /// A list is empty or longer than its limit.
     #[error("a list is empty or too long")]
     Length,
-    /// A command claims to hold longer than `MAX_VALIDITY`.
-    #[error("a command claims too long a validity")]
+    /// The validity of a command exceeds `MAX_VALIDITY`.
+    #[error("the validity of a command is too long")]
     Validity,
-    /// A `Mode` block runs past the last possible robot.
-    #[error("a block of robots runs past the last possible one")]
+    /// A `Mode` block exceeds the largest robot id.
+    #[error("a block of robots exceeds the largest robot id")]
     Block,
-    /// The term of a round is larger than any.
-    #[error("the term of a round is larger than any")]
+    /// The term of a round is out of range.
+    #[error("the term of a round is out of range")]
     Term,
 }
 

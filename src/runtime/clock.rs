@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn who_wants_to_be_rung_later_than_before_is_not_waited_for_before() {
+    fn a_task_that_is_postponed_does_not_wake_the_driver_at_its_earlier_time() {
         let clock = Clock::default();
         let ms = |ms: u64| Time::ZERO + Span::from_millis(ms);
         let task = clock.register(Rc::new(|| {}));
@@ -213,6 +213,6 @@ mod tests {
         clock.expect(Some(ms(30)), task);
         assert_eq!(clock.latest(), Some(ms(30)));
         clock.set(ms(30));
-        assert!(clock.catch_up(), "the event of before rings it");
+        assert!(clock.catch_up(), "the event of before wakes it");
     }
 }

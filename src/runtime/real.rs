@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_descriptor_rings_until_it_is_read() {
+    fn a_descriptor_calls_until_it_is_read() {
         let (mut here, there) = UnixStream::pair().unwrap();
         here.write_all(b"ab").unwrap();
         let read = Rc::new(RefCell::new(Vec::new()));
@@ -238,29 +238,29 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_rests_is_not_rung_and_delays_nothing() {
+    fn a_paused_link_is_not_read_and_delays_nothing() {
         let (mut here, there) = UnixStream::pair().unwrap();
         here.write_all(b"a").unwrap();
-        let (rung, called) = (Rc::new(Cell::new(0)), Rc::new(Cell::new(false)));
-        let (notify, call) = (Rc::clone(&rung), Rc::clone(&called));
+        let (calls, called) = (Rc::new(Cell::new(0)), Rc::new(Cell::new(false)));
+        let (notify, call) = (Rc::clone(&calls), Rc::clone(&called));
         run(move |clock, readers| {
             readers.watch_link(Rc::new(there), || Some(Time::MAX), move || notify.set(notify.get() + 1));
             clock.call(Time::ZERO + Span::from_millis(2), Box::new(move || call.set(true)));
         });
-        assert_eq!((rung.get(), called.get()), (0, true));
+        assert_eq!((calls.get(), called.get()), (0, true));
     }
 
     #[test]
-    fn the_end_of_a_pipe_rings_once_and_a_regular_file_has_none() {
+    fn the_end_of_a_pipe_is_reported_once_and_a_regular_file_has_none() {
         let (here, there) = UnixStream::pair().unwrap();
         drop(there);
-        let rung = Rc::new(Cell::new(0));
-        let notify = Rc::clone(&rung);
+        let calls = Rc::new(Cell::new(0));
+        let notify = Rc::clone(&calls);
         run(move |_, readers| {
             readers.watch_end(Rc::new(here), move || notify.set(notify.get() + 1));
             readers.watch_end(Rc::new(tempfile::tempfile().unwrap()), || panic!("a file does not end"));
         });
-        assert_eq!(rung.get(), 1);
+        assert_eq!(calls.get(), 1);
     }
 
     #[test]

@@ -248,7 +248,7 @@ impl<C: Core + 'static> Shell<C> {
         if self.alive && now >= self.faults.down {
             self.incarnation += 1;
             self.core = Some((self.make)(self.incarnation));
-            tracing::info!(incarnation = self.incarnation, "started afresh");
+            tracing::info!(incarnation = self.incarnation, "restarted");
         }
     }
 

@@ -206,13 +206,13 @@ impl Guard {
     /// Applies an operator's stop or re-arm; true if the latch has changed.
     pub fn apply_stop(&mut self, stop: &Stop) -> bool {
         let before = self.latch();
-        self.latch.told(stop.latch) && self.changed(before)
+        self.latch.apply(stop.latch) && self.changed(before)
     }
 
     /// Merges the latch that the state server repeats; true if the own latch has changed.
     pub fn learn_latch(&mut self, latch: Latch) -> bool {
         let before = self.latch();
-        self.latch.learned(latch) && self.changed(before)
+        self.latch.update(latch) && self.changed(before)
     }
 
     fn changed(&mut self, before: Latch) -> bool {

@@ -1,4 +1,4 @@
-//! What every driver, source and estimator of the registry keeps to, and user programs as drivers and sources.
+//! Contracts of every driver, source and estimator of the registry, and user programs as drivers and sources.
 
 use std::os::fd::AsFd;
 use std::thread;

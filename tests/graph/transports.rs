@@ -1,4 +1,4 @@
-//! What every transport of the registry keeps to, and one that does its work on a thread of its own.
+//! Contracts of every transport of the registry, and a transport with a thread of its own.
 
 use std::net::SocketAddr;
 use std::os::fd::AsFd;
@@ -26,7 +26,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 const PATIENCE: u16 = 5000;
 const SURPLUS: u16 = 30;
 
-/// What the team file says of a link with each transport, in a team of three robots and a World; and mistakes, with how
+/// Team file of a link with each transport, in a team of three robots and a World; and mistakes, with how
 /// the error begins.
 fn lines(name: &str) -> (&'static str, &'static [(&'static str, &'static str, &'static str)]) {
     match name {
@@ -92,7 +92,7 @@ fn say(transport: &mut dyn Transport, audience: Audience, frame: &[u8]) {
     transport.handle(Time::ZERO, In::Transmit(Transmit { from: HostId(0), audience, frame: frame.into() }));
 }
 
-/// What arrives: so many frames, and whatever comes soon after them.
+/// Receives so many frames, and those that come soon after them.
 fn hear(transport: &mut dyn Transport, count: usize) -> Vec<(Option<SocketAddr>, Vec<u8>)> {
     let mut heard = Vec::new();
     loop {

@@ -20,7 +20,7 @@ use murmurate::net::protocol::router::{Audience, Publishers, Route, Router};
 use murmurate::time::{Span, Time};
 use proptest::prelude::*;
 
-/// Two hosts that believe each other, and one more datagram that host 1 sends and host 0 has not heard.
+/// Two hosts that accept each other, and one more datagram that host 1 sends and host 0 has not heard.
 fn two() -> (Rig, Vec<u8>) {
     let mut rig = Rig::team(2, Reliabilities::new());
     rig.meet();
@@ -186,12 +186,12 @@ fn recordings_are_worth_nothing_after_any_restart() {
     assert!(rig.delivered[0].len() == 20, "nothing more");
     assert_eq!(rig.counted(0).unproven, recorded.len() as u64);
 
-    // The sender starts again, and is believed; what it said before it died is not.
+    // The sender starts again, and is accepted; what it said before it died is not.
     rig.restart(1, config(1, 2, 2, Some(key()), setup()));
     rig.meet();
     rig.publish(1, latent(1, 77));
     rig.run_ms(10);
-    assert_eq!(rig.delivered[0].len(), 1, "it is believed within three messages");
+    assert_eq!(rig.delivered[0].len(), 1, "it is accepted within three messages");
     rig.counted(0);
     let counts = counted_for(&mut rig, &recorded);
     assert_eq!(counts.unproven + counts.replay, recorded.len() as u64);
@@ -309,7 +309,7 @@ fn made_up_senders_take_no_room_from_hosts_of_the_team_and_operators() {
     }
     let operators = (0..HostId::OPERATORS).map(|number| delivered(HostId::operator(number).0, 1, engage(number)));
     assert_eq!(operators.sum::<usize>(), usize::from(HostId::OPERATORS), "each operator is heard");
-    assert_eq!(delivered(1, 2, latent(1, 2)), 1, "a host that was believed before is");
+    assert_eq!(delivered(1, 2, latent(1, 2)), 1, "a host that was accepted before is");
     assert_eq!(delivered(3, 1, latent(3, 1)), 1, "and one that comes later");
     let counts = counts_of(&mut network);
     assert_eq!((counts.crowd, counts.replay + counts.duplicate_id), (0, 0));
@@ -336,7 +336,7 @@ fn an_operator_and_a_host_prove_themselves_beside_thousands_that_a_member_makes_
         let frame = lively(&rig, header(HostId::operator(number).0, 2, 1), &engage(number));
         rig.arrive(0, &frame);
     }
-    assert_eq!(rig.delivered[0].len(), 3000, "each is believed");
+    assert_eq!(rig.delivered[0].len(), 3000, "each is accepted");
     rig.delivered[0].clear();
     // A real one of each kind, from its first datagram on.
     rig.restart(1, config(3, 4, 7, Some(key()), multicast(Reliabilities::new())));
@@ -386,7 +386,7 @@ fn a_recording_of_an_operator_from_elsewhere_does_not_take_its_answers() {
     let setup = Setup::unicast(Reliabilities::new());
     let (mut rig, said) = with_operator(&setup);
     let [here, elsewhere] = [1, 2].map(|port| Some(SocketAddr::from(([127, 0, 0, 1], port))));
-    // What it says itself comes from its own address.
+    // Its own datagrams come from its own address.
     let delay = std::mem::replace(&mut rig.delay, Span::from_secs(1e6));
     rig.publish(2, engage(5));
     let fresh = rig.sent.last().expect("it has said a stop").frame.clone();
@@ -398,7 +398,7 @@ fn a_recording_of_an_operator_from_elsewhere_does_not_take_its_answers() {
     for frame in said.iter().chain([&fresh.to_vec()]) {
         rig.arrive_from(0, frame, elsewhere);
     }
-    assert_eq!(rig.admitted[0].len(), 1, "a recording of one that is believed admits nobody");
+    assert_eq!(rig.admitted[0].len(), 1, "a recording of one that is accepted admits nobody");
 
     // Once the operator is forgotten, its recordings are those of one that has to prove itself, and soon of none.
     rig.restart(2, config(9, 2, 1, None, setup));

@@ -72,7 +72,7 @@ fn a_host_that_is_restarted_is_heard_again_within_a_second_whatever_its_number()
         for frame in former.map(|flight| flight.frame.clone()).collect::<Vec<_>>() {
             rig.arrive(0, &frame);
         }
-        assert!(rig.delivered[0].is_empty(), "restart {restart}: a recording is believed");
+        assert!(rig.delivered[0].is_empty(), "restart {restart}: a recording is accepted");
     }
     println!("heard again by all at most {worst} after the start");
 }
@@ -113,7 +113,7 @@ fn recordings_of_former_runs_are_not_believed_and_do_not_hold_up_a_start() {
         }
         println!("beside 4000 recordings a second of {runs} former runs: whole after {}", rig.now);
         for host in 0..5 {
-            assert_eq!((0..5).map(|robot| got(&rig, host, robot, 66)).sum::<usize>(), 0, "nothing old is believed");
+            assert_eq!((0..5).map(|robot| got(&rig, host, robot, 66)).sum::<usize>(), 0, "nothing old is accepted");
         }
     }
 }
@@ -134,7 +134,7 @@ fn a_recording_with_the_incarnation_of_a_host_that_is_not_there_is_no_proof_of_l
 }
 
 /// Two hosts; what host 1 says without a report is held back until it falls silent, but for its soft state. Then some
-/// time passes and all of it is released: how many messages are believed.
+/// time passes and all of it is released: how many messages are accepted.
 fn released(setup: &Setup, everything: bool, after_ms: u64) -> usize {
     let mut rig = Rig::new((0..2).map(|host| config(host, 2, 1, Some(key()), setup.clone())));
     talk(&mut rig, &[0, 1], Some(1), 2000);

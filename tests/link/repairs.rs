@@ -54,7 +54,7 @@ fn command(robot: u16) -> Wire {
     Wire::MotorCommand(MotorCommand { robot: RobotId(robot), velocity, valid_for: Span::from_millis(200) })
 }
 
-/// A team in which host 0 and each other believe each other.
+/// A team in which host 0 and each other accept each other.
 fn team(receivers: u16, reliability: Reliability, to: To) -> Rig {
     let hosts = receivers + 1;
     let mut rig = Rig::new((0..hosts).map(|host| config(host, hosts.into(), reliability, to)));
@@ -160,7 +160,7 @@ fn repaired(receivers: u16, reliability: Reliability, to: To) -> (f64, f64) {
         // Missing datagrams are known by a report, which leaves every 250 ms.
         rig.run_ms(if reliability == Reliability::Nack { 400 } else { 120 });
         if to == To::One {
-            // What a receiver misses it learns from the next datagram that is for it.
+            // A receiver learns what it misses from the next datagram to it.
             (1..=receivers).for_each(|host| rig.publish(0, command(host)));
             said += usize::from(receivers);
         }

@@ -251,7 +251,7 @@ impl Rig {
         self.counts[host]
     }
 
-    /// Lets everyone be believed by everyone: each says two things.
+    /// Lets everyone be accepted by everyone: each says two things.
     pub fn meet(&mut self) {
         for _ in 0..3 {
             for host in 0..self.networks.len() {

@@ -47,7 +47,7 @@ impl Row {
     }
 }
 
-/// What a host has said.
+/// Output of a host.
 #[derive(Debug)]
 pub enum Said {
     Row(Row),
@@ -134,7 +134,7 @@ impl Crew {
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
             let Ok(heard) = self.heard.1.recv_timeout(left) else { panic!("never came: {what}; last: {last}{logs}") };
-            // What a former life has said late is of the past.
+            // Late output of a former incarnation is ignored.
             if self.members[&heard.host].life != heard.life {
                 continue;
             }

@@ -10,14 +10,14 @@ use murmurate::net::protocol::codec::VERSION;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// What the datagrams are like.
+/// Kind of the datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Random bytes, or a header of the team's with a length or version that is none.
     Malformed,
-    /// What the team's could look like, with tags of another key.
+    /// In the team's format, with tags of another key.
     WrongKey,
-    /// What the team has said itself, again and again.
+    /// The team's own datagrams, repeated.
     Replayed,
 }
 

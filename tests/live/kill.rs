@@ -1,4 +1,4 @@
-//! What dies, at any moment: every kind of process of a team that runs on real sockets. Motors stop in time, the next
+//! Deaths at any moment: every kind of process of a team that runs on real sockets. Motors stop in time, the next
 //! episode runs, and nobody is left behind. `MURMURATE_KILLS=50` strikes at so many moments (an hour has room for 400).
 
 use std::collections::BTreeMap;
@@ -88,7 +88,7 @@ impl Clocks {
     }
 }
 
-/// What came of one stroke.
+/// Result of one kill.
 struct Stroke {
     victim: String,
     signal: Signal,

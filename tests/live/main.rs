@@ -1,6 +1,6 @@
 //! Teams of real processes in real time, on loopback or between network namespaces.
 //!
-//! What needs root or a tool that is not there skips, and says so. A test that judges times to a few milliseconds runs
+//! A test that needs root or a missing tool skips, and says so. A test that judges times to a few milliseconds runs
 //! [`alone`]; the others run [`beside`] one another, each with ports, groups and namespaces of its own.
 #![cfg(target_os = "linux")]
 
@@ -22,7 +22,7 @@ use std::sync::{Condvar, Mutex, MutexGuard};
 /// How many tests run beside one another at the most.
 const BESIDE: usize = 6;
 
-/// Who runs: so many beside one another, or one alone.
+/// Permits of running tests: so many beside one another, or one alone.
 struct Running {
     beside: usize,
     alone: bool,

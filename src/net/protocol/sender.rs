@@ -40,7 +40,7 @@ pub struct Sender {
     pub since: Time,
     /// Time at which it last proved its liveness.
     pub proved: Time,
-    /// When its last report was admitted.
+    /// Time at which its last report was admitted.
     pub reported: Time,
     /// Its datagrams to all hosts and, second, to this host.
     pub spaces: [SequenceSpace; 2],
@@ -58,7 +58,7 @@ pub struct Sender {
     pub loss_sent: u8,
     /// Whether it has asked for a proof that this host is alive.
     pub challenged: bool,
-    /// How many of this host's newest 64 datagrams it has lost, by its own report.
+    /// Number of this host's newest 64 datagrams that it has lost, by its own report.
     pub reported_lost: u8,
     /// Times until which that causes a repeat, and a second one.
     pub repeat_until: [Time; 2],

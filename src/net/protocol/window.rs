@@ -25,7 +25,7 @@ pub struct Window {
     seen: [u64; WORDS],
     /// The newest `LOSS_SPAN`, the lowest bit the newest: set where the first transmission arrived.
     originals: u64,
-    /// How many numbers have passed, and how many of those arrived.
+    /// Count of numbers that have passed, and of those that arrived.
     passed: u64,
     arrived: u64,
 }

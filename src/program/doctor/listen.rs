@@ -90,16 +90,16 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
     let post = carries.filter(|at| places[*at].is_some());
     let post = post.map(|at| LinkId(u16::try_from(at).expect("links are counted in u16")));
     let operator = || -> Result<Operator> {
-        let fresh = links::Fresh::draw()?;
+        let identity = links::ProcessIdentity::draw()?;
         let mut transports = Vec::new();
         for (at, place) in places.iter().enumerate() {
             let Some(place) = place else { continue };
-            let open = place.endpoint.open(fresh.operator, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
+            let open = place.endpoint.open(identity.operator, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
             transports.push((LinkId(u16::try_from(at).expect("links are counted in u16")), open));
         }
         Ok(Operator {
-            me: fresh.operator_of(team.number),
-            seed: fresh.seed,
+            me: identity.operator_of(team.number),
+            seed: identity.seed,
             robots: team.deployment.robots,
             publishers: Routes::of(&team.deployment).publishers(),
             key: key.clone(),

@@ -215,7 +215,7 @@ fn a_member_that_lies_is_named_by_every_host_and_the_stop_works_and_can_be_taken
     report(&format!("{} lies: every host has named the liar, and the team goes on", said.load(Ordering::Relaxed)));
 }
 
-/// The lies of a robot's own host, one step after the other: numbers and epochs as far ahead as they are believed, and
+/// False messages of a robot's own host, one step after the other: numbers and terms as far ahead as they are accepted, and
 /// that all hosts leave.
 fn lies_of_a_robot(turn: u64) -> Vec<Wire> {
     let latch = [Latch::held, Latch::clear][(turn % 2) as usize]((1 << 32) + 1000 * turn);

@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn guests_that_are_not_believed_neither_redirect_nor_evict_one_that_is() {
+    fn guests_that_are_not_accepted_neither_redirect_nor_evict_one_that_is() {
         let mut guests = Guests::default();
         guests.admit(Time::ZERO, accepted_guest(1, 1));
         for host in 1..=100 {

@@ -143,7 +143,7 @@ impl Udp {
             self.unsent += 1;
             // Log the first failure, the second, the fourth and so on: a link that is down must not fill the log.
             if self.unsent.is_power_of_two() {
-                tracing::warn!(unsent = self.unsent, "a frame did not get out: {error}");
+                tracing::warn!(unsent = self.unsent, "a frame could not be sent: {error}");
             }
         }
     }
@@ -263,7 +263,7 @@ impl Transport for Udp {
             Ok(count) => self.flood.read(now, count),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => self.flood.read(now, 0),
             // An error about an earlier datagram (a closed port, a lost route) says nothing of the next one.
-            Err(error) => tracing::debug!("an error has arrived in place of a frame: {error}"),
+            Err(error) => tracing::debug!("an error in place of a frame: {error}"),
         }
     }
 
@@ -440,7 +440,7 @@ mod tests {
         };
         admit(&mut one, operator, Standing::Candidate);
         say(&mut one, Audience::All, &frame(40, 2));
-        assert!(hear(&mut guest).is_empty(), "it is not believed yet");
+        assert!(hear(&mut guest).is_empty(), "it is not accepted yet");
         let mut report: Vec<u8> = frame(HEADER_BYTES, 0).to_vec();
         codec::add(&mut report, Content::Report, |bytes| bytes.extend_from_slice(&[1; 6]));
         report.extend_from_slice(&[0; TAG_BYTES]);

@@ -116,13 +116,13 @@ fn wire(
         Route { local: latent && !own, leaves: (latent && own).then_some((LINK, Audience::All)) }
     });
     let host = participation.team.host;
-    let fresh = links::Fresh::draw().expect("the operating system gives random bytes");
+    let identity = links::ProcessIdentity::draw().expect("the operating system gives random bytes");
     let station = Station {
-        me: network::Identity { host, team: participation.team.number, incarnation: fresh.incarnation },
+        me: network::Identity { host, team: participation.team.number, incarnation: identity.incarnation },
         key: participation.key.map(Key::new),
         links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
         router,
-        seed: fresh.seed,
+        seed: identity.seed,
         stream: format!("network/{}", host.0),
         span: info_span!("network"),
     };
