@@ -307,7 +307,7 @@ fn wire_network(
 ) {
     let name = plan.deployment.hosts[usize::from(host.0)].name.clone();
     let station = Station {
-        me: network::Identity { host, team: process.team, epoch: process.incarnation },
+        me: network::Identity { host, team: process.team, incarnation: process.incarnation },
         key: process.key.clone(),
         links: process.setups(&plan.deployment, &graph.routes, host),
         router: graph.routes.router(host),

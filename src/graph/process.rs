@@ -12,7 +12,7 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
 use crate::messages::wire::{Stop, Wire};
 use crate::net::protocol::key::Key;
-use crate::net::protocol::link::{Duplicate, LinkCounts};
+use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::sender::Peer;
 use crate::net::transport;
@@ -58,7 +58,7 @@ pub enum Heard<'a> {
     /// What it has counted on its links since it was started.
     Counts(&'a LinkCounts),
     /// Another live host has the id of this one and was started before it.
-    Duplicate(Duplicate),
+    Duplicate(DuplicateId),
     /// How often the guard of a robot of this process has stopped or slowed it since it was started.
     Safety(RobotId, SafetyCounts),
 }
