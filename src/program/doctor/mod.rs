@@ -4,6 +4,7 @@
 //! under names of its own: a robot that runs is not disturbed.
 
 mod listen;
+mod table;
 
 use std::path::Path;
 
@@ -92,8 +93,11 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let object = serde_json::json!({"fit": !unfit, "checks": checks});
         print(&serde_json::to_string(&object).context("checks are JSON")?)?;
     } else {
-        let several = teams.len() > 1;
-        checks.iter().try_for_each(|check| print(&check.line(several)))?;
+        let hosts: Vec<&str> =
+            teams.iter().map(|team| &*team.deployment.hosts[usize::from(team.host.0)].name).collect();
+        let lines = table::lines(&checks, hosts.len());
+        lines.iter().try_for_each(|line| print(line))?;
+        print(&table::verdict(&lines, &hosts))?;
     }
     Ok(if unfit { Ended::Unfit } else { Ended::Done })
 }
@@ -163,17 +167,4 @@ fn check_link(host: HostId, link: &str, place: &Place) -> Vec<Found> {
 fn mtu(interface: &str) -> Option<usize> {
     let text = std::fs::read_to_string(Path::new("/sys/class/net").join(interface).join("mtu")).ok()?;
     text.trim().parse().ok()
-}
-
-impl Check {
-    fn line(&self, several: bool) -> String {
-        let status = match self.status {
-            Status::Ok => "ok  ",
-            Status::Warn => "warn",
-            Status::Fail => "fail",
-        };
-        let host = if several { format!("{}: ", self.host) } else { String::new() };
-        let advice = if self.advice.is_empty() { String::new() } else { format!(" \u{2014} {}", self.advice) };
-        format!("{status} {host}{}: {}{advice}", self.what, self.found)
-    }
 }
