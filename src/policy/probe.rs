@@ -5,28 +5,11 @@
 use std::sync::Arc;
 
 use super::gnn::{Gnn, Network};
-use super::weights::WeightsError;
+use super::weights::{Probe, WeightsError};
 use super::{Draw, Neighbour, Policy};
 use crate::messages::geometry::{Motion, Vec2};
 use crate::scenario::Observation;
 use crate::time::Span;
-
-/// Inputs and outputs of a team in which every robot has a message of every other. Row-major, one row per robot.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Probe {
-    /// Positions \[m\], policy frame: \[robots, 2\].
-    pub position: Vec<f32>,
-    /// Velocities \[m/s\], policy frame: \[robots, 2\].
-    pub velocity: Vec<f32>,
-    /// Goals \[m\], policy frame: \[robots, 2\].
-    pub goal: Vec<f32>,
-    /// Ages of messages \[s\], by receiver and then by sender: \[robots, robots\].
-    pub age_s: Vec<f32>,
-    /// Latents: \[robots, features\].
-    pub latent: Vec<f32>,
-    /// Raw outputs, \[mean_x, mean_y, log_std_x, log_std_y\]: \[robots, 4\].
-    pub output: Vec<f32>,
-}
 
 /// Largest differences between a probe and what a network computes. Each difference is divided by the stored number if
 /// that is above 1.
@@ -39,8 +22,6 @@ pub struct Difference {
 }
 
 impl Probe {
-    /// Largest number of robots in a probe.
-    pub const MOST_ROBOTS: usize = 64;
     /// Largest difference that is accepted: sums of 32-bit floats in another order differ by less.
     pub const TOLERANCE: f32 = 1e-4;
 

@@ -11,7 +11,6 @@ use hmac_sha256::Hash;
 
 use super::manifest::{self, Manifest};
 use super::mlp::{Layer, Mlp};
-use super::probe::Probe;
 use super::safetensors::{self, F32, SafeTensors, Tensor};
 use crate::config;
 
@@ -25,6 +24,28 @@ const PROBE: &str = "probe.";
 /// Tensors of a probe, in the order of [`Probe`]'s fields; each has one row per robot.
 const PROBE_TENSORS: [&str; 6] =
     ["probe.position", "probe.velocity", "probe.goal", "probe.age", "probe.latent", "probe.output"];
+
+/// Inputs and outputs of a team in which every robot has a message of every other. Row-major, one row per robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Probe {
+    /// Positions \[m\], policy frame: \[robots, 2\].
+    pub position: Vec<f32>,
+    /// Velocities \[m/s\], policy frame: \[robots, 2\].
+    pub velocity: Vec<f32>,
+    /// Goals \[m\], policy frame: \[robots, 2\].
+    pub goal: Vec<f32>,
+    /// Ages of messages \[s\], by receiver and then by sender: \[robots, robots\].
+    pub age_s: Vec<f32>,
+    /// Latents: \[robots, features\].
+    pub latent: Vec<f32>,
+    /// Raw outputs, \[mean_x, mean_y, log_std_x, log_std_y\]: \[robots, 4\].
+    pub output: Vec<f32>,
+}
+
+impl Probe {
+    /// Largest number of robots in a probe.
+    pub const MOST_ROBOTS: usize = 64;
+}
 
 /// The content of a checked policy file.
 #[derive(Debug)]

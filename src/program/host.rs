@@ -16,7 +16,7 @@ use crate::graph::process::{Graph, Heard};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::key::Key;
-use crate::net::protocol::link::{Duplicate, LinkCounts};
+use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::registry::Registry;
 use crate::report::event::{Counted, HostEvent, RobotSafety};
 use crate::report::summary::{Counts, Run, Summary};
@@ -80,7 +80,7 @@ struct Seen {
     safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
     outlets: Outlets,
     /// Another live host has the id of this one.
-    duplicate: Cell<Option<Duplicate>>,
+    duplicate: Cell<Option<DuplicateId>>,
 }
 
 /// Runs the host until the team has finished, or until it is told to stop.
@@ -140,6 +140,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             judged: team.deployment.judged(),
             seed: team.seed,
             wall_s: began.elapsed().as_secs_f64(),
+            faults: Vec::new(),
             interrupted,
         };
         let counts = if team.deployment.hosts.len() == 1 { Counts::Team } else { Counts::Host };
@@ -246,7 +247,7 @@ impl Watch {
         if let Some(error) = self.lost.take() {
             return Err(error);
         }
-        if let Some(Duplicate { host, .. }) = self.seen.duplicate.get() {
+        if let Some(DuplicateId { host, .. }) = self.seen.duplicate.get() {
             return Err(anyhow!(
                 "another live host is number {} of this team ('{name}') and was started before this one: stop it, or \
                  correct --host or --robot here",

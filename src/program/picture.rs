@@ -65,6 +65,11 @@ impl Pictures {
         Ok(Pictures { files, episode: args.episode.unwrap_or(0) })
     }
 
+    /// Whether there are any.
+    pub fn any(&self) -> bool {
+        !self.files.is_empty()
+    }
+
     /// Returns the steps that a trial keeps: those that pictures need, or else `steps`.
     pub fn steps(&self, repeat: u32, steps: Steps) -> Steps {
         if repeat == 0 && !self.files.is_empty() { Steps::WithHearing } else { steps }

@@ -1,5 +1,6 @@
 //! `murmurate sim`: episodes in one process under virtual time.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,6 +13,7 @@ use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::registry::Registry;
+use crate::report::comparison::Comparison;
 use crate::report::episode::Episode;
 use crate::report::summary::{Run, Summary};
 use crate::safety::Safety;
@@ -22,6 +24,7 @@ use crate::world::{Clamp, ContactRule, Overrides, Placement, Sensor};
 use anyhow::{Context, Result};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
 
 use crate::program::BadInput;
 use crate::program::Ended;
@@ -48,9 +51,10 @@ pub struct Args {
     #[arg(long, default_value = "passage")]
     scenario: String,
     /// Policy of the robots: a name in the registry (shipped, published, orca, or one of your own crate) or a policy
-    /// file (safetensors) [default: shipped, or orca for a scenario without a shipped policy]
+    /// file (safetensors). Given several times, it compares the policies on the same episodes [default: shipped, or orca
+    /// for a scenario without a shipped policy]
     #[arg(long, value_name = "NAME|FILE")]
-    policy: Option<PathBuf>,
+    policy: Vec<PathBuf>,
     /// Action of a trained policy: the mean of its distribution or a sample from it [default: as its file says]
     #[arg(long, value_parser = choice([("mean", Draw::Mean), ("sample", Draw::Sample)]))]
     action: Option<Draw>,
@@ -160,42 +164,67 @@ fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
         .map(move |name| named(name).expect("the parser lets only these names through"))
 }
 
-/// Runs the trials and prints their results.
+/// Runs the trials of every policy and prints the results.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
-    let (trial, policy) = trial(args, registry)?;
+    let named: Vec<Option<&Path>> =
+        if args.policy.is_empty() { vec![None] } else { args.policy.iter().map(|policy| Some(&**policy)).collect() };
+    // Errors of every policy must show before the first one runs.
+    let trials: Vec<(Trial, String)> =
+        named.iter().map(|policy| trial(args, *policy, registry)).collect::<Result<_>>()?;
     let pictures = Pictures::open(&args.pictures, args.episodes)?;
+    if trials.len() > 1 && (args.trajectories.is_some() || pictures.any()) {
+        return bad("--policy: trajectories and pictures are of one policy; name one".to_owned());
+    }
     let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
     tracing::info!("{} repeats of {} episodes; Ctrl-C prints the results so far", args.repeats, args.episodes);
 
-    let began = Instant::now();
-    let reports = run_all(args, &trial, &pictures, &stop)?;
-    // Ctrl-C after the last episode interrupts nothing.
-    let interrupted = reports.len() < args.repeats as usize || reports.iter().any(|report| !report.finished);
+    let mut results = Vec::new();
+    for (trial, policy) in &trials {
+        let began = Instant::now();
+        let reports = run_all(args, trial, &pictures, &stop)?;
+        let summary = summary(args, trial, policy, &reports, began.elapsed());
+        results.push((summary, reports));
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+    }
+    let interrupted = results.len() < trials.len() || results.iter().any(|(summary, _)| summary.interrupted);
+    if let [(trial, policy)] = &trials[..] {
+        let (summary, reports) = results.swap_remove(0);
+        show(args, &summary)?;
+        if let Some(mut file) = paths.take() {
+            write_paths(&mut file, &reports)?;
+            file.keep()?;
+        }
+        pictures.draw(trial, policy, &reports)?;
+    } else {
+        show(args, &Comparison::of(results))?;
+    }
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+/// Prints a result as a table or as one JSON object.
+fn show(args: &Args, result: &(impl Serialize + Display)) -> Result<()> {
+    print(&if args.json { serde_json::to_string(result).context("a result is JSON")? } else { result.to_string() })
+}
+
+fn summary(args: &Args, trial: &Trial, policy: &str, reports: &[TrialReport], took: Duration) -> Summary {
     let run = Run {
         mode: trial.deployment.mode.clone(),
         scenario: trial.scenario.name().to_owned(),
-        policy: policy.clone(),
+        policy: policy.to_owned(),
         robots: trial.scenario.robots(),
         judged: trial.deployment.judged(),
         seed: args.seed,
-        wall_s: began.elapsed().as_secs_f64(),
-        interrupted,
+        wall_s: took.as_secs_f64(),
+        faults: trial.faults.describe(),
+        // A Ctrl-C that comes after the last episode has interrupted nothing.
+        interrupted: reports.len() < args.repeats as usize || reports.iter().any(|report| !report.finished),
     };
-    let summary = Summary::of(run, &reports);
-    print(&if args.json {
-        serde_json::to_string(&summary).context("a summary is JSON")?
-    } else {
-        summary.to_string()
-    })?;
-    if let Some(mut file) = paths.take() {
-        write_paths(&mut file, &reports)?;
-        file.keep()?;
-    }
-    pictures.draw(&trial, &policy, &reports)?;
-    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+    Summary::of(run, reports)
 }
 
 fn run_all(args: &Args, trial: &Trial, pictures: &Pictures, stop: &AtomicBool) -> Result<Vec<TrialReport>> {
@@ -260,8 +289,8 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     deployment::with_radio(deployment, &args.radio)
 }
 
-/// Returns the first trial, of which all others are repeats, and its policy's name in the report.
-fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
+/// The first trial of a policy, of which all others are repeats, and the policy's name in the report.
+fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
     let file = args.deployment.as_deref().map(read_deployment).transpose()?;
     let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
     let scenario = registry
@@ -279,8 +308,7 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
     if let Some(plant) = &args.plant {
         deployment.plant.clone_from(plant);
     }
-    let policy::Loaded { model, name: policy, assumed } =
-        policy::load(registry, args.policy.as_deref(), args.action, &*scenario)?;
+    let policy::Loaded { model, name: policy, assumed } = policy::load(registry, policy, args.action, &*scenario)?;
     if let Some(assumed) = assumed.filter(|_| !args.quiet) {
         talk(&format!("warning: {assumed}"));
     }

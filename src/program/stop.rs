@@ -17,7 +17,7 @@ use crate::time::{Span, Time};
 use anyhow::{Result, anyhow};
 
 use crate::live::links;
-use crate::live::links::Fresh;
+use crate::live::links::ProcessIdentity;
 use crate::program::Ended;
 use crate::program::output::print;
 use crate::program::team;
@@ -79,13 +79,13 @@ impl Asked<'_> {
     fn run(&self, registry: &Registry) -> Result<Ended> {
         let file = self.team.read(registry)?;
         let post = file.post().map_err(|error| self.team.wrong(&error))?;
-        let (deployment, fresh) = (file.deployment(), Fresh::draw()?);
+        let (deployment, identity) = (file.deployment(), ProcessIdentity::draw()?);
         let key = team::key_of(post.key_file.as_deref())?.map(Key::new);
-        let me = fresh.operator_of(post.number);
+        let me = identity.operator_of(post.number);
         let link = &deployment.links[usize::from(post.link.0)];
         let operator = Operator {
             me,
-            seed: fresh.seed,
+            seed: identity.seed,
             robots: deployment.robots,
             publishers: Routes::of(deployment).publishers(),
             key,

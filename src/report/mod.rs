@@ -1,6 +1,7 @@
 //! Results of a run: episodes, summaries, tables, figures and pictures.
 
 pub mod ages;
+pub mod comparison;
 pub mod cost;
 pub mod episode;
 pub mod event;

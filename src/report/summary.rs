@@ -50,6 +50,8 @@ pub struct Summary {
     pub virtual_s: f64,
     /// Wall-clock time of the run \[s\].
     pub wall_s: f64,
+    /// Injected faults, in words.
+    pub faults: Vec<String>,
     /// Messages published.
     pub messages: u64,
     /// Messages that a full mailbox refused.
@@ -100,9 +102,14 @@ pub struct Run {
     pub seed: u64,
     /// How long it took \[s\].
     pub wall_s: f64,
+    /// Injected faults, in words.
+    pub faults: Vec<String>,
     /// Whether it was ended before its time.
     pub interrupted: bool,
 }
+
+/// Most faults that a table lists; JSON has all.
+const LISTED_FAULTS: usize = 4;
 
 impl Summary {
     /// Sums up the trials of a run, in the order of their repeats.
@@ -112,7 +119,7 @@ impl Summary {
         let totals = || trials.iter().map(|trial| trial.totals);
         let mut trace = Xxh3::new();
         totals().for_each(|totals| trace.update(&totals.trace.to_le_bytes()));
-        let Run { mode, scenario, policy, robots, judged, seed, wall_s, interrupted } = run;
+        let Run { mode, scenario, policy, robots, judged, seed, wall_s, faults, interrupted } = run;
         Summary {
             mode,
             scenario,
@@ -128,6 +135,7 @@ impl Summary {
             counts: Counts::Team,
             virtual_s: trials.iter().map(|trial| trial.simulated.as_secs()).sum(),
             wall_s,
+            faults,
             messages: totals().map(|totals| totals.messages).sum(),
             refused: trials.iter().map(|trial| trial.refused).sum(),
             lost: trials.iter().map(|trial| trial.lost).sum(),
@@ -177,6 +185,14 @@ impl fmt::Display for Summary {
             _ => writeln!(f, "  makespan            -   no episode succeeded")?,
         }
         writeln!(f, "  failures     {:>8}   {}", episodes - successes, self.outcomes.failures())?;
+        for (index, fault) in self.faults.iter().take(LISTED_FAULTS).enumerate() {
+            let head = if index == 0 { self.faults.len().to_string() } else { String::new() };
+            let name = if index == 0 { "faults" } else { "" };
+            writeln!(f, "  {name:<12} {head:>8}   {fault}")?;
+        }
+        if let Some(more) = self.faults.len().checked_sub(LISTED_FAULTS).filter(|more| *more > 0) {
+            writeln!(f, "  {:<12} {:>8}   and {more} more; --json has them all", "", "")?;
+        }
         if self.judged == Judged::Readings {
             writeln!(f, "  judged       readings   what touched between two readings of a robot was not seen")?;
         }

@@ -115,8 +115,8 @@ pub trait Scenario: Debug + Send + Sync {
         (task.goal - position).norm() <= self.rules().arrival_m
     }
 
-    /// The scenario's own reward of one robot for one step that ends in `after`; updates its stage. `None`, the default,
-    /// if it has none: a training then rewards progress and arrival, which need no code here.
+    /// The scenario's own reward of one robot for one step that ends in `after`; updates its stage. `None`, the
+    /// default, if it has none: a training then rewards progress and arrival, which need no code here.
     fn reward(&self, _task: &Task, _after: &Motion, _contacts: Contacts, _stage: &mut Stage) -> Option<f32> {
         None
     }

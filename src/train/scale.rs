@@ -40,9 +40,10 @@ fn scaled(groups: &[usize], robots: usize, supported: impl Fn(usize) -> bool) ->
     if proportional.iter().all(|size| supported(*size)) {
         return proportional;
     }
-    // Two groups: the split nearest to the proportional one.
+    // Two groups: the split nearest to the proportional one, and of two as near the more even one.
     let split = |first: &usize| supported(*first) && supported(robots - first);
-    let nearest = (1..robots).filter(split).min_by_key(|first| first.abs_diff(proportional[0]));
+    let nearest =
+        (1..robots).filter(split).min_by_key(|first| (first.abs_diff(proportional[0]), robots.abs_diff(2 * first)));
     match nearest {
         Some(first) if groups.len() == 2 => vec![first, robots - first],
         _ => vec![robots],

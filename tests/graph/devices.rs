@@ -1,4 +1,4 @@
-//! Requirements on every driver, source and estimator of the registry, and user programs as drivers and sources.
+//! Contracts of every driver, source and estimator of the registry, and user programs as drivers and sources.
 
 use std::os::fd::AsFd;
 use std::thread;
@@ -59,8 +59,8 @@ fn employ(worker: Box<dyn Worker>) -> (Gate, thread::JoinHandle<()>) {
 fn next<const COUNT: usize>(gate: &mut Gate) -> [Vec<u8>; COUNT] {
     let mut packets = Vec::new();
     while packets.len() < COUNT {
-        let bell = gate.bell();
-        let mut watched = [PollFd::new(bell.as_fd(), PollFlags::POLLIN)];
+        let event_fd = gate.event_fd();
+        let mut watched = [PollFd::new(event_fd.as_fd(), PollFlags::POLLIN)];
         assert_eq!(poll(&mut watched, PollTimeout::from(5000u16)), Ok(1), "the worker says something");
         gate.take(|packet| packets.push(packet.into_vec()));
     }
@@ -140,7 +140,7 @@ fn a_program_drives_a_robot_and_reports_its_status() {
     driver.drive(Time::ZERO, &drive(0.25), Some(&north), &mut out);
     let Some(drivers::Out::Tell(line)) = out.pop() else { panic!("it tells its program") };
     let (mut gate, worker) = employ(made.worker.expect("a program is a worker"));
-    gate.tell(line);
+    gate.send(line);
     let [line, word] = next(&mut gate);
     let said: serde_json::Value = serde_json::from_slice(&line).expect("a line is JSON");
     assert_eq!((said["robot"].as_u64(), said["vx"].as_f64(), said["for_s"].as_f64()), (Some(3), Some(0.25), Some(0.2)));

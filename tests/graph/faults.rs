@@ -92,7 +92,8 @@ fn a_crash_of_any_actor_stops_the_motors_in_time_and_the_next_episode_runs() {
         for role in [Role::Cache, Role::Agent, Role::Controller, Role::Body, Role::StateServer] {
             let at = midst(mode, 5);
             let lasts = Span::from_millis(4000);
-            let fault = ActorFault { role, robot, kind: ActorFaultKind::Crash, at, lasts, by: Span::ZERO };
+            let fault =
+                ActorFault { role, robot, kind: ActorFaultKind::Crash, at, lasts, by: Span::ZERO, episode: None };
             let plan = FaultPlan { actors: vec![fault], links: Vec::new() };
             let replay = replay_plan(mode, 5, &plan);
             let report = trial(mode, 5).faults(plan).run();
@@ -118,7 +119,7 @@ fn a_robot_whose_agent_was_away_for_a_moment_rejoins_the_running_episode() {
     let at = midst("onboard-adhoc", 6);
     let lasts = Span::from_millis(700);
     let (role, robot, kind) = (Role::Agent, RobotId(0), ActorFaultKind::Crash);
-    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO };
+    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO, episode: None };
     let plan = FaultPlan { actors: vec![fault], links: Vec::new() };
     let report = trial("onboard-adhoc", 6).faults(plan).run();
     assert_eq!(report.episodes[0].verdict, Verdict::Success, "{:?}", report.episodes[0]);
@@ -131,7 +132,7 @@ fn a_stalled_or_mute_actor_is_missed_and_rejoins() {
     for kind in [ActorFaultKind::Stall, ActorFaultKind::Mute] {
         let at = midst("onboard-infra", 7);
         let (role, robot, lasts) = (Role::Controller, RobotId(1), MISSING_AFTER + Span::from_millis(1500));
-        let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO };
+        let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO, episode: None };
         let plan = FaultPlan { actors: vec![fault], links: Vec::new() };
         let report = trial("onboard-infra", 7).faults(plan).run();
         let late = driven(&report, robot, at + COMMAND_VALIDITY + kinematic::PERIOD, at + lasts);
@@ -145,7 +146,7 @@ fn a_stalled_or_mute_actor_is_missed_and_rejoins() {
 fn a_slow_actor_only_adds_delay() {
     let slow = |by| {
         let (role, robot, kind) = (Role::Agent, RobotId(1), ActorFaultKind::Slow);
-        let fault = ActorFault { role, robot, kind, at: Time::ZERO, lasts: Span::from_secs(1000.0), by };
+        let fault = ActorFault { role, robot, kind, at: Time::ZERO, lasts: Span::from_secs(1000.0), by, episode: None };
         trial("offboard", 8).faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run()
     };
     let (report, quick) = (slow(Span::from_millis(30)), trial("offboard", 8).run());
@@ -209,7 +210,7 @@ fn an_episode_has_one_result_whatever_crashes_together() {
     for mode in ["sim", "offboard", "onboard-infra"] {
         let at = Time::ZERO + Span::from_millis(12_000);
         let (kind, lasts, by) = (ActorFaultKind::Crash, Span::from_millis(2000), Span::ZERO);
-        let of = |role| move |robot| ActorFault { role, robot, kind, at, lasts, by };
+        let of = |role| move |robot| ActorFault { role, robot, kind, at, lasts, by, episode: None };
         let mut actors: Vec<ActorFault> = everyone.iter().flat_map(|&role| RobotId::team(5).map(of(role))).collect();
         actors.push(of(Role::StateServer)(RobotId(0)));
         let report = trial(mode, 3).episodes(4).faults(FaultPlan { actors, links: Vec::new() }).run();
@@ -222,7 +223,7 @@ fn an_episode_has_one_result_whatever_crashes_together() {
 fn a_trial_ends_even_if_the_state_server_never_restarts() {
     let (role, robot, kind) = (Role::StateServer, RobotId(0), ActorFaultKind::Crash);
     let (at, lasts) = (midst("sim", 5), Span::from_secs(100_000.0));
-    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO };
+    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO, episode: None };
     let report = trial("sim", 5).faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run();
     assert!(report.finished && report.simulated < Span::from_secs(1000.0), "{}", report.simulated);
     let verdicts: Vec<Verdict> = report.episodes.iter().map(|episode| episode.verdict).collect();
@@ -234,7 +235,7 @@ fn a_trial_ends_even_if_the_state_server_never_restarts() {
 fn a_restarted_world_finds_its_robots_where_they_were() {
     let at = midst("offboard", 4);
     let (role, robot, kind, lasts) = (Role::World, RobotId(0), ActorFaultKind::Crash, Span::from_millis(300));
-    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO };
+    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO, episode: None };
     let report = trial("offboard", 4).faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run();
     for pair in report.steps.windows(2) {
         for (before, after) in pair[0].samples.iter().zip(&pair[1].samples) {
@@ -249,7 +250,7 @@ fn a_restarted_world_finds_its_robots_where_they_were() {
 fn two_worlds_share_a_team_even_if_one_is_slow() {
     let slow = (Role::World, RobotId(3), ActorFaultKind::Slow, Span::from_millis(10));
     let (at, lasts) = (Time::ZERO + Span::from_millis(500), Span::from_secs(1000.0));
-    let fault = ActorFault { role: slow.0, robot: slow.1, kind: slow.2, at, lasts, by: slow.3 };
+    let fault = ActorFault { role: slow.0, robot: slow.1, kind: slow.2, at, lasts, by: slow.3, episode: None };
     let mut trial = trial("onboard-adhoc", 10).faults(FaultPlan { actors: vec![fault], links: Vec::new() });
     let hosts = &mut trial.deployment.hosts;
     let world = hosts.last_mut().expect("the last host is the world's");

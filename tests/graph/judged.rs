@@ -123,7 +123,7 @@ fn a_robot_whose_readings_end_is_no_success() {
         .expect("somebody arrives");
     assert!(end.since(at) > SIGHT + Span::from_millis(300), "the others go on for long");
     for (role, kind) in [(Role::Body, ActorFaultKind::Mute), (Role::Body, ActorFaultKind::Crash)] {
-        let fault = ActorFault { role, robot, kind, at, lasts: Span::from_secs(1000.0), by: Span::ZERO };
+        let fault = ActorFault { role, robot, kind, at, lasts: Span::from_secs(1000.0), by: Span::ZERO, episode: None };
         let blind = trial.clone().episodes(1).faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run();
         let found = blind.episodes[0];
         assert_eq!((found.verdict, found.makespan_s), (Verdict::Unseen, None), "{kind:?}");
@@ -132,7 +132,7 @@ fn a_robot_whose_readings_end_is_no_success() {
     let mut whole = trial.clone().episodes(1);
     whole.deployment = Deployment::preset("onboard-infra", 5).expect("a preset");
     let (role, kind) = (Role::Body, ActorFaultKind::Mute);
-    let fault = ActorFault { role, robot, kind, at, lasts: Span::from_secs(1000.0), by: Span::ZERO };
+    let fault = ActorFault { role, robot, kind, at, lasts: Span::from_secs(1000.0), by: Span::ZERO, episode: None };
     let seen = whole.faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run();
     assert_ne!(seen.episodes[0].verdict, Verdict::Unseen);
 }

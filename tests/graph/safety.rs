@@ -52,7 +52,7 @@ fn driven(report: &TrialReport, from: Time, until: Time) -> Vec<(RobotId, Time)>
 }
 
 fn actor(role: Role, robot: u16, kind: ActorFaultKind, at: Time, lasts: Span) -> FaultPlan {
-    let fault = ActorFault { role, robot: RobotId(robot), kind, at, lasts, by: Span::ZERO };
+    let fault = ActorFault { role, robot: RobotId(robot), kind, at, lasts, by: Span::ZERO, episode: None };
     FaultPlan { actors: vec![fault], links: Vec::new() }
 }
 
@@ -84,8 +84,8 @@ fn without_own_readings_a_robot_stops_within_the_age_of_the_last() {
 
 /// Runs the cores of one robot, tick by tick: the same stamp keeps arriving, and the robot stops in time.
 #[test]
-fn a_repeated_reading_does_not_renew_the_estimate() {
-    let (robot, round, period) = (RobotId(0), Round { epoch: 1, episode: 0 }, ms(50));
+fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
+    let (robot, round, period) = (RobotId(0), Round { term: 1, episode: 0 }, ms(50));
     let (range, hold, handling) = (CommRange::fixed(2.0), ms(200), Handling::Hold);
     let config = cache::Config {
         robot,

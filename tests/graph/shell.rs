@@ -48,7 +48,7 @@ fn at(ms: u64) -> Time {
 
 fn fault(kind: ActorFaultKind, from: u64, lasts: u64) -> ActorFault {
     let (lasts, by) = (Span::from_millis(lasts), Span::from_millis(30));
-    ActorFault { role: Role::Cache, robot: RobotId(0), kind, at: at(from), lasts, by }
+    ActorFault { role: Role::Cache, robot: RobotId(0), kind, at: at(from), lasts, by, episode: None }
 }
 
 /// Sends the numbers to a recording core at their times \[ms\], with these faults. Returns its records and the

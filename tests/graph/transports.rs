@@ -1,4 +1,4 @@
-//! Requirements on every transport of the registry, and a transport that works on its own thread.
+//! Contracts of every transport of the registry, and a transport with a thread of its own.
 
 use std::net::SocketAddr;
 use std::os::fd::AsFd;
@@ -10,13 +10,13 @@ use std::thread;
 use murmurate::config::ConfigError;
 use murmurate::config::fields::Takes;
 use murmurate::deploy::team::TeamFile;
-use murmurate::edge::{self, Gate, Mouth, Port};
+use murmurate::edge::{self, Gate, PacketSender, Port};
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::link::{Guest, Standing};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::router::Audience;
 use murmurate::net::transport::{
-    self, Claim, Counts, Field, Filter, Given, In, OpenError, Place, Transmit, Transport, Way,
+    self, Claim, Counts, Endpoint, Field, Filter, In, LinkSettings, OpenError, Place, Transmit, Transport,
 };
 use murmurate::registry::Registry;
 use murmurate::time::Time;
@@ -26,8 +26,8 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 const PATIENCE: u16 = 5000;
 const SURPLUS: u16 = 30;
 
-/// Returns a link's lines in the team file for each transport, in a team of three robots and a World; and mistakes,
-/// each with the start of its error.
+/// Team file of a link with each transport, in a team of three robots and a World; and mistakes, with how
+/// the error begins.
 fn lines(name: &str) -> (&'static str, &'static [(&'static str, &'static str, &'static str)]) {
     match name {
         "multicast" => (
@@ -85,19 +85,19 @@ fn places(name: &str) -> Vec<Place> {
 
 fn open(places: &[Place]) -> Vec<Box<dyn Transport>> {
     let hosts = (0..).map(HostId);
-    hosts.zip(places).map(|(host, place)| place.way.open(host, Filter::All).expect("it can be opened")).collect()
+    hosts.zip(places).map(|(host, place)| place.endpoint.open(host, Filter::All).expect("it can be opened")).collect()
 }
 
 fn say(transport: &mut dyn Transport, audience: Audience, frame: &[u8]) {
     transport.handle(Time::ZERO, In::Transmit(Transmit { from: HostId(0), audience, frame: frame.into() }));
 }
 
-/// Receives this many frames, and those that arrive soon after them.
+/// Receives so many frames, and those that come soon after them.
 fn hear(transport: &mut dyn Transport, count: usize) -> Vec<(Option<SocketAddr>, Vec<u8>)> {
     let mut heard = Vec::new();
     loop {
-        let bell = transport.bell();
-        let mut watched = [PollFd::new(bell.as_fd(), PollFlags::POLLIN)];
+        let descriptor = transport.descriptor();
+        let mut watched = [PollFd::new(descriptor.as_fd(), PollFlags::POLLIN)];
         let patience = if heard.len() < count { PATIENCE } else { SURPLUS };
         match poll(&mut watched, PollTimeout::from(patience)).expect("it can be watched") {
             0 => return heard,
@@ -147,15 +147,15 @@ fn a_guest_reaches_all_hosts_and_is_answered_once_admitted() {
         let places = places(entry.name);
         let mut hosts = open(&places);
         let operator = HostId::operator(9);
-        let guest = places[0].for_guest(HostId(0)).way;
-        assert_eq!(guest.claim(), places[1].for_guest(HostId(1)).way.claim(), "{}: it is one link", entry.name);
+        let guest = places[0].for_guest(HostId(0)).endpoint;
+        assert_eq!(guest.claim(), places[1].for_guest(HostId(1)).endpoint.claim(), "{}: it is one link", entry.name);
         let mut guest = guest.open(operator, Filter::All).expect("it can be opened");
         say(&mut *guest, Audience::All, b"hello");
         for host in &mut hosts {
             let heard = hear(&mut **host, 1);
             assert_eq!(heard.len(), 1, "{}", entry.name);
             if let Some(at) = heard[0].0 {
-                let admitted = Guest { host: operator, at, standing: Standing::Proven };
+                let admitted = Guest { host: operator, at, standing: Standing::Accepted };
                 host.handle(Time::ZERO, In::Admit(admitted));
             }
         }
@@ -200,32 +200,32 @@ const HUB: transport::Entry = transport::Entry {
     name: "hub",
     about: "a thread for each host of this process",
     fields: &[Field::new("hub", Takes::Text)],
-    read: |given: &Given| {
-        let name = given.need("hub", || "; name the hub".to_owned())?.text().to_owned();
+    read: |settings: &LinkSettings| {
+        let name = settings.need("hub", || "; name the hub".to_owned())?.text().to_owned();
         Ok(Arc::new(Hub { name }))
     },
 };
 
-/// Members of each hub.
-static MEMBERS: Mutex<Vec<(Hub, HostId, Mouth)>> = Mutex::new(Vec::new());
+/// Everyone who is at a hub.
+static MEMBERS: Mutex<Vec<(Hub, HostId, PacketSender)>> = Mutex::new(Vec::new());
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Hub {
     name: String,
 }
 
-impl Way for Hub {
+impl Endpoint for Hub {
     fn open(&self, host: HostId, _: Filter) -> Result<Box<dyn Transport>, OpenError> {
         let (gate, port) = edge::channel().map_err(|error| OpenError::NotNow(error.to_string()))?;
         let mut members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
-        members.retain(|(_, _, mouth)| !mouth.is_closed());
-        members.push((self.clone(), host, port.mouth()));
+        members.retain(|(_, _, sender)| !sender.is_closed());
+        members.push((self.clone(), host, port.sender()));
         let hub = self.clone();
         thread::spawn(move || hub.work(host, port));
         Ok(Box::new(Line { gate, counts: Counts::default() }))
     }
 
-    fn for_guest(&self, _: HostId) -> Arc<dyn Way> {
+    fn for_guest(&self, _: HostId) -> Arc<dyn Endpoint> {
         Arc::new(self.clone())
     }
 
@@ -233,7 +233,7 @@ impl Way for Hub {
         Setup::unicast(reliability)
     }
 
-    fn stays_here(&self) -> bool {
+    fn is_local(&self) -> bool {
         true
     }
 
@@ -241,7 +241,7 @@ impl Way for Hub {
         Claim { field: "hub", what: self.name.clone(), on: String::new() }
     }
 
-    fn among(&self, _: &[HostId]) -> Arc<dyn Way> {
+    fn restricted_to(&self, _: &[HostId]) -> Arc<dyn Endpoint> {
         Arc::new(self.clone())
     }
 }
@@ -253,8 +253,8 @@ impl Hub {
             let to = u16::from_le_bytes([packet[0], packet[1]]);
             let members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
             let others = members.iter().filter(|(hub, other, _)| hub == self && *other != host);
-            for (_, _, mouth) in others.filter(|(_, other, _)| to == u16::MAX || other.0 == to) {
-                mouth.say(packet[2..].into());
+            for (_, _, sender) in others.filter(|(_, other, _)| to == u16::MAX || other.0 == to) {
+                sender.send(packet[2..].into());
             }
         }
     }
@@ -266,8 +266,8 @@ struct Line {
 }
 
 impl Transport for Line {
-    fn bell(&self) -> Rc<dyn AsFd> {
-        Rc::new(self.gate.bell())
+    fn descriptor(&self) -> Rc<dyn AsFd> {
+        Rc::new(self.gate.event_fd())
     }
 
     fn receive(&mut self, _: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
@@ -278,7 +278,7 @@ impl Transport for Line {
     fn handle(&mut self, _: Time, input: In) {
         if let In::Transmit(Transmit { audience, frame, .. }) = input {
             let to = if let Audience::Host(host) = audience { host.0 } else { u16::MAX };
-            self.gate.tell([&to.to_le_bytes()[..], &frame].concat().into());
+            self.gate.send([&to.to_le_bytes()[..], &frame].concat().into());
         }
     }
 

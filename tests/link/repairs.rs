@@ -8,11 +8,11 @@ use murmurate::actors::network::{Config, Identity};
 use murmurate::messages::geometry::Motion;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Kind, MotorCommand, Reading, Wire};
-use murmurate::net::protocol::again::{RETRIES, RETRY_AFTER};
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, Flags, MAX_FRAME_BYTES};
 use murmurate::net::protocol::reliability::{Reliabilities, Reliability, Setup};
-use murmurate::net::protocol::report::read_names;
+use murmurate::net::protocol::report::read_ids;
+use murmurate::net::protocol::retransmit::{RETRIES, RETRY_AFTER};
 use murmurate::net::protocol::router::{Audience, Route, Router};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
@@ -35,7 +35,7 @@ fn config(host: u16, hosts: usize, reliability: Reliability, to: To) -> Config {
     });
     let kinds = [Kind::Reading, Kind::MotorCommand, Kind::Latent].map(|kind| (kind, reliability));
     let setup = if to == To::One { Setup::unicast } else { Setup::multicast };
-    let me = Identity { host: HostId(host), team: TEAM, epoch: 1 };
+    let me = Identity { host: HostId(host), team: TEAM, incarnation: 1 };
     Config { me, key: Some(key()), links: vec![Some(setup(Reliabilities::from(kinds)))], router }
 }
 
@@ -76,7 +76,7 @@ fn checked_copies(rig: &Rig, reliability: Reliability) -> u64 {
             if !matches!(content, Content::Ack | Content::Nack) {
                 continue;
             }
-            let names = read_names(content, body).expect("sound names").into_iter();
+            let names = read_ids(content, body).expect("sound names").into_iter();
             let mine = names.filter(|name| usize::from(name.host.0) == *to);
             told.extend(mine.map(|name| (*at, header.sender.0, content, name.direct, name.sequence)));
         }
@@ -240,7 +240,7 @@ fn each_of_twenty_streams_is_offered_for_retransmission() {
     };
     let config = |host: u16| {
         let setup = Setup::multicast(Reliabilities::from([(Kind::Latent, Reliability::Nack)]));
-        let me = Identity { host: HostId(host), team: TEAM, epoch: 1 };
+        let me = Identity { host: HostId(host), team: TEAM, incarnation: 1 };
         Config { me, key: Some(key()), links: vec![Some(setup)], router: router(host) }
     };
     let mut rig = Rig::new([config(0), config(1)]);

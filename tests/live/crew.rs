@@ -134,7 +134,7 @@ impl Crew {
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
             let Ok(heard) = self.heard.1.recv_timeout(left) else { panic!("never came: {what}; last: {last}{logs}") };
-            // Late output of a former incarnation does not count.
+            // Late output of a former incarnation is ignored.
             if self.members[&heard.host].life != heard.life {
                 continue;
             }

@@ -37,14 +37,14 @@ fn cpu_s(crew: &Crew, host: &str) -> f64 {
     rest.split_whitespace().skip(11).take(2).map(|ticks| ticks.parse::<f64>().expect("a number") / 100.0).sum()
 }
 
-/// Returns the resident memory of a process \[KiB\].
+/// Memory of a process \[KiB\].
 fn resident_kib(crew: &Crew, host: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", crew.pid(host))).expect("it runs");
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("it is told");
     line.split_whitespace().next().expect("a number").parse().expect("a number")
 }
 
-/// Counts of events within a time.
+/// Output within a time.
 #[derive(Debug, Default)]
 struct Seen {
     late: usize,
@@ -129,7 +129,7 @@ fn a_running_team_withstands_floods_of_junk() {
     report("kind       asked/s  sent/s  CPU of 4 hosts  late ticks  given up  World steps  late after  stop confirmed");
     for (kind, rate) in junk::KINDS.into_iter().flat_map(|kind| rates.iter().map(move |rate| (kind, *rate))) {
         let what = junk::junk(kind, groups, number);
-        // Drops the output of the meantime.
+        // Ignore the output meanwhile.
         crew.pass(Duration::from_millis(10));
         let before = HOSTS.map(|host| resident_kib(&crew, host));
         let sender = junk::Sender::start(groups, &what, rate);

@@ -15,9 +15,9 @@ use rand_chacha::ChaCha8Rng;
 pub enum Kind {
     /// Random bytes, or a header of the team with an invalid length or version.
     Malformed,
-    /// Datagrams like those of the team, with tags of another key.
+    /// In the team's format, with tags of another key.
     WrongKey,
-    /// Replays of the team's own datagrams.
+    /// The team's own datagrams, repeated.
     Replayed,
 }
 

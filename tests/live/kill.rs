@@ -1,5 +1,5 @@
-//! Kills and halts of every kind of process of a team on real sockets, at random times. Motors stop in time, the next
-//! episode runs, and no process is left over. `MURMURATE_KILLS=50` is their number (400 take an hour).
+//! Deaths at any moment: every kind of process of a team that runs on real sockets. Motors stop in time, the next
+//! episode runs, and nobody is left behind. `MURMURATE_KILLS=50` strikes at so many moments (an hour has room for 400).
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read};
@@ -88,7 +88,7 @@ impl Clocks {
     }
 }
 
-/// Result of one kill or halt.
+/// Result of one kill.
 struct Stroke {
     victim: String,
     signal: Signal,

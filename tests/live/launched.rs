@@ -1,5 +1,5 @@
-//! Results of `launch` compared with the same team in one process: processes, sockets and real time change little.
-//! An episode takes eight seconds of real time; `MURMURATE_LAUNCHED=32` runs 32.
+//! A team under `launch`, beside the same team in one process: processes, sockets and real time change little.
+//! An episode takes eight seconds of real time; `MURMURATE_LAUNCHED=32` runs so many.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -99,7 +99,7 @@ transport = "unicast"
 peers = { left = "127.0.0.1:41796", right = "127.0.0.1:41797" }
 "#;
 
-/// Returns the output of `launch` with that team.
+/// Output of `launch` for that team: with `--json` or without.
 fn launched_apart(name: &str, link: &str, flags: &[&str]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join(name);

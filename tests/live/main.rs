@@ -1,7 +1,7 @@
 //! Teams of real processes in real time, on loopback or between network namespaces.
 //!
-//! Tests that need root or a missing tool skip with a notice. A test that checks times to a few milliseconds runs
-//! [`alone`]; the others run [`beside`] each other, each with its own ports, groups and namespaces.
+//! A test that needs root or a missing tool skips, and says so. A test that judges times to a few milliseconds runs
+//! [`alone`]; the others run [`beside`] one another, each with ports, groups and namespaces of its own.
 #![cfg(target_os = "linux")]
 
 mod crew;
@@ -22,7 +22,7 @@ use std::sync::{Condvar, Mutex, MutexGuard};
 /// Maximum number of concurrent tests.
 const BESIDE: usize = 6;
 
-/// Running tests: a number of concurrent ones, or one alone.
+/// Permits of running tests: so many beside one another, or one alone.
 struct Running {
     beside: usize,
     alone: bool,

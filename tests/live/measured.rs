@@ -21,7 +21,7 @@ const SHAPE: [&str; 6] = ["rate", "1mbit", "burst", "774", "limit", "12000"];
 /// Namespaces of this process, removed at its end.
 struct Lab(String);
 
-/// Kind of the links of a lab.
+/// Links of a lab.
 #[derive(Clone, Copy, PartialEq)]
 enum Links {
     Plain,
@@ -57,7 +57,7 @@ impl Lab {
             }
             let shape = ["netns", "exec", &space, "tc", "qdisc", "add", "dev", "eth0", "root", "tbf"];
             assert!(run("ip", &[&shape[..], &SHAPE[..]].concat()), "tbf");
-            // Only UDP is measured; the coordinator's connection is not impaired.
+            // Only UDP is measured; the coordinator's connection is spared.
             let rules = "table netdev loss {\nchain in {\n\
                          type filter hook ingress device \"eth0\" priority 0;\n\
                          ip protocol udp numgen random mod 100 < 16 drop\n}\n}\n";

@@ -34,7 +34,7 @@ fn hosts() -> Vec<(String, &'static [&'static str])> {
     robots.chain([("world".to_owned(), &NETWORKS[1..])]).collect()
 }
 
-/// Traffic of a network: UDP destination ports, blocks by content, and datagrams.
+/// Traffic of a network: UDP ports that were sent to, blocks by what they hold, and datagrams.
 #[derive(Default)]
 struct Seen {
     groups: BTreeSet<String>,
@@ -82,13 +82,13 @@ fn capture(space: &str, stop: &Arc<AtomicBool>) -> JoinHandle<Seen> {
     let (space, stop) = (File::open(format!("/run/netns/{space}")).expect("it was made"), Arc::clone(stop));
     thread::spawn(move || {
         setns(space, CloneFlags::CLONE_NEWNET).expect("root may");
-        let ears = socket(AddressFamily::Packet, SockType::Raw, SockFlag::SOCK_NONBLOCK, SockProtocol::EthAll);
-        let ears = ears.expect("root may");
+        let rx = socket(AddressFamily::Packet, SockType::Raw, SockFlag::SOCK_NONBLOCK, SockProtocol::EthAll);
+        let rx = rx.expect("root may");
         let (mut seen, mut buffer) = (Seen::default(), [0; 2048]);
         while !stop.load(Ordering::Relaxed) {
-            let mut polled = [PollFd::new(ears.as_fd(), PollFlags::POLLIN)];
+            let mut polled = [PollFd::new(rx.as_fd(), PollFlags::POLLIN)];
             poll(&mut polled, PollTimeout::from(200u16)).expect("it can be polled");
-            while let Ok((length, _)) = recvfrom::<LinkAddr>(ears.as_raw_fd(), &mut buffer) {
+            while let Ok((length, _)) = recvfrom::<LinkAddr>(rx.as_raw_fd(), &mut buffer) {
                 seen.frame(&buffer[..length]);
             }
         }
@@ -106,7 +106,7 @@ fn result_from(crew: &Crew, first: u32) -> u32 {
     })
 }
 
-/// Checks the traffic of the two networks: each link has its kinds of messages, sent to its own group.
+/// Checks the traffic of the two networks: of each link its kinds of messages, to its own group.
 fn each_network_has_its_own(adhoc: &Seen, infra: &Seen) {
     let told = |name: &str, seen: &Seen| {
         let Seen { groups, blocks, datagrams, other } = seen;

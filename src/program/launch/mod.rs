@@ -92,6 +92,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         judged: first.deployment.judged(),
         seed: first.seed,
         wall_s,
+        faults: Vec::new(),
         interrupted: !finished || interrupted,
     };
     let summary = Summary::of_team(run, results.report(wall_s), Counts::Team, results.unwritten());

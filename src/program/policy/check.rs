@@ -6,10 +6,10 @@ use std::sync::Arc;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
+use crate::policy::Draw;
 use crate::policy::gnn::Network;
 use crate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
-use crate::policy::probe::Probe;
-use crate::policy::{Draw, weights};
+use crate::policy::weights::{self, Probe};
 use crate::program::output::{print, read_bytes, talk};
 use crate::program::{BadInput, Ended};
 use crate::registry::Registry;

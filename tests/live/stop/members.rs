@@ -97,12 +97,12 @@ fn speak(
 ) {
     let deployment = Deployment::preset("offboard", 5).expect("it is a preset");
     let group = "239.255.77.1:7700".parse().expect("an address");
-    let open = multicast::way(group, "loopback", 4 << 20).open(host, Filter::All).expect("it can be opened");
-    let setup = Setup { report_rides: Span::ZERO, ..Setup::multicast(Reliabilities::new()) };
+    let open = multicast::endpoint(group, "loopback", 4 << 20).open(host, Filter::All).expect("it can be opened");
+    let setup = Setup { report_piggyback_age: Span::ZERO, ..Setup::multicast(Reliabilities::new()) };
     let mut bytes = [0; 32];
     getrandom::fill(&mut bytes).expect("there are random numbers");
     let operator = Operator {
-        me: Identity { host, team: TEAM, epoch: u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) },
+        me: Identity { host, team: TEAM, incarnation: u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) },
         seed: Seed::of_bytes(bytes),
         robots: deployment.robots,
         publishers: Routes::of(&deployment).publishers(),
@@ -142,7 +142,7 @@ fn tick(clock: &murmurate::runtime::clock::Clock, period: Span) {
 
 /// Returns false messages of a member: the largest numbers, and messages that belong to other hosts.
 fn lies(turn: u64, stops: bool) -> Vec<Wire> {
-    let far = Round { epoch: 1 << 30, episode: u32::MAX };
+    let far = Round { term: 1 << 30, episode: u32::MAX };
     let (robot, number) = (RobotId((turn % 5) as u16), 1 << 52);
     let task = Task { start: Vec2::zeros(), goal: Vec2::new(1.0, 1.0) };
     let mut all = vec![
@@ -215,11 +215,11 @@ fn a_malicious_member_is_named_by_every_host_and_stop_and_re_arm_work() {
     report(&format!("{} lies: every host has named the liar, and the team goes on", said.load(Ordering::Relaxed)));
 }
 
-/// Returns false messages of a robot's own host: numbers and epochs that advance as far as they are accepted, and
-/// notices that all hosts leave.
+/// False messages of a robot's own host, one step after the other: numbers and terms as far ahead as they are accepted, and
+/// that all hosts leave.
 fn lies_of_a_robot(turn: u64) -> Vec<Wire> {
     let latch = [Latch::held, Latch::clear][(turn % 2) as usize]((1 << 32) + 1000 * turn);
-    let round = Round { epoch: (1 << 20) + 15 * (turn as u32 % (1 << 20)), episode: u32::MAX };
+    let round = Round { term: (1 << 20) + 15 * (turn as u32 % (1 << 20)), episode: u32::MAX };
     let following = |robot| Following { robot: RobotId(robot), controller: Some(latch), body: Some(latch) };
     let mut all = vec![
         Wire::Heartbeat(Heartbeat { robot: RobotId(4), round, phase: Phase::Running, latch }),
@@ -265,7 +265,7 @@ fn refusals(team: &Running) -> u64 {
     team.crew.until("all hosts tell their counts", |heard| {
         if let Said::Event(HostEvent::Counted(counted)) = &heard.said {
             let links = &counted.links;
-            by_host.insert(heard.host.clone(), links.twin + links.crowd + links.replay + links.rate);
+            by_host.insert(heard.host.clone(), links.duplicate_id + links.crowd + links.replay + links.rate);
         }
         (by_host.len() == 6).then_some(())
     });

@@ -69,10 +69,10 @@ impl Worker for Robot {
     fn run(self: Box<Self>, port: Port) {
         let socket = UdpSocket::bind(self.config.listens).expect("nobody else has the robot's port");
         socket.set_read_timeout(Some(Duration::from_millis(20))).expect("a socket can wait");
-        let (began, mouth) = (Instant::now(), port.mouth());
+        let (began, sender) = (Instant::now(), port.sender());
         let (mut position, mut velocity) = (Vec2::from(self.config.begins), Vec2::zeros());
         let (mut heard, mut before) = (began, began);
-        while !mouth.is_closed() {
+        while !sender.is_closed() {
             let mut bytes = [0; 8];
             let came = matches!(socket.recv(&mut bytes), Ok(8));
             let now = Instant::now();
@@ -87,7 +87,7 @@ impl Worker for Robot {
             }
             let stamp = Span::from_secs(now.duration_since(began).as_secs_f64()).as_nanos().to_le_bytes();
             let numbers = [position.x, position.y, velocity.x, velocity.y].map(f32::to_le_bytes);
-            mouth.say([&stamp[..], &numbers.concat()].concat().into());
+            sender.send([&stamp[..], &numbers.concat()].concat().into());
         }
     }
 }
