@@ -268,7 +268,7 @@ pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
 /// Returns the deployment with the links that the flags define.
 fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
-        return bad("--impair: there is no impairment; add --delay-ms or --loss".to_owned());
+        return bad("--impair: there is neither delay nor loss; add --delay-ms or --loss".to_owned());
     }
     for (flag, value, most) in [("--delay-ms", args.delay_ms, 60_000.0), ("--loss", args.loss, 1.0)] {
         if !(0.0..=most).contains(&value) {

@@ -353,7 +353,7 @@ fn an_operator_and_a_host_are_accepted_beside_thousands_forged_by_a_member() {
     assert_eq!(rig.counted(0).crowd, 0);
 }
 
-/// An operator with this number.
+/// Returns an operator with this number.
 fn operator(number: u16, incarnation: u32) -> Config {
     let router = Router::new(4, |kind, _| match kind {
         Kind::Stop => STOP,

@@ -252,7 +252,7 @@ fn a_recording_of_its_former_incarnation_ends_no_host() {
     assert_eq!(rig.counted(1).duplicate_id, 0);
 }
 
-/// An operator: it says `Stop`, and hears nothing but reports.
+/// Returns an operator, which sends stops and receives only reports.
 fn operator(number: u16, incarnation: u32) -> Config {
     let router = Router::new(5, |kind, _| match kind {
         Kind::Stop => Route { local: true, leaves: Some((LINK, Audience::All)) },

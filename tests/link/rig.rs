@@ -29,7 +29,7 @@ pub fn key() -> Key {
     Key::new([42; 32])
 }
 
-/// Robot i lives on host i: its latents are for all others, its heartbeats for host 0.
+/// Returns a host that runs the robot of its number: latents go to all other hosts, heartbeats to host 0.
 pub fn config(host: u16, robots: usize, incarnation: u32, key: Option<Key>, setup: Setup) -> Config {
     let router = Router::new(robots, |kind, robot| {
         let own = robot.0 == host;
@@ -97,7 +97,7 @@ pub struct Rig {
     pub delivered: Vec<Vec<(Time, Wire)>>,
     pub peers: Vec<Vec<Peer>>,
     pub counts: Vec<LinkCounts>,
-    /// The host that each was found to duplicate.
+    /// Host with the same id that each host has detected.
     pub duplicates: Vec<Option<DuplicateId>>,
     /// Guests that each host has admitted, in order.
     pub admitted: Vec<Vec<Guest>>,
