@@ -21,10 +21,10 @@ has "$("$program" train --help)" round passage
 own=(sim --mode offboard --scenario round --policy give-way --plant glide)
 result=$("$program" "${own[@]}" --episodes 2 --repeats 1 --quiet --json)
 has "$result" '"scenario":"round"' '"policy":"give-way"' '"successes":2'
-# Each also with what this crate has.
+# Each also with entries of this crate.
 has "$("$program" sim --scenario round --episodes 1 --repeats 1 --quiet)" 'policy orca' '1 of 1'
 has "$("$program" sim --plant glide --policy give-way --robots 3 --episodes 1 --repeats 1 --quiet)" 'scenario passage'
-# A wrong name is refused with all that there are.
+# A wrong name is refused with a list of all names.
 has "$("$program" sim --scenario square --quiet 2>&1 || true)" square round passage
 
 folder=$(mktemp -d)
@@ -42,8 +42,8 @@ team=("$folder/team.toml" --interface lo)
 has "$("$program" config check "${team[@]}" 2>/dev/null)" valid
 has "$("$program" launch "${team[@]}" --json --quiet 2>/dev/null)" '"scenario":"round"' '"successes":1'
 
-# One robot that is not simulated, all of it on one host: driven by the driver, seen by the source. Two episodes that ran
-# out of time would take 50 s.
+# One robot that is not simulated, on one host, with the driver and the source of the crate. Two episodes that time out
+# would take 50 s.
 cat >"$folder/robot.toml" <<'TOML'
 team = 78
 scenario = "round"
@@ -66,7 +66,7 @@ driver = { name = "datagrams", robot = "127.0.0.1:7781" }
 source = { name = "bench", listens = "127.0.0.1:7781", begins = [0.5, 0.5] }
 TOML
 has "$("$program" config check "$folder/robot.toml")" 'mode bench'
-# Nobody simulates it, so its verdicts come from what is measured.
+# No World simulates it, so its verdicts come from readings.
 has "$(timeout 40 "$program" host "$folder/robot.toml" --host robot --json)" '"event":"finished"' \
     '"event":"episode"' '"episode":1' '"verdict":"success"' '"judged":"readings"' '"oldest_command_s":null'
 

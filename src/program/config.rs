@@ -67,7 +67,7 @@ fn check(args: &Check, registry: &Registry) -> Result<Ended> {
         }
     }
     if seen.len() > 1 || (keys.len() > 1 && keys.contains(&None)) {
-        talk("warning: not all hosts have the same key; those with another key do not hear each other");
+        talk("warning: not all hosts have the same key; hosts with different keys do not accept each other's messages");
     }
     let deployment = file.deployment();
     let keys = if seen.is_empty() { "no key".to_owned() } else { format!("key {}", Vec::from_iter(seen).join(", ")) };

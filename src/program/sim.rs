@@ -51,8 +51,8 @@ pub struct Args {
     #[arg(long, default_value = "passage")]
     scenario: String,
     /// Policy of the robots: a name in the registry (shipped, published, orca, or one of your own crate) or a policy
-    /// file (safetensors). Given several times, it compares the policies on the same episodes [default: shipped, or orca
-    /// for a scenario without a shipped policy]
+    /// file (safetensors). Several policies are compared on the same episodes [default: shipped, or orca for a
+    /// scenario without a shipped policy]
     #[arg(long, value_name = "NAME|FILE")]
     policy: Vec<PathBuf>,
     /// Action of a trained policy: the mean of its distribution or a sample from it [default: as its file says]
@@ -268,7 +268,7 @@ pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
 /// Returns the deployment with the links that the flags define.
 fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
-        return bad("--impair: there is no impairment; add --delay-ms or --loss".to_owned());
+        return bad("--impair: there is neither delay nor loss; add --delay-ms or --loss".to_owned());
     }
     for (flag, value, most) in [("--delay-ms", args.delay_ms, 60_000.0), ("--loss", args.loss, 1.0)] {
         if !(0.0..=most).contains(&value) {

@@ -206,7 +206,7 @@ const HUB: transport::Entry = transport::Entry {
     },
 };
 
-/// Everyone who is at a hub.
+/// Members of each hub.
 static MEMBERS: Mutex<Vec<(Hub, HostId, PacketSender)>> = Mutex::new(Vec::new());
 
 #[derive(Clone, Debug, PartialEq, Eq)]

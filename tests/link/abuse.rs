@@ -1,4 +1,4 @@
-//! Abuse: all that a network, a stranger or a broken host may send is refused under its cause, and nobody else suffers.
+//! Abuse: invalid datagrams of a network, an outsider or a broken host are refused by cause, and no other host suffers.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ use murmurate::net::protocol::router::{Audience, Publishers, Route, Router};
 use murmurate::time::{Span, Time};
 use proptest::prelude::*;
 
-/// Two hosts that accept each other, and one more datagram that host 1 sends and host 0 has not heard.
+/// Returns two hosts that have accepted each other, and one more datagram of host 1 that host 0 has not received.
 fn two() -> (Rig, Vec<u8>) {
     let mut rig = Rig::team(2, Reliabilities::new());
     rig.meet();
@@ -29,7 +29,7 @@ fn two() -> (Rig, Vec<u8>) {
     (rig, frame)
 }
 
-/// One more datagram that host 1 sends and host 0 does not hear.
+/// Returns one more datagram of host 1 that host 0 does not receive.
 fn held_back(rig: &mut Rig) -> Vec<u8> {
     let delay = std::mem::replace(&mut rig.delay, Span::from_secs(1e6));
     rig.publish(1, latent(1, 1));
@@ -37,7 +37,7 @@ fn held_back(rig: &mut Rig) -> Vec<u8> {
     rig.last_data(1).to_vec()
 }
 
-/// Counts of host 0 after datagrams, less what it had at the last full second.
+/// Returns the counts of host 0 after these datagrams, less those of the last full second.
 fn counted_for(rig: &mut Rig, frames: &[Vec<u8>]) -> LinkCounts {
     let before = rig.counts[0];
     rig.delivered[0].clear();
@@ -77,7 +77,7 @@ fn header(sender: u16, incarnation: u32, sequence: u32) -> Header {
     Header { flags: Flags::default(), team: TEAM, sender: HostId(sender), incarnation, sequence }
 }
 
-/// A datagram whose report shows host 0 that its sender is alive now.
+/// Returns a datagram whose report proves to host 0 that its sender is alive.
 fn lively(rig: &Rig, header: Header, message: &Wire) -> Vec<u8> {
     let mut bytes = codec::encode(&header, message).expect("a sound message").to_vec();
     let mut said = rig.sent.iter().rev().filter(|flight| flight.from == 0);
@@ -90,7 +90,7 @@ fn lively(rig: &Rig, header: Header, message: &Wire) -> Vec<u8> {
 }
 
 #[test]
-fn a_datagram_cut_anywhere_is_refused_and_the_whole_one_is_not() {
+fn a_datagram_truncated_anywhere_is_refused_and_the_whole_one_is_accepted() {
     let (mut rig, frame) = two();
     let cut: Vec<Vec<u8>> = (0..=frame.len()).map(|length| frame[..length].to_vec()).collect();
     let counts = counted_for(&mut rig, &cut);
@@ -99,7 +99,7 @@ fn a_datagram_cut_anywhere_is_refused_and_the_whole_one_is_not() {
 }
 
 #[test]
-fn a_datagram_with_any_bit_turned_is_refused() {
+fn a_datagram_with_any_flipped_bit_is_refused() {
     let (mut rig, frame) = two();
     let turned = |bit: usize| {
         let mut turned = frame.clone();
@@ -156,14 +156,14 @@ fn each_refusal_has_its_cause() {
     let fresh = held_back(&mut rig);
     let counts = counted_for(&mut rig, &[fresh.clone(), fresh.clone()]);
     assert_eq!(counts, LinkCounts { accepted: 1, duplicate: 1, ..none }, "the datagram itself and a copy");
-    // Five thousand later the first one is too old to tell, and so is what else is still said with the old numbers.
+    // 5000 sequence numbers later, datagrams with the old numbers are outside the replay window.
     let old = held_back(&mut rig);
     let counts = counted_for(&mut rig, &[of(|header| header.sequence += 5000), old]);
     assert!(counts.accepted == 1 && counts.replay >= 1, "{counts:?}");
 }
 
 #[test]
-fn recordings_are_worth_nothing_after_any_restart() {
+fn recordings_are_refused_after_any_restart() {
     let mut rig = Rig::team(2, Reliabilities::new());
     rig.meet();
     for episode in 0..20 {
@@ -176,7 +176,7 @@ fn recordings_are_worth_nothing_after_any_restart() {
         rig.sent.iter().filter(|flight| flight.from == 1).map(|flight| flight.frame.to_vec()).collect();
     let setup = || multicast(Reliabilities::new());
 
-    // The receiver starts again and the sender is dead: there is nobody whose word could refute the recording.
+    // The receiver restarts and the sender is dead, so no newer datagram contradicts the recording.
     rig.restart(0, config(0, 2, 2, Some(key()), setup()));
     rig.restart(1, config(0, 2, 99, None, setup()));
     rig.counts[0] = LinkCounts::default();
@@ -186,7 +186,7 @@ fn recordings_are_worth_nothing_after_any_restart() {
     assert!(rig.delivered[0].len() == 20, "nothing more");
     assert_eq!(rig.counted(0).unproven, recorded.len() as u64);
 
-    // The sender starts again, and is accepted; what it said before it died is not.
+    // The sender restarts and is accepted; datagrams from before its restart are not.
     rig.restart(1, config(1, 2, 2, Some(key()), setup()));
     rig.meet();
     rig.publish(1, latent(1, 77));
@@ -199,7 +199,7 @@ fn recordings_are_worth_nothing_after_any_restart() {
 }
 
 #[test]
-fn what_was_held_back_is_not_believed_long_after_its_sender_fell_silent() {
+fn a_delayed_datagram_is_refused_long_after_its_sender_fell_silent() {
     let (mut rig, frame) = two();
     rig.restart(1, config(0, 2, 99, None, multicast(Reliabilities::new())));
     let later = rig.now + Span::from_millis(5500);
@@ -209,7 +209,7 @@ fn what_was_held_back_is_not_believed_long_after_its_sender_fell_silent() {
 }
 
 #[test]
-fn numbers_wrap_and_what_was_before_the_wrap_stays_old() {
+fn sequence_numbers_wrap_and_those_before_the_wrap_stay_old() {
     let (mut rig, _) = two();
     let message = latent(1, 1);
     rig.restart(1, config(0, 2, 99, None, multicast(Reliabilities::new())));
@@ -223,7 +223,7 @@ fn numbers_wrap_and_what_was_before_the_wrap_stays_old() {
 }
 
 #[test]
-fn two_live_hosts_of_one_id_are_noticed_by_all() {
+fn two_live_hosts_with_one_id_are_detected_by_all() {
     // The fourth host has the id of the second.
     let hosts = [(0, 1), (1, 1), (2, 1), (1, 2)];
     let config = |(host, incarnation)| config(host, 3, incarnation, Some(key()), multicast(Reliabilities::new()));
@@ -243,11 +243,11 @@ fn two_live_hosts_of_one_id_are_noticed_by_all() {
 }
 
 #[test]
-fn one_babbler_of_twenty_is_limited_alone() {
+fn of_twenty_hosts_only_the_flooding_one_is_limited() {
     let mut rig = Rig::team(20, Reliabilities::new());
     rig.meet();
     for ms in 0..2000u32 {
-        // Forty messages in a millisecond from one, twenty a second from each of the others.
+        // One host sends forty messages a millisecond, each other twenty a second.
         for _ in 0..40 {
             rig.publish(1, latent(1, ms));
         }
@@ -266,7 +266,7 @@ fn one_babbler_of_twenty_is_limited_alone() {
     assert!(rig.counted(0).rate > 50_000);
 }
 
-/// The counts of a network after a second.
+/// Returns the counts of a network after a second.
 fn counts_of(network: &mut Network) -> LinkCounts {
     let mut out = Vec::new();
     network.wake(Time::ZERO + Span::from_millis(1000), &mut out);
@@ -274,10 +274,10 @@ fn counts_of(network: &mut Network) -> LinkCounts {
     counts.expect("it tells its counts")
 }
 
-/// The way of a stop: for everyone.
+/// Route of a stop: to all hosts.
 const STOP: Route = Route { local: true, leaves: Some((LINK, Audience::All)) };
 
-/// The configuration of host 0 of a team of four, which knows the hosts of its team.
+/// Returns the configuration of host 0 in a team of four whose hosts it knows.
 fn team_of_four(key: Option<Key>, setup: Setup) -> Config {
     let mut config = config(0, 4, 1, key, setup);
     let agents: Vec<HostId> = (0..4).map(HostId).collect();
@@ -295,7 +295,7 @@ fn engage(number: u16) -> Wire {
 }
 
 #[test]
-fn made_up_senders_take_no_room_from_hosts_of_the_team_and_operators() {
+fn forged_senders_take_no_table_space_from_hosts_and_operators() {
     let mut network = network(team_of_four(None, multicast(Reliabilities::new())));
     let mut delivered = |sender: u16, sequence: u32, message: Wire| {
         let mut out = Vec::new();
@@ -316,7 +316,7 @@ fn made_up_senders_take_no_room_from_hosts_of_the_team_and_operators() {
 }
 
 #[test]
-fn an_operator_and_a_host_prove_themselves_beside_thousands_that_a_member_makes_up() {
+fn an_operator_and_a_host_are_accepted_beside_thousands_forged_by_a_member() {
     let none = config(9, 4, 1, None, multicast(Reliabilities::new()));
     let mut rig = Rig::new([team_of_four(Some(key()), multicast(Reliabilities::new())), none.clone(), none]);
     let says_hello = |rig: &mut Rig, sender: u16, stamp: u64| {
@@ -326,7 +326,7 @@ fn an_operator_and_a_host_prove_themselves_beside_thousands_that_a_member_makes_
         key().seal(&mut bytes, LINK, None);
         rig.arrive(0, &bytes);
     };
-    // Candidates that never prove themselves, of both kinds; then some that do.
+    // Candidates of both kinds that never prove to be alive; then some that do.
     for sender in 0..3000 {
         says_hello(&mut rig, 4 + sender, 5);
         says_hello(&mut rig, HostId::operator(sender).0, 5);
@@ -338,7 +338,7 @@ fn an_operator_and_a_host_prove_themselves_beside_thousands_that_a_member_makes_
     }
     assert_eq!(rig.delivered[0].len(), 3000, "each is accepted");
     rig.delivered[0].clear();
-    // A real one of each kind, from its first datagram on.
+    // A real host and a real operator, from their first datagrams on.
     rig.restart(1, config(3, 4, 7, Some(key()), multicast(Reliabilities::new())));
     rig.restart(2, operator(5, 7));
     for _ in 0..25 {
@@ -353,7 +353,7 @@ fn an_operator_and_a_host_prove_themselves_beside_thousands_that_a_member_makes_
     assert_eq!(rig.counted(0).crowd, 0);
 }
 
-/// An operator with this number.
+/// Returns an operator with this number.
 fn operator(number: u16, incarnation: u32) -> Config {
     let router = Router::new(4, |kind, _| match kind {
         Kind::Stop => STOP,
@@ -364,8 +364,8 @@ fn operator(number: u16, incarnation: u32) -> Config {
     Config { me, key: Some(key()), links: vec![Some(setup)], router }
 }
 
-/// A team of two hosts and an operator, on a link where datagrams are addressed if `setup` says so, after the operator
-/// has said some stops; and all that it has said.
+/// Returns a team of two hosts and an operator on a link with this setup, after the operator has sent some stops; and
+/// all datagrams of the operator.
 fn with_operator(setup: &Setup) -> (Rig, Vec<Vec<u8>>) {
     let host = |host| config(host, 2, 1, Some(key()), setup.clone());
     let mut rig = Rig::new([host(0), host(1), config(9, 2, 1, None, setup.clone())]);
@@ -382,7 +382,7 @@ fn with_operator(setup: &Setup) -> (Rig, Vec<Vec<u8>>) {
 }
 
 #[test]
-fn a_recording_of_an_operator_from_elsewhere_does_not_take_its_answers() {
+fn a_replay_of_an_operator_from_another_address_does_not_divert_its_answers() {
     let setup = Setup::unicast(Reliabilities::new());
     let (mut rig, said) = with_operator(&setup);
     let [here, elsewhere] = [1, 2].map(|port| Some(SocketAddr::from(([127, 0, 0, 1], port))));
@@ -400,7 +400,7 @@ fn a_recording_of_an_operator_from_elsewhere_does_not_take_its_answers() {
     }
     assert_eq!(rig.admitted[0].len(), 1, "a recording of one that is accepted admits nobody");
 
-    // Once the operator is forgotten, its recordings are those of one that has to prove itself, and soon of none.
+    // Once the operator is forgotten, its recordings first make it a candidate, and soon have no effect.
     rig.restart(2, config(9, 2, 1, None, setup));
     rig.run_ms(20_000);
     for _ in 0..50 {
@@ -416,7 +416,7 @@ fn a_recording_of_an_operator_from_elsewhere_does_not_take_its_answers() {
 }
 
 #[test]
-fn a_recording_of_an_operator_that_is_repeated_makes_no_host_say_more() {
+fn repeated_replays_of_an_operator_do_not_raise_a_host_s_traffic() {
     for setup in [multicast(Reliabilities::new()), Setup::unicast(Reliabilities::new())] {
         let (mut rig, said) = with_operator(&setup);
         rig.restart(2, config(9, 2, 1, None, setup));
@@ -438,7 +438,7 @@ fn a_recording_of_an_operator_that_is_repeated_makes_no_host_say_more() {
         let quiet = spoken(&[]);
         let [first, all] = [spoken(&said[..1]), spoken(&said)];
         println!("datagrams and bytes in 10 s: quiet {quiet:?}, one recording {first:?}, all {all:?}");
-        // A burst of answers at most, while its stamps are new: 25, and 4 a second for as long as that lasts.
+        // At most a burst of answers while the timestamps are new: 25, and 4 a second during that time.
         assert!(first.0 <= quiet.0 + 2, "one recording is answered once: {first:?} beside {quiet:?}");
         assert!(all.0 <= quiet.0 + 30, "{all:?} beside {quiet:?}");
         assert!(all.1 <= 15_000, "the budget of soft state is 1.5 kB/s: {all:?}");
@@ -446,11 +446,11 @@ fn a_recording_of_an_operator_that_is_repeated_makes_no_host_say_more() {
 }
 
 #[test]
-fn sequences_of_recordings_without_end_cause_few_answers() {
+fn endless_sequences_of_recordings_cause_few_answers() {
     let (mut rig, _) = two();
     rig.sent.clear();
     for ms in 0..10_000u32 {
-        // More former operators than are remembered, and stamps that always advance.
+        // More former operators than are remembered, with timestamps that always advance.
         for number in [ms, ms + 1] {
             let sender = HostId::operator((number % 3000) as u16).0;
             let mut bytes = codec::start(&header(sender, 1, ms));
@@ -478,7 +478,7 @@ proptest! {
         for key in [None, Some(key())] {
             let mut network = network(config(0, 4, 1, key.clone(), multicast(Reliabilities::new())));
             for bytes in &junk {
-                // As it is, and behind a sound header and tag: so it gets further in.
+                // As it is, and also after a valid header and with a valid tag, to reach later checks.
                 let mut deep = codec::start(&header(1, 1, 1));
                 deep.extend_from_slice(bytes);
                 if let Some(key) = &key {

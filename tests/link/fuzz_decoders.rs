@@ -1,5 +1,5 @@
-//! Every decoder of the wire against mutations of a committed corpus, from a seed and for a bounded time: the part of
-//! fuzzing that runs on any toolchain. `fuzz/` holds the coverage-guided targets over the same corpus.
+//! Every decoder of the wire against seeded mutations of a committed corpus, for a bounded time: the part of fuzzing
+//! that runs on any toolchain. `fuzz/` holds the coverage-guided targets over the same corpus.
 
 use std::fs;
 use std::path::Path;
@@ -14,7 +14,7 @@ use murmurate::random::{Seed, Stream};
 use murmurate::time::Time;
 use rand::RngExt;
 
-/// Mutations of each file of the corpus.
+/// Number of mutations of each file of the corpus.
 const ROUNDS: usize = 20_000;
 
 fn corpus() -> Vec<Vec<u8>> {
@@ -26,7 +26,7 @@ fn corpus() -> Vec<Vec<u8>> {
     paths.iter().map(|path| fs::read(path).expect("a readable file")).collect()
 }
 
-/// One to four changes: a bit, a byte, a piece cut out, a piece doubled, a piece of another file.
+/// Makes one to four changes: a bit, a byte, a piece removed, a piece duplicated, a piece of another file.
 fn mutate(bytes: &mut Vec<u8>, other: &[u8], stream: &mut Stream) {
     for _ in 0..stream.random_range(1..=4) {
         if bytes.is_empty() {
@@ -52,7 +52,7 @@ fn mutate(bytes: &mut Vec<u8>, other: &[u8], stream: &mut Stream) {
 }
 
 #[test]
-fn no_mutation_of_the_corpus_gets_past_a_decoder_unsound() {
+fn no_decoder_accepts_an_invalid_mutation_of_the_corpus() {
     let corpus = corpus();
     let mut stream = Seed::of_run(1).stream("fuzz");
     let mut target = network(config(0, 4, 1, None, Setup::multicast(Reliabilities::new())));

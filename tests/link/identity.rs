@@ -1,5 +1,5 @@
-//! Belief in senders: hosts that are restarted, recordings of former runs, datagrams that were held back, two hosts
-//! with one id, and operators that come and go.
+//! Acceptance of senders: restarted hosts, recordings of former runs, delayed datagrams, two hosts with one id, and
+//! operators that come and go.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ fn setup() -> Setup {
     Setup::multicast(Reliabilities::new())
 }
 
-/// Lets these hosts say heartbeats, and data if `data` is given, which is marked with it, for so many milliseconds.
+/// Makes these hosts send heartbeats, and data marked with `data` if it is given, for this many milliseconds.
 fn talk(rig: &mut Rig, hosts: &[usize], data: Option<u32>, ms: u64) {
     for _ in 0..ms.div_ceil(20) {
         for &host in hosts {
@@ -38,7 +38,7 @@ fn talk(rig: &mut Rig, hosts: &[usize], data: Option<u32>, ms: u64) {
     }
 }
 
-/// How many messages with this mark a host has got from a robot.
+/// Returns the number of messages with this mark that a host has received from a robot.
 fn got(rig: &Rig, host: usize, robot: u16, mark: u32) -> usize {
     let marked = |message: &Wire| match message {
         Wire::Latent(latent) => latent.robot.0 == robot && latent.round.episode == mark,
@@ -48,7 +48,7 @@ fn got(rig: &Rig, host: usize, robot: u16, mark: u32) -> usize {
 }
 
 #[test]
-fn a_host_that_is_restarted_is_heard_again_within_a_second_whatever_its_number() {
+fn a_restarted_host_is_accepted_within_a_second_with_any_incarnation() {
     let mut stream = Seed::of_run(3).stream("restarts");
     let mut rig = Rig::team(5, Reliabilities::new());
     talk(&mut rig, &[0, 1, 2, 3, 4], Some(1), 2000);
@@ -66,7 +66,7 @@ fn a_host_that_is_restarted_is_heard_again_within_a_second_whatever_its_number()
         }
         worst = worst.max(rig.now.since(began));
         talk(&mut rig, &[0, 1, 2, 3, 4], Some(mark), 1000);
-        // All that its former selves said, once more.
+        // Replay of all datagrams of its former incarnations.
         rig.delivered[0].clear();
         let former = rig.sent[..recorded].iter().filter(|flight| flight.from == 1);
         for frame in former.map(|flight| flight.frame.clone()).collect::<Vec<_>>() {
@@ -77,7 +77,7 @@ fn a_host_that_is_restarted_is_heard_again_within_a_second_whatever_its_number()
     println!("heard again by all at most {worst} after the start");
 }
 
-/// Everything that a team says in so many milliseconds.
+/// Returns all datagrams of a team in this many milliseconds.
 fn recording(epochs: u32, ms: u64) -> Vec<Flight> {
     let configs = (0..5).map(|host| config(host, 5, epochs, Some(key()), setup()));
     let mut rig = Rig::new(configs);
@@ -89,7 +89,7 @@ fn recording(epochs: u32, ms: u64) -> Vec<Flight> {
 }
 
 #[test]
-fn recordings_of_former_runs_are_not_believed_and_do_not_hold_up_a_start() {
+fn recordings_of_former_runs_are_refused_and_do_not_delay_a_start() {
     for runs in [1, 40] {
         let former: Vec<Flight> = (0..runs).flat_map(|incarnation| recording(incarnation, 3000)).collect();
         let mut rig = Rig::new((0..5).map(|host| config(host, 5, 1000, Some(key()), setup())));
@@ -119,7 +119,7 @@ fn recordings_of_former_runs_are_not_believed_and_do_not_hold_up_a_start() {
 }
 
 #[test]
-fn a_recording_with_the_incarnation_of_a_host_that_is_not_there_is_no_proof_of_life() {
+fn a_recording_of_an_absent_host_s_incarnation_does_not_prove_that_it_is_alive() {
     let former = recording(1, 3000);
     let absent = config(9, 5, 1, None, setup());
     let mut rig = Rig::new((0..5).map(|host| config(host, 5, 1, Some(key()), setup())));
@@ -133,8 +133,8 @@ fn a_recording_with_the_incarnation_of_a_host_that_is_not_there_is_no_proof_of_l
     }
 }
 
-/// Two hosts; what host 1 says without a report is held back until it falls silent, but for its soft state. Then some
-/// time passes and all of it is released: how many messages are accepted.
+/// Delays the datagrams of host 1 without a report until it sends nothing but soft state. Then some time passes and all
+/// of them are released; returns the number of accepted messages.
 fn released(setup: &Setup, everything: bool, after_ms: u64) -> usize {
     let mut rig = Rig::new((0..2).map(|host| config(host, 2, 1, Some(key()), setup.clone())));
     talk(&mut rig, &[0, 1], Some(1), 2000);
@@ -156,19 +156,20 @@ fn released(setup: &Setup, everything: bool, after_ms: u64) -> usize {
 }
 
 #[test]
-fn what_was_held_back_while_reports_passed_is_refused_whenever_it_is_released() {
+fn datagrams_delayed_while_reports_passed_are_refused_after_any_delay() {
     for after_ms in [1000, 8000, 45_000, 300_000] {
         for setup in [setup(), Setup::unicast(Reliabilities::new())] {
             assert_eq!(released(&setup, false, after_ms), 0, "{:?}, {after_ms} ms", setup.piggyback);
         }
     }
-    // Where nothing passes that could order it, its sender is not heard either.
+    // If no newer datagram passes that reveals the delay, the sender is not accepted either.
     for after_ms in [4000, 8000, 45_000] {
         assert_eq!(released(&setup(), true, after_ms), 0, "all of it, {after_ms} ms");
     }
 }
 
-/// How many copies of data arrived more than 200 ms after their originals had left: only the last retry can.
+/// Returns the number of copies of data that arrived more than 200 ms after their originals left, as only the last
+/// retry can.
 fn latest_copies(rig: &Rig) -> usize {
     let mut left = BTreeMap::new();
     for flight in rig.sent.iter().filter(|flight| is_data(&flight.frame)) {
@@ -195,18 +196,18 @@ fn jitter_and_retransmissions_make_nothing_late() {
             talk(&mut rig, &[0, 1, 2, 3, 4], Some(2), 10_000);
             (0..5).for_each(|host| assert_eq!(rig.counted(host).late, 0, "{reliability:?}"));
             if reliability == Reliability::Nack {
-                // A repair that another host has asked for may come late to one that has not.
+                // A retransmission that another host requested may be late at a host that did not request it.
                 continue;
             }
-            // So slowly that nothing newer takes the place of the last retry; and after each message an operator makes
-            // everyone report at once.
+            // So slowly that no newer message replaces the last retry; and after each message an operator causes all
+            // hosts to report at once.
             (rig.loss, rig.arrived) = (0.5, Some(Vec::new()));
             for turn in 0..100 {
                 (0..5).for_each(|host| rig.publish(host, latent(host as u16, 3)));
                 let mut operator = operator(turn, u32::from(turn));
                 operator.links = vec![Some(Setup { report_piggyback_age: Span::ZERO, ..setup.clone() })];
                 rig.restart(5, operator);
-                // The report comes as soon as it can, the last retry as late as it can.
+                // The report arrives as early as possible, the last retry as late as possible.
                 for (jitter_ms, ms) in [(0, 40), (100, 360)] {
                     rig.jitter = Span::from_millis(jitter_ms);
                     talk(&mut rig, &[0, 1, 2, 3, 4], None, ms);
@@ -220,7 +221,7 @@ fn jitter_and_retransmissions_make_nothing_late() {
 }
 
 #[test]
-fn of_two_live_hosts_with_one_id_the_later_one_learns_that_it_is_one_too_many() {
+fn of_two_live_hosts_with_one_id_the_later_one_detects_it() {
     // One starts 5 s after the other, or both at once.
     for (apart_ms, numbers) in [(5000, [1, 2]), (5000, [2, 1]), (0, [1, 2]), (0, [2, 1])] {
         let silent = config(9, 3, 1, None, setup());
@@ -240,7 +241,7 @@ fn of_two_live_hosts_with_one_id_the_later_one_learns_that_it_is_one_too_many() 
 }
 
 #[test]
-fn a_recording_of_its_former_self_ends_no_host() {
+fn a_recording_of_its_former_incarnation_ends_no_host() {
     let former = recording(5, 3000);
     let mut rig = Rig::new((0..5).map(|host| config(host, 5, 1, Some(key()), setup())));
     for flight in former.iter().filter(|flight| flight.from == 1) {
@@ -251,7 +252,7 @@ fn a_recording_of_its_former_self_ends_no_host() {
     assert_eq!(rig.counted(1).duplicate_id, 0);
 }
 
-/// An operator: it says `Stop`, and hears nothing but reports.
+/// Returns an operator, which sends stops and receives only reports.
 fn operator(number: u16, incarnation: u32) -> Config {
     let router = Router::new(5, |kind, _| match kind {
         Kind::Stop => Route { local: true, leaves: Some((LINK, Audience::All)) },
@@ -266,16 +267,16 @@ fn stop(number: u16) -> Wire {
     Wire::Stop(Stop::engage(HostId::operator(number), Latch::default()))
 }
 
-/// Which operators a host has heard a stop of.
+/// Returns the operators of which a host has received a stop.
 fn stops(rig: &Rig, host: usize) -> Vec<HostId> {
     let by = |message: &Wire| if let Wire::Stop(stop) = message { Some(stop.by) } else { None };
     rig.delivered[host].iter().filter_map(|(_, message)| by(message)).collect()
 }
 
 #[test]
-fn operators_at_the_same_instant_and_of_the_same_number_are_all_heard_at_once() {
+fn simultaneous_operators_are_all_accepted_at_once_even_with_the_same_number() {
     for loss in [0.0, 0.2] {
-        // Ten of them, two of which have drawn one number; the eleventh has been there for a minute.
+        // Ten operators, two of them with the same number; the eleventh has been there for a minute.
         let numbers = [1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 10];
         let team = (0..5).map(|host| config(host, 5, 1, Some(key()), setup()));
         let mut rig = Rig::new(team.chain(numbers.map(|_| config(9, 5, 1, None, setup()))));
@@ -294,7 +295,7 @@ fn operators_at_the_same_instant_and_of_the_same_number_are_all_heard_at_once() 
             }
             talk(&mut rig, &[0, 1, 2, 3, 4], Some(1), 20);
             let heard = |host: &usize| (1..=10).all(|number| stops(&rig, *host).contains(&HostId::operator(number)));
-            // Robot 0 is host 0's own to the table of these tests, and so is what is not about any.
+            // In the routing table of these tests robot 0 belongs to host 0, and so do messages about no robot.
             let now = (1..5).filter(heard).count();
             after.resize(now.max(after.len()), rig.now.since(began));
             assert!(rig.now.since(began) <= Span::from_millis(400), "loss {loss}: {after:?}");
@@ -313,7 +314,7 @@ fn operators_at_the_same_instant_and_of_the_same_number_are_all_heard_at_once() 
 }
 
 #[test]
-fn an_operator_that_was_never_heard_before_is_believed_within_one_round_trip() {
+fn a_new_operator_is_accepted_within_one_round_trip() {
     let team = (0..5).map(|host| config(host, 5, 1, Some(key()), setup()));
     let mut rig = Rig::new(team.chain([config(9, 5, 1, None, setup())]));
     talk(&mut rig, &[0, 1, 2, 3, 4], None, 3000);
@@ -324,7 +325,7 @@ fn an_operator_that_was_never_heard_before_is_believed_within_one_round_trip() {
     let hello = rig.sent[began..].iter().find(|flight| flight.from == 5).expect("it says hello at once");
     let said = report(&hello.frame, TAG_BYTES).expect("a report");
     assert!(said.heard.is_empty() && !is_data(&hello.frame));
-    // Hello, the answer, and the first stop, 2 ms each.
+    // The first report, the answer, and the first stop take 2 ms each.
     rig.publish(5, stop(3));
     rig.run_ms(2);
     (1..5).for_each(|host| assert_eq!(stops(&rig, host).len(), 1, "host {host} obeys its first stop"));

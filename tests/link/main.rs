@@ -1,4 +1,4 @@
-//! The wire and the link layer: decoding, authentication, repairs, and the cost of soft state.
+//! The wire and the link layer: decoding, acceptance of senders, retransmission, and the cost of soft state.
 
 mod abuse;
 mod fuzz_decoders;

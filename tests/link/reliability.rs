@@ -1,4 +1,4 @@
-//! Reliability by kind over a lossy link: what arrives, when, for how many datagrams; and what soft state costs.
+//! Reliability by kind over a lossy link: delivery, delay and number of datagrams; and the cost of soft state.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ fn kinds(latent: Reliability) -> Reliabilities {
     Reliabilities::from([(Kind::Latent, latent)])
 }
 
-/// Outcome of a run: the share delivered, and within 20 ms, and data datagrams for a message.
+/// Outcome of a run: shares delivered at all and within 20 ms, and data datagrams per message.
 #[derive(Debug)]
 struct Outcome {
     delivered: f64,
@@ -21,7 +21,7 @@ struct Outcome {
     datagrams: f64,
 }
 
-/// Everyone says something at this rate for some seconds, out of step; the first is not counted.
+/// Makes every host send messages at this rate for some seconds, out of phase; the first second does not count.
 fn run(rig: &mut Rig, per_s: u64, seconds: u64) -> Outcome {
     let hosts = rig.networks.len() as u64;
     let period = Span::from_nanos(1_000_000_000 / per_s);
@@ -61,7 +61,7 @@ fn run(rig: &mut Rig, per_s: u64, seconds: u64) -> Outcome {
 }
 
 #[test]
-fn repeats_bring_nearly_everything_through_a_fifth_of_loss_and_cost_nothing_without() {
+fn repeats_deliver_nearly_everything_at_20_percent_loss_and_cost_nothing_without_loss() {
     for per_s in [20, 60, 500] {
         let mut rig = Rig::team(5, kinds(Reliability::Repeat));
         rig.meet();
@@ -99,7 +99,7 @@ fn repeats_begin_within_half_a_second_of_loss_and_end_after_it() {
 }
 
 #[test]
-fn what_is_asked_for_is_sent_again_unless_something_newer_is_there() {
+fn requested_datagrams_are_retransmitted_unless_superseded() {
     let mut rig = Rig::team(5, kinds(Reliability::Nack));
     rig.meet();
     rig.loss = 0.2;
@@ -115,7 +115,7 @@ fn what_is_asked_for_is_sent_again_unless_something_newer_is_there() {
 }
 
 #[test]
-fn what_is_not_acknowledged_is_sent_again_and_given_up_in_the_end() {
+fn unacknowledged_datagrams_are_retransmitted_up_to_a_limit() {
     let mut rig = Rig::team(5, kinds(Reliability::Ack));
     rig.meet();
     let whole = run(&mut rig, 20, 3);
@@ -134,7 +134,7 @@ fn what_is_not_acknowledged_is_sent_again_and_given_up_in_the_end() {
     assert!(rig.counted(0).lapsed >= 1);
 }
 
-/// Datagrams with soft state alone that host 1 sends in ten seconds of heartbeats.
+/// Returns the rate of host 1's datagrams with soft state alone, over ten seconds of heartbeats \[1/s\].
 fn soft(per_s: Option<u64>) -> f64 {
     let mut rig = Rig::team(5, Reliabilities::new());
     rig.meet();
@@ -156,14 +156,14 @@ fn soft(per_s: Option<u64>) -> f64 {
 }
 
 #[test]
-fn soft_state_rides_on_data_and_costs_little_alone() {
+fn soft_state_is_piggybacked_on_data_and_costs_little_alone() {
     let (alone, riding) = (soft(None), soft(Some(20)));
     assert!(alone <= 5.1, "{alone} a second without data");
     assert!(riding <= 0.2, "{riding} a second beside data");
 }
 
 #[test]
-fn hosts_know_loss_and_the_way_to_each_other() {
+fn hosts_measure_loss_and_round_trip_time_to_each_other() {
     let mut rig = Rig::team(3, Reliabilities::new());
     rig.loss = 0.1;
     rig.meet();
@@ -179,7 +179,7 @@ fn hosts_know_loss_and_the_way_to_each_other() {
 }
 
 #[test]
-fn a_team_that_starts_at_once_is_whole_with_the_second_hello() {
+fn hosts_that_start_together_accept_each_other_at_the_second_message() {
     let mut rig = Rig::team(50, Reliabilities::new());
     rig.delay = Span::from_nanos(200_000);
     for hello in 0..3u32 {

@@ -1,5 +1,5 @@
-//! Repairs: every copy goes to a host that lacks it, as far as its sender can know, and duplicates are as rare as a
-//! stop-and-wait protocol with the same loss, retries and round trip would have them.
+//! Retransmissions: every copy goes to a host that lacks the datagram, as far as its sender can know. Duplicates are as
+//! rare as with a stop-and-wait protocol of the same loss, retries and round-trip time.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,11 +19,11 @@ use murmurate::time::{Span, Time};
 use proptest::prelude::*;
 use rand::RngExt;
 
-/// One way in the rig, and how long acknowledgements wait for each other.
+/// One-way delay in the rig, and the longest wait of an acknowledgement for others.
 const ONE_WAY_S: f64 = 300e-6;
 const ACK_WAIT_S: f64 = 2e-3;
 
-/// Host 0 says readings and motor commands of robot i to host i, or latents to all.
+/// Returns a configuration in which host 0 sends readings and motor commands of robot i to host i, or latents to all.
 fn config(host: u16, hosts: usize, reliability: Reliability, to: To) -> Config {
     let router = Router::new(hosts, |kind, robot| match (kind, to) {
         (Kind::Reading | Kind::MotorCommand, To::One) => Route {
@@ -54,7 +54,7 @@ fn command(robot: u16) -> Wire {
     Wire::MotorCommand(MotorCommand { robot: RobotId(robot), velocity, valid_for: Span::from_millis(200) })
 }
 
-/// A team in which host 0 and each other accept each other.
+/// Returns a team in which host 0 and each other host have accepted each other.
 fn team(receivers: u16, reliability: Reliability, to: To) -> Rig {
     let hosts = receivers + 1;
     let mut rig = Rig::new((0..hosts).map(|host| config(host, hosts.into(), reliability, to)));
@@ -64,8 +64,8 @@ fn team(receivers: u16, reliability: Reliability, to: To) -> Rig {
     rig
 }
 
-/// Copies that host 0 has sent, each checked: it is the datagram of that number to that audience, and there was a host
-/// that lacked it as far as host 0 could know.
+/// Checks and counts the copies that host 0 has sent: each is the datagram of that number to that audience, and a host
+/// lacked it as far as host 0 could know.
 fn checked_copies(rig: &Rig, reliability: Reliability) -> u64 {
     let mut originals = BTreeMap::new();
     let arrived = rig.arrived.as_ref().expect("arrivals are remembered");
@@ -108,8 +108,8 @@ fn checked_copies(rig: &Rig, reliability: Reliability) -> u64 {
     copies
 }
 
-/// Duplicates a message that stop-and-wait makes: sent to all receivers again after the same times until each has
-/// acknowledged it. Copies and acknowledgements are lost alike.
+/// Returns the duplicates per message of stop-and-wait: it retransmits to all receivers after the same times until each
+/// has acknowledged. Copies and acknowledgements are lost alike.
 fn model(receivers: u16, loss: f64) -> f64 {
     const MESSAGES: u32 = 20_000;
     let mut stream = Seed::of_run(9).stream("model");
@@ -136,7 +136,7 @@ fn model(receivers: u16, loss: f64) -> f64 {
     f64::from(duplicates) / f64::from(MESSAGES)
 }
 
-/// Duplicates and deliveries a message, to `receivers`, one or all addressed, at a loss of 30 %.
+/// Returns duplicates and deliveries per message, to one or all of `receivers`, at a loss of 30 %.
 fn repaired(receivers: u16, reliability: Reliability, to: To) -> (f64, f64) {
     let mut rig = team(receivers, reliability, to);
     rig.loss = 0.3;
@@ -157,10 +157,10 @@ fn repaired(receivers: u16, reliability: Reliability, to: To) -> (f64, f64) {
                 To::All => {}
             }
         }
-        // Missing datagrams are known by a report, which leaves every 250 ms.
+        // Missing datagrams are detected from reports, one every 250 ms.
         rig.run_ms(if reliability == Reliability::Nack { 400 } else { 120 });
         if to == To::One {
-            // A receiver learns what it misses from the next datagram to it.
+            // A receiver detects a gap from the next datagram that is addressed to it.
             (1..=receivers).for_each(|host| rig.publish(0, command(host)));
             said += usize::from(receivers);
         }
@@ -190,8 +190,8 @@ fn every_copy_goes_to_a_host_that_lacks_it_and_duplicates_are_those_of_stop_and_
                     "| {reliability:?} | {receivers} | {to:?} | {delivered:.3} | {duplicates:.3} | {expected:.3} |"
                 );
                 assert!(duplicates <= 1.2 * expected, "{reliability:?}, {receivers}, {to:?}");
-                // 70 % arrive without any repair. Where datagrams are addressed, what is missing is learned from the
-                // next one alone, and 30 % of those are lost as well.
+                // 70 % arrive without retransmission. An addressed datagram that is missing is detected only from the
+                // next one, and 30 % of those are lost as well.
                 let bar = match (reliability, to) {
                     (Reliability::Ack, _) => 0.99,
                     (_, To::All) => 0.95,
@@ -204,7 +204,7 @@ fn every_copy_goes_to_a_host_that_lacks_it_and_duplicates_are_those_of_stop_and_
 }
 
 #[test]
-fn acknowledgements_on_a_large_datagram_keep_to_its_size() {
+fn acknowledgements_do_not_exceed_the_size_limit_of_a_large_datagram() {
     let mut rig = Rig::team(9, Reliabilities::from([(Kind::Latent, Reliability::Ack)]));
     rig.meet();
     rig.run_ms(1000);
@@ -218,7 +218,7 @@ fn acknowledgements_on_a_large_datagram_keep_to_its_size() {
         other => other,
     };
     for number in 0..20 {
-        // Eight are acknowledged by host 0 just before it says something large itself.
+        // Host 0 has eight datagrams to acknowledge just before it sends a large one itself.
         (1..9u16).for_each(|host| rig.publish(usize::from(host), latent(host, number)));
         rig.run_ms(1);
         rig.publish(0, large(0, number));
@@ -233,8 +233,8 @@ fn acknowledgements_on_a_large_datagram_keep_to_its_size() {
 }
 
 #[test]
-fn each_of_twenty_streams_is_offered_for_repair() {
-    // Twenty robots' latents from one host, once each; then another message goes on.
+fn each_of_twenty_streams_is_offered_for_retransmission() {
+    // One host sends one latent each of twenty robots; then nothing but soft state.
     let router = |host: u16| {
         Router::new(21, move |_, _| Route { local: host == 1, leaves: (host == 0).then_some((LINK, Audience::All)) })
     };
@@ -257,7 +257,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 40, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn no_schedule_sends_a_copy_where_it_is_not_lacking(
+    fn no_schedule_retransmits_to_a_host_that_has_the_datagram(
         receivers in 2u16..12,
         ack in any::<bool>(),
         one in any::<bool>(),

@@ -1,4 +1,4 @@
-//! Some Networks on one lossy link under virtual time: what the tests of the link layer share. Not a test.
+//! Networks on one lossy link under virtual time, shared by the tests of the link layer. Not a test.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
@@ -29,7 +29,7 @@ pub fn key() -> Key {
     Key::new([42; 32])
 }
 
-/// Robot i lives on host i: its latents are for all others, its heartbeats for host 0.
+/// Returns a host that runs the robot of its number: latents go to all other hosts, heartbeats to host 0.
 pub fn config(host: u16, robots: usize, incarnation: u32, key: Option<Key>, setup: Setup) -> Config {
     let router = Router::new(robots, |kind, robot| {
         let own = robot.0 == host;
@@ -47,13 +47,13 @@ pub fn network(config: Config) -> Network {
     network_of_run(config, 0)
 }
 
-/// Another run draws other numbers, also where it has the same incarnation.
+/// Creates a Network; each run has other random numbers, even with the same incarnation.
 fn network_of_run(config: Config, run: u64) -> Network {
     let stream = Seed::of_run(u64::from(config.me.host.0)).stream(&format!("network/{run}"));
     Network::new(config, stream)
 }
 
-/// The link report of a datagram, if there is one.
+/// Returns the link report of a datagram, if there is one.
 pub fn report(frame: &[u8], tag: usize) -> Option<Report> {
     codec::blocks(&frame[..frame.len() - tag]).flatten().find_map(|(content, body)| match content {
         Content::Report | Content::NumberedReport => Report::read(content, body).ok(),
@@ -80,7 +80,7 @@ pub fn heartbeat(robot: u16, episode: u32) -> Wire {
     Wire::Heartbeat(Heartbeat { robot: RobotId(robot), round, phase: Phase::Running, latch: Latch::default() })
 }
 
-/// A datagram under way, or one that has arrived.
+/// Datagram that was sent.
 #[derive(Clone)]
 pub struct Flight {
     pub from: usize,
@@ -93,28 +93,28 @@ pub struct Flight {
 pub struct Rig {
     pub now: Time,
     pub networks: Vec<Network>,
-    /// Messages handed in, by host: when, what.
+    /// Delivered messages by host, each with its time.
     pub delivered: Vec<Vec<(Time, Wire)>>,
     pub peers: Vec<Vec<Peer>>,
     pub counts: Vec<LinkCounts>,
-    /// The host that each was found to duplicate.
+    /// Host with the same id that each host has detected.
     pub duplicates: Vec<Option<DuplicateId>>,
-    /// The guests that each has admitted, in order.
+    /// Guests that each host has admitted, in order.
     pub admitted: Vec<Vec<Guest>>,
-    /// The number of each host: its place, unless set otherwise.
+    /// Id of each host: its index, unless set otherwise.
     pub ids: Vec<HostId>,
-    /// Everything that was sent.
+    /// All datagrams that were sent.
     pub sent: Vec<Flight>,
-    /// The datagrams of it that have arrived, and where, if that is to be remembered.
+    /// Arrivals, each with time and host, if they are recorded.
     pub arrived: Option<Vec<(Time, usize, Frame)>>,
     pub loss: f64,
     pub delay: Span,
-    /// The longest delay that may be added to it, at random.
+    /// Largest random addition to the delay.
     pub jitter: Span,
-    /// A relay without the key holds back what this host says: everything, or what has no report.
+    /// Relay without the key, which delays datagrams of this host: all of them, or those without a report.
     pub relay: Option<(usize, bool)>,
     flying: BTreeMap<(Time, u64), (usize, Frame)>,
-    /// When each host wants to be woken.
+    /// Wake-up times of the hosts.
     wakes: BTreeSet<(Time, usize)>,
     wake_of: Vec<Option<Time>>,
     count: u64,
@@ -156,7 +156,7 @@ impl Rig {
         rig
     }
 
-    /// `count` hosts with a key on a multicast link.
+    /// Creates `count` hosts with a key on a multicast link.
     pub fn team(count: u16, kinds: Reliabilities) -> Rig {
         Rig::new((0..count).map(|host| config(host, count.into(), 1, Some(key()), multicast(kinds.clone()))))
     }
@@ -212,18 +212,18 @@ impl Rig {
         self.arrive_from(host, frame, None);
     }
 
-    /// A datagram arrives from this address.
+    /// Delivers a datagram from this address.
     pub fn arrive_from(&mut self, host: usize, frame: &[u8], from: Option<SocketAddr>) {
         self.act(host, |network, now, out| network.handle(now, In::Frame(LINK, frame.into(), from), out));
     }
 
-    /// Lets so many milliseconds pass.
+    /// Advances the time by this many milliseconds.
     pub fn run_ms(&mut self, ms: u64) {
         let end = self.now + Span::from_millis(ms);
         self.run_to(end);
     }
 
-    /// Lets the time pass until `end`.
+    /// Advances the time to `end`.
     pub fn run_to(&mut self, end: Time) {
         loop {
             let wake = self.wakes.first().copied();
@@ -244,14 +244,14 @@ impl Rig {
         self.now = end;
     }
 
-    /// Counts of a host by now.
+    /// Returns the counts of a host at the next full second.
     pub fn counted(&mut self, host: usize) -> LinkCounts {
         let second = Time::ZERO + Span::from_secs(self.now.as_secs().floor() + 1.0);
         self.run_to(second);
         self.counts[host]
     }
 
-    /// Lets everyone be accepted by everyone: each says two things.
+    /// Makes all hosts accept each other: each sends three messages.
     pub fn meet(&mut self) {
         for _ in 0..3 {
             for host in 0..self.networks.len() {
@@ -264,7 +264,7 @@ impl Rig {
         self.delivered.iter_mut().for_each(Vec::clear);
     }
 
-    /// A host starts again under the same id.
+    /// Restarts a host with this configuration.
     pub fn restart(&mut self, host: usize, config: Config) {
         self.runs += 1;
         self.ids[host] = config.me.host;
@@ -272,14 +272,14 @@ impl Rig {
         self.plan(host);
     }
 
-    /// The newest datagram of a host with data.
+    /// Returns the newest datagram of a host with data.
     pub fn last_data(&self, host: usize) -> Frame {
         let data = |flight: &&Flight| flight.from == host && is_data(&flight.frame);
         self.sent.iter().rev().find(data).expect("it has sent something").frame.clone()
     }
 }
 
-/// Whether a relay that passes reports holds this back: data without one.
+/// Whether a relay that passes reports delays this datagram: data without a report.
 pub fn is_held(frame: &[u8]) -> bool {
     is_data(frame) && report(frame, TAG_BYTES).is_none()
 }

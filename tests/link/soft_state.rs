@@ -1,5 +1,5 @@
-//! Cost of soft state, and how soon it does its work, in teams of 5, 50 and 200: bytes a second, joining, loss that
-//! reaches the sender, and proof of life that holds.
+//! Cost and effect of soft state in teams of 5, 50 and 200: bytes a second, time to join, time until senders know of
+//! loss, and continued acceptance.
 
 use std::collections::BTreeSet;
 
@@ -10,14 +10,14 @@ use murmurate::net::protocol::codec::{self, Content, HEADER_BYTES};
 use murmurate::net::protocol::reliability::Reliabilities;
 use murmurate::time::Span;
 
-/// The most soft state that a host may send \[bytes/s\]: UDP payload with tags, without `Mode`.
+/// Budget of soft state of a host \[bytes/s\]: UDP payload with tags, without `Mode`.
 const MOST_BYTES_PER_S: f64 = 1500.0;
-/// Milliseconds between two messages of a host that says little: 2.4 a second.
+/// Period of the messages of a host with little data \[ms\]: 2.4 a second.
 const SLOW_MS: u64 = 416;
-/// Milliseconds between two heartbeats.
+/// Period of heartbeats \[ms\].
 const BEAT_MS: u64 = 200;
 
-/// Bytes of a datagram that are soft state: all of it, or what rides on data.
+/// Returns the bytes of soft state in a datagram: all of it, or those piggybacked on data.
 fn soft_bytes(flight: &Flight) -> usize {
     let plain = &flight.frame[..flight.frame.len() - TAG_BYTES];
     let mut data = 0;
@@ -29,8 +29,8 @@ fn soft_bytes(flight: &Flight) -> usize {
     if data > 0 { plain.len() - HEADER_BYTES - data } else { flight.bytes }
 }
 
-/// Lets a team say heartbeats, and data if it is to, for so many milliseconds; hosts are out of step. `each` sees it
-/// after each step of 20 ms and says whether that was enough.
+/// Makes a team send heartbeats and data of `kinds` for this many milliseconds, out of phase. `each` is called after
+/// each step of 20 ms and returns whether to end.
 fn talk(rig: &mut Rig, kinds: &[Kind], ms: u64, mut each: impl FnMut(&mut Rig) -> bool) {
     let hosts = rig.networks.len() as u64;
     let begin = rig.now;
@@ -51,12 +51,12 @@ fn talk(rig: &mut Rig, kinds: &[Kind], ms: u64, mut each: impl FnMut(&mut Rig) -
     }
 }
 
-/// Number of pairs of hosts that accept each other, by their newest summaries.
+/// Returns the number of ordered pairs of hosts in which one has accepted the other.
 fn accepted(rig: &Rig) -> usize {
     rig.peers.iter().map(|peers| peers.iter().filter(|peer| peer.accepted).count()).sum()
 }
 
-/// The most soft state that any host sends \[bytes/s\].
+/// Returns the largest rate of soft state of a host \[bytes/s\].
 fn cost(rig: &mut Rig, kinds: &[Kind], seconds: u64) -> f64 {
     rig.sent.clear();
     talk(rig, kinds, seconds * 1000, |_| false);
@@ -65,7 +65,7 @@ fn cost(rig: &mut Rig, kinds: &[Kind], seconds: u64) -> f64 {
     bytes.into_iter().max().unwrap_or_default() as f64 / seconds as f64
 }
 
-/// Adds the hosts that have been told by now of a loss of at least 2 in 64.
+/// Adds the hosts that were informed of a loss of at least 2 in 64.
 fn told(rig: &mut Rig, told: &mut BTreeSet<usize>) {
     for (_, to, frame) in rig.arrived.iter_mut().flat_map(std::mem::take) {
         let heard = report(&frame, TAG_BYTES).map(|report| report.heard).unwrap_or_default();
@@ -76,7 +76,7 @@ fn told(rig: &mut Rig, told: &mut BTreeSet<usize>) {
 }
 
 #[test]
-fn soft_state_keeps_to_its_budget_and_does_its_work_however_large_the_team() {
+fn soft_state_keeps_its_budget_and_works_in_teams_of_any_size() {
     println!("| hosts | whole after [s] | idle [B/s] | 2.4 messages/s [B/s] | all know of 30 % loss after [s] |");
     for (hosts, told_ms) in [(5u16, 2000), (50, 2000), (200, 4000)] {
         let mut rig = Rig::team(hosts, Reliabilities::new());

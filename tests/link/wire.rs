@@ -1,4 +1,4 @@
-//! The wire: whatever can be built can be sent, whatever was sent can be read, and nothing else ever is.
+//! The wire: every valid message is encoded and decoded unchanged, and everything else is refused.
 
 use std::sync::Arc;
 
@@ -118,14 +118,14 @@ fn latent(features: Vec<f32>) -> Wire {
 
 proptest! {
     #[test]
-    fn what_can_be_built_survives_the_wire(message in message()) {
+    fn a_valid_message_is_decoded_unchanged(message in message()) {
         let frame = send(&message);
         prop_assert!(frame.len() <= MAX_PLAIN_BYTES);
         prop_assert_eq!(decode(&frame), Ok((HEADER, message.clone())));
     }
 
     #[test]
-    fn a_frame_that_was_cut_or_lengthened_is_refused(message in message(), extra in any::<u8>()) {
+    fn a_truncated_or_extended_frame_is_refused(message in message(), extra in any::<u8>()) {
         let frame = send(&message);
         for length in 0..frame.len() {
             prop_assert!(decode(&frame[..length]).is_err(), "the first {length} bytes are no frame");
@@ -136,7 +136,7 @@ proptest! {
     }
 
     #[test]
-    fn a_turned_bit_is_refused_or_makes_another_sound_message(message in message()) {
+    fn a_flipped_bit_is_refused_or_gives_another_valid_message(message in message()) {
         let frame = send(&message);
         for bit in 0..frame.len() * 8 {
             let mut turned = frame.to_vec();
@@ -151,7 +151,7 @@ proptest! {
     #[test]
     fn noise_is_refused_and_never_panics(bytes in prop::collection::vec(any::<u8>(), 0..1400), kind in 0u8..9) {
         let _ = decode(&bytes);
-        // Noise behind a sound header gets further in.
+        // Noise after a valid header reaches later checks.
         let mut frame = encode(&HEADER, &latent(Vec::new())).expect("a sound message").to_vec();
         frame.truncate(HEADER_BYTES);
         let length = u16::try_from(bytes.len()).expect("a short body").to_le_bytes();
@@ -164,11 +164,11 @@ proptest! {
 }
 
 #[test]
-fn numbers_that_are_none_are_refused_at_both_ends() {
+fn invalid_numbers_are_refused_at_both_ends() {
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 2e6] {
         let message = latent(vec![0.0, bad]);
         assert!(matches!(encode(&HEADER, &message), Err(EncodeError::Unfit(..))));
-        // Smuggled in behind the sender's back: the last four bytes are the last feature.
+        // Changed after encoding: the last four bytes are the last feature.
         let mut frame = send(&latent(vec![0.0, 0.0])).to_vec();
         let at = frame.len() - 4;
         frame[at..].copy_from_slice(&bad.to_le_bytes());
@@ -210,7 +210,7 @@ fn limits_hold_when_sending() {
 
 #[test]
 fn a_published_latent_is_small() {
-    // 32 floats, with every integer at its largest: header, block and body, and the tag of a team with a key.
+    // 32 floats, with every integer at its maximum: header, block and body, and the tag of a team with a key.
     let datagram = send(&latent(vec![0.5; 32])).len() + TAG_BYTES;
     const ETHERNET_IP_UDP: usize = 14 + 20 + 8;
     assert!(datagram + ETHERNET_IP_UDP <= 240, "{datagram} bytes");

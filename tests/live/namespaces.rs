@@ -28,7 +28,7 @@ const ROBOTS: [u16; 5] = [0, 1, 2, 3, 4];
 const NETWORKS: [&str; 2] = ["adhoc", "infra"];
 const GROUPS: [&str; 3] = ["239.255.80.1:41790", "239.255.80.2:41790", "239.255.80.3:41790"];
 
-/// Hosts, each with its connections.
+/// Returns the hosts, each with its networks.
 fn hosts() -> Vec<(String, &'static [&'static str])> {
     let robots = ROBOTS.iter().map(|robot| (format!("robot-{robot}"), &NETWORKS[..]));
     robots.chain([("world".to_owned(), &NETWORKS[1..])]).collect()

@@ -10,7 +10,7 @@ use murmurate::time::Span;
 /// Entry in a registry.
 pub const GIVE_WAY: Entry = Entry {
     name: "give-way",
-    about: "straight to the goal, and whoever is nearer to it goes first",
+    about: "straight to the goal; the robot nearer to its goal goes first",
     build: |_| Ok(Model::custom("give-way", INTERFACE, |_| Box::new(GiveWay))),
 };
 

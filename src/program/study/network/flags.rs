@@ -51,11 +51,11 @@ pub struct Args {
     /// with --live or --fit]
     #[arg(long, value_name = "N,N|none", value_delimiter = ',')]
     teams: Vec<String>,
-    /// Measures between the hosts of a team, on its link that carries latents, and reports measurement and emulation.
-    /// Without --host this is the coordinator, which starts each case and writes the report
+    /// Team file of a measurement between its hosts, on the link that carries latents; the report has measurement and
+    /// emulation. Without --host this is the coordinator, which starts each case and writes the report
     #[arg(long, value_name = "TEAM.toml")]
     pub live: Option<PathBuf>,
-    /// Takes part in a measurement as this host; the coordinator starts each case
+    /// Host as which this program takes part in a measurement; the coordinator starts each case
     #[arg(long, value_name = "NAME", requires = "live", conflicts_with_all = ["fit", "out", "json"])]
     pub host: Option<String>,
     /// Address at which the coordinator of a measurement listens, and to which its participants connect
@@ -115,7 +115,7 @@ impl Args {
     /// Returns the sweep that the flags define; errors name the flag.
     pub fn sweep(&self) -> Result<Sweep> {
         if self.fit.is_some() && self.rows.is_none() && self.live.is_none() {
-            return bad("--fit: to what? Give --rows FILE.json, or measure with --live TEAM.toml".to_owned());
+            return bad("--fit: there are no rows; give --rows FILE.json, or measure with --live TEAM.toml".to_owned());
         }
         let mut sweep = Sweep::whole(medium("--medium", &self.medium)?);
         sweep.networks = match &sweep.medium {

@@ -74,12 +74,12 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let journal = Journal::open(args.run.out.as_deref(), sweep, link)?;
     let stop = Arc::new(AtomicBool::new(false));
     let (signal, measuring) = (Arc::clone(&stop), live_team.is_some());
-    let told = move || {
+    let interrupt = move || {
         if !signal.swap(true, Ordering::Relaxed) && measuring {
             talk("stopping; the running case is measured to its end");
         }
     };
-    ctrlc::set_handler(told).context("cannot listen for Ctrl-C")?;
+    ctrlc::set_handler(interrupt).context("cannot listen for Ctrl-C")?;
     let radio_file = args.fit.as_deref().map(|file| fit::prepare(file, &journal.sweep)).transpose()?;
     let study = Study { args, journal, live_team, teams, stop };
     match (radio_file, &args.rows) {
