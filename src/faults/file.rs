@@ -187,6 +187,17 @@ mod tests {
     }
 
     #[test]
+    fn a_fault_can_be_timed_from_an_episode() {
+        let text = "[[actor]]\nactor = \"cache\"\nrobot = 2\nfault = \"crash\"\nepisode = 5\nat_s = 2.0\nfor_s = 1.0\n";
+        let plan = FaultPlan::from_toml(text).unwrap();
+        assert_eq!(plan.actors[0].episode, Some(5));
+        assert_eq!(FaultPlan::from_toml(&plan.to_toml()).unwrap(), plan);
+        assert_eq!(plan.describe(), ["cache of robot 2: crash episode 5 at 2.0 s for 1.0 s"]);
+        assert!(plan.check_episodes(6).is_ok());
+        assert!(plan.check_episodes(5).unwrap_err().to_string().contains("actor[0].episode"));
+    }
+
+    #[test]
     fn an_error_in_a_plan_names_its_field() {
         let read = |text: &str| FaultPlan::from_toml(text).and_then(|plan| plan.check(&targets()).map(|()| plan));
         let error = |text: &str| read(text).unwrap_err().to_string();

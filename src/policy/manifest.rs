@@ -98,18 +98,34 @@ pub enum Distribution {
 
 /// Function between the layers of the encoder, the message network and the update network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[serde(rename_all = "kebab-case", try_from = "String")]
 pub enum Activation {
     /// max(x, 0).
     Relu,
 }
 
+impl TryFrom<String> for Activation {
+    type Error = &'static str;
+
+    fn try_from(name: String) -> Result<Activation, &'static str> {
+        if name == "relu" { Ok(Activation::Relu) } else { Err("activation: this program runs relu only") }
+    }
+}
+
 /// Combination of the messages of all neighbours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[serde(rename_all = "kebab-case", try_from = "String")]
 pub enum Aggregation {
     /// Their sum.
     Sum,
+}
+
+impl TryFrom<String> for Aggregation {
+    type Error = &'static str;
+
+    fn try_from(name: String) -> Result<Aggregation, &'static str> {
+        if name == "sum" { Ok(Aggregation::Sum) } else { Err("aggregation: this program computes sum only") }
+    }
 }
 
 /// The manifest of a policy file.

@@ -1,21 +1,46 @@
 //! `murmurate deployment`: prints a preset mode as a deployment file. Also puts the radio of `--radio` on links.
 
+use std::ffi::OsStr;
 use std::path::Path;
 
 use crate::deploy::{Deployment, MODES};
 use crate::net::media::radio::{PRESETS, Radio};
 use anyhow::Result;
-use clap::builder::PossibleValuesParser;
+use clap::Arg;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::error::ErrorKind;
 
 use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::output::{print, read_text};
 
+/// Parser of a preset mode's name. For the beginning of names, such as 'onboard', the error lists these.
+#[derive(Clone)]
+pub struct ModeParser;
+
+impl TypedValueParser for ModeParser {
+    type Value = String;
+
+    fn parse_ref(&self, cmd: &clap::Command, arg: Option<&Arg>, value: &OsStr) -> Result<String, clap::Error> {
+        let given = value.to_str().unwrap_or_default();
+        let begin: Vec<&str> = MODES.into_iter().filter(|mode| !given.is_empty() && mode.starts_with(given)).collect();
+        if begin.is_empty() || begin.contains(&given) {
+            return PossibleValuesParser::new(MODES).parse_ref(cmd, arg, value);
+        }
+        let why = format!("there is no mode '{given}'; choose {}", begin.join(" or "));
+        Err(clap::Error::raw(ErrorKind::InvalidValue, why).with_cmd(cmd))
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(MODES.into_iter().map(PossibleValue::new)))
+    }
+}
+
 /// Flags of `murmurate deployment`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Preset mode to print
-    #[arg(value_parser = PossibleValuesParser::new(MODES))]
+    #[arg(value_parser = ModeParser)]
     mode: String,
     /// Size of the team
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=5000))]

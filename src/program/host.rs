@@ -66,6 +66,9 @@ pub struct Args {
     /// CSV file for every robot's trajectory, written while the host runs; only for the host with the World
     #[arg(long, value_name = "FILE.csv")]
     trajectories: Option<PathBuf>,
+    /// Leaves out warnings that `launch` has printed for all hosts
+    #[arg(long, hide = true)]
+    launched: bool,
 }
 
 /// Period of the event with all counts, which remain known if the host is killed.
@@ -90,7 +93,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let id = args.host(&file)?;
     let team = args.team.for_host(&file, id)?;
     let name = team.deployment.hosts[usize::from(id.0)].name.clone();
-    let key = team::key(&team)?.map(Key::new);
+    let key = team::key(&team, !args.launched)?.map(Key::new);
     let policy = team::policy(&team, registry)?;
     let digest = policy.model.digest().to_owned();
     let mut trial = Trial::of_host(registry, &team, policy.model).map_err(|e| BadInput(e.to_string()))?;

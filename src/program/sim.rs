@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::actors::recorder::Steps;
-use crate::deploy::{Deployment, Impair, MODES};
+use crate::deploy::{Deployment, Impair};
 use crate::faults::FaultPlan;
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
@@ -30,6 +30,7 @@ use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::bad;
 use crate::program::deployment;
+use crate::program::deployment::ModeParser;
 use crate::program::jobs;
 use crate::program::output::{print, read_text, talk};
 use crate::program::paths::Paths;
@@ -42,7 +43,7 @@ use crate::program::whole_file::WholeFile;
 #[derive(clap::Args)]
 pub struct Args {
     /// Mode of the paper, which sets what each host runs
-    #[arg(long, default_value = "sim", value_parser = PossibleValuesParser::new(MODES))]
+    #[arg(long, default_value = "sim", value_parser = ModeParser)]
     mode: String,
     /// Deployment file, which replaces --mode (see 'murmurate deployment')
     #[arg(long, value_name = "FILE.toml", conflicts_with = "mode")]

@@ -110,9 +110,9 @@ impl Which {
     }
 }
 
-/// Reads the team's key, if it has one. Prints a warning if it has none, unless this host opens no link.
-pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
-    if team.key_file.is_none() && team.links.iter().all(Option::is_none) {
+/// Reads the team's key, if it has one. Prints a warning if it has none and `warns`, unless this host opens no link.
+pub fn key(team: &Team, warns: bool) -> Result<Option<[u8; 32]>> {
+    if team.key_file.is_none() && (!warns || team.links.iter().all(Option::is_none)) {
         return Ok(None);
     }
     key_of(team.key_file.as_deref())

@@ -4,6 +4,7 @@
 mod keys;
 #[cfg(feature = "sim")]
 mod pictures;
+mod policies;
 #[path = "../program/mod.rs"]
 mod program;
 #[cfg(feature = "train")]

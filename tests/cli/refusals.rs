@@ -237,6 +237,12 @@ fn trajectories_go_through_links_and_into_devices() {
 }
 
 #[test]
+fn the_beginning_of_a_mode_is_answered_with_the_modes_that_begin_so() {
+    refuses(&["sim", "--mode", "onboard"], &["onboard-infra or onboard-adhoc"]);
+    refuses(&["sim", "--mode", "swarm"], &["swarm", "centralized", "offboard"]);
+}
+
+#[test]
 fn json_is_one_object_with_the_documented_fields_for_any_number_of_jobs() {
     let json = |jobs: &str| {
         let args = ["sim", "--mode", "offboard", "--episodes", "2", "--repeats", "3", "--json", "--jobs", jobs];

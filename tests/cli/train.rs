@@ -98,6 +98,22 @@ fn ctrl_c_saves_and_a_resumed_training_is_the_same_bit_for_bit() {
 }
 
 #[test]
+fn a_printed_configuration_is_for_the_team_of_the_scenario() {
+    let printed = |args: &[&str]| {
+        let output = run(&[args, &["--print-config"]].concat());
+        assert_eq!((output.status.code(), text(&output.stderr)), (Some(0), String::new()));
+        Config::from_toml(&text(&output.stdout)).expect("it is a configuration")
+    };
+    let swap = printed(&["train", "swap"]);
+    assert_eq!((&swap.curriculum[0].groups, &swap.curriculum[1].groups), (&vec![vec![3, 5]], &vec![vec![8]]));
+    assert_eq!(printed(&["train", "passage"]), Config::preset("robust").expect("it is a preset"));
+    let two = printed(&["train", "passage", "--preset", "published", "--robots", "2"]);
+    assert_eq!((two.robots, &two.curriculum[0].groups), (Some(2), &vec![vec![2]]), "no robot trains by itself");
+    refuses(&["train", "passage", "--print-config", "--robots", "40"], &["--robots", "2 to 12"]);
+    refuses(&["train", "passage", "--print-config", "--steps", "5"], &["--print-config", "--steps"]);
+}
+
+#[test]
 fn wrong_flags_files_and_folders_are_refused_in_one_line() {
     let place = Place::new();
     let (config, out) = (place.at("small.toml"), place.at("out"));
@@ -114,7 +130,10 @@ fn wrong_flags_files_and_folders_are_refused_in_one_line() {
     refuses(&["train", "passage", "--steps", "5", "--out", &out, "--preset", "best"], &["best", "published", "robust"]);
     refuses(&["train", "ballet", "--steps", "5", "--out", &out], &["ballet", "passage"]);
     refuses(&["train", "passage", "--steps", "5"], &["--out"]);
-    refuses(&["train", "swap", "--steps", "5", "--out", &out], &["groups", "5", "8"]);
+    refuses(
+        &["train", "swap", "--config", &config, "--steps", "5", "--out", &out],
+        &["groups", "5", "8", "--print-config"],
+    );
 
     let wrong = |text: String, words: &[&str]| {
         let file = place.at("wrong.toml");

@@ -232,6 +232,26 @@ fn a_trial_ends_even_if_the_state_server_never_restarts() {
 }
 
 #[test]
+fn a_fault_timed_from_an_episode_acts_in_that_episode() {
+    let (role, robot, kind) = (Role::Controller, RobotId(2), ActorFaultKind::Crash);
+    let (at, lasts) = (Time::ZERO + Span::from_millis(2000), Span::from_millis(1500));
+    let crash = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO, episode: Some(1) };
+    let (from, until) = (Time::ZERO + Span::from_millis(1000), Time::ZERO + Span::from_millis(4000));
+    let silence = LinkFault { from, until, episode: Some(1), ..LinkFault::always("infra") };
+    let plans =
+        [FaultPlan { actors: vec![crash], links: Vec::new() }, FaultPlan { actors: Vec::new(), links: vec![silence] }];
+    for plan in plans {
+        let verdicts = |plan: FaultPlan| {
+            let report = trial("onboard-infra", 3).faults(plan).run();
+            report.episodes.iter().map(|episode| episode.verdict).collect::<Vec<_>>()
+        };
+        assert_eq!(verdicts(FaultPlan::default()), [Verdict::Success; 3]);
+        let expected = [Verdict::Success, Verdict::Aborted, Verdict::Success];
+        assert_eq!(verdicts(plan.clone()), expected, "{:?}", plan.describe());
+    }
+}
+
+#[test]
 fn a_restarted_world_finds_its_robots_where_they_were() {
     let at = midst("offboard", 4);
     let (role, robot, kind, lasts) = (Role::World, RobotId(0), ActorFaultKind::Crash, Span::from_millis(300));

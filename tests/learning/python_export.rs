@@ -9,7 +9,7 @@ use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::policy::gnn::{Gnn, Network};
 use murmurate::policy::manifest::{Architecture, EdgeField};
 use murmurate::policy::weights::{self, WeightsError};
-use murmurate::policy::{Draw, Neighbour, Policy};
+use murmurate::policy::{Draw, Model, Neighbour, Policy};
 use murmurate::scenario::Observation;
 use murmurate::time::Span;
 
@@ -88,6 +88,23 @@ fn a_manifest_from_python_is_read_unchanged() {
     assert_eq!(manifest.architecture, Architecture::Full);
     assert_eq!(manifest.edge, [EdgeField::Age, EdgeField::RelativePosition]);
     assert_eq!((manifest.log_std_max, manifest.training.as_ref()), (Some(0.5), None));
+}
+
+#[test]
+fn a_network_that_computes_other_numbers_than_its_probe_is_refused() {
+    let bytes = read("tests/data/python_full.safetensors");
+    let model = Model::from_file(&bytes, "passage").expect("its probe matches");
+    assert_eq!(model.assumed(), None, "its manifest says everything");
+    let mut file = weights::read(&bytes).expect("the file is sound");
+    let mut probe = file.probe.take().expect("the script writes one");
+    let network = Arc::new(Network::new(file));
+    let difference = probe.check(&network).expect("it matches");
+    assert!(difference.latent < 1e-5 && difference.output < 1e-5, "{difference:?}");
+    probe.output[3] += 0.01;
+    let error = probe.check(&network).expect_err("one number differs").to_string();
+    assert!(error.contains("outputs") && error.contains("activation"), "{error}");
+    probe.output[3] = f32::NAN;
+    assert!(probe.check(&network).is_err());
 }
 
 #[test]

@@ -54,7 +54,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let program = std::env::current_exe().context("cannot find this program to start it again")?;
     let processes = file.deployment().hosts.iter().map(|host| {
         let (program, mut flags) = (program.clone(), team_arguments(&args.team));
-        flags.extend(["--host".into(), host.name.clone().into(), "--json".into()]);
+        flags.extend(["--host".into(), host.name.clone().into(), "--json".into(), "--launched".into()]);
         let command = move || {
             let mut command = Command::new(&program);
             command.arg("host").args(&flags);
@@ -126,7 +126,7 @@ fn checked(teams: &[Team], registry: &Registry) -> Result<String> {
     let mut seen: Vec<&Team> = Vec::new();
     for team in teams {
         if !seen.iter().any(|other| other.key_file == team.key_file) {
-            team::key(team)?;
+            team::key(team, true)?;
         }
         if !seen.iter().any(|other| other.policy == team.policy) {
             names.push(team::policy(team, registry)?.name);
