@@ -93,7 +93,10 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let id = args.host(&file)?;
     let team = args.team.for_host(&file, id)?;
     let name = team.deployment.hosts[usize::from(id.0)].name.clone();
-    let key = team::key(&team, !args.launched)?.map(Key::new);
+    if args.launched {
+        team::leave_out_key_warning();
+    }
+    let key = team::key(&team)?.map(Key::new);
     let policy = team::policy(&team, registry)?;
     let digest = policy.model.digest().to_owned();
     let mut trial = Trial::of_host(registry, &team, policy.model).map_err(|e| BadInput(e.to_string()))?;

@@ -1,6 +1,7 @@
 //! Team file arguments of commands: flags, environment variables, and the key and the policy that the file names.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::config::ConfigError;
 use crate::deploy::team::{Flag, Team, TeamFile};
@@ -110,9 +111,17 @@ impl Which {
     }
 }
 
-/// Reads the team's key, if it has one. Prints a warning if it has none and `warns`, unless this host opens no link.
-pub fn key(team: &Team, warns: bool) -> Result<Option<[u8; 32]>> {
-    if team.key_file.is_none() && (!warns || team.links.iter().all(Option::is_none)) {
+/// Whether the warning about a missing key has been printed: once is enough for a command.
+static WARNED: AtomicBool = AtomicBool::new(false);
+
+/// Leaves out the warning about a missing key, because the command that started this one has printed it.
+pub fn leave_out_key_warning() {
+    WARNED.store(true, Ordering::Relaxed);
+}
+
+/// Reads the team's key, if it has one. Prints a warning if it has none, unless this host opens no link.
+pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
+    if team.key_file.is_none() && team.links.iter().all(Option::is_none) {
         return Ok(None);
     }
     key_of(team.key_file.as_deref())
@@ -120,7 +129,7 @@ pub fn key(team: &Team, warns: bool) -> Result<Option<[u8; 32]>> {
 
 /// Reads this key file; without a file, prints a warning.
 pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
-    if file.is_none() {
+    if file.is_none() && !WARNED.swap(true, Ordering::Relaxed) {
         talk(
             "warning: NO KEY: every program on this machine can command these robots; for anything but development \
              make a key with 'murmurate key new' and name it as key_file",

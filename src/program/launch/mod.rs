@@ -126,7 +126,7 @@ fn checked(teams: &[Team], registry: &Registry) -> Result<String> {
     let mut seen: Vec<&Team> = Vec::new();
     for team in teams {
         if !seen.iter().any(|other| other.key_file == team.key_file) {
-            team::key(team, true)?;
+            team::key(team)?;
         }
         if !seen.iter().any(|other| other.policy == team.policy) {
             names.push(team::policy(team, registry)?.name);
