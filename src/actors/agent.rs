@@ -1,8 +1,8 @@
-//! Agent: the policy at work, for one robot or for several at once.
+//! Agent: runs the policy of one robot or of several robots jointly.
 //!
-//! An Agent steps when the Caches of all its robots have perceived: for one robot that is its own tick, for
-//! several a joint, synchronous one. Robots of one Agent exchange latents within the step; all others are
-//! heard through their Caches.
+//! An Agent steps when the Caches of all its robots have sent a percept: for one robot at its own tick, for several in
+//! one synchronous step. Robots of one Agent exchange latents within the step. Latents of all others arrive through the
+//! Caches.
 
 use std::sync::Arc;
 
@@ -19,64 +19,65 @@ use crate::random::Stream;
 use crate::scenario::Scenario;
 use crate::time::{Span, Time};
 
-/// How near to its start a robot must be before an episode may begin \[m\].
+/// Largest distance of a robot from its start at which an episode may begin \[m\].
 pub const START_M: f32 = 0.05;
 
-/// A robot cannot have arrived sooner than this after a round began: what says so is a reading from before.
+/// Shortest time from the start of a round until a robot can have arrived. An earlier arrival comes from a reading of
+/// the round before.
 pub const SETTLING: Span = Span::from_millis(300);
 
-/// What an Agent accepts.
+/// Input of an Agent.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Of one of its robots.
+    /// Percept of one of its robots.
     Percept(Percept),
-    /// The state server's instruction.
+    /// Instruction of the state server.
     Mode(Mode),
 }
 
-/// What an Agent says.
+/// Output of an Agent.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// To the neighbours of one of its robots.
+    /// Latent for the neighbours of one of its robots.
     Latent(Latent),
-    /// To the Controller of one of its robots.
+    /// Action for the Controller of one of its robots.
     Action(Action),
 }
 
-/// The policies of one robot and what they draw from.
+/// Policies of one robot, with their random streams.
 pub struct Pilot {
     /// The robot.
     pub robot: RobotId,
     /// The policy under test.
     pub run: Box<dyn Policy>,
-    /// The policy that drives to the start.
+    /// The policy that drives the robot to its start.
     pub reset: Box<dyn Policy>,
-    /// Of its actions.
+    /// Random stream of its actions.
     pub actions: Stream,
-    /// Of its random ranges toward robots of the same Agent.
+    /// Random stream of its communication ranges toward robots of the same Agent.
     pub ranges: Stream,
 }
 
-/// One robot within an Agent.
+/// State of one robot within an Agent.
 struct Seat {
     pilot: Pilot,
     task: Option<Task>,
     percept: Option<Percept>,
-    /// What it broadcasts in this step.
+    /// Features that the robot broadcasts in this step.
     features: Vec<f32>,
-    /// Whether that is a latent at all. If it is not, the policy has come apart and moves nobody.
+    /// Whether the features are a valid latent. If not, the policy has failed and its actions are not used.
     sound: bool,
-    /// How wide latents are: of the policy under test, and of the one that drives to the start.
+    /// Lengths of latents: of the policy under test, and of the reset policy.
     widths: [usize; 2],
 }
 
-/// What a robot shows the others of its Agent in the step at hand. Small and side by side: each robot looks at all that
-/// are near it.
+/// Data of one robot that the others of its Agent read in the current step. Small and contiguous: each robot reads the
+/// data of all that are near it.
 #[derive(Clone, Copy)]
 struct Shown {
     robot: RobotId,
     motion: Motion,
-    /// From where to where its features stand among all that was said; none if it says nothing.
+    /// Start and end of its features in `Agent::features`; none if it broadcasts nothing.
     said: Option<[u32; 2]>,
 }
 
@@ -91,32 +92,32 @@ impl Seat {
     }
 }
 
-/// An agent for some robots.
+/// Agent of one or more robots.
 pub struct Agent {
     scenario: Arc<dyn Scenario>,
     range: CommRange,
-    /// How long a joint step waits for the last percept.
+    /// Longest wait of a joint step for the last percept.
     patience: Span,
     seats: Vec<Seat>,
     rounds: RoundFollower,
-    /// The round that it follows.
+    /// The round in progress.
     round: Round,
     phase: Phase,
-    /// When the round began here.
+    /// Local start time of the round.
     began: Time,
     waiting_since: Option<Time>,
-    /// How many of its robots have not perceived yet.
+    /// Number of its robots whose percepts are missing.
     missing: usize,
-    /// By seat: what is shown in the step at hand, by those that have perceived; and the features of all of them.
+    /// Data shared in the current step, by slot, of the robots with a percept; and the features of all of them.
     shown: Vec<Option<Shown>>,
     said: Vec<f32>,
-    /// Its robots by where they are, for the step at hand; none where everyone counts or they are few.
+    /// Grid of its robots' positions in the current step; none if the range is unlimited or drawn, or for few robots.
     whereabouts: Option<Cells>,
     near: Vec<usize>,
 }
 
 impl Agent {
-    /// An agent for these robots, in the order of their ids.
+    /// Makes an agent of these robots, in the order of their ids.
     pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, patience: Span, pilots: Vec<Pilot>) -> Agent {
         assert!(pilots.is_sorted_by_key(|pilot| pilot.robot), "sums run in the order of ids");
         assert!(pilots.is_sorted_by_key(|pilot| pilot.robot), "an agent has its robots in the order of their ids");
@@ -155,7 +156,7 @@ impl Agent {
         }
     }
 
-    /// One step of all robots that have perceived.
+    /// Runs one step of all robots with a percept.
     fn step(&mut self, now: Time, out: &mut Vec<Out>) {
         self.waiting_since = None;
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
@@ -163,7 +164,7 @@ impl Agent {
             self.said.clear();
             let latents: Vec<Latent> = (0..self.seats.len()).filter_map(|at| self.show(at)).collect();
             self.whereabouts = self.locate();
-            // Actions go first: wheels before words, and what follows from both is sent in one go.
+            // Send actions before latents: actuation latency matters more. Both leave in one visit to the Network.
             out.extend((0..self.seats.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
             out.extend(latents.into_iter().map(Out::Latent));
         }
@@ -171,8 +172,8 @@ impl Agent {
         self.missing = self.seats.len();
     }
 
-    /// Where everyone is that has perceived, to look at those alone who can be heard or met. A range that is drawn for
-    /// every message has no bound.
+    /// Grid of the positions of all robots with a percept, so that only neighbours and robots nearby are examined. A
+    /// range that is drawn per message has no bound.
     fn locate(&self) -> Option<Cells> {
         if self.seats.len() <= cells::LINEAR_SEARCH_MAX || self.range.std_m > 0.0 {
             return None;
@@ -182,7 +183,7 @@ impl Agent {
         Cells::new(self.range.mean_m.max(NEAR_M), self.shown.iter().map(at))
     }
 
-    /// What a robot broadcasts, if it does. Notes what it shows to the others here.
+    /// Encodes the latent of a robot, if it broadcasts one, and stores the data that it shares within the Agent.
     fn show(&mut self, at: usize) -> Option<Latent> {
         let latent = self.encode(at);
         let Seat { pilot, percept, features, .. } = &self.seats[at];
@@ -204,7 +205,7 @@ impl Agent {
         let task = bound_for(phase, task);
         let policy = if phase == Phase::Running { &mut seat.pilot.run } else { &mut seat.pilot.reset };
         let width = policy.interface().features;
-        // It writes as much as it says, whether or not that is what it said at first.
+        // The policy fills the width that it declares now, even if that has changed since the start.
         seat.features.resize(width, 0.0);
         policy.encode(&self.scenario.observe(&task, &percept.estimate), &mut seat.features);
         let sound = width == agreed && width <= MAX_FEATURES && all_sound(&seat.features);
@@ -263,7 +264,7 @@ impl Agent {
         let seen = self.scenario.observe(&task, &own);
         let velocity = match seat.sound {
             true => policy.act(&seen, &seat.features, &neighbours, &mut seat.pilot.actions),
-            // Left for the Controller to stop, as any other output that is no velocity.
+            // Left for the Controller to stop, as any other output that is not finite.
             false => Vec2::repeat(f32::NAN),
         };
         let limit = policy.interface().limit_m_s;
@@ -288,12 +289,12 @@ impl Agent {
     }
 }
 
-/// The task of the moment: during a reset, to get to the start.
+/// Task in the current phase: during a reset, to reach the start.
 fn bound_for(phase: Phase, task: &Task) -> Task {
     if phase == Phase::Running { *task } else { Task { start: task.start, goal: task.start } }
 }
 
-/// Within the policy's own limit along each axis; what is no velocity at all is left for the Controller to stop.
+/// Clamps each axis to the policy's own limit. A non-finite velocity is left for the Controller to stop.
 fn limited(velocity: Vec2, limit: f32) -> Vec2 {
     if is_finite(velocity) { velocity.map(|axis| axis.clamp(-limit, limit)) } else { velocity }
 }
@@ -324,7 +325,7 @@ impl Core for Agent {
         self.waiting_since.map(|since| since + self.patience)
     }
 
-    /// A robot has not perceived in time: the others go on without it.
+    /// Steps without the robots whose percepts are late.
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.step(now, out);
     }
@@ -339,7 +340,7 @@ mod tests {
     use crate::random::Seed;
     use crate::scenario::{Observation, Settings, build};
 
-    /// Wants to move at as many m/s as it has neighbours.
+    /// Test policy that moves at as many m/s as it has neighbours.
     struct Counting;
 
     impl Policy for Counting {
@@ -411,7 +412,7 @@ mod tests {
     #[test]
     fn of_many_robots_those_near_are_heard_and_met_as_if_everyone_was_looked_at() {
         let robots: Vec<u16> = (0..60).collect();
-        // A range that is drawn, if from next to nothing, has no bound: then everyone is looked at.
+        // A drawn range, even with a tiny deviation, has no bound: all robots are examined.
         let out = [0.0, 1e-30].map(|std_m| {
             let (mut agent, mut out) = (agent(&robots), Vec::new());
             agent.range.std_m = std_m;
@@ -461,7 +462,7 @@ mod tests {
         assert_eq!(speeds(&out), [(0, 1.0)]);
     }
 
-    /// Says latents of one width at first and of another from its third word on, or none that is finite.
+    /// Test policy whose latents change their width at the third step, or are not finite.
     struct Unsound(usize, f32, std::cell::Cell<usize>);
 
     impl Policy for Unsound {

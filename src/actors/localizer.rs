@@ -1,4 +1,4 @@
-//! Localizer: publishes the readings of some robots, as their source has them. It lives where they are measured.
+//! Localizer: publishes the readings of some robots from their source. It runs where they are measured.
 
 use crate::actor::Core;
 use crate::localization::{self, Source};
@@ -6,25 +6,25 @@ use crate::messages::local::Sample;
 use crate::messages::wire::Reading;
 use crate::time::Time;
 
-/// What a Localizer accepts.
+/// Input of a Localizer.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// The true state of a simulated robot.
+    /// True state of a simulated robot.
     Sample(Sample),
-    /// Something that the source's worker has said.
+    /// Packet from the source's worker.
     Packet(Box<[u8]>),
 }
 
-/// The localizer of one source.
+/// Localizer of one source.
 pub struct Localizer {
     source: Box<dyn Source>,
-    /// What could not be understood so far.
+    /// Number of packets that were not understood.
     refused: u64,
     said: Vec<localization::Out>,
 }
 
 impl Localizer {
-    /// A localizer that has not measured yet.
+    /// Makes a localizer without a measurement.
     pub fn new(source: Box<dyn Source>) -> Localizer {
         Localizer { source, refused: 0, said: Vec::new() }
     }
@@ -35,7 +35,7 @@ impl Localizer {
                 localization::Out::Reading(reading) => out.push(reading),
                 localization::Out::Refused(why) => {
                     self.refused += 1;
-                    // The first, and then less and less often: a broken tracker says nothing else.
+                    // Log the counts 1, 2, 4, 8, ...: a broken tracker may send nothing else.
                     if self.refused.is_power_of_two() {
                         tracing::warn!(refused = self.refused, "what the source says is refused: {why}");
                     }

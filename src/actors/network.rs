@@ -1,9 +1,9 @@
-//! Network: the one way out of a host and into it. It decides for every wire message whether it has takers
-//! here, which link it leaves on, or both.
+//! Network: the one way out of a host and into it. For every wire message it decides whether actors of this host take
+//! it, which link it leaves on, or both.
 //!
-//! Each published message is encoded once; the same bytes go to the links and to the Recorder. A datagram that
-//! arrives is checked, decoded and handed in, or counted and dropped. What is sent when and again, and who is
-//! believed, is decided in `net::link`.
+//! Each published message is encoded once; the same bytes go to the links and to the Recorder. A datagram that arrives
+//! is checked, decoded and delivered, or counted and dropped. `net::protocol::link` decides on sending, retransmission
+//! and authentication.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -25,81 +25,80 @@ use crate::time::{Span, Time};
 /// Input of a Network.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// An actor of this host has something to say.
+    /// Message of an actor of this host.
     Publish(Wire),
-    /// A datagram has arrived, from this address where the link is not emulated.
+    /// Datagram that has arrived, with its source address unless the link is emulated.
     Frame(LinkId, Frame, Option<SocketAddr>),
-    /// A transport has dropped so many datagrams, because a queue was full.
+    /// Number of datagrams that a transport has dropped because a queue was full.
     Dropped(LinkId, u64),
 }
 
 /// Output of a Network.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// To those on this host who take it.
+    /// Message for the actors of this host that take it.
     Deliver(Wire),
-    /// To a link's transport.
+    /// Frame for a link's transport.
     Transmit(LinkId, Audience, Frame),
-    /// To the Recorder: everything that was published, one message a datagram, without a tag.
+    /// Copy of every published message for the Recorder, one per datagram, without a tag.
     Tap(Frame),
-    /// To the Recorder: what has happened on all links together. Boxed: everything that is said is moved, and this is
-    /// large and rare.
+    /// Counts of all links together, for the Recorder. Boxed: every output is moved, and this one is large and rare.
     Counts(Box<LinkCounts>),
-    /// To those that show it: summaries of the other hosts, on links with reports.
+    /// Summaries of the other hosts, on links with reports, for display.
     Peers(Vec<Peer>),
-    /// Another live host has the id of this one and was started before it. Said once.
+    /// Another live host has the id of this one and was started before it. Sent once.
     Duplicate(Duplicate),
-    /// To a link's transport: an operator of the team speaks from an address that is in no file.
+    /// For a link's transport: an operator of the team sends from an address that is in no file.
     Admit(LinkId, Guest),
 }
 
-/// The longest that a timer of a link may be late to share a wake-up with another: a tenth of the period of a report.
+/// Largest delay of a link's timer to share a wake-up with another: a tenth of the period of a report.
 const MAX_LATE: Span = Span::from_millis(25);
-/// How often a Network tells its counts.
+/// Period at which a Network sends its counts.
 pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
-/// How a Network is set up.
+/// Configuration of a Network.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Identity of this host.
     pub me: Identity,
-    /// The team's key; none where everyone is believed.
+    /// The team's key; without one, every sender is accepted.
     pub key: Option<Key>,
-    /// Its links, in the order of the deployment; none where this host has no part in one.
+    /// Its links, in the order of the deployment; none where this host does not take part.
     pub links: Vec<Option<Setup>>,
-    /// The way of every message.
+    /// Routing table.
     pub router: Router,
 }
 
-/// One host's network.
+/// Network of one host.
 #[derive(Debug)]
 pub struct Network {
     router: Router,
     links: Vec<Option<LinkState>>,
-    /// By link: when anything is next due there. It is asked for after every message, and links are large.
+    /// Next due time of each link. It is read after every message, and links are large.
     due: Vec<Option<Time>>,
-    /// By link: whether every datagram reaches everyone.
+    /// By link: whether every datagram reaches all hosts.
     shared: Vec<bool>,
-    /// The next datagram that is published but leaves on no link, and how many of those there were.
+    /// Header of the next datagram that is published but leaves on no link, and the counts of such datagrams.
     indoors: Header,
     indoor_counts: LinkCounts,
     stream: Stream,
     leaving: Vec<Leaving>,
     next_counts: Time,
-    /// Whether it has said that it duplicates another host.
+    /// Whether it has reported a duplicate id.
     duplicates: bool,
     impostors: Impostors,
 }
 
-/// Members of the team that said what others are to say, and how often, by kind.
+/// Numbers of messages that members sent without being their publisher, by sender and kind.
 #[derive(Debug, Default)]
 struct Impostors(BTreeMap<(String, Kind), u64>);
 
 impl Impostors {
-    /// The most that are told apart.
+    /// Largest number of entries.
     const MOST: usize = 256;
 
-    /// Counts one and names it, less and less often.
+    /// Counts one such message and logs the counts 1, 2, 4, 8, ...
     #[cold]
     fn note(&mut self, name: &str, message: &Wire) {
         let (key, full) = ((name.to_owned(), message.kind()), self.0.len() >= Impostors::MOST);
@@ -116,7 +115,7 @@ impl Impostors {
 }
 
 impl Network {
-    /// A network at the start of its epoch. It draws from `stream` when to ask and when to answer.
+    /// Makes a network at the start of its incarnation. It draws the times of its requests and replies from `stream`.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
         let shared = links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.ride == Ride::Any)).collect();
@@ -174,7 +173,7 @@ impl Network {
         }
     }
 
-    /// Counts a message of this host that cannot be encoded, and names the first.
+    /// Counts a message of this host that cannot be encoded, and logs the first.
     #[cold]
     fn unsent(&mut self, leaves: Option<LinkId>, message: &Wire, error: &codec::EncodeError) {
         let state = leaves.and_then(|link| self.links[usize::from(link.0)].as_mut());
@@ -203,7 +202,7 @@ impl Network {
             let Content::Message(kind) = content else { continue };
             let message = match codec::message(kind, body) {
                 Ok(message) => message,
-                // A sender that garbles one message is not believed the rest.
+                // After one malformed message the rest of a datagram is not accepted.
                 Err(error) => return state.refuse(&error),
             };
             if let Some(name) = self.router.forbids(header.sender, &message) {
@@ -217,7 +216,7 @@ impl Network {
                     out.push(Out::Deliver(message));
                 }
             } else if self.shared[at] || !header.flags.has(Flags::DIRECT) {
-                // Said to everyone, or on a link where everyone hears everything.
+                // Sent to all hosts, or on a link where all hosts receive everything.
                 state.counts().aside += 1;
             } else {
                 state.counts().misrouted += 1;
@@ -251,7 +250,7 @@ impl Core for Network {
     }
 
     fn tolerance(&self, ahead: Span) -> Span {
-        // In proportion: a repeat that waits for 4 ms may be 0.5 ms late, soft state that waits for longer 12 ms.
+        // In proportion: a retransmission due in 4 ms may be 0.5 ms late, soft state due much later 12 ms.
         Span::from_nanos(ahead.as_nanos() / 8).min(MAX_LATE)
     }
 
@@ -286,7 +285,7 @@ mod tests {
 
     const LINK: LinkId = LinkId(0);
 
-    /// Robot 0 lives here, robot 1 elsewhere.
+    /// Network of a host with robot 0; robot 1 runs elsewhere.
     fn network(host: u16, team: u16) -> Network {
         let router = Router::new(2, |kind, robot| Route {
             local: kind == Kind::Reading && robot == RobotId(0),

@@ -1,8 +1,7 @@
-//! Order: what one operator wants of a team, a stop, a re-arm or a resume, from its first word to the last
-//! confirmation.
+//! Order: one operator's stop, re-arm or resume, from its first message to the last confirmation.
 //!
-//! It repeats what it wants, hears what hosts answer, and knows which robots have confirmed. It asks first where it
-//! has to know how the latch stands; a stop waits for nothing.
+//! It repeats its message, takes the answers of hosts, and tracks which robots have confirmed. A re-arm or a resume
+//! first asks for the state of the latch; a stop does not wait.
 
 use std::collections::BTreeMap;
 
@@ -12,16 +11,16 @@ use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{Following, Hindrance, Leading, Status, Stop};
 use crate::time::{Span, Time};
 
-/// How often it is repeated.
+/// Period of repetition.
 pub const PERIOD: Span = Span::from_millis(20);
 
-/// How long after the first answer an operator waits for the others before it fixes which stop or hold it means.
+/// Wait for further answers after the first one, before the operator fixes which stop or hold it means.
 const SETTLING: Span = Span::from_millis(200);
 
-/// The wish of an operator.
+/// Kind of an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wish {
-    /// Everyone stands.
+    /// All robots stop.
     Stop,
     /// The stop is taken back; the team stays held.
     Rearm,
@@ -30,7 +29,7 @@ pub enum Wish {
 }
 
 impl Wish {
-    /// Whether an actor that follows this latch does what is wanted.
+    /// Whether an actor that follows this latch has carried out the order.
     fn is_met_by(self, latch: Latch) -> bool {
         match self {
             Wish::Stop => latch.is_engaged(),
@@ -40,16 +39,16 @@ impl Wish {
     }
 }
 
-/// Why a robot has not confirmed.
+/// Reason why a robot has not confirmed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Lack {
-    /// Neither its controller nor its body was heard.
+    /// Neither its controller nor its body has answered.
     Silent,
     /// Its body has confirmed; its controller has not.
     Controller,
     /// Its controller has confirmed; its body has not.
     Body,
-    /// Both were heard, and neither has confirmed.
+    /// Both have answered, and neither has confirmed.
     Unmet,
 }
 
@@ -62,16 +61,16 @@ pub struct Order {
     controllers: BTreeMap<RobotId, Latch>,
     bodies: BTreeMap<RobotId, Latch>,
     leading: Option<Leading>,
-    /// The stop that is to be taken back or the hold that is to end: fixed once, so that a later stop is not meant.
+    /// The stop to take back or the hold to end. Fixed once, so that a later stop is not meant.
     target: Option<Latch>,
-    /// When the first host was heard.
+    /// Time of the first answer of a host.
     heard: Option<Time>,
     next: Time,
     met: Option<Time>,
 }
 
 impl Order {
-    /// An order of which nothing was said yet.
+    /// Makes an order of which nothing was sent yet.
     pub fn new(me: HostId, wish: Wish, robots: usize) -> Order {
         let (controllers, bodies) = (BTreeMap::new(), BTreeMap::new());
         Order {
@@ -88,17 +87,17 @@ impl Order {
         }
     }
 
-    /// When everyone had confirmed.
+    /// Time at which all robots had confirmed.
     pub fn met(&self) -> Option<Time> {
         self.met
     }
 
-    /// The latch and the hindrances as the state server has told them.
+    /// Latch and hindrances from the state server's last answer.
     pub fn leading(&self) -> Option<&Leading> {
         self.leading.as_ref()
     }
 
-    /// The latch as it stands in the team: the latest that is known, but for one that alone is out of reach.
+    /// The team's latch: the latest that is known, without one that a single robot claims and that is out of reach.
     pub fn latch(&self) -> Option<Latch> {
         let latches = self.controllers.values().chain(self.bodies.values()).copied();
         let known = match &self.leading {
@@ -108,13 +107,13 @@ impl Order {
         Some(latch::latest(known, latches))
     }
 
-    /// Whether the team was stopped, re-armed or resumed by others since this order was given.
+    /// Whether others have stopped, re-armed or resumed the team since this order was given.
     pub fn is_overtaken(&self) -> bool {
         let meant = self.target.map(|target| target.number() + 1);
         meant.zip(self.latch()).is_some_and(|(meant, latch)| latch.number() > meant)
     }
 
-    /// The robots that have not confirmed, and why.
+    /// The robots that have not confirmed, with the reasons.
     pub fn lacking(&self) -> Vec<(RobotId, Lack)> {
         let lack = |robot: RobotId| {
             let met = |parts: &BTreeMap<RobotId, Latch>| parts.get(&robot).map(|latch| self.wish.is_met_by(*latch));
@@ -141,14 +140,14 @@ impl Order {
         }
         self.leading = status.leading.or(self.leading.take());
         self.heard = self.heard.or(Some(now));
-        // A stop is a stop without a state server; nobody else can say that a team goes on.
+        // A stop holds without a state server; only the state server can confirm that a team goes on.
         let led = self.wish == Wish::Stop || self.leading.as_ref().is_some_and(|l| self.wish.is_met_by(l.latch));
         if self.met.is_none() && led && self.lacking().is_empty() {
             self.met = Some(now);
         }
     }
 
-    /// Fixes what is meant, once all that is to be known of the latch is known, or should be.
+    /// Fixes the target once all robots have answered, or should have.
     fn aim(&mut self, now: Time) {
         let silent = || self.lacking().iter().any(|(_, lack)| *lack == Lack::Silent);
         let waited = self.heard.is_some_and(|heard| now.since(heard) >= SETTLING);
@@ -162,7 +161,7 @@ impl Order {
         let me = self.me;
         match (self.wish, self.target) {
             (Wish::Stop, _) => match self.latch() {
-                // It is engaged: to say a later number would only make it grow.
+                // It is engaged: a later number would only make it grow.
                 Some(latch) if latch.is_engaged() => Stop { by: me, latch },
                 known => Stop::engage(me, known.unwrap_or_default()),
             },

@@ -1,11 +1,12 @@
-//! Recorder: hears everything that is published and everything that is true, and says what came of it.
+//! Recorder: receives everything that is published and all true states, and produces the trial's report.
 //!
-//! It digests both into the run's trace, follows the state server's instructions, and lets the judge see
-//! each step of a running episode. Nothing that it finds goes back into the graph.
+//! It digests both into the run's trace, follows the state server's instructions, and passes each step of a running
+//! episode to the judge. Nothing that it finds goes back into the graph.
 //!
 //! Where one World simulates the whole team, the judge gets true states. Elsewhere there are none, and it gets the
-//! readings of each robot (`Judged::Readings`; `scenario::sightings` has how good that is). Then a wall is touched by a
-//! robot that is measured within its radius of it; what a World holds back before a wall, no reading shows.
+//! readings of each robot (`Judged::Readings`; `scenario::sightings` describes their quality). A robot that is measured
+//! within its radius of a wall then counts as touching it. Readings do not show a motion that a World blocks before a
+//! wall.
 
 use std::collections::BTreeMap;
 
@@ -30,107 +31,107 @@ use crate::scenario::sightings::{Sighting, Sightings};
 use crate::scenario::{Arena, Rules};
 use crate::time::{Span, Time};
 
-/// What a Recorder accepts.
+/// Input of a Recorder.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// A Network has published this.
+    /// Message that a Network has published.
     Tap(Frame),
-    /// A message that was published in another process has arrived here.
+    /// Message that another process has published and that has arrived here.
     Heard(Wire),
-    /// A World has stepped.
+    /// True states after a step of a World.
     Truth(Truth),
-    /// What a Network has counted on its links since it was started.
+    /// Counts of a Network on its links since it was started.
     Counts(HostId, Box<LinkCounts>),
-    /// What was counted on the radio of a link since the start of the run.
+    /// Counts of a link's radio since the start of the run.
     Radio(LinkId, Box<RadioCounts>),
-    /// How often a robot's guard has stopped or slowed it since its Controller was started.
+    /// Number of times that a robot's guard has stopped or slowed it since its Controller was started.
     Safety(RobotId, SafetyCounts),
-    /// The run is about to end, in the midst of an episode or not.
+    /// The run ends, during an episode or not.
     Closing,
-    /// A datagram has arrived at a host of this process.
+    /// Datagram that has arrived at a host of this process.
     Arrived(HostId, Frame),
-    /// A robot's Cache has handed a percept on at a host: whom it has heard, and how long ago that arrived.
+    /// Percept that a robot's Cache has sent at a host: the neighbours in it, and the ages of their messages.
     Perceived(HostId, RobotId, Box<[(RobotId, Span)]>),
-    /// A reading has arrived at the host of the state server, where readings are judged.
+    /// Reading that has arrived at the state server's host, where readings are judged.
     Reading(Reading),
 }
 
-/// How a Recorder is set up.
+/// Configuration of a Recorder.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// The episodes, in order.
     pub layouts: Layouts,
-    /// Which repeat of the experiment this is.
+    /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// How episodes are judged.
+    /// Rules of an episode.
     pub rules: Rules,
-    /// Whether to tell of every step.
+    /// Use of each step.
     pub steps: Steps,
-    /// At how many other hosts a message to neighbours is due.
+    /// Number of other hosts that a message to neighbours is meant for.
     pub hearers: u64,
     /// Source of the states that are judged.
     pub judged: Judged,
-    /// Whether robots are put at their starts, and do not drive there.
+    /// Whether robots are placed at their starts instead of driving there.
     pub placed: bool,
-    /// Where it happens, with its walls.
+    /// Arena with its walls.
     pub arena: Arena,
-    /// How near to a wall a robot's centre touches it, where readings are judged \[m\].
+    /// Distance of a robot's centre from a wall at which it touches the wall, where readings are judged \[m\].
     pub wall_radius_m: f32,
 }
 
-/// What becomes of every step of a trial.
+/// Use of each step of a trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Steps {
-    /// It is told, and stands in the report.
+    /// Steps are in the report.
     Reported,
-    /// The same, with which robots hear each other: several times the memory, for pictures.
+    /// Likewise, with the messages that robots hear of each other: several times the memory, for pictures.
     WithHearing,
-    /// It is judged and forgotten.
+    /// Steps are judged and dropped.
     Discarded,
 }
 
 impl Steps {
-    /// Whether they are told.
+    /// Whether steps are in the report.
     pub fn kept(self) -> bool {
         self != Steps::Discarded
     }
 }
 
-/// A robot that has taken no control step for so long hears nobody.
+/// Time without a control step after which a robot counts as hearing none of the others.
 const DEAF: Span = Span::from_millis(250);
 
-/// The recorder of one trial.
+/// Recorder of one trial.
 pub struct Recorder {
     config: Config,
     digest: Xxh3,
     messages: u64,
     said: [Said; KINDS.len()],
     team: Vec<Option<Sample>>,
-    /// Which robots were seen since the last time that all had been.
+    /// Robots seen since the whole team was last seen.
     seen: Vec<bool>,
     commanded: Vec<Time>,
-    /// The last counts of each host; those of a crashed Network begin anew.
+    /// Last counts of each host; those of a crashed Network start again at zero.
     counts: BTreeMap<HostId, LinkCounts>,
     radio: BTreeMap<LinkId, RadioCounts>,
-    /// The same of each robot's guard.
+    /// Last counts of each robot's guard.
     safety: BTreeMap<RobotId, SafetyCounts>,
     oldest_command: Span,
     sightings: Sightings,
     listener: Listener,
-    /// By robot: whom its last control step had a message of, how old these were, and when that was.
+    /// By robot: time of its last control step, and the neighbours that it had messages of, with their ages.
     heard: Vec<(Time, Vec<(RobotId, Span)>)>,
     round: Round,
     phase: Phase,
     since: Time,
     reset: Span,
     judge: Option<Judge>,
-    /// The first episode without a result.
+    /// First episode without a result.
     open: u32,
     finished: bool,
 }
 
 impl Recorder {
-    /// A recorder of a trial with `robots` robots.
+    /// Makes a recorder of a trial with `robots` robots.
     pub fn new(config: Config, robots: usize) -> Recorder {
         Recorder {
             listener: Listener::new(config.hearers),
@@ -176,7 +177,7 @@ impl Recorder {
         self.hear(now, &codec::decode(frame).expect("a Network publishes whole datagrams").1, out);
     }
 
-    /// Whether messages between robots are followed: it costs a little, and only who keeps steps looks at it.
+    /// Whether messages between robots are followed: it takes some time, and only kept steps use it.
     fn listens(&self) -> bool {
         self.config.steps.kept() && self.phase == Phase::Running
     }
@@ -193,7 +194,7 @@ impl Recorder {
         if (round, phase) == (self.round, self.phase) || self.finished {
             return;
         }
-        // Whatever episode is left behind without a result was given up; what has a result keeps it.
+        // An earlier episode without a result was given up; a result stands.
         let behind = if phase == Phase::AbortRunning { round.episode + 1 } else { round.episode };
         while self.open < behind.min(self.config.layouts.len()) {
             let after = now.since(self.since);
@@ -205,7 +206,7 @@ impl Recorder {
             self.close(now, finding, out);
         }
         if phase == Phase::Waiting {
-            // A host has left: this episode will be run again, and is judged then.
+            // A host has left: this episode runs again, and is judged then.
             self.judge = None;
         }
         let goes_on = (phase, round.episode) == (self.phase, self.round.episode);
@@ -223,12 +224,12 @@ impl Recorder {
         if !goes_on {
             self.heard.iter_mut().for_each(|(_, heard)| heard.clear());
         }
-        // A new epoch of the same instruction changes nothing.
+        // A later incarnation of the server with the same instruction changes nothing.
         self.since = if goes_on { self.since } else { now };
         (self.round, self.phase) = (round, phase);
     }
 
-    /// What the trial comes to so far.
+    /// Totals of the trial so far.
     fn totals(&self, now: Time) -> Totals {
         Totals {
             messages: self.messages,
@@ -273,7 +274,7 @@ impl Recorder {
             }
             let robot = sample.robot.index();
             let mut sample = *sample;
-            // What the judge has not seen yet it must still hear of.
+            // Keep contacts that the judge has not seen yet.
             if let Some(before) = self.team[robot].filter(|_| self.seen[robot]) {
                 sample.contacts.wall |= before.contacts.wall;
                 sample.contacts.robot |= before.contacts.robot;
@@ -281,14 +282,14 @@ impl Recorder {
             self.team[robot] = Some(sample);
             self.seen[robot] = true;
         }
-        // Several worlds need not step at one instant: the team is seen when each has shown its robots.
+        // Several Worlds may step at different instants: the team is complete once each has sent its robots.
         if self.seen.iter().all(|&seen| seen) {
             self.seen.fill(false);
             self.judge_step(now, out);
         }
     }
 
-    /// The whole team has been seen at this instant.
+    /// Judges the step of a team that is complete at this instant.
     fn judge_step(&mut self, now: Time, out: &mut Vec<Out>) {
         let samples: Vec<Sample> = self.team.iter().flatten().copied().collect();
         if self.phase == Phase::Running
@@ -307,7 +308,7 @@ impl Recorder {
         }
     }
 
-    /// A robot is seen, and the step that is over with it is judged.
+    /// Takes a reading, and judges the step that it completes.
     fn read(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
         let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading) else { return };
         let (arena, radius_m) = (&self.config.arena, self.config.wall_radius_m);
@@ -325,7 +326,7 @@ impl Recorder {
         }
     }
 
-    /// Who hears whom at this instant, if that is to be told.
+    /// Messages between robots that are in use at this instant, if they are reported.
     fn hearing(&self, now: Time) -> Vec<Hearing> {
         if self.config.steps != Steps::WithHearing || self.phase != Phase::Running {
             return Vec::new();
@@ -339,7 +340,7 @@ impl Recorder {
     }
 }
 
-/// Which datagram this is; a copy is the same one.
+/// Identity of a datagram; a copy has the same one.
 fn datagram(header: &Header) -> Datagram {
     (header.sender, header.epoch, header.sequence, header.flags.has(Flags::DIRECT))
 }
@@ -365,7 +366,7 @@ impl Core for Recorder {
             In::Reading(reading) => self.read(now, &reading, out),
             In::Closing => out.push(Out::Closed(self.totals(now))),
             In::Arrived(to, frame) => {
-                // What was garbled on its way is no arrival; what was published in time may arrive after the end.
+                // A corrupted frame is no arrival; a frame published in time may arrive after the end.
                 if let Ok(header) = codec::peek(&frame) {
                     self.listener.arrived(now, to, datagram(&header));
                 }
@@ -427,7 +428,7 @@ mod tests {
         out
     }
 
-    /// One robot of its own world is at a place.
+    /// Reports the position of one robot from a World of its own.
     fn see(recorder: &mut Recorder, ms: u64, robot: u16, position: Vec2) -> Vec<Out> {
         let (time, motion) = (at_ms(ms), Motion::at_rest(position));
         let (command, contacts) = (Vec2::zeros(), Contacts::default());
@@ -437,7 +438,7 @@ mod tests {
         out
     }
 
-    /// A reading of a robot arrives, measured as it arrives.
+    /// Reports a reading, measured at its arrival.
     fn read(recorder: &mut Recorder, ms: u64, robot: u16, position: Vec2) -> Vec<Out> {
         let mut out = Vec::new();
         let reading = Reading::of_point(RobotId(robot), at_ms(ms).as_nanos(), Motion::at_rest(position));

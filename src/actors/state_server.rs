@@ -1,9 +1,9 @@
 //! StateServer: leads the team through its episodes, unattended (paper, section IV).
 //!
-//! It hears heartbeats and says, several times a second, what everyone is to do: reset, run, or stop. It
-//! asks nothing and is answered by nothing. While the emergency stop is engaged, and after it until a resume, it holds
-//! the team; while a host is away that has said that it leaves, the team stands and waits for it. A restarted server
-//! learns from the heartbeats where the team is, gives up an episode that was running, and goes on with the next.
+//! It takes heartbeats and sends an instruction several times a second: reset, run, or stop. It asks nothing, and waits
+//! for no answer. While the emergency stop is engaged, and after it until a resume, it holds the team. While a host
+//! that has announced its leave is away, the team stands and waits for it. A restarted server takes the team's state
+//! from the heartbeats, gives up an episode that was running, and continues with the next.
 
 use std::collections::BTreeSet;
 
@@ -18,55 +18,56 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::Placement;
 
-/// How often it decides: once a World step.
+/// Period of its decisions: one World step.
 pub const TICK: Span = Span::from_millis(50);
-/// How often it repeats an unchanged instruction; to a team of more than one block, a block at a time.
+/// Period at which it repeats an unchanged instruction; for a team of several blocks, one block at a time.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
-/// How often a new instruction is said to all blocks, before they take turns: of so many in a row hardly all get lost.
+/// Number of times that a new instruction is sent to all blocks before they take turns, so that loss of all of them is
+/// unlikely.
 pub const NEWS: u32 = 3;
-/// A robot that has been silent for longer is missing: five heartbeats.
+/// Silence after which a robot is missing: five heartbeats.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
-/// How long it waits for missing robots before it goes on without them.
+/// Longest wait for missing robots before it goes on without them.
 pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
-/// How long a reset may take.
+/// Longest duration of a reset.
 pub const RESET_LIMIT: Span = Span::from_millis(60_000);
-/// How much longer than the rules allow a running episode is let go on: heartbeats are that late.
+/// Extra time of a running episode beyond the rules' limit, for late heartbeats.
 pub const GRACE: Span = Span::from_millis(500);
 
-/// What a StateServer accepts.
+/// Input of a StateServer.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Where a robot stands.
+    /// Progress of a robot.
     Heartbeat(Heartbeat),
-    /// The emergency stop, engaged or taken back, or a resume.
+    /// Emergency stop, re-arm or resume.
     Stop(Stop),
-    /// A host leaves or is here.
+    /// Message of a host that leaves or is present.
     Status(Status),
-    /// The host of the state server is told to end.
+    /// The server's own host is shutting down.
     Leave,
 }
 
-/// Everything that a StateServer says.
+/// Output of a StateServer.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// To everyone: what is to be done.
+    /// Instruction for the team.
     Mode(Mode),
-    /// To the host's Status, for operators.
+    /// Answer to operators, for the host's Status.
     Leading(Leading),
 }
 
-/// How a StateServer is set up.
+/// Configuration of a StateServer.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// The episodes, in order.
     pub layouts: Layouts,
-    /// Which repeat of the experiment this is.
+    /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// Whether robots are placed or drive to their starts.
+    /// Whether robots are placed at their starts or drive there.
     pub placement: Placement,
-    /// How long an episode may run.
+    /// Longest duration of an episode.
     pub limit: Span,
-    /// By host: the robots whose agents or bodies it runs.
+    /// Robots whose agents or bodies each host runs.
     pub hosts: Vec<Vec<RobotId>>,
 }
 
@@ -75,30 +76,30 @@ pub struct Config {
 pub struct StateServer {
     config: Config,
     robots: Vec<Option<(Time, Heartbeat)>>,
-    /// Its incarnation: no later one starts from an earlier epoch.
+    /// Number of its incarnation; a later one never starts from an earlier epoch.
     life: u32,
-    /// Whether it has taken up its work without hearing anyone.
+    /// Whether it started without a heartbeat.
     blind: bool,
     latch: Latch,
-    /// The hosts that have left and are not back.
+    /// Hosts that have left and are not back.
     left: BTreeSet<HostId>,
-    /// Whether its own host is about to end.
+    /// Whether its own host is shutting down.
     leaves: bool,
-    /// How many heartbeats claimed what cannot be.
+    /// Number of heartbeats with numbers out of reach.
     overshot: u64,
     round: Round,
     phase: Phase,
-    /// When the phase began; before the first tick there is none.
+    /// Start of the phase; none before the first tick.
     since: Option<Time>,
     said: Option<Time>,
-    /// How often the instruction was said, and which block of robots it is repeated to next.
+    /// Number of times that the instruction was sent, and the block of robots that is repeated next.
     told: u32,
     turn: usize,
     next: Time,
 }
 
 impl StateServer {
-    /// A state server that does not yet know where the team is.
+    /// Makes a state server that does not know the team's state yet.
     pub fn new(config: Config, robots: usize, life: u32) -> StateServer {
         StateServer {
             config,
@@ -119,7 +120,7 @@ impl StateServer {
         }
     }
 
-    /// What a robot last said, if that was not long ago.
+    /// Last heartbeat of each robot, if it is recent.
     fn present(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
         self.robots.iter().map(move |heard| {
             let (at, beat) = heard.as_ref()?;
@@ -146,7 +147,7 @@ impl StateServer {
         self.enter(now, phase);
     }
 
-    /// Takes up where the team is: at the beginning, or wherever a former incarnation has left it.
+    /// Continues from the team's state: from the beginning, or from where a former incarnation has stopped.
     fn take_up(&mut self, now: Time) {
         let heard: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
         let last = self.latest_round(now);
@@ -161,7 +162,7 @@ impl StateServer {
         if heard.iter().any(|beat| beat.round == last && beat.phase == Phase::EpisodesFinished) {
             self.enter(now, Phase::EpisodesFinished);
         } else if waits {
-            // A former incarnation waited for a host; it is not known which, so everyone has to follow first.
+            // A former incarnation waited for a host. Which one is unknown, so all robots have to follow first.
             self.enter(now, Phase::Waiting);
         } else if last.epoch > 0 && heard.iter().any(in_the_midst) {
             tracing::warn!(episode = last.episode, "a running episode is given up: the state server was restarted");
@@ -171,8 +172,8 @@ impl StateServer {
         }
     }
 
-    /// A robot follows a later round than this: one of a former incarnation, or one that was garbled on its way.
-    /// It would refuse everything that is said here, so the epoch has to overtake it.
+    /// Takes a later epoch if a robot follows a later round, of a former incarnation or after corruption on its way.
+    /// The robot would refuse every earlier round.
     fn overtake(&mut self, now: Time) {
         let latest = self.latest_round(now);
         if self.round.epoch == 0 || latest <= self.round {
@@ -186,18 +187,18 @@ impl StateServer {
         }
     }
 
-    /// The latest round that a present robot follows, without what no honest one can.
+    /// Latest round of the present robots, without rounds out of reach.
     fn latest_round(&self, now: Time) -> Round {
         Round::latest(self.round, self.present(now).flatten().map(|beat| beat.round))
     }
 
-    /// Takes up what robots know of the emergency stop, without what no honest one can.
+    /// Joins the latches of the present robots, without those out of reach.
     fn join_latches(&mut self, now: Time) {
         let latest = latch::latest(self.latch, self.present(now).flatten().map(|beat| beat.latch));
         self.latched(latest);
     }
 
-    /// Counts a heartbeat that claims what no honest robot can, and names the robot, less and less often.
+    /// Counts a heartbeat with numbers out of reach, and logs the robot at the counts 1, 2, 4, 8, ...
     fn doubt(&mut self, beat: &Heartbeat) {
         self.overshot += 1;
         if self.overshot.is_power_of_two() {
@@ -209,7 +210,7 @@ impl StateServer {
         }
     }
 
-    /// The robots that stand in the way of a resume.
+    /// The robots that prevent a resume, with the reasons.
     fn hindrances(&self, now: Time) -> Vec<(RobotId, Hindrance)> {
         let of = |(robot, beat): (RobotId, Option<&Heartbeat>)| {
             let hindrance = match beat {
@@ -242,7 +243,7 @@ impl StateServer {
     fn attend(&mut self, status: &Status) {
         let Status { host, leaves, .. } = *status;
         if self.robots_of(host).is_empty() {
-            // Without it no robot is missing.
+            // No robot depends on it.
             return;
         }
         if leaves && self.left.insert(host) {
@@ -253,7 +254,7 @@ impl StateServer {
         }
     }
 
-    /// Everyone stands until those are back who have left; the episode that was running is run again then.
+    /// Stops the team until all hosts that have left are back; then the episode that was running is run again.
     fn wait(&mut self, now: Time) {
         match self.phase {
             Phase::EpisodesFinished => {}
@@ -262,7 +263,7 @@ impl StateServer {
         }
     }
 
-    /// Nobody moves, no episode begins, and the next one begins no sooner than the team is ready for it.
+    /// Stops the team: no episode begins until the latch is clear and the team is ready.
     fn hold(&mut self, now: Time) {
         match self.phase {
             Phase::Resetting | Phase::Running => self.enter(now, Phase::AbortRunning),
@@ -270,7 +271,7 @@ impl StateServer {
         }
     }
 
-    /// It knows more of the emergency stop than before, and says so at once.
+    /// Takes a new latch, and sends it at once.
     fn latched(&mut self, latch: Latch) {
         if latch != self.latch {
             tracing::warn!(state = latch.word(), number = latch.number(), "emergency stop");
@@ -278,7 +279,7 @@ impl StateServer {
         }
     }
 
-    /// Decides what comes next.
+    /// Decides on the next phase.
     fn decide(&mut self, now: Time) {
         if self.leaves {
             return self.wait(now);
@@ -328,8 +329,8 @@ impl StateServer {
         }
     }
 
-    /// What is new is said to everyone. What is repeated holds the tasks of one block, and all else for everyone: so
-    /// what a robot hears does not grow with the team.
+    /// Sends the instruction: a new one to all robots, a repeated one with the tasks of one block. So the traffic that
+    /// a robot receives does not grow with the team.
     fn say(&mut self, out: &mut Vec<Out>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));
@@ -384,9 +385,9 @@ impl Core for StateServer {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.decide(now);
-        // Until it knows where the team is, it has nothing to say but that everyone is to stand.
+        // Before it knows the team's state, the only instruction is to stand.
         let speaks = self.round.epoch > 0 || !self.latch.is_clear() || self.leaves;
-        // A server that is about to end says so at every step.
+        // While it is leaving, send at every tick.
         let period = if self.leaves { Span::ZERO } else { MODE_PERIOD };
         if speaks && self.said.is_none_or(|said| now.since(said) >= period) {
             self.say(out);
@@ -553,7 +554,7 @@ mod tests {
         assert_eq!(say(&mut server, 40_060, Latch::clear(5)), Latch::clear(5), "a resume counts once");
     }
 
-    /// Both robots follow the round, with this latch and phase.
+    /// Both robots follow the current round with this latch and phase.
     fn follow(server: &mut StateServer, now: Time, latch: Latch, phase: Phase) {
         for robot in RobotId::team(2) {
             let round = server.round;
@@ -565,7 +566,7 @@ mod tests {
         out.iter().filter_map(|said| if let Out::Mode(mode) = said { Some(mode) } else { None }).collect()
     }
 
-    /// The answer to an operator that asks for a resume.
+    /// Answer to an operator that asks for a resume.
     fn resume(server: &mut StateServer, ms: u64) -> Leading {
         let (by, mut out) = (HostId::operator(1), Vec::new());
         server.handle(at_ms(ms), In::Stop(Stop::resume(by, server.latch)), &mut out);
@@ -593,7 +594,7 @@ mod tests {
         assert_eq!(resume(&mut server, 2020), Leading { latch: Latch::clear(3), hindrances: Vec::new() });
     }
 
-    /// The word of a host that leaves or is here; what it says of robots is not believed.
+    /// Message of a host that leaves or is present; its robots' part is not used.
     fn status(host: u16, leaves: bool) -> Status {
         let following = |robot| wire::Following { robot: RobotId(robot), controller: None, body: None };
         Status { host: HostId(host), leaves, robots: (0..64).map(following).collect(), leading: None }

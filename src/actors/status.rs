@@ -1,8 +1,9 @@
-//! Status: the voice of one host. It tells operators how far the host's robots follow the emergency stop, and the state
-//! server that the host leaves or is back.
+//! Status: the reporter of one host. It tells operators which latch the host's robots follow, and the state server that
+//! the host leaves or is back.
 //!
-//! It answers every message of an operator, so that a confirmation reaches an operator in every deployment, also where
-//! heartbeats cross no link. While an observer is there, it tells where the host's robots are and how they do.
+//! It answers every message of an operator, so that confirmations reach operators in every deployment, even where
+//! heartbeats cross no link. While an observer is present, it sends telemetry: positions and conditions of the host's
+//! robots.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,65 +14,65 @@ use crate::messages::latch::Latch;
 use crate::messages::wire::{self, Condition, Following, Health, Leading, MAX_BLOCK, Phase, Seen, Stop, Telemetry};
 use crate::time::{Span, Time};
 
-/// How long it waits for what the host's actors make of an operator's message.
+/// Wait for the host's actors to react to an operator's message.
 const GATHER: Span = Span::from_millis(1);
-/// How often it answers operators at the most: as often as one of them speaks.
+/// Shortest period of answers to operators: the period of one operator's messages.
 const ANSWER_PERIOD: Span = Span::from_millis(20);
-/// How often a host that leaves says so until it ends.
+/// Period at which a leaving host repeats its message until it ends.
 const LEAVE_PERIOD: Span = Span::from_millis(30);
-/// How often a host says that it is here while the team waits for another.
+/// Period at which a host reports its presence while the team waits for another.
 const HERE_PERIOD: Span = Span::from_millis(200);
-/// How long after an actor has told its latch that is worth telling: two of a controller's heartbeats and some.
+/// Age from which an actor's latch is not reported: two of a controller's heartbeats and some.
 const STALE: Span = Span::from_millis(500);
 
-/// How long after an observer was last heard it counts as there: one of its words may be lost.
+/// Time after an observer's last message for which it counts as present: one message may be lost.
 const OBSERVED: Span = Span::from_millis(2500);
-/// How often telemetry is told of one robot, and of several. With it a host says less than 330 bytes a second, tag
-/// included: what the budget of soft state has left in a team of 50 (docs/wire.md).
+/// Period of telemetry for one robot, and for several. A host's telemetry takes less than 330 bytes a second, tag
+/// included: what the budget of soft state leaves in a team of 50 (docs/wire.md).
 const TELEMETRY_PERIODS: [Span; 2] = [Span::from_millis(200), Span::from_millis(300)];
-/// Robots in one telling; of more, some are told each time, in turn.
+/// Largest number of robots in one telemetry message; more robots take turns.
 const TOLD_AT_ONCE: usize = 2;
 
-/// Everything that a Status accepts.
+/// Input of a Status.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// An operator asks, or engages or takes back the stop.
+    /// Question, stop or re-arm of an operator.
     Stop(Stop),
-    /// The latch that a robot's controller follows.
+    /// Latch that a robot's controller follows.
     Controller(RobotId, Latch),
-    /// The latch that a robot's body follows.
+    /// Latch that a robot's body follows.
     Body(RobotId, Latch),
-    /// Where a robot was measured, for the host that runs its agent.
+    /// Measured pose of a robot, on the host that runs its agent.
     Seen(RobotId, Pose),
-    /// How far a robot of an agent of this host has come.
+    /// Progress of a robot whose agent runs on this host.
     Phase(RobotId, Phase),
-    /// The state server, which runs here, answers.
+    /// Answer of the state server, where it runs on this host.
     Leading(Leading),
-    /// The phase that the team is in.
+    /// Phase of the team.
     Mode(Phase),
-    /// How a robot of this host is, and what is left of its battery \[%\].
+    /// Condition of a robot of this host, and charge of its battery \[%\].
     Condition(RobotId, Health, Option<u8>),
-    /// Somebody looks at the team.
+    /// Message of an observer.
     Observe,
-    /// The host is told to end.
+    /// The host is shutting down.
     Leave,
 }
 
-/// The parts of robots that a host runs.
+/// Configuration of a Status: the parts of robots that its host runs.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// The host.
     pub host: HostId,
-    /// The robots whose controllers run here.
+    /// Robots whose controllers run here.
     pub controllers: Vec<RobotId>,
-    /// The robots whose bodies run here.
+    /// Robots whose bodies run here.
     pub bodies: Vec<RobotId>,
 }
 
-/// Something that was told, and when.
+/// Value with its arrival time.
 type Told<T> = (Time, T);
 
-/// What is known of one robot for those who look at the team.
+/// Telemetry of one robot.
 #[derive(Clone, Copy, Debug, Default)]
 struct Known {
     seen: Option<Told<Pose>>,
@@ -79,16 +80,16 @@ struct Known {
     condition: Option<(Health, Option<u8>)>,
 }
 
-/// What a Status says.
+/// Output of a Status.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
-    /// To operators and the state server.
+    /// Message for operators and the state server.
     Status(wire::Status),
-    /// To observers.
+    /// Telemetry for observers.
     Telemetry(Telemetry),
 }
 
-/// One host's voice.
+/// Status of one host.
 #[derive(Debug)]
 pub struct Status {
     host: HostId,
@@ -101,17 +102,17 @@ pub struct Status {
     waits: bool,
     said: Option<Time>,
     due: Option<Time>,
-    /// By place in `robots`.
+    /// By index in `robots`.
     known: Vec<Known>,
-    /// Until when an observer is there.
+    /// Time until which an observer counts as present.
     observed: Option<Time>,
-    /// When telemetry is told next, and of which robot first.
+    /// Time of the next telemetry message, and its first robot.
     telemetry: Time,
     first: usize,
 }
 
 impl Status {
-    /// The voice of a host of which nothing is known yet.
+    /// Makes a status without data.
     pub fn new(config: &Config) -> Status {
         let robots: BTreeSet<RobotId> = config.controllers.iter().chain(&config.bodies).copied().collect();
         Status {
@@ -131,14 +132,14 @@ impl Status {
         }
     }
 
-    /// What is known of a robot of this host.
+    /// Updates the telemetry of a robot of this host.
     fn know(&mut self, robot: RobotId, note: impl FnOnce(&mut Known)) {
         if let Ok(place) = self.robots.binary_search(&robot) {
             note(&mut self.known[place]);
         }
     }
 
-    /// Tells of the next robots in turn.
+    /// Sends telemetry of the next robots in turn.
     fn tell(&mut self, now: Time, out: &mut Vec<Out>) {
         let count = self.robots.len();
         let places = (0..count.min(TOLD_AT_ONCE)).map(|nth| (self.first + nth) % count);
@@ -161,7 +162,7 @@ impl Status {
         self.telemetry = now + TELEMETRY_PERIODS[usize::from(count > 1)];
     }
 
-    /// Speaks after `wait`, or as soon after the last time as `period` allows.
+    /// Plans a message after `wait`, or one `period` after the last one if that is later.
     fn plan(&mut self, now: Time, wait: Span, period: Span) {
         let due = self.said.map_or(now + wait, |said| (said + period).max(now + wait));
         self.due = Some(self.due.map_or(due, |before| before.min(due)));

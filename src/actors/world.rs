@@ -1,8 +1,8 @@
-//! World: one Plant and its clock. It steps the Plant, tells each Body its true state, and the Recorder all.
+//! World: one Plant and its clock. It steps the Plant, and sends true states to each Body and to the Recorder.
 //!
-//! It enforces the validity of every command by itself, for a Body that has stopped in mid-command. And it lends
-//! a hand as a person would: after a reset that has failed it puts the robots of a simulated plant at their next
-//! starts, because some plants let two of them get stuck for good.
+//! It enforces the validity of every command itself, in case a Body has crashed. It also repairs failed resets, as a
+//! person would: it places the robots of a simulated plant at their next starts. Some plants let two robots block each
+//! other for good.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -15,44 +15,44 @@ use crate::messages::wire::{Mode, Phase, Round};
 use crate::time::{Span, Time};
 use crate::world::{Placement, Plant, PlantState};
 
-/// What a World accepts.
+/// Input of a World.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// From one of its Bodies.
+    /// Command of one of its Bodies.
     Drive(Drive),
-    /// The state server's instruction.
+    /// Instruction of the state server.
     Mode(Mode),
 }
 
-/// What a World says.
+/// Output of a World.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// To one of its Bodies.
+    /// True state for one of its Bodies.
     Sample(Sample),
-    /// To the Recorder.
+    /// True states for the Recorder.
     Truth(Truth),
 }
 
-/// What outlives the actor, as the real world outlives the process that looks at it: the plant, and for which
-/// round each robot was last placed. While no World steps it, it stands still.
+/// State that outlives the actor, as real robots outlive the process that watches them: the plant, and the round for
+/// which each robot was last placed. Without a World it does not advance.
 pub struct Ground {
     plant: Box<dyn Plant>,
     placed: Vec<Round>,
-    /// What the team was last told.
+    /// Last instruction to the team.
     told: (Round, Phase),
-    /// The first episode for which robots are to be put in place because the reset before it has failed.
+    /// First episode for which robots are placed because the reset before it has failed.
     hand: Option<u32>,
 }
 
 impl Ground {
-    /// A plant that nobody was placed in yet.
+    /// Makes the state of a plant in which no robot was placed yet.
     pub fn new(plant: Box<dyn Plant>) -> Ground {
         let placed = vec![Round::default(); plant.states().len()];
         Ground { plant, placed, told: (Round::default(), Phase::NeedReset), hand: None }
     }
 }
 
-/// A world of some robots.
+/// World of some robots.
 pub struct World {
     ground: Rc<RefCell<Ground>>,
     period: Span,
@@ -71,7 +71,7 @@ struct Attached {
 }
 
 impl World {
-    /// A world of these robots, in the order of their ids; the plant holds them in the same.
+    /// Makes a world of these robots, in the order of their ids; the plant holds them in the same order.
     pub fn new(ground: Rc<RefCell<Ground>>, placement: Placement, robots: &[RobotId]) -> World {
         assert!(robots.is_sorted(), "a world holds its robots in the order of their ids");
         let attach = |&robot: &RobotId| Attached { robot, command: Vec2::zeros(), until: Time::ZERO };
@@ -80,7 +80,7 @@ impl World {
         World { ground, period, placement, bodies, next: Time::ZERO, placed_at: None }
     }
 
-    /// Whether this instruction is one to put robots in place for.
+    /// Whether robots are placed for this instruction.
     fn lends_a_hand(&mut self, mode: &Mode) -> bool {
         let mut ground = self.ground.borrow_mut();
         let (round, phase) = ground.told;
@@ -97,7 +97,7 @@ impl World {
     fn place(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
         let mut ground = self.ground.borrow_mut();
         for (index, body) in self.bodies.iter_mut().enumerate() {
-            // A new epoch of a running episode is no reason to carry anyone back.
+            // A new epoch of a running episode places no robot again.
             let due = ground.placed[index].epoch == 0 || ground.placed[index].episode < mode.round.episode;
             if let Some(task) = mode.task_of(body.robot).filter(|_| due) {
                 ground.plant.place(index, task.start);
@@ -145,7 +145,7 @@ impl Core for World {
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        // A step moves robots through a whole period: whoever was placed since the last one waits for the next.
+        // A step moves robots for a whole period, so robots placed since the last step wait for the next.
         let steps = self.placed_at.is_none_or(|placed| now.since(placed) >= self.period);
         if steps {
             let mut ground = self.ground.borrow_mut();

@@ -1,4 +1,4 @@
-//! The drivers and sources of one process: made of the deployment, with their workers on threads of their own.
+//! Drivers and sources of one process, made from the deployment, with their workers on threads of their own.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -14,11 +14,11 @@ use crate::localization::Source;
 use crate::messages::ids::RobotId;
 use crate::registry::Registry;
 
-/// How a driver or a source is made, and the way to its worker.
+/// Constructor of a driver or a source, with the channel to its worker.
 pub struct Device<T: ?Sized> {
-    /// Makes it afresh.
+    /// Makes a new one.
     pub make: Rc<dyn Fn() -> Box<T>>,
-    /// The way to its worker, if it has one.
+    /// Channel to its worker, if it has one.
     pub gate: Option<Rc<RefCell<Gate>>>,
 }
 
@@ -28,20 +28,20 @@ impl<T: ?Sized> Clone for Device<T> {
     }
 }
 
-/// The devices of one process.
+/// Drivers and sources of one process.
 #[derive(Clone, Default)]
 pub struct Devices {
-    /// By robot: its driver.
+    /// Driver of each robot.
     pub drivers: BTreeMap<RobotId, Device<dyn Driver>>,
-    /// The source of the readings of the robots that the host localizes.
+    /// Source of the readings of the robots that the host localizes.
     pub source: Option<Device<dyn Source>>,
 }
 
-/// The threads of the workers. They end once the devices are gone.
+/// Threads of the workers. They end once the devices are dropped.
 pub struct Workers(Vec<JoinHandle<()>>);
 
 impl Workers {
-    /// Waits until all have ended, which they have a second for. The devices have to be gone.
+    /// Waits until all have ended, for a second at most. The devices have to be dropped before.
     pub fn join(self) {
         let mut rests = (0..200).map(|_| thread::park_timeout(Duration::from_millis(5)));
         for worker in self.0 {
@@ -56,10 +56,10 @@ impl Workers {
     }
 }
 
-/// Why devices could not be made.
+/// Error of devices that could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceError {
-    /// Settings are wrong.
+    /// Invalid settings.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The machine has no descriptor or thread left.

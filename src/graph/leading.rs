@@ -1,5 +1,4 @@
-//! Wiring of the state server, of what a host hands in to its actors (what has arrived, and to those that follow the
-//! state server and the emergency stop what these say), and of the host's own voice. No logic lives here.
+//! Wiring of the state server, of the delivery of messages within a host, and of the host's Status. It holds no logic.
 
 use std::cell::Cell;
 use std::collections::BTreeSet;
@@ -26,7 +25,7 @@ struct Led {
 }
 
 impl Led {
-    /// Hands in an instruction of the state server.
+    /// Delivers an instruction of the state server.
     fn follow(&self, mode: &Mode) {
         self.world.iter().for_each(|world| world.send(world::In::Mode(mode.clone())));
         self.agents.iter().for_each(|agent| agent.send(agent::In::Mode(mode.clone())));
@@ -35,7 +34,7 @@ impl Led {
         self.status.send(status::In::Mode(mode.phase));
     }
 
-    /// Hands in an emergency stop, a re-arm or a question of an operator.
+    /// Delivers an emergency stop, a re-arm or an operator's question.
     fn stop(&self, stop: Stop) {
         self.controllers.iter().for_each(|controller| controller.send(controller::In::Stop(stop)));
         self.bodies.iter().for_each(|body| body.send(body::In::Stop(stop)));
@@ -43,7 +42,7 @@ impl Led {
     }
 }
 
-/// What becomes of a message that arrives at a host with these robots: whose it is.
+/// Makes the function that delivers a message to the actors of a host with these robots.
 pub(super) fn deliveries(
     graph: &Graph,
     host: HostId,
@@ -51,7 +50,7 @@ pub(super) fn deliveries(
     (bodies, simulated): (&[RobotId], &[RobotId]),
 ) -> impl Fn(Wire) + use<> {
     let firsts: BTreeSet<RobotId> = agents.iter().map(|robot| graph.routes.companions(*robot)[0]).collect();
-    // One entry an agent: its robots, and their caches.
+    // One entry per agent: its robots, and their caches.
     let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
     let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
     let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
@@ -68,7 +67,7 @@ pub(super) fn deliveries(
         world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
         status: graph.status_of(host),
     };
-    // Readings are told to the host's voice only once somebody has ever looked: they are many.
+    // Readings go to the Status only after the first message of an observer: they are many.
     let observed = Cell::new(false);
     move |message| match message {
         Wire::Reading(m) => {
@@ -101,12 +100,12 @@ pub(super) fn deliveries(
             observed.set(true);
             team.status.send(status::In::Observe);
         }
-        // It is for observers, who are no hosts.
+        // Telemetry is for observers, which are no hosts of the deployment.
         Wire::Telemetry(_) => {}
     }
 }
 
-/// Starts the voice of one host.
+/// Starts the Status of one host.
 pub(super) fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: status::Config) {
     let network = graph.network_of(host);
     let make = move |_| Status::new(&config);

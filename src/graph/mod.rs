@@ -1,4 +1,4 @@
-//! The whole actor graph as wiring: one place that says who talks to whom. No logic lives here.
+//! Wiring of the whole actor graph: the one place that connects actors. It holds no logic.
 
 mod bodies;
 pub mod devices;
@@ -47,53 +47,53 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::{Clamp, Entry, Physics, Placement};
 
-/// How long a motor command holds: four of the published control periods (design, section 2).
+/// Validity of a motor command: four of the published control periods.
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
 
-/// All that a graph is made of.
+/// All inputs of a graph.
 #[derive(Clone)]
 pub struct Plan {
-    /// Which host runs what.
+    /// Hosts with their parts, and links.
     pub deployment: Deployment,
-    /// What the team is to do.
+    /// The team's task.
     pub scenario: Arc<dyn Scenario>,
-    /// What simulated robots live in.
+    /// Plant of the simulated robots.
     pub plant: Entry,
-    /// What simulated robots are like.
+    /// Properties of the simulated robots.
     pub physics: Physics,
-    /// What drives it while an episode runs.
+    /// Policy during an episode.
     pub run: Model,
-    /// What drives it to the starts.
+    /// Policy that drives robots to their starts.
     pub reset: Model,
-    /// Who is near enough to be heard.
+    /// Communication range.
     pub range: CommRange,
-    /// How long a neighbour's message is of use.
+    /// Hold time of a neighbour's message.
     pub hold: Span,
-    /// What becomes of it within that time.
+    /// Treatment of messages within the hold time.
     pub handling: Handling,
-    /// How a robot's readings become an estimate.
+    /// Estimator from readings to a robot's state.
     pub estimator: estimation::Entry,
-    /// How Controllers limit what the policies want.
+    /// Limit that Controllers put on the policies' output.
     pub clamp: Clamp,
-    /// When robots are stopped or slowed.
+    /// Conditions in which robots are stopped or slowed.
     pub safety: Safety,
-    /// The emergency stops and re-arms of the run, and when a host says them.
+    /// Emergency stops and re-arms of the run, with the times at which a host sends them.
     pub stops: Vec<(Time, Stop)>,
     /// The episodes.
     pub layouts: Layouts,
-    /// Which repeat of the experiment this is.
+    /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// The root of all randomness.
+    /// Root of all randomness.
     pub seed: Seed,
-    /// What goes wrong.
+    /// Faults to inject.
     pub faults: FaultPlan,
-    /// When the run ends, if not with its last episode.
+    /// End of the run, if not with its last episode.
     pub until: Option<Time>,
-    /// Whether every step is told.
+    /// Whether every step is reported.
     pub steps: recorder::Steps,
 }
 
-/// Starts all actors of a plan; `said` takes what the Recorder says.
+/// Starts all actors of a plan; `said` takes the Recorder's output.
 pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
     let process = Process::whole();
@@ -116,7 +116,7 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
     graph
 }
 
-/// The actors of the hosts that run here.
+/// Starts the actors of the hosts that run here.
 pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process: &Process) {
     let here = |host: HostId| process.only.is_none_or(|only| only == host);
     for robot in RobotId::team(plan.deployment.robots) {
@@ -141,7 +141,7 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
     }
 }
 
-/// The Recorder of this process.
+/// Starts the Recorder of this process.
 pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: impl FnMut(recorder::Out) + 'static) {
     let config = recorder::Config {
         layouts: plan.layouts.clone(),
@@ -160,7 +160,7 @@ pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: imp
     start(clock, mailbox, info_span!("recorder"), make, said);
 }
 
-/// When in each period a robot's tick or beat falls.
+/// Offset of a robot's tick or heartbeat within each period.
 fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     match plan.deployment.stepping {
         Stepping::Lockstep => Span::from_nanos(period.as_nanos() / 2),
@@ -172,7 +172,7 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     }
 }
 
-/// Cache and Controller of one robot, and its Agent if it is the first of that Agent's robots.
+/// Starts Cache and Controller of one robot, and its Agent if the robot is the first of that Agent.
 fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, process: &Process) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
@@ -183,7 +183,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
     let config = cache::Config {
         robot,
         period: interface.period,
-        // One tick for all robots of an agent: a joint step is a synchronous one.
+        // All robots of an agent have one tick, for a synchronous joint step.
         phase: phase(plan, "agent", first, interface.period),
         range: plan.range,
         hold: plan.hold,
@@ -204,7 +204,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
             }
             agent.send(agent::In::Percept(percept));
         }
-        // Nobody waits for it where own state is not watched, and it would be a fifth of all that goes around.
+        // Dropped where own state is not watched: it would be a fifth of all messages.
         cache::Out::Fresh if watched => controller.send(controller::In::Fresh),
         cache::Out::Fresh => {}
     });
@@ -242,7 +242,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
     });
 }
 
-/// The Agent whose first robot this is.
+/// Starts the Agent whose first robot this is.
 fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let id = robot.0;
     let network = graph.network_of(graph.routes.agent_host(robot));
@@ -267,10 +267,10 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     });
 }
 
-/// Network, Status and World of one host.
+/// Starts Network, Status and World of one host.
 fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &Process) {
     let entry = &plan.deployment.hosts[usize::from(host.0)];
-    // In the order of ids, however the deployment lists them: a plant moves its robots in this order.
+    // In the order of ids, whatever the order in the deployment: a plant moves its robots in this order.
     let here = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect();
     let (agents, simulated): (Vec<RobotId>, Vec<RobotId>) = (here(&entry.agents.concat()), here(&entry.simulates));
     let bodies: Vec<RobotId> = here(&[&entry.simulates[..], &entry.actuates].concat());
@@ -282,7 +282,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
     }
 }
 
-/// The Network of a host; what arrives goes to `deliver`.
+/// Starts the Network of a host; messages that arrive go to `deliver`.
 fn wire_network(
     clock: &Clock,
     plan: &Plan,
@@ -306,7 +306,7 @@ fn wire_network(
     station.start(clock, &graph.networks[usize::from(host.0)], Rc::clone(&graph.transports), move |out| match out {
         station::Out::Deliver(message) => {
             hear(Heard::Message(&message));
-            // What other processes publish is news to a Recorder here.
+            // The Recorder of this process has no other copy of what other processes publish.
             if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
                 record(recorder::In::Heard(message.clone()));
             }

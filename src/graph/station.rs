@@ -1,5 +1,5 @@
-//! A station: the Network of one host on its links. The one place that starts a Network and joins it with the
-//! transports that it speaks through; what it says to the rest of the process is its owner's.
+//! Station: the Network of one host on its links. The one place that starts a Network and connects it with its
+//! transports. The owner handles the Network's other output.
 
 use std::rc::Rc;
 
@@ -19,42 +19,42 @@ use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 
-/// How the Network of a host is set up.
+/// Configuration of the Network of a host.
 pub struct Station {
-    /// Its identity in its first life; each further life is an incarnation of its own.
+    /// Its identity in the first incarnation; each restart is an incarnation of its own.
     pub me: Identity,
-    /// What its datagrams are sealed with, if they are.
+    /// Key that authenticates its datagrams, if any.
     pub key: Option<Key>,
-    /// How its links are set up, in the order of the deployment; none where it has no part in one.
+    /// Setup of its links, in the order of the deployment; none where it does not take part.
     pub links: Vec<Option<Setup>>,
-    /// The way of every message.
+    /// Routing table.
     pub router: Router,
-    /// The root of what its link layer draws.
+    /// Root of its link layer's random streams.
     pub seed: Seed,
-    /// The name of its random stream; the number of its life follows.
+    /// Prefix of its random stream's name; the number of restarts follows.
     pub stream: String,
-    /// What its log lines are marked with.
+    /// Span of its log lines.
     pub span: tracing::Span,
 }
 
-/// What a Network says to the process that it is in.
+/// Output of a Network for the process that it runs in.
 #[derive(Debug)]
 pub enum Out {
-    /// A message for this host.
+    /// Message for this host.
     Deliver(Wire),
-    /// Something was published here: one message as a datagram, without a tag.
+    /// Copy of a published message, one per datagram, without a tag.
     Tap(Frame),
-    /// What has happened on all links together.
+    /// Counts of all links together.
     Counts(Box<LinkCounts>),
-    /// What is known of the other hosts, on links with reports.
+    /// Summaries of the other hosts, on links with reports.
     Peers(Vec<Peer>),
     /// Another live host has the id of this one and was started before it.
     Duplicate(Duplicate),
 }
 
 impl Station {
-    /// Starts the Network behind its mailbox. What leaves goes to the transport of its link, one of `transports`, which
-    /// are in the order of the links; `said` takes all else.
+    /// Starts the Network behind its mailbox. Frames go to the transport of their link in `transports`, which are in
+    /// the order of the links; `said` takes all other output.
     pub fn start(
         self,
         clock: &Clock,
@@ -82,8 +82,8 @@ impl Station {
         });
     }
 
-    /// Starts the Network and the transports that are open for it, in real time; the way to the Network. A link may
-    /// have several, one an interface.
+    /// Starts the Network and its open transports, in real time; returns the Network's mailbox. A link may have several
+    /// transports, one per interface.
     pub fn open(
         self,
         (clock, readers): (&Clock, &mut Readers),
