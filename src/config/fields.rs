@@ -1,4 +1,4 @@
-//! Fields that are read one by one, from a file, the environment or a flag: what each takes, and its value once read.
+//! Fields that are read one by one from a file, the environment or a flag: their types and values.
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -7,14 +7,14 @@ use toml::de::DeValue;
 
 use super::is_key;
 
-/// The value of a field.
+/// Value of a field.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
     /// A whole number.
     Whole(u64),
     /// A number.
     Number(f64),
-    /// A text: a name, a path, one of a few words.
+    /// A text: a name, a path, one of several words.
     Text(String),
     /// An address with its port.
     Address(SocketAddr),
@@ -35,7 +35,7 @@ impl Value {
     /// The text.
     ///
     /// # Panics
-    /// If its field takes no texts; likewise below.
+    /// If the field has another type; likewise below.
     pub fn text(&self) -> &str {
         let Value::Text(text) = self else { panic!("the field lets only texts through") };
         text
@@ -60,14 +60,14 @@ impl Value {
     }
 }
 
-/// What a field takes.
+/// Type of a field, with its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Takes {
-    /// A whole number from the first to the second.
+    /// A whole number in this range, both ends included.
     Whole(u64, u64),
-    /// A number from the first to the second.
+    /// A number in this range, both ends included.
     Number(f64, f64),
-    /// A text that is not empty and no key.
+    /// A text that is neither empty nor a key.
     Text,
     /// The name of a network interface.
     Interface,
@@ -78,7 +78,7 @@ pub enum Takes {
 }
 
 impl Takes {
-    /// Reads a value; the error says what is wrong.
+    /// Reads a value; an error describes the fault.
     pub fn read(self, text: &str) -> Result<Value, String> {
         match self {
             Takes::Whole(least, most) => match text.parse::<u64>() {
@@ -95,7 +95,7 @@ impl Takes {
                     .to_owned())
             }
             Takes::Text => Ok(Value::Text(text.to_owned())),
-            // As Linux has it: IFNAMSIZ is 16 with its end, and these characters are refused.
+            // As in Linux: IFNAMSIZ is 16 with the terminating zero, and these characters are refused.
             Takes::Interface => {
                 let fits = (1..16).contains(&text.len()) && !text.contains(|c: char| c.is_whitespace() || c == '/');
                 if fits { Ok(Value::Text(text.to_owned())) } else { Err(format!("'{text}' is no interface's name")) }
@@ -109,7 +109,7 @@ impl Takes {
         }
     }
 
-    /// Reads a value of a file, where numbers are numbers and texts have quotes.
+    /// Reads a value from TOML, where numbers are numbers and texts have quotes.
     pub fn read_toml(self, value: &DeValue<'_>) -> Result<Value, String> {
         let wanted = match self {
             Takes::Whole(..) => "a whole number",

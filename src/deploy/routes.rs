@@ -1,5 +1,5 @@
-//! The way of every message in a deployment: who publishes it, who takes it, which link lies between. Nothing here
-//! grows faster than the team, but for what is asked of every host.
+//! Routes of a deployment: publisher, receivers and link of every message. Memory and time grow no faster than the
+//! team, except for queries over every host.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -9,34 +9,34 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 
-/// Who runs what in a checked deployment, and the ways of all messages.
+/// Placement of all parts in a checked deployment, and the routes of all messages.
 #[derive(Clone, Debug)]
 pub struct Routes {
     robots: usize,
-    /// By robot: the host of its agent, the robots of that agent in the order of their ids.
+    /// By robot: host of its agent, and the robots of that agent in the order of their ids.
     agent_host: Vec<HostId>,
     companions: Vec<Arc<[RobotId]>>,
-    /// By robot: the host that its motors hang on, the one that measures it, and the one whose World simulates it.
+    /// By robot: hosts of its motors, of its measurement and, if it is simulated, of its World.
     actuator_host: Vec<HostId>,
     localizer_host: Vec<HostId>,
     world_host: Vec<Option<HostId>>,
-    /// By robot: the hosts that take its readings, in order.
+    /// By robot: hosts that receive its readings, in order.
     readers: Vec<Vec<HostId>>,
     server_host: HostId,
-    /// By host: the robots whose agent it runs, or which it drives or measures.
+    /// By host: robots whose agent it runs, or which it drives or measures.
     robots_of: Vec<Vec<RobotId>>,
-    /// By host: how many robots' agents it runs.
+    /// By host: number of robots whose agents it runs.
     decided: Vec<usize>,
-    /// The hosts that run an agent; those that run an agent or a body; those, and the state server's.
+    /// Hosts with an agent; hosts with an agent or a body; these and the state server's host.
     deciders: Vec<HostId>,
     told: Vec<HostId>,
     stopped: Vec<HostId>,
     publishers: Arc<Publishers>,
-    /// By kind: the link that carries it.
+    /// By kind: link that carries it.
     links: Vec<Option<LinkId>>,
 }
 
-/// The hosts that take a message: all of these, in order, but for one.
+/// Receivers of a message: all of these hosts, in order, except one.
 #[derive(Clone, Copy, Debug)]
 struct Takers<'a> {
     hosts: &'a [HostId],
@@ -54,7 +54,7 @@ impl Takers<'_> {
 }
 
 impl Routes {
-    /// The ways of a deployment. Panics if a robot has no agent or no body, which `Deployment::check` excludes.
+    /// Makes the routes of a deployment. Panics if a robot has no agent or no body, which `Deployment::check` excludes.
     pub fn of(deployment: &Deployment) -> Routes {
         let robots = deployment.robots;
         let number = |index: usize| u16::try_from(index).expect("a checked deployment has few hosts and links");
@@ -103,7 +103,7 @@ impl Routes {
             decided: deployment.hosts.iter().map(|host| host.agents.iter().map(Vec::len).sum()).collect(),
             deciders: hosts(&agent_host, &[]),
             told: hosts(&agent_host, &actuator_host),
-            // Whatever moves, and the one who leads.
+            // All hosts that move a robot, and the state server's.
             stopped: hosts(&hosts(&agent_host, &actuator_host), &[server_host]),
             publishers: Arc::new(Publishers {
                 names: deployment.hosts.iter().map(|host| host.name.clone()).collect(),
@@ -113,7 +113,7 @@ impl Routes {
                 server: server_host,
             }),
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
-            // Who drives a real robot needs its heading; who simulates one does not.
+            // The driver of a real robot needs its heading; a World knows it.
             readers: RobotId::team(robots)
                 .map(|robot| match world_host[robot.index()] {
                     Some(_) => hosts(&[agent_host[robot.index()]], judge.as_slice()),
@@ -137,7 +137,7 @@ impl Routes {
             Kind::Stop | Kind::Observe => hosts = &self.stopped,
             Kind::Telemetry => hosts = &[],
             Kind::Latent => {
-                // Robots of one agent hear each other within its step.
+                // Robots of one agent exchange latents within its step.
                 let host = self.agent_host(robot);
                 but = (self.companions(robot).len() == self.decided[usize::from(host.0)]).then_some(host);
             }
@@ -150,7 +150,7 @@ impl Routes {
         &self.robots_of[host]
     }
 
-    /// The hosts and what each may say.
+    /// Hosts with the messages that each may publish.
     pub fn publishers(&self) -> Arc<Publishers> {
         Arc::clone(&self.publishers)
     }
@@ -160,7 +160,7 @@ impl Routes {
         self.agent_host[robot.index()]
     }
 
-    /// The host that the robot's motors hang on.
+    /// The host that the robot's motors are attached to.
     pub fn actuator_host(&self, robot: RobotId) -> HostId {
         self.actuator_host[robot.index()]
     }
@@ -199,12 +199,12 @@ impl Routes {
     pub fn crosses(&self, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let from = self.publisher(kind, robot);
-            // What any host may say crosses as soon as there are two.
+            // A kind that any host may publish crosses as soon as there are two.
             self.robots_of.len() > 1 && self.takers(kind, robot).iter().any(|to| Some(to) != from)
         })
     }
 
-    /// Whether the host sends any message of this kind to another, or takes one from another.
+    /// Whether the host sends a message of this kind to another, or receives one from another.
     pub fn exchanges(&self, host: HostId, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let (from, takers) = (self.publisher(kind, robot), self.takers(kind, robot));
@@ -213,10 +213,10 @@ impl Routes {
         })
     }
 
-    /// The hosts that take messages of this kind.
+    /// The hosts that receive messages of this kind.
     pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
         let takers = |robot| self.takers(kind, robot);
-        // Of a list for the whole team, hardly anyone is left out by more than one robot.
+        // These lists serve the whole team; a host is left out for one robot at the most.
         let of_all = match kind {
             Kind::Reading | Kind::MotorCommand | Kind::Heartbeat | Kind::Status => {
                 RobotId::team(self.robots).flat_map(|robot| takers(robot).hosts).copied().collect()
@@ -236,7 +236,7 @@ impl Routes {
             let local = takers.has(host);
             let mut others = takers.iter().filter(|&taker| taker != host);
             let audience = match (others.next(), others.next()) {
-                // Operators take it, wherever they are.
+                // Operators receive it, on any machine.
                 _ if matches!(kind, Kind::Status | Kind::Telemetry) => self.links[kind as usize].map(|_| Audience::All),
                 (None, _) => None,
                 (Some(only), None) => Some(Audience::Host(only)),

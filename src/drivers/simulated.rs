@@ -1,11 +1,11 @@
-//! The driver of simulated robots: their World does what it is told.
+//! Driver of simulated robots, whose commands go to their World.
 
 use super::{Driver, Limits, Out};
 use crate::messages::geometry::Pose;
 use crate::messages::local::Drive;
 use crate::time::Time;
 
-/// Passes on to the World.
+/// Passes commands on to the World.
 pub struct Simulated;
 
 impl Driver for Simulated {

@@ -1,9 +1,9 @@
-//! A program of the user's says where robots are: one JSON object a line, in any language.
+//! Source that runs a program of the user's, in any language, with one JSON object per line.
 //!
-//! `{"robot": 0, "stamp_s": 12.34, "x": 0.1, "y": -2.0, "vx": 0.0, "vy": 0.3}`: when it was measured on its own clock
-//! \[s\], position \[m\] and velocity \[m/s\] in the world frame. It may add `"heading"` \[rad\], counter-clockwise
-//! from the x axis, `"yaw_rate"` \[rad/s\], and standard deviations `"position_m"`, `"heading_rad"`, `"velocity_m_s"`,
-//! `"yaw_rate_rad_s"`.
+//! The program writes `{"robot": 0, "stamp_s": 12.34, "x": 0.1, "y": -2.0, "vx": 0.0, "vy": 0.3}`: time of measurement
+//! on its own clock \[s\], position \[m\] and velocity \[m/s\] in the world frame. It may add `"heading"` \[rad\],
+//! counter-clockwise from the x axis, `"yaw_rate"` \[rad/s\], and standard deviations `"position_m"`, `"heading_rad"`,
+//! `"velocity_m_s"`, `"yaw_rate_rad_s"`.
 
 use serde::Deserialize;
 
@@ -16,10 +16,10 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::{Reading, Wire};
 use crate::time::{Span, Time};
 
-/// What it listens to.
+/// Description in one line.
 pub const ABOUT: &str = "whatever a program of yours measures: JSON lines on its stdout";
 
-/// What the team file says of it.
+/// Settings in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
@@ -27,7 +27,7 @@ struct Config {
     command: Vec<String>,
 }
 
-/// What the program says.
+/// Line that the program writes.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Line {
@@ -49,7 +49,7 @@ struct Lines {
     robots: Vec<RobotId>,
 }
 
-/// Makes it.
+/// Makes the source and its worker.
 pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Made, ConfigError> {
     let config: Config = settings.read()?;
     if config.command.is_empty() {

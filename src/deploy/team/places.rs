@@ -1,4 +1,4 @@
-//! The place of a host on each link, as its transport reads it, and the mistakes that can be seen without opening one.
+//! Places of a host on its links, as their transports read them, with the checks that need no open socket.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -15,34 +15,34 @@ use crate::net::transport;
 use crate::net::transport::settings::Said;
 use crate::net::transport::{Field, Given, Place};
 
-/// The link of the emergency stop, as an operator joins it from whatever machine it runs on.
+/// Access of an operator to the link of the emergency stop, from any machine.
 #[derive(Clone, Debug)]
 pub struct Post {
     /// The link.
     pub link: LinkId,
     /// The team's number on the wire.
     pub number: u16,
-    /// Where its key is; `None` for a team without one.
+    /// Path of its key; `None` for a team without one.
     pub key_file: Option<PathBuf>,
-    /// The ways onto the link: one for each interface that a host has on it, or a single one that addresses each host.
+    /// Places on the link: one for each interface that a host uses on it, or a single one that addresses each host.
     pub places: Vec<Place>,
 }
 
 impl TeamFile {
-    /// The transport of a link, as these scopes see it.
+    /// The transport of a link in these scopes.
     pub(super) fn transport(&self, scopes: &[String], link: &Link) -> &transport::Entry {
         let name = self.layers.find(scopes, &format!("link.{}.transport", link.name)).expect("it has a default");
         self.registry.transport(text(&name)).expect("its name was checked when the file was read")
     }
 
-    /// The names of the values that a field has on a link: one, or one for each host.
+    /// Names of the values of a field on a link: one, or one for each host.
     pub(super) fn names_of(&self, field: &Field) -> Vec<String> {
         let hosts = self.deployment.hosts.iter().filter(|_| field.by_host);
         let names: Vec<String> = hosts.map(|host| format!("{}.{}", field.name, host.name)).collect();
         if field.by_host { names } else { vec![field.name.to_owned()] }
     }
 
-    /// The value of a field of the transport of the link at this place.
+    /// Value of a field of the transport of the link with index `at`.
     pub(super) fn of_link(&self, scopes: &[String], at: usize, (field, name): (&Field, &str)) -> Option<Entry> {
         let key = format!("link.{}.{name}", self.deployment.links[at].name);
         self.layers.find(scopes, &key).or_else(|| {
@@ -51,7 +51,7 @@ impl TeamFile {
         })
     }
 
-    /// The place of a host on its link at this place.
+    /// The place of a host on the link with index `at`.
     pub(super) fn place(&self, host: HostId, at: usize) -> Result<Place, ConfigError> {
         let link = &self.deployment.links[at];
         let scopes = self.scopes(Some(host));
@@ -74,7 +74,7 @@ impl TeamFile {
         Ok(Place { way, reliability: reliability.collect() })
     }
 
-    /// Where an operator joins the team: on the link that carries the emergency stop, and on no other.
+    /// Access of an operator to the team: on the link that carries the emergency stop, and on no other.
     pub fn post(&self) -> Result<Post, ConfigError> {
         let carries = |link: &Link| link.carries.contains(&Kind::Stop);
         let at = self.deployment.links.iter().position(carries).ok_or_else(|| {
@@ -101,7 +101,7 @@ impl TeamFile {
         })
     }
 
-    /// Two links of a host that hear each other's frames are a mistake.
+    /// Refuses two links of a host that would receive each other's frames.
     pub(super) fn check_apart(&self, host: HostId, places: &[Option<Place>]) -> Result<(), ConfigError> {
         let scopes = self.scopes(Some(host));
         let mut seen: BTreeMap<(String, String), &str> = BTreeMap::new();
