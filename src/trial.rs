@@ -278,7 +278,7 @@ impl Trial {
                 report.finished || closed || now >= deadline || proceed(&report.episodes) == Proceed::Stop
             },
         );
-        assert_eq!(end, End::Done, "a team that beats never falls idle");
+        assert_eq!(end, End::Done, "a team with heartbeats never falls idle");
         let mut report = said.borrow().clone();
         (report.refused, report.lost) = graph.undelivered();
         if !report.finished && Time::ZERO + report.simulated >= deadline {

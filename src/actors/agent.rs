@@ -187,7 +187,7 @@ impl Agent {
     fn show(&mut self, at: usize) -> Option<Latent> {
         let latent = self.encode(at);
         let Seat { pilot, percept, features, .. } = &self.seats[at];
-        let place = |at: usize| u32::try_from(at).expect("a team says less than four gigabytes");
+        let place = |at: usize| u32::try_from(at).expect("the latents of a step take less than four gigabytes");
         let said = latent.as_ref().map(|_| [self.said.len(), self.said.len() + features.len()].map(place));
         let shown = percept.as_ref().map(|percept| Shown { robot: pilot.robot, motion: percept.estimate, said });
         self.shown.push(shown);
@@ -210,7 +210,7 @@ impl Agent {
         policy.encode(&self.scenario.observe(&task, &percept.estimate), &mut seat.features);
         let sound = width == agreed && width <= MAX_FEATURES && all_sound(&seat.features);
         if !sound && seat.sound {
-            tracing::error!(width, agreed, "the policy says something that is no latent; its robot is to stop");
+            tracing::error!(width, agreed, "the policy's output is not a valid latent; its robot stops");
         }
         seat.sound = sound;
         sound.then(|| Latent {

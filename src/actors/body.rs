@@ -122,7 +122,7 @@ impl Body {
                     self.refused += 1;
                     // Log the counts 1, 2, 4, 8, ...: a broken robot may send nothing else.
                     if self.refused.is_power_of_two() {
-                        tracing::warn!(refused = self.refused, "what the driver's worker says is refused: {why}");
+                        tracing::warn!(refused = self.refused, "output of the driver's worker is refused: {why}");
                     }
                 }
             }
@@ -156,7 +156,7 @@ impl Core for Body {
             In::Reading(reading) => self.pose = Some(reading.pose),
             In::WorkerEnded => {
                 tracing::error!(
-                    "the driver of {} has ended: it cannot be driven any more; restart the host",
+                    "the driver of {} has ended: the robot cannot move; restart the host",
                     self.robot
                 );
                 out.push(Out::Condition(Health::Silent, None));

@@ -37,7 +37,7 @@ impl Localizer {
                     self.refused += 1;
                     // Log the counts 1, 2, 4, 8, ...: a broken tracker may send nothing else.
                     if self.refused.is_power_of_two() {
-                        tracing::warn!(refused = self.refused, "what the source says is refused: {why}");
+                        tracing::warn!(refused = self.refused, "output of the source is refused: {why}");
                     }
                 }
             }

@@ -109,7 +109,7 @@ impl Impostors {
         *times += 1;
         if times.is_power_of_two() {
             let (kind, robot) = (message.kind(), message.robot());
-            tracing::error!("{name} said {kind:?} about {robot}, which is not its to say: refused ({times} times)");
+            tracing::error!("{name} sent {kind:?} about {robot}, which it may not publish: refused ({times} times)");
         }
     }
 }
@@ -153,7 +153,7 @@ impl Network {
         let leaves = route.leaves.filter(|(link, _)| self.link(*link).is_some());
         let encoded = match leaves {
             Some((link, audience)) => {
-                let state = self.links[usize::from(link.0)].as_mut().expect("this host has a part in it");
+                let state = self.links[usize::from(link.0)].as_mut().expect("this host takes part in the link");
                 let encoded = state.say(now, audience, &message, &mut self.leaving);
                 self.due[usize::from(link.0)] = state.due();
                 transmit(link, &mut self.leaving, out);
@@ -180,7 +180,7 @@ impl Network {
         let counts = state.map_or(&mut self.indoor_counts, LinkState::counts);
         counts.unfit += 1;
         if counts.unfit == 1 {
-            tracing::error!(robot = message.robot().0, "not sent: {error}; what follows is only counted");
+            tracing::error!(robot = message.robot().0, "not sent: {error}; further ones are only counted");
         }
     }
 

@@ -133,7 +133,7 @@ impl StateServer {
     }
 
     fn enter(&mut self, now: Time, phase: Phase) {
-        tracing::debug!(episode = self.round.episode, ?phase, "the team goes on");
+        tracing::debug!(episode = self.round.episode, ?phase, "the team enters a phase");
         (self.phase, self.since, self.said) = (phase, Some(now), None);
     }
 
@@ -205,7 +205,7 @@ impl StateServer {
             let (robot, times) = (beat.robot, self.overshot);
             let (epoch, number) = (beat.round.epoch, beat.latch.number());
             tracing::error!(
-                "{robot} claims epoch {epoch} and stop number {number}, which are out of reach: ignored ({times} times)"
+                "{robot} sent epoch {epoch} and stop number {number}, which are out of reach: ignored ({times} times)"
             );
         }
     }

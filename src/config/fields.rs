@@ -83,28 +83,31 @@ impl Takes {
         match self {
             Takes::Whole(least, most) => match text.parse::<u64>() {
                 Ok(whole) if (least..=most).contains(&whole) => Ok(Value::Whole(whole)),
-                _ => Err(format!("'{text}' is no whole number of {least} to {most}")),
+                _ => Err(format!("'{text}' is not a whole number of {least} to {most}")),
             },
             Takes::Number(least, most) => match text.parse::<f64>() {
                 Ok(number) if (least..=most).contains(&number) => Ok(Value::Number(number)),
-                _ => Err(format!("'{text}' is no number of {least} to {most}")),
+                _ => Err(format!("'{text}' is not a number of {least} to {most}")),
             },
             Takes::Text if text.is_empty() => Err("it is empty; leave it out or fill it in".to_owned()),
             Takes::Text if is_key(text.as_bytes()) => {
-                Err("it is a key itself, where the name of something belongs: keep it in a file and name that"
+                Err("it is a key itself, where a name or path belongs: keep it in a file and give its path"
                     .to_owned())
             }
             Takes::Text => Ok(Value::Text(text.to_owned())),
             // As in Linux: IFNAMSIZ is 16 with the terminating zero, and these characters are refused.
             Takes::Interface => {
                 let fits = (1..16).contains(&text.len()) && !text.contains(|c: char| c.is_whitespace() || c == '/');
-                if fits { Ok(Value::Text(text.to_owned())) } else { Err(format!("'{text}' is no interface's name")) }
+                let name = || Value::Text(text.to_owned());
+                fits.then(name).ok_or_else(|| format!("'{text}' is not an interface's name"))
             }
             Takes::Choice(names) if names.contains(&text) => Ok(Value::Text(text.to_owned())),
             Takes::Choice(names) => Err(format!("'{text}' is not one of {}", names.join(", "))),
             Takes::Address => match text.parse::<SocketAddr>() {
                 Ok(address) if address.port() > 0 => Ok(Value::Address(address)),
-                _ => Err(format!("'{text}' is no address with a port, such as 239.255.77.1:7700 or [ff02::4d75]:7700")),
+                _ => Err(format!(
+                    "'{text}' is not an address with a port, such as 239.255.77.1:7700 or [ff02::4d75]:7700"
+                )),
             },
         }
     }

@@ -236,7 +236,7 @@ impl Deployment {
             ("link", self.links.iter().map(|link| &link.name).collect()),
         ] {
             if names.len() > MAX_NAMES {
-                return wrong(field, format!("{} of them; there is room for {MAX_NAMES}", names.len()));
+                return wrong(field, format!("{} of them; the limit is {MAX_NAMES}", names.len()));
             }
             let mut unique = BTreeSet::new();
             if let Some(name) = names.iter().find(|name| name.is_empty() || !unique.insert(**name)) {
@@ -261,7 +261,7 @@ impl Deployment {
             }
             let carriers = self.links.iter().flat_map(|link| &link.carries).filter(|carried| **carried == kind).count();
             if carriers > 1 {
-                return wrong(format!("{kind:?} is carried {carriers} times; once is the most"));
+                return wrong(format!("{kind:?} is carried {carriers} times; it may be carried once"));
             }
             if carriers == 0 && routes.crosses(kind) {
                 let judge = self.needed_by_judge(kind);

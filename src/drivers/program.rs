@@ -18,7 +18,7 @@ use crate::messages::telemetry::Health;
 use crate::time::Time;
 
 /// Description in one line.
-pub const ABOUT: &str = "whatever a program of yours drives: JSON lines on its stdin and stdout";
+pub const ABOUT: &str = "a program of yours: JSON lines on its stdin and stdout";
 
 /// Settings in the team file.
 #[derive(Clone, Debug, Deserialize)]
@@ -73,7 +73,7 @@ pub fn make(settings: &Settings, robot: RobotId) -> Result<Made, ConfigError> {
         return Err(ConfigError::field("command", "it is empty; name a program and its arguments".to_owned()));
     }
     if config.speed_m_s.is_nan() || config.speed_m_s <= 0.0 {
-        return Err(ConfigError::field("speed_m_s", format!("{} is no speed above zero", config.speed_m_s)));
+        return Err(ConfigError::field("speed_m_s", format!("{} is not a speed above zero", config.speed_m_s)));
     }
     let limits = Limits { speed_m_s: config.speed_m_s };
     Ok(Made {
@@ -112,7 +112,7 @@ impl Driver for Lines {
                 };
                 out.push(Out::Condition(health, battery));
             }
-            Err(_) => out.push(Out::Refused("it is no line of a driver's program")),
+            Err(_) => out.push(Out::Refused("it is not a line in the driver's format")),
         }
     }
 }

@@ -38,7 +38,7 @@ impl PartialEq for Entry {
 
 /// All estimators; the first is the default.
 pub const REGISTRY: &[Entry] = &[
-    Entry { name: "none", about: "the last reading as it is", make: none::make },
+    Entry { name: "none", about: "the last reading, unchanged", make: none::make },
     Entry {
         name: "constant-velocity",
         about: "the last reading, moved on by its velocity since it arrived",

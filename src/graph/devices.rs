@@ -48,7 +48,7 @@ impl Workers {
             let name = worker.thread().name().unwrap_or("worker").to_owned();
             while !worker.is_finished() && rests.next().is_some() {}
             if !worker.is_finished() {
-                tracing::warn!("the worker of {name} does not end, and is left");
+                tracing::warn!("the worker of {name} does not end; its thread is abandoned");
             } else if worker.join().is_err() {
                 tracing::error!("the worker of {name} has panicked");
             }

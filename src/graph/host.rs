@@ -91,7 +91,7 @@ fn wire_gates((clock, readers): (&Clock, &mut Readers), graph: &Graph, process: 
         readers.watch(Rc::new(bell), move || {
             let worked = gate.borrow_mut().take(|packet| localizer.send(localizer::In::Packet(packet)));
             if worked == Worked::Ended && !ended.replace(true) {
-                tracing::error!("the source of this host has ended: no robot is measured any more; restart the host");
+                tracing::error!("the source of this host has ended: no more readings; restart the host");
             }
         });
     }

@@ -17,7 +17,7 @@ use crate::messages::wire::{Reading, Wire};
 use crate::time::{Span, Time};
 
 /// Description in one line.
-pub const ABOUT: &str = "whatever a program of yours measures: JSON lines on its stdout";
+pub const ABOUT: &str = "a program of yours: JSON lines on its stdout";
 
 /// Settings in the team file.
 #[derive(Clone, Debug, Deserialize)]
@@ -66,15 +66,15 @@ impl Source for Lines {
     fn take(&mut self, _: Time, input: In, out: &mut Vec<Out>) {
         let In::Packet(packet) = input else { return };
         out.push(match serde_json::from_slice::<Line>(packet) {
-            Err(_) => Out::Refused("it is no line of a source's program"),
+            Err(_) => Out::Refused("it is not a line in the source's format"),
             Ok(line) if !self.robots.contains(&RobotId(line.robot)) => {
-                Out::Refused("it is of a robot of another source")
+                Out::Refused("its robot is not of this source")
             }
-            Ok(line) if !(0.0..1e10).contains(&line.stamp_s) => Out::Refused("its stamp is no time"),
+            Ok(line) if !(0.0..1e10).contains(&line.stamp_s) => Out::Refused("its stamp is out of range"),
             Ok(line) => {
                 let reading = reading(&line);
                 let sound = Wire::Reading(reading.clone()).check().is_ok();
-                if sound { Out::Reading(reading) } else { Out::Refused("its numbers are none of a robot") }
+                if sound { Out::Reading(reading) } else { Out::Refused("its numbers are out of range") }
             }
         });
     }

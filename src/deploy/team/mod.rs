@@ -277,7 +277,7 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
         let worse = |link: &&Link| link.delay_s > 0.0 || link.loss > 0.0 || link.range_m.is_some();
         if let Some(link) = deployment.links.iter().find(worse) {
             let why = format!(
-                "link '{}' is to be made slow, lossy or short of range, which only 'murmurate sim' can",
+                "link '{}' has a delay, loss or range, which only 'murmurate sim' emulates",
                 link.name
             );
             return Err(ConfigError::field("deployment.link", why));
