@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use tracing::info_span;
 
-use crate::actors::agent::{self, Agent, Pilot};
+use crate::actors::agent::{self, Agent, RobotPolicies};
 use crate::actors::cache::{self, Cache};
 use crate::actors::controller::{self, Controller};
 use crate::actors::network;
@@ -249,17 +249,17 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let controllers = graph.controllers.clone();
     let robots = graph.routes.companions(robot).to_vec();
     let period = plan.run.interface().period;
-    let patience = Span::from_nanos(period.as_nanos() / 4);
+    let max_wait = Span::from_nanos(period.as_nanos() / 4);
     let plan = Rc::clone(plan);
     let make = move |life: u32| {
-        let pilot = |&robot: &RobotId| Pilot {
+        let policies = |&robot: &RobotId| RobotPolicies {
             robot,
             run: plan.run.instance(plan.scenario.arena()),
             reset: plan.reset.instance(plan.scenario.arena()),
             actions: plan.seed.stream(&format!("agent/{}/action/{life}", robot.0)),
             ranges: plan.seed.stream(&format!("agent/{}/range/{life}", robot.0)),
         };
-        Agent::new(Arc::clone(&plan.scenario), plan.range, patience, robots.iter().map(pilot).collect())
+        Agent::new(Arc::clone(&plan.scenario), plan.range, max_wait, robots.iter().map(policies).collect())
     };
     start(clock, &graph.agents[robot.index()], info_span!("agent", robot = id), make, move |out| match out {
         agent::Out::Latent(latent) => network.send(network::In::Publish(Wire::Latent(latent))),
