@@ -9,7 +9,7 @@ use super::Plan;
 use super::process::{Graph, Process};
 use crate::actors::body::{self, Body};
 use crate::actors::localizer::{self, Localizer};
-use crate::actors::world::{self, Ground, World};
+use crate::actors::world::{self, PersistentPlant, World};
 use crate::actors::{network, recorder, status};
 use crate::drivers::Driver;
 use crate::drivers::simulated::Simulated;
@@ -84,9 +84,9 @@ pub(super) fn wire_world(
     let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
     let seed = plan.seed.child(&format!("world/{}", host.0));
     let plant = (plan.plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
-    let (ground, placement) = (Rc::new(RefCell::new(Ground::new(plant))), plan.deployment.placement);
+    let (persistent, placement) = (Rc::new(RefCell::new(PersistentPlant::new(plant))), plan.deployment.placement);
     let place = &graph.worlds[simulated[0].index()];
-    let make = move |_| World::new(Rc::clone(&ground), placement, &simulated);
+    let make = move |_| World::new(Rc::clone(&persistent), placement, &simulated);
     start(clock, place, info_span!("world", host = host.0), make, move |out| match out {
         world::Out::Sample(sample) => sensors[sample.robot.index()].send(localizer::In::Sample(sample)),
         world::Out::Truth(truth) => {

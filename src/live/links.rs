@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use crate::actors::network::Identity;
-use crate::deploy::team::{Post, Team};
+use crate::deploy::team::{OperatorAccess, Team};
 use crate::deploy::{Deployment, Link};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::reliability::Setup;
@@ -72,9 +72,9 @@ pub fn of_operator<'a>(
 }
 
 /// The place of an operator that has a part in the link of the stop alone.
-pub fn at_post<'a>(post: &'a Post, deployment: &Deployment) -> impl Iterator<Item = Option<&'a Place>> {
-    let at = usize::from(post.link.0);
-    (0..deployment.links.len()).map(move |link| (link == at).then(|| &post.places[0]))
+pub fn places_of<'a>(access: &'a OperatorAccess, deployment: &Deployment) -> impl Iterator<Item = Option<&'a Place>> {
+    let at = usize::from(access.link.0);
+    (0..deployment.links.len()).map(move |link| (link == at).then(|| &access.places[0]))
 }
 
 /// What a host of the team has to hear.
@@ -103,20 +103,20 @@ fn failed(link: &str, error: OpenError) -> LinkError {
 
 /// Opens the link of the stop for an operator: by every way of the team file that this machine has; or, where it has
 /// none of those, by all that it has. Where a flag has `named` the interface, by that one or none.
-pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
-    let all = || post.places.iter().map(|place| &place.way);
+pub fn join(access: &OperatorAccess, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
+    let all = || access.places.iter().map(|place| &place.way);
     let mut ways: Vec<Arc<dyn Way>> = all().filter(|way| way.is_here()).cloned().collect();
     if ways.is_empty() {
-        let first = &post.places[0].way;
+        let first = &access.places[0].way;
         // Of a flag nothing else is meant.
         ways = if named { vec![Arc::clone(first)] } else { first.everywhere() };
     }
-    let filter = Filter::Team { number: post.number, tagged: post.key_file.is_some() };
+    let filter = Filter::Team { number: access.number, tagged: access.key_file.is_some() };
     let mut open = Vec::new();
     let mut refused = None;
     for way in &ways {
         match way.open(me, filter) {
-            Ok(transport) => open.push((post.link, transport)),
+            Ok(transport) => open.push((access.link, transport)),
             Err(error) => refused = Some(error),
         }
     }

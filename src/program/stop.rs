@@ -78,20 +78,20 @@ struct Asked<'a> {
 impl Asked<'_> {
     fn run(&self, registry: &Registry) -> Result<Ended> {
         let file = self.team.read(registry)?;
-        let post = file.post().map_err(|error| self.team.wrong(&error))?;
+        let access = file.operator_access().map_err(|error| self.team.wrong(&error))?;
         let (deployment, fresh) = (file.deployment(), Fresh::draw()?);
-        let key = team::key_of(post.key_file.as_deref())?.map(Key::new);
-        let me = fresh.operator_of(post.number);
-        let link = &deployment.links[usize::from(post.link.0)];
+        let key = team::key_of(access.key_file.as_deref())?.map(Key::new);
+        let me = fresh.operator_of(access.number);
+        let link = &deployment.links[usize::from(access.link.0)];
         let operator = Operator {
             me,
             seed: fresh.seed,
             robots: deployment.robots,
             publishers: Routes::of(deployment).publishers(),
             key,
-            links: links::of_operator(deployment, links::at_post(&post, deployment)),
-            transports: links::join(&post, link, me.host, self.team.names_interface())?,
-            stop: Some(post.link),
+            links: links::of_operator(deployment, links::places_of(&access, deployment)),
+            transports: links::join(&access, link, me.host, self.team.names_interface())?,
+            stop: Some(access.link),
         };
         let order = Rc::new(RefCell::new(Order::new(me.host, self.kind, deployment.robots)));
         run_real(

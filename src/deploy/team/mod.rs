@@ -11,7 +11,7 @@ mod places;
 mod show;
 
 pub use layers::{Flag, Origin};
-pub use places::Post;
+pub use places::OperatorAccess;
 pub use show::Shown;
 
 use std::path::{Path, PathBuf};

@@ -17,7 +17,7 @@ use crate::net::transport::{Field, Given, Place};
 
 /// Access of an operator to the link of the emergency stop, from any machine.
 #[derive(Clone, Debug)]
-pub struct Post {
+pub struct OperatorAccess {
     /// The link.
     pub link: LinkId,
     /// The team's number on the wire.
@@ -75,7 +75,7 @@ impl TeamFile {
     }
 
     /// Access of an operator to the team: on the link that carries the emergency stop, and on no other.
-    pub fn post(&self) -> Result<Post, ConfigError> {
+    pub fn operator_access(&self) -> Result<OperatorAccess, ConfigError> {
         let carries = |link: &Link| link.carries.contains(&Kind::Stop);
         let at = self.deployment.links.iter().position(carries).ok_or_else(|| {
             ConfigError::field("deployment.link.carries", "no link carries 'stop': this team runs in one process")
@@ -93,7 +93,7 @@ impl TeamFile {
         let number = number.ok_or_else(|| ConfigError::field("team", "missing; give the team a number"))?;
         let mut scopes = std::iter::once(None).chain(hosts.into_iter().map(Some));
         let key_file = scopes.find_map(|host| self.layers.find(&self.scopes(host), "key_file"));
-        Ok(Post {
+        Ok(OperatorAccess {
             link: LinkId(u16::try_from(at).expect("links are counted in u16")),
             number: whole_u16(&number),
             key_file: key_file.map(|entry| self.path(&entry)),
