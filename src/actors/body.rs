@@ -56,13 +56,13 @@ pub struct Body {
     /// The host that it runs on.
     host: HostId,
     driver: Box<dyn Driver>,
-    said: Vec<drivers::Out>,
+    outputs: Vec<drivers::Out>,
     /// Last measured pose.
     pose: Option<Pose>,
     /// Number of packets from the driver's worker that were not understood.
     refused: u64,
     /// Expiry of the command in force.
-    lapses: Option<Time>,
+    expires: Option<Time>,
     latch: LatchFollower,
     /// Time of the last correction of a state server.
     corrected: Option<Time>,
@@ -77,10 +77,10 @@ impl Body {
             robot,
             host,
             driver,
-            said: Vec::new(),
+            outputs: Vec::new(),
             pose: None,
             refused: 0,
-            lapses: None,
+            expires: None,
             latch: LatchFollower::default(),
             corrected: None,
             leaves: false,
@@ -98,23 +98,23 @@ impl Body {
         let most = self.driver.limits().speed_m_s;
         let velocity = if self.may_move() { command.velocity.cap_magnitude(most) } else { Vec2::zeros() };
         let until = now + command.valid_for;
-        self.lapses = Some(until);
+        self.expires = Some(until);
         self.drive(now, Drive { robot: self.robot, velocity, until }, out);
     }
 
     fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
-        self.lapses = None;
+        self.expires = None;
         self.drive(now, Drive { robot: self.robot, velocity: Vec2::zeros(), until: now }, out);
     }
 
     fn drive(&mut self, now: Time, drive: Drive, out: &mut Vec<Out>) {
-        self.driver.drive(now, &drive, self.pose.as_ref(), &mut self.said);
-        self.pass_on(out);
+        self.driver.drive(now, &drive, self.pose.as_ref(), &mut self.outputs);
+        self.forward(out);
     }
 
-    fn pass_on(&mut self, out: &mut Vec<Out>) {
-        for said in self.said.drain(..) {
-            match said {
+    fn forward(&mut self, out: &mut Vec<Out>) {
+        for output in self.outputs.drain(..) {
+            match output {
                 drivers::Out::Drive(drive) => out.push(Out::Drive(drive)),
                 drivers::Out::Tell(packet) => out.push(Out::Tell(packet)),
                 drivers::Out::Condition(health, battery) => out.push(Out::Condition(health, battery)),
@@ -136,10 +136,10 @@ impl Body {
     }
 
     /// Sends the latch to a state server that was restarted and lacks it. So a hold survives that only Bodies remember.
-    fn correct(&mut self, now: Time, said: Latch, out: &mut Vec<Out>) {
+    fn correct(&mut self, now: Time, heard: Latch, out: &mut Vec<Out>) {
         let own = self.latch.latch();
         let due = self.corrected.is_none_or(|at| now.since(at) >= CORRECTION_PERIOD);
-        if !own.is_clear() && own > said && due {
+        if !own.is_clear() && own > heard && due {
             self.corrected = Some(now);
             out.push(Out::Stop(Stop { by: self.host, latch: own }));
         }
@@ -162,18 +162,18 @@ impl Core for Body {
                 out.push(Out::Condition(Health::Silent, None));
             }
             In::Packet(packet) => {
-                self.driver.told(now, &packet, &mut self.said);
-                self.pass_on(out);
+                self.driver.told(now, &packet, &mut self.outputs);
+                self.forward(out);
             }
             In::Stop(stop) => {
                 let changed = self.latch.told(stop.latch);
                 self.latched(now, changed, out);
                 out.push(Out::Follows(self.latch.latch()));
             }
-            In::Latch(said) => {
-                let changed = self.latch.learned(said);
+            In::Latch(heard) => {
+                let changed = self.latch.learned(heard);
                 self.latched(now, changed, out);
-                self.correct(now, said, out);
+                self.correct(now, heard, out);
                 if changed {
                     out.push(Out::Follows(self.latch.latch()));
                 }
@@ -186,11 +186,11 @@ impl Core for Body {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        self.lapses
+        self.expires
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        if self.lapses.is_some_and(|lapses| lapses <= now) {
+        if self.expires.is_some_and(|expires| expires <= now) {
             self.stand(now, out);
         }
     }

@@ -70,8 +70,8 @@ pub struct Controller {
     /// Whether its host is shutting down.
     leaves: bool,
     /// Guard counts last sent.
-    told: SafetyCounts,
-    next_beat: Time,
+    counts_sent: SafetyCounts,
+    next_heartbeat: Time,
 }
 
 impl Controller {
@@ -84,8 +84,8 @@ impl Controller {
             team: Phase::NeedReset,
             own: Phase::NeedReset,
             leaves: false,
-            told: SafetyCounts::default(),
-            next_beat: Time::ZERO + config.phase,
+            counts_sent: SafetyCounts::default(),
+            next_heartbeat: Time::ZERO + config.phase,
         }
     }
 
@@ -146,7 +146,7 @@ impl Controller {
     /// Acts on a change of the emergency stop: motors stop first, then the state server is told at once.
     fn latched(&mut self, now: Time, changed: bool, out: &mut Vec<Out>) {
         if changed {
-            self.next_beat = now;
+            self.next_heartbeat = now;
             if !self.guard.latch().is_clear() {
                 self.give_up(out);
             }
@@ -194,7 +194,7 @@ impl Core for Controller {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        [Some(self.next_beat), self.guard.wake_at()].into_iter().flatten().min()
+        [Some(self.next_heartbeat), self.guard.wake_at()].into_iter().flatten().min()
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
@@ -203,16 +203,16 @@ impl Core for Controller {
             Some(Decision::Abort) => self.give_up(out),
             Some(_) => self.stand(out),
         }
-        if self.next_beat <= now {
+        if self.next_heartbeat <= now {
             let (robot, latch) = (self.config.robot, self.guard.latch());
             out.push(Out::Heartbeat(Heartbeat { robot, round: self.round.round(), phase: self.own, latch }));
             out.push(Out::Follows(latch));
             let counts = self.guard.counts();
-            if counts != self.told {
-                self.told = counts;
+            if counts != self.counts_sent {
+                self.counts_sent = counts;
                 out.push(Out::Counts(counts));
             }
-            self.next_beat = now.next_on_grid(self.config.phase, HEARTBEAT_PERIOD);
+            self.next_heartbeat = now.next_on_grid(self.config.phase, HEARTBEAT_PERIOD);
         }
     }
 }
@@ -264,7 +264,7 @@ mod tests {
     fn commanded(controller: &mut Controller, input: In) -> Option<f32> {
         let mut out = Vec::new();
         controller.handle(Time::ZERO, input, &mut out);
-        out.iter().find_map(|said| match said {
+        out.iter().find_map(|out| match out {
             Out::MotorCommand(command) => Some(command.velocity.x),
             Out::Heartbeat(_) | Out::Follows(_) | Out::Counts(_) => None,
         })

@@ -20,18 +20,18 @@ pub struct Localizer {
     source: Box<dyn Source>,
     /// Number of packets that were not understood.
     refused: u64,
-    said: Vec<localization::Out>,
+    outputs: Vec<localization::Out>,
 }
 
 impl Localizer {
     /// Makes a localizer without a measurement.
     pub fn new(source: Box<dyn Source>) -> Localizer {
-        Localizer { source, refused: 0, said: Vec::new() }
+        Localizer { source, refused: 0, outputs: Vec::new() }
     }
 
-    fn tell(&mut self, out: &mut Vec<Reading>) {
-        for said in self.said.drain(..) {
-            match said {
+    fn forward(&mut self, out: &mut Vec<Reading>) {
+        for output in self.outputs.drain(..) {
+            match output {
                 localization::Out::Reading(reading) => out.push(reading),
                 localization::Out::Refused(why) => {
                     self.refused += 1;
@@ -54,8 +54,8 @@ impl Core for Localizer {
             In::Sample(sample) => localization::In::Sample(sample),
             In::Packet(packet) => localization::In::Packet(packet),
         };
-        self.source.take(now, input, &mut self.said);
-        self.tell(out);
+        self.source.take(now, input, &mut self.outputs);
+        self.forward(out);
     }
 
     fn wake_at(&self) -> Option<Time> {
@@ -63,7 +63,7 @@ impl Core for Localizer {
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Reading>) {
-        self.source.wake(now, &mut self.said);
-        self.tell(out);
+        self.source.wake(now, &mut self.outputs);
+        self.forward(out);
     }
 }

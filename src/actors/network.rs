@@ -80,28 +80,28 @@ pub struct Network {
     /// By link: whether every datagram reaches all hosts.
     shared: Vec<bool>,
     /// Header of the next datagram that is published but leaves on no link, and the counts of such datagrams.
-    indoors: Header,
-    indoor_counts: LinkCounts,
+    local_header: Header,
+    local_counts: LinkCounts,
     stream: Stream,
-    leaving: Vec<Leaving>,
+    outgoing: Vec<Leaving>,
     next_counts: Time,
     /// Whether it has reported a duplicate id.
-    duplicates: bool,
-    impostors: Impostors,
+    duplicate_reported: bool,
+    unauthorized: UnauthorizedPublishers,
 }
 
 /// Numbers of messages that members sent without being their publisher, by sender and kind.
 #[derive(Debug, Default)]
-struct Impostors(BTreeMap<(String, Kind), u64>);
+struct UnauthorizedPublishers(BTreeMap<(String, Kind), u64>);
 
-impl Impostors {
+impl UnauthorizedPublishers {
     /// Largest number of entries.
-    const MOST: usize = 256;
+    const MAX_ENTRIES: usize = 256;
 
     /// Counts one such message and logs the counts 1, 2, 4, 8, ...
     #[cold]
     fn note(&mut self, name: &str, message: &Wire) {
-        let (key, full) = ((name.to_owned(), message.kind()), self.0.len() >= Impostors::MOST);
+        let (key, full) = ((name.to_owned(), message.kind()), self.0.len() >= UnauthorizedPublishers::MAX_ENTRIES);
         if full && !self.0.contains_key(&key) {
             return;
         }
@@ -126,21 +126,21 @@ impl Network {
             ids.zip(links).map(|(id, setup)| setup.map(|setup| state(id, setup))).collect();
         let due = links.iter().map(|link| link.as_ref().and_then(LinkState::due)).collect();
         let Identity { host, team, epoch } = me;
-        let indoors = Header { flags: codec::Flags::default(), team, sender: host, epoch, sequence: 0 };
-        let indoor_counts = LinkCounts::default();
-        let (leaving, next_counts, duplicates) = (Vec::new(), Time::ZERO, false);
+        let local_header = Header { flags: codec::Flags::default(), team, sender: host, epoch, sequence: 0 };
+        let local_counts = LinkCounts::default();
+        let (outgoing, next_counts, duplicate_reported) = (Vec::new(), Time::ZERO, false);
         Network {
             router,
             links,
             due,
             shared,
-            indoors,
-            indoor_counts,
+            local_header,
+            local_counts,
             stream,
-            leaving,
+            outgoing,
             next_counts,
-            duplicates,
-            impostors: Impostors::default(),
+            duplicate_reported,
+            unauthorized: UnauthorizedPublishers::default(),
         }
     }
 
@@ -154,19 +154,19 @@ impl Network {
         let encoded = match leaves {
             Some((link, audience)) => {
                 let state = self.links[usize::from(link.0)].as_mut().expect("this host takes part in the link");
-                let encoded = state.say(now, audience, &message, &mut self.leaving);
+                let encoded = state.say(now, audience, &message, &mut self.outgoing);
                 self.due[usize::from(link.0)] = state.due();
-                transmit(link, &mut self.leaving, out);
+                transmit(link, &mut self.outgoing, out);
                 encoded
             }
-            None => codec::encode(&self.indoors, &message).inspect(|_| {
-                self.indoors.sequence = self.indoors.sequence.wrapping_add(1);
-                self.indoor_counts.sent += 1;
+            None => codec::encode(&self.local_header, &message).inspect(|_| {
+                self.local_header.sequence = self.local_header.sequence.wrapping_add(1);
+                self.local_counts.sent += 1;
             }),
         };
         match encoded {
             Ok(frame) => out.push(Out::Tap(frame)),
-            Err(error) => return self.unsent(leaves.map(|(link, _)| link), &message, &error),
+            Err(error) => return self.count_unencodable(leaves.map(|(link, _)| link), &message, &error),
         }
         if route.local {
             out.push(Out::Deliver(message));
@@ -175,9 +175,9 @@ impl Network {
 
     /// Counts a message of this host that cannot be encoded, and logs the first.
     #[cold]
-    fn unsent(&mut self, leaves: Option<LinkId>, message: &Wire, error: &codec::EncodeError) {
+    fn count_unencodable(&mut self, leaves: Option<LinkId>, message: &Wire, error: &codec::EncodeError) {
         let state = leaves.and_then(|link| self.links[usize::from(link.0)].as_mut());
-        let counts = state.map_or(&mut self.indoor_counts, LinkState::counts);
+        let counts = state.map_or(&mut self.local_counts, LinkState::counts);
         counts.unfit += 1;
         if counts.unfit == 1 {
             tracing::error!(robot = message.robot().0, "not sent: {error}; further ones are only counted");
@@ -187,16 +187,16 @@ impl Network {
     fn receive(&mut self, now: Time, (link, from): (LinkId, Option<SocketAddr>), frame: &[u8], out: &mut Vec<Out>) {
         let at = usize::from(link.0);
         let Some(state) = self.links.get_mut(at).and_then(Option::as_mut) else { return };
-        let admitted = state.admit(now, frame, &mut self.stream, &mut self.leaving);
+        let admitted = state.admit(now, frame, &mut self.stream, &mut self.outgoing);
         self.due[at] = state.due();
         if let (Some((host, standing)), Some(at), false) = (state.operator(), from, self.shared[at]) {
             out.push(Out::Admit(link, Guest { host, at, standing }));
         }
-        if let Some(duplicate) = state.duplicate().filter(|_| !self.duplicates) {
-            self.duplicates = true;
+        if let Some(duplicate) = state.duplicate().filter(|_| !self.duplicate_reported) {
+            self.duplicate_reported = true;
             out.push(Out::Duplicate(duplicate));
         }
-        transmit(link, &mut self.leaving, out);
+        transmit(link, &mut self.outgoing, out);
         let Some((header, plain)) = admitted else { return };
         for (content, body) in codec::blocks(plain).flatten() {
             let Content::Message(kind) = content else { continue };
@@ -207,7 +207,7 @@ impl Network {
             };
             if let Some(name) = self.router.forbids(header.sender, &message) {
                 state.counts().misrouted += 1;
-                self.impostors.note(&name, &message);
+                self.unauthorized.note(&name, &message);
                 continue;
             }
             let robot = message.robot();
@@ -225,8 +225,8 @@ impl Network {
     }
 }
 
-fn transmit(link: LinkId, leaving: &mut Vec<Leaving>, out: &mut Vec<Out>) {
-    out.extend(leaving.drain(..).map(|(audience, frame)| Out::Transmit(link, audience, frame)));
+fn transmit(link: LinkId, outgoing: &mut Vec<Leaving>, out: &mut Vec<Out>) {
+    out.extend(outgoing.drain(..).map(|(audience, frame)| Out::Transmit(link, audience, frame)));
 }
 
 impl Core for Network {
@@ -257,12 +257,12 @@ impl Core for Network {
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         for (state, id) in self.links.iter_mut().zip((0..=u16::MAX).map(LinkId)) {
             let Some(state) = state else { continue };
-            state.wake(now, &mut self.stream, &mut self.leaving);
+            state.wake(now, &mut self.stream, &mut self.outgoing);
             self.due[usize::from(id.0)] = state.due();
-            transmit(id, &mut self.leaving, out);
+            transmit(id, &mut self.outgoing, out);
         }
         if self.next_counts <= now {
-            let counts = self.links.iter().flatten().map(LinkState::counted).chain([self.indoor_counts]).sum();
+            let counts = self.links.iter().flatten().map(LinkState::counted).chain([self.local_counts]).sum();
             out.push(Out::Counts(Box::new(counts)));
             let peers: Vec<Peer> = self.links.iter().flatten().flat_map(|link| link.peers(now)).collect();
             if !peers.is_empty() {

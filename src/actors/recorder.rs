@@ -37,7 +37,7 @@ pub enum In {
     /// Message that a Network has published.
     Tap(Frame),
     /// Message that another process has published and that has arrived here.
-    Heard(Wire),
+    Received(Wire),
     /// True states after a step of a World.
     Truth(Truth),
     /// Counts of a Network on its links since it was started.
@@ -68,7 +68,7 @@ pub struct Config {
     /// Use of each step.
     pub steps: Steps,
     /// Number of other hosts that a message to neighbours is meant for.
-    pub hearers: u64,
+    pub receivers: u64,
     /// Source of the states that are judged.
     pub judged: Judged,
     /// Whether robots are placed at their starts instead of driving there.
@@ -98,14 +98,14 @@ impl Steps {
 }
 
 /// Time without a control step after which a robot counts as hearing none of the others.
-const DEAF: Span = Span::from_millis(250);
+const HEARING_TIMEOUT: Span = Span::from_millis(250);
 
 /// Recorder of one trial.
 pub struct Recorder {
     config: Config,
     digest: Xxh3,
     messages: u64,
-    said: [Said; KINDS.len()],
+    published: [Said; KINDS.len()],
     team: Vec<Option<Sample>>,
     /// Robots seen since the whole team was last seen.
     seen: Vec<bool>,
@@ -134,11 +134,11 @@ impl Recorder {
     /// Makes a recorder of a trial with `robots` robots.
     pub fn new(config: Config, robots: usize) -> Recorder {
         Recorder {
-            listener: Listener::new(config.hearers),
+            listener: Listener::new(config.receivers),
             config,
             digest: Xxh3::new(),
             messages: 0,
-            said: [Said::default(); KINDS.len()],
+            published: [Said::default(); KINDS.len()],
             team: vec![None; robots],
             seen: vec![false; robots],
             commanded: vec![Time::ZERO; robots],
@@ -164,25 +164,25 @@ impl Recorder {
         self.digest.update(frame);
         let content = codec::first(frame).expect("a Network publishes whole datagrams");
         if let Content::Message(kind) = content {
-            let said = &mut self.said[kind as usize];
-            (said.messages, said.bytes) = (said.messages + 1, said.bytes + frame.len() as u64);
+            let counts = &mut self.published[kind as usize];
+            (counts.messages, counts.bytes) = (counts.messages + 1, counts.bytes + frame.len() as u64);
         }
-        if content == Content::Message(Kind::Latent) && self.listens() {
+        if content == Content::Message(Kind::Latent) && self.follows_messages() {
             let (header, message) = codec::decode(frame).expect("a Network publishes whole datagrams");
             self.listener.published(now, datagram(&header), message.robot());
         }
         if !matches!(content, Content::Message(Kind::Mode | Kind::MotorCommand)) {
             return;
         }
-        self.hear(now, &codec::decode(frame).expect("a Network publishes whole datagrams").1, out);
+        self.receive(now, &codec::decode(frame).expect("a Network publishes whole datagrams").1, out);
     }
 
     /// Whether messages between robots are followed: it takes some time, and only kept steps use it.
-    fn listens(&self) -> bool {
+    fn follows_messages(&self) -> bool {
         self.config.steps.kept() && self.phase == Phase::Running
     }
 
-    fn hear(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {
+    fn receive(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {
         match message {
             Wire::Mode(mode) => self.follow(now, mode.round, mode.phase, out),
             Wire::MotorCommand(command) => self.commanded[command.robot.index()] = now,
@@ -233,7 +233,7 @@ impl Recorder {
     fn totals(&self, now: Time) -> Totals {
         Totals {
             messages: self.messages,
-            said: self.said,
+            said: self.published,
             end: now,
             trace: self.digest.digest128(),
             oldest_command: self.team.iter().all(Option::is_some).then_some(self.oldest_command),
@@ -261,7 +261,7 @@ impl Recorder {
         self.open += 1;
     }
 
-    fn see(&mut self, now: Time, truth: &Truth, out: &mut Vec<Out>) {
+    fn take_truth(&mut self, now: Time, truth: &Truth, out: &mut Vec<Out>) {
         for sample in truth.samples.iter() {
             let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
             self.digest.update(&truth.time.as_nanos().to_le_bytes());
@@ -309,7 +309,7 @@ impl Recorder {
     }
 
     /// Takes a reading, and judges the step that it completes.
-    fn read(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
+    fn take_reading(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
         let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading) else { return };
         let (arena, radius_m) = (&self.config.arena, self.config.wall_radius_m);
         let seen = |(robot, position): (RobotId, Vec2)| {
@@ -331,7 +331,7 @@ impl Recorder {
         if self.config.steps != Steps::WithHearing || self.phase != Phase::Running {
             return Vec::new();
         }
-        let recent = RobotId::team(self.heard.len()).zip(&self.heard).filter(|(_, (at, _))| now.since(*at) <= DEAF);
+        let recent = RobotId::team(self.heard.len()).zip(&self.heard).filter(|(_, (at, _))| now.since(*at) <= HEARING_TIMEOUT);
         recent
             .flat_map(|(robot, (at, heard))| {
                 heard.iter().map(move |(of, age)| Hearing { robot, of: *of, age: *age + now.since(*at) })
@@ -352,8 +352,8 @@ impl Core for Recorder {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Tap(frame) => self.tap(now, &frame, out),
-            In::Heard(message) => self.hear(now, &message, out),
-            In::Truth(truth) => self.see(now, &truth, out),
+            In::Received(message) => self.receive(now, &message, out),
+            In::Truth(truth) => self.take_truth(now, &truth, out),
             In::Counts(host, counts) => {
                 self.counts.insert(host, *counts);
             }
@@ -363,7 +363,7 @@ impl Core for Recorder {
             In::Safety(robot, counts) => {
                 self.safety.insert(robot, counts);
             }
-            In::Reading(reading) => self.read(now, &reading, out),
+            In::Reading(reading) => self.take_reading(now, &reading, out),
             In::Closing => out.push(Out::Closed(self.totals(now))),
             In::Arrived(to, frame) => {
                 // A corrupted frame is no arrival; a frame published in time may arrive after the end.
@@ -372,7 +372,7 @@ impl Core for Recorder {
                 }
             }
             In::Perceived(at, robot, heard) => {
-                if self.listens() {
+                if self.follows_messages() {
                     self.heard[robot.index()] = (now, self.listener.stepped(now, at, &heard));
                 }
             }
@@ -404,7 +404,7 @@ mod tests {
             repeat: 4,
             rules: passage.rules(),
             steps: Steps::Discarded,
-            hearers: 1,
+            receivers: 1,
             judged,
             placed: false,
             arena: passage.arena().clone(),
@@ -508,7 +508,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_made_up_of_robots_whose_true_state_is_never_told() {
+    fn robots_without_true_states_have_no_command_age() {
         let mut recorder = recorder(Judged::Readings);
         say(&mut recorder, 0, 0, Phase::Running);
         see(&mut recorder, 50, 0, Vec2::zeros());

@@ -24,7 +24,7 @@ pub const TICK: Span = Span::from_millis(50);
 pub const MODE_PERIOD: Span = Span::from_millis(100);
 /// Number of times that a new instruction is sent to all blocks before they take turns, so that loss of all of them is
 /// unlikely.
-pub const NEWS: u32 = 3;
+pub const NEW_MODE_REPEATS: u32 = 3;
 /// Silence after which a robot is missing: five heartbeats.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
 /// Longest wait for missing robots before it goes on without them.
@@ -77,44 +77,44 @@ pub struct StateServer {
     config: Config,
     robots: Vec<Option<(Time, Heartbeat)>>,
     /// Number of its incarnation; a later one never starts from an earlier epoch.
-    life: u32,
+    incarnation: u32,
     /// Whether it started without a heartbeat.
-    blind: bool,
+    started_unheard: bool,
     latch: Latch,
     /// Hosts that have left and are not back.
     left: BTreeSet<HostId>,
     /// Whether its own host is shutting down.
     leaves: bool,
     /// Number of heartbeats with numbers out of reach.
-    overshot: u64,
+    beyond_reach: u64,
     round: Round,
     phase: Phase,
     /// Start of the phase; none before the first tick.
     since: Option<Time>,
-    said: Option<Time>,
+    sent_at: Option<Time>,
     /// Number of times that the instruction was sent, and the block of robots that is repeated next.
-    told: u32,
+    times_sent: u32,
     turn: usize,
     next: Time,
 }
 
 impl StateServer {
     /// Makes a state server that does not know the team's state yet.
-    pub fn new(config: Config, robots: usize, life: u32) -> StateServer {
+    pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
         StateServer {
             config,
             robots: vec![None; robots],
-            life,
-            blind: false,
+            incarnation,
+            started_unheard: false,
             latch: Latch::default(),
             left: BTreeSet::new(),
             leaves: false,
-            overshot: 0,
+            beyond_reach: 0,
             round: Round::default(),
             phase: Phase::NeedReset,
             since: None,
-            said: None,
-            told: 0,
+            sent_at: None,
+            times_sent: 0,
             turn: 0,
             next: Time::ZERO,
         }
@@ -134,7 +134,7 @@ impl StateServer {
 
     fn enter(&mut self, now: Time, phase: Phase) {
         tracing::debug!(episode = self.round.episode, ?phase, "the team enters a phase");
-        (self.phase, self.since, self.said) = (phase, Some(now), None);
+        (self.phase, self.since, self.sent_at) = (phase, Some(now), None);
     }
 
     fn begin(&mut self, now: Time, episode: u32) {
@@ -149,22 +149,22 @@ impl StateServer {
 
     /// Continues from the team's state: from the beginning, or from where a former incarnation has stopped.
     fn take_up(&mut self, now: Time) {
-        let heard: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
+        let beats: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
         let last = self.latest_round(now);
-        let epoch = last.epoch.saturating_add(1).max(self.life);
+        let epoch = last.epoch.saturating_add(1).max(self.incarnation);
         self.round = Round { epoch, episode: last.episode.min(self.config.layouts.len()) };
-        self.blind = heard.is_empty();
-        let waits = heard.iter().any(|beat| beat.round == last && beat.phase == Phase::Waiting);
-        let in_the_midst = |beat: &Heartbeat| {
+        self.started_unheard = beats.is_empty();
+        let waits = beats.iter().any(|beat| beat.round == last && beat.phase == Phase::Waiting);
+        let is_running = |beat: &Heartbeat| {
             let phases = [Phase::Running, Phase::FinishedRunning, Phase::AbortRunning, Phase::NeedReset];
             beat.round == last && phases.contains(&beat.phase)
         };
-        if heard.iter().any(|beat| beat.round == last && beat.phase == Phase::EpisodesFinished) {
+        if beats.iter().any(|beat| beat.round == last && beat.phase == Phase::EpisodesFinished) {
             self.enter(now, Phase::EpisodesFinished);
         } else if waits {
             // A former incarnation waited for a host. Which one is unknown, so all robots have to follow first.
             self.enter(now, Phase::Waiting);
-        } else if last.epoch > 0 && heard.iter().any(in_the_midst) {
+        } else if last.epoch > 0 && beats.iter().any(is_running) {
             tracing::warn!(episode = last.episode, "a running episode is given up: the state server was restarted");
             self.enter(now, Phase::AbortRunning);
         } else {
@@ -179,11 +179,11 @@ impl StateServer {
         if self.round.epoch == 0 || latest <= self.round {
             return;
         }
-        if self.blind {
+        if self.started_unheard {
             self.take_up(now);
         } else {
             self.round.epoch = latest.epoch.saturating_add(1);
-            self.said = None;
+            self.sent_at = None;
         }
     }
 
@@ -199,10 +199,10 @@ impl StateServer {
     }
 
     /// Counts a heartbeat with numbers out of reach, and logs the robot at the counts 1, 2, 4, 8, ...
-    fn doubt(&mut self, beat: &Heartbeat) {
-        self.overshot += 1;
-        if self.overshot.is_power_of_two() {
-            let (robot, times) = (beat.robot, self.overshot);
+    fn count_beyond_reach(&mut self, beat: &Heartbeat) {
+        self.beyond_reach += 1;
+        if self.beyond_reach.is_power_of_two() {
+            let (robot, times) = (beat.robot, self.beyond_reach);
             let (epoch, number) = (beat.round.epoch, beat.latch.number());
             tracing::error!(
                 "{robot} sent epoch {epoch} and stop number {number}, which are out of reach: ignored ({times} times)"
@@ -224,7 +224,7 @@ impl StateServer {
         RobotId::team(self.robots.len()).zip(self.present(now)).filter_map(of).take(MAX_HINDRANCES).collect()
     }
 
-    fn told(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
+    fn take_stop(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
         let hindrances = self.hindrances(now);
         match self.latch.resumed(stop.latch) {
             Some(clear) if hindrances.is_empty() => self.latched(clear),
@@ -240,7 +240,7 @@ impl StateServer {
         self.config.hosts.get(usize::from(host.0)).map_or(&[], Vec::as_slice)
     }
 
-    fn attend(&mut self, status: &Status) {
+    fn take_status(&mut self, status: &Status) {
         let Status { host, leaves, .. } = *status;
         if self.robots_of(host).is_empty() {
             // No robot depends on it.
@@ -275,7 +275,7 @@ impl StateServer {
     fn latched(&mut self, latch: Latch) {
         if latch != self.latch {
             tracing::warn!(state = latch.word(), number = latch.number(), "emergency stop");
-            (self.latch, self.said) = (latch, None);
+            (self.latch, self.sent_at) = (latch, None);
         }
     }
 
@@ -331,12 +331,12 @@ impl StateServer {
 
     /// Sends the instruction: a new one to all robots, a repeated one with the tasks of one block. So the traffic that
     /// a robot receives does not grow with the team.
-    fn say(&mut self, out: &mut Vec<Out>) {
+    fn send_mode(&mut self, out: &mut Vec<Out>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));
         let blocks = tasks.len().div_ceil(MAX_BLOCK);
-        self.told = if self.said.is_none() { 1 } else { self.told.saturating_add(1) };
-        let turn = if self.told <= NEWS { 0..blocks } else { self.turn..self.turn + 1 };
+        self.times_sent = if self.sent_at.is_none() { 1 } else { self.times_sent.saturating_add(1) };
+        let turn = if self.times_sent <= NEW_MODE_REPEATS { 0..blocks } else { self.turn..self.turn + 1 };
         self.turn = turn.end % blocks;
         for (index, block) in tasks.chunks(MAX_BLOCK).enumerate().filter(|(index, _)| turn.contains(index)) {
             let first = u16::try_from(index * MAX_BLOCK).expect("a team has at most 65 535 robots");
@@ -363,15 +363,15 @@ impl Core for StateServer {
                 let fresh = self.round.epoch == 0;
                 let overshoots = self.latch.is_overshot_by(beat.latch) || self.round.is_overshot_by(beat.round);
                 if overshoots && !fresh {
-                    self.doubt(&beat);
+                    self.count_beyond_reach(&beat);
                 }
                 if let Some(heard) = self.robots.get_mut(beat.robot.index()) {
                     *heard = Some((now, beat));
                     self.latched(latch);
                 }
             }
-            In::Stop(stop) => self.told(now, &stop, out),
-            In::Status(status) => self.attend(&status),
+            In::Stop(stop) => self.take_stop(now, &stop, out),
+            In::Status(status) => self.take_status(&status),
             In::Leave => {
                 self.leaves = true;
                 self.next = now;
@@ -386,12 +386,12 @@ impl Core for StateServer {
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.decide(now);
         // Before it knows the team's state, the only instruction is to stand.
-        let speaks = self.round.epoch > 0 || !self.latch.is_clear() || self.leaves;
+        let may_send = self.round.epoch > 0 || !self.latch.is_clear() || self.leaves;
         // While it is leaving, send at every tick.
         let period = if self.leaves { Span::ZERO } else { MODE_PERIOD };
-        if speaks && self.said.is_none_or(|said| now.since(said) >= period) {
-            self.say(out);
-            self.said = Some(now);
+        if may_send && self.sent_at.is_none_or(|at| now.since(at) >= period) {
+            self.send_mode(out);
+            self.sent_at = Some(now);
         }
         self.next = now.next_on_grid(Span::ZERO, TICK);
     }
@@ -486,11 +486,11 @@ mod tests {
 
     #[test]
     fn a_server_that_started_blind_or_is_behind_overtakes_the_team() {
-        let mut blind = server();
-        tick(&mut blind, at_ms(0));
-        assert_eq!(tick(&mut blind, at_ms(10_000)), (round(1, 0), Phase::Resetting));
-        beat(&mut blind, at_ms(10_010), round(4, 1), [Phase::Resetting; 2]);
-        assert_eq!(tick(&mut blind, at_ms(10_050)), (round(5, 1), Phase::Resetting), "it learns where the team is");
+        let mut unheard = server();
+        tick(&mut unheard, at_ms(0));
+        assert_eq!(tick(&mut unheard, at_ms(10_000)), (round(1, 0), Phase::Resetting));
+        beat(&mut unheard, at_ms(10_010), round(4, 1), [Phase::Resetting; 2]);
+        assert_eq!(tick(&mut unheard, at_ms(10_050)), (round(5, 1), Phase::Resetting), "it learns where the team is");
 
         let mut server = server();
         tick(&mut server, at_ms(0));
@@ -690,7 +690,7 @@ mod tests {
             tick(&mut server, at_ms(ms));
         }
         assert_eq!((server.round.epoch, server.latch), (1, Latch::default()));
-        assert_eq!(server.overshot, 16);
+        assert_eq!(server.beyond_reach, 16);
         let two_say = 1 << 25;
         let mut fresh = super::tests::server();
         beat(&mut fresh, at_ms(0), round(two_say, 0), [Phase::NeedReset; 2]);

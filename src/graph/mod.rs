@@ -148,7 +148,7 @@ pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: imp
         repeat: plan.repeat,
         rules: plan.scenario.rules(),
         steps: plan.steps,
-        hearers: plan.deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count() as u64 - 1,
+        receivers: plan.deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count() as u64 - 1,
         judged: plan.deployment.judged(),
         placed: plan.deployment.placement == Placement::Exact,
         arena: plan.scenario.arena().clone(),
@@ -308,7 +308,7 @@ fn wire_network(
             hear(Heard::Message(&message));
             // The Recorder of this process has no other copy of what other processes publish.
             if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
-                record(recorder::In::Heard(message.clone()));
+                record(recorder::In::Received(message.clone()));
             }
             if judges && let Wire::Reading(reading) = &message {
                 record(recorder::In::Reading(reading.clone()));
