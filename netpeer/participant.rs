@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use murmurate::actor::Core;
 use murmurate::actors::network;
 use murmurate::graph::sockets::Shared;
-use murmurate::graph::station::{self, Station};
+use murmurate::graph::attachment::{self, Attachment};
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
@@ -386,7 +386,7 @@ fn wire(
         Route { local, leaves: leaves.then_some((LINK, Audience::All)) }
     });
     let reliability = Reliabilities::from([(Kind::Latent, Reliability::Repeat)]);
-    let station = Station {
+    let attachment = Attachment {
         me: network::Identity { host: HostId(id), team: 1, epoch: 1 },
         key: Some(Key::new(KEY)),
         links: vec![Some(Setup::multicast(reliability))],
@@ -396,8 +396,8 @@ fn wire(
         span: info_span!("network"),
     };
     let inward = to_peer.clone();
-    let network = station.open((clock, readers), vec![(LINK, open)], move |said| {
-        if let station::Out::Deliver(Wire::Latent(latent)) = said {
+    let network = attachment.open((clock, readers), vec![(LINK, open)], move |said| {
+        if let attachment::Out::Deliver(Wire::Latent(latent)) = said {
             inward.send(In::Arrived(latent));
         }
     });

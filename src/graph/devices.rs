@@ -73,21 +73,21 @@ pub fn open(host: &Host, registry: &Registry) -> Result<(Devices, Workers), Devi
     for &robot in &host.actuates {
         let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
         let made = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
-        let gate = made.worker.map(|worker| employ(worker, format!("driver {robot}"), &mut workers)).transpose()?;
+        let gate = made.worker.map(|worker| start_worker(worker, format!("driver {robot}"), &mut workers)).transpose()?;
         devices.drivers.insert(RobotId(robot), Device { make: Rc::from(made.driver), gate });
     }
     if !host.localizes.is_empty() {
         let settings = host.source.as_ref().expect("a checked host that localizes has a source");
         let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
         let made = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
-        let gate = Some(employ(made.worker, "source".to_owned(), &mut workers)?);
+        let gate = Some(start_worker(made.worker, "source".to_owned(), &mut workers)?);
         devices.source = Some(Device { make: Rc::from(made.source), gate });
     }
     Ok((devices, workers))
 }
 
 /// Starts a worker on a thread of its own.
-fn employ(worker: Box<dyn Worker>, name: String, workers: &mut Workers) -> std::io::Result<Rc<RefCell<Gate>>> {
+fn start_worker(worker: Box<dyn Worker>, name: String, workers: &mut Workers) -> std::io::Result<Rc<RefCell<Gate>>> {
     let (gate, port) = edge::channel()?;
     workers.0.push(thread::Builder::new().name(name).spawn(move || worker.run(port))?);
     Ok(Rc::new(RefCell::new(gate)))

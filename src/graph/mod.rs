@@ -3,11 +3,11 @@
 mod bodies;
 pub mod devices;
 pub mod host;
-mod leading;
+mod delivery;
 pub mod operator;
 pub mod process;
 pub mod sockets;
-pub mod station;
+pub mod attachment;
 
 use std::collections::BTreeSet;
 use std::rc::Rc;
@@ -24,9 +24,9 @@ use crate::actors::status;
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::estimation;
 use crate::faults::FaultPlan;
-use crate::graph::leading::{deliveries, wire_server, wire_status};
+use crate::graph::delivery::{deliveries, wire_server, wire_status};
 use crate::graph::process::{Graph, Heard, Process};
-use crate::graph::station::Station;
+use crate::graph::attachment::Attachment;
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -96,7 +96,7 @@ pub struct Plan {
 /// Starts all actors of a plan; `said` takes the Recorder's output.
 pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
-    let process = Process::whole();
+    let process = Process::all_hosts();
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
     wire_links(clock, plan, &graph);
@@ -292,7 +292,7 @@ fn wire_network(
     deliver: impl Fn(Wire) + 'static,
 ) {
     let name = plan.deployment.hosts[usize::from(host.0)].name.clone();
-    let station = Station {
+    let attachment = Attachment {
         me: network::Identity { host, team: process.team, epoch: process.incarnation },
         key: process.key.clone(),
         links: process.setups(&plan.deployment, &graph.routes, host),
@@ -303,8 +303,8 @@ fn wire_network(
     };
     let (hear, alone, record) = (Rc::clone(&process.hear), process.only.is_some(), graph.record());
     let judges = plan.deployment.judge_of_readings() == Some(host);
-    station.start(clock, &graph.networks[usize::from(host.0)], Rc::clone(&graph.transports), move |out| match out {
-        station::Out::Deliver(message) => {
+    attachment.start(clock, &graph.networks[usize::from(host.0)], Rc::clone(&graph.transports), move |out| match out {
+        attachment::Out::Deliver(message) => {
             hear(Heard::Message(&message));
             // The Recorder of this process has no other copy of what other processes publish.
             if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
@@ -315,16 +315,16 @@ fn wire_network(
             }
             deliver(message);
         }
-        station::Out::Tap(frame) => {
+        attachment::Out::Tap(frame) => {
             hear(Heard::Published);
             record(recorder::In::Tap(frame));
         }
-        station::Out::Counts(counts) => {
+        attachment::Out::Counts(counts) => {
             hear(Heard::Counts(&counts));
             record(recorder::In::Counts(host, counts));
         }
-        station::Out::Peers(peers) => hear(Heard::Peers(&peers)),
-        station::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
+        attachment::Out::Peers(peers) => hear(Heard::Peers(&peers)),
+        attachment::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
     });
 }
 

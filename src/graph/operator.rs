@@ -10,7 +10,7 @@ use tracing::info_span;
 
 use super::process::Heard;
 use super::sockets::Shared;
-use super::station::{self, Station};
+use super::attachment::{self, Attachment};
 use crate::actors::network::{self, Identity};
 use crate::actors::order::Order;
 use crate::messages::ids::{HostId, LinkId};
@@ -59,13 +59,13 @@ pub fn wire(
     });
     let router = router.with_publishers(publishers);
     let (stream, span) = ("operator".to_owned(), info_span!("network"));
-    let station = Station { me, key, links, router, seed, stream, span };
-    station.open((clock, readers), transports, move |out| match out {
-        station::Out::Deliver(message) => heard(Heard::Message(&message)),
-        station::Out::Counts(counts) => heard(Heard::Counts(&counts)),
-        station::Out::Peers(peers) => heard(Heard::Peers(&peers)),
-        station::Out::Duplicate(duplicate) => heard(Heard::Duplicate(duplicate)),
-        station::Out::Tap(_) => heard(Heard::Published),
+    let attachment = Attachment { me, key, links, router, seed, stream, span };
+    attachment.open((clock, readers), transports, move |out| match out {
+        attachment::Out::Deliver(message) => heard(Heard::Message(&message)),
+        attachment::Out::Counts(counts) => heard(Heard::Counts(&counts)),
+        attachment::Out::Peers(peers) => heard(Heard::Peers(&peers)),
+        attachment::Out::Duplicate(duplicate) => heard(Heard::Duplicate(duplicate)),
+        attachment::Out::Tap(_) => heard(Heard::Published),
     })
 }
 

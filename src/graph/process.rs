@@ -65,7 +65,7 @@ pub enum Heard<'a> {
 
 impl Process {
     /// Makes the process that runs every host of a deployment.
-    pub(super) fn whole() -> Process {
+    pub(super) fn all_hosts() -> Process {
         let hear = Rc::new(|_: Heard| {});
         Process {
             only: None,

@@ -80,13 +80,13 @@ fn wire(
         }
     };
     readers.watch_link(bell, move || flooded.borrow().rests_until(), ring);
-    start(clock, mailbox, span, move |_| Outward(Rc::clone(&transport)), |never| match never {});
+    start(clock, mailbox, span, move |_| Transmitter(Rc::clone(&transport)), |never| match never {});
 }
 
 /// Actor that hands frames to a transport.
-struct Outward(Rc<RefCell<Box<dyn Transport>>>);
+struct Transmitter(Rc<RefCell<Box<dyn Transport>>>);
 
-impl Core for Outward {
+impl Core for Transmitter {
     type In = transport::In;
     type Out = Infallible;
 

@@ -16,7 +16,7 @@ use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 
 /// The actors of one host that follow the state server and the emergency stop.
-struct Led {
+struct Followers {
     agents: Vec<Mailbox<agent::In>>,
     controllers: Vec<Mailbox<controller::In>>,
     bodies: Vec<Mailbox<body::In>>,
@@ -24,7 +24,7 @@ struct Led {
     status: Mailbox<status::In>,
 }
 
-impl Led {
+impl Followers {
     /// Delivers an instruction of the state server.
     fn follow(&self, mode: &Mode) {
         self.world.iter().for_each(|world| world.send(world::In::Mode(mode.clone())));
@@ -60,7 +60,7 @@ pub(super) fn deliveries(
     let driven: BTreeSet<RobotId> = bodies.iter().copied().collect();
     let real: BTreeSet<RobotId> = driven.iter().copied().filter(|robot| !simulated.contains(robot)).collect();
     let decided: BTreeSet<RobotId> = agents.iter().copied().collect();
-    let team = Led {
+    let team = Followers {
         agents: firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect(),
         controllers: agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect(),
         bodies: driven.iter().map(|robot| graph.bodies[robot.index()].clone()).collect(),

@@ -1,4 +1,4 @@
-//! Station: the Network of one host on its links. The one place that starts a Network and connects it with its
+//! Attachment: the Network of one host on its links. The one place that starts a Network and connects it with its
 //! transports. The owner handles the Network's other output.
 
 use std::rc::Rc;
@@ -20,7 +20,7 @@ use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 
 /// Configuration of the Network of a host.
-pub struct Station {
+pub struct Attachment {
     /// Its identity in the first incarnation; each restart is an incarnation of its own.
     pub me: Identity,
     /// Key that authenticates its datagrams, if any.
@@ -52,7 +52,7 @@ pub enum Out {
     Duplicate(Duplicate),
 }
 
-impl Station {
+impl Attachment {
     /// Starts the Network behind its mailbox. Frames go to the transport of their link in `transports`, which are in
     /// the order of the links; `said` takes all other output.
     pub fn start(
@@ -62,7 +62,7 @@ impl Station {
         transports: Rc<[Mailbox<transport::In>]>,
         mut said: impl FnMut(Out) + 'static,
     ) {
-        let Station { me, key, links, router, seed, stream, span } = self;
+        let Attachment { me, key, links, router, seed, stream, span } = self;
         let config = network::Config { me, key, links, router };
         let make = move |life: u32| {
             let me = Identity { epoch: me.epoch.wrapping_add(life), ..me };
