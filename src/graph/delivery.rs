@@ -49,9 +49,9 @@ pub(super) fn deliveries(
     agents: &[RobotId],
     (bodies, simulated): (&[RobotId], &[RobotId]),
 ) -> impl Fn(Wire) + use<> {
-    let firsts: BTreeSet<RobotId> = agents.iter().map(|robot| graph.routes.companions(*robot)[0]).collect();
+    let firsts: BTreeSet<RobotId> = agents.iter().map(|robot| graph.routes.agent_robots(*robot)[0]).collect();
     // One entry per agent: its robots, and their caches.
-    let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
+    let team_of = |first: &RobotId| graph.routes.agent_robots(*first).to_vec();
     let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
     let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
         firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();

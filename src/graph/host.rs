@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use super::bodies::wire_source;
 use super::devices::Devices;
-use super::process::{Graph, Heard, Process};
+use super::process::{Graph, Process, ProcessEvent};
 use super::sockets;
 use crate::actors::{body, localizer, recorder};
 use crate::edge::Worked;
@@ -40,13 +40,13 @@ pub struct Host {
     pub transports: Vec<(LinkId, Box<dyn Transport>)>,
 }
 
-/// Starts the actors of one host. `heard` is called with the reports of its Network and guards. `said` takes the output
+/// Starts the actors of one host. `report` is called with the reports of its Network and guards. `said` takes the output
 /// of the Recorder, which runs on the host that judges.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     plan: Plan,
     host: Host,
-    heard: impl Fn(Heard) + 'static,
+    report: impl Fn(ProcessEvent) + 'static,
     said: impl FnMut(recorder::Out) + 'static,
 ) -> Rc<Graph> {
     let plan = &Rc::new(plan);
@@ -59,7 +59,7 @@ pub fn wire(
         links: Some(host.links),
         devices: host.devices,
         records: plan.deployment.judge() == host.id,
-        hear: Rc::new(heard),
+        report: Rc::new(report),
     };
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);

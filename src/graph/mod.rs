@@ -25,7 +25,7 @@ use crate::deploy::{Deployment, Host, Stepping};
 use crate::estimation;
 use crate::faults::FaultPlan;
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
-use crate::graph::process::{Graph, Heard, Process};
+use crate::graph::process::{Graph, Process, ProcessEvent};
 use crate::graph::attachment::Attachment;
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
@@ -176,7 +176,7 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
 fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, process: &Process) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
-    let first = graph.routes.companions(robot)[0];
+    let first = graph.routes.agent_robots(robot)[0];
     let interface = plan.run.interface();
     let home = graph.network_of(graph.routes.agent_host(robot));
 
@@ -226,7 +226,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
         phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
     };
     let (network, status) = (home, graph.status_of(host));
-    let (record, hear) = (graph.record(), Rc::clone(&process.hear));
+    let (record, report) = (graph.record(), Rc::clone(&process.report));
     let make = move |_| Controller::new(config);
     start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
         controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
@@ -236,7 +236,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
         }
         controller::Out::Follows(latch) => status.send(status::In::Controller(robot, latch)),
         controller::Out::Counts(counts) => {
-            hear(Heard::Safety(robot, counts));
+            report(ProcessEvent::Safety(robot, counts));
             record(recorder::In::Safety(robot, counts));
         }
     });
@@ -247,7 +247,7 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let id = robot.0;
     let network = graph.network_of(graph.routes.agent_host(robot));
     let controllers = graph.controllers.clone();
-    let robots = graph.routes.companions(robot).to_vec();
+    let robots = graph.routes.agent_robots(robot).to_vec();
     let period = plan.run.interface().period;
     let max_wait = Span::from_nanos(period.as_nanos() / 4);
     let plan = Rc::clone(plan);
@@ -301,11 +301,11 @@ fn wire_network(
         stream: format!("network/{}", host.0),
         span: info_span!("network", host = name),
     };
-    let (hear, alone, record) = (Rc::clone(&process.hear), process.only.is_some(), graph.record());
+    let (report, alone, record) = (Rc::clone(&process.report), process.only.is_some(), graph.record());
     let judges = plan.deployment.judge_of_readings() == Some(host);
     attachment.start(clock, &graph.networks[usize::from(host.0)], Rc::clone(&graph.transports), move |out| match out {
         attachment::Out::Deliver(message) => {
-            hear(Heard::Message(&message));
+            report(ProcessEvent::Message(&message));
             // The Recorder of this process has no other copy of what other processes publish.
             if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
                 record(recorder::In::Received(message.clone()));
@@ -316,15 +316,15 @@ fn wire_network(
             deliver(message);
         }
         attachment::Out::Tap(frame) => {
-            hear(Heard::Published);
+            report(ProcessEvent::Published);
             record(recorder::In::Tap(frame));
         }
         attachment::Out::Counts(counts) => {
-            hear(Heard::Counts(&counts));
+            report(ProcessEvent::Counts(&counts));
             record(recorder::In::Counts(host, counts));
         }
-        attachment::Out::Peers(peers) => hear(Heard::Peers(&peers)),
-        attachment::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
+        attachment::Out::Peers(peers) => report(ProcessEvent::Peers(&peers)),
+        attachment::Out::Duplicate(duplicate) => report(ProcessEvent::Duplicate(duplicate)),
     });
 }
 

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use tracing::info_span;
 
-use super::process::Heard;
+use super::process::ProcessEvent;
 use super::sockets::Shared;
 use super::attachment::{self, Attachment};
 use crate::actors::network::{self, Identity};
@@ -49,7 +49,7 @@ pub struct Operator {
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     operator: Operator,
-    heard: impl Fn(Heard) + 'static,
+    report: impl Fn(ProcessEvent) + 'static,
 ) -> Mailbox<network::In> {
     let Operator { me, seed, robots, publishers, key, links, transports, stop } = operator;
     let router = Router::new(robots, |kind, _| match kind {
@@ -61,11 +61,11 @@ pub fn wire(
     let (stream, span) = ("operator".to_owned(), info_span!("network"));
     let attachment = Attachment { me, key, links, router, seed, stream, span };
     attachment.open((clock, readers), transports, move |out| match out {
-        attachment::Out::Deliver(message) => heard(Heard::Message(&message)),
-        attachment::Out::Counts(counts) => heard(Heard::Counts(&counts)),
-        attachment::Out::Peers(peers) => heard(Heard::Peers(&peers)),
-        attachment::Out::Duplicate(duplicate) => heard(Heard::Duplicate(duplicate)),
-        attachment::Out::Tap(_) => heard(Heard::Published),
+        attachment::Out::Deliver(message) => report(ProcessEvent::Message(&message)),
+        attachment::Out::Counts(counts) => report(ProcessEvent::Counts(&counts)),
+        attachment::Out::Peers(peers) => report(ProcessEvent::Peers(&peers)),
+        attachment::Out::Duplicate(duplicate) => report(ProcessEvent::Duplicate(duplicate)),
+        attachment::Out::Tap(_) => report(ProcessEvent::Published),
     })
 }
 
@@ -82,10 +82,10 @@ pub fn observe(clock: &Clock, network: &Mailbox<network::In>, by: HostId) {
 /// Starts an operator that gives an order, which the caller can read while it is carried out.
 pub fn command((clock, readers): (&Clock, &mut Readers), operator: Operator, order: &Rc<RefCell<Order>>) {
     let answers: Mailbox<Status> = Mailbox::new("order");
-    let hear = answers.clone();
-    let network = wire((clock, readers), operator, move |heard| {
-        if let Heard::Message(Wire::Status(status)) = heard {
-            hear.send(status.clone());
+    let to_order = answers.clone();
+    let network = wire((clock, readers), operator, move |event| {
+        if let ProcessEvent::Message(Wire::Status(status)) = event {
+            to_order.send(status.clone());
         }
     });
     let order = Rc::clone(order);

@@ -43,12 +43,12 @@ pub struct Process {
     /// Whether a Recorder runs here.
     pub records: bool,
     /// Callback for messages that reach the actors, and for counts of Networks and guards.
-    pub hear: Rc<dyn Fn(Heard)>,
+    pub report: Rc<dyn Fn(ProcessEvent)>,
 }
 
 /// Report of a Network or Controller of this process.
 #[derive(Clone, Copy, Debug)]
-pub enum Heard<'a> {
+pub enum ProcessEvent<'a> {
     /// An actor of this process has published a message.
     Published,
     /// Message for this host.
@@ -66,7 +66,7 @@ pub enum Heard<'a> {
 impl Process {
     /// Makes the process that runs every host of a deployment.
     pub(super) fn all_hosts() -> Process {
-        let hear = Rc::new(|_: Heard| {});
+        let report = Rc::new(|_: ProcessEvent| {});
         Process {
             only: None,
             team: TEAM,
@@ -76,7 +76,7 @@ impl Process {
             links: None,
             devices: Devices::default(),
             records: true,
-            hear,
+            report,
         }
     }
 
@@ -121,7 +121,7 @@ impl Graph {
         let mut worlds: Vec<Mailbox<world::In>> = Vec::new();
         let mut by_host: BTreeMap<Result<HostId, RobotId>, Mailbox<world::In>> = BTreeMap::new();
         for robot in team() {
-            let agent = agents.get(routes.companions(robot)[0].index());
+            let agent = agents.get(routes.agent_robots(robot)[0].index());
             agents.push(agent.cloned().unwrap_or_else(|| Mailbox::new(named("agent")(robot))));
             // A real robot gets a mailbox that no actor reads.
             let host = routes.world_host(robot).ok_or(robot);

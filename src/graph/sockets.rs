@@ -67,14 +67,14 @@ fn wire(
     let span = info_span!("transport", link = link.0);
     // The transport outlives its actor, so that a crash does not lose frames in a socket.
     let transport = Rc::new(RefCell::new(transport));
-    let (flooded, heard, inside) = (Rc::clone(&transport), Rc::clone(&transport), span.clone());
+    let (flooded, receiver, inside) = (Rc::clone(&transport), Rc::clone(&transport), span.clone());
     let told = Cell::new(0);
     // Read frames at the notification itself: a turn of the actor for it would add a tenth to the cost of a delivery.
     let ring = move || {
         let _inside = inside.enter();
-        let mut heard = heard.borrow_mut();
-        heard.receive(time.now(), &mut |from, frame| network.send(network::In::Frame(link, frame.into(), from)));
-        let dropped = heard.counts().dropped;
+        let mut receiver = receiver.borrow_mut();
+        receiver.receive(time.now(), &mut |from, frame| network.send(network::In::Frame(link, frame.into(), from)));
+        let dropped = receiver.counts().dropped;
         if dropped > told.get() {
             network.send(network::In::Dropped(link, dropped - told.replace(dropped)));
         }
