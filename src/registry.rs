@@ -236,14 +236,14 @@ impl Registry {
     }
 
     /// Makes the driver of a robot with these settings. An error names the field, within the table of a host.
-    pub fn driver(&self, settings: &Settings, robot: RobotId) -> Result<drivers::Made, ConfigError> {
+    pub fn driver(&self, settings: &Settings, robot: RobotId) -> Result<drivers::Parts, ConfigError> {
         let entry =
             find(&self.drivers, &settings.name).map_err(|e| ConfigError::field("driver.name", e.to_string()))?;
         (entry.make)(settings, robot).map_err(|error| error.within("driver"))
     }
 
     /// Makes the source of some robots with these settings, likewise.
-    pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Made, ConfigError> {
+    pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Parts, ConfigError> {
         let entry =
             find(&self.sources, &settings.name).map_err(|e| ConfigError::field("source.name", e.to_string()))?;
         (entry.make)(settings, robots).map_err(|error| error.within("source"))

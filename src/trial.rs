@@ -21,7 +21,7 @@ use crate::actors::recorder::Steps;
 use crate::actors::state_server;
 use crate::config::ConfigError;
 use crate::deploy::Deployment;
-use crate::deploy::team::{Simulated, Team};
+use crate::deploy::team::{SimulationSettings, Team};
 use crate::estimation;
 use crate::faults::FaultPlan;
 use crate::graph::{self, Plan};
@@ -182,7 +182,7 @@ impl Trial {
         let scenario = registry.scenario(&team.scenario, &Settings::of(team.deployment.robots))?;
         let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
         let trial = Trial::with_registry(registry, team.deployment.clone(), scenario, model);
-        let Simulated { physics, clamp, handling } = team.simulated;
+        let SimulationSettings { physics, clamp, handling } = team.simulated;
         let estimator = team.estimator;
         let (seed, safety) = (team.seed, team.safety);
         let trial = Trial { physics, handling, estimator, seed, safety, layouts, ..trial }.clamp(clamp);

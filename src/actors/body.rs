@@ -41,7 +41,7 @@ pub enum Out {
     /// Command for its World.
     Drive(Drive),
     /// Packet for its driver's worker.
-    Tell(Box<[u8]>),
+    Send(Box<[u8]>),
     /// Condition of the robot and charge of its battery \[%\], for the host's Status.
     Condition(Health, Option<u8>),
     /// Latch that the Body follows, for the host's Status.
@@ -116,7 +116,7 @@ impl Body {
         for output in self.outputs.drain(..) {
             match output {
                 drivers::Out::Drive(drive) => out.push(Out::Drive(drive)),
-                drivers::Out::Tell(packet) => out.push(Out::Tell(packet)),
+                drivers::Out::Send(packet) => out.push(Out::Send(packet)),
                 drivers::Out::Condition(health, battery) => out.push(Out::Condition(health, battery)),
                 drivers::Out::Refused(why) => {
                     self.refused += 1;
@@ -162,7 +162,7 @@ impl Core for Body {
                 out.push(Out::Condition(Health::Silent, None));
             }
             In::Packet(packet) => {
-                self.driver.told(now, &packet, &mut self.outputs);
+                self.driver.receive(now, &packet, &mut self.outputs);
                 self.forward(out);
             }
             In::Stop(stop) => {

@@ -62,7 +62,7 @@ impl Value {
 
 /// Type of a field, with its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Takes {
+pub enum FieldType {
     /// A whole number in this range, both ends included.
     Whole(u64, u64),
     /// A number in this range, both ends included.
@@ -77,33 +77,33 @@ pub enum Takes {
     Address,
 }
 
-impl Takes {
+impl FieldType {
     /// Reads a value; an error describes the fault.
     pub fn read(self, text: &str) -> Result<Value, String> {
         match self {
-            Takes::Whole(least, most) => match text.parse::<u64>() {
+            FieldType::Whole(least, most) => match text.parse::<u64>() {
                 Ok(whole) if (least..=most).contains(&whole) => Ok(Value::Whole(whole)),
                 _ => Err(format!("'{text}' is not a whole number of {least} to {most}")),
             },
-            Takes::Number(least, most) => match text.parse::<f64>() {
+            FieldType::Number(least, most) => match text.parse::<f64>() {
                 Ok(number) if (least..=most).contains(&number) => Ok(Value::Number(number)),
                 _ => Err(format!("'{text}' is not a number of {least} to {most}")),
             },
-            Takes::Text if text.is_empty() => Err("it is empty; leave it out or fill it in".to_owned()),
-            Takes::Text if is_key(text.as_bytes()) => {
+            FieldType::Text if text.is_empty() => Err("it is empty; leave it out or fill it in".to_owned()),
+            FieldType::Text if is_key(text.as_bytes()) => {
                 Err("it is a key itself, where a name or path belongs: keep it in a file and give its path"
                     .to_owned())
             }
-            Takes::Text => Ok(Value::Text(text.to_owned())),
+            FieldType::Text => Ok(Value::Text(text.to_owned())),
             // As in Linux: IFNAMSIZ is 16 with the terminating zero, and these characters are refused.
-            Takes::Interface => {
+            FieldType::Interface => {
                 let fits = (1..16).contains(&text.len()) && !text.contains(|c: char| c.is_whitespace() || c == '/');
                 let name = || Value::Text(text.to_owned());
                 fits.then(name).ok_or_else(|| format!("'{text}' is not an interface's name"))
             }
-            Takes::Choice(names) if names.contains(&text) => Ok(Value::Text(text.to_owned())),
-            Takes::Choice(names) => Err(format!("'{text}' is not one of {}", names.join(", "))),
-            Takes::Address => match text.parse::<SocketAddr>() {
+            FieldType::Choice(names) if names.contains(&text) => Ok(Value::Text(text.to_owned())),
+            FieldType::Choice(names) => Err(format!("'{text}' is not one of {}", names.join(", "))),
+            FieldType::Address => match text.parse::<SocketAddr>() {
                 Ok(address) if address.port() > 0 => Ok(Value::Address(address)),
                 _ => Err(format!(
                     "'{text}' is not an address with a port, such as 239.255.77.1:7700 or [ff02::4d75]:7700"
@@ -115,18 +115,18 @@ impl Takes {
     /// Reads a value from TOML, where numbers are numbers and texts have quotes.
     pub fn read_toml(self, value: &DeValue<'_>) -> Result<Value, String> {
         let wanted = match self {
-            Takes::Whole(..) => "a whole number",
-            Takes::Number(..) => "a number",
+            FieldType::Whole(..) => "a whole number",
+            FieldType::Number(..) => "a number",
             _ => "a text in quotes",
         };
         match (self, value) {
-            (Takes::Whole(..), DeValue::Integer(whole)) => {
+            (FieldType::Whole(..), DeValue::Integer(whole)) => {
                 let read = u64::from_str_radix(whole.as_str().trim_start_matches('+'), whole.radix());
                 self.read(&read.map_or_else(|_| whole.as_str().to_owned(), |whole| whole.to_string()))
             }
-            (Takes::Number(..), DeValue::Integer(number)) => self.read(number.as_str()),
-            (Takes::Number(..), DeValue::Float(number)) => self.read(number.as_str()),
-            (Takes::Whole(..) | Takes::Number(..), _) => Err(format!("a {} where {wanted} belongs", value.type_str())),
+            (FieldType::Number(..), DeValue::Integer(number)) => self.read(number.as_str()),
+            (FieldType::Number(..), DeValue::Float(number)) => self.read(number.as_str()),
+            (FieldType::Whole(..) | FieldType::Number(..), _) => Err(format!("a {} where {wanted} belongs", value.type_str())),
             (_, DeValue::String(text)) => self.read(text),
             _ => Err(format!("a {} where {wanted} belongs", value.type_str())),
         }

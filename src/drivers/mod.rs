@@ -20,7 +20,7 @@ pub enum Out {
     /// Command for the World that simulates the robot.
     Drive(Drive),
     /// Packet for its worker.
-    Tell(Packet),
+    Send(Packet),
     /// Condition of the robot, and charge of its battery \[%\] if known.
     Condition(Health, Option<u8>),
     /// Packet of the worker that was not understood, with the reason.
@@ -44,12 +44,12 @@ pub trait Driver {
     fn drive(&mut self, now: Time, drive: &Drive, pose: Option<&Pose>, out: &mut Vec<Out>);
 
     /// Takes a packet of the worker.
-    fn told(&mut self, now: Time, packet: &[u8], out: &mut Vec<Out>);
+    fn receive(&mut self, now: Time, packet: &[u8], out: &mut Vec<Out>);
 }
 
 /// Parts of a driver made from settings: a constructor of the pure part, called at each start of its actor, and the
 /// worker.
-pub struct Made {
+pub struct Parts {
     /// Makes a new driver.
     pub driver: Box<dyn Fn() -> Box<dyn Driver>>,
     /// Does its I/O, if it has any.
@@ -64,7 +64,7 @@ pub struct Entry {
     /// Description in one line.
     pub about: &'static str,
     /// Makes it for a robot; an error names the wrong setting.
-    pub make: fn(&Settings, RobotId) -> Result<Made, ConfigError>,
+    pub make: fn(&Settings, RobotId) -> Result<Parts, ConfigError>,
 }
 
 /// All drivers of real robots.

@@ -7,7 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Driver, Limits, Made, Out};
+use super::{Driver, Limits, Parts, Out};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
@@ -67,7 +67,7 @@ struct Lines {
 }
 
 /// Makes the driver and its worker.
-pub fn make(settings: &Settings, robot: RobotId) -> Result<Made, ConfigError> {
+pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     if config.command.is_empty() {
         return Err(ConfigError::field("command", "it is empty; name a program and its arguments".to_owned()));
@@ -76,7 +76,7 @@ pub fn make(settings: &Settings, robot: RobotId) -> Result<Made, ConfigError> {
         return Err(ConfigError::field("speed_m_s", format!("{} is not a speed above zero", config.speed_m_s)));
     }
     let limits = Limits { speed_m_s: config.speed_m_s };
-    Ok(Made {
+    Ok(Parts {
         driver: Box::new(move || Box::new(Lines { robot, limits })),
         worker: Some(Box::new(Program { command: config.command })),
     })
@@ -99,10 +99,10 @@ impl Driver for Lines {
         };
         let mut bytes = serde_json::to_vec(&line).expect("plain numbers are JSON");
         bytes.push(b'\n');
-        out.push(Out::Tell(bytes.into()));
+        out.push(Out::Send(bytes.into()));
     }
 
-    fn told(&mut self, _: Time, packet: &[u8], out: &mut Vec<Out>) {
+    fn receive(&mut self, _: Time, packet: &[u8], out: &mut Vec<Out>) {
         match serde_json::from_slice::<Word>(packet) {
             Ok(Word { battery: Some(101..), .. }) => out.push(Out::Refused("a battery has at most 100 %")),
             Ok(Word { health, battery }) => {

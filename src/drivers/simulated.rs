@@ -17,7 +17,7 @@ impl Driver for Simulated {
         out.push(Out::Drive(*drive));
     }
 
-    fn told(&mut self, _: Time, _: &[u8], out: &mut Vec<Out>) {
+    fn receive(&mut self, _: Time, _: &[u8], out: &mut Vec<Out>) {
         out.push(Out::Refused("a simulated robot has no worker"));
     }
 }

@@ -72,16 +72,16 @@ pub fn open(host: &Host, registry: &Registry) -> Result<(Devices, Workers), Devi
     let (mut devices, mut workers) = (Devices::default(), Workers(Vec::new()));
     for &robot in &host.actuates {
         let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
-        let made = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
-        let gate = made.worker.map(|worker| start_worker(worker, format!("driver {robot}"), &mut workers)).transpose()?;
-        devices.drivers.insert(RobotId(robot), Device { make: Rc::from(made.driver), gate });
+        let parts = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
+        let gate = parts.worker.map(|worker| start_worker(worker, format!("driver {robot}"), &mut workers)).transpose()?;
+        devices.drivers.insert(RobotId(robot), Device { make: Rc::from(parts.driver), gate });
     }
     if !host.localizes.is_empty() {
         let settings = host.source.as_ref().expect("a checked host that localizes has a source");
         let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
-        let made = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
-        let gate = Some(start_worker(made.worker, "source".to_owned(), &mut workers)?);
-        devices.source = Some(Device { make: Rc::from(made.source), gate });
+        let parts = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
+        let gate = Some(start_worker(parts.worker, "source".to_owned(), &mut workers)?);
+        devices.source = Some(Device { make: Rc::from(parts.source), gate });
     }
     Ok((devices, workers))
 }

@@ -46,7 +46,7 @@ pub trait Source {
 
 /// Parts of a source made from settings: a constructor of the pure part, called at each start of its actor, and the
 /// worker.
-pub struct Made {
+pub struct Parts {
     /// Makes a new source.
     pub source: Box<dyn Fn() -> Box<dyn Source>>,
     /// Does its I/O.
@@ -61,7 +61,7 @@ pub struct Entry {
     /// Description in one line.
     pub about: &'static str,
     /// Makes it for some robots; an error names the wrong setting.
-    pub make: fn(&Settings, &[RobotId]) -> Result<Made, ConfigError>,
+    pub make: fn(&Settings, &[RobotId]) -> Result<Parts, ConfigError>,
 }
 
 /// All sources of readings of real robots.

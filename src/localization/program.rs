@@ -7,7 +7,7 @@
 
 use serde::Deserialize;
 
-use super::{In, Made, Out, Source};
+use super::{In, Parts, Out, Source};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
@@ -50,13 +50,13 @@ struct Lines {
 }
 
 /// Makes the source and its worker.
-pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Made, ConfigError> {
+pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     if config.command.is_empty() {
         return Err(ConfigError::field("command", "it is empty; name a program and its arguments".to_owned()));
     }
     let robots = robots.to_vec();
-    Ok(Made {
+    Ok(Parts {
         source: Box::new(move || Box::new(Lines { robots: robots.clone() })),
         worker: Box::new(Program { command: config.command }),
     })

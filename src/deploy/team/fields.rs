@@ -1,14 +1,14 @@
 //! Fields of a team file with their types and defaults: those of the whole team, and those of a link, most of which
 //! belong to its transport.
 
-use crate::config::fields::Takes;
+use crate::config::fields::FieldType;
 use crate::deploy::MODES;
 use crate::net::protocol::reliability::Reliability;
 use crate::net::transport;
 use crate::world::Sensor;
 
 /// Name, type and default of a field, as written in a file.
-type Field = (&'static str, Takes, Option<&'static str>);
+type Field = (&'static str, FieldType, Option<&'static str>);
 
 /// Name of the field that sets every link's interface in flags and in the environment.
 pub const EVERY_INTERFACE: &str = "interface";
@@ -27,22 +27,22 @@ const SENSORS: [&str; 2] = {
 
 /// Fields of the whole team, in the order in which they are shown.
 const TEAM: [Field; 16] = [
-    ("team", Takes::Whole(0, 65_535), None),
-    ("key_file", Takes::Text, None),
-    ("mode", Takes::Choice(&MODES), None),
-    ("robots", Takes::Whole(1, 65_535), None),
-    ("scenario", Takes::Text, Some("passage")),
-    ("policy", Takes::Text, None),
-    ("episodes", Takes::Whole(1, 1_000_000), Some("16")),
-    ("seed", Takes::Whole(0, u64::MAX), Some("0")),
-    ("plant", Takes::Text, None),
-    ("lag_s", Takes::Number(0.0, 10.0), None),
-    ("contacts", Takes::Choice(&["block", "judge"]), None),
-    ("wall_radius_m", Takes::Number(1e-3, 10.0), None),
-    ("sensor", Takes::Choice(&SENSORS), None),
-    ("clamp", Takes::Choice(&["training", "deployed"]), Some("training")),
-    ("handling", Takes::Choice(&["hold", "as-published"]), Some("hold")),
-    ("estimator", Takes::Text, Some("none")),
+    ("team", FieldType::Whole(0, 65_535), None),
+    ("key_file", FieldType::Text, None),
+    ("mode", FieldType::Choice(&MODES), None),
+    ("robots", FieldType::Whole(1, 65_535), None),
+    ("scenario", FieldType::Text, Some("passage")),
+    ("policy", FieldType::Text, None),
+    ("episodes", FieldType::Whole(1, 1_000_000), Some("16")),
+    ("seed", FieldType::Whole(0, u64::MAX), Some("0")),
+    ("plant", FieldType::Text, None),
+    ("lag_s", FieldType::Number(0.0, 10.0), None),
+    ("contacts", FieldType::Choice(&["block", "judge"]), None),
+    ("wall_radius_m", FieldType::Number(1e-3, 10.0), None),
+    ("sensor", FieldType::Choice(&SENSORS), None),
+    ("clamp", FieldType::Choice(&["training", "deployed"]), Some("training")),
+    ("handling", FieldType::Choice(&["hold", "as-published"]), Some("hold")),
+    ("estimator", FieldType::Text, Some("none")),
 ];
 
 /// Fields of the team that a robot or a host may override, besides its links.
@@ -82,23 +82,23 @@ impl Fields {
         self.own.iter().filter(|field| field.by_host).map(|field| field.name)
     }
 
-    fn takes(&self, name: &str, by_host: bool) -> Option<Takes> {
+    fn takes(&self, name: &str, by_host: bool) -> Option<FieldType> {
         let named = |field: &&transport::Field| field.name == name && field.by_host == by_host;
         self.own.iter().find(named).map(|field| field.takes)
     }
 
     /// Type and default of a field; `None` if there is no such field. A transport's entry has the defaults of its own
     /// fields.
-    pub fn field(&self, key: &str) -> Option<(Takes, Option<&'static str>)> {
+    pub fn field(&self, key: &str) -> Option<(FieldType, Option<&'static str>)> {
         let of_team =
             |name: &str| TEAM.iter().find(|(field, ..)| *field == name).map(|(_, takes, default)| (*takes, *default));
-        let own = |takes: Option<Takes>| takes.map(|takes| (takes, None));
+        let own = |takes: Option<FieldType>| takes.map(|takes| (takes, None));
         match key.split('.').collect::<Vec<_>>()[..] {
             [name] => of_team(name),
             // The registry checks the name.
-            ["link", _, "transport"] => Some((Takes::Text, Some(transport::USUAL))),
+            ["link", _, "transport"] => Some((FieldType::Text, Some(transport::USUAL))),
             ["link", _, name] => own(self.takes(name, false)),
-            ["link", _, "reliability", _] => Some((Takes::Choice(&RELIABILITIES), None)),
+            ["link", _, "reliability", _] => Some((FieldType::Choice(&RELIABILITIES), None)),
             ["link", _, table, _] => own(self.takes(table, true)),
             ["robot" | "host", _, name] if OVERRIDES.contains(&name) => of_team(name),
             // Senders and receivers must agree on reliability, so it is set for the whole team.

@@ -11,7 +11,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::fields::{EVERY_INTERFACE, Fields, team_fields};
-use crate::config::fields::{Takes, Value};
+use crate::config::fields::{FieldType, Value};
 use crate::config::{ConfigError, syntax};
 use crate::net::transport;
 
@@ -41,7 +41,7 @@ impl fmt::Display for Origin {
 
 /// Value with its origin.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
+pub struct LayerValue {
     /// The value.
     pub value: Value,
     /// Its origin.
@@ -75,9 +75,9 @@ pub fn place(key: &str, origin: &Origin) -> String {
 #[derive(Clone, Debug)]
 pub struct Layers {
     fields: Fields,
-    flags: BTreeMap<String, Entry>,
-    environment: BTreeMap<String, Entry>,
-    file: BTreeMap<String, Entry>,
+    flags: BTreeMap<String, LayerValue>,
+    environment: BTreeMap<String, LayerValue>,
+    file: BTreeMap<String, LayerValue>,
     /// Lines of the file's tables that are read as a whole, and of their fields.
     tables: BTreeMap<String, usize>,
 }
@@ -102,10 +102,10 @@ impl Layers {
         layers.flatten(text, "", table.get_ref(), whole)?;
         for Flag { flag, key, value } in flags {
             let origin = Origin::Flag(flag);
-            let takes = if key == EVERY_INTERFACE { Some((Takes::Interface, None)) } else { layers.fields.field(key) };
+            let takes = if key == EVERY_INTERFACE { Some((FieldType::Interface, None)) } else { layers.fields.field(key) };
             let (takes, _) = takes.ok_or_else(|| layers.unknown(key, &origin))?;
             let value = takes.read(value).map_err(|why| ConfigError::field(place(key, &origin), why))?;
-            layers.flags.insert(key.clone(), Entry { value, origin });
+            layers.flags.insert(key.clone(), LayerValue { value, origin });
         }
         Ok(layers)
     }
@@ -132,7 +132,7 @@ impl Layers {
             match (self.fields.field(&key), value.get_ref()) {
                 (Some((takes, _)), value) => {
                     let value = takes.read_toml(value).map_err(|why| ConfigError::field(place(&key, &origin), why))?;
-                    self.file.insert(key, Entry { value, origin });
+                    self.file.insert(key, LayerValue { value, origin });
                 }
                 (None, DeValue::Table(inner)) if self.fields.holds_fields(&key) => {
                     self.flatten(text, &key, inner, whole)?
@@ -175,9 +175,9 @@ impl Layers {
             let name = variable(key);
             let Some((_, value)) = variables.iter().find(|(other, _)| *other == name) else { continue };
             let origin = Origin::Environment(name);
-            let takes = self.fields.field(key).map_or(Takes::Interface, |(takes, _)| takes);
+            let takes = self.fields.field(key).map_or(FieldType::Interface, |(takes, _)| takes);
             let value = takes.read(value).map_err(|why| ConfigError::field(place(key, &origin), why))?;
-            self.environment.insert(key.clone(), Entry { value, origin });
+            self.environment.insert(key.clone(), LayerValue { value, origin });
         }
         Ok(())
     }
@@ -195,7 +195,7 @@ impl Layers {
     /// Value of a field in these scopes, the narrowest first (each a prefix such as `host.pc.`, the last one empty). A
     /// higher layer takes precedence over a narrower scope, and a default comes last. A transport's entry has the
     /// defaults of its own fields.
-    pub fn find(&self, scopes: &[String], key: &str) -> Option<Entry> {
+    pub fn find(&self, scopes: &[String], key: &str) -> Option<LayerValue> {
         let every = (key.starts_with("link.") && key.ends_with(".interface")).then_some(EVERY_INTERFACE);
         for layer in [&self.flags, &self.environment, &self.file] {
             let scoped = scopes.iter().find_map(|scope| layer.get(&format!("{scope}{key}")));
@@ -205,11 +205,11 @@ impl Layers {
         }
         let (takes, default) = self.fields.field(key)?;
         let value = takes.read(default?).expect("defaults are sound");
-        Some(Entry { value, origin: Origin::Default })
+        Some(LayerValue { value, origin: Origin::Default })
     }
 
     /// Every field with this prefix that is set in any layer.
-    pub fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a Entry)> {
+    pub fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a LayerValue)> {
         let layers = [&self.flags, &self.environment, &self.file];
         layers
             .into_iter()

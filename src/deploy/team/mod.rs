@@ -20,7 +20,7 @@ use std::sync::Arc;
 use serde::Deserialize;
 
 use self::fields::EVERY_INTERFACE;
-use self::layers::{Entry, Layers, place};
+use self::layers::{LayerValue, Layers, place};
 use super::{Deployment, Host, Link, MODES, Routes};
 use crate::config::{self, ConfigError};
 use crate::estimation;
@@ -53,7 +53,7 @@ pub struct Team {
     /// Root of all randomness.
     pub seed: u64,
     /// Simulated robots, and the treatment of messages and commands.
-    pub simulated: Simulated,
+    pub simulated: SimulationSettings,
     /// Estimator of the states of the host's robots.
     pub estimator: estimation::Entry,
     /// Conditions in which robots are stopped or slowed.
@@ -64,7 +64,7 @@ pub struct Team {
 
 /// Simulated robots, and the treatment of messages and commands.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Simulated {
+pub struct SimulationSettings {
     /// Bodies and sensors of simulated robots, in the deployment's plant.
     pub physics: Physics,
     /// Limit that Controllers put on the policy's output; it also sets the World's limit.
@@ -209,7 +209,7 @@ impl TeamFile {
         build(&self.registry, &entry, Some(self.deployment.robots))
     }
 
-    fn simulated(&self, scopes: &[String], scenario: &dyn Scenario) -> Result<Simulated, ConfigError> {
+    fn simulated(&self, scopes: &[String], scenario: &dyn Scenario) -> Result<SimulationSettings, ConfigError> {
         let find = |key: &str| self.layers.find(scopes, key);
         let name = |key: &str| find(key).map(|entry| text(&entry).to_owned());
         let is = |key: &str, word: &str| name(key).is_some_and(|name| name == word);
@@ -227,7 +227,7 @@ impl TeamFile {
             let origin = find(error.field).expect("it was given").origin;
             ConfigError::field(place(error.field, &origin), error.to_string())
         })?;
-        Ok(Simulated {
+        Ok(SimulationSettings {
             physics,
             clamp: if is("clamp", "deployed") { Clamp::Deployed } else { Clamp::Training },
             handling: if is("handling", "as-published") { Handling::AsPublished } else { Handling::Hold },
@@ -251,7 +251,7 @@ impl TeamFile {
 
     /// Resolves a path: from the file's own folder for values of the file, from the working directory for flags and
     /// environment.
-    fn path(&self, entry: &Entry) -> PathBuf {
+    fn path(&self, entry: &LayerValue) -> PathBuf {
         let path = Path::new(text(entry));
         if matches!(entry.origin, Origin::File(_)) { self.folder.join(path) } else { path.to_owned() }
     }
@@ -319,7 +319,7 @@ fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), Con
 }
 
 /// Makes the scenario, for a team of this size or of its default size.
-fn build(registry: &Registry, entry: &Entry, robots: Option<usize>) -> Result<Arc<dyn Scenario>, ConfigError> {
+fn build(registry: &Registry, entry: &LayerValue, robots: Option<usize>) -> Result<Arc<dyn Scenario>, ConfigError> {
     registry
         .scenario(text(entry), &Settings { robots, gap_m: None })
         .map_err(|error| ConfigError::field(place("scenario", &entry.origin), error.to_string()))
@@ -347,19 +347,19 @@ fn kebab(kind: Kind) -> String {
     .to_owned()
 }
 
-fn text(entry: &Entry) -> &str {
+fn text(entry: &LayerValue) -> &str {
     entry.value.text()
 }
 
-fn whole(entry: &Entry) -> u64 {
+fn whole(entry: &LayerValue) -> u64 {
     entry.value.whole()
 }
 
-fn whole_u16(entry: &Entry) -> u16 {
+fn whole_u16(entry: &LayerValue) -> u16 {
     u16::try_from(whole(entry)).expect("its range is smaller")
 }
 
-fn number(entry: &Entry) -> f32 {
+fn number(entry: &LayerValue) -> f32 {
     entry.value.number() as f32
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use super::layers::{Entry, Origin, place};
+use super::layers::{LayerValue, Origin, place};
 use super::{TeamFile, kebab, text, whole_u16};
 use crate::config::ConfigError;
 use crate::deploy::Link;
@@ -43,11 +43,11 @@ impl TeamFile {
     }
 
     /// Value of a field of the transport of the link with index `at`.
-    pub(super) fn of_link(&self, scopes: &[String], at: usize, (field, name): (&Field, &str)) -> Option<Entry> {
+    pub(super) fn of_link(&self, scopes: &[String], at: usize, (field, name): (&Field, &str)) -> Option<LayerValue> {
         let key = format!("link.{}.{name}", self.deployment.links[at].name);
         self.layers.find(scopes, &key).or_else(|| {
             let value = field.takes.read(&field.default?(at)).expect("defaults are sound");
-            Some(Entry { value, origin: Origin::Default })
+            Some(LayerValue { value, origin: Origin::Default })
         })
     }
 
@@ -60,7 +60,7 @@ impl TeamFile {
         for (field, name) in
             transport.fields.iter().flat_map(|field| self.names_of(field).into_iter().map(move |n| (field, n)))
         {
-            let Some(Entry { value, origin }) = self.of_link(&scopes, at, (field, &name)) else { continue };
+            let Some(LayerValue { value, origin }) = self.of_link(&scopes, at, (field, &name)) else { continue };
             let said = Said { value, place: place(&format!("link.{}.{name}", link.name), &origin) };
             values.insert(name, said);
         }

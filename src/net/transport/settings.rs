@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::config::ConfigError;
-use crate::config::fields::{Takes, Value};
+use crate::config::fields::{FieldType, Value};
 use crate::messages::ids::HostId;
 
 /// A field of `[link.NAME]` that a transport reads. Transports that have one of the same name share it.
@@ -12,7 +12,7 @@ pub struct Field {
     /// Its name.
     pub name: &'static str,
     /// What it takes.
-    pub takes: Takes,
+    pub takes: FieldType,
     /// What it is where nobody says, as it would be written, for the link at this place of the deployment.
     pub default: Option<fn(usize) -> String>,
     /// Whether it is a table with a value for each host of the team, by its name.
@@ -21,7 +21,7 @@ pub struct Field {
 
 impl Field {
     /// A field with one value, which has no default.
-    pub const fn new(name: &'static str, takes: Takes) -> Field {
+    pub const fn new(name: &'static str, takes: FieldType) -> Field {
         Field { name, takes, default: None, by_host: false }
     }
 
