@@ -255,7 +255,7 @@ impl Registry {
     }
 
     /// Name of a scenario's default policy.
-    pub fn usual_policy(&self, scenario: &dyn Scenario) -> &'static str {
+    pub fn default_policy(&self, scenario: &dyn Scenario) -> &'static str {
         let shipped = self.policy(policy::SHIPPED).is_some_and(|entry| (entry.build)(scenario).is_ok());
         if shipped { policy::SHIPPED } else { policy::SCRIPTED }
     }

@@ -107,7 +107,7 @@ pub enum TrialError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Proceed {
     /// Continue with the next event.
-    On,
+    Continue,
     /// Stop; the report holds the results so far.
     Stop,
 }
@@ -126,11 +126,11 @@ impl Trial {
 
     /// Likewise, for a team of this size.
     pub fn of_team(mode: &str, scenario: &str, robots: impl Into<Option<usize>>) -> Result<Trial, TrialError> {
-        Trial::among(&Registry::builtin(), mode, scenario, robots)
+        Trial::from_registry(&Registry::builtin(), mode, scenario, robots)
     }
 
     /// Likewise, with scenarios and plants from a registry.
-    pub fn among(
+    pub fn from_registry(
         registry: &Registry,
         mode: &str,
         scenario: &str,
@@ -256,7 +256,7 @@ impl Trial {
 
     /// Runs the trial to its end on this thread.
     pub fn run(&self) -> TrialReport {
-        self.run_while(|_| Proceed::On)
+        self.run_while(|_| Proceed::Continue)
     }
 
     /// Runs the trial on this thread until its end, or until `proceed` returns `Stop`. It is called at every event with

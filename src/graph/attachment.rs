@@ -54,27 +54,27 @@ pub enum Out {
 
 impl Attachment {
     /// Starts the Network behind its mailbox. Frames go to the transport of their link in `transports`, which are in
-    /// the order of the links; `said` takes all other output.
+    /// the order of the links; `output` takes all other output.
     pub fn start(
         self,
         clock: &Clock,
         network: &Mailbox<network::In>,
         transports: Rc<[Mailbox<transport::In>]>,
-        mut said: impl FnMut(Out) + 'static,
+        mut output: impl FnMut(Out) + 'static,
     ) {
         let Attachment { me, key, links, router, seed, stream, span } = self;
         let config = network::Config { me, key, links, router };
-        let make = move |life: u32| {
-            let me = Identity { epoch: me.epoch.wrapping_add(life), ..me };
-            Network::new(network::Config { me, ..config.clone() }, seed.stream(&format!("{stream}/{life}")))
+        let make = move |restarts: u32| {
+            let me = Identity { epoch: me.epoch.wrapping_add(restarts), ..me };
+            Network::new(network::Config { me, ..config.clone() }, seed.stream(&format!("{stream}/{restarts}")))
         };
         let tell = move |link: LinkId, told| transports[usize::from(link.0)].send(told);
         start(clock, network, span, make, move |out| match out {
-            network::Out::Deliver(message) => said(Out::Deliver(message)),
-            network::Out::Tap(frame) => said(Out::Tap(frame)),
-            network::Out::Counts(counts) => said(Out::Counts(counts)),
-            network::Out::Peers(peers) => said(Out::Peers(peers)),
-            network::Out::Duplicate(duplicate) => said(Out::Duplicate(duplicate)),
+            network::Out::Deliver(message) => output(Out::Deliver(message)),
+            network::Out::Tap(frame) => output(Out::Tap(frame)),
+            network::Out::Counts(counts) => output(Out::Counts(counts)),
+            network::Out::Peers(peers) => output(Out::Peers(peers)),
+            network::Out::Duplicate(duplicate) => output(Out::Duplicate(duplicate)),
             network::Out::Admit(link, guest) => tell(link, transport::In::Admit(guest)),
             network::Out::Transmit(link, audience, frame) => {
                 tell(link, transport::In::Transmit(Transmit { from: me.host, audience, frame }));
@@ -88,12 +88,12 @@ impl Attachment {
         self,
         (clock, readers): (&Clock, &mut Readers),
         open: Vec<(LinkId, Box<dyn Transport>)>,
-        said: impl FnMut(Out) + 'static,
+        output: impl FnMut(Out) + 'static,
     ) -> Mailbox<network::In> {
         let network = Mailbox::new("network");
         let transports: Rc<[_]> = (0..self.links.len()).map(|link| Mailbox::new(format!("transport {link}"))).collect();
         sockets::wire_all((clock, readers), open, &transports, &network);
-        self.start(clock, &network, transports, said);
+        self.start(clock, &network, transports, output);
         network
     }
 }

@@ -49,8 +49,8 @@ pub(super) fn wire_body(clock: &Clock, graph: &Graph, robot: RobotId, process: &
 pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
     let network = graph.network_of(graph.routes.localizer_host(robot));
     let (sensor, seed) = (plan.physics.sensor, plan.seed);
-    let make = move |life| {
-        let stream = seed.stream(&format!("body/{}/sensor/{life}", robot.0));
+    let make = move |incarnation| {
+        let stream = seed.stream(&format!("body/{}/sensor/{incarnation}", robot.0));
         Localizer::new(Box::new(localization::simulated::Simulated::new(sensor, stream)))
     };
     let mailbox = &graph.sensors[robot.index()];

@@ -109,8 +109,8 @@ pub(super) fn deliveries(
 pub(super) fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: status::Config) {
     let network = graph.network_of(host);
     let make = move |_| Status::new(&config);
-    start(clock, &graph.statuses[usize::from(host.0)], info_span!("status"), make, move |said| {
-        network.send(network::In::Publish(match said {
+    start(clock, &graph.statuses[usize::from(host.0)], info_span!("status"), make, move |output| {
+        network.send(network::In::Publish(match output {
             status::Out::Status(status) => Wire::Status(status),
             status::Out::Telemetry(telemetry) => Wire::Telemetry(telemetry),
         }));
@@ -128,7 +128,7 @@ pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
     };
     let (host, robots) = (graph.routes.server_host(), plan.deployment.robots);
     let (network, status) = (graph.network_of(host), graph.status_of(host));
-    let make = move |life| StateServer::new(config.clone(), robots, life);
+    let make = move |incarnation| StateServer::new(config.clone(), robots, incarnation);
     start(clock, &graph.server, info_span!("state server"), make, move |out| match out {
         state_server::Out::Mode(mode) => network.send(network::In::Publish(Wire::Mode(mode))),
         state_server::Out::Leading(leading) => status.send(status::In::Leading(leading)),

@@ -40,14 +40,14 @@ pub struct Host {
     pub transports: Vec<(LinkId, Box<dyn Transport>)>,
 }
 
-/// Starts the actors of one host. `report` is called with the reports of its Network and guards. `said` takes the output
+/// Starts the actors of one host. `report` is called with the reports of its Network and guards. `output` takes the output
 /// of the Recorder, which runs on the host that judges.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     plan: Plan,
     host: Host,
     report: impl Fn(ProcessEvent) + 'static,
-    said: impl FnMut(recorder::Out) + 'static,
+    output: impl FnMut(recorder::Out) + 'static,
 ) -> Rc<Graph> {
     let plan = &Rc::new(plan);
     let process = Process {
@@ -66,7 +66,7 @@ pub fn wire(
     wire_gates((clock, readers), &graph, &process);
     sockets::wire_all((clock, readers), host.transports, &graph.transports, &graph.network_of(host.id));
     if process.records {
-        wire_recorder(clock, plan, &graph, said);
+        wire_recorder(clock, plan, &graph, output);
     }
     graph
 }

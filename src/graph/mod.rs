@@ -93,14 +93,14 @@ pub struct Plan {
     pub steps: recorder::Steps,
 }
 
-/// Starts all actors of a plan; `said` takes the Recorder's output.
-pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
+/// Starts all actors of a plan; `output` takes the Recorder's output.
+pub fn wire(clock: &Clock, plan: Plan, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
     let process = Process::all_hosts();
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
     wire_links(clock, plan, &graph);
-    wire_recorder(clock, plan, &graph, said);
+    wire_recorder(clock, plan, &graph, output);
     for fault in &plan.faults.actors {
         let (fault, graph) = (fault.clone(), Rc::clone(&graph));
         clock.call(fault.at, Box::new(move || graph.inject(fault)));
@@ -142,7 +142,7 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
 }
 
 /// Starts the Recorder of this process.
-pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: impl FnMut(recorder::Out) + 'static) {
+pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, output: impl FnMut(recorder::Out) + 'static) {
     let config = recorder::Config {
         layouts: plan.layouts.clone(),
         repeat: plan.repeat,
@@ -157,7 +157,7 @@ pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: imp
     let robots = plan.deployment.robots;
     let make = move |_| Recorder::new(config.clone(), robots);
     let mailbox = graph.recorder.as_ref().expect("a Recorder is started where one runs");
-    start(clock, mailbox, info_span!("recorder"), make, said);
+    start(clock, mailbox, info_span!("recorder"), make, output);
 }
 
 /// Offset of a robot's tick or heartbeat within each period.
@@ -191,7 +191,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
         estimator: plan.estimator,
         own_age: Span::from_secs(plan.safety.own_state_s),
     };
-    let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
+    let make = move |incarnation| Cache::new(config, seed.stream(&format!("cache/{id}/range/{incarnation}")));
     let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
     let watched = plan.safety.own_state == Switch::On;
     let (record, observed) = (graph.record(), plan.steps.kept());
@@ -251,13 +251,13 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let period = plan.run.interface().period;
     let max_wait = Span::from_nanos(period.as_nanos() / 4);
     let plan = Rc::clone(plan);
-    let make = move |life: u32| {
+    let make = move |incarnation: u32| {
         let policies = |&robot: &RobotId| RobotPolicies {
             robot,
             run: plan.run.instance(plan.scenario.arena()),
             reset: plan.reset.instance(plan.scenario.arena()),
-            actions: plan.seed.stream(&format!("agent/{}/action/{life}", robot.0)),
-            ranges: plan.seed.stream(&format!("agent/{}/range/{life}", robot.0)),
+            actions: plan.seed.stream(&format!("agent/{}/action/{incarnation}", robot.0)),
+            ranges: plan.seed.stream(&format!("agent/{}/range/{incarnation}", robot.0)),
         };
         Agent::new(Arc::clone(&plan.scenario), plan.range, max_wait, robots.iter().map(policies).collect())
     };
@@ -337,10 +337,10 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
         let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
         let (seed, name) = (plan.seed, link.name.clone());
         let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
-        let make = move |life| {
-            let stream = seed.stream(&format!("link/{name}/{life}"));
+        let make = move |incarnation| {
+            let stream = seed.stream(&format!("link/{name}/{incarnation}"));
             let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream);
-            let air = || seed.child(&format!("link/{name}/radio/{life}"));
+            let air = || seed.child(&format!("link/{name}/radio/{incarnation}"));
             let radio_link = radio.clone().map(|radio| RadioLink::new(radio, &robots_of, &air()));
             let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
             Ether::new(emulator, radio_link, reach, |kind| routes.listeners(kind))

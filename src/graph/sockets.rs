@@ -49,8 +49,8 @@ pub fn wire_all(
             mailbox,
             info_span!("interfaces", link = link.0),
             |_| Fan,
-            move |said: transport::In| {
-                all.iter().for_each(|transport| transport.send(said.clone()));
+            move |input: transport::In| {
+                all.iter().for_each(|transport| transport.send(input.clone()));
             },
         );
     }

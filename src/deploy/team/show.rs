@@ -48,7 +48,7 @@ impl TeamFile {
                 "robots" => Some(self.deployment.robots.to_string()),
                 "mode" => None,
                 "key_file" => Some("none: frames are not authenticated".to_owned()),
-                "policy" => self.scenario().ok().map(|scenario| self.registry.usual_policy(&*scenario).to_owned()),
+                "policy" => self.scenario().ok().map(|scenario| self.registry.default_policy(&*scenario).to_owned()),
                 "plant" => Some(self.deployment.plant.clone()),
                 "lag_s" | "contacts" | "wall_radius_m" | "sensor" => self.usual(key),
                 _ => None,
