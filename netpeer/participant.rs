@@ -17,8 +17,8 @@ use std::time::{Duration, Instant};
 
 use murmurate::actor::Core;
 use murmurate::actors::network;
-use murmurate::graph::sockets::Shared;
 use murmurate::graph::attachment::{self, Attachment};
+use murmurate::graph::sockets::Shared;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;

@@ -355,7 +355,10 @@ mod tests {
             features[0] = 7.0;
         }
         fn act(&mut self, _: &Observation, _: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
-            assert!(neighbours.iter().all(|neighbour| neighbour.features == [7.0]), "it receives the latents that were sent");
+            assert!(
+                neighbours.iter().all(|neighbour| neighbour.features == [7.0]),
+                "it receives the latents that were sent"
+            );
             Vec2::new(neighbours.len() as f32, 0.0)
         }
     }

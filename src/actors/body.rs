@@ -155,10 +155,7 @@ impl Core for Body {
             In::MotorCommand(command) => self.obey(now, &command, out),
             In::Reading(reading) => self.pose = Some(reading.pose),
             In::WorkerEnded => {
-                tracing::error!(
-                    "the driver of {} has ended: the robot cannot move; restart the host",
-                    self.robot
-                );
+                tracing::error!("the driver of {} has ended: the robot cannot move; restart the host", self.robot);
                 out.push(Out::Condition(Health::Silent, None));
             }
             In::Packet(packet) => {

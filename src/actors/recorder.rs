@@ -331,7 +331,8 @@ impl Recorder {
         if self.config.steps != Steps::WithHearing || self.phase != Phase::Running {
             return Vec::new();
         }
-        let recent = RobotId::team(self.heard.len()).zip(&self.heard).filter(|(_, (at, _))| now.since(*at) <= HEARING_TIMEOUT);
+        let recent =
+            RobotId::team(self.heard.len()).zip(&self.heard).filter(|(_, (at, _))| now.since(*at) <= HEARING_TIMEOUT);
         recent
             .flat_map(|(robot, (at, heard))| {
                 heard.iter().map(move |(of, age)| Hearing { robot, of: *of, age: *age + now.since(*at) })

@@ -169,7 +169,9 @@ impl Status {
     }
 
     fn send_status(&self, now: Time, out: &mut Vec<Out>) {
-        let fresh = |stamped: Option<&Stamped<Latch>>| stamped.filter(|(at, _)| now.since(*at) < STALE).map(|(_, latch)| *latch);
+        let fresh = |stamped: Option<&Stamped<Latch>>| {
+            stamped.filter(|(at, _)| now.since(*at) < STALE).map(|(_, latch)| *latch)
+        };
         let leading =
             self.leading.as_ref().filter(|(at, _)| now.since(*at) < STALE).map(|(_, leading)| leading.clone());
         let mut blocks: Vec<&[RobotId]> = self.robots.chunks(MAX_BLOCK).collect();
@@ -304,11 +306,7 @@ mod tests {
         let one = told[0].1[1];
         assert_eq!((one.phase, one.seen), (Some(Phase::Running), Some(Seen { pose: pose(7.0), age_ms: 100 })));
         let unknown = told[0].1[0];
-        assert_eq!(
-            (unknown.phase, unknown.seen, unknown.health),
-            (None, None, None),
-            "unknown values stay unknown"
-        );
+        assert_eq!((unknown.phase, unknown.seen, unknown.health), (None, None, None), "unknown values stay unknown");
         assert_eq!((told[1].1[0].health, told[1].1[0].battery), (Some(Health::Faulty), Some(12)));
     }
 

@@ -91,8 +91,7 @@ impl FieldType {
             },
             FieldType::Text if text.is_empty() => Err("it is empty; leave it out or fill it in".to_owned()),
             FieldType::Text if is_key(text.as_bytes()) => {
-                Err("it is a key itself, where a name or path belongs: keep it in a file and give its path"
-                    .to_owned())
+                Err("it is a key itself, where a name or path belongs: keep it in a file and give its path".to_owned())
             }
             FieldType::Text => Ok(Value::Text(text.to_owned())),
             // As in Linux: IFNAMSIZ is 16 with the terminating zero, and these characters are refused.
@@ -126,7 +125,9 @@ impl FieldType {
             }
             (FieldType::Number(..), DeValue::Integer(number)) => self.read(number.as_str()),
             (FieldType::Number(..), DeValue::Float(number)) => self.read(number.as_str()),
-            (FieldType::Whole(..) | FieldType::Number(..), _) => Err(format!("a {} where {wanted} belongs", value.type_str())),
+            (FieldType::Whole(..) | FieldType::Number(..), _) => {
+                Err(format!("a {} where {wanted} belongs", value.type_str()))
+            }
             (_, DeValue::String(text)) => self.read(text),
             _ => Err(format!("a {} where {wanted} belongs", value.type_str())),
         }

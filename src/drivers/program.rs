@@ -7,7 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Driver, Limits, Parts, Out};
+use super::{Driver, Limits, Out, Parts};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;

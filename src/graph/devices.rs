@@ -73,7 +73,8 @@ pub fn open(host: &Host, registry: &Registry) -> Result<(Devices, Workers), Devi
     for &robot in &host.actuates {
         let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
         let parts = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
-        let gate = parts.worker.map(|worker| start_worker(worker, format!("driver {robot}"), &mut workers)).transpose()?;
+        let gate =
+            parts.worker.map(|worker| start_worker(worker, format!("driver {robot}"), &mut workers)).transpose()?;
         devices.drivers.insert(RobotId(robot), Device { make: Rc::from(parts.driver), gate });
     }
     if !host.localizes.is_empty() {

@@ -1,13 +1,13 @@
 //! Wiring of the whole actor graph: the one place that connects actors. It holds no logic.
 
+pub mod attachment;
 mod bodies;
+mod delivery;
 pub mod devices;
 pub mod host;
-mod delivery;
 pub mod operator;
 pub mod process;
 pub mod sockets;
-pub mod attachment;
 
 use std::collections::BTreeSet;
 use std::rc::Rc;
@@ -24,9 +24,9 @@ use crate::actors::status;
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::estimation;
 use crate::faults::FaultPlan;
+use crate::graph::attachment::Attachment;
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
 use crate::graph::process::{Graph, Process, ProcessEvent};
-use crate::graph::attachment::Attachment;
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::messages::ids::{HostId, LinkId, RobotId};

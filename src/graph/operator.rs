@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 use tracing::info_span;
 
+use super::attachment::{self, Attachment};
 use super::process::ProcessEvent;
 use super::sockets::Shared;
-use super::attachment::{self, Attachment};
 use crate::actors::network::{self, Identity};
 use crate::actors::order::Order;
 use crate::messages::ids::{HostId, LinkId};

@@ -7,7 +7,7 @@
 
 use serde::Deserialize;
 
-use super::{In, Parts, Out, Source};
+use super::{In, Out, Parts, Source};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
@@ -67,9 +67,7 @@ impl Source for Lines {
         let In::Packet(packet) = input else { return };
         out.push(match serde_json::from_slice::<Line>(packet) {
             Err(_) => Out::Refused("it is not a line in the source's format"),
-            Ok(line) if !self.robots.contains(&RobotId(line.robot)) => {
-                Out::Refused("its robot is not of this source")
-            }
+            Ok(line) if !self.robots.contains(&RobotId(line.robot)) => Out::Refused("its robot is not of this source"),
             Ok(line) if !(0.0..1e10).contains(&line.stamp_s) => Out::Refused("its stamp is out of range"),
             Ok(line) => {
                 let reading = reading(&line);

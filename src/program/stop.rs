@@ -180,7 +180,10 @@ impl Asked<'_> {
         if !silent.is_empty() {
             why.push(format!("no word from robot {silent}: go and look at them"));
         }
-        let (bodies, controllers) = (names(&unconfirmed, &[Unconfirmed::Body, Unconfirmed::Both]), names(&unconfirmed, &[Unconfirmed::Controller]));
+        let (bodies, controllers) = (
+            names(&unconfirmed, &[Unconfirmed::Body, Unconfirmed::Both]),
+            names(&unconfirmed, &[Unconfirmed::Controller]),
+        );
         if !bodies.is_empty() && self.kind == OrderKind::Stop {
             why.push(format!("the motors of robot {bodies} have not confirmed: go and look at them"));
         }

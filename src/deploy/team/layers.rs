@@ -102,7 +102,8 @@ impl Layers {
         layers.flatten(text, "", table.get_ref(), whole)?;
         for Flag { flag, key, value } in flags {
             let origin = Origin::Flag(flag);
-            let takes = if key == EVERY_INTERFACE { Some((FieldType::Interface, None)) } else { layers.fields.field(key) };
+            let takes =
+                if key == EVERY_INTERFACE { Some((FieldType::Interface, None)) } else { layers.fields.field(key) };
             let (takes, _) = takes.ok_or_else(|| layers.unknown(key, &origin))?;
             let value = takes.read(value).map_err(|why| ConfigError::field(place(key, &origin), why))?;
             layers.flags.insert(key.clone(), LayerValue { value, origin });

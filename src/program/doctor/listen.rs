@@ -124,7 +124,10 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
                 ProcessEvent::Message(Wire::Telemetry(telemetry)) => {
                     telemetry.robots.iter().for_each(|told| heard.borrow_mut().learn(told));
                 }
-                ProcessEvent::Message(_) | ProcessEvent::Published | ProcessEvent::Duplicate(_) | ProcessEvent::Safety(..) => {}
+                ProcessEvent::Message(_)
+                | ProcessEvent::Published
+                | ProcessEvent::Duplicate(_)
+                | ProcessEvent::Safety(..) => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
             observe(clock, &listener, observer);

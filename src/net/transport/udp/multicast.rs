@@ -16,7 +16,11 @@ const PORT: u16 = 7700;
 pub const ENTRY: Entry = Entry {
     name: "multicast",
     about: "UDP to a group that all hosts listen to",
-    fields: &[INTERFACE, Field { default: Some(default_group), ..Field::new("group", FieldType::Address) }, RECEIVE_BUFFER],
+    fields: &[
+        INTERFACE,
+        Field { default: Some(default_group), ..Field::new("group", FieldType::Address) },
+        RECEIVE_BUFFER,
+    ],
     read,
 };
 

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use crate::actors::network;
 use crate::deploy::team::Team;
-use crate::graph::sockets::Shared;
 use crate::graph::attachment::{self, Attachment};
+use crate::graph::sockets::Shared;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Latent, Wire};
 use crate::net::protocol::key::Key;
