@@ -263,23 +263,23 @@ impl Trial {
     /// the episodes so far.
     pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
         let plan = self.plan();
-        let said = Rc::new(RefCell::new(TrialReport::default()));
+        let shared = Rc::new(RefCell::new(TrialReport::default()));
         let sink = {
-            let said = Rc::clone(&said);
-            move |told| said.borrow_mut().note(told)
+            let shared = Rc::clone(&shared);
+            move |output| shared.borrow_mut().note(output)
         };
         let deadline = self.deadline();
         let (graph, end) = run_virtual(
             |clock| graph::wire(clock, plan, sink),
             |_, now| {
-                let mut report = said.borrow_mut();
+                let mut report = shared.borrow_mut();
                 report.simulated = now.since(Time::ZERO);
                 let closed = self.until.is_some_and(|until| now >= until);
                 report.finished || closed || now >= deadline || proceed(&report.episodes) == Proceed::Stop
             },
         );
         assert_eq!(end, End::Done, "a team with heartbeats never falls idle");
-        let mut report = said.borrow().clone();
+        let mut report = shared.borrow().clone();
         (report.refused, report.lost) = graph.undelivered();
         if !report.finished && Time::ZERO + report.simulated >= deadline {
             self.give_up(&mut report);

@@ -65,14 +65,14 @@ pub struct Cache {
     /// Arrival time and stamp of the last new reading.
     own: Option<(Time, u64)>,
     estimator: Box<dyn Estimator>,
-    heard: BTreeMap<RobotId, (Time, Latent)>,
+    latents: BTreeMap<RobotId, (Time, Latent)>,
 }
 
 impl Cache {
     /// Makes an empty cache that draws random ranges from `stream`.
     pub fn new(config: Config, stream: Stream) -> Cache {
         let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)());
-        Cache { config, stream, next, own: None, estimator, heard: BTreeMap::new() }
+        Cache { config, stream, next, own: None, estimator, latents: BTreeMap::new() }
     }
 
     fn perceive(&self, now: Time) -> Option<Percept> {
@@ -81,7 +81,7 @@ impl Cache {
             return None;
         }
         let estimate = self.estimator.at(now)?;
-        let heard = self.heard.values().map(|(arrived, latent)| Heard {
+        let heard = self.latents.values().map(|(arrived, latent)| Heard {
             robot: latent.robot,
             round: latent.round,
             phase: latent.phase,
@@ -112,9 +112,9 @@ impl Core for Cache {
             In::Latent(latent) => {
                 let Some(own) = self.estimator.at(now) else { return };
                 let near = self.config.range.admits(own.position, latent.motion.position, &mut self.stream);
-                let room = self.heard.len() < MAX_NEIGHBOURS || self.heard.contains_key(&latent.robot);
+                let room = self.latents.len() < MAX_NEIGHBOURS || self.latents.contains_key(&latent.robot);
                 if near && room && latent.robot != self.config.robot {
-                    self.heard.insert(latent.robot, (now, latent));
+                    self.latents.insert(latent.robot, (now, latent));
                 }
             }
         }
@@ -126,12 +126,12 @@ impl Core for Cache {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         let Config { hold, handling, .. } = self.config;
-        self.heard.retain(|_, (arrived, _)| now.since(*arrived) <= hold);
+        self.latents.retain(|_, (arrived, _)| now.since(*arrived) <= hold);
         if let Some(percept) = self.perceive(now) {
             out.push(Out::Percept(percept));
             // Without a percept the agent does not step, so the messages are still unused.
             if handling == Handling::AsPublished {
-                self.heard.clear();
+                self.latents.clear();
             }
         }
         self.next = now.next_on_grid(self.config.phase, self.config.period);

@@ -143,7 +143,7 @@ impl Controller {
         }
     }
 
-    /// Acts on a change of the emergency stop: motors stop first, then the state server is told at once.
+    /// Acts on a change of the emergency stop: motors stop first, then the state server gets a heartbeat at once.
     fn latched(&mut self, now: Time, changed: bool, out: &mut Vec<Out>) {
         if changed {
             self.next_heartbeat = now;

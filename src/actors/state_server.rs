@@ -122,8 +122,8 @@ impl StateServer {
 
     /// Last heartbeat of each robot, if it is recent.
     fn present(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
-        self.robots.iter().map(move |heard| {
-            let (at, beat) = heard.as_ref()?;
+        self.robots.iter().map(move |last| {
+            let (at, beat) = last.as_ref()?;
             (now.since(*at) < MISSING_AFTER).then_some(beat)
         })
     }
@@ -365,8 +365,8 @@ impl Core for StateServer {
                 if overshoots && !fresh {
                     self.count_beyond_reach(&beat);
                 }
-                if let Some(heard) = self.robots.get_mut(beat.robot.index()) {
-                    *heard = Some((now, beat));
+                if let Some(last) = self.robots.get_mut(beat.robot.index()) {
+                    *last = Some((now, beat));
                     self.latched(latch);
                 }
             }

@@ -330,19 +330,19 @@ impl Deployment {
             Impair::Latent => (&[Kind::Latent][..], "latent"),
             Impair::All => (&KINDS[..], "impaired"),
         };
-        let mut suffers = false;
+        let mut any_impaired = false;
         let routes = Routes::of(&self);
         let crosses: Vec<Kind> = kinds.iter().copied().filter(|&kind| routes.crosses(kind)).collect();
         for link in self.links.iter_mut().filter(|link| link.medium != LinkMedium::Cable) {
-            let struck: Vec<Kind> = link.carries.iter().copied().filter(|kind| crosses.contains(kind)).collect();
-            if !struck.is_empty() {
+            let affected: Vec<Kind> = link.carries.iter().copied().filter(|kind| crosses.contains(kind)).collect();
+            if !affected.is_empty() {
                 link.delay_s = delay_s.unwrap_or(link.delay_s);
                 link.loss = loss.unwrap_or(link.loss);
-                link.impairs = struck;
-                suffers = true;
+                link.impairs = affected;
+                any_impaired = true;
             }
         }
-        if !suffers {
+        if !any_impaired {
             return Err(ImpairError::NothingCrosses { mode: self.mode, kinds: what });
         }
         self.check()?;

@@ -222,8 +222,8 @@ impl Routes {
                 RobotId::team(self.robots).flat_map(|robot| receivers(robot).hosts).copied().collect()
             }
             Kind::Latent | Kind::Mode | Kind::Stop | Kind::Observe | Kind::Telemetry => {
-                let heard = |host: &HostId| RobotId::team(self.robots).any(|robot| receivers(robot).has(*host));
-                receivers(RobotId(0)).hosts.iter().copied().filter(heard).collect::<BTreeSet<HostId>>()
+                let receives = |host: &HostId| RobotId::team(self.robots).any(|robot| receivers(robot).has(*host));
+                receivers(RobotId(0)).hosts.iter().copied().filter(receives).collect::<BTreeSet<HostId>>()
             }
         };
         of_all.into_iter().collect()

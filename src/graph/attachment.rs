@@ -68,16 +68,16 @@ impl Attachment {
             let me = Identity { epoch: me.epoch.wrapping_add(restarts), ..me };
             Network::new(network::Config { me, ..config.clone() }, seed.stream(&format!("{stream}/{restarts}")))
         };
-        let tell = move |link: LinkId, told| transports[usize::from(link.0)].send(told);
+        let send = move |link: LinkId, input| transports[usize::from(link.0)].send(input);
         start(clock, network, span, make, move |out| match out {
             network::Out::Deliver(message) => output(Out::Deliver(message)),
             network::Out::Tap(frame) => output(Out::Tap(frame)),
             network::Out::Counts(counts) => output(Out::Counts(counts)),
             network::Out::Peers(peers) => output(Out::Peers(peers)),
             network::Out::Duplicate(duplicate) => output(Out::Duplicate(duplicate)),
-            network::Out::Admit(link, guest) => tell(link, transport::In::Admit(guest)),
+            network::Out::Admit(link, guest) => send(link, transport::In::Admit(guest)),
             network::Out::Transmit(link, audience, frame) => {
-                tell(link, transport::In::Transmit(Transmit { from: me.host, audience, frame }));
+                send(link, transport::In::Transmit(Transmit { from: me.host, audience, frame }));
             }
         });
     }

@@ -40,8 +40,8 @@ pub struct Host {
     pub transports: Vec<(LinkId, Box<dyn Transport>)>,
 }
 
-/// Starts the actors of one host. `report` is called with the reports of its Network and guards. `output` takes the output
-/// of the Recorder, which runs on the host that judges.
+/// Starts the actors of one host. `report` is called with the events of its Network and guards. `output` takes the
+/// output of the Recorder, which runs on the host that judges.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     plan: Plan,

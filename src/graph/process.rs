@@ -156,9 +156,9 @@ impl Graph {
     /// Returns the function that sends to the Recorder, or does nothing where there is none.
     pub(super) fn record(&self) -> impl Fn(recorder::In) + use<> {
         let recorder = self.recorder.clone();
-        move |told| {
+        move |input| {
             if let Some(recorder) = &recorder {
-                recorder.send(told);
+                recorder.send(input);
             }
         }
     }

@@ -68,15 +68,15 @@ fn wire(
     // The transport outlives its actor, so that a crash does not lose frames in a socket.
     let transport = Rc::new(RefCell::new(transport));
     let (flooded, receiver, inside) = (Rc::clone(&transport), Rc::clone(&transport), span.clone());
-    let told = Cell::new(0);
+    let reported = Cell::new(0);
     // Read frames at the notification itself: a turn of the actor for it would add a tenth to the cost of a delivery.
     let ring = move || {
         let _inside = inside.enter();
         let mut receiver = receiver.borrow_mut();
         receiver.receive(time.now(), &mut |from, frame| network.send(network::In::Frame(link, frame.into(), from)));
         let dropped = receiver.counts().dropped;
-        if dropped > told.get() {
-            network.send(network::In::Dropped(link, dropped - told.replace(dropped)));
+        if dropped > reported.get() {
+            network.send(network::In::Dropped(link, dropped - reported.replace(dropped)));
         }
     };
     readers.watch_link(bell, move || flooded.borrow().rests_until(), ring);

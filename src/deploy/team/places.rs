@@ -108,14 +108,14 @@ impl TeamFile {
         for (link, place_on) in self.deployment.links.iter().zip(places) {
             let Some(place_on) = place_on else { continue };
             let claim = place_on.way.claim();
-            let Some(twin) = seen.insert((claim.what.clone(), claim.on), &link.name) else { continue };
+            let Some(other) = seen.insert((claim.what.clone(), claim.on), &link.name) else { continue };
             let fields = self.transport(&scopes, link).fields;
             let by_host = fields.iter().any(|field| field.name == claim.field && field.by_host);
             let own = &self.deployment.hosts[usize::from(host.0)].name;
             let name = if by_host { format!("{}.{own}", claim.field) } else { claim.field.to_owned() };
             let key = format!("link.{}.{name}", link.name);
             let origin = self.layers.find(&scopes, &key).map_or(Origin::Default, |entry| entry.origin);
-            let why = format!("{} is link '{twin}' already; give each its own {}", claim.what, claim.field);
+            let why = format!("{} is link '{other}' already; give each its own {}", claim.what, claim.field);
             return Err(ConfigError::field(place(&key, &origin), why));
         }
         Ok(())

@@ -19,7 +19,7 @@ pub struct Shown {
 
 impl TeamFile {
     /// Default of a property of simulated robots: that of the plant.
-    fn usual(&self, key: &str) -> Option<String> {
+    fn plant_default(&self, key: &str) -> Option<String> {
         let (plant, scenario) = (self.registry.plant(&self.deployment.plant).ok()?, self.scenario().ok()?);
         let physics = (plant.physics)(scenario.arena());
         let contacts = || if physics.contacts == ContactRule::Judge { "judge" } else { "block" };
@@ -50,7 +50,7 @@ impl TeamFile {
                 "key_file" => Some("none: frames are not authenticated".to_owned()),
                 "policy" => self.scenario().ok().map(|scenario| self.registry.default_policy(&*scenario).to_owned()),
                 "plant" => Some(self.deployment.plant.clone()),
-                "lag_s" | "contacts" | "wall_radius_m" | "sensor" => self.usual(key),
+                "lag_s" | "contacts" | "wall_radius_m" | "sensor" => self.plant_default(key),
                 _ => None,
             };
             show(key.to_owned(), default);
