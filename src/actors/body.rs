@@ -163,12 +163,12 @@ impl Core for Body {
                 self.forward(out);
             }
             In::Stop(stop) => {
-                let changed = self.latch.told(stop.latch);
+                let changed = self.latch.apply(stop.latch);
                 self.latched(now, changed, out);
                 out.push(Out::Follows(self.latch.latch()));
             }
             In::Latch(heard) => {
-                let changed = self.latch.learned(heard);
+                let changed = self.latch.update(heard);
                 self.latched(now, changed, out);
                 self.correct(now, heard, out);
                 if changed {

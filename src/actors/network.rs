@@ -14,9 +14,9 @@ use crate::messages::wire::{Kind, Wire};
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
-use crate::net::protocol::link::{Duplicate, Guest, LinkCounts, LinkState};
-use crate::net::protocol::outgoing::Leaving;
-use crate::net::protocol::reliability::{Ride, Setup};
+use crate::net::protocol::link::{DuplicateId, Guest, LinkCounts, LinkState};
+use crate::net::protocol::outgoing::Outbound;
+use crate::net::protocol::reliability::{Piggyback, Setup};
 use crate::net::protocol::router::{Audience, Router};
 use crate::net::protocol::sender::Peer;
 use crate::random::Stream;
@@ -47,7 +47,7 @@ pub enum Out {
     /// Summaries of the other hosts, on links with reports, for display.
     Peers(Vec<Peer>),
     /// Another live host has the id of this one and was started before it. Sent once.
-    Duplicate(Duplicate),
+    Duplicate(DuplicateId),
     /// For a link's transport: an operator of the team sends from an address that is in no file.
     Admit(LinkId, Guest),
 }
@@ -83,7 +83,7 @@ pub struct Network {
     local_header: Header,
     local_counts: LinkCounts,
     stream: Stream,
-    outgoing: Vec<Leaving>,
+    outgoing: Vec<Outbound>,
     next_counts: Time,
     /// Whether it has reported a duplicate id.
     duplicate_reported: bool,
@@ -118,15 +118,16 @@ impl Network {
     /// Makes a network at the start of its incarnation. It draws the times of its requests and replies from `stream`.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
-        let shared = links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.ride == Ride::Any)).collect();
+        let shared =
+            links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.piggyback == Piggyback::Any)).collect();
         let ids = (0..=u16::MAX).map(LinkId);
         let hosts = router.hosts();
         let mut state = |id, setup| LinkState::new(me, id, key.clone(), Setup { hosts, ..setup }, &mut stream);
         let links: Vec<Option<LinkState>> =
             ids.zip(links).map(|(id, setup)| setup.map(|setup| state(id, setup))).collect();
         let due = links.iter().map(|link| link.as_ref().and_then(LinkState::due)).collect();
-        let Identity { host, team, epoch } = me;
-        let local_header = Header { flags: codec::Flags::default(), team, sender: host, epoch, sequence: 0 };
+        let Identity { host, team, incarnation } = me;
+        let local_header = Header { flags: codec::Flags::default(), team, sender: host, incarnation, sequence: 0 };
         let local_counts = LinkCounts::default();
         let (outgoing, next_counts, duplicate_reported) = (Vec::new(), Time::ZERO, false);
         Network {
@@ -154,7 +155,7 @@ impl Network {
         let encoded = match leaves {
             Some((link, audience)) => {
                 let state = self.links[usize::from(link.0)].as_mut().expect("this host takes part in the link");
-                let encoded = state.say(now, audience, &message, &mut self.outgoing);
+                let encoded = state.send(now, audience, &message, &mut self.outgoing);
                 self.due[usize::from(link.0)] = state.due();
                 transmit(link, &mut self.outgoing, out);
                 encoded
@@ -225,7 +226,7 @@ impl Network {
     }
 }
 
-fn transmit(link: LinkId, outgoing: &mut Vec<Leaving>, out: &mut Vec<Out>) {
+fn transmit(link: LinkId, outgoing: &mut Vec<Outbound>, out: &mut Vec<Out>) {
     out.extend(outgoing.drain(..).map(|(audience, frame)| Out::Transmit(link, audience, frame)));
 }
 
@@ -291,7 +292,7 @@ mod tests {
             local: kind == Kind::Reading && robot == RobotId(0),
             leaves: (robot == RobotId(1)).then_some((LINK, Audience::Host(HostId(9)))),
         });
-        let me = Identity { host: HostId(host), team, epoch: 1 };
+        let me = Identity { host: HostId(host), team, incarnation: 1 };
         let links = vec![Some(Setup::emulated(Reliabilities::new()))];
         Network::new(Config { me, key: None, links, router }, Seed::of_run(1).stream("network"))
     }

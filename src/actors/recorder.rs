@@ -343,7 +343,7 @@ impl Recorder {
 
 /// Identity of a datagram; a copy has the same one.
 fn datagram(header: &Header) -> Datagram {
-    (header.sender, header.epoch, header.sequence, header.flags.has(Flags::DIRECT))
+    (header.sender, header.incarnation, header.sequence, header.flags.has(Flags::DIRECT))
 }
 
 impl Core for Recorder {
@@ -419,10 +419,10 @@ mod tests {
     }
 
     fn say(recorder: &mut Recorder, ms: u64, episode: u32, phase: Phase) -> Vec<Out> {
-        let round = Round { epoch: 1, episode };
+        let round = Round { term: 1, episode };
         let tasks = recorder.config.layouts.episode(0).into();
         let mode = Wire::Mode(Mode { round, repeat: 4, phase, first: RobotId(0), tasks, latch: Latch::default() });
-        let header = Header { flags: Flags::default(), team: 0, sender: HostId(0), epoch: 1, sequence: 0 };
+        let header = Header { flags: Flags::default(), team: 0, sender: HostId(0), incarnation: 1, sequence: 0 };
         let frame = codec::encode(&header, &mode).unwrap();
         let mut out = Vec::new();
         recorder.handle(at_ms(ms), In::Tap(frame), &mut out);

@@ -76,7 +76,7 @@ pub struct Config {
 pub struct StateServer {
     config: Config,
     robots: Vec<Option<(Time, Heartbeat)>>,
-    /// Number of its incarnation; a later one never starts from an earlier epoch.
+    /// Number of its incarnation; a later one never starts from an earlier term.
     incarnation: u32,
     /// Whether it started without a heartbeat.
     started_unheard: bool,
@@ -151,8 +151,8 @@ impl StateServer {
     fn take_up(&mut self, now: Time) {
         let beats: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
         let last = self.latest_round(now);
-        let epoch = last.epoch.saturating_add(1).max(self.incarnation);
-        self.round = Round { epoch, episode: last.episode.min(self.config.layouts.len()) };
+        let term = last.term.saturating_add(1).max(self.incarnation);
+        self.round = Round { term, episode: last.episode.min(self.config.layouts.len()) };
         self.started_unheard = beats.is_empty();
         let waits = beats.iter().any(|beat| beat.round == last && beat.phase == Phase::Waiting);
         let is_running = |beat: &Heartbeat| {
@@ -164,7 +164,7 @@ impl StateServer {
         } else if waits {
             // A former incarnation waited for a host. Which one is unknown, so all robots have to follow first.
             self.enter(now, Phase::Waiting);
-        } else if last.epoch > 0 && beats.iter().any(is_running) {
+        } else if last.term > 0 && beats.iter().any(is_running) {
             tracing::warn!(episode = last.episode, "a running episode is given up: the state server was restarted");
             self.enter(now, Phase::AbortRunning);
         } else {
@@ -172,17 +172,17 @@ impl StateServer {
         }
     }
 
-    /// Takes a later epoch if a robot follows a later round, of a former incarnation or after corruption on its way.
+    /// Takes a later term if a robot follows a later round, of a former incarnation or after corruption on its way.
     /// The robot would refuse every earlier round.
     fn overtake(&mut self, now: Time) {
         let latest = self.latest_round(now);
-        if self.round.epoch == 0 || latest <= self.round {
+        if self.round.term == 0 || latest <= self.round {
             return;
         }
         if self.started_unheard {
             self.take_up(now);
         } else {
-            self.round.epoch = latest.epoch.saturating_add(1);
+            self.round.term = latest.term.saturating_add(1);
             self.sent_at = None;
         }
     }
@@ -203,9 +203,9 @@ impl StateServer {
         self.beyond_reach += 1;
         if self.beyond_reach.is_power_of_two() {
             let (robot, times) = (beat.robot, self.beyond_reach);
-            let (epoch, number) = (beat.round.epoch, beat.latch.number());
+            let (term, number) = (beat.round.term, beat.latch.number());
             tracing::error!(
-                "{robot} sent epoch {epoch} and stop number {number}, which are out of reach: ignored ({times} times)"
+                "{robot} sent term {term} and stop number {number}, which are out of reach: ignored ({times} times)"
             );
         }
     }
@@ -229,7 +229,7 @@ impl StateServer {
         match self.latch.resumed(stop.latch) {
             Some(clear) if hindrances.is_empty() => self.latched(clear),
             Some(_) => {}
-            None => self.latched(self.latch.told(stop.latch)),
+            None => self.latched(self.latch.after(stop.latch)),
         }
         if stop.by.is_operator() {
             out.push(Out::Leading(Leading { latch: self.latch, hindrances }));
@@ -360,7 +360,7 @@ impl Core for StateServer {
         match input {
             In::Heartbeat(beat) => {
                 let latch = self.latch.joined(beat.latch);
-                let fresh = self.round.epoch == 0;
+                let fresh = self.round.term == 0;
                 let overshoots = self.latch.is_overshot_by(beat.latch) || self.round.is_overshot_by(beat.round);
                 if overshoots && !fresh {
                     self.count_beyond_reach(&beat);
@@ -386,7 +386,7 @@ impl Core for StateServer {
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.decide(now);
         // Before it knows the team's state, the only instruction is to stand.
-        let may_send = self.round.epoch > 0 || !self.latch.is_clear() || self.leaves;
+        let may_send = self.round.term > 0 || !self.latch.is_clear() || self.leaves;
         // While it is leaving, send at every tick.
         let period = if self.leaves { Span::ZERO } else { MODE_PERIOD };
         if may_send && self.sent_at.is_none_or(|at| now.since(at) >= period) {
@@ -428,8 +428,8 @@ mod tests {
         Time::ZERO + Span::from_millis(ms)
     }
 
-    fn round(epoch: u32, episode: u32) -> Round {
-        Round { epoch, episode }
+    fn round(term: u32, episode: u32) -> Round {
+        Round { term, episode }
     }
 
     #[test]
@@ -645,7 +645,7 @@ mod tests {
     #[test]
     fn a_server_that_was_started_afresh_still_waits_for_a_host_that_has_left() {
         let mut next = super::tests::server();
-        let round_of = |server: &StateServer| if server.round.epoch == 0 { round(1, 0) } else { server.round };
+        let round_of = |server: &StateServer| if server.round.term == 0 { round(1, 0) } else { server.round };
         tick(&mut next, at_ms(0));
         for ms in (0..60_000).step_by(50) {
             let (robot, phase, latch) = (RobotId(0), Phase::Waiting, Latch::default());
@@ -689,13 +689,13 @@ mod tests {
             server.handle(at_ms(ms), In::Heartbeat(far.clone()), &mut Vec::new());
             tick(&mut server, at_ms(ms));
         }
-        assert_eq!((server.round.epoch, server.latch), (1, Latch::default()));
+        assert_eq!((server.round.term, server.latch), (1, Latch::default()));
         assert_eq!(server.beyond_reach, 16);
         let two_say = 1 << 25;
         let mut fresh = super::tests::server();
         beat(&mut fresh, at_ms(0), round(two_say, 0), [Phase::NeedReset; 2]);
         tick(&mut fresh, at_ms(0));
-        assert_eq!(fresh.round.epoch, two_say + 1, "what two say is taken up, however far");
+        assert_eq!(fresh.round.term, two_say + 1, "what two say is taken up, however far");
         let mut fresh = super::tests::server();
         fresh.handle(at_ms(0), In::Heartbeat(far.clone()), &mut Vec::new());
         tick(&mut fresh, at_ms(10));
@@ -703,7 +703,7 @@ mod tests {
         beat(&mut fresh, at_ms(20), round(40, 0), [Phase::NeedReset; 2]);
         fresh.handle(at_ms(30), In::Heartbeat(far), &mut Vec::new());
         tick(&mut fresh, at_ms(40));
-        assert_eq!((fresh.round.epoch, fresh.latch), (41, Latch::default()));
+        assert_eq!((fresh.round.term, fresh.latch), (41, Latch::default()));
     }
 
     #[test]
