@@ -60,7 +60,7 @@ impl Scenario for Rows {
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let registry = Registry::builtin().with_scenario(ROWS);
-    let report = Trial::among(&registry, "offboard", "rows", 8)?.episodes(3).run();
+    let report = Trial::from_registry(&registry, "offboard", "rows", 8)?.episodes(3).run();
     println!("{} of {} episodes succeeded", report.successes(), report.episodes.len());
     assert_eq!(report.successes(), 3);
     Ok(())

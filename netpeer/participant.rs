@@ -17,8 +17,8 @@ use std::time::{Duration, Instant};
 
 use murmurate::actor::Core;
 use murmurate::actors::network;
+use murmurate::graph::attachment::{self, Attachment};
 use murmurate::graph::sockets::Shared;
-use murmurate::graph::station::{self, Station};
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
@@ -329,8 +329,9 @@ fn main() {
     let folder: PathBuf = variable("NP_DIR", PathBuf::from("."));
     sleep_until(variable("NP_START_NS", 0));
     let group = SocketAddr::from((Ipv4Addr::new(239, 192, 7, 8), 45_451));
-    let way = multicast::endpoint(group, &variable("NP_IFACE", "lo".to_owned()), 4 << 20);
-    let open = way.open(HostId(id), Filter::Team { number: 1, tagged: true }).unwrap_or_else(|error| panic!("{error}"));
+    let endpoint = multicast::endpoint(group, &variable("NP_IFACE", "lo".to_owned()), 4 << 20);
+    let open =
+        endpoint.open(HostId(id), Filter::Team { number: 1, tagged: true }).unwrap_or_else(|error| panic!("{error}"));
     let (origin, zero_ns) = (Instant::now(), monotonic_ns());
     let peer = Rc::new(RefCell::new(Peer::new(id, participants, zero_ns)));
     let (mut ready, mut told) = (false, false);
@@ -386,7 +387,7 @@ fn wire(
         Route { local, leaves: leaves.then_some((LINK, Audience::All)) }
     });
     let reliability = Reliabilities::from([(Kind::Latent, Reliability::Repeat)]);
-    let station = Station {
+    let attachment = Attachment {
         me: network::Identity { host: HostId(id), team: 1, incarnation: 1 },
         key: Some(Key::new(KEY)),
         links: vec![Some(Setup::multicast(reliability))],
@@ -396,8 +397,8 @@ fn wire(
         span: info_span!("network"),
     };
     let inward = to_peer.clone();
-    let network = station.open((clock, readers), vec![(LINK, open)], move |said| {
-        if let station::Out::Deliver(Wire::Latent(latent)) = said {
+    let network = attachment.open((clock, readers), vec![(LINK, open)], move |said| {
+        if let attachment::Out::Deliver(Wire::Latent(latent)) = said {
             inward.send(In::Arrived(latent));
         }
     });

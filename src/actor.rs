@@ -1,28 +1,28 @@
-//! What an actor is: a pure state machine with a typed mailbox, which `runtime` runs.
+//! Definition of an actor: a pure state machine with a typed mailbox, which `runtime` runs.
 
 use crate::time::{Span, Time};
 
-/// A state machine with a typed mailbox. No clock, no I/O, no randomness of its own.
+/// Pure state machine with a typed mailbox: no clock, no I/O, no randomness of its own.
 pub trait Core {
-    /// Everything that this mailbox accepts.
+    /// Messages that this mailbox accepts.
     type In: 'static;
-    /// Everything that this actor may say.
+    /// Messages that this actor sends.
     type Out;
 
-    /// Takes one message.
+    /// Handles one message.
     fn handle(&mut self, now: Time, input: Self::In, out: &mut Vec<Self::Out>);
 
-    /// When `wake` is next due; `None` if only messages matter. A core that wants to be woken before its
-    /// first message answers with a past instant.
+    /// Time at which `wake` is next due; `None` if only messages matter. A core that needs a wake-up before its first
+    /// message returns a past instant.
     fn wake_at(&self) -> Option<Time>;
 
-    /// How late a wake-up that is due in `ahead` may come, in real time, to share one with something else; a control
-    /// tick takes none. Virtual time is always on time.
+    /// Largest delay of a wake-up due in `ahead`, in real time, to share it with another one. It is zero for control
+    /// ticks. Virtual time has no delay.
     fn tolerance(&self, ahead: Span) -> Span {
         let _ = ahead;
         Span::ZERO
     }
 
-    /// Does what was due at `now`. Afterwards `wake_at` is later than `now`.
+    /// Does what is due at `now`. Afterwards `wake_at` is later than `now`.
     fn wake(&mut self, now: Time, out: &mut Vec<Self::Out>);
 }

@@ -2,22 +2,21 @@
 //! graph in one process under virtual time, in many processes, or on one host per robot.
 //!
 //! # The idea
-//! An actor is a pure [`actor::Core`]: a state machine that is handed the time and a message and answers with
-//! messages. One generic shell runs every core. A handful of [wire messages](messages::wire) may cross hosts,
-//! always through a Network, which decides by a table where each goes. So a deployment mode is data
-//! ([`deploy`]), and the same graph runs everywhere.
+//! An actor is a pure [`actor::Core`]: a state machine that takes the time and a message and returns messages. One
+//! generic shell runs every core. A few kinds of [wire messages](messages::wire) may cross hosts, always through a
+//! Network, which routes each by a table. So a deployment mode is data ([`deploy`]), and the same graph runs
+//! everywhere.
 //!
-//! # Rooms
-//! Each may use those before it, never those after:
-//! `time`, `random`, `config`, `messages`, `actor`, `cells`; `hearing`, `faults`; `scenario`, `policy`, `world`,
-//! `safety`; `edge`, `drivers`; `net::protocol`, `net::transport`, `registry`, `net::media`; `report`; then
-//! [`actors`], and beside them [`train`], which knows no actor; `deploy`; `runtime`, which runs actors; `graph`, which
-//! wires them; `trial`; `live`, `study`; `program`, the command line.
-//! `tests/tidy.rs` checks it.
+//! # Modules in their order
+//! Each module may use those before it, never those after: `time`, `random`, `config`, `messages`, `actor`, `cells`;
+//! `hearing`, `faults`; `scenario`, `policy`, `world`, `safety`; `edge`, `drivers`, `estimation`, `localization`;
+//! `net::protocol`, `net::transport`, `registry`, `net::media`; `report`; then [`actors`], and beside them [`train`],
+//! which uses no actor; `deploy`; `runtime`, which runs actors; `graph`, which connects them; `trial`; `live`, `study`;
+//! `program`, the command line. `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
-//! [`messages::wire`], then [`actors`], then `graph/mod.rs`, which says who talks to whom; [`trial`] is the
-//! way to run it all from a test or a program of your own.
+//! [`messages::wire`], then [`actors`], then `graph/mod.rs`, which connects the actors. [`trial`] runs all of it from a
+//! test or a program of your own.
 
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 

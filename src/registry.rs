@@ -1,6 +1,6 @@
-//! The registry: what there is by name, as a value. The command line, team files, trials and trainings look names up
-//! in the one that they are handed, so a program with a scenario, a plant or a policy of its own has everything that
-//! this crate's program has.
+//! Registry of named parts, as a value. The command line, team files, trials and trainings look names up in the
+//! registry that they are given. So a program with a scenario, a plant or a policy of its own has all commands of this
+//! crate's program.
 //!
 //! ```
 //! use murmurate::policy::{self, Model};
@@ -24,7 +24,7 @@ use crate::policy;
 use crate::scenario::{self, Scenario, ScenarioError};
 use crate::world;
 
-/// What there is by name: scenarios, plants, policies, drivers, sources, estimators and transports.
+/// Registry of scenarios, plants, policies, drivers, sources, estimators and transports by name.
 #[derive(Clone, Debug)]
 pub struct Registry {
     scenarios: Vec<scenario::Entry>,
@@ -36,21 +36,21 @@ pub struct Registry {
     transports: Vec<transport::Entry>,
 }
 
-/// Nothing of its kind has that name.
+/// Error of a name that is not in the registry.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is no {kind} '{name}'; there are: {known}")]
 pub struct Unknown {
-    /// What was asked for: a plant, a driver.
+    /// Kind of part, such as plant or driver.
     pub kind: &'static str,
     /// The name.
     pub name: String,
-    /// The names that there are.
+    /// The names in the registry.
     pub known: String,
 }
 
-/// An entry of a registry.
+/// Entry of a registry.
 trait Entry {
-    /// What it is an entry of, in the singular.
+    /// Kind of part, in the singular.
     const KIND: &'static str;
     fn name(&self) -> &'static str;
 }
@@ -76,7 +76,7 @@ entries! {
     transport::Entry, "transport";
 }
 
-/// Adds an entry. Panics if there is one of its name.
+/// Adds an entry. Panics if its name is taken.
 fn add<E: Entry>(entries: &mut Vec<E>, entry: E) {
     assert!(entries.iter().all(|other| other.name() != entry.name()), "a second {} '{}'", E::KIND, entry.name());
     entries.push(entry);
@@ -91,7 +91,7 @@ fn find<'a, E: Entry>(entries: &'a [E], name: &str) -> Result<&'a E, Unknown> {
 }
 
 impl Registry {
-    /// What this crate has.
+    /// The parts of this crate.
     pub fn builtin() -> Registry {
         Registry {
             scenarios: scenario::REGISTRY.to_vec(),
@@ -104,64 +104,64 @@ impl Registry {
         }
     }
 
-    /// With a scenario more.
+    /// Adds a scenario.
     ///
     /// # Panics
-    /// If there is one of its name.
+    /// If its name is taken.
     pub fn with_scenario(mut self, entry: scenario::Entry) -> Registry {
         add(&mut self.scenarios, entry);
         self
     }
 
-    /// With a plant more.
+    /// Adds a plant.
     ///
     /// # Panics
-    /// If there is one of its name.
+    /// If its name is taken.
     pub fn with_plant(mut self, entry: world::Entry) -> Registry {
         add(&mut self.plants, entry);
         self
     }
 
-    /// With a policy more.
+    /// Adds a policy.
     ///
     /// # Panics
-    /// If there is one of its name.
+    /// If its name is taken.
     pub fn with_policy(mut self, entry: policy::Entry) -> Registry {
         add(&mut self.policies, entry);
         self
     }
 
-    /// With a driver more.
+    /// Adds a driver.
     ///
     /// # Panics
-    /// If there is one of its name.
+    /// If its name is taken.
     pub fn with_driver(mut self, entry: drivers::Entry) -> Registry {
         add(&mut self.drivers, entry);
         self
     }
 
-    /// With a source of readings more.
+    /// Adds a source of readings.
     ///
     /// # Panics
-    /// If there is one of its name.
+    /// If its name is taken.
     pub fn with_source(mut self, entry: localization::Entry) -> Registry {
         add(&mut self.sources, entry);
         self
     }
 
-    /// With an estimator more.
+    /// Adds an estimator.
     ///
     /// # Panics
-    /// If there is one of its name.
+    /// If its name is taken.
     pub fn with_estimator(mut self, entry: estimation::Entry) -> Registry {
         add(&mut self.estimators, entry);
         self
     }
 
-    /// With a transport more.
+    /// Adds a transport.
     ///
     /// # Panics
-    /// If there is one of its name, or one with a field of the same name that takes something else.
+    /// If its name is taken, or if another transport has a field of the same name and another type.
     pub fn with_transport(mut self, entry: transport::Entry) -> Registry {
         for field in entry.fields {
             let others = || self.transports.iter().flat_map(|other| other.fields);
@@ -188,12 +188,12 @@ impl Registry {
         &self.estimators
     }
 
-    /// All drivers of robots that are not simulated.
+    /// All drivers of real robots.
     pub fn drivers(&self) -> &[drivers::Entry] {
         &self.drivers
     }
 
-    /// All sources of readings of robots that are not simulated.
+    /// All sources of readings of real robots.
     pub fn sources(&self) -> &[localization::Entry] {
         &self.sources
     }
@@ -208,7 +208,7 @@ impl Registry {
         &self.plants
     }
 
-    /// All policies that have a name.
+    /// All named policies.
     pub fn policies(&self) -> &[policy::Entry] {
         &self.policies
     }
@@ -235,32 +235,32 @@ impl Registry {
         find(&self.estimators, name)
     }
 
-    /// The driver of a robot that these settings name. An error names the field, within the table of a host.
-    pub fn driver(&self, settings: &Settings, robot: RobotId) -> Result<drivers::Made, ConfigError> {
+    /// Makes the driver of a robot with these settings. An error names the field, within the table of a host.
+    pub fn driver(&self, settings: &Settings, robot: RobotId) -> Result<drivers::Parts, ConfigError> {
         let entry =
             find(&self.drivers, &settings.name).map_err(|e| ConfigError::field("driver.name", e.to_string()))?;
         (entry.make)(settings, robot).map_err(|error| error.within("driver"))
     }
 
-    /// The source for some robots that these settings name, likewise.
-    pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Made, ConfigError> {
+    /// Makes the source of some robots with these settings, likewise.
+    pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Parts, ConfigError> {
         let entry =
             find(&self.sources, &settings.name).map_err(|e| ConfigError::field("source.name", e.to_string()))?;
         (entry.make)(settings, robots).map_err(|error| error.within("source"))
     }
 
-    /// The policy of that name; whatever has none here is a file.
+    /// The policy of that name; a name that is not here is a file's.
     pub fn policy(&self, name: &str) -> Option<&policy::Entry> {
         find(&self.policies, name).ok()
     }
 
-    /// The name of the policy that drives a scenario unless someone says otherwise.
-    pub fn usual_policy(&self, scenario: &dyn Scenario) -> &'static str {
+    /// Name of a scenario's default policy.
+    pub fn default_policy(&self, scenario: &dyn Scenario) -> &'static str {
         let shipped = self.policy(policy::SHIPPED).is_some_and(|entry| (entry.build)(scenario).is_ok());
         if shipped { policy::SHIPPED } else { policy::SCRIPTED }
     }
 
-    /// Whether there is something that this crate does not have.
+    /// Whether it has a part that this crate does not have.
     pub fn is_extended(&self) -> bool {
         let sizes = |all: &Registry| {
             let Registry { scenarios, plants, policies, drivers, sources, estimators, transports } = all;

@@ -1,4 +1,4 @@
-//! A trial: one deployment in one process under virtual time, from its first episode to its last.
+//! Trial: one deployment in one process under virtual time, from its first episode to its last.
 //!
 //! ```
 //! use murmurate::policy::Model;
@@ -10,8 +10,8 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! Same trial, same report, bit for bit. Faults come from a [`FaultPlan`]; `examples/faults.rs` is an example to
-//! copy. Trials are independent of each other: run them on as many threads as there are cores.
+//! Equal trials give equal reports, bit for bit. Faults come from a [`FaultPlan`]; `examples/faults.rs` is an example
+//! to copy. Trials are independent of each other: run them on as many threads as there are cores.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -21,7 +21,7 @@ use crate::actors::recorder::Steps;
 use crate::actors::state_server;
 use crate::config::ConfigError;
 use crate::deploy::Deployment;
-use crate::deploy::team::{Simulated, Team};
+use crate::deploy::team::{SimulationSettings, Team};
 use crate::estimation;
 use crate::faults::FaultPlan;
 use crate::graph::{self, Plan};
@@ -41,52 +41,52 @@ use crate::scenario::{Arena, Scenario, ScenarioError, Settings};
 use crate::time::{Span, Time};
 use crate::world::{Clamp, Physics, Placement, kinematic};
 
-/// About how long an episode with its reset takes \[s\].
+/// Rough duration of an episode with its reset \[s\].
 const EPISODE_S: f64 = 10.0;
 
-/// No episode with its reset is over sooner.
+/// Shortest possible duration of an episode with its reset.
 const LEAST_EPISODE: Span = Span::from_millis(1000);
 
-/// Everything that a trial depends on.
+/// All inputs of a trial.
 #[derive(Clone)]
 pub struct Trial {
-    /// Which host runs what.
+    /// Hosts with their parts, and links.
     pub deployment: Deployment,
-    /// What the deployment's plant is looked up in.
+    /// Registry of the deployment's plant.
     pub registry: Registry,
-    /// What the team is to do.
+    /// The team's task.
     pub scenario: Arc<dyn Scenario>,
-    /// What simulated robots are like.
+    /// Properties of the simulated robots.
     pub physics: Physics,
-    /// What drives it.
+    /// Policy under test.
     pub model: Model,
     /// The episodes.
     pub layouts: Layouts,
-    /// The seed of the run: layouts are drawn from it.
+    /// Seed of the run, from which layouts are drawn.
     pub seed: u64,
-    /// Which repeat of the run this is: all other randomness is drawn from seed and repeat.
+    /// Index of this repeat of the run; all other randomness is drawn from seed and repeat.
     pub repeat: u32,
-    /// Who is near enough to be heard; `None` for the policy's own radius.
+    /// Communication range; `None` for the policy's own.
     pub range: Option<CommRange>,
-    /// What becomes of neighbours' messages once a robot's agent has seen them.
+    /// Lifetime of neighbours' messages after the agent's first step with them.
     pub handling: Handling,
-    /// How a robot's readings become an estimate.
+    /// Estimator from readings to a robot's state.
     pub estimator: estimation::Entry,
-    /// How Controllers limit what the policy wants; `Trial::clamp` sets it together with the physics it goes with.
+    /// Limit that Controllers put on the policy's output; `Trial::clamp` sets it together with the matching physics.
     pub clamp: Clamp,
-    /// When robots are stopped or slowed, whatever the policy wants.
+    /// Conditions in which robots are stopped or slowed, whatever the policy's output.
     pub safety: Safety,
-    /// The emergency stops and re-arms of the trial, and when a host of the deployment says them.
+    /// Emergency stops and re-arms of the trial, with the times at which a host of the deployment sends them.
     pub stops: Vec<(Time, Stop)>,
-    /// What goes wrong.
+    /// Faults to inject.
     pub faults: FaultPlan,
-    /// When it ends, in the midst of an episode or not; `None` for after the last one.
+    /// End of the trial, during an episode or not; `None` for the end of the last episode.
     pub until: Option<Time>,
     /// Whether the report keeps every step.
     pub steps: Steps,
 }
 
-/// Why a trial cannot be set up.
+/// Error of a trial that cannot be set up.
 #[derive(Debug, thiserror::Error)]
 pub enum TrialError {
     /// The scenario cannot be made.
@@ -98,39 +98,39 @@ pub enum TrialError {
     /// No preset has that name.
     #[error("there is no mode '{name}'; there are: {}", crate::deploy::MODES.join(", "))]
     Mode {
-        /// What was asked for.
+        /// The name that was not found.
         name: String,
     },
 }
 
-/// Whether a trial is to go on.
+/// Decision whether a trial continues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Proceed {
-    /// To the next event.
-    On,
-    /// No further: the report holds what there is.
+    /// Continue with the next event.
+    Continue,
+    /// Stop; the report holds the results so far.
     Stop,
 }
 
-/// What the robots of a plant are like; a plant that there is not is refused by `Trial::check`.
+/// Properties of a plant's robots. `Trial::check` refuses a plant that is not in the registry.
 fn physics(registry: &Registry, plant: &str, scenario: &dyn Scenario) -> Physics {
     let entry = registry.plant(plant);
     entry.map_or(Physics::published as fn(&Arena) -> Physics, |entry| entry.physics)(scenario.arena())
 }
 
 impl Trial {
-    /// A trial of one episode in a preset mode, with the scripted policy, the scenario's own team and seed 0.
+    /// Makes a trial of one episode in a preset mode, with the scripted policy, the scenario's own team and seed 0.
     pub fn preset(mode: &str, scenario: &str) -> Result<Trial, TrialError> {
         Trial::of_team(mode, scenario, None)
     }
 
-    /// The same for a team of this size.
+    /// Likewise, for a team of this size.
     pub fn of_team(mode: &str, scenario: &str, robots: impl Into<Option<usize>>) -> Result<Trial, TrialError> {
-        Trial::among(&Registry::builtin(), mode, scenario, robots)
+        Trial::from_registry(&Registry::builtin(), mode, scenario, robots)
     }
 
-    /// The same with scenarios and plants from a registry.
-    pub fn among(
+    /// Likewise, with scenarios and plants from a registry.
+    pub fn from_registry(
         registry: &Registry,
         mode: &str,
         scenario: &str,
@@ -142,12 +142,13 @@ impl Trial {
         Ok(Trial::with_registry(registry, deployment, scenario, Model::Orca))
     }
 
-    /// A trial of one episode with seed 0, in a checked deployment of the scenario's team, in a plant of this crate.
+    /// Makes a trial of one episode with seed 0, in a checked deployment of the scenario's team, in a plant of this
+    /// crate.
     pub fn new(deployment: Deployment, scenario: Arc<dyn Scenario>, model: Model) -> Trial {
         Trial::with_registry(&Registry::builtin(), deployment, scenario, model)
     }
 
-    /// The same in a plant from a registry.
+    /// Likewise, in a plant from a registry.
     pub fn with_registry(
         registry: &Registry,
         deployment: Deployment,
@@ -176,12 +177,12 @@ impl Trial {
         }
     }
 
-    /// The run that a team is to make as its team file says, of which each host does its part.
+    /// Makes the run of a team file, of which each host runs its part.
     pub fn of_host(registry: &Registry, team: &Team, model: Model) -> Result<Trial, TrialError> {
         let scenario = registry.scenario(&team.scenario, &Settings::of(team.deployment.robots))?;
         let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
         let trial = Trial::with_registry(registry, team.deployment.clone(), scenario, model);
-        let Simulated { physics, clamp, handling } = team.simulated;
+        let SimulationSettings { physics, clamp, handling } = team.simulated;
         let estimator = team.estimator;
         let (seed, safety) = (team.seed, team.safety);
         let trial = Trial { physics, handling, estimator, seed, safety, layouts, ..trial }.clamp(clamp);
@@ -189,33 +190,33 @@ impl Trial {
         Ok(trial)
     }
 
-    /// In this plant, whose robots are as they are unless someone says otherwise.
+    /// Sets the plant, and its default properties of robots.
     pub fn plant(mut self, name: &str) -> Trial {
         (self.physics, self.deployment.plant) = (physics(&self.registry, name, &*self.scenario), name.to_owned());
         let clamp = self.clamp;
         self.clamp(clamp)
     }
 
-    /// Driven by this.
+    /// Sets the policy.
     pub fn model(mut self, model: Model) -> Trial {
         self.model = model;
         self
     }
 
-    /// With so many of the scenario's own episodes.
+    /// Sets the number of episodes, with the scenario's own layouts.
     pub fn episodes(mut self, episodes: u32) -> Trial {
         self.layouts = Layouts::of_scenario(&*self.scenario, self.seed, episodes);
         self
     }
 
-    /// With this seed, and with the scenario's own layouts for it.
+    /// Sets the seed, with the scenario's own layouts for it.
     pub fn seed(mut self, seed: u64) -> Trial {
         self.seed = seed;
         let episodes = self.layouts.len();
         self.episodes(episodes)
     }
 
-    /// With what limits acceleration: in training the world does, on the published robots only their Controllers.
+    /// Sets the limit of acceleration: in training the World has it, on the published robots only their Controllers.
     pub fn clamp(mut self, clamp: Clamp) -> Trial {
         self.clamp = clamp;
         self.physics.acceleration_m_s2 = match clamp {
@@ -225,29 +226,29 @@ impl Trial {
         self
     }
 
-    /// With these faults.
+    /// Sets the faults.
     pub fn faults(mut self, faults: FaultPlan) -> Trial {
         self.faults = faults;
         self
     }
 
-    /// With faults drawn from a seed, over about the first half of the trial: the rest shows how it recovers.
+    /// Draws faults from a seed, over about the first half of the trial: the rest shows how the team recovers.
     pub fn random_faults(self, seed: u64) -> Trial {
         let half = Span::from_secs(EPISODE_S / 2.0 * f64::from(self.layouts.len()));
         let plan = FaultPlan::random(seed, &self.deployment.targets(), half);
         self.faults(plan)
     }
 
-    /// For so long and no longer, and with as many episodes as that may take: what is said and carried in this time is
-    /// in the report's totals, and `Cost::of` gives it per robot and second.
+    /// Sets the duration, with enough episodes to fill it. The report's totals then count the traffic of this time, and
+    /// `Cost::of` gives it per robot and second.
     pub fn lasting(mut self, lasts: Span) -> Trial {
         let episodes = 1 + lasts.as_nanos() / LEAST_EPISODE.as_nanos();
-        // What happens at the last instant is part of it.
+        // Events at the last instant are included.
         self.until = Some(Time::ZERO + lasts + Span::from_nanos(1));
         self.episodes(u32::try_from(episodes).expect("a trial takes less than a century"))
     }
 
-    /// With every step kept in the report.
+    /// Keeps every step in the report.
     pub fn keeping_steps(mut self) -> Trial {
         self.steps = Steps::Reported;
         self
@@ -255,30 +256,30 @@ impl Trial {
 
     /// Runs the trial to its end on this thread.
     pub fn run(&self) -> TrialReport {
-        self.run_while(|_| Proceed::On)
+        self.run_while(|_| Proceed::Continue)
     }
 
-    /// Runs the trial on this thread until its end, or until `proceed`, which is asked at every event and
-    /// shown the episodes so far, says stop.
+    /// Runs the trial on this thread until its end, or until `proceed` returns `Stop`. It is called at every event with
+    /// the episodes so far.
     pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
         let plan = self.plan();
-        let said = Rc::new(RefCell::new(TrialReport::default()));
+        let shared = Rc::new(RefCell::new(TrialReport::default()));
         let sink = {
-            let said = Rc::clone(&said);
-            move |told| said.borrow_mut().note(told)
+            let shared = Rc::clone(&shared);
+            move |output| shared.borrow_mut().note(output)
         };
         let deadline = self.deadline();
         let (graph, end) = run_virtual(
             |clock| graph::wire(clock, plan, sink),
             |_, now| {
-                let mut report = said.borrow_mut();
+                let mut report = shared.borrow_mut();
                 report.simulated = now.since(Time::ZERO);
                 let closed = self.until.is_some_and(|until| now >= until);
                 report.finished || closed || now >= deadline || proceed(&report.episodes) == Proceed::Stop
             },
         );
-        assert_eq!(end, End::Done, "a team that beats never falls idle");
-        let mut report = said.borrow().clone();
+        assert_eq!(end, End::Done, "a team with heartbeats never falls idle");
+        let mut report = shared.borrow().clone();
         (report.refused, report.lost) = graph.undelivered();
         if !report.finished && Time::ZERO + report.simulated >= deadline {
             self.give_up(&mut report);
@@ -286,13 +287,14 @@ impl Trial {
         report
     }
 
-    /// When a trial is given up, whatever has died: every episode may take as long as the state server lets it.
+    /// Time at which a trial is given up, whatever has crashed: every episode may take the state server's longest
+    /// times.
     fn deadline(&self) -> Time {
         let each = state_server::MUSTER_LIMIT * 2 + state_server::RESET_LIMIT + self.scenario.rules().limit;
         Time::ZERO + (each + state_server::GRACE) * (u64::from(self.layouts.len()) + 1)
     }
 
-    /// Every episode that has no result was aborted.
+    /// Adds an aborted result for every episode without a result.
     fn give_up(&self, report: &mut TrialReport) {
         let open = u32::try_from(report.episodes.len()).expect("episodes were counted in u32");
         report.episodes.extend((open..self.layouts.len()).map(|episode| Episode {
@@ -307,7 +309,7 @@ impl Trial {
         report.finished = true;
     }
 
-    /// Checks the deployment as the trial will use it, and that the faults are of this team and its links.
+    /// Checks the deployment as used by the trial, and that the faults fit this team and its links.
     pub fn check(&self) -> Result<(), ConfigError> {
         let deployment = self.placed();
         deployment.check()?;
@@ -322,7 +324,7 @@ impl Trial {
         self.faults.check_episodes(self.layouts.len())
     }
 
-    /// The deployment as the trial uses it: layouts that do not chain leave nothing to drive to.
+    /// The deployment as used by the trial. If layouts do not chain, robots are placed at their starts.
     fn placed(&self) -> Deployment {
         let mut deployment = self.deployment.clone();
         if !self.layouts.chained() {
@@ -331,10 +333,10 @@ impl Trial {
         deployment
     }
 
-    /// What its graph is made of.
+    /// Makes the inputs of its graph.
     ///
     /// # Panics
-    /// If there is no plant of the deployment's name, which `check` says.
+    /// If the deployment's plant is not in the registry; `check` refuses that.
     pub fn plan(&self) -> Plan {
         let deployment = self.placed();
         let interface = self.model.interface();

@@ -1,8 +1,8 @@
-//! Agent: the policy at work, for one robot or for several at once.
+//! Agent: runs the policy of one robot or of several robots jointly.
 //!
-//! An Agent steps when the Caches of all its robots have perceived: for one robot that is its own tick, for
-//! several a joint, synchronous one. Robots of one Agent exchange latents within the step; all others are
-//! heard through their Caches.
+//! An Agent steps when the Caches of all its robots have sent a percept: for one robot at its own tick, for several in
+//! one synchronous step. Robots of one Agent exchange latents within the step. Latents of all others arrive through the
+//! Caches.
 
 use std::sync::Arc;
 
@@ -19,71 +19,72 @@ use crate::random::Stream;
 use crate::scenario::Scenario;
 use crate::time::{Span, Time};
 
-/// How near to its start a robot must be before an episode may begin \[m\].
+/// Largest distance of a robot from its start at which an episode may begin \[m\].
 pub const START_M: f32 = 0.05;
 
-/// A robot cannot have arrived sooner than this after a round began: what says so is a reading from before.
+/// Shortest time from the start of a round until a robot can have arrived. An earlier arrival comes from a reading of
+/// the round before.
 pub const SETTLING: Span = Span::from_millis(300);
 
-/// What an Agent accepts.
+/// Input of an Agent.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Of one of its robots.
+    /// Percept of one of its robots.
     Percept(Percept),
-    /// The state server's instruction.
+    /// Instruction of the state server.
     Mode(Mode),
 }
 
-/// What an Agent says.
+/// Output of an Agent.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// To the neighbours of one of its robots.
+    /// Latent for the neighbours of one of its robots.
     Latent(Latent),
-    /// To the Controller of one of its robots.
+    /// Action for the Controller of one of its robots.
     Action(Action),
 }
 
-/// The policies of one robot and what they draw from.
-pub struct Pilot {
+/// Policies of one robot, with their random streams.
+pub struct RobotPolicies {
     /// The robot.
     pub robot: RobotId,
     /// The policy under test.
     pub run: Box<dyn Policy>,
-    /// The policy that drives to the start.
+    /// The policy that drives the robot to its start.
     pub reset: Box<dyn Policy>,
-    /// Of its actions.
+    /// Random stream of its actions.
     pub actions: Stream,
-    /// Of its random ranges toward robots of the same Agent.
+    /// Random stream of its communication ranges toward robots of the same Agent.
     pub ranges: Stream,
 }
 
-/// One robot within an Agent.
-struct Seat {
-    pilot: Pilot,
+/// State of one robot within an Agent.
+struct Slot {
+    policies: RobotPolicies,
     task: Option<Task>,
     percept: Option<Percept>,
-    /// What it broadcasts in this step.
+    /// Features that the robot broadcasts in this step.
     features: Vec<f32>,
-    /// Whether that is a latent at all. If it is not, the policy has come apart and moves nobody.
-    sound: bool,
-    /// How wide latents are: of the policy under test, and of the one that drives to the start.
+    /// Whether the features are a valid latent. If not, the policy has failed and its actions are not used.
+    valid: bool,
+    /// Lengths of latents: of the policy under test, and of the reset policy.
     widths: [usize; 2],
 }
 
-/// What a robot shows the others of its Agent in the step at hand. Small and side by side: each robot looks at all that
-/// are near it.
+/// Data of one robot that the others of its Agent read in the current step. Small and contiguous: each robot reads the
+/// data of all that are near it.
 #[derive(Clone, Copy)]
-struct Shown {
+struct SharedData {
     robot: RobotId,
     motion: Motion,
-    /// From where to where its features stand among all that was said; none if it says nothing.
-    said: Option<[u32; 2]>,
+    /// Start and end of its features in `Agent::features`; none if it broadcasts nothing.
+    features: Option<[u32; 2]>,
 }
 
-impl Seat {
-    fn new(pilot: Pilot) -> Seat {
-        let widths = [&pilot.run, &pilot.reset].map(|policy| policy.interface().features);
-        Seat { pilot, task: None, percept: None, features: Vec::new(), sound: true, widths }
+impl Slot {
+    fn new(policies: RobotPolicies) -> Slot {
+        let widths = [&policies.run, &policies.reset].map(|policy| policy.interface().features);
+        Slot { policies, task: None, percept: None, features: Vec::new(), valid: true, widths }
     }
 
     fn width(&self, phase: Phase) -> usize {
@@ -91,45 +92,44 @@ impl Seat {
     }
 }
 
-/// An agent for some robots.
+/// Agent of one or more robots.
 pub struct Agent {
     scenario: Arc<dyn Scenario>,
     range: CommRange,
-    /// How long a joint step waits for the last percept.
-    patience: Span,
-    seats: Vec<Seat>,
+    /// Longest wait of a joint step for the last percept.
+    max_wait: Span,
+    slots: Vec<Slot>,
     rounds: RoundFollower,
-    /// The round that it follows.
+    /// The round in progress.
     round: Round,
     phase: Phase,
-    /// When the round began here.
+    /// Local start time of the round.
     began: Time,
     waiting_since: Option<Time>,
-    /// How many of its robots have not perceived yet.
+    /// Number of its robots whose percepts are missing.
     missing: usize,
-    /// By seat: what is shown in the step at hand, by those that have perceived; and the features of all of them.
-    shown: Vec<Option<Shown>>,
-    said: Vec<f32>,
-    /// Its robots by where they are, for the step at hand; none where everyone counts or they are few.
-    whereabouts: Option<Cells>,
+    /// Data shared in the current step, by slot, of the robots with a percept; and the features of all of them.
+    shared: Vec<Option<SharedData>>,
+    features: Vec<f32>,
+    /// Grid of its robots' positions in the current step; none if the range is unlimited or drawn, or for few robots.
+    grid: Option<Cells>,
     near: Vec<usize>,
 }
 
 impl Agent {
-    /// An agent for these robots, in the order of their ids.
-    pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, patience: Span, pilots: Vec<Pilot>) -> Agent {
-        assert!(pilots.is_sorted_by_key(|pilot| pilot.robot), "sums run in the order of ids");
-        assert!(pilots.is_sorted_by_key(|pilot| pilot.robot), "an agent has its robots in the order of their ids");
+    /// Makes an agent of these robots, in the order of their ids.
+    pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
+        assert!(robots.is_sorted_by_key(|policies| policies.robot), "sums run over robots in the order of their ids");
         Agent {
             scenario,
             range,
-            patience,
-            missing: pilots.len(),
-            shown: Vec::new(),
-            said: Vec::new(),
-            whereabouts: None,
+            max_wait,
+            missing: robots.len(),
+            shared: Vec::new(),
+            features: Vec::new(),
+            grid: None,
             near: Vec::new(),
-            seats: pilots.into_iter().map(Seat::new).collect(),
+            slots: robots.into_iter().map(Slot::new).collect(),
             rounds: RoundFollower::default(),
             round: Round::default(),
             phase: Phase::NeedReset,
@@ -144,101 +144,105 @@ impl Agent {
         }
         self.rounds.follow(mode.round);
         if mode.round > self.round {
-            self.seats.iter_mut().for_each(|seat| seat.task = None);
+            self.slots.iter_mut().for_each(|slot| slot.task = None);
             self.began = now;
         }
         (self.round, self.phase) = (mode.round, mode.phase);
         let block = mode.first.index()..mode.first.index() + mode.tasks.len();
-        let first = self.seats.partition_point(|seat| seat.pilot.robot.index() < block.start);
-        for seat in self.seats[first..].iter_mut().take_while(|seat| block.contains(&seat.pilot.robot.index())) {
-            seat.task = mode.task_of(seat.pilot.robot);
+        let first = self.slots.partition_point(|slot| slot.policies.robot.index() < block.start);
+        for slot in self.slots[first..].iter_mut().take_while(|slot| block.contains(&slot.policies.robot.index())) {
+            slot.task = mode.task_of(slot.policies.robot);
         }
     }
 
-    /// One step of all robots that have perceived.
+    /// Runs one step of all robots with a percept.
     fn step(&mut self, now: Time, out: &mut Vec<Out>) {
         self.waiting_since = None;
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
-            self.shown.clear();
-            self.said.clear();
-            let latents: Vec<Latent> = (0..self.seats.len()).filter_map(|at| self.show(at)).collect();
-            self.whereabouts = self.locate();
-            // Actions go first: wheels before words, and what follows from both is sent in one go.
-            out.extend((0..self.seats.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
+            self.shared.clear();
+            self.features.clear();
+            let latents: Vec<Latent> = (0..self.slots.len()).filter_map(|at| self.share(at)).collect();
+            self.grid = self.locate();
+            // Send actions before latents: actuation latency matters more. Both leave in one visit to the Network.
+            out.extend((0..self.slots.len()).filter_map(|at| self.act(now, at)).map(Out::Action));
             out.extend(latents.into_iter().map(Out::Latent));
         }
-        self.seats.iter_mut().for_each(|seat| seat.percept = None);
-        self.missing = self.seats.len();
+        self.slots.iter_mut().for_each(|slot| slot.percept = None);
+        self.missing = self.slots.len();
     }
 
-    /// Where everyone is that has perceived, to look at those alone who can be heard or met. A range that is drawn for
-    /// every message has no bound.
+    /// Grid of the positions of all robots with a percept, so that only neighbours and robots nearby are examined. A
+    /// range that is drawn per message has no bound.
     fn locate(&self) -> Option<Cells> {
-        if self.seats.len() <= cells::LINEAR_SEARCH_MAX || self.range.std_m > 0.0 {
+        if self.slots.len() <= cells::LINEAR_SEARCH_MAX || self.range.std_m > 0.0 {
             return None;
         }
         let nowhere = Vec2::repeat(f32::NAN);
-        let at = |shown: &Option<Shown>| shown.map_or(nowhere, |shown| shown.motion.position);
-        Cells::new(self.range.mean_m.max(NEAR_M), self.shown.iter().map(at))
+        let at = |shared: &Option<SharedData>| shared.map_or(nowhere, |shared| shared.motion.position);
+        Cells::new(self.range.mean_m.max(NEAR_M), self.shared.iter().map(at))
     }
 
-    /// What a robot broadcasts, if it does. Notes what it shows to the others here.
-    fn show(&mut self, at: usize) -> Option<Latent> {
+    /// Encodes the latent of a robot, if it broadcasts one, and stores the data that it shares within the Agent.
+    fn share(&mut self, at: usize) -> Option<Latent> {
         let latent = self.encode(at);
-        let Seat { pilot, percept, features, .. } = &self.seats[at];
-        let place = |at: usize| u32::try_from(at).expect("a team says less than four gigabytes");
-        let said = latent.as_ref().map(|_| [self.said.len(), self.said.len() + features.len()].map(place));
-        let shown = percept.as_ref().map(|percept| Shown { robot: pilot.robot, motion: percept.estimate, said });
-        self.shown.push(shown);
-        if said.is_some() {
-            self.said.extend_from_slice(features);
+        let Slot { policies, percept, features, .. } = &self.slots[at];
+        let place = |at: usize| u32::try_from(at).expect("the latents of a step take less than four gigabytes");
+        let range = latent.as_ref().map(|_| [self.features.len(), self.features.len() + features.len()].map(place));
+        let shared = percept.as_ref().map(|percept| SharedData {
+            robot: policies.robot,
+            motion: percept.estimate,
+            features: range,
+        });
+        self.shared.push(shared);
+        if range.is_some() {
+            self.features.extend_from_slice(features);
         }
         latent
     }
 
     fn encode(&mut self, at: usize) -> Option<Latent> {
         let (phase, round) = (self.phase, self.round);
-        let seat = &mut self.seats[at];
-        let agreed = seat.width(phase);
-        let (percept, task) = (seat.percept.as_ref()?, seat.task.as_ref()?);
+        let slot = &mut self.slots[at];
+        let declared = slot.width(phase);
+        let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
-        let policy = if phase == Phase::Running { &mut seat.pilot.run } else { &mut seat.pilot.reset };
+        let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
         let width = policy.interface().features;
-        // It writes as much as it says, whether or not that is what it said at first.
-        seat.features.resize(width, 0.0);
-        policy.encode(&self.scenario.observe(&task, &percept.estimate), &mut seat.features);
-        let sound = width == agreed && width <= MAX_FEATURES && all_sound(&seat.features);
-        if !sound && seat.sound {
-            tracing::error!(width, agreed, "the policy says something that is no latent; its robot is to stop");
+        // The policy fills the width that it declares now, even if that has changed since the start.
+        slot.features.resize(width, 0.0);
+        policy.encode(&self.scenario.observe(&task, &percept.estimate), &mut slot.features);
+        let valid = width == declared && width <= MAX_FEATURES && all_sound(&slot.features);
+        if !valid && slot.valid {
+            tracing::error!(width, declared, "the policy's output is not a valid latent; its robot stops");
         }
-        seat.sound = sound;
-        sound.then(|| Latent {
-            robot: seat.pilot.robot,
+        slot.valid = valid;
+        valid.then(|| Latent {
+            robot: slot.policies.robot,
             round,
             phase,
             motion: percept.estimate,
-            features: Features(seat.features.as_slice().into()),
+            features: Features(slot.features.as_slice().into()),
         })
     }
 
     fn act(&mut self, now: Time, at: usize) -> Option<Action> {
-        let position = self.shown[at]?.motion.position;
-        match &self.whereabouts {
+        let position = self.shared[at]?.motion.position;
+        match &self.grid {
             Some(grid) => grid.near(position, &mut self.near),
             None => {
                 self.near.clear();
-                self.near.extend(0..self.seats.len());
+                self.near.extend(0..self.slots.len());
             }
         }
         let settled = now.since(self.began) >= SETTLING;
         let (phase, round) = (self.phase, self.round);
-        let seat = &mut self.seats[at];
-        let width = seat.width(phase);
-        let (percept, task) = (seat.percept.as_ref()?, seat.task.as_ref()?);
+        let slot = &mut self.slots[at];
+        let width = slot.width(phase);
+        let (percept, task) = (slot.percept.as_ref()?, slot.task.as_ref()?);
         let task = bound_for(phase, task);
         let own = percept.estimate;
         let frame = self.scenario.frame(&task);
-        let policy = if phase == Phase::Running { &mut seat.pilot.run } else { &mut seat.pilot.reset };
+        let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
 
         let usable =
             |heard: &&NeighbourLatent| heard.round == round && heard.phase == phase && heard.features.0.len() == width;
@@ -248,13 +252,13 @@ impl Agent {
                 Neighbour { motion: frame.turn_motion(&heard.motion), features: &heard.features.0, age: heard.age },
             )
         });
-        let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shown[other]);
-        let (range, ranges, said) = (self.range, &mut seat.pilot.ranges, &self.said);
+        let companions = self.near.iter().filter(|other| **other != at).filter_map(|&other| self.shared[other]);
+        let (range, ranges, shared) = (self.range, &mut slot.policies.ranges, &self.features);
         let joint = companions.clone().filter_map(|other| {
-            let [begins, ends] = other.said?.map(|at| at as usize);
+            let [begins, ends] = other.features?.map(|at| at as usize);
             range.admits(own.position, other.motion.position, ranges).then(|| {
                 let motion = frame.turn_motion(&other.motion);
-                (other.robot, Neighbour { motion, features: &said[begins..ends], age: Span::ZERO })
+                (other.robot, Neighbour { motion, features: &shared[begins..ends], age: Span::ZERO })
             })
         });
         let mut neighbours: Vec<(RobotId, Neighbour)> = cached.chain(joint).collect();
@@ -262,9 +266,9 @@ impl Agent {
         let neighbours: Vec<Neighbour> = neighbours.into_iter().map(|(_, neighbour)| neighbour).collect();
 
         let seen = self.scenario.observe(&task, &own);
-        let velocity = match seat.sound {
-            true => policy.act(&seen, &seat.features, &neighbours, &mut seat.pilot.actions),
-            // Left for the Controller to stop, as any other output that is no velocity.
+        let velocity = match slot.valid {
+            true => policy.act(&seen, &slot.features, &neighbours, &mut slot.policies.actions),
+            // Left for the Controller to stop, as any other output that is not finite.
             false => Vec2::repeat(f32::NAN),
         };
         let limit = policy.interface().limit_m_s;
@@ -277,7 +281,7 @@ impl Agent {
         let beside = companions.map(|other| OtherRobot { robot: other.robot, motion: other.motion, age: Span::ZERO });
         let near = |other: &OtherRobot| (other.motion.position - own.position).norm_squared() <= NEAR_M * NEAR_M;
         Some(Action {
-            robot: seat.pilot.robot,
+            robot: slot.policies.robot,
             round,
             phase,
             due: percept.due,
@@ -289,12 +293,12 @@ impl Agent {
     }
 }
 
-/// The task of the moment: during a reset, to get to the start.
+/// Task in the current phase: during a reset, to reach the start.
 fn bound_for(phase: Phase, task: &Task) -> Task {
     if phase == Phase::Running { *task } else { Task { start: task.start, goal: task.start } }
 }
 
-/// Within the policy's own limit along each axis; what is no velocity at all is left for the Controller to stop.
+/// Clamps each axis to the policy's own limit. A non-finite velocity is left for the Controller to stop.
 fn limited(velocity: Vec2, limit: f32) -> Vec2 {
     if is_finite(velocity) { velocity.map(|axis| axis.clamp(-limit, limit)) } else { velocity }
 }
@@ -307,9 +311,9 @@ impl Core for Agent {
         match input {
             In::Mode(mode) => self.follow(now, &mode),
             In::Percept(percept) => {
-                let place = self.seats.binary_search_by_key(&percept.robot, |seat| seat.pilot.robot);
-                let Some(seat) = place.ok().map(|place| &mut self.seats[place]) else { return };
-                if seat.percept.replace(percept).is_none() {
+                let place = self.slots.binary_search_by_key(&percept.robot, |slot| slot.policies.robot);
+                let Some(slot) = place.ok().map(|place| &mut self.slots[place]) else { return };
+                if slot.percept.replace(percept).is_none() {
                     self.missing -= 1;
                 }
                 if self.missing == 0 {
@@ -322,10 +326,10 @@ impl Core for Agent {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        self.waiting_since.map(|since| since + self.patience)
+        self.waiting_since.map(|since| since + self.max_wait)
     }
 
-    /// A robot has not perceived in time: the others go on without it.
+    /// Steps without the robots whose percepts are late.
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.step(now, out);
     }
@@ -340,7 +344,7 @@ mod tests {
     use crate::random::Seed;
     use crate::scenario::{Observation, Settings, build};
 
-    /// Wants to move at as many m/s as it has neighbours.
+    /// Test policy that moves at as many m/s as it has neighbours.
     struct Counting;
 
     impl Policy for Counting {
@@ -352,7 +356,10 @@ mod tests {
             features[0] = 7.0;
         }
         fn act(&mut self, _: &Observation, _: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
-            assert!(neighbours.iter().all(|neighbour| neighbour.features == [7.0]), "it hears what was said");
+            assert!(
+                neighbours.iter().all(|neighbour| neighbour.features == [7.0]),
+                "it receives the latents that were sent"
+            );
             Vec2::new(neighbours.len() as f32, 0.0)
         }
     }
@@ -363,15 +370,15 @@ mod tests {
     fn agent(robots: &[u16]) -> Agent {
         let passage = build("passage", &Settings::of(3)).unwrap();
         let stream = || Seed::of_run(0).stream("agent");
-        let pilot = |&robot: &u16| Pilot {
+        let policies = |&robot: &u16| RobotPolicies {
             robot: RobotId(robot),
             run: Box::new(Counting),
             reset: Box::new(Counting),
             actions: stream(),
             ranges: stream(),
         };
-        let pilots = robots.iter().map(pilot).collect();
-        let mut agent = Agent::new(passage, CommRange::fixed(2.0), Span::from_millis(12), pilots);
+        let robots = robots.iter().map(policies).collect();
+        let mut agent = Agent::new(passage, CommRange::fixed(2.0), Span::from_millis(12), robots);
         let task = Task { start: Vec2::new(0.0, -1.5), goal: Vec2::new(0.0, 1.5) };
         let tasks = [task; 3].into();
         let (phase, first, latch) = (Phase::Running, RobotId(0), Latch::default());
@@ -386,9 +393,9 @@ mod tests {
     }
 
     fn speeds(out: &[Out]) -> Vec<(u16, f32)> {
-        let action = |said: &Out| match said {
+        let action = |out: &Out| match out {
             Out::Action(action) => {
-                assert_eq!(action.estimate.velocity, MEASURED, "it says how the robot moved");
+                assert_eq!(action.estimate.velocity, MEASURED, "it has the measured velocity");
                 Some((action.robot.0, action.velocity.x))
             }
             Out::Latent(_) => None,
@@ -397,7 +404,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_step_waits_for_all_and_hears_who_is_in_range() {
+    fn a_joint_step_waits_for_all_and_uses_neighbours_in_range() {
         let (mut agent, mut out) = (agent(&[0, 1, 2]), Vec::new());
         agent.handle(Time::ZERO, percept(0, 0.0, Vec::new()), &mut out);
         agent.handle(Time::ZERO, percept(2, 1.5, Vec::new()), &mut out);
@@ -412,15 +419,15 @@ mod tests {
     #[test]
     fn of_many_robots_those_near_are_heard_and_met_as_if_everyone_was_looked_at() {
         let robots: Vec<u16> = (0..60).collect();
-        // A range that is drawn, if from next to nothing, has no bound: then everyone is looked at.
+        // A drawn range, even with a tiny deviation, has no bound: all robots are examined.
         let out = [0.0, 1e-30].map(|std_m| {
             let (mut agent, mut out) = (agent(&robots), Vec::new());
             agent.range.std_m = std_m;
             for &robot in &robots {
-                agent.seats[usize::from(robot)].task = agent.seats[0].task;
+                agent.slots[usize::from(robot)].task = agent.slots[0].task;
                 agent.handle(Time::ZERO, percept(robot, f32::from(robot * 37 % 60) * 0.7, Vec::new()), &mut out);
             }
-            assert_eq!(agent.whereabouts.is_some(), std_m == 0.0);
+            assert_eq!(agent.grid.is_some(), std_m == 0.0);
             out
         });
         assert_eq!(out.each_ref().map(Vec::len), [120; 2]);
@@ -462,7 +469,7 @@ mod tests {
         assert_eq!(speeds(&out), [(0, 1.0)]);
     }
 
-    /// Says latents of one width at first and of another from its third word on, or none that is finite.
+    /// Test policy whose latents change their width at the third step, or are not finite.
     struct Unsound(usize, f32, std::cell::Cell<usize>);
 
     impl Policy for Unsound {
@@ -479,17 +486,17 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_latent_is_neither_said_nor_heard_and_moves_nobody() {
+    fn an_invalid_latent_is_neither_sent_nor_used_and_moves_no_robot() {
         for (width, value) in [(2, 0.0), (0, 0.0), (MAX_FEATURES + 1, 0.0), (1, f32::NAN), (1, f32::INFINITY)] {
             let mut agent = agent(&[0, 1]);
-            agent.seats[0].pilot.run = Box::new(Unsound(width, value, std::cell::Cell::new(2)));
+            agent.slots[0].policies.run = Box::new(Unsound(width, value, std::cell::Cell::new(2)));
             let mut out = Vec::new();
             agent.handle(Time::ZERO, percept(0, 0.0, Vec::new()), &mut out);
             agent.handle(Time::ZERO, percept(1, 1.0, Vec::new()), &mut out);
             let speeds = speeds(&out);
             assert!(speeds[0].1.is_nan(), "{width} {value}: the Controller has to stop it");
             assert_eq!(speeds[1], (1, 0.0), "{width} {value}: its companion hears nobody, and goes on");
-            assert!(out.iter().all(|said| !matches!(said, Out::Latent(latent) if latent.robot == RobotId(0))));
+            assert!(out.iter().all(|out| !matches!(out, Out::Latent(latent) if latent.robot == RobotId(0))));
         }
     }
 }

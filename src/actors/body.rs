@@ -1,8 +1,8 @@
-//! Body: one robot's motors, as its driver reaches them. It lives where they hang: on the robot, or beside the World
-//! that simulates it.
+//! Body: the motors of one robot, reached through its driver. It runs where the motors are attached: on the robot, or
+//! beside the World that simulates it.
 //!
-//! A Body stops its motors when the last command's validity lapses, whichever actor has died upstream, and follows the
-//! emergency stop by itself: a command that is released late drives nobody. Nothing bypasses it.
+//! A Body stops its motors when the last command expires, whichever actor upstream has crashed. It also follows the
+//! emergency stop by itself, so a command that is delivered after a stop moves no robot. Nothing bypasses it.
 
 use crate::actor::Core;
 use crate::drivers::{self, Driver};
@@ -13,115 +13,116 @@ use crate::messages::local::Drive;
 use crate::messages::wire::{Health, MotorCommand, Reading, Stop};
 use crate::time::{Span, Time};
 
-/// How often a Body tells a state server that knows less of the emergency stop than it does.
+/// Shortest period at which a Body corrects a state server that lacks a stop.
 const CORRECTION_PERIOD: Span = Span::from_millis(200);
 
-/// What a Body accepts.
+/// Input of a Body.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// What its motors are to do.
+    /// Velocity for its motors.
     MotorCommand(MotorCommand),
-    /// Where it was measured, for a driver that has to know its heading.
+    /// Measured pose, for a driver that needs the heading.
     Reading(Reading),
-    /// Something that its driver's worker has said.
+    /// Packet from its driver's worker.
     Packet(Box<[u8]>),
     /// Its driver's worker has ended.
     WorkerEnded,
-    /// The emergency stop, engaged or taken back.
+    /// Emergency stop: engaged or re-armed.
     Stop(Stop),
-    /// The latch as the state server repeats it.
+    /// Latch that the state server repeats.
     Latch(Latch),
-    /// Its host is told to end.
+    /// Its host is shutting down.
     Leave,
 }
 
-/// What a Body says.
+/// Output of a Body.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// To its World.
+    /// Command for its World.
     Drive(Drive),
-    /// To its driver's worker.
-    Tell(Box<[u8]>),
-    /// To the host's Status: how the robot is, and what is left of its battery \[%\].
+    /// Packet for its driver's worker.
+    Send(Box<[u8]>),
+    /// Condition of the robot and charge of its battery \[%\], for the host's Status.
     Condition(Health, Option<u8>),
-    /// To the host's Status: the latch that it follows.
+    /// Latch that the Body follows, for the host's Status.
     Follows(Latch),
-    /// To everyone: the state server has forgotten a stop.
+    /// Stop for the whole team: the state server has lost one.
     Stop(Stop),
 }
 
-/// One robot's body.
+/// Body of one robot.
 pub struct Body {
     robot: RobotId,
-    /// The host that it lives on.
+    /// The host that it runs on.
     host: HostId,
     driver: Box<dyn Driver>,
-    said: Vec<drivers::Out>,
-    /// Where the robot was measured last.
+    outputs: Vec<drivers::Out>,
+    /// Last measured pose.
     pose: Option<Pose>,
-    /// What could not be understood of the driver's worker so far.
+    /// Number of packets from the driver's worker that were not understood.
     refused: u64,
-    /// When the command in force lapses.
-    lapses: Option<Time>,
+    /// Expiry of the command in force.
+    expires: Option<Time>,
     latch: LatchFollower,
-    /// When a state server was last corrected.
+    /// Time of the last correction of a state server.
     corrected: Option<Time>,
-    /// Whether its host is about to end.
+    /// Whether its host is shutting down.
     leaves: bool,
 }
 
 impl Body {
-    /// A body at rest, driven by this driver.
+    /// Makes a body at rest with this driver.
     pub fn new((host, robot): (HostId, RobotId), driver: Box<dyn Driver>) -> Body {
         Body {
             robot,
             host,
             driver,
-            said: Vec::new(),
+            outputs: Vec::new(),
             pose: None,
             refused: 0,
-            lapses: None,
+            expires: None,
             latch: LatchFollower::default(),
             corrected: None,
             leaves: false,
         }
     }
 
-    /// Whether its motors may turn: the state server was heard, no stop is engaged or held, and its host stays.
+    /// Whether its motors may turn: the state server was heard, no stop is engaged or held, and its host is not
+    /// leaving.
     fn may_move(&self) -> bool {
         self.latch.is_informed() && self.latch.latch().is_clear() && !self.leaves
     }
 
     fn obey(&mut self, now: Time, command: &MotorCommand, out: &mut Vec<Out>) {
-        // No faster than the robot can, in the same direction.
+        // Cap the speed at the robot's limit; the direction stays.
         let most = self.driver.limits().speed_m_s;
         let velocity = if self.may_move() { command.velocity.cap_magnitude(most) } else { Vec2::zeros() };
         let until = now + command.valid_for;
-        self.lapses = Some(until);
+        self.expires = Some(until);
         self.drive(now, Drive { robot: self.robot, velocity, until }, out);
     }
 
     fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
-        self.lapses = None;
+        self.expires = None;
         self.drive(now, Drive { robot: self.robot, velocity: Vec2::zeros(), until: now }, out);
     }
 
     fn drive(&mut self, now: Time, drive: Drive, out: &mut Vec<Out>) {
-        self.driver.drive(now, &drive, self.pose.as_ref(), &mut self.said);
-        self.pass_on(out);
+        self.driver.drive(now, &drive, self.pose.as_ref(), &mut self.outputs);
+        self.forward(out);
     }
 
-    fn pass_on(&mut self, out: &mut Vec<Out>) {
-        for said in self.said.drain(..) {
-            match said {
+    fn forward(&mut self, out: &mut Vec<Out>) {
+        for output in self.outputs.drain(..) {
+            match output {
                 drivers::Out::Drive(drive) => out.push(Out::Drive(drive)),
-                drivers::Out::Tell(packet) => out.push(Out::Tell(packet)),
+                drivers::Out::Send(packet) => out.push(Out::Send(packet)),
                 drivers::Out::Condition(health, battery) => out.push(Out::Condition(health, battery)),
                 drivers::Out::Refused(why) => {
                     self.refused += 1;
-                    // The first, and then less and less often: a broken robot says nothing else.
+                    // Log the counts 1, 2, 4, 8, ...: a broken robot may send nothing else.
                     if self.refused.is_power_of_two() {
-                        tracing::warn!(refused = self.refused, "what the driver's worker says is refused: {why}");
+                        tracing::warn!(refused = self.refused, "output of the driver's worker is refused: {why}");
                     }
                 }
             }
@@ -134,11 +135,11 @@ impl Body {
         }
     }
 
-    /// A state server that was started afresh may know less than this body; a hold that only bodies remember holds.
-    fn correct(&mut self, now: Time, said: Latch, out: &mut Vec<Out>) {
+    /// Sends the latch to a state server that was restarted and lacks it. So a hold survives that only Bodies remember.
+    fn correct(&mut self, now: Time, heard: Latch, out: &mut Vec<Out>) {
         let own = self.latch.latch();
         let due = self.corrected.is_none_or(|at| now.since(at) >= CORRECTION_PERIOD);
-        if !own.is_clear() && own > said && due {
+        if !own.is_clear() && own > heard && due {
             self.corrected = Some(now);
             out.push(Out::Stop(Stop { by: self.host, latch: own }));
         }
@@ -154,25 +155,22 @@ impl Core for Body {
             In::MotorCommand(command) => self.obey(now, &command, out),
             In::Reading(reading) => self.pose = Some(reading.pose),
             In::WorkerEnded => {
-                tracing::error!(
-                    "the driver of {} has ended: it cannot be driven any more; restart the host",
-                    self.robot
-                );
+                tracing::error!("the driver of {} has ended: the robot cannot move; restart the host", self.robot);
                 out.push(Out::Condition(Health::Silent, None));
             }
             In::Packet(packet) => {
-                self.driver.told(now, &packet, &mut self.said);
-                self.pass_on(out);
+                self.driver.receive(now, &packet, &mut self.outputs);
+                self.forward(out);
             }
             In::Stop(stop) => {
                 let changed = self.latch.apply(stop.latch);
                 self.latched(now, changed, out);
                 out.push(Out::Follows(self.latch.latch()));
             }
-            In::Latch(said) => {
-                let changed = self.latch.update(said);
+            In::Latch(heard) => {
+                let changed = self.latch.update(heard);
                 self.latched(now, changed, out);
-                self.correct(now, said, out);
+                self.correct(now, heard, out);
                 if changed {
                     out.push(Out::Follows(self.latch.latch()));
                 }
@@ -185,11 +183,11 @@ impl Core for Body {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        self.lapses
+        self.expires
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        if self.lapses.is_some_and(|lapses| lapses <= now) {
+        if self.expires.is_some_and(|expires| expires <= now) {
             self.stand(now, out);
         }
     }
@@ -217,7 +215,7 @@ mod tests {
         out
     }
 
-    /// How fast it is driven by a command of 1 m/s.
+    /// Speed at which the robot is driven after a command of 1 m/s.
     fn driven(body: &mut Body, ms: u64) -> f32 {
         let out = handle(body, ms, command(1.0));
         let [Out::Drive(drive)] = &out[..] else { panic!("{out:?}") };

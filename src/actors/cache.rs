@@ -1,7 +1,7 @@
-//! Cache: what one robot knows. Its own estimate, and the newest latent of each neighbour within range.
+//! Cache: the knowledge of one robot: its own estimate, and the newest latent of each neighbour within range.
 //!
-//! A datagram that arrives changes this memory and nothing else; at each tick of its agent the Cache hands
-//! on a `Percept`. Ages count from arrival, on this host's clock.
+//! A datagram that arrives changes this memory and nothing else. At each tick of its agent the Cache sends a `Percept`.
+//! Ages count from arrival, on this host's clock.
 
 use std::collections::BTreeMap;
 
@@ -14,65 +14,65 @@ use crate::messages::wire::{Latent, Reading};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// The most neighbours that are kept; far more than fit within any communication range.
+/// Largest number of neighbours kept; far more than fit within any communication range.
 pub const MAX_NEIGHBOURS: usize = 256;
 
-/// What a Cache accepts.
+/// Input of a Cache.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Of its own robot.
+    /// Reading of its own robot.
     Reading(Reading),
-    /// Of some other robot.
+    /// Latent of another robot.
     Latent(Latent),
 }
 
-/// How a Cache is set up.
+/// Configuration of a Cache.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
     /// The robot.
     pub robot: RobotId,
-    /// How often its agent steps.
+    /// Control period of its agent.
     pub period: Span,
-    /// When in each period.
+    /// Offset of the tick within each period.
     pub phase: Span,
-    /// Who is near enough to be heard.
+    /// Communication range.
     pub range: CommRange,
-    /// How long a latent is of use.
+    /// Hold time of a latent.
     pub hold: Span,
-    /// What becomes of it within that time.
+    /// Treatment of latents within the hold time.
     pub handling: Handling,
-    /// How readings become an estimate.
+    /// Estimator from readings to the robot's state.
     pub estimator: estimation::Entry,
-    /// The oldest own estimate that the robot acts on. Without a younger one it stays silent.
+    /// Largest age of the own reading at which the robot acts. Beyond it the Cache sends no percept.
     pub own_age: Span,
 }
 
-/// What a Cache says.
+/// Output of a Cache.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
-    /// To the robot's Agent.
+    /// Percept for the robot's Agent.
     Percept(Percept),
-    /// To the robot's Controller: its own state was measured anew.
+    /// For the robot's Controller: its own state was measured anew.
     Fresh,
 }
 
-/// One robot's cache and estimator.
+/// Cache and estimator of one robot.
 #[derive(Debug)]
 pub struct Cache {
     config: Config,
     stream: Stream,
     next: Time,
-    /// When the last new reading has arrived, and its stamp.
+    /// Arrival time and stamp of the last new reading.
     own: Option<(Time, u64)>,
     estimator: Box<dyn Estimator>,
-    heard: BTreeMap<RobotId, (Time, Latent)>,
+    latents: BTreeMap<RobotId, (Time, Latent)>,
 }
 
 impl Cache {
-    /// An empty cache; draws random ranges from `stream`.
+    /// Makes an empty cache that draws random ranges from `stream`.
     pub fn new(config: Config, stream: Stream) -> Cache {
         let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)());
-        Cache { config, stream, next, own: None, estimator, heard: BTreeMap::new() }
+        Cache { config, stream, next, own: None, estimator, latents: BTreeMap::new() }
     }
 
     fn perceive(&self, now: Time) -> Option<Percept> {
@@ -81,7 +81,7 @@ impl Cache {
             return None;
         }
         let estimate = self.estimator.at(now)?;
-        let heard = self.heard.values().map(|(arrived, latent)| NeighbourLatent {
+        let heard = self.latents.values().map(|(arrived, latent)| NeighbourLatent {
             robot: latent.robot,
             round: latent.round,
             phase: latent.phase,
@@ -102,8 +102,8 @@ impl Core for Cache {
         match input {
             In::Reading(reading) => {
                 self.estimator.take(now, &reading);
-                // The same stamp again is the same measurement: it makes the estimate no younger. (A robot that is
-                // placed is measured twice at one instant, at two places.)
+                // A repeated stamp is the same measurement and does not renew the estimate. (A robot that is placed is
+                // measured twice at one instant, at two places.)
                 if self.own.is_none_or(|(_, stamp_ns)| stamp_ns != reading.stamp_ns) {
                     self.own = Some((now, reading.stamp_ns));
                     out.push(Out::Fresh);
@@ -112,9 +112,9 @@ impl Core for Cache {
             In::Latent(latent) => {
                 let Some(own) = self.estimator.at(now) else { return };
                 let near = self.config.range.admits(own.position, latent.motion.position, &mut self.stream);
-                let room = self.heard.len() < MAX_NEIGHBOURS || self.heard.contains_key(&latent.robot);
+                let room = self.latents.len() < MAX_NEIGHBOURS || self.latents.contains_key(&latent.robot);
                 if near && room && latent.robot != self.config.robot {
-                    self.heard.insert(latent.robot, (now, latent));
+                    self.latents.insert(latent.robot, (now, latent));
                 }
             }
         }
@@ -126,12 +126,12 @@ impl Core for Cache {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         let Config { hold, handling, .. } = self.config;
-        self.heard.retain(|_, (arrived, _)| now.since(*arrived) <= hold);
+        self.latents.retain(|_, (arrived, _)| now.since(*arrived) <= hold);
         if let Some(percept) = self.perceive(now) {
             out.push(Out::Percept(percept));
-            // Without a percept the agent does not step, and has seen nothing.
+            // Without a percept the agent does not step, so the messages are still unused.
             if handling == Handling::AsPublished {
-                self.heard.clear();
+                self.latents.clear();
             }
         }
         self.next = now.next_on_grid(self.config.phase, self.config.period);

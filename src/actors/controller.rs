@@ -1,8 +1,8 @@
-//! Controller: the last say over one robot's velocity, and its place in the episode.
+//! Controller: the last stage before one robot's motors, and its progress in the episode.
 //!
-//! Its guard (`safety::guard`) rules on every action and alone grants motor commands; the Controller follows the state
-//! server's instructions, and tells it how far the robot has come and what is known of the emergency stop. When its
-//! host is told to end, it stands for good.
+//! Its guard (`safety::guard`) checks every action and alone grants motor commands. The Controller follows the state
+//! server's instructions. It reports to it the robot's progress and the emergency stop that it knows of. When its host
+//! shuts down, it stops the robot for good.
 
 use crate::actor::Core;
 use crate::messages::ids::RobotId;
@@ -13,69 +13,69 @@ use crate::messages::wire::{Heartbeat, Mode, MotorCommand, Phase, Stop};
 use crate::safety::guard::{self, Decision, Granted, Guard, SafetyCounts};
 use crate::time::{Span, Time};
 
-/// How often a robot tells where it stands.
+/// Period of a robot's heartbeats.
 pub const HEARTBEAT_PERIOD: Span = Span::from_millis(200);
 
-/// What a Controller accepts.
+/// Input of a Controller.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// What the policy wants.
+    /// Action of the policy.
     Action(Action),
     /// The robot's own state was measured anew.
     Fresh,
-    /// The state server's instruction.
+    /// Instruction of the state server.
     Mode(Mode),
-    /// The emergency stop, engaged or taken back.
+    /// Emergency stop: engaged or re-armed.
     Stop(Stop),
-    /// Its host is told to end.
+    /// Its host is shutting down.
     Leave,
 }
 
-/// What a Controller says.
+/// Output of a Controller.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// To the robot's Body.
+    /// Command for the robot's Body.
     MotorCommand(MotorCommand),
-    /// To the StateServer.
+    /// Heartbeat for the StateServer.
     Heartbeat(Heartbeat),
-    /// To the host's Status: the latch that it follows.
+    /// Latch that the Controller follows, for the host's Status.
     Follows(Latch),
-    /// To the Recorder: how often the guard has stopped or slowed the robot, if that is news.
+    /// For the Recorder, after a change: number of times that the guard has stopped or slowed the robot.
     Counts(SafetyCounts),
 }
 
-/// How a Controller is set up.
+/// Configuration of a Controller.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
     /// The robot.
     pub robot: RobotId,
-    /// What its guard lets through.
+    /// Configuration of its guard.
     pub guard: guard::Config,
-    /// How long a command holds.
+    /// Validity of a command.
     pub valid_for: Span,
-    /// When in each period it beats.
+    /// Offset of the heartbeat within each period.
     pub phase: Span,
 }
 
-/// One robot's controller.
+/// Controller of one robot.
 #[derive(Debug)]
 pub struct Controller {
     config: Config,
     guard: Guard,
     round: RoundFollower,
-    /// What the team does.
+    /// Phase of the team.
     team: Phase,
-    /// How far this robot has come in it.
+    /// Progress of this robot in that phase.
     own: Phase,
-    /// Whether its host is about to end.
+    /// Whether its host is shutting down.
     leaves: bool,
-    /// What was last told of the guard.
-    told: SafetyCounts,
-    next_beat: Time,
+    /// Guard counts last sent.
+    counts_sent: SafetyCounts,
+    next_heartbeat: Time,
 }
 
 impl Controller {
-    /// A controller that has heard of nothing yet.
+    /// Makes a controller that has received nothing yet.
     pub fn new(config: Config) -> Controller {
         Controller {
             config,
@@ -84,19 +84,19 @@ impl Controller {
             team: Phase::NeedReset,
             own: Phase::NeedReset,
             leaves: false,
-            told: SafetyCounts::default(),
-            next_beat: Time::ZERO + config.phase,
+            counts_sent: SafetyCounts::default(),
+            next_heartbeat: Time::ZERO + config.phase,
         }
     }
 
     fn follow(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
-        // The stop counts whoever the instruction is for, and however old it is.
+        // The latch counts in every instruction, whichever robots it is for and however old it is.
         let changed = self.guard.learn_latch(mode.latch);
         self.latched(now, changed, out);
         if !self.round.admits(mode.round) {
             return;
         }
-        // Whoever the instruction is for, the server is alive. What it says to others may be older than what is known.
+        // Any instruction shows that the server is alive. One for other robots may be older than what is known.
         self.guard.server_heard(now);
         if mode.task_of(self.config.robot).is_none() {
             return;
@@ -121,7 +121,7 @@ impl Controller {
         let meant = (action.round, action.phase) == (self.round.round(), self.team);
         let stands = self.leaves || !self.guard.latch().is_clear();
         if stands {
-            // Zeros are repeated, should one such command be lost.
+            // Repeat the zero command in case one is lost.
             return self.give_up(out);
         }
         if !(moving && meant) {
@@ -132,7 +132,7 @@ impl Controller {
                 self.own = match (self.team, action.progress) {
                     (Phase::Resetting, Progress::Reached) => Phase::FinishedResetting,
                     (Phase::Resetting, Progress::Underway) => Phase::Resetting,
-                    // Who has once arrived has arrived.
+                    // Arrival latches for the rest of the episode.
                     (_, Progress::Reached) => Phase::FinishedRunning,
                     (_, Progress::Underway) => self.own,
                 };
@@ -143,17 +143,17 @@ impl Controller {
         }
     }
 
-    /// The emergency stop has changed: the wheels are told first, the state server at once.
+    /// Acts on a change of the emergency stop: motors stop first, then the state server gets a heartbeat at once.
     fn latched(&mut self, now: Time, changed: bool, out: &mut Vec<Out>) {
         if changed {
-            self.next_beat = now;
+            self.next_heartbeat = now;
             if !self.guard.latch().is_clear() {
                 self.give_up(out);
             }
         }
     }
 
-    /// An episode that runs is given up; a reset goes on once there is no more reason to stand.
+    /// Gives up a running episode; a reset continues once the cause is gone.
     fn give_up(&mut self, out: &mut Vec<Out>) {
         if matches!(self.own, Phase::Running | Phase::FinishedRunning) {
             self.own = Phase::AbortRunning;
@@ -194,7 +194,7 @@ impl Core for Controller {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        [Some(self.next_beat), self.guard.wake_at()].into_iter().flatten().min()
+        [Some(self.next_heartbeat), self.guard.wake_at()].into_iter().flatten().min()
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
@@ -203,16 +203,16 @@ impl Core for Controller {
             Some(Decision::Abort) => self.give_up(out),
             Some(_) => self.stand(out),
         }
-        if self.next_beat <= now {
+        if self.next_heartbeat <= now {
             let (robot, latch) = (self.config.robot, self.guard.latch());
             out.push(Out::Heartbeat(Heartbeat { robot, round: self.round.round(), phase: self.own, latch }));
             out.push(Out::Follows(latch));
             let counts = self.guard.counts();
-            if counts != self.told {
-                self.told = counts;
+            if counts != self.counts_sent {
+                self.counts_sent = counts;
                 out.push(Out::Counts(counts));
             }
-            self.next_beat = now.next_on_grid(self.config.phase, HEARTBEAT_PERIOD);
+            self.next_heartbeat = now.next_on_grid(self.config.phase, HEARTBEAT_PERIOD);
         }
     }
 }
@@ -226,7 +226,7 @@ mod tests {
     use crate::safety::Safety;
     use crate::world::Clamp;
 
-    /// How the robot moves in every action \[m/s\].
+    /// Measured velocity of the robot in every action \[m/s\].
     const MEASURED: Vec2 = Vec2::new(0.5, 0.0);
 
     fn controller() -> Controller {
@@ -264,7 +264,7 @@ mod tests {
     fn commanded(controller: &mut Controller, input: In) -> Option<f32> {
         let mut out = Vec::new();
         controller.handle(Time::ZERO, input, &mut out);
-        out.iter().find_map(|said| match said {
+        out.iter().find_map(|out| match out {
             Out::MotorCommand(command) => Some(command.velocity.x),
             Out::Heartbeat(_) | Out::Follows(_) | Out::Counts(_) => None,
         })
@@ -360,7 +360,7 @@ mod tests {
         assert_eq!(commanded(&mut controller, action(1, Phase::Running, 1.0, Progress::Underway)), Some(0.0));
     }
 
-    /// The same instruction of a state server that knows this latch.
+    /// The instruction `mode` from a state server that knows this latch.
     fn knowing(latch: Latch, mode: In) -> In {
         let In::Mode(mode) = mode else { panic!("it is one") };
         In::Mode(Mode { latch, ..mode })

@@ -1,4 +1,4 @@
-//! Localizer: publishes the readings of some robots, as their source has them. It lives where they are measured.
+//! Localizer: publishes the readings of some robots from their source. It runs where they are measured.
 
 use crate::actor::Core;
 use crate::localization::{self, Source};
@@ -6,38 +6,38 @@ use crate::messages::local::Sample;
 use crate::messages::wire::Reading;
 use crate::time::Time;
 
-/// What a Localizer accepts.
+/// Input of a Localizer.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// The true state of a simulated robot.
+    /// True state of a simulated robot.
     Sample(Sample),
-    /// Something that the source's worker has said.
+    /// Packet from the source's worker.
     Packet(Box<[u8]>),
 }
 
-/// The localizer of one source.
+/// Localizer of one source.
 pub struct Localizer {
     source: Box<dyn Source>,
-    /// What could not be understood so far.
+    /// Number of packets that were not understood.
     refused: u64,
-    said: Vec<localization::Out>,
+    outputs: Vec<localization::Out>,
 }
 
 impl Localizer {
-    /// A localizer that has not measured yet.
+    /// Makes a localizer without a measurement.
     pub fn new(source: Box<dyn Source>) -> Localizer {
-        Localizer { source, refused: 0, said: Vec::new() }
+        Localizer { source, refused: 0, outputs: Vec::new() }
     }
 
-    fn tell(&mut self, out: &mut Vec<Reading>) {
-        for said in self.said.drain(..) {
-            match said {
+    fn forward(&mut self, out: &mut Vec<Reading>) {
+        for output in self.outputs.drain(..) {
+            match output {
                 localization::Out::Reading(reading) => out.push(reading),
                 localization::Out::Refused(why) => {
                     self.refused += 1;
-                    // The first, and then less and less often: a broken tracker says nothing else.
+                    // Log the counts 1, 2, 4, 8, ...: a broken tracker may send nothing else.
                     if self.refused.is_power_of_two() {
-                        tracing::warn!(refused = self.refused, "what the source says is refused: {why}");
+                        tracing::warn!(refused = self.refused, "output of the source is refused: {why}");
                     }
                 }
             }
@@ -54,8 +54,8 @@ impl Core for Localizer {
             In::Sample(sample) => localization::In::Sample(sample),
             In::Packet(packet) => localization::In::Packet(packet),
         };
-        self.source.take(now, input, &mut self.said);
-        self.tell(out);
+        self.source.take(now, input, &mut self.outputs);
+        self.forward(out);
     }
 
     fn wake_at(&self) -> Option<Time> {
@@ -63,7 +63,7 @@ impl Core for Localizer {
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Reading>) {
-        self.source.wake(now, &mut self.said);
-        self.tell(out);
+        self.source.wake(now, &mut self.outputs);
+        self.forward(out);
     }
 }

@@ -1,6 +1,6 @@
-//! The actors: pure state machines without a clock, I/O, or randomness but the streams that they are given.
+//! Actors: pure state machines without a clock or I/O. Their only randomness is the streams that they are given.
 //!
-//! `runtime` runs them, and `graph` says who talks to whom.
+//! `runtime` runs them, and `graph` connects them.
 
 pub mod agent;
 pub mod body;

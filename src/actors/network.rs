@@ -1,9 +1,9 @@
-//! Network: the one way out of a host and into it. It decides for every wire message whether it has takers
-//! here, which link it leaves on, or both.
+//! Network: the one way out of a host and into it. For every wire message it decides whether actors of this host take
+//! it, which link it leaves on, or both.
 //!
-//! Each published message is encoded once; the same bytes go to the links and to the Recorder. A datagram that
-//! arrives is checked, decoded and handed in, or counted and dropped. What is sent when and again, and who is
-//! believed, is decided in `net::link`.
+//! Each published message is encoded once; the same bytes go to the links and to the Recorder. A datagram that arrives
+//! is checked, decoded and delivered, or counted and dropped. `net::protocol::link` decides on sending, retransmission
+//! and authentication.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -25,84 +25,83 @@ use crate::time::{Span, Time};
 /// Input of a Network.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// An actor of this host has something to say.
+    /// Message of an actor of this host.
     Publish(Wire),
-    /// A datagram has arrived, from this address where the link is not emulated.
+    /// Datagram that has arrived, with its source address unless the link is emulated.
     Frame(LinkId, Frame, Option<SocketAddr>),
-    /// A transport has dropped so many datagrams, because a queue was full.
+    /// Number of datagrams that a transport has dropped because a queue was full.
     Dropped(LinkId, u64),
 }
 
 /// Output of a Network.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// To those on this host who take it.
+    /// Message for the actors of this host that take it.
     Deliver(Wire),
-    /// To a link's transport.
+    /// Frame for a link's transport.
     Transmit(LinkId, Audience, Frame),
-    /// To the Recorder: everything that was published, one message a datagram, without a tag.
+    /// Copy of every published message for the Recorder, one per datagram, without a tag.
     Tap(Frame),
-    /// To the Recorder: what has happened on all links together. Boxed: everything that is said is moved, and this is
-    /// large and rare.
+    /// Counts of all links together, for the Recorder. Boxed: every output is moved, and this one is large and rare.
     Counts(Box<LinkCounts>),
-    /// To those that show it: summaries of the other hosts, on links with reports.
+    /// Summaries of the other hosts, on links with reports, for display.
     Peers(Vec<Peer>),
-    /// Another live host has the id of this one and was started before it. Said once.
+    /// Another live host has the id of this one and was started before it. Sent once.
     Duplicate(DuplicateId),
-    /// To a link's transport: an operator of the team speaks from an address that is in no file.
+    /// For a link's transport: an operator of the team sends from an address that is in no file.
     Admit(LinkId, Guest),
 }
 
-/// The longest that a timer of a link may be late to share a wake-up with another: a tenth of the period of a report.
+/// Largest delay of a link's timer to share a wake-up with another: a tenth of the period of a report.
 const MAX_LATE: Span = Span::from_millis(25);
-/// How often a Network tells its counts.
+/// Period at which a Network sends its counts.
 pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
-/// How a Network is set up.
+/// Configuration of a Network.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// Identity of this host.
     pub me: Identity,
-    /// The team's key; none where everyone is believed.
+    /// The team's key; without one, every sender is accepted.
     pub key: Option<Key>,
-    /// Its links, in the order of the deployment; none where this host has no part in one.
+    /// Its links, in the order of the deployment; none where this host does not take part.
     pub links: Vec<Option<Setup>>,
-    /// The way of every message.
+    /// Routing table.
     pub router: Router,
 }
 
-/// One host's network.
+/// Network of one host.
 #[derive(Debug)]
 pub struct Network {
     router: Router,
     links: Vec<Option<LinkState>>,
-    /// By link: when anything is next due there. It is asked for after every message, and links are large.
+    /// Next due time of each link. It is read after every message, and links are large.
     due: Vec<Option<Time>>,
-    /// By link: whether every datagram reaches everyone.
+    /// By link: whether every datagram reaches all hosts.
     shared: Vec<bool>,
-    /// The next datagram that is published but leaves on no link, and how many of those there were.
-    indoors: Header,
-    indoor_counts: LinkCounts,
+    /// Header of the next datagram that is published but leaves on no link, and the counts of such datagrams.
+    local_header: Header,
+    local_counts: LinkCounts,
     stream: Stream,
-    leaving: Vec<Outbound>,
+    outgoing: Vec<Outbound>,
     next_counts: Time,
-    /// Whether it has said that it duplicates another host.
-    duplicates: bool,
-    impostors: Impostors,
+    /// Whether it has reported a duplicate id.
+    duplicate_reported: bool,
+    unauthorized: UnauthorizedPublishers,
 }
 
-/// Members of the team that said what others are to say, and how often, by kind.
+/// Numbers of messages that members sent without being their publisher, by sender and kind.
 #[derive(Debug, Default)]
-struct Impostors(BTreeMap<(String, Kind), u64>);
+struct UnauthorizedPublishers(BTreeMap<(String, Kind), u64>);
 
-impl Impostors {
-    /// The most that are told apart.
-    const MOST: usize = 256;
+impl UnauthorizedPublishers {
+    /// Largest number of entries.
+    const MAX_ENTRIES: usize = 256;
 
-    /// Counts one and names it, less and less often.
+    /// Counts one such message and logs the counts 1, 2, 4, 8, ...
     #[cold]
     fn note(&mut self, name: &str, message: &Wire) {
-        let (key, full) = ((name.to_owned(), message.kind()), self.0.len() >= Impostors::MOST);
+        let (key, full) = ((name.to_owned(), message.kind()), self.0.len() >= UnauthorizedPublishers::MAX_ENTRIES);
         if full && !self.0.contains_key(&key) {
             return;
         }
@@ -110,13 +109,13 @@ impl Impostors {
         *times += 1;
         if times.is_power_of_two() {
             let (kind, robot) = (message.kind(), message.robot());
-            tracing::error!("{name} said {kind:?} about {robot}, which is not its to say: refused ({times} times)");
+            tracing::error!("{name} sent {kind:?} about {robot}, which it may not publish: refused ({times} times)");
         }
     }
 }
 
 impl Network {
-    /// A network at the start of its incarnation. It draws from `stream` when to ask and when to answer.
+    /// Makes a network at the start of its incarnation. It draws the times of its requests and replies from `stream`.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
         let shared =
@@ -128,21 +127,21 @@ impl Network {
             ids.zip(links).map(|(id, setup)| setup.map(|setup| state(id, setup))).collect();
         let due = links.iter().map(|link| link.as_ref().and_then(LinkState::due)).collect();
         let Identity { host, team, incarnation } = me;
-        let indoors = Header { flags: codec::Flags::default(), team, sender: host, incarnation, sequence: 0 };
-        let indoor_counts = LinkCounts::default();
-        let (leaving, next_counts, duplicates) = (Vec::new(), Time::ZERO, false);
+        let local_header = Header { flags: codec::Flags::default(), team, sender: host, incarnation, sequence: 0 };
+        let local_counts = LinkCounts::default();
+        let (outgoing, next_counts, duplicate_reported) = (Vec::new(), Time::ZERO, false);
         Network {
             router,
             links,
             due,
             shared,
-            indoors,
-            indoor_counts,
+            local_header,
+            local_counts,
             stream,
-            leaving,
+            outgoing,
             next_counts,
-            duplicates,
-            impostors: Impostors::default(),
+            duplicate_reported,
+            unauthorized: UnauthorizedPublishers::default(),
         }
     }
 
@@ -155,61 +154,61 @@ impl Network {
         let leaves = route.leaves.filter(|(link, _)| self.link(*link).is_some());
         let encoded = match leaves {
             Some((link, audience)) => {
-                let state = self.links[usize::from(link.0)].as_mut().expect("this host has a part in it");
-                let encoded = state.send(now, audience, &message, &mut self.leaving);
+                let state = self.links[usize::from(link.0)].as_mut().expect("this host takes part in the link");
+                let encoded = state.send(now, audience, &message, &mut self.outgoing);
                 self.due[usize::from(link.0)] = state.due();
-                transmit(link, &mut self.leaving, out);
+                transmit(link, &mut self.outgoing, out);
                 encoded
             }
-            None => codec::encode(&self.indoors, &message).inspect(|_| {
-                self.indoors.sequence = self.indoors.sequence.wrapping_add(1);
-                self.indoor_counts.sent += 1;
+            None => codec::encode(&self.local_header, &message).inspect(|_| {
+                self.local_header.sequence = self.local_header.sequence.wrapping_add(1);
+                self.local_counts.sent += 1;
             }),
         };
         match encoded {
             Ok(frame) => out.push(Out::Tap(frame)),
-            Err(error) => return self.unsent(leaves.map(|(link, _)| link), &message, &error),
+            Err(error) => return self.count_unencodable(leaves.map(|(link, _)| link), &message, &error),
         }
         if route.local {
             out.push(Out::Deliver(message));
         }
     }
 
-    /// Counts a message of this host that cannot be encoded, and names the first.
+    /// Counts a message of this host that cannot be encoded, and logs the first.
     #[cold]
-    fn unsent(&mut self, leaves: Option<LinkId>, message: &Wire, error: &codec::EncodeError) {
+    fn count_unencodable(&mut self, leaves: Option<LinkId>, message: &Wire, error: &codec::EncodeError) {
         let state = leaves.and_then(|link| self.links[usize::from(link.0)].as_mut());
-        let counts = state.map_or(&mut self.indoor_counts, LinkState::counts);
+        let counts = state.map_or(&mut self.local_counts, LinkState::counts);
         counts.unfit += 1;
         if counts.unfit == 1 {
-            tracing::error!(robot = message.robot().0, "not sent: {error}; what follows is only counted");
+            tracing::error!(robot = message.robot().0, "not sent: {error}; further ones are only counted");
         }
     }
 
     fn receive(&mut self, now: Time, (link, from): (LinkId, Option<SocketAddr>), frame: &[u8], out: &mut Vec<Out>) {
         let at = usize::from(link.0);
         let Some(state) = self.links.get_mut(at).and_then(Option::as_mut) else { return };
-        let admitted = state.admit(now, frame, &mut self.stream, &mut self.leaving);
+        let admitted = state.admit(now, frame, &mut self.stream, &mut self.outgoing);
         self.due[at] = state.due();
         if let (Some((host, standing)), Some(at), false) = (state.operator(), from, self.shared[at]) {
             out.push(Out::Admit(link, Guest { host, at, standing }));
         }
-        if let Some(duplicate) = state.duplicate().filter(|_| !self.duplicates) {
-            self.duplicates = true;
+        if let Some(duplicate) = state.duplicate().filter(|_| !self.duplicate_reported) {
+            self.duplicate_reported = true;
             out.push(Out::Duplicate(duplicate));
         }
-        transmit(link, &mut self.leaving, out);
+        transmit(link, &mut self.outgoing, out);
         let Some((header, plain)) = admitted else { return };
         for (content, body) in codec::blocks(plain).flatten() {
             let Content::Message(kind) = content else { continue };
             let message = match codec::message(kind, body) {
                 Ok(message) => message,
-                // A sender that garbles one message is not believed the rest.
+                // After one malformed message the rest of a datagram is not accepted.
                 Err(error) => return state.refuse(&error),
             };
             if let Some(name) = self.router.forbids(header.sender, &message) {
                 state.counts().misrouted += 1;
-                self.impostors.note(&name, &message);
+                self.unauthorized.note(&name, &message);
                 continue;
             }
             let robot = message.robot();
@@ -218,7 +217,7 @@ impl Network {
                     out.push(Out::Deliver(message));
                 }
             } else if self.shared[at] || !header.flags.has(Flags::DIRECT) {
-                // Said to everyone, or on a link where everyone hears everything.
+                // Sent to all hosts, or on a link where all hosts receive everything.
                 state.counts().aside += 1;
             } else {
                 state.counts().misrouted += 1;
@@ -227,8 +226,8 @@ impl Network {
     }
 }
 
-fn transmit(link: LinkId, leaving: &mut Vec<Outbound>, out: &mut Vec<Out>) {
-    out.extend(leaving.drain(..).map(|(audience, frame)| Out::Transmit(link, audience, frame)));
+fn transmit(link: LinkId, outgoing: &mut Vec<Outbound>, out: &mut Vec<Out>) {
+    out.extend(outgoing.drain(..).map(|(audience, frame)| Out::Transmit(link, audience, frame)));
 }
 
 impl Core for Network {
@@ -252,19 +251,19 @@ impl Core for Network {
     }
 
     fn tolerance(&self, ahead: Span) -> Span {
-        // In proportion: a repeat that waits for 4 ms may be 0.5 ms late, soft state that waits for longer 12 ms.
+        // In proportion: a retransmission due in 4 ms may be 0.5 ms late, soft state due much later 12 ms.
         Span::from_nanos(ahead.as_nanos() / 8).min(MAX_LATE)
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         for (state, id) in self.links.iter_mut().zip((0..=u16::MAX).map(LinkId)) {
             let Some(state) = state else { continue };
-            state.wake(now, &mut self.stream, &mut self.leaving);
+            state.wake(now, &mut self.stream, &mut self.outgoing);
             self.due[usize::from(id.0)] = state.due();
-            transmit(id, &mut self.leaving, out);
+            transmit(id, &mut self.outgoing, out);
         }
         if self.next_counts <= now {
-            let counts = self.links.iter().flatten().map(LinkState::counted).chain([self.indoor_counts]).sum();
+            let counts = self.links.iter().flatten().map(LinkState::counted).chain([self.local_counts]).sum();
             out.push(Out::Counts(Box::new(counts)));
             let peers: Vec<Peer> = self.links.iter().flatten().flat_map(|link| link.peers(now)).collect();
             if !peers.is_empty() {
@@ -287,7 +286,7 @@ mod tests {
 
     const LINK: LinkId = LinkId(0);
 
-    /// Robot 0 lives here, robot 1 elsewhere.
+    /// Network of a host with robot 0; robot 1 runs elsewhere.
     fn network(host: u16, team: u16) -> Network {
         let router = Router::new(2, |kind, robot| Route {
             local: kind == Kind::Reading && robot == RobotId(0),

@@ -1,11 +1,12 @@
-//! Recorder: hears everything that is published and everything that is true, and says what came of it.
+//! Recorder: receives everything that is published and all true states, and produces the trial's report.
 //!
-//! It digests both into the run's trace, follows the state server's instructions, and lets the judge see
-//! each step of a running episode. Nothing that it finds goes back into the graph.
+//! It digests both into the run's trace, follows the state server's instructions, and passes each step of a running
+//! episode to the judge. Nothing that it finds goes back into the graph.
 //!
 //! Where one World simulates the whole team, the judge gets true states. Elsewhere there are none, and it gets the
-//! readings of each robot (`Judged::Readings`; `scenario::sightings` has how good that is). Then a wall is touched by a
-//! robot that is measured within its radius of it; what a World holds back before a wall, no reading shows.
+//! readings of each robot (`Judged::Readings`; `scenario::sightings` describes their quality). A robot that is measured
+//! within its radius of a wall then counts as touching it. Readings do not show a motion that a World blocks before a
+//! wall.
 
 use std::collections::BTreeMap;
 
@@ -30,114 +31,114 @@ use crate::scenario::sightings::{Sighting, Sightings};
 use crate::scenario::{Arena, Rules};
 use crate::time::{Span, Time};
 
-/// What a Recorder accepts.
+/// Input of a Recorder.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// A Network has published this.
+    /// Message that a Network has published.
     Tap(Frame),
-    /// A message that was published in another process has arrived here.
-    Heard(Wire),
-    /// A World has stepped.
+    /// Message that another process has published and that has arrived here.
+    Received(Wire),
+    /// True states after a step of a World.
     Truth(Truth),
-    /// What a Network has counted on its links since it was started.
+    /// Counts of a Network on its links since it was started.
     Counts(HostId, Box<LinkCounts>),
-    /// What was counted on the radio of a link since the start of the run.
+    /// Counts of a link's radio since the start of the run.
     Radio(LinkId, Box<RadioCounts>),
-    /// How often a robot's guard has stopped or slowed it since its Controller was started.
+    /// Number of times that a robot's guard has stopped or slowed it since its Controller was started.
     Safety(RobotId, SafetyCounts),
-    /// The run is about to end, in the midst of an episode or not.
+    /// The run ends, during an episode or not.
     Closing,
-    /// A datagram has arrived at a host of this process.
+    /// Datagram that has arrived at a host of this process.
     Arrived(HostId, Frame),
-    /// A robot's Cache has handed a percept on at a host: whom it has heard, and how long ago that arrived.
+    /// Percept that a robot's Cache has sent at a host: the neighbours in it, and the ages of their messages.
     Perceived(HostId, RobotId, Box<[(RobotId, Span)]>),
-    /// A reading has arrived at the host of the state server, where readings are judged.
+    /// Reading that has arrived at the state server's host, where readings are judged.
     Reading(Reading),
 }
 
-/// How a Recorder is set up.
+/// Configuration of a Recorder.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// The episodes, in order.
     pub layouts: Layouts,
-    /// Which repeat of the experiment this is.
+    /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// How episodes are judged.
+    /// Rules of an episode.
     pub rules: Rules,
-    /// Whether to tell of every step.
+    /// Use of each step.
     pub steps: Steps,
-    /// At how many other hosts a message to neighbours is due.
-    pub hearers: u64,
+    /// Number of other hosts that a message to neighbours is meant for.
+    pub receivers: u64,
     /// Source of the states that are judged.
     pub judged: Judged,
-    /// Whether robots are put at their starts, and do not drive there.
+    /// Whether robots are placed at their starts instead of driving there.
     pub placed: bool,
-    /// Where it happens, with its walls.
+    /// Arena with its walls.
     pub arena: Arena,
-    /// How near to a wall a robot's centre touches it, where readings are judged \[m\].
+    /// Distance of a robot's centre from a wall at which it touches the wall, where readings are judged \[m\].
     pub wall_radius_m: f32,
 }
 
-/// What becomes of every step of a trial.
+/// Use of each step of a trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Steps {
-    /// It is told, and stands in the report.
+    /// Steps are in the report.
     Reported,
-    /// The same, with which robots hear each other: several times the memory, for pictures.
+    /// Likewise, with the messages that robots hear of each other: several times the memory, for pictures.
     WithHearing,
-    /// It is judged and forgotten.
+    /// Steps are judged and dropped.
     Discarded,
 }
 
 impl Steps {
-    /// Whether they are told.
+    /// Whether steps are in the report.
     pub fn kept(self) -> bool {
         self != Steps::Discarded
     }
 }
 
-/// A robot that has taken no control step for so long hears nobody.
-const DEAF: Span = Span::from_millis(250);
+/// Time without a control step after which a robot counts as hearing none of the others.
+const HEARING_TIMEOUT: Span = Span::from_millis(250);
 
-/// The recorder of one trial.
+/// Recorder of one trial.
 pub struct Recorder {
     config: Config,
     digest: Xxh3,
     messages: u64,
-    said: [Said; KINDS.len()],
+    published: [Said; KINDS.len()],
     team: Vec<Option<Sample>>,
-    /// Which robots were seen since the last time that all had been.
+    /// Robots seen since the whole team was last seen.
     seen: Vec<bool>,
     commanded: Vec<Time>,
-    /// The last counts of each host; those of a crashed Network begin anew.
+    /// Last counts of each host; those of a crashed Network start again at zero.
     counts: BTreeMap<HostId, LinkCounts>,
     radio: BTreeMap<LinkId, RadioCounts>,
-    /// The same of each robot's guard.
+    /// Last counts of each robot's guard.
     safety: BTreeMap<RobotId, SafetyCounts>,
     oldest_command: Span,
     sightings: Sightings,
     listener: Listener,
-    /// By robot: whom its last control step had a message of, how old these were, and when that was.
+    /// By robot: time of its last control step, and the neighbours that it had messages of, with their ages.
     heard: Vec<(Time, Vec<(RobotId, Span)>)>,
     round: Round,
     phase: Phase,
     since: Time,
     reset: Span,
     judge: Option<Judge>,
-    /// The first episode without a result.
+    /// First episode without a result.
     open: u32,
     finished: bool,
 }
 
 impl Recorder {
-    /// A recorder of a trial with `robots` robots.
+    /// Makes a recorder of a trial with `robots` robots.
     pub fn new(config: Config, robots: usize) -> Recorder {
         Recorder {
-            listener: Listener::new(config.hearers),
+            listener: Listener::new(config.receivers),
             config,
             digest: Xxh3::new(),
             messages: 0,
-            said: [Said::default(); KINDS.len()],
+            published: [Said::default(); KINDS.len()],
             team: vec![None; robots],
             seen: vec![false; robots],
             commanded: vec![Time::ZERO; robots],
@@ -163,25 +164,25 @@ impl Recorder {
         self.digest.update(frame);
         let content = codec::first(frame).expect("a Network publishes whole datagrams");
         if let Content::Message(kind) = content {
-            let said = &mut self.said[kind as usize];
-            (said.messages, said.bytes) = (said.messages + 1, said.bytes + frame.len() as u64);
+            let counts = &mut self.published[kind as usize];
+            (counts.messages, counts.bytes) = (counts.messages + 1, counts.bytes + frame.len() as u64);
         }
-        if content == Content::Message(Kind::Latent) && self.listens() {
+        if content == Content::Message(Kind::Latent) && self.follows_messages() {
             let (header, message) = codec::decode(frame).expect("a Network publishes whole datagrams");
             self.listener.published(now, datagram(&header), message.robot());
         }
         if !matches!(content, Content::Message(Kind::Mode | Kind::MotorCommand)) {
             return;
         }
-        self.hear(now, &codec::decode(frame).expect("a Network publishes whole datagrams").1, out);
+        self.receive(now, &codec::decode(frame).expect("a Network publishes whole datagrams").1, out);
     }
 
-    /// Whether messages between robots are followed: it costs a little, and only who keeps steps looks at it.
-    fn listens(&self) -> bool {
+    /// Whether messages between robots are followed: it takes some time, and only kept steps use it.
+    fn follows_messages(&self) -> bool {
         self.config.steps.kept() && self.phase == Phase::Running
     }
 
-    fn hear(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {
+    fn receive(&mut self, now: Time, message: &Wire, out: &mut Vec<Out>) {
         match message {
             Wire::Mode(mode) => self.follow(now, mode.round, mode.phase, out),
             Wire::MotorCommand(command) => self.commanded[command.robot.index()] = now,
@@ -193,7 +194,7 @@ impl Recorder {
         if (round, phase) == (self.round, self.phase) || self.finished {
             return;
         }
-        // Whatever episode is left behind without a result was given up; what has a result keeps it.
+        // An earlier episode without a result was given up; a result stands.
         let behind = if phase == Phase::AbortRunning { round.episode + 1 } else { round.episode };
         while self.open < behind.min(self.config.layouts.len()) {
             let after = now.since(self.since);
@@ -205,7 +206,7 @@ impl Recorder {
             self.close(now, finding, out);
         }
         if phase == Phase::Waiting {
-            // A host has left: this episode will be run again, and is judged then.
+            // A host has left: this episode runs again, and is judged then.
             self.judge = None;
         }
         let goes_on = (phase, round.episode) == (self.phase, self.round.episode);
@@ -223,16 +224,16 @@ impl Recorder {
         if !goes_on {
             self.heard.iter_mut().for_each(|(_, heard)| heard.clear());
         }
-        // A new term of the same instruction changes nothing.
+        // A later incarnation of the server with the same instruction changes nothing.
         self.since = if goes_on { self.since } else { now };
         (self.round, self.phase) = (round, phase);
     }
 
-    /// What the trial comes to so far.
+    /// Totals of the trial so far.
     fn totals(&self, now: Time) -> Totals {
         Totals {
             messages: self.messages,
-            said: self.said,
+            said: self.published,
             end: now,
             trace: self.digest.digest128(),
             oldest_command: self.team.iter().all(Option::is_some).then_some(self.oldest_command),
@@ -260,7 +261,7 @@ impl Recorder {
         self.open += 1;
     }
 
-    fn see(&mut self, now: Time, truth: &Truth, out: &mut Vec<Out>) {
+    fn take_truth(&mut self, now: Time, truth: &Truth, out: &mut Vec<Out>) {
         for sample in truth.samples.iter() {
             let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);
             self.digest.update(&truth.time.as_nanos().to_le_bytes());
@@ -273,7 +274,7 @@ impl Recorder {
             }
             let robot = sample.robot.index();
             let mut sample = *sample;
-            // What the judge has not seen yet it must still hear of.
+            // Keep contacts that the judge has not seen yet.
             if let Some(before) = self.team[robot].filter(|_| self.seen[robot]) {
                 sample.contacts.wall |= before.contacts.wall;
                 sample.contacts.robot |= before.contacts.robot;
@@ -281,14 +282,14 @@ impl Recorder {
             self.team[robot] = Some(sample);
             self.seen[robot] = true;
         }
-        // Several worlds need not step at one instant: the team is seen when each has shown its robots.
+        // Several Worlds may step at different instants: the team is complete once each has sent its robots.
         if self.seen.iter().all(|&seen| seen) {
             self.seen.fill(false);
             self.judge_step(now, out);
         }
     }
 
-    /// The whole team has been seen at this instant.
+    /// Judges the step of a team that is complete at this instant.
     fn judge_step(&mut self, now: Time, out: &mut Vec<Out>) {
         let samples: Vec<Sample> = self.team.iter().flatten().copied().collect();
         if self.phase == Phase::Running
@@ -307,8 +308,8 @@ impl Recorder {
         }
     }
 
-    /// A robot is seen, and the step that is over with it is judged.
-    fn read(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
+    /// Takes a reading, and judges the step that it completes.
+    fn take_reading(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
         let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading) else { return };
         let (arena, radius_m) = (&self.config.arena, self.config.wall_radius_m);
         let seen = |(robot, position): (RobotId, Vec2)| {
@@ -325,12 +326,13 @@ impl Recorder {
         }
     }
 
-    /// Who hears whom at this instant, if that is to be told.
+    /// Messages between robots that are in use at this instant, if they are reported.
     fn hearing(&self, now: Time) -> Vec<Hearing> {
         if self.config.steps != Steps::WithHearing || self.phase != Phase::Running {
             return Vec::new();
         }
-        let recent = RobotId::team(self.heard.len()).zip(&self.heard).filter(|(_, (at, _))| now.since(*at) <= DEAF);
+        let recent =
+            RobotId::team(self.heard.len()).zip(&self.heard).filter(|(_, (at, _))| now.since(*at) <= HEARING_TIMEOUT);
         recent
             .flat_map(|(robot, (at, heard))| {
                 heard.iter().map(move |(of, age)| Hearing { robot, of: *of, age: *age + now.since(*at) })
@@ -339,7 +341,7 @@ impl Recorder {
     }
 }
 
-/// Which datagram this is; a copy is the same one.
+/// Identity of a datagram; a copy has the same one.
 fn datagram(header: &Header) -> Datagram {
     (header.sender, header.incarnation, header.sequence, header.flags.has(Flags::DIRECT))
 }
@@ -351,8 +353,8 @@ impl Core for Recorder {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::Tap(frame) => self.tap(now, &frame, out),
-            In::Heard(message) => self.hear(now, &message, out),
-            In::Truth(truth) => self.see(now, &truth, out),
+            In::Received(message) => self.receive(now, &message, out),
+            In::Truth(truth) => self.take_truth(now, &truth, out),
             In::Counts(host, counts) => {
                 self.counts.insert(host, *counts);
             }
@@ -362,16 +364,16 @@ impl Core for Recorder {
             In::Safety(robot, counts) => {
                 self.safety.insert(robot, counts);
             }
-            In::Reading(reading) => self.read(now, &reading, out),
+            In::Reading(reading) => self.take_reading(now, &reading, out),
             In::Closing => out.push(Out::Closed(self.totals(now))),
             In::Arrived(to, frame) => {
-                // What was garbled on its way is no arrival; what was published in time may arrive after the end.
+                // A corrupted frame is no arrival; a frame published in time may arrive after the end.
                 if let Ok(header) = codec::peek(&frame) {
                     self.listener.arrived(now, to, datagram(&header));
                 }
             }
             In::Perceived(at, robot, heard) => {
-                if self.listens() {
+                if self.follows_messages() {
                     self.heard[robot.index()] = (now, self.listener.stepped(now, at, &heard));
                 }
             }
@@ -403,7 +405,7 @@ mod tests {
             repeat: 4,
             rules: passage.rules(),
             steps: Steps::Discarded,
-            hearers: 1,
+            receivers: 1,
             judged,
             placed: false,
             arena: passage.arena().clone(),
@@ -427,7 +429,7 @@ mod tests {
         out
     }
 
-    /// One robot of its own world is at a place.
+    /// Reports the position of one robot from a World of its own.
     fn see(recorder: &mut Recorder, ms: u64, robot: u16, position: Vec2) -> Vec<Out> {
         let (time, motion) = (at_ms(ms), Motion::at_rest(position));
         let (command, contacts) = (Vec2::zeros(), Contacts::default());
@@ -437,7 +439,7 @@ mod tests {
         out
     }
 
-    /// A reading of a robot arrives, measured as it arrives.
+    /// Reports a reading, measured at its arrival.
     fn read(recorder: &mut Recorder, ms: u64, robot: u16, position: Vec2) -> Vec<Out> {
         let mut out = Vec::new();
         let reading = Reading::of_point(RobotId(robot), at_ms(ms).as_nanos(), Motion::at_rest(position));
@@ -507,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_made_up_of_robots_whose_true_state_is_never_told() {
+    fn robots_without_true_states_have_no_command_age() {
         let mut recorder = recorder(Judged::Readings);
         say(&mut recorder, 0, 0, Phase::Running);
         see(&mut recorder, 50, 0, Vec2::zeros());

@@ -1,9 +1,9 @@
 //! StateServer: leads the team through its episodes, unattended (paper, section IV).
 //!
-//! It hears heartbeats and says, several times a second, what everyone is to do: reset, run, or stop. It
-//! asks nothing and is answered by nothing. While the emergency stop is engaged, and after it until a resume, it holds
-//! the team; while a host is away that has said that it leaves, the team stands and waits for it. A restarted server
-//! learns from the heartbeats where the team is, gives up an episode that was running, and goes on with the next.
+//! It takes heartbeats and sends an instruction several times a second: reset, run, or stop. It asks nothing, and waits
+//! for no answer. While the emergency stop is engaged, and after it until a resume, it holds the team. While a host
+//! that has announced its leave is away, the team stands and waits for it. A restarted server takes the team's state
+//! from the heartbeats, gives up an episode that was running, and continues with the next.
 
 use std::collections::BTreeSet;
 
@@ -18,55 +18,56 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::Placement;
 
-/// How often it decides: once a World step.
+/// Period of its decisions: one World step.
 pub const TICK: Span = Span::from_millis(50);
-/// How often it repeats an unchanged instruction; to a team of more than one block, a block at a time.
+/// Period at which it repeats an unchanged instruction; for a team of several blocks, one block at a time.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
-/// How often a new instruction is said to all blocks, before they take turns: of so many in a row hardly all get lost.
-pub const NEWS: u32 = 3;
-/// A robot that has been silent for longer is missing: five heartbeats.
+/// Number of times that a new instruction is sent to all blocks before they take turns, so that loss of all of them is
+/// unlikely.
+pub const NEW_MODE_REPEATS: u32 = 3;
+/// Silence after which a robot is missing: five heartbeats.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
-/// How long it waits for missing robots before it goes on without them.
+/// Longest wait for missing robots before it goes on without them.
 pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
-/// How long a reset may take.
+/// Longest duration of a reset.
 pub const RESET_LIMIT: Span = Span::from_millis(60_000);
-/// How much longer than the rules allow a running episode is let go on: heartbeats are that late.
+/// Extra time of a running episode beyond the rules' limit, for late heartbeats.
 pub const GRACE: Span = Span::from_millis(500);
 
-/// What a StateServer accepts.
+/// Input of a StateServer.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Where a robot stands.
+    /// Progress of a robot.
     Heartbeat(Heartbeat),
-    /// The emergency stop, engaged or taken back, or a resume.
+    /// Emergency stop, re-arm or resume.
     Stop(Stop),
-    /// A host leaves or is here.
+    /// Message of a host that leaves or is present.
     Status(Status),
-    /// The host of the state server is told to end.
+    /// The server's own host is shutting down.
     Leave,
 }
 
-/// Everything that a StateServer says.
+/// Output of a StateServer.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// To everyone: what is to be done.
+    /// Instruction for the team.
     Mode(Mode),
-    /// To the host's Status, for operators.
+    /// Answer to operators, for the host's Status.
     Leading(Leading),
 }
 
-/// How a StateServer is set up.
+/// Configuration of a StateServer.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// The episodes, in order.
     pub layouts: Layouts,
-    /// Which repeat of the experiment this is.
+    /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// Whether robots are placed or drive to their starts.
+    /// Whether robots are placed at their starts or drive there.
     pub placement: Placement,
-    /// How long an episode may run.
+    /// Longest duration of an episode.
     pub limit: Span,
-    /// By host: the robots whose agents or bodies it runs.
+    /// Robots whose agents or bodies each host runs.
     pub hosts: Vec<Vec<RobotId>>,
 }
 
@@ -75,54 +76,54 @@ pub struct Config {
 pub struct StateServer {
     config: Config,
     robots: Vec<Option<(Time, Heartbeat)>>,
-    /// Its incarnation: no later one starts from an earlier term.
-    life: u32,
-    /// Whether it has taken up its work without hearing anyone.
-    blind: bool,
+    /// Number of its incarnation; a later one never starts from an earlier term.
+    incarnation: u32,
+    /// Whether it started without a heartbeat.
+    started_unheard: bool,
     latch: Latch,
-    /// The hosts that have left and are not back.
+    /// Hosts that have left and are not back.
     left: BTreeSet<HostId>,
-    /// Whether its own host is about to end.
+    /// Whether its own host is shutting down.
     leaves: bool,
-    /// How many heartbeats claimed what cannot be.
-    overshot: u64,
+    /// Number of heartbeats with numbers out of reach.
+    beyond_reach: u64,
     round: Round,
     phase: Phase,
-    /// When the phase began; before the first tick there is none.
+    /// Start of the phase; none before the first tick.
     since: Option<Time>,
-    said: Option<Time>,
-    /// How often the instruction was said, and which block of robots it is repeated to next.
-    told: u32,
+    sent_at: Option<Time>,
+    /// Number of times that the instruction was sent, and the block of robots that is repeated next.
+    times_sent: u32,
     turn: usize,
     next: Time,
 }
 
 impl StateServer {
-    /// A state server that does not yet know where the team is.
-    pub fn new(config: Config, robots: usize, life: u32) -> StateServer {
+    /// Makes a state server that does not know the team's state yet.
+    pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
         StateServer {
             config,
             robots: vec![None; robots],
-            life,
-            blind: false,
+            incarnation,
+            started_unheard: false,
             latch: Latch::default(),
             left: BTreeSet::new(),
             leaves: false,
-            overshot: 0,
+            beyond_reach: 0,
             round: Round::default(),
             phase: Phase::NeedReset,
             since: None,
-            said: None,
-            told: 0,
+            sent_at: None,
+            times_sent: 0,
             turn: 0,
             next: Time::ZERO,
         }
     }
 
-    /// What a robot last said, if that was not long ago.
+    /// Last heartbeat of each robot, if it is recent.
     fn present(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
-        self.robots.iter().map(move |heard| {
-            let (at, beat) = heard.as_ref()?;
+        self.robots.iter().map(move |last| {
+            let (at, beat) = last.as_ref()?;
             (now.since(*at) < MISSING_AFTER).then_some(beat)
         })
     }
@@ -132,8 +133,8 @@ impl StateServer {
     }
 
     fn enter(&mut self, now: Time, phase: Phase) {
-        tracing::debug!(episode = self.round.episode, ?phase, "the team goes on");
-        (self.phase, self.since, self.said) = (phase, Some(now), None);
+        tracing::debug!(episode = self.round.episode, ?phase, "the team enters a phase");
+        (self.phase, self.since, self.sent_at) = (phase, Some(now), None);
     }
 
     fn begin(&mut self, now: Time, episode: u32) {
@@ -146,24 +147,24 @@ impl StateServer {
         self.enter(now, phase);
     }
 
-    /// Takes up where the team is: at the beginning, or wherever a former incarnation has left it.
+    /// Continues from the team's state: from the beginning, or from where a former incarnation has stopped.
     fn take_up(&mut self, now: Time) {
-        let heard: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
+        let beats: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
         let last = self.latest_round(now);
-        let term = last.term.saturating_add(1).max(self.life);
+        let term = last.term.saturating_add(1).max(self.incarnation);
         self.round = Round { term, episode: last.episode.min(self.config.layouts.len()) };
-        self.blind = heard.is_empty();
-        let waits = heard.iter().any(|beat| beat.round == last && beat.phase == Phase::Waiting);
-        let in_the_midst = |beat: &Heartbeat| {
+        self.started_unheard = beats.is_empty();
+        let waits = beats.iter().any(|beat| beat.round == last && beat.phase == Phase::Waiting);
+        let is_running = |beat: &Heartbeat| {
             let phases = [Phase::Running, Phase::FinishedRunning, Phase::AbortRunning, Phase::NeedReset];
             beat.round == last && phases.contains(&beat.phase)
         };
-        if heard.iter().any(|beat| beat.round == last && beat.phase == Phase::EpisodesFinished) {
+        if beats.iter().any(|beat| beat.round == last && beat.phase == Phase::EpisodesFinished) {
             self.enter(now, Phase::EpisodesFinished);
         } else if waits {
-            // A former incarnation waited for a host; it is not known which, so everyone has to follow first.
+            // A former incarnation waited for a host. Which one is unknown, so all robots have to follow first.
             self.enter(now, Phase::Waiting);
-        } else if last.term > 0 && heard.iter().any(in_the_midst) {
+        } else if last.term > 0 && beats.iter().any(is_running) {
             tracing::warn!(episode = last.episode, "a running episode is given up: the state server was restarted");
             self.enter(now, Phase::AbortRunning);
         } else {
@@ -171,45 +172,45 @@ impl StateServer {
         }
     }
 
-    /// A robot follows a later round than this: one of a former incarnation, or one that was garbled on its way.
-    /// It would refuse everything that is said here, so the term has to overtake it.
+    /// Takes a later term if a robot follows a later round, of a former incarnation or after corruption on its way.
+    /// The robot would refuse every earlier round.
     fn overtake(&mut self, now: Time) {
         let latest = self.latest_round(now);
         if self.round.term == 0 || latest <= self.round {
             return;
         }
-        if self.blind {
+        if self.started_unheard {
             self.take_up(now);
         } else {
             self.round.term = latest.term.saturating_add(1);
-            self.said = None;
+            self.sent_at = None;
         }
     }
 
-    /// The latest round that a present robot follows, without what no honest one can.
+    /// Latest round of the present robots, without rounds out of reach.
     fn latest_round(&self, now: Time) -> Round {
         Round::latest(self.round, self.present(now).flatten().map(|beat| beat.round))
     }
 
-    /// Takes up what robots know of the emergency stop, without what no honest one can.
+    /// Joins the latches of the present robots, without those out of reach.
     fn join_latches(&mut self, now: Time) {
         let latest = latch::latest(self.latch, self.present(now).flatten().map(|beat| beat.latch));
         self.latched(latest);
     }
 
-    /// Counts a heartbeat that claims what no honest robot can, and names the robot, less and less often.
-    fn doubt(&mut self, beat: &Heartbeat) {
-        self.overshot += 1;
-        if self.overshot.is_power_of_two() {
-            let (robot, times) = (beat.robot, self.overshot);
+    /// Counts a heartbeat with numbers out of reach, and logs the robot at the counts 1, 2, 4, 8, ...
+    fn count_beyond_reach(&mut self, beat: &Heartbeat) {
+        self.beyond_reach += 1;
+        if self.beyond_reach.is_power_of_two() {
+            let (robot, times) = (beat.robot, self.beyond_reach);
             let (term, number) = (beat.round.term, beat.latch.number());
             tracing::error!(
-                "{robot} claims term {term} and stop number {number}, which are out of reach: ignored ({times} times)"
+                "{robot} sent term {term} and stop number {number}, which are out of reach: ignored ({times} times)"
             );
         }
     }
 
-    /// The robots that stand in the way of a resume.
+    /// The robots that prevent a resume, with the reasons.
     fn hindrances(&self, now: Time) -> Vec<(RobotId, Hindrance)> {
         let of = |(robot, beat): (RobotId, Option<&Heartbeat>)| {
             let hindrance = match beat {
@@ -223,7 +224,7 @@ impl StateServer {
         RobotId::team(self.robots.len()).zip(self.present(now)).filter_map(of).take(MAX_HINDRANCES).collect()
     }
 
-    fn told(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
+    fn take_stop(&mut self, now: Time, stop: &Stop, out: &mut Vec<Out>) {
         let hindrances = self.hindrances(now);
         match self.latch.resumed(stop.latch) {
             Some(clear) if hindrances.is_empty() => self.latched(clear),
@@ -239,10 +240,10 @@ impl StateServer {
         self.config.hosts.get(usize::from(host.0)).map_or(&[], Vec::as_slice)
     }
 
-    fn attend(&mut self, status: &Status) {
+    fn take_status(&mut self, status: &Status) {
         let Status { host, leaves, .. } = *status;
         if self.robots_of(host).is_empty() {
-            // Without it no robot is missing.
+            // No robot depends on it.
             return;
         }
         if leaves && self.left.insert(host) {
@@ -253,7 +254,7 @@ impl StateServer {
         }
     }
 
-    /// Everyone stands until those are back who have left; the episode that was running is run again then.
+    /// Stops the team until all hosts that have left are back; then the episode that was running is run again.
     fn wait(&mut self, now: Time) {
         match self.phase {
             Phase::EpisodesFinished => {}
@@ -262,7 +263,7 @@ impl StateServer {
         }
     }
 
-    /// Nobody moves, no episode begins, and the next one begins no sooner than the team is ready for it.
+    /// Stops the team: no episode begins until the latch is clear and the team is ready.
     fn hold(&mut self, now: Time) {
         match self.phase {
             Phase::Resetting | Phase::Running => self.enter(now, Phase::AbortRunning),
@@ -270,15 +271,15 @@ impl StateServer {
         }
     }
 
-    /// It knows more of the emergency stop than before, and says so at once.
+    /// Takes a new latch, and sends it at once.
     fn latched(&mut self, latch: Latch) {
         if latch != self.latch {
             tracing::warn!(state = latch.word(), number = latch.number(), "emergency stop");
-            (self.latch, self.said) = (latch, None);
+            (self.latch, self.sent_at) = (latch, None);
         }
     }
 
-    /// Decides what comes next.
+    /// Decides on the next phase.
     fn decide(&mut self, now: Time) {
         if self.leaves {
             return self.wait(now);
@@ -328,14 +329,14 @@ impl StateServer {
         }
     }
 
-    /// What is new is said to everyone. What is repeated holds the tasks of one block, and all else for everyone: so
-    /// what a robot hears does not grow with the team.
-    fn say(&mut self, out: &mut Vec<Out>) {
+    /// Sends the instruction: a new one to all robots, a repeated one with the tasks of one block. So the traffic that
+    /// a robot receives does not grow with the team.
+    fn send_mode(&mut self, out: &mut Vec<Out>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));
         let blocks = tasks.len().div_ceil(MAX_BLOCK);
-        self.told = if self.said.is_none() { 1 } else { self.told.saturating_add(1) };
-        let turn = if self.told <= NEWS { 0..blocks } else { self.turn..self.turn + 1 };
+        self.times_sent = if self.sent_at.is_none() { 1 } else { self.times_sent.saturating_add(1) };
+        let turn = if self.times_sent <= NEW_MODE_REPEATS { 0..blocks } else { self.turn..self.turn + 1 };
         self.turn = turn.end % blocks;
         for (index, block) in tasks.chunks(MAX_BLOCK).enumerate().filter(|(index, _)| turn.contains(index)) {
             let first = u16::try_from(index * MAX_BLOCK).expect("a team has at most 65 535 robots");
@@ -362,15 +363,15 @@ impl Core for StateServer {
                 let fresh = self.round.term == 0;
                 let overshoots = self.latch.is_overshot_by(beat.latch) || self.round.is_overshot_by(beat.round);
                 if overshoots && !fresh {
-                    self.doubt(&beat);
+                    self.count_beyond_reach(&beat);
                 }
-                if let Some(heard) = self.robots.get_mut(beat.robot.index()) {
-                    *heard = Some((now, beat));
+                if let Some(last) = self.robots.get_mut(beat.robot.index()) {
+                    *last = Some((now, beat));
                     self.latched(latch);
                 }
             }
-            In::Stop(stop) => self.told(now, &stop, out),
-            In::Status(status) => self.attend(&status),
+            In::Stop(stop) => self.take_stop(now, &stop, out),
+            In::Status(status) => self.take_status(&status),
             In::Leave => {
                 self.leaves = true;
                 self.next = now;
@@ -384,13 +385,13 @@ impl Core for StateServer {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.decide(now);
-        // Until it knows where the team is, it has nothing to say but that everyone is to stand.
-        let speaks = self.round.term > 0 || !self.latch.is_clear() || self.leaves;
-        // A server that is about to end says so at every step.
+        // Before it knows the team's state, the only instruction is to stand.
+        let may_send = self.round.term > 0 || !self.latch.is_clear() || self.leaves;
+        // While it is leaving, send at every tick.
         let period = if self.leaves { Span::ZERO } else { MODE_PERIOD };
-        if speaks && self.said.is_none_or(|said| now.since(said) >= period) {
-            self.say(out);
-            self.said = Some(now);
+        if may_send && self.sent_at.is_none_or(|at| now.since(at) >= period) {
+            self.send_mode(out);
+            self.sent_at = Some(now);
         }
         self.next = now.next_on_grid(Span::ZERO, TICK);
     }
@@ -485,11 +486,11 @@ mod tests {
 
     #[test]
     fn a_server_that_started_blind_or_is_behind_overtakes_the_team() {
-        let mut blind = server();
-        tick(&mut blind, at_ms(0));
-        assert_eq!(tick(&mut blind, at_ms(10_000)), (round(1, 0), Phase::Resetting));
-        beat(&mut blind, at_ms(10_010), round(4, 1), [Phase::Resetting; 2]);
-        assert_eq!(tick(&mut blind, at_ms(10_050)), (round(5, 1), Phase::Resetting), "it learns where the team is");
+        let mut unheard = server();
+        tick(&mut unheard, at_ms(0));
+        assert_eq!(tick(&mut unheard, at_ms(10_000)), (round(1, 0), Phase::Resetting));
+        beat(&mut unheard, at_ms(10_010), round(4, 1), [Phase::Resetting; 2]);
+        assert_eq!(tick(&mut unheard, at_ms(10_050)), (round(5, 1), Phase::Resetting), "it learns where the team is");
 
         let mut server = server();
         tick(&mut server, at_ms(0));
@@ -553,7 +554,7 @@ mod tests {
         assert_eq!(say(&mut server, 40_060, Latch::clear(5)), Latch::clear(5), "a resume counts once");
     }
 
-    /// Both robots follow the round, with this latch and phase.
+    /// Both robots follow the current round with this latch and phase.
     fn follow(server: &mut StateServer, now: Time, latch: Latch, phase: Phase) {
         for robot in RobotId::team(2) {
             let round = server.round;
@@ -565,7 +566,7 @@ mod tests {
         out.iter().filter_map(|said| if let Out::Mode(mode) = said { Some(mode) } else { None }).collect()
     }
 
-    /// The answer to an operator that asks for a resume.
+    /// Answer to an operator that asks for a resume.
     fn resume(server: &mut StateServer, ms: u64) -> Leading {
         let (by, mut out) = (HostId::operator(1), Vec::new());
         server.handle(at_ms(ms), In::Stop(Stop::resume(by, server.latch)), &mut out);
@@ -593,7 +594,7 @@ mod tests {
         assert_eq!(resume(&mut server, 2020), Leading { latch: Latch::clear(3), hindrances: Vec::new() });
     }
 
-    /// The word of a host that leaves or is here; what it says of robots is not believed.
+    /// Message of a host that leaves or is present; its robots' part is not used.
     fn status(host: u16, leaves: bool) -> Status {
         let following = |robot| wire::Following { robot: RobotId(robot), controller: None, body: None };
         Status { host: HostId(host), leaves, robots: (0..64).map(following).collect(), leading: None }
@@ -689,7 +690,7 @@ mod tests {
             tick(&mut server, at_ms(ms));
         }
         assert_eq!((server.round.term, server.latch), (1, Latch::default()));
-        assert_eq!(server.overshot, 16);
+        assert_eq!(server.beyond_reach, 16);
         let two_say = 1 << 25;
         let mut fresh = super::tests::server();
         beat(&mut fresh, at_ms(0), round(two_say, 0), [Phase::NeedReset; 2]);

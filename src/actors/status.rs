@@ -1,8 +1,9 @@
-//! Status: the voice of one host. It tells operators how far the host's robots follow the emergency stop, and the state
-//! server that the host leaves or is back.
+//! Status: the reporter of one host. It tells operators which latch the host's robots follow, and the state server that
+//! the host leaves or is back.
 //!
-//! It answers every message of an operator, so that a confirmation reaches an operator in every deployment, also where
-//! heartbeats cross no link. While an observer is there, it tells where the host's robots are and how they do.
+//! It answers every message of an operator, so that confirmations reach operators in every deployment, even where
+//! heartbeats cross no link. While an observer is present, it sends telemetry: positions and conditions of the host's
+//! robots.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,137 +14,137 @@ use crate::messages::latch::Latch;
 use crate::messages::wire::{self, Condition, Following, Health, Leading, MAX_BLOCK, Phase, Seen, Stop, Telemetry};
 use crate::time::{Span, Time};
 
-/// How long it waits for what the host's actors make of an operator's message.
-const GATHER: Span = Span::from_millis(1);
-/// How often it answers operators at the most: as often as one of them speaks.
+/// Wait for the host's actors to react to an operator's message.
+const GATHER_TIME: Span = Span::from_millis(1);
+/// Shortest period of answers to operators: the period of one operator's messages.
 const ANSWER_PERIOD: Span = Span::from_millis(20);
-/// How often a host that leaves says so until it ends.
+/// Period at which a leaving host repeats its message until it ends.
 const LEAVE_PERIOD: Span = Span::from_millis(30);
-/// How often a host says that it is here while the team waits for another.
-const HERE_PERIOD: Span = Span::from_millis(200);
-/// How long after an actor has told its latch that is worth telling: two of a controller's heartbeats and some.
+/// Period at which a host reports its presence while the team waits for another.
+const PRESENCE_PERIOD: Span = Span::from_millis(200);
+/// Age from which an actor's latch is not reported: two of a controller's heartbeats and some.
 const STALE: Span = Span::from_millis(500);
 
-/// How long after an observer was last heard it counts as there: one of its words may be lost.
-const OBSERVED: Span = Span::from_millis(2500);
-/// How often telemetry is told of one robot, and of several. With it a host says less than 330 bytes a second, tag
-/// included: what the budget of soft state has left in a team of 50 (docs/wire.md).
+/// Time after an observer's last message for which it counts as present: one message may be lost.
+const OBSERVER_TIMEOUT: Span = Span::from_millis(2500);
+/// Period of telemetry for one robot, and for several. A host's telemetry takes less than 330 bytes a second, tag
+/// included: what the budget of soft state leaves in a team of 50 (docs/wire.md).
 const TELEMETRY_PERIODS: [Span; 2] = [Span::from_millis(200), Span::from_millis(300)];
-/// Robots in one telling; of more, some are told each time, in turn.
-const TOLD_AT_ONCE: usize = 2;
+/// Largest number of robots in one telemetry message; more robots take turns.
+const ROBOTS_PER_MESSAGE: usize = 2;
 
-/// Everything that a Status accepts.
+/// Input of a Status.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// An operator asks, or engages or takes back the stop.
+    /// Question, stop or re-arm of an operator.
     Stop(Stop),
-    /// The latch that a robot's controller follows.
+    /// Latch that a robot's controller follows.
     Controller(RobotId, Latch),
-    /// The latch that a robot's body follows.
+    /// Latch that a robot's body follows.
     Body(RobotId, Latch),
-    /// Where a robot was measured, for the host that runs its agent.
+    /// Measured pose of a robot, on the host that runs its agent.
     Seen(RobotId, Pose),
-    /// How far a robot of an agent of this host has come.
+    /// Progress of a robot whose agent runs on this host.
     Phase(RobotId, Phase),
-    /// The state server, which runs here, answers.
+    /// Answer of the state server, where it runs on this host.
     Leading(Leading),
-    /// The phase that the team is in.
+    /// Phase of the team.
     Mode(Phase),
-    /// How a robot of this host is, and what is left of its battery \[%\].
+    /// Condition of a robot of this host, and charge of its battery \[%\].
     Condition(RobotId, Health, Option<u8>),
-    /// Somebody looks at the team.
+    /// Message of an observer.
     Observe,
-    /// The host is told to end.
+    /// The host is shutting down.
     Leave,
 }
 
-/// The parts of robots that a host runs.
+/// Configuration of a Status: the parts of robots that its host runs.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// The host.
     pub host: HostId,
-    /// The robots whose controllers run here.
+    /// Robots whose controllers run here.
     pub controllers: Vec<RobotId>,
-    /// The robots whose bodies run here.
+    /// Robots whose bodies run here.
     pub bodies: Vec<RobotId>,
 }
 
-/// Something that was told, and when.
-type Told<T> = (Time, T);
+/// Value with its arrival time.
+type Stamped<T> = (Time, T);
 
-/// What is known of one robot for those who look at the team.
+/// Telemetry of one robot.
 #[derive(Clone, Copy, Debug, Default)]
-struct Known {
-    seen: Option<Told<Pose>>,
+struct RobotTelemetry {
+    seen: Option<Stamped<Pose>>,
     phase: Option<Phase>,
     condition: Option<(Health, Option<u8>)>,
 }
 
-/// What a Status says.
+/// Output of a Status.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
-    /// To operators and the state server.
+    /// Message for operators and the state server.
     Status(wire::Status),
-    /// To observers.
+    /// Telemetry for observers.
     Telemetry(Telemetry),
 }
 
-/// One host's voice.
+/// Status of one host.
 #[derive(Debug)]
 pub struct Status {
     host: HostId,
     robots: Vec<RobotId>,
-    controllers: BTreeMap<RobotId, Told<Latch>>,
-    bodies: BTreeMap<RobotId, Told<Latch>>,
-    leading: Option<Told<Leading>>,
+    controllers: BTreeMap<RobotId, Stamped<Latch>>,
+    bodies: BTreeMap<RobotId, Stamped<Latch>>,
+    leading: Option<Stamped<Leading>>,
     leaves: bool,
     /// Whether the team waits for a host.
     waits: bool,
-    said: Option<Time>,
+    sent_at: Option<Time>,
     due: Option<Time>,
-    /// By place in `robots`.
-    known: Vec<Known>,
-    /// Until when an observer is there.
-    observed: Option<Time>,
-    /// When telemetry is told next, and of which robot first.
-    telemetry: Time,
-    first: usize,
+    /// By index in `robots`.
+    telemetry: Vec<RobotTelemetry>,
+    /// Time until which an observer counts as present.
+    observed_until: Option<Time>,
+    /// Time of the next telemetry message, and its first robot.
+    next_telemetry: Time,
+    next_robot: usize,
 }
 
 impl Status {
-    /// The voice of a host of which nothing is known yet.
+    /// Makes a status without data.
     pub fn new(config: &Config) -> Status {
         let robots: BTreeSet<RobotId> = config.controllers.iter().chain(&config.bodies).copied().collect();
         Status {
             host: config.host,
-            known: vec![Known::default(); robots.len()],
+            telemetry: vec![RobotTelemetry::default(); robots.len()],
             robots: robots.into_iter().collect(),
             controllers: BTreeMap::new(),
             bodies: BTreeMap::new(),
             leading: None,
             leaves: false,
             waits: false,
-            said: None,
+            sent_at: None,
             due: None,
-            observed: None,
-            telemetry: Time::ZERO,
-            first: 0,
+            observed_until: None,
+            next_telemetry: Time::ZERO,
+            next_robot: 0,
         }
     }
 
-    /// What is known of a robot of this host.
-    fn know(&mut self, robot: RobotId, note: impl FnOnce(&mut Known)) {
+    /// Updates the telemetry of a robot of this host.
+    fn update(&mut self, robot: RobotId, change: impl FnOnce(&mut RobotTelemetry)) {
         if let Ok(place) = self.robots.binary_search(&robot) {
-            note(&mut self.known[place]);
+            change(&mut self.telemetry[place]);
         }
     }
 
-    /// Tells of the next robots in turn.
-    fn tell(&mut self, now: Time, out: &mut Vec<Out>) {
+    /// Sends telemetry of the next robots in turn.
+    fn send_telemetry(&mut self, now: Time, out: &mut Vec<Out>) {
         let count = self.robots.len();
-        let places = (0..count.min(TOLD_AT_ONCE)).map(|nth| (self.first + nth) % count);
+        let places = (0..count.min(ROBOTS_PER_MESSAGE)).map(|nth| (self.next_robot + nth) % count);
         let condition = |place: usize| {
-            let Known { seen, phase, condition } = self.known[place];
+            let RobotTelemetry { seen, phase, condition } = self.telemetry[place];
             let age_ms = |at: Time| u32::try_from(now.since(at).as_nanos() / 1_000_000).unwrap_or(u32::MAX);
             Condition {
                 robot: self.robots[place],
@@ -157,18 +158,20 @@ impl Status {
         if !robots.is_empty() {
             out.push(Out::Telemetry(Telemetry { host: self.host, robots }));
         }
-        self.first = (self.first + TOLD_AT_ONCE.min(count)) % count.max(1);
-        self.telemetry = now + TELEMETRY_PERIODS[usize::from(count > 1)];
+        self.next_robot = (self.next_robot + ROBOTS_PER_MESSAGE.min(count)) % count.max(1);
+        self.next_telemetry = now + TELEMETRY_PERIODS[usize::from(count > 1)];
     }
 
-    /// Speaks after `wait`, or as soon after the last time as `period` allows.
+    /// Plans a message after `wait`, or one `period` after the last one if that is later.
     fn plan(&mut self, now: Time, wait: Span, period: Span) {
-        let due = self.said.map_or(now + wait, |said| (said + period).max(now + wait));
+        let due = self.sent_at.map_or(now + wait, |at| (at + period).max(now + wait));
         self.due = Some(self.due.map_or(due, |before| before.min(due)));
     }
 
-    fn say(&self, now: Time, out: &mut Vec<Out>) {
-        let fresh = |told: Option<&Told<Latch>>| told.filter(|(at, _)| now.since(*at) < STALE).map(|(_, latch)| *latch);
+    fn send_status(&self, now: Time, out: &mut Vec<Out>) {
+        let fresh = |stamped: Option<&Stamped<Latch>>| {
+            stamped.filter(|(at, _)| now.since(*at) < STALE).map(|(_, latch)| *latch)
+        };
         let leading =
             self.leading.as_ref().filter(|(at, _)| now.since(*at) < STALE).map(|(_, leading)| leading.clone());
         let mut blocks: Vec<&[RobotId]> = self.robots.chunks(MAX_BLOCK).collect();
@@ -197,7 +200,7 @@ impl Core for Status {
 
     fn handle(&mut self, now: Time, input: In, _: &mut Vec<Out>) {
         match input {
-            In::Stop(stop) if stop.by.is_operator() => self.plan(now, GATHER, ANSWER_PERIOD),
+            In::Stop(stop) if stop.by.is_operator() => self.plan(now, GATHER_TIME, ANSWER_PERIOD),
             In::Stop(_) => {}
             In::Controller(robot, latch) => {
                 self.controllers.insert(robot, (now, latch));
@@ -209,19 +212,19 @@ impl Core for Status {
             In::Mode(phase) => {
                 self.waits = phase == Phase::Waiting;
                 if self.waits {
-                    self.plan(now, GATHER, HERE_PERIOD);
+                    self.plan(now, GATHER_TIME, PRESENCE_PERIOD);
                 }
             }
-            In::Seen(robot, pose) => self.know(robot, |known| known.seen = Some((now, pose))),
-            In::Phase(robot, phase) => self.know(robot, |known| known.phase = Some(phase)),
+            In::Seen(robot, pose) => self.update(robot, |telemetry| telemetry.seen = Some((now, pose))),
+            In::Phase(robot, phase) => self.update(robot, |telemetry| telemetry.phase = Some(phase)),
             In::Condition(robot, health, battery) => {
-                self.know(robot, |known| known.condition = Some((health, battery)));
+                self.update(robot, |telemetry| telemetry.condition = Some((health, battery)));
             }
             In::Observe => {
-                if self.observed.is_none() {
-                    self.telemetry = now.max(self.telemetry);
+                if self.observed_until.is_none() {
+                    self.next_telemetry = now.max(self.next_telemetry);
                 }
-                self.observed = Some(now + OBSERVED);
+                self.observed_until = Some(now + OBSERVER_TIMEOUT);
             }
             In::Leave => {
                 self.leaves = true;
@@ -231,19 +234,19 @@ impl Core for Status {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        let telemetry = self.observed.map(|_| self.telemetry);
+        let telemetry = self.observed_until.map(|_| self.next_telemetry);
         [self.due, telemetry].into_iter().flatten().min()
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.due.is_some_and(|due| due <= now) {
-            self.say(now, out);
-            self.said = Some(now);
+            self.send_status(now, out);
+            self.sent_at = Some(now);
             self.due = self.leaves.then_some(now + LEAVE_PERIOD);
         }
-        if self.observed.is_some() && self.telemetry <= now {
-            self.tell(now, out);
-            self.observed = self.observed.filter(|until| *until > now);
+        if self.observed_until.is_some() && self.next_telemetry <= now {
+            self.send_telemetry(now, out);
+            self.observed_until = self.observed_until.filter(|until| *until > now);
         }
     }
 }
@@ -275,14 +278,14 @@ mod tests {
     }
 
     #[test]
-    fn an_observer_is_told_of_all_robots_in_turn_as_long_as_it_is_there() {
+    fn an_observer_gets_telemetry_of_all_robots_in_turn_while_it_is_present() {
         let mut status = host(3);
         let pose = |x: f32| Pose { position: crate::messages::geometry::Vec2::new(x, 0.0), heading: Some(0.5) };
         handle(&mut status, 900, In::Seen(RobotId(1), pose(7.0)));
         handle(&mut status, 900, In::Phase(RobotId(1), Phase::Running));
         handle(&mut status, 900, In::Condition(RobotId(2), Health::Faulty, Some(12)));
         handle(&mut status, 900, In::Seen(RobotId(9), pose(1.0)));
-        assert_eq!(status.wake_at(), None, "nobody looks");
+        assert_eq!(status.wake_at(), None, "there is no observer");
         handle(&mut status, 1000, In::Observe);
         let mut told = Vec::new();
         while status.wake_at().is_some() {
@@ -303,11 +306,7 @@ mod tests {
         let one = told[0].1[1];
         assert_eq!((one.phase, one.seen), (Some(Phase::Running), Some(Seen { pose: pose(7.0), age_ms: 100 })));
         let unknown = told[0].1[0];
-        assert_eq!(
-            (unknown.phase, unknown.seen, unknown.health),
-            (None, None, None),
-            "what is not known is not made up"
-        );
+        assert_eq!((unknown.phase, unknown.seen, unknown.health), (None, None, None), "unknown values stay unknown");
         assert_eq!((told[1].1[0].health, told[1].1[0].battery), (Some(Health::Faulty), Some(12)));
     }
 
@@ -319,7 +318,7 @@ mod tests {
     const OPERATOR: HostId = HostId::operator(7);
 
     #[test]
-    fn every_operator_is_answered_with_what_is_known_of_late_and_not_too_often() {
+    fn every_operator_is_answered_with_recent_latches_and_not_too_often() {
         let mut status = host(2);
         handle(&mut status, 0, In::Stop(Stop::engage(HostId(1), Latch::default())));
         assert_eq!(status.wake_at(), None, "a host wants no answer");
@@ -337,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn many_robots_are_told_in_blocks_and_a_host_without_any_speaks_too() {
+    fn many_robots_are_reported_in_blocks_and_a_host_without_any_answers_too() {
         let mut status = host(65);
         handle(&mut status, 0, In::Stop(Stop::ask(OPERATOR)));
         let blocks: Vec<usize> = said(&mut status).1.iter().map(|said| said.robots.len()).collect();
@@ -349,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn a_host_that_leaves_says_so_until_it_ends_and_one_that_is_here_while_others_are_waited_for() {
+    fn a_leaving_host_repeats_that_until_it_ends_and_a_present_one_reports_while_the_team_waits() {
         let mut status = host(1);
         handle(&mut status, 0, In::Mode(Phase::Running));
         assert_eq!(status.wake_at(), None);

@@ -1,8 +1,8 @@
-//! World: one Plant and its clock. It steps the Plant, tells each Body its true state, and the Recorder all.
+//! World: one Plant and its clock. It steps the Plant, and sends true states to each Body and to the Recorder.
 //!
-//! It enforces the validity of every command by itself, for a Body that has stopped in mid-command. And it lends
-//! a hand as a person would: after a reset that has failed it puts the robots of a simulated plant at their next
-//! starts, because some plants let two of them get stuck for good.
+//! It enforces the validity of every command itself, in case a Body has crashed. It also repairs failed resets, as a
+//! person would: it places the robots of a simulated plant at their next starts. Some plants let two robots block each
+//! other for good.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -15,46 +15,46 @@ use crate::messages::wire::{Mode, Phase, Round};
 use crate::time::{Span, Time};
 use crate::world::{Placement, Plant, PlantState};
 
-/// What a World accepts.
+/// Input of a World.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// From one of its Bodies.
+    /// Command of one of its Bodies.
     Drive(Drive),
-    /// The state server's instruction.
+    /// Instruction of the state server.
     Mode(Mode),
 }
 
-/// What a World says.
+/// Output of a World.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// To one of its Bodies.
+    /// True state for one of its Bodies.
     Sample(Sample),
-    /// To the Recorder.
+    /// True states for the Recorder.
     Truth(Truth),
 }
 
-/// What outlives the actor, as the real world outlives the process that looks at it: the plant, and for which
-/// round each robot was last placed. While no World steps it, it stands still.
-pub struct Ground {
+/// State that outlives the actor, as real robots outlive the process that watches them: the plant, and the round for
+/// which each robot was last placed. Without a World it does not advance.
+pub struct PersistentPlant {
     plant: Box<dyn Plant>,
     placed: Vec<Round>,
-    /// What the team was last told.
-    told: (Round, Phase),
-    /// The first episode for which robots are to be put in place because the reset before it has failed.
-    hand: Option<u32>,
+    /// Last instruction to the team.
+    last_mode: (Round, Phase),
+    /// First episode for which robots are placed because the reset before it has failed.
+    repair_from: Option<u32>,
 }
 
-impl Ground {
-    /// A plant that nobody was placed in yet.
-    pub fn new(plant: Box<dyn Plant>) -> Ground {
+impl PersistentPlant {
+    /// Makes the state of a plant in which no robot was placed yet.
+    pub fn new(plant: Box<dyn Plant>) -> PersistentPlant {
         let placed = vec![Round::default(); plant.states().len()];
-        Ground { plant, placed, told: (Round::default(), Phase::NeedReset), hand: None }
+        PersistentPlant { plant, placed, last_mode: (Round::default(), Phase::NeedReset), repair_from: None }
     }
 }
 
-/// A world of some robots.
+/// World of some robots.
 pub struct World {
-    ground: Rc<RefCell<Ground>>,
+    persistent: Rc<RefCell<PersistentPlant>>,
     period: Span,
     placement: Placement,
     bodies: Vec<Attached>,
@@ -71,47 +71,47 @@ struct Attached {
 }
 
 impl World {
-    /// A world of these robots, in the order of their ids; the plant holds them in the same.
-    pub fn new(ground: Rc<RefCell<Ground>>, placement: Placement, robots: &[RobotId]) -> World {
+    /// Makes a world of these robots, in the order of their ids; the plant holds them in the same order.
+    pub fn new(persistent: Rc<RefCell<PersistentPlant>>, placement: Placement, robots: &[RobotId]) -> World {
         assert!(robots.is_sorted(), "a world holds its robots in the order of their ids");
         let attach = |&robot: &RobotId| Attached { robot, command: Vec2::zeros(), until: Time::ZERO };
-        let period = ground.borrow().plant.period();
+        let period = persistent.borrow().plant.period();
         let bodies = robots.iter().map(attach).collect();
-        World { ground, period, placement, bodies, next: Time::ZERO, placed_at: None }
+        World { persistent, period, placement, bodies, next: Time::ZERO, placed_at: None }
     }
 
-    /// Whether this instruction is one to put robots in place for.
-    fn lends_a_hand(&mut self, mode: &Mode) -> bool {
-        let mut ground = self.ground.borrow_mut();
-        let (round, phase) = ground.told;
+    /// Whether robots are placed for this instruction.
+    fn is_to_place(&mut self, mode: &Mode) -> bool {
+        let mut persistent = self.persistent.borrow_mut();
+        let (round, phase) = persistent.last_mode;
         if (phase, mode.phase) == (Phase::Resetting, Phase::AbortRunning) && round.episode == mode.round.episode {
-            ground.hand = Some(round.episode + 1);
+            persistent.repair_from = Some(round.episode + 1);
         }
-        ground.told = (mode.round, mode.phase);
+        persistent.last_mode = (mode.round, mode.phase);
         match self.placement {
             Placement::Exact => mode.phase == Phase::Running,
-            Placement::Drive => mode.phase == Phase::Resetting && ground.hand == Some(mode.round.episode),
+            Placement::Drive => mode.phase == Phase::Resetting && persistent.repair_from == Some(mode.round.episode),
         }
     }
 
     fn place(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
-        let mut ground = self.ground.borrow_mut();
+        let mut persistent = self.persistent.borrow_mut();
         for (index, body) in self.bodies.iter_mut().enumerate() {
-            // A new term of a running episode is no reason to carry anyone back.
-            let due = ground.placed[index].term == 0 || ground.placed[index].episode < mode.round.episode;
+            // A new term of a running episode places no robot again.
+            let due = persistent.placed[index].term == 0 || persistent.placed[index].episode < mode.round.episode;
             if let Some(task) = mode.task_of(body.robot).filter(|_| due) {
-                ground.plant.place(index, task.start);
-                ground.placed[index] = mode.round;
+                persistent.plant.place(index, task.start);
+                persistent.placed[index] = mode.round;
                 (body.command, body.until) = (Vec2::zeros(), now);
                 self.placed_at = Some(now);
-                out.push(Out::Sample(sample(now, body, &ground.plant.states()[index])));
+                out.push(Out::Sample(sample(now, body, &persistent.plant.states()[index])));
             }
         }
     }
 
     fn samples(&self, now: Time) -> Vec<Sample> {
-        let ground = self.ground.borrow();
-        self.bodies.iter().zip(ground.plant.states()).map(|(body, state)| sample(now, body, state)).collect()
+        let persistent = self.persistent.borrow();
+        self.bodies.iter().zip(persistent.plant.states()).map(|(body, state)| sample(now, body, state)).collect()
     }
 }
 
@@ -133,7 +133,7 @@ impl Core for World {
                 }
             }
             In::Mode(mode) => {
-                if self.lends_a_hand(&mode) {
+                if self.is_to_place(&mode) {
                     self.place(now, &mode, out);
                 }
             }
@@ -145,17 +145,17 @@ impl Core for World {
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
-        // A step moves robots through a whole period: whoever was placed since the last one waits for the next.
+        // A step moves robots for a whole period, so robots placed since the last step wait for the next.
         let steps = self.placed_at.is_none_or(|placed| now.since(placed) >= self.period);
         if steps {
-            let mut ground = self.ground.borrow_mut();
+            let mut persistent = self.persistent.borrow_mut();
             for (index, body) in self.bodies.iter_mut().enumerate() {
                 if body.until <= now {
                     body.command = Vec2::zeros();
                 }
-                ground.plant.drive(index, body.command);
+                persistent.plant.drive(index, body.command);
             }
-            ground.plant.advance();
+            persistent.plant.advance();
         }
         let samples = self.samples(now);
         out.extend(samples.iter().copied().map(Out::Sample));
@@ -179,8 +179,8 @@ mod tests {
         let passage = build("passage", &Settings::of(2)).unwrap();
         let starts = [Vec2::new(0.0, -1.0), Vec2::new(1.0, -1.0)];
         let physics = Physics::published(passage.arena());
-        let ground = Ground::new(kinematic::build(passage.arena(), &physics, &starts, Seed::of_run(0)));
-        World::new(Rc::new(RefCell::new(ground)), placement, &[RobotId(0), RobotId(1)])
+        let persistent = PersistentPlant::new(kinematic::build(passage.arena(), &physics, &starts, Seed::of_run(0)));
+        World::new(Rc::new(RefCell::new(persistent)), placement, &[RobotId(0), RobotId(1)])
     }
 
     fn at_ms(ms: u64) -> Time {

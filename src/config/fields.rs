@@ -1,4 +1,4 @@
-//! Fields that are read one by one, from a file, the environment or a flag: what each takes, and its value once read.
+//! Fields that are read one by one from a file, the environment or a flag: their types and values.
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -7,14 +7,14 @@ use toml::de::DeValue;
 
 use super::is_key;
 
-/// The value of a field.
+/// Value of a field.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
     /// A whole number.
     Whole(u64),
     /// A number.
     Number(f64),
-    /// A text: a name, a path, one of a few words.
+    /// A text: a name, a path, one of several words.
     Text(String),
     /// An address with its port.
     Address(SocketAddr),
@@ -35,7 +35,7 @@ impl Value {
     /// The text.
     ///
     /// # Panics
-    /// If its field takes no texts; likewise below.
+    /// If the field has another type; likewise below.
     pub fn text(&self) -> &str {
         let Value::Text(text) = self else { panic!("the field lets only texts through") };
         text
@@ -60,14 +60,14 @@ impl Value {
     }
 }
 
-/// What a field takes.
+/// Type of a field, with its range.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Takes {
-    /// A whole number from the first to the second.
+pub enum FieldType {
+    /// A whole number in this range, both ends included.
     Whole(u64, u64),
-    /// A number from the first to the second.
+    /// A number in this range, both ends included.
     Number(f64, f64),
-    /// A text that is not empty and no key.
+    /// A text that is neither empty nor a key.
     Text,
     /// The name of a network interface.
     Interface,
@@ -77,53 +77,57 @@ pub enum Takes {
     Address,
 }
 
-impl Takes {
-    /// Reads a value; the error says what is wrong.
+impl FieldType {
+    /// Reads a value; an error describes the fault.
     pub fn read(self, text: &str) -> Result<Value, String> {
         match self {
-            Takes::Whole(least, most) => match text.parse::<u64>() {
+            FieldType::Whole(least, most) => match text.parse::<u64>() {
                 Ok(whole) if (least..=most).contains(&whole) => Ok(Value::Whole(whole)),
-                _ => Err(format!("'{text}' is no whole number of {least} to {most}")),
+                _ => Err(format!("'{text}' is not a whole number of {least} to {most}")),
             },
-            Takes::Number(least, most) => match text.parse::<f64>() {
+            FieldType::Number(least, most) => match text.parse::<f64>() {
                 Ok(number) if (least..=most).contains(&number) => Ok(Value::Number(number)),
-                _ => Err(format!("'{text}' is no number of {least} to {most}")),
+                _ => Err(format!("'{text}' is not a number of {least} to {most}")),
             },
-            Takes::Text if text.is_empty() => Err("it is empty; leave it out or fill it in".to_owned()),
-            Takes::Text if is_key(text.as_bytes()) => {
-                Err("it is a key itself, where the name of something belongs: keep it in a file and name that"
-                    .to_owned())
+            FieldType::Text if text.is_empty() => Err("it is empty; leave it out or fill it in".to_owned()),
+            FieldType::Text if is_key(text.as_bytes()) => {
+                Err("it is a key itself, where a name or path belongs: keep it in a file and give its path".to_owned())
             }
-            Takes::Text => Ok(Value::Text(text.to_owned())),
-            // As Linux has it: IFNAMSIZ is 16 with its end, and these characters are refused.
-            Takes::Interface => {
+            FieldType::Text => Ok(Value::Text(text.to_owned())),
+            // As in Linux: IFNAMSIZ is 16 with the terminating zero, and these characters are refused.
+            FieldType::Interface => {
                 let fits = (1..16).contains(&text.len()) && !text.contains(|c: char| c.is_whitespace() || c == '/');
-                if fits { Ok(Value::Text(text.to_owned())) } else { Err(format!("'{text}' is no interface's name")) }
+                let name = || Value::Text(text.to_owned());
+                fits.then(name).ok_or_else(|| format!("'{text}' is not an interface's name"))
             }
-            Takes::Choice(names) if names.contains(&text) => Ok(Value::Text(text.to_owned())),
-            Takes::Choice(names) => Err(format!("'{text}' is not one of {}", names.join(", "))),
-            Takes::Address => match text.parse::<SocketAddr>() {
+            FieldType::Choice(names) if names.contains(&text) => Ok(Value::Text(text.to_owned())),
+            FieldType::Choice(names) => Err(format!("'{text}' is not one of {}", names.join(", "))),
+            FieldType::Address => match text.parse::<SocketAddr>() {
                 Ok(address) if address.port() > 0 => Ok(Value::Address(address)),
-                _ => Err(format!("'{text}' is no address with a port, such as 239.255.77.1:7700 or [ff02::4d75]:7700")),
+                _ => Err(format!(
+                    "'{text}' is not an address with a port, such as 239.255.77.1:7700 or [ff02::4d75]:7700"
+                )),
             },
         }
     }
 
-    /// Reads a value of a file, where numbers are numbers and texts have quotes.
+    /// Reads a value from TOML, where numbers are numbers and texts have quotes.
     pub fn read_toml(self, value: &DeValue<'_>) -> Result<Value, String> {
         let wanted = match self {
-            Takes::Whole(..) => "a whole number",
-            Takes::Number(..) => "a number",
+            FieldType::Whole(..) => "a whole number",
+            FieldType::Number(..) => "a number",
             _ => "a text in quotes",
         };
         match (self, value) {
-            (Takes::Whole(..), DeValue::Integer(whole)) => {
+            (FieldType::Whole(..), DeValue::Integer(whole)) => {
                 let read = u64::from_str_radix(whole.as_str().trim_start_matches('+'), whole.radix());
                 self.read(&read.map_or_else(|_| whole.as_str().to_owned(), |whole| whole.to_string()))
             }
-            (Takes::Number(..), DeValue::Integer(number)) => self.read(number.as_str()),
-            (Takes::Number(..), DeValue::Float(number)) => self.read(number.as_str()),
-            (Takes::Whole(..) | Takes::Number(..), _) => Err(format!("a {} where {wanted} belongs", value.type_str())),
+            (FieldType::Number(..), DeValue::Integer(number)) => self.read(number.as_str()),
+            (FieldType::Number(..), DeValue::Float(number)) => self.read(number.as_str()),
+            (FieldType::Whole(..) | FieldType::Number(..), _) => {
+                Err(format!("a {} where {wanted} belongs", value.type_str()))
+            }
             (_, DeValue::String(text)) => self.read(text),
             _ => Err(format!("a {} where {wanted} belongs", value.type_str())),
         }

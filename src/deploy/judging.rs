@@ -1,4 +1,4 @@
-//! Who judges the episodes of a deployment, and from what.
+//! Selection of the host that judges a deployment's episodes, and of its data: true states or readings.
 
 use super::{Deployment, Host};
 use crate::messages::ids::HostId;
@@ -6,7 +6,7 @@ use crate::messages::wire::Kind;
 use crate::report::episode::Judged;
 
 impl Deployment {
-    /// What verdicts are found from: true states where one World has them all, and elsewhere readings.
+    /// Source of verdicts: true states where one World has all robots, and readings elsewhere.
     pub fn judged(&self) -> Judged {
         match self.hosts.iter().any(|host| host.simulates.len() == self.robots) {
             true => Judged::Truth,
@@ -14,8 +14,8 @@ impl Deployment {
         }
     }
 
-    /// The host that judges: the one whose World has all robots, or else that of the state server, to which all
-    /// readings go. The deployment has to have a state server, which `check` sees to.
+    /// The host that judges: the one whose World has all robots, or else the state server's host, to which all readings
+    /// go. The deployment must have a state server, as `check` ensures.
     pub fn judge(&self) -> HostId {
         let judges = |host: &Host| match self.judged() {
             Judged::Truth => host.simulates.len() == self.robots,
@@ -25,12 +25,12 @@ impl Deployment {
         HostId(u16::try_from(found).expect("a checked deployment has few hosts"))
     }
 
-    /// The host that judges from readings, and needs those of all robots; none where true states are judged.
+    /// The host that judges from readings and needs those of all robots; none where true states are judged.
     pub fn judge_of_readings(&self) -> Option<HostId> {
         (self.judged() == Judged::Readings).then(|| self.judge())
     }
 
-    /// Why a kind has to cross hosts, where it is for the judge's sake; else nothing.
+    /// Explanation for an error, if a kind must cross hosts only for the judge; empty otherwise.
     pub(super) fn needed_by_judge(&self, kind: Kind) -> String {
         match (kind, self.judged()) {
             (Kind::Reading, Judged::Readings) => {

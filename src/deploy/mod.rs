@@ -1,8 +1,8 @@
-//! Deployments: which host runs what, and which link carries which kind of message. The modes of the paper
-//! are presets of this data; nothing else in the program asks for a mode or a link by its name.
+//! Deployments: hosts with the parts that each runs, and links with the kinds of messages that each carries. The modes
+//! of the paper are presets of this data. Nothing else in the program refers to a mode or a link by its name.
 //!
-//! A deployment is read from and written to TOML. `presets` holds the paper's modes, `routes` the way of every
-//! message in a deployment.
+//! A deployment is read from and written to TOML. `presets` holds the paper's modes, `routes` the route of every
+//! message.
 
 mod judging;
 mod presets;
@@ -27,38 +27,38 @@ use crate::net::protocol::reliability::Reliabilities;
 use crate::time::Span;
 use crate::world::{self, Placement};
 
-/// When agents step.
+/// Times at which agents step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stepping {
-    /// All at once, halfway between two World steps: the conditions of training.
+    /// All at once, halfway between two World steps, as in training.
     Lockstep,
-    /// Each with a phase of its own, drawn from the seed.
+    /// Each at an offset of its own, drawn from the seed.
     Seeded,
 }
 
-/// One process.
+/// Process with the parts of the team that it runs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Host {
     /// Its name.
     pub name: String,
-    /// The agents that it runs: for each, its robots. Their Caches and Controllers come with them.
+    /// Agents that it runs, each as a list of robots. Their Caches and Controllers run there too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub agents: Vec<Vec<u16>>,
-    /// The robots that its World simulates; empty for no World. It drives and measures them, too.
+    /// Robots that its World simulates; empty for no World. It also drives and measures them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub simulates: Vec<u16>,
-    /// The robots that are not simulated and whose motors hang on it. Their Bodies come with them.
+    /// Real robots whose motors are attached to it. Their Bodies run there too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub actuates: Vec<u16>,
-    /// The robots that are not simulated and whose poses it measures.
+    /// Real robots whose poses it measures.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub localizes: Vec<u16>,
-    /// The driver of the robots that it actuates.
+    /// Driver of the robots that it actuates.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub driver: Option<Settings>,
-    /// The source of its readings of the robots that it localizes.
+    /// Source of the readings of the robots that it localizes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<Settings>,
     /// Whether it runs the team's StateServer.
@@ -66,23 +66,23 @@ pub struct Host {
     pub state_server: bool,
 }
 
-/// What a link runs over. It says what may happen to its frames in a simulation; sockets are as the team file says.
+/// Medium of a link. It determines the effects on its frames in a simulation; sockets are set in the team file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkMedium {
-    /// A radio through an access point.
+    /// Radio through an access point.
     #[default]
     AccessPoint,
-    /// A radio on which robots talk to each other without an access point.
+    /// Radio from robot to robot, without an access point.
     AdHoc,
     /// Cables, such as those to a simulated World: never impaired, and without a radio.
     Cable,
-    /// Processes of one machine: they can be impaired, but have no radio.
+    /// Loopback interface between processes of one machine: it can be impaired, but has no radio.
     Loopback,
 }
 
 impl LinkMedium {
-    /// How stations share the channel where this is a radio.
+    /// Topology of the radio channel; none where this is no radio.
     pub fn topology(self) -> Option<Topology> {
         match self {
             LinkMedium::AccessPoint => Some(Topology::Infrastructure),
@@ -92,38 +92,38 @@ impl LinkMedium {
     }
 }
 
-/// One link between all hosts.
+/// Link between all hosts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Link {
     /// Its name.
     pub name: String,
-    /// What it runs over.
+    /// Its medium.
     #[serde(default)]
     pub medium: LinkMedium,
-    /// The kinds of messages that travel on it.
+    /// Kinds of messages that it carries.
     pub carries: Vec<Kind>,
-    /// How long each impaired frame takes \[s\].
+    /// Delay of impaired frames \[s\].
     #[serde(default)]
     pub delay_s: f64,
-    /// The share of impaired frames that a listener misses, 0 to 1.
+    /// Probability that a receiver loses an impaired frame, 0 to 1.
     #[serde(default)]
     pub loss: f64,
-    /// The kinds that are impaired.
+    /// Kinds that are impaired.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub impairs: Vec<Kind>,
-    /// How sure the kinds are to arrive; those not named are sent once.
+    /// Reliability mode of each kind; kinds not named are best effort.
     #[serde(default, skip_serializing_if = "Reliabilities::is_empty")]
     pub reliability: Reliabilities,
-    /// How far a robot's frames carry \[m\]; none for everywhere. With a radio, the range is the radio's.
+    /// Transmission range of a robot's frames \[m\]; none for unlimited. With a radio, the radio's range counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_m: Option<f32>,
-    /// The radio channel that its frames share; none for a link where they never meet.
+    /// Radio channel that its frames share; none for a link without contention.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radio: Option<Radio>,
 }
 
-/// Which host runs what, and which link carries what.
+/// Hosts with their parts, and links with their kinds of messages.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Deployment {
@@ -131,11 +131,11 @@ pub struct Deployment {
     pub mode: String,
     /// The size of the team.
     pub robots: usize,
-    /// How robots come to their starts.
+    /// Placement of robots at their starts.
     pub placement: Placement,
-    /// When agents step.
+    /// Times at which agents step.
     pub stepping: Stepping,
-    /// The plant that simulated robots live in.
+    /// Plant of the simulated robots.
     #[serde(default = "kinematic")]
     pub plant: String,
     /// The processes.
@@ -150,32 +150,32 @@ fn kinematic() -> String {
     world::KINEMATIC.to_owned()
 }
 
-/// The most hosts, and the most links: their numbers are 16 bits wide.
+/// Largest number of hosts, and of links: their ids have 16 bits.
 const MAX_NAMES: usize = 10_000;
 
-/// Why links cannot be impaired.
+/// Error of links that cannot be impaired.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ImpairError {
-    /// No message would suffer it.
+    /// No message would be affected.
     #[error("nothing to act on in mode '{mode}': no {kinds} message crosses a link there")]
     NothingCrosses {
         /// The deployment's name.
         mode: String,
-        /// What would have to cross.
+        /// The kinds that would have to cross.
         kinds: &'static str,
     },
-    /// A delay or a share is out of range.
+    /// A delay or a probability is out of range.
     #[error(transparent)]
     Config(#[from] ConfigError),
 }
 
-/// Which messages an impairment strikes.
+/// Messages that an impairment affects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Impair {
-    /// What robots tell each other.
+    /// Messages between robots.
     Latent,
-    /// Everything on every link but cables.
+    /// All messages on every link but cables.
     All,
 }
 
@@ -187,13 +187,13 @@ impl Deployment {
         Ok(deployment)
     }
 
-    /// Writes it as TOML.
+    /// Writes the deployment as TOML.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a deployment is TOML")
     }
 
-    /// Checks that every robot has one agent and one body, and every message a way. Whether there is a plant of its
-    /// name, a registry knows.
+    /// Checks that every robot has one agent and one body, and every message a route. The registry checks the plant's
+    /// name.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if self.robots == 0 || self.robots > usize::from(u16::MAX) {
@@ -228,7 +228,7 @@ impl Deployment {
         })
     }
 
-    /// Checks that hosts and links have names of their own.
+    /// Checks that names of hosts and links are unique and not empty.
     fn check_names(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         for (field, names) in [
@@ -236,7 +236,7 @@ impl Deployment {
             ("link", self.links.iter().map(|link| &link.name).collect()),
         ] {
             if names.len() > MAX_NAMES {
-                return wrong(field, format!("{} of them; there is room for {MAX_NAMES}", names.len()));
+                return wrong(field, format!("{} of them; the limit is {MAX_NAMES}", names.len()));
             }
             let mut unique = BTreeSet::new();
             if let Some(name) = names.iter().find(|name| name.is_empty() || !unique.insert(**name)) {
@@ -261,7 +261,7 @@ impl Deployment {
             }
             let carriers = self.links.iter().flat_map(|link| &link.carries).filter(|carried| **carried == kind).count();
             if carriers > 1 {
-                return wrong(format!("{kind:?} is carried {carriers} times; once is the most"));
+                return wrong(format!("{kind:?} is carried {carriers} times; it may be carried once"));
             }
             if carriers == 0 && routes.crosses(kind) {
                 let judge = self.needed_by_judge(kind);
@@ -291,14 +291,14 @@ impl Deployment {
         }
     }
 
-    /// What there is for faults to strike.
+    /// Targets for faults in this deployment.
     pub fn targets(&self) -> Targets<'_> {
         let links = self.links.iter().map(|link| (link.name.as_str(), link.carries.as_slice())).collect();
         Targets { robots: self.robots, hosts: self.hosts.len(), links }
     }
 
-    /// Puts such a radio on the links that run over one: each gets a channel of its own. Those that are ad-hoc have the
-    /// range; the others go through an access point.
+    /// Adds this radio to the links whose medium is one; each gets a channel of its own. Ad hoc links get its range;
+    /// the others go through an access point.
     pub fn with_radio(mut self, radio: &Radio) -> Deployment {
         for link in &mut self.links {
             let Some(channel) = link.medium.topology() else { continue };
@@ -308,7 +308,7 @@ impl Deployment {
         self
     }
 
-    /// Limits how far latents carry \[m\]: the range of every link that has them to carry.
+    /// Limits the transmission range of every link that carries latents \[m\].
     pub fn ranged(mut self, range_m: f32) -> Result<Deployment, ImpairError> {
         let crosses = Routes::of(&self).crosses(Kind::Latent);
         let links = self.links.iter_mut().filter(|link| crosses && link.carries.contains(&Kind::Latent));
@@ -319,7 +319,7 @@ impl Deployment {
         Ok(self)
     }
 
-    /// Makes links slow and lossy; what is not given stays as it is.
+    /// Sets delay and loss of links; values that are not given stay.
     pub fn impaired(
         mut self,
         delay_s: Option<f64>,
@@ -330,19 +330,19 @@ impl Deployment {
             Impair::Latent => (&[Kind::Latent][..], "latent"),
             Impair::All => (&KINDS[..], "impaired"),
         };
-        let mut suffers = false;
+        let mut any_impaired = false;
         let routes = Routes::of(&self);
         let crosses: Vec<Kind> = kinds.iter().copied().filter(|&kind| routes.crosses(kind)).collect();
         for link in self.links.iter_mut().filter(|link| link.medium != LinkMedium::Cable) {
-            let struck: Vec<Kind> = link.carries.iter().copied().filter(|kind| crosses.contains(kind)).collect();
-            if !struck.is_empty() {
+            let affected: Vec<Kind> = link.carries.iter().copied().filter(|kind| crosses.contains(kind)).collect();
+            if !affected.is_empty() {
                 link.delay_s = delay_s.unwrap_or(link.delay_s);
                 link.loss = loss.unwrap_or(link.loss);
-                link.impairs = struck;
-                suffers = true;
+                link.impairs = affected;
+                any_impaired = true;
             }
         }
-        if !suffers {
+        if !any_impaired {
             return Err(ImpairError::NothingCrosses { mode: self.mode, kinds: what });
         }
         self.check()?;
@@ -370,7 +370,7 @@ impl Host {
 }
 
 impl Link {
-    /// Checks its numbers, and that it carries what it impairs or repeats.
+    /// Checks its numbers, and that it carries the kinds that it impairs or makes reliable.
     fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if !(0.0..=1.0).contains(&self.loss) {
@@ -407,7 +407,7 @@ impl Link {
         Ok(())
     }
 
-    /// What its medium does to frames.
+    /// Impairment of its frames.
     pub fn impairment(&self) -> Impairment {
         Impairment { delay: Span::from_secs(self.delay_s), loss: self.loss, kinds: self.impairs.clone() }
     }

@@ -1,4 +1,4 @@
-//! The modes of the paper as deployments (section IV): the only place that knows them, and their links, by name.
+//! Modes of the paper as deployments (section IV): the only place that refers to them and their links by name.
 
 use super::{Deployment, Host, Link, LinkMedium, Stepping, kinematic};
 use crate::messages::ids::RobotId;
@@ -6,11 +6,11 @@ use crate::messages::wire::Kind;
 use crate::net::protocol::reliability::Reliabilities;
 use crate::world::Placement;
 
-/// The names of the presets.
+/// Names of the presets.
 pub const MODES: [&str; 5] = ["sim", "centralized", "offboard", "onboard-infra", "onboard-adhoc"];
 
 impl Deployment {
-    /// The preset of that name for a team of `robots`; `None` if there is no such preset.
+    /// Returns the preset of that name for a team of `robots`; `None` if there is no such preset.
     pub fn preset(mode: &str, robots: usize) -> Option<Deployment> {
         use Kind::*;
         let everyone: Vec<u16> = RobotId::team(robots).map(|robot| robot.0).collect();

@@ -1,5 +1,5 @@
-//! The way of every message in a deployment: who publishes it, who takes it, which link lies between. Nothing here
-//! grows faster than the team, but for what is asked of every host.
+//! Routes of a deployment: publisher, receivers and link of every message. Memory and time grow no faster than the
+//! team, except for queries over every host.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -9,58 +9,58 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 
-/// Who runs what in a checked deployment, and the ways of all messages.
+/// Placement of all parts in a checked deployment, and the routes of all messages.
 #[derive(Clone, Debug)]
 pub struct Routes {
     robots: usize,
-    /// By robot: the host of its agent, the robots of that agent in the order of their ids.
+    /// By robot: host of its agent, and the robots of that agent in the order of their ids.
     agent_host: Vec<HostId>,
-    companions: Vec<Arc<[RobotId]>>,
-    /// By robot: the host that its motors hang on, the one that measures it, and the one whose World simulates it.
+    agent_robots: Vec<Arc<[RobotId]>>,
+    /// By robot: hosts of its motors, of its measurement and, if it is simulated, of its World.
     actuator_host: Vec<HostId>,
     localizer_host: Vec<HostId>,
     world_host: Vec<Option<HostId>>,
-    /// By robot: the hosts that take its readings, in order.
-    readers: Vec<Vec<HostId>>,
+    /// By robot: hosts that receive its readings, in order.
+    reading_hosts: Vec<Vec<HostId>>,
     server_host: HostId,
-    /// By host: the robots whose agent it runs, or which it drives or measures.
+    /// By host: robots whose agent it runs, or which it drives or measures.
     robots_of: Vec<Vec<RobotId>>,
-    /// By host: how many robots' agents it runs.
-    decided: Vec<usize>,
-    /// The hosts that run an agent; those that run an agent or a body; those, and the state server's.
-    deciders: Vec<HostId>,
-    told: Vec<HostId>,
-    stopped: Vec<HostId>,
+    /// By host: number of robots whose agents it runs.
+    agent_counts: Vec<usize>,
+    /// Hosts with an agent; hosts with an agent or a body; these and the state server's host.
+    agent_hosts: Vec<HostId>,
+    mode_hosts: Vec<HostId>,
+    stop_hosts: Vec<HostId>,
     publishers: Arc<Publishers>,
-    /// By kind: the link that carries it.
+    /// By kind: link that carries it.
     links: Vec<Option<LinkId>>,
 }
 
-/// The hosts that take a message: all of these, in order, but for one.
+/// Receivers of a message: all of these hosts, in order, except one.
 #[derive(Clone, Copy, Debug)]
-struct Takers<'a> {
+struct Receivers<'a> {
     hosts: &'a [HostId],
-    but: Option<HostId>,
+    except: Option<HostId>,
 }
 
-impl Takers<'_> {
+impl Receivers<'_> {
     fn has(&self, host: HostId) -> bool {
-        self.but != Some(host) && self.hosts.binary_search(&host).is_ok()
+        self.except != Some(host) && self.hosts.binary_search(&host).is_ok()
     }
 
     fn iter(&self) -> impl Iterator<Item = HostId> {
-        self.hosts.iter().copied().filter(|host| self.but != Some(*host))
+        self.hosts.iter().copied().filter(|host| self.except != Some(*host))
     }
 }
 
 impl Routes {
-    /// The ways of a deployment. Panics if a robot has no agent or no body, which `Deployment::check` excludes.
+    /// Makes the routes of a deployment. Panics if a robot has no agent or no body, which `Deployment::check` excludes.
     pub fn of(deployment: &Deployment) -> Routes {
         let robots = deployment.robots;
         let number = |index: usize| u16::try_from(index).expect("a checked deployment has few hosts and links");
         let [mut agent_host, mut actuator_host, mut localizer_host, mut world_host] =
             [(); 4].map(|()| vec![None; robots]);
-        let mut companions: Vec<Arc<[RobotId]>> = vec![Arc::default(); robots];
+        let mut agent_robots: Vec<Arc<[RobotId]>> = vec![Arc::default(); robots];
         let mut robots_of = Vec::new();
         for (index, host) in deployment.hosts.iter().enumerate() {
             for agent in &host.agents {
@@ -68,7 +68,7 @@ impl Routes {
                 let ids: Arc<[RobotId]> = ids.into_iter().collect();
                 for robot in ids.iter() {
                     agent_host[robot.index()] = Some(HostId(number(index)));
-                    companions[robot.index()] = Arc::clone(&ids);
+                    agent_robots[robot.index()] = Arc::clone(&ids);
                 }
             }
             let me = Some(HostId(number(index)));
@@ -97,14 +97,14 @@ impl Routes {
         let judge = deployment.judge_of_readings();
         Routes {
             robots,
-            companions,
+            agent_robots,
             server_host,
             robots_of,
-            decided: deployment.hosts.iter().map(|host| host.agents.iter().map(Vec::len).sum()).collect(),
-            deciders: hosts(&agent_host, &[]),
-            told: hosts(&agent_host, &actuator_host),
-            // Whatever moves, and the one who leads.
-            stopped: hosts(&hosts(&agent_host, &actuator_host), &[server_host]),
+            agent_counts: deployment.hosts.iter().map(|host| host.agents.iter().map(Vec::len).sum()).collect(),
+            agent_hosts: hosts(&agent_host, &[]),
+            mode_hosts: hosts(&agent_host, &actuator_host),
+            // All hosts that move a robot, and the state server's.
+            stop_hosts: hosts(&hosts(&agent_host, &actuator_host), &[server_host]),
             publishers: Arc::new(Publishers {
                 names: deployment.hosts.iter().map(|host| host.name.clone()).collect(),
                 agents: agent_host.clone(),
@@ -113,8 +113,8 @@ impl Routes {
                 server: server_host,
             }),
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
-            // Who drives a real robot needs its heading; who simulates one does not.
-            readers: RobotId::team(robots)
+            // The driver of a real robot needs its heading; a World knows it.
+            reading_hosts: RobotId::team(robots)
                 .map(|robot| match world_host[robot.index()] {
                     Some(_) => hosts(&[agent_host[robot.index()]], judge.as_slice()),
                     None => hosts(&[agent_host[robot.index()], actuator_host[robot.index()]], judge.as_slice()),
@@ -127,22 +127,22 @@ impl Routes {
         }
     }
 
-    fn takers(&self, kind: Kind, robot: RobotId) -> Takers<'_> {
-        let (mut hosts, mut but) = (&self.deciders[..], None);
+    fn receivers(&self, kind: Kind, robot: RobotId) -> Receivers<'_> {
+        let (mut hosts, mut except) = (&self.agent_hosts[..], None);
         match kind {
-            Kind::Reading => hosts = &self.readers[robot.index()],
+            Kind::Reading => hosts = &self.reading_hosts[robot.index()],
             Kind::MotorCommand => hosts = std::slice::from_ref(&self.actuator_host[robot.index()]),
             Kind::Heartbeat | Kind::Status => hosts = std::slice::from_ref(&self.server_host),
-            Kind::Mode => hosts = &self.told,
-            Kind::Stop | Kind::Observe => hosts = &self.stopped,
+            Kind::Mode => hosts = &self.mode_hosts,
+            Kind::Stop | Kind::Observe => hosts = &self.stop_hosts,
             Kind::Telemetry => hosts = &[],
             Kind::Latent => {
-                // Robots of one agent hear each other within its step.
+                // Robots of one agent exchange latents within its step.
                 let host = self.agent_host(robot);
-                but = (self.companions(robot).len() == self.decided[usize::from(host.0)]).then_some(host);
+                except = (self.agent_robots(robot).len() == self.agent_counts[usize::from(host.0)]).then_some(host);
             }
         }
-        Takers { hosts, but }
+        Receivers { hosts, except }
     }
 
     /// The robots whose agents or bodies a host runs.
@@ -150,7 +150,7 @@ impl Routes {
         &self.robots_of[host]
     }
 
-    /// The hosts and what each may say.
+    /// Hosts with the messages that each may publish.
     pub fn publishers(&self) -> Arc<Publishers> {
         Arc::clone(&self.publishers)
     }
@@ -160,7 +160,7 @@ impl Routes {
         self.agent_host[robot.index()]
     }
 
-    /// The host that the robot's motors hang on.
+    /// The host that the robot's motors are attached to.
     pub fn actuator_host(&self, robot: RobotId) -> HostId {
         self.actuator_host[robot.index()]
     }
@@ -181,8 +181,8 @@ impl Routes {
     }
 
     /// The robots of the agent that hosts `robot`, itself among them, in the order of their ids.
-    pub fn companions(&self, robot: RobotId) -> &[RobotId] {
-        &self.companions[robot.index()]
+    pub fn agent_robots(&self, robot: RobotId) -> &[RobotId] {
+        &self.agent_robots[robot.index()]
     }
 
     /// The host that publishes messages of this kind about this robot; `None` if any may.
@@ -199,31 +199,31 @@ impl Routes {
     pub fn crosses(&self, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let from = self.publisher(kind, robot);
-            // What any host may say crosses as soon as there are two.
-            self.robots_of.len() > 1 && self.takers(kind, robot).iter().any(|to| Some(to) != from)
+            // A kind that any host may publish crosses as soon as there are two.
+            self.robots_of.len() > 1 && self.receivers(kind, robot).iter().any(|to| Some(to) != from)
         })
     }
 
-    /// Whether the host sends any message of this kind to another, or takes one from another.
+    /// Whether the host sends a message of this kind to another, or receives one from another.
     pub fn exchanges(&self, host: HostId, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
-            let (from, takers) = (self.publisher(kind, robot), self.takers(kind, robot));
-            let says = from.is_none_or(|from| from == host) && takers.iter().any(|to| to != host);
-            says || (from != Some(host) && takers.has(host))
+            let (from, receivers) = (self.publisher(kind, robot), self.receivers(kind, robot));
+            let sends = from.is_none_or(|from| from == host) && receivers.iter().any(|to| to != host);
+            sends || (from != Some(host) && receivers.has(host))
         })
     }
 
-    /// The hosts that take messages of this kind.
+    /// The hosts that receive messages of this kind.
     pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
-        let takers = |robot| self.takers(kind, robot);
-        // Of a list for the whole team, hardly anyone is left out by more than one robot.
+        let receivers = |robot| self.receivers(kind, robot);
+        // These lists serve the whole team; a host is left out for one robot at the most.
         let of_all = match kind {
             Kind::Reading | Kind::MotorCommand | Kind::Heartbeat | Kind::Status => {
-                RobotId::team(self.robots).flat_map(|robot| takers(robot).hosts).copied().collect()
+                RobotId::team(self.robots).flat_map(|robot| receivers(robot).hosts).copied().collect()
             }
             Kind::Latent | Kind::Mode | Kind::Stop | Kind::Observe | Kind::Telemetry => {
-                let heard = |host: &HostId| RobotId::team(self.robots).any(|robot| takers(robot).has(*host));
-                takers(RobotId(0)).hosts.iter().copied().filter(heard).collect::<BTreeSet<HostId>>()
+                let receives = |host: &HostId| RobotId::team(self.robots).any(|robot| receivers(robot).has(*host));
+                receivers(RobotId(0)).hosts.iter().copied().filter(receives).collect::<BTreeSet<HostId>>()
             }
         };
         of_all.into_iter().collect()
@@ -232,11 +232,11 @@ impl Routes {
     /// The routing table of a host.
     pub fn router(&self, host: HostId) -> Router {
         let router = Router::of(self.robots, self.robots_of[usize::from(host.0)].clone(), |kind, robot| {
-            let takers = self.takers(kind, robot);
-            let local = takers.has(host);
-            let mut others = takers.iter().filter(|&taker| taker != host);
+            let receivers = self.receivers(kind, robot);
+            let local = receivers.has(host);
+            let mut others = receivers.iter().filter(|&taker| taker != host);
             let audience = match (others.next(), others.next()) {
-                // Operators take it, wherever they are.
+                // Operators receive it, on any machine.
                 _ if matches!(kind, Kind::Status | Kind::Telemetry) => self.links[kind as usize].map(|_| Audience::All),
                 (None, _) => None,
                 (Some(only), None) => Some(Audience::Host(only)),

@@ -1,7 +1,7 @@
-//! Drivers: what a robot's Body drives it with. A driver is one file and one line in `REGISTRY`.
+//! Drivers: access of a Body to its robot's motors. A driver is one file and one line in `REGISTRY`.
 //!
-//! A driver is pure: it turns what the robot is to do into packets for its worker, and what the worker says into the
-//! robot's health. Expiry of commands and the emergency stop are the Body's, for all drivers alike.
+//! A driver is pure: it turns velocities into packets for its worker, and the worker's packets into the robot's
+//! condition. The Body handles expiry of commands and the emergency stop, for all drivers alike.
 
 pub mod program;
 pub mod simulated;
@@ -14,57 +14,58 @@ use crate::messages::local::Drive;
 use crate::messages::telemetry::Health;
 use crate::time::Time;
 
-/// What a driver says.
+/// Output of a driver.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
-    /// To the World that simulates the robot.
+    /// Command for the World that simulates the robot.
     Drive(Drive),
-    /// To its worker.
-    Tell(Packet),
-    /// How the robot is, and what is left of its battery \[%\], if anybody knows.
+    /// Packet for its worker.
+    Send(Packet),
+    /// Condition of the robot, and charge of its battery \[%\] if known.
     Condition(Health, Option<u8>),
-    /// The worker has said something that is not to be understood; why.
+    /// Packet of the worker that was not understood, with the reason.
     Refused(&'static str),
 }
 
-/// What a robot can do at the most.
+/// Limits of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Speed \[m/s\]; infinite where the robot sees to that itself.
+    /// Largest speed \[m/s\]; infinite where the robot limits its speed itself.
     pub speed_m_s: f32,
 }
 
-/// One robot's driver.
+/// Driver of one robot.
 pub trait Driver {
-    /// What the robot can do. A Body asks for no more.
+    /// The robot's limits. A Body keeps to them.
     fn limits(&self) -> Limits;
 
-    /// The robot is to move at a velocity of the world frame until a given time. `pose` is where it was measured last;
-    /// a driver of wheels turns the velocity into the robot's own frame with it.
+    /// Drives the robot at a velocity of the world frame until a given time. `pose` is the last measured one; a driver
+    /// of wheels uses it to turn the velocity into the robot's own frame.
     fn drive(&mut self, now: Time, drive: &Drive, pose: Option<&Pose>, out: &mut Vec<Out>);
 
-    /// The worker has said something.
-    fn told(&mut self, now: Time, packet: &[u8], out: &mut Vec<Out>);
+    /// Takes a packet of the worker.
+    fn receive(&mut self, now: Time, packet: &[u8], out: &mut Vec<Out>);
 }
 
-/// What is made of settings: the pure part, as often as its actor is started, and the one that does the I/O.
-pub struct Made {
-    /// Makes the driver afresh.
+/// Parts of a driver made from settings: a constructor of the pure part, called at each start of its actor, and the
+/// worker.
+pub struct Parts {
+    /// Makes a new driver.
     pub driver: Box<dyn Fn() -> Box<dyn Driver>>,
     /// Does its I/O, if it has any.
     pub worker: Option<Box<dyn Worker>>,
 }
 
-/// A driver by name.
+/// Driver in a registry.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// Its name in a deployment.
     pub name: &'static str,
-    /// What it drives, in a line.
+    /// Description in one line.
     pub about: &'static str,
-    /// Makes it for a robot; wrong settings are named.
-    pub make: fn(&Settings, RobotId) -> Result<Made, ConfigError>,
+    /// Makes it for a robot; an error names the wrong setting.
+    pub make: fn(&Settings, RobotId) -> Result<Parts, ConfigError>,
 }
 
-/// All drivers of robots that are not simulated.
+/// All drivers of real robots.
 pub const REGISTRY: &[Entry] = &[Entry { name: "program", about: program::ABOUT, make: program::make }];

@@ -1,13 +1,13 @@
-//! A program of the user's drives the robot: one JSON object a line, in any language.
+//! Driver that runs a program of the user's, in any language, with one JSON object per line.
 //!
-//! It is told `{"robot": 0, "vx": 0.1, "vy": 0.0, "ahead": 0.1, "left": 0.0, "for_s": 0.2}`: the velocity in the world
-//! frame \[m/s\], the same in the robot's own frame (null while its heading is not known), and for how long it holds
-//! \[s\]; after that, and at the end of its input, the robot is to stand. It may say
-//! `{"health": "ready" or "faulty", "battery": 87}` whenever it likes.
+//! The program reads `{"robot": 0, "vx": 0.1, "vy": 0.0, "ahead": 0.1, "left": 0.0, "for_s": 0.2}`: the velocity in the
+//! world frame \[m/s\], the same in the robot's own frame (null while its heading is unknown), and its validity \[s\].
+//! After that, and at the end of its input, the robot must stand. It may write `{"health": "ready" or "faulty",
+//! "battery": 87}` at any time.
 
 use serde::{Deserialize, Serialize};
 
-use super::{Driver, Limits, Made, Out};
+use super::{Driver, Limits, Out, Parts};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
@@ -17,16 +17,16 @@ use crate::messages::local::Drive;
 use crate::messages::telemetry::Health;
 use crate::time::Time;
 
-/// What it drives.
-pub const ABOUT: &str = "whatever a program of yours drives: JSON lines on its stdin and stdout";
+/// Description in one line.
+pub const ABOUT: &str = "a program of yours: JSON lines on its stdin and stdout";
 
-/// What the team file says of it.
+/// Settings in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
     /// The program and its arguments.
     command: Vec<String>,
-    /// The fastest that the robot may be driven \[m/s\].
+    /// Largest speed of the robot \[m/s\].
     #[serde(default = "unlimited")]
     speed_m_s: f32,
 }
@@ -35,7 +35,7 @@ fn unlimited() -> f32 {
     f32::INFINITY
 }
 
-/// What the program is told.
+/// Line that the program reads.
 #[derive(Debug, Serialize)]
 struct Line {
     robot: u16,
@@ -46,7 +46,7 @@ struct Line {
     for_s: f64,
 }
 
-/// What the program says.
+/// Line that the program writes.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Word {
@@ -66,17 +66,17 @@ struct Lines {
     limits: Limits,
 }
 
-/// Makes it.
-pub fn make(settings: &Settings, robot: RobotId) -> Result<Made, ConfigError> {
+/// Makes the driver and its worker.
+pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     if config.command.is_empty() {
         return Err(ConfigError::field("command", "it is empty; name a program and its arguments".to_owned()));
     }
     if config.speed_m_s.is_nan() || config.speed_m_s <= 0.0 {
-        return Err(ConfigError::field("speed_m_s", format!("{} is no speed above zero", config.speed_m_s)));
+        return Err(ConfigError::field("speed_m_s", format!("{} is not a speed above zero", config.speed_m_s)));
     }
     let limits = Limits { speed_m_s: config.speed_m_s };
-    Ok(Made {
+    Ok(Parts {
         driver: Box::new(move || Box::new(Lines { robot, limits })),
         worker: Some(Box::new(Program { command: config.command })),
     })
@@ -99,10 +99,10 @@ impl Driver for Lines {
         };
         let mut bytes = serde_json::to_vec(&line).expect("plain numbers are JSON");
         bytes.push(b'\n');
-        out.push(Out::Tell(bytes.into()));
+        out.push(Out::Send(bytes.into()));
     }
 
-    fn told(&mut self, _: Time, packet: &[u8], out: &mut Vec<Out>) {
+    fn receive(&mut self, _: Time, packet: &[u8], out: &mut Vec<Out>) {
         match serde_json::from_slice::<Word>(packet) {
             Ok(Word { battery: Some(101..), .. }) => out.push(Out::Refused("a battery has at most 100 %")),
             Ok(Word { health, battery }) => {
@@ -112,7 +112,7 @@ impl Driver for Lines {
                 };
                 out.push(Out::Condition(health, battery));
             }
-            Err(_) => out.push(Out::Refused("it is no line of a driver's program")),
+            Err(_) => out.push(Out::Refused("it is not a line in the driver's format")),
         }
     }
 }

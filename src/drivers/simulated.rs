@@ -1,11 +1,11 @@
-//! The driver of simulated robots: their World does what it is told.
+//! Driver of simulated robots, whose commands go to their World.
 
 use super::{Driver, Limits, Out};
 use crate::messages::geometry::Pose;
 use crate::messages::local::Drive;
 use crate::time::Time;
 
-/// Passes on to the World.
+/// Passes commands on to the World.
 pub struct Simulated;
 
 impl Driver for Simulated {
@@ -17,7 +17,7 @@ impl Driver for Simulated {
         out.push(Out::Drive(*drive));
     }
 
-    fn told(&mut self, _: Time, _: &[u8], out: &mut Vec<Out>) {
+    fn receive(&mut self, _: Time, _: &[u8], out: &mut Vec<Out>) {
         out.push(Out::Refused("a simulated robot has no worker"));
     }
 }

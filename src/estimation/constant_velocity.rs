@@ -1,19 +1,19 @@
-//! Constant velocity: where a robot would be if it had gone on since its last reading arrived as it moved then.
+//! Estimator that moves the last reading on by its velocity, for the time since it arrived.
 //!
-//! How long the reading was on its way is not known, and not made up.
+//! The transit time of the reading is unknown and counts as zero.
 
 use super::Estimator;
 use crate::messages::geometry::Motion;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
-/// A robot is moved on for so long at the most: a source that has fallen silent drives nobody through a wall.
+/// Longest extrapolation, so that a silent source moves no robot through a wall.
 const LONGEST: Span = Span::from_millis(200);
 
 #[derive(Debug, Default)]
 struct ConstantVelocity(Option<(Time, Motion)>);
 
-/// Makes one that knows nothing yet.
+/// Makes one without readings.
 pub fn make() -> Box<dyn Estimator> {
     Box::<ConstantVelocity>::default()
 }

@@ -1,8 +1,7 @@
-//! Estimation: from a robot's readings to what is known of it at a tick of its agent. An estimator is one file and one
-//! line in `REGISTRY`.
+//! Estimation: from a robot's readings to its state at a tick of its agent. An estimator is one file and one line in
+//! `REGISTRY`.
 //!
-//! An estimator is pure: it counts on arrival times of this host alone, because the clock of a sensor is compared with
-//! no other.
+//! An estimator is pure. It uses arrival times on this host only, because a sensor's clock is compared with no other.
 
 pub mod constant_velocity;
 pub mod none;
@@ -11,23 +10,23 @@ use crate::messages::geometry::Motion;
 use crate::messages::wire::Reading;
 use crate::time::Time;
 
-/// One robot's estimator. How old a reading may be is its Cache's to say.
+/// Estimator of one robot. Its Cache limits the age of readings.
 pub trait Estimator: std::fmt::Debug {
-    /// The robot was measured anew: `reading` has arrived at `now`.
+    /// Takes a reading that has arrived at `now`.
     fn take(&mut self, now: Time, reading: &Reading);
 
-    /// Where the robot is at `now`, and how it moves; none before the first reading.
+    /// Estimated position and velocity at `now`; none before the first reading.
     fn at(&self, now: Time) -> Option<Motion>;
 }
 
-/// An estimator by name.
+/// Estimator in a registry.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// Its name in flags and team files.
     pub name: &'static str,
-    /// What it does, in a line.
+    /// Description in one line.
     pub about: &'static str,
-    /// Makes one that knows nothing yet.
+    /// Makes one without readings.
     pub make: fn() -> Box<dyn Estimator>,
 }
 
@@ -37,9 +36,9 @@ impl PartialEq for Entry {
     }
 }
 
-/// All estimators; the first is the one that is used unless someone says otherwise.
+/// All estimators; the first is the default.
 pub const REGISTRY: &[Entry] = &[
-    Entry { name: "none", about: "the last reading as it is", make: none::make },
+    Entry { name: "none", about: "the last reading, unchanged", make: none::make },
     Entry {
         name: "constant-velocity",
         about: "the last reading, moved on by its velocity since it arrived",

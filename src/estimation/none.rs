@@ -1,4 +1,4 @@
-//! No estimation: the last reading is what is known, as in the published system.
+//! No estimation: the last reading is the estimate, as in the published system.
 
 use super::Estimator;
 use crate::messages::geometry::Motion;
@@ -8,7 +8,7 @@ use crate::time::Time;
 #[derive(Debug, Default)]
 struct Last(Option<Motion>);
 
-/// Makes one that knows nothing yet.
+/// Makes one without readings.
 pub fn make() -> Box<dyn Estimator> {
     Box::<Last>::default()
 }

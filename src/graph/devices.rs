@@ -1,4 +1,4 @@
-//! The drivers and sources of one process: made of the deployment, with their workers on threads of their own.
+//! Drivers and sources of one process, made from the deployment, with their workers on threads of their own.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -14,11 +14,11 @@ use crate::localization::Source;
 use crate::messages::ids::RobotId;
 use crate::registry::Registry;
 
-/// How a driver or a source is made, and the way to its worker.
+/// Constructor of a driver or a source, with the channel to its worker.
 pub struct Device<T: ?Sized> {
-    /// Makes it afresh.
+    /// Makes a new one.
     pub make: Rc<dyn Fn() -> Box<T>>,
-    /// The way to its worker, if it has one.
+    /// Channel to its worker, if it has one.
     pub gate: Option<Rc<RefCell<Gate>>>,
 }
 
@@ -28,27 +28,27 @@ impl<T: ?Sized> Clone for Device<T> {
     }
 }
 
-/// The devices of one process.
+/// Drivers and sources of one process.
 #[derive(Clone, Default)]
 pub struct Devices {
-    /// By robot: its driver.
+    /// Driver of each robot.
     pub drivers: BTreeMap<RobotId, Device<dyn Driver>>,
-    /// The source of the readings of the robots that the host localizes.
+    /// Source of the readings of the robots that the host localizes.
     pub source: Option<Device<dyn Source>>,
 }
 
-/// The threads of the workers. They end once the devices are gone.
+/// Threads of the workers. They end once the devices are dropped.
 pub struct Workers(Vec<JoinHandle<()>>);
 
 impl Workers {
-    /// Waits until all have ended, which they have a second for. The devices have to be gone.
+    /// Waits until all have ended, for a second at most. The devices have to be dropped before.
     pub fn join(self) {
         let mut rests = (0..200).map(|_| thread::park_timeout(Duration::from_millis(5)));
         for worker in self.0 {
             let name = worker.thread().name().unwrap_or("worker").to_owned();
             while !worker.is_finished() && rests.next().is_some() {}
             if !worker.is_finished() {
-                tracing::warn!("the worker of {name} does not end, and is left");
+                tracing::warn!("the worker of {name} does not end; its thread is abandoned");
             } else if worker.join().is_err() {
                 tracing::error!("the worker of {name} has panicked");
             }
@@ -56,10 +56,10 @@ impl Workers {
     }
 }
 
-/// Why devices could not be made.
+/// Error of devices that could not be made.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceError {
-    /// Settings are wrong.
+    /// Invalid settings.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The machine has no descriptor or thread left.
@@ -72,22 +72,23 @@ pub fn open(host: &Host, registry: &Registry) -> Result<(Devices, Workers), Devi
     let (mut devices, mut workers) = (Devices::default(), Workers(Vec::new()));
     for &robot in &host.actuates {
         let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
-        let made = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
-        let gate = made.worker.map(|worker| employ(worker, format!("driver {robot}"), &mut workers)).transpose()?;
-        devices.drivers.insert(RobotId(robot), Device { make: Rc::from(made.driver), gate });
+        let parts = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
+        let gate =
+            parts.worker.map(|worker| start_worker(worker, format!("driver {robot}"), &mut workers)).transpose()?;
+        devices.drivers.insert(RobotId(robot), Device { make: Rc::from(parts.driver), gate });
     }
     if !host.localizes.is_empty() {
         let settings = host.source.as_ref().expect("a checked host that localizes has a source");
         let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
-        let made = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
-        let gate = Some(employ(made.worker, "source".to_owned(), &mut workers)?);
-        devices.source = Some(Device { make: Rc::from(made.source), gate });
+        let parts = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
+        let gate = Some(start_worker(parts.worker, "source".to_owned(), &mut workers)?);
+        devices.source = Some(Device { make: Rc::from(parts.source), gate });
     }
     Ok((devices, workers))
 }
 
 /// Starts a worker on a thread of its own.
-fn employ(worker: Box<dyn Worker>, name: String, workers: &mut Workers) -> std::io::Result<Rc<RefCell<Gate>>> {
+fn start_worker(worker: Box<dyn Worker>, name: String, workers: &mut Workers) -> std::io::Result<Rc<RefCell<Gate>>> {
     let (gate, port) = edge::channel()?;
     workers.0.push(thread::Builder::new().name(name).spawn(move || worker.run(port))?);
     Ok(Rc::new(RefCell::new(gate)))

@@ -1,12 +1,12 @@
-//! One host of a deployment as a process of its own: its part of the graph, in real time, on sockets. What an actor
-//! does never lives here, nor what a person is shown.
+//! One host of a deployment as a process of its own: its part of the graph, in real time, on sockets. It holds neither
+//! the logic of actors nor output for people.
 
 use std::cell::Cell;
 use std::rc::Rc;
 
 use super::bodies::wire_source;
 use super::devices::Devices;
-use super::process::{Graph, Heard, Process};
+use super::process::{Graph, Process, ProcessEvent};
 use super::sockets;
 use crate::actors::{body, localizer, recorder};
 use crate::edge::WorkerState;
@@ -20,34 +20,34 @@ use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::Mailbox;
 
-/// A host: which one it is, and its links.
+/// Identity, links and devices of a host.
 pub struct Host {
     /// Its number in the deployment.
     pub id: HostId,
     /// The team's number.
     pub team: u16,
-    /// The incarnation: a random number that tells this process from former ones of the same host.
+    /// Incarnation: a random number that differs between processes of the same host.
     pub incarnation: u32,
-    /// The root of what its link layer draws, from the operating system.
+    /// Root of the random streams of its link layer, from the operating system.
     pub secret: Seed,
-    /// The team's key; none on a machine that keeps to itself.
+    /// The team's key; none for links within one machine.
     pub key: Option<Key>,
-    /// How its links are set up, in the order of the deployment; none where it has no part in one.
+    /// Setup of its links, in the order of the deployment; none where it does not take part.
     pub links: Vec<Option<Setup>>,
     /// Its drivers and sources.
     pub devices: Devices,
-    /// What is open of the links that it uses; several for a link that it uses on several interfaces.
+    /// Open transports of its links; several for a link that it uses on several interfaces.
     pub transports: Vec<(LinkId, Box<dyn Transport>)>,
 }
 
-/// Starts the actors of one host. `heard` is told what its Network makes known; `said` takes what the Recorder says,
-/// which runs on the host that judges.
+/// Starts the actors of one host. `report` is called with the events of its Network and guards. `output` takes the
+/// output of the Recorder, which runs on the host that judges.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     plan: Plan,
     host: Host,
-    heard: impl Fn(Heard) + 'static,
-    said: impl FnMut(recorder::Out) + 'static,
+    report: impl Fn(ProcessEvent) + 'static,
+    output: impl FnMut(recorder::Out) + 'static,
 ) -> Rc<Graph> {
     let plan = &Rc::new(plan);
     let process = Process {
@@ -59,19 +59,19 @@ pub fn wire(
         links: Some(host.links),
         devices: host.devices,
         records: plan.deployment.judge() == host.id,
-        hear: Rc::new(heard),
+        report: Rc::new(report),
     };
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
     wire_gates((clock, readers), &graph, &process);
     sockets::wire_all((clock, readers), host.transports, &graph.transports, &graph.network_of(host.id));
     if process.records {
-        wire_recorder(clock, plan, &graph, said);
+        wire_recorder(clock, plan, &graph, output);
     }
     graph
 }
 
-/// What workers say goes to the Bodies and the Localizer that they work for.
+/// Connects workers with their Bodies and Localizer.
 fn wire_gates((clock, readers): (&Clock, &mut Readers), graph: &Graph, process: &Process) {
     for (robot, device) in &process.devices.drivers {
         let Some(gate) = device.gate.clone() else { continue };
@@ -91,7 +91,7 @@ fn wire_gates((clock, readers): (&Clock, &mut Readers), graph: &Graph, process: 
         readers.watch(Rc::new(event_fd), move || {
             let state = gate.borrow_mut().take(|packet| localizer.send(localizer::In::Packet(packet)));
             if state == WorkerState::Ended && !ended.replace(true) {
-                tracing::error!("the source of this host has ended: no robot is measured any more; restart the host");
+                tracing::error!("the source of this host has ended: no more readings; restart the host");
             }
         });
     }

@@ -1,13 +1,13 @@
-//! The whole actor graph as wiring: one place that says who talks to whom. No logic lives here.
+//! Wiring of the whole actor graph: the one place that connects actors. It holds no logic.
 
+pub mod attachment;
 mod bodies;
+mod delivery;
 pub mod devices;
 pub mod host;
-mod leading;
 pub mod operator;
 pub mod process;
 pub mod sockets;
-pub mod station;
 
 use std::collections::BTreeSet;
 use std::rc::Rc;
@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use tracing::info_span;
 
-use crate::actors::agent::{self, Agent, Pilot};
+use crate::actors::agent::{self, Agent, RobotPolicies};
 use crate::actors::cache::{self, Cache};
 use crate::actors::controller::{self, Controller};
 use crate::actors::network;
@@ -24,9 +24,9 @@ use crate::actors::status;
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::estimation;
 use crate::faults::{ActorFault, FaultPlan};
-use crate::graph::leading::{deliveries, wire_server, wire_status};
-use crate::graph::process::{Graph, Heard, Process};
-use crate::graph::station::Station;
+use crate::graph::attachment::Attachment;
+use crate::graph::delivery::{deliveries, wire_server, wire_status};
+use crate::graph::process::{Graph, Process, ProcessEvent};
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -47,60 +47,60 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::{Clamp, Entry, Physics, Placement};
 
-/// How long a motor command holds: four of the published control periods (design, section 2).
+/// Validity of a motor command: four of the published control periods.
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
 
-/// All that a graph is made of.
+/// All inputs of a graph.
 #[derive(Clone)]
 pub struct Plan {
-    /// Which host runs what.
+    /// Hosts with their parts, and links.
     pub deployment: Deployment,
-    /// What the team is to do.
+    /// The team's task.
     pub scenario: Arc<dyn Scenario>,
-    /// What simulated robots live in.
+    /// Plant of the simulated robots.
     pub plant: Entry,
-    /// What simulated robots are like.
+    /// Properties of the simulated robots.
     pub physics: Physics,
-    /// What drives it while an episode runs.
+    /// Policy during an episode.
     pub run: Model,
-    /// What drives it to the starts.
+    /// Policy that drives robots to their starts.
     pub reset: Model,
-    /// Who is near enough to be heard.
+    /// Communication range.
     pub range: CommRange,
-    /// How long a neighbour's message is of use.
+    /// Hold time of a neighbour's message.
     pub hold: Span,
-    /// What becomes of it within that time.
+    /// Treatment of messages within the hold time.
     pub handling: Handling,
-    /// How a robot's readings become an estimate.
+    /// Estimator from readings to a robot's state.
     pub estimator: estimation::Entry,
-    /// How Controllers limit what the policies want.
+    /// Limit that Controllers put on the policies' output.
     pub clamp: Clamp,
-    /// When robots are stopped or slowed.
+    /// Conditions in which robots are stopped or slowed.
     pub safety: Safety,
-    /// The emergency stops and re-arms of the run, and when a host says them.
+    /// Emergency stops and re-arms of the run, with the times at which a host sends them.
     pub stops: Vec<(Time, Stop)>,
     /// The episodes.
     pub layouts: Layouts,
-    /// Which repeat of the experiment this is.
+    /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// The root of all randomness.
+    /// Root of all randomness.
     pub seed: Seed,
-    /// What goes wrong.
+    /// Faults to inject.
     pub faults: FaultPlan,
-    /// When the run ends, if not with its last episode.
+    /// End of the run, if not with its last episode.
     pub until: Option<Time>,
-    /// Whether every step is told.
+    /// Whether every step is reported.
     pub steps: recorder::Steps,
 }
 
-/// Starts all actors of a plan; `said` takes what the Recorder says.
-pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
+/// Starts all actors of a plan; `output` takes the Recorder's output.
+pub fn wire(clock: &Clock, plan: Plan, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
-    let process = Process::whole();
+    let process = Process::all_hosts();
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
     wire_links(clock, plan, &graph);
-    wire_recorder(clock, plan, &graph, said);
+    wire_recorder(clock, plan, &graph, output);
     for fault in plan.faults.actors.iter().filter(|fault| fault.episode.is_none()) {
         inject(clock, &graph, fault, fault.at);
     }
@@ -130,7 +130,7 @@ fn inject(clock: &Clock, graph: &Rc<Graph>, fault: &ActorFault, at: Time) {
     clock.call(at, Box::new(move || graph.inject(fault)));
 }
 
-/// The actors of the hosts that run here.
+/// Starts the actors of the hosts that run here.
 pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process: &Process) {
     let here = |host: HostId| process.only.is_none_or(|only| only == host);
     for robot in RobotId::team(plan.deployment.robots) {
@@ -155,14 +155,14 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
     }
 }
 
-/// The Recorder of this process.
-pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: impl FnMut(recorder::Out) + 'static) {
+/// Starts the Recorder of this process.
+pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, output: impl FnMut(recorder::Out) + 'static) {
     let config = recorder::Config {
         layouts: plan.layouts.clone(),
         repeat: plan.repeat,
         rules: plan.scenario.rules(),
         steps: plan.steps,
-        hearers: plan.deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count() as u64 - 1,
+        receivers: plan.deployment.hosts.iter().filter(|host| !host.agents.is_empty()).count() as u64 - 1,
         judged: plan.deployment.judged(),
         placed: plan.deployment.placement == Placement::Exact,
         arena: plan.scenario.arena().clone(),
@@ -171,10 +171,10 @@ pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, said: imp
     let robots = plan.deployment.robots;
     let make = move |_| Recorder::new(config.clone(), robots);
     let mailbox = graph.recorder.as_ref().expect("a Recorder is started where one runs");
-    start(clock, mailbox, info_span!("recorder"), make, said);
+    start(clock, mailbox, info_span!("recorder"), make, output);
 }
 
-/// When in each period a robot's tick or beat falls.
+/// Offset of a robot's tick or heartbeat within each period.
 fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     match plan.deployment.stepping {
         Stepping::Lockstep => Span::from_nanos(period.as_nanos() / 2),
@@ -186,18 +186,18 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     }
 }
 
-/// Cache and Controller of one robot, and its Agent if it is the first of that Agent's robots.
+/// Starts Cache and Controller of one robot, and its Agent if the robot is the first of that Agent.
 fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, process: &Process) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
-    let first = graph.routes.companions(robot)[0];
+    let first = graph.routes.agent_robots(robot)[0];
     let interface = plan.run.interface();
     let home = graph.network_of(graph.routes.agent_host(robot));
 
     let config = cache::Config {
         robot,
         period: interface.period,
-        // One tick for all robots of an agent: a joint step is a synchronous one.
+        // All robots of an agent have one tick, for a synchronous joint step.
         phase: phase(plan, "agent", first, interface.period),
         range: plan.range,
         hold: plan.hold,
@@ -205,7 +205,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
         estimator: plan.estimator,
         own_age: Span::from_secs(plan.safety.own_state_s),
     };
-    let make = move |life| Cache::new(config, seed.stream(&format!("cache/{id}/range/{life}")));
+    let make = move |incarnation| Cache::new(config, seed.stream(&format!("cache/{id}/range/{incarnation}")));
     let (agent, controller) = (graph.agents[at].clone(), graph.controllers[at].clone());
     let watched = plan.safety.own_state == Switch::On;
     let (record, observed) = (graph.record(), plan.steps.kept());
@@ -218,7 +218,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
             }
             agent.send(agent::In::Percept(percept));
         }
-        // Nobody waits for it where own state is not watched, and it would be a fifth of all that goes around.
+        // Dropped where own state is not watched: it would be a fifth of all messages.
         cache::Out::Fresh if watched => controller.send(controller::In::Fresh),
         cache::Out::Fresh => {}
     });
@@ -240,7 +240,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
         phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
     };
     let (network, status) = (home, graph.status_of(host));
-    let (record, hear) = (graph.record(), Rc::clone(&process.hear));
+    let (record, report) = (graph.record(), Rc::clone(&process.report));
     let make = move |_| Controller::new(config);
     start(clock, &graph.controllers[at], info_span!("controller", robot = id), make, move |out| match out {
         controller::Out::MotorCommand(m) => network.send(network::In::Publish(Wire::MotorCommand(m))),
@@ -250,30 +250,30 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
         }
         controller::Out::Follows(latch) => status.send(status::In::Controller(robot, latch)),
         controller::Out::Counts(counts) => {
-            hear(Heard::Safety(robot, counts));
+            report(ProcessEvent::Safety(robot, counts));
             record(recorder::In::Safety(robot, counts));
         }
     });
 }
 
-/// The Agent whose first robot this is.
+/// Starts the Agent whose first robot this is.
 fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let id = robot.0;
     let network = graph.network_of(graph.routes.agent_host(robot));
     let controllers = graph.controllers.clone();
-    let robots = graph.routes.companions(robot).to_vec();
+    let robots = graph.routes.agent_robots(robot).to_vec();
     let period = plan.run.interface().period;
-    let patience = Span::from_nanos(period.as_nanos() / 4);
+    let max_wait = Span::from_nanos(period.as_nanos() / 4);
     let plan = Rc::clone(plan);
-    let make = move |life: u32| {
-        let pilot = |&robot: &RobotId| Pilot {
+    let make = move |incarnation: u32| {
+        let policies = |&robot: &RobotId| RobotPolicies {
             robot,
             run: plan.run.instance(plan.scenario.arena()),
             reset: plan.reset.instance(plan.scenario.arena()),
-            actions: plan.seed.stream(&format!("agent/{}/action/{life}", robot.0)),
-            ranges: plan.seed.stream(&format!("agent/{}/range/{life}", robot.0)),
+            actions: plan.seed.stream(&format!("agent/{}/action/{incarnation}", robot.0)),
+            ranges: plan.seed.stream(&format!("agent/{}/range/{incarnation}", robot.0)),
         };
-        Agent::new(Arc::clone(&plan.scenario), plan.range, patience, robots.iter().map(pilot).collect())
+        Agent::new(Arc::clone(&plan.scenario), plan.range, max_wait, robots.iter().map(policies).collect())
     };
     start(clock, &graph.agents[robot.index()], info_span!("agent", robot = id), make, move |out| match out {
         agent::Out::Latent(latent) => network.send(network::In::Publish(Wire::Latent(latent))),
@@ -281,10 +281,10 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     });
 }
 
-/// Network, Status and World of one host.
+/// Starts Network, Status and World of one host.
 fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &Process) {
     let entry = &plan.deployment.hosts[usize::from(host.0)];
-    // In the order of ids, however the deployment lists them: a plant moves its robots in this order.
+    // In the order of ids, whatever the order in the deployment: a plant moves its robots in this order.
     let here = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect();
     let (agents, simulated): (Vec<RobotId>, Vec<RobotId>) = (here(&entry.agents.concat()), here(&entry.simulates));
     let bodies: Vec<RobotId> = here(&[&entry.simulates[..], &entry.actuates].concat());
@@ -296,7 +296,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
     }
 }
 
-/// The Network of a host; what arrives goes to `deliver`.
+/// Starts the Network of a host; messages that arrive go to `deliver`.
 fn wire_network(
     clock: &Clock,
     plan: &Plan,
@@ -306,7 +306,7 @@ fn wire_network(
     deliver: impl Fn(Wire) + 'static,
 ) {
     let name = plan.deployment.hosts[usize::from(host.0)].name.clone();
-    let station = Station {
+    let attachment = Attachment {
         me: network::Identity { host, team: process.team, incarnation: process.incarnation },
         key: process.key.clone(),
         links: process.setups(&plan.deployment, &graph.routes, host),
@@ -315,30 +315,30 @@ fn wire_network(
         stream: format!("network/{}", host.0),
         span: info_span!("network", host = name),
     };
-    let (hear, alone, record) = (Rc::clone(&process.hear), process.only.is_some(), graph.record());
+    let (report, alone, record) = (Rc::clone(&process.report), process.only.is_some(), graph.record());
     let judges = plan.deployment.judge_of_readings() == Some(host);
-    station.start(clock, &graph.networks[usize::from(host.0)], Rc::clone(&graph.transports), move |out| match out {
-        station::Out::Deliver(message) => {
-            hear(Heard::Message(&message));
-            // What other processes publish is news to a Recorder here.
+    attachment.start(clock, &graph.networks[usize::from(host.0)], Rc::clone(&graph.transports), move |out| match out {
+        attachment::Out::Deliver(message) => {
+            report(ProcessEvent::Message(&message));
+            // The Recorder of this process has no other copy of what other processes publish.
             if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
-                record(recorder::In::Heard(message.clone()));
+                record(recorder::In::Received(message.clone()));
             }
             if judges && let Wire::Reading(reading) = &message {
                 record(recorder::In::Reading(reading.clone()));
             }
             deliver(message);
         }
-        station::Out::Tap(frame) => {
-            hear(Heard::Published);
+        attachment::Out::Tap(frame) => {
+            report(ProcessEvent::Published);
             record(recorder::In::Tap(frame));
         }
-        station::Out::Counts(counts) => {
-            hear(Heard::Counts(&counts));
+        attachment::Out::Counts(counts) => {
+            report(ProcessEvent::Counts(&counts));
             record(recorder::In::Counts(host, counts));
         }
-        station::Out::Peers(peers) => hear(Heard::Peers(&peers)),
-        station::Out::Duplicate(duplicate) => hear(Heard::Duplicate(duplicate)),
+        attachment::Out::Peers(peers) => report(ProcessEvent::Peers(&peers)),
+        attachment::Out::Duplicate(duplicate) => report(ProcessEvent::Duplicate(duplicate)),
     });
 }
 
@@ -351,10 +351,10 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
         let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
         let (seed, name, starts) = (plan.seed, link.name.clone(), graph.starts.clone());
         let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
-        let make = move |life| {
-            let stream = seed.stream(&format!("link/{name}/{life}"));
+        let make = move |incarnation| {
+            let stream = seed.stream(&format!("link/{name}/{incarnation}"));
             let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream).with_starts(starts.clone());
-            let air = || seed.child(&format!("link/{name}/radio/{life}"));
+            let air = || seed.child(&format!("link/{name}/radio/{incarnation}"));
             let radio_link = radio.clone().map(|radio| RadioLink::new(radio, &robots_of, &air()));
             let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));
             Ether::new(emulator, radio_link, reach, |kind| routes.listeners(kind))

@@ -1,4 +1,4 @@
-//! What of a deployment runs in this process, and the ways to all of its actors. Who talks to whom is in `graph`.
+//! The part of a deployment that runs in this process, and the mailboxes of all actors. `graph` connects them.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -20,53 +20,53 @@ use crate::random::Seed;
 use crate::runtime::shell::Mailbox;
 use crate::safety::guard::SafetyCounts;
 
-/// The team number of one-process runs, where there is no other team.
+/// Team number of one-process runs, which have no other team.
 const TEAM: u16 = 0;
 
-/// What of a deployment runs in this process, and how it shows itself to others.
+/// The part of a deployment that runs in this process, and its identity on the links.
 #[derive(Clone)]
 pub struct Process {
     /// One host alone; `None` for all of them.
     pub only: Option<HostId>,
     /// The team's number on every link.
     pub team: u16,
-    /// The incarnation: a random number that tells this process from former ones of the same host.
+    /// Incarnation: a random number that differs between processes of the same host.
     pub incarnation: u32,
-    /// The root of what the link layer draws, which nobody else may know; `None` for that of the run.
+    /// Secret root of the link layer's random streams; `None` for the run's seed.
     pub secret: Option<Seed>,
-    /// What the team's datagrams are sealed with, if they are.
+    /// Key that authenticates the team's datagrams, if any.
     pub key: Option<Key>,
-    /// How its links are set up, none where it has no part in one; `None` for those of the emulated ether.
+    /// Setup of its links, none where it does not take part; `None` for those of the emulated ether.
     pub links: Option<Vec<Option<Setup>>>,
     /// Its drivers and sources; none where all robots are simulated.
     pub devices: Devices,
     /// Whether a Recorder runs here.
     pub records: bool,
-    /// Is told what reaches the actors and what Networks and guards count.
-    pub hear: Rc<dyn Fn(Heard)>,
+    /// Callback for messages that reach the actors, and for counts of Networks and guards.
+    pub report: Rc<dyn Fn(ProcessEvent)>,
 }
 
-/// Something that Networks and Controllers of this process make known.
+/// Report of a Network or Controller of this process.
 #[derive(Clone, Copy, Debug)]
-pub enum Heard<'a> {
-    /// An actor of this process has said something.
+pub enum ProcessEvent<'a> {
+    /// An actor of this process has published a message.
     Published,
-    /// A message for this host.
+    /// Message for this host.
     Message(&'a Wire),
-    /// What is known of the other hosts.
+    /// Summaries of the other hosts.
     Peers(&'a [Peer]),
-    /// What it has counted on its links since it was started.
+    /// Counts of the links since the Network was started.
     Counts(&'a LinkCounts),
     /// Another live host has the id of this one and was started before it.
     Duplicate(DuplicateId),
-    /// How often the guard of a robot of this process has stopped or slowed it since it was started.
+    /// Number of times that a robot's guard has stopped or slowed it since its Controller was started.
     Safety(RobotId, SafetyCounts),
 }
 
 impl Process {
-    /// Every host of a deployment.
-    pub(super) fn whole() -> Process {
-        let hear = Rc::new(|_: Heard| {});
+    /// Makes the process that runs every host of a deployment.
+    pub(super) fn all_hosts() -> Process {
+        let report = Rc::new(|_: ProcessEvent| {});
         Process {
             only: None,
             team: TEAM,
@@ -76,11 +76,11 @@ impl Process {
             links: None,
             devices: Devices::default(),
             records: true,
-            hear,
+            report,
         }
     }
 
-    /// How the links of a host are set up; none where it neither sends nor takes anything.
+    /// Setup of the links of a host; none where it neither sends nor receives.
     pub(super) fn setups(&self, deployment: &Deployment, routes: &Routes, host: HostId) -> Vec<Option<Setup>> {
         let emulated = |link: &Link| {
             let partakes = link.carries.iter().any(|kind| routes.exchanges(host, *kind));
@@ -90,24 +90,24 @@ impl Process {
     }
 }
 
-/// The ways to all actors of a graph.
+/// Mailboxes of all actors of a graph.
 pub struct Graph {
     pub(super) routes: Routes,
     pub(super) caches: Rc<[Mailbox<cache::In>]>,
-    /// By robot: the robots of one agent share a mailbox.
+    /// By robot; the robots of one agent share a mailbox.
     pub(super) agents: Vec<Mailbox<agent::In>>,
     pub(super) controllers: Rc<[Mailbox<controller::In>]>,
     pub(super) bodies: Rc<[Mailbox<body::In>]>,
-    /// By robot: the localizers of simulated ones.
+    /// By robot: the localizers of simulated robots.
     pub(super) sensors: Rc<[Mailbox<localizer::In>]>,
-    /// By robot, likewise.
+    /// By robot; the robots of one World share a mailbox.
     pub(super) worlds: Vec<Mailbox<world::In>>,
     pub(super) server: Mailbox<state_server::In>,
     /// By host.
     pub(super) statuses: Rc<[Mailbox<status::In>]>,
     pub(super) networks: Rc<[Mailbox<network::In>]>,
     pub(super) transports: Rc<[Mailbox<transport::In>]>,
-    /// Where there is one.
+    /// None in a process without a Recorder.
     pub(super) recorder: Option<Mailbox<recorder::In>>,
     /// Start times of episodes, for faults that are timed from them.
     pub(super) starts: EpisodeStarts,
@@ -123,9 +123,9 @@ impl Graph {
         let mut worlds: Vec<Mailbox<world::In>> = Vec::new();
         let mut by_host: BTreeMap<Result<HostId, RobotId>, Mailbox<world::In>> = BTreeMap::new();
         for robot in team() {
-            let agent = agents.get(routes.companions(robot)[0].index());
+            let agent = agents.get(routes.agent_robots(robot)[0].index());
             agents.push(agent.cloned().unwrap_or_else(|| Mailbox::new(named("agent")(robot))));
-            // One of its own, which nobody attends, for a robot that is real.
+            // A real robot gets a mailbox that no actor reads.
             let host = routes.world_host(robot).ok_or(robot);
             let world = by_host.entry(host).or_insert_with(|| Mailbox::new(named("world")(robot)));
             worlds.push(world.clone());
@@ -156,22 +156,22 @@ impl Graph {
         self.statuses[usize::from(host.0)].clone()
     }
 
-    /// The way to the Recorder, which leads nowhere where there is none.
+    /// Returns the function that sends to the Recorder, or does nothing where there is none.
     pub(super) fn record(&self) -> impl Fn(recorder::In) + use<> {
         let recorder = self.recorder.clone();
-        move |told| {
+        move |input| {
             if let Some(recorder) = &recorder {
-                recorder.send(told);
+                recorder.send(input);
             }
         }
     }
 
-    /// Messages that full mailboxes refused, and messages that were lost in crashes, so far.
+    /// Numbers of messages refused by full mailboxes and lost in crashes, so far.
     pub fn undelivered(&self) -> (u64, u64) {
         fn of<I>(mailboxes: &[Mailbox<I>]) -> impl Iterator<Item = (&str, (u64, u64))> {
             mailboxes.iter().map(|mailbox| (mailbox.name(), (mailbox.refused(), mailbox.lost())))
         }
-        // By name, because some robots share an agent or a world.
+        // By name, because some robots share an agent or a World.
         let counts: BTreeMap<&str, (u64, u64)> = of(&self.caches)
             .chain(of(&self.agents))
             .chain(of(&self.controllers))
@@ -187,13 +187,13 @@ impl Graph {
         counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
     }
 
-    /// Engages the team's emergency stop, in the name of a host that runs here.
+    /// Engages the team's emergency stop in the name of a host that runs here.
     pub fn stop(&self, by: HostId) {
         let stop = Stop::engage(by, Latch::default());
         self.networks[usize::from(by.0)].send(network::In::Publish(Wire::Stop(stop)));
     }
 
-    /// Lets a host that runs here leave the team: what it drives stands, and then it says so.
+    /// Makes a host that runs here leave the team: its robots stop, then it announces the leave.
     pub fn leave(&self, host: HostId) {
         for robot in RobotId::team(self.bodies.len()) {
             if self.routes.actuator_host(robot) == host {
@@ -215,7 +215,7 @@ impl Graph {
             Role::Cache => self.caches[robot].inject(fault),
             Role::Agent => self.agents[robot].inject(fault),
             Role::Controller => self.controllers[robot].inject(fault),
-            // What measures a robot fails with what moves it: both are its body.
+            // Measurement and motors of a robot fail together: both are its body.
             Role::Body => {
                 self.sensors[robot].inject(fault.clone());
                 self.bodies[robot].inject(fault);

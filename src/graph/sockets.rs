@@ -1,5 +1,5 @@
-//! A process's open transports as actors, between its Network and the driver of real time. What travels on them never
-//! lives here.
+//! Open transports of a process as actors, between its Network and the event loop of real time. It does not read the
+//! messages that they carry.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -17,8 +17,9 @@ use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 use crate::time::{Span, Time};
 
-/// Starts the transports of a host behind the mailboxes of their links, which are in the order of the deployment; what
-/// arrives goes to the Network. A link may have several, one an interface: what is said on it leaves through each.
+/// Starts the transports of a host behind the mailboxes of their links, in the order of the deployment. Frames that
+/// arrive go to the Network. A link may have several transports, one per interface; each frame leaves through all of
+/// them.
 pub fn wire_all(
     (clock, readers): (&Clock, &mut Readers),
     open: Vec<(LinkId, Box<dyn Transport>)>,
@@ -48,14 +49,14 @@ pub fn wire_all(
             mailbox,
             info_span!("interfaces", link = link.0),
             |_| Fan,
-            move |said: transport::In| {
-                all.iter().for_each(|transport| transport.send(said.clone()));
+            move |input: transport::In| {
+                all.iter().for_each(|transport| transport.send(input.clone()));
             },
         );
     }
 }
 
-/// Starts the one transport of a link behind its mailbox; what arrives goes to the Network.
+/// Starts the one transport of a link behind its mailbox; frames that arrive go to the Network.
 fn wire(
     (clock, readers): (&Clock, &mut Readers),
     (link, transport): (LinkId, Box<dyn Transport>),
@@ -64,28 +65,28 @@ fn wire(
 ) {
     let (time, network, descriptor) = (clock.clone(), network.clone(), transport.descriptor());
     let span = info_span!("transport", link = link.0);
-    // It outlives its actor: what waits in a socket would be lost with it.
+    // The transport outlives its actor, so that a crash does not lose frames in a socket.
     let transport = Rc::new(RefCell::new(transport));
-    let (flooded, heard, inside) = (Rc::clone(&transport), Rc::clone(&transport), span.clone());
-    let told = Cell::new(0);
-    // What has arrived is read where it is told of: a turn of the transport for it would cost a tenth of a delivery.
+    let (flooded, receiver, inside) = (Rc::clone(&transport), Rc::clone(&transport), span.clone());
+    let reported = Cell::new(0);
+    // Read frames at the notification itself: a turn of the actor for it would add a tenth to the cost of a delivery.
     let ring = move || {
         let _inside = inside.enter();
-        let mut heard = heard.borrow_mut();
-        heard.receive(time.now(), &mut |from, frame| network.send(network::In::Frame(link, frame.into(), from)));
-        let dropped = heard.counts().dropped;
-        if dropped > told.get() {
-            network.send(network::In::Dropped(link, dropped - told.replace(dropped)));
+        let mut receiver = receiver.borrow_mut();
+        receiver.receive(time.now(), &mut |from, frame| network.send(network::In::Frame(link, frame.into(), from)));
+        let dropped = receiver.counts().dropped;
+        if dropped > reported.get() {
+            network.send(network::In::Dropped(link, dropped - reported.replace(dropped)));
         }
     };
     readers.watch_link(descriptor, move || flooded.borrow().paused_until(), ring);
-    start(clock, mailbox, span, move |_| Outward(Rc::clone(&transport)), |never| match never {});
+    start(clock, mailbox, span, move |_| Transmitter(Rc::clone(&transport)), |never| match never {});
 }
 
-/// Hands a transport what leaves through it.
-struct Outward(Rc<RefCell<Box<dyn Transport>>>);
+/// Actor that hands frames to a transport.
+struct Transmitter(Rc<RefCell<Box<dyn Transport>>>);
 
-impl Core for Outward {
+impl Core for Transmitter {
     type In = transport::In;
     type Out = Infallible;
 
@@ -100,7 +101,7 @@ impl Core for Outward {
     fn wake(&mut self, _: Time, _: &mut Vec<Infallible>) {}
 }
 
-/// Passes on what it is told, to each of a link's transports.
+/// Actor that passes its input on to each of a link's transports.
 struct Fan;
 
 impl Core for Fan {
@@ -118,7 +119,7 @@ impl Core for Fan {
     fn wake(&mut self, _: Time, _: &mut Vec<transport::In>) {}
 }
 
-/// A core whose state outlives it, and which others may look at.
+/// Core with shared state, which outlives it and which others can read.
 pub struct Shared<C>(pub Rc<RefCell<C>>);
 
 impl<C: Core> Core for Shared<C> {
@@ -155,7 +156,7 @@ mod tests {
     use crate::net::transport::{Filter, LinkSettings, Transmit, udp};
     use crate::runtime::real::run_real;
 
-    /// Counts the frames that have arrived.
+    /// Test core that counts the frames that arrive.
     struct Count(Rc<Cell<usize>>);
 
     impl Core for Count {

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use crate::actors::network::Identity;
-use crate::deploy::team::{Post, Team};
+use crate::deploy::team::{OperatorAccess, Team};
 use crate::deploy::{Deployment, Link};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::reliability::Setup;
@@ -72,9 +72,9 @@ pub fn of_operator<'a>(
 }
 
 /// Returns the places of an operator that takes part only in the link that carries `Stop`.
-pub fn at_post<'a>(post: &'a Post, deployment: &Deployment) -> impl Iterator<Item = Option<&'a Place>> {
-    let at = usize::from(post.link.0);
-    (0..deployment.links.len()).map(move |link| (link == at).then(|| &post.places[0]))
+pub fn places_of<'a>(access: &'a OperatorAccess, deployment: &Deployment) -> impl Iterator<Item = Option<&'a Place>> {
+    let at = usize::from(access.link.0);
+    (0..deployment.links.len()).map(move |link| (link == at).then(|| &access.places[0]))
 }
 
 /// Returns the filter for the frames of the team.
@@ -103,20 +103,20 @@ fn failed(link: &str, error: OpenError) -> LinkError {
 
 /// Opens the link that carries `Stop` for an operator: on every interface of the team file that this machine has; if it
 /// has none of those, on all that it has. If a flag has `named` the interface, only on that one.
-pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
-    let all = || post.places.iter().map(|place| &place.endpoint);
+pub fn join(access: &OperatorAccess, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
+    let all = || access.places.iter().map(|place| &place.endpoint);
     let mut endpoints: Vec<Arc<dyn Endpoint>> = all().filter(|endpoint| endpoint.is_available()).cloned().collect();
     if endpoints.is_empty() {
-        let first = &post.places[0].endpoint;
+        let first = &access.places[0].endpoint;
         // An interface named by a flag has no substitute.
         endpoints = if named { vec![Arc::clone(first)] } else { first.on_all_interfaces() };
     }
-    let filter = Filter::Team { number: post.number, tagged: post.key_file.is_some() };
+    let filter = Filter::Team { number: access.number, tagged: access.key_file.is_some() };
     let mut open = Vec::new();
     let mut refused = None;
     for endpoint in &endpoints {
         match endpoint.open(me, filter) {
-            Ok(transport) => open.push((post.link, transport)),
+            Ok(transport) => open.push((access.link, transport)),
             Err(error) => refused = Some(error),
         }
     }

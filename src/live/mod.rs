@@ -13,7 +13,7 @@ use crate::deploy::team::Team;
 use crate::graph::Plan;
 use crate::graph::devices::{self, DeviceError, Workers};
 use crate::graph::host::{self, Host};
-use crate::graph::process::{Graph, Heard};
+use crate::graph::process::{Graph, ProcessEvent};
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::key::Key;
 use crate::registry::Registry;
@@ -77,7 +77,7 @@ impl LiveHost {
     pub fn run(
         self,
         origin: Instant,
-        heard: impl Fn(Heard) + 'static,
+        heard: impl Fn(ProcessEvent) + 'static,
         said: impl FnMut(Out) + 'static,
         begun: impl FnOnce(&mut Readers),
         done: impl FnMut(&Rc<Graph>, Time) -> bool,
@@ -101,8 +101,8 @@ impl LiveHost {
     pub fn run_to_the_end(self) -> TrialReport {
         let (report, news) = (Rc::new(RefCell::new(TrialReport::default())), Rc::new(Cell::new(false)));
         let (told, grace) = (Rc::clone(&news), self.grace);
-        let heard = move |heard: Heard| match heard {
-            Heard::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => told.set(true),
+        let heard = move |heard: ProcessEvent| match heard {
+            ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => told.set(true),
             _ => {}
         };
         let noted = Rc::clone(&report);

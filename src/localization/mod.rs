@@ -1,6 +1,6 @@
-//! Localization: where readings of robots come from. A source is one file and one line in `REGISTRY`.
+//! Localization: sources of robots' readings. A source is one file and one line in `REGISTRY`.
 //!
-//! A source is pure: it turns what its worker says, or what a World samples, into readings.
+//! A source is pure: it turns its worker's packets, or the samples of a World, into readings.
 
 pub mod program;
 pub mod simulated;
@@ -12,56 +12,57 @@ use crate::messages::local::Sample;
 use crate::messages::wire::Reading;
 use crate::time::Time;
 
-/// What a source takes.
+/// Input of a source.
 #[derive(Clone, Debug)]
 pub enum In<'a> {
-    /// The true state of a simulated robot.
+    /// True state of a simulated robot.
     Sample(&'a Sample),
-    /// Something that its worker has said.
+    /// Packet from its worker.
     Packet(&'a [u8]),
 }
 
-/// What a source says.
+/// Output of a source.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
-    /// A robot was measured.
+    /// Reading of a robot.
     Reading(Reading),
-    /// What has come is not to be understood; why.
+    /// Packet that was not understood, with the reason.
     Refused(&'static str),
 }
 
-/// Where readings of some robots come from.
+/// Source of readings of some robots.
 pub trait Source {
-    /// Something has come.
+    /// Takes an input.
     fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>);
 
-    /// When it next has something to say by itself.
+    /// Time of its next wake-up; none if it needs none.
     fn wake_at(&self) -> Option<Time> {
         None
     }
 
-    /// Says what is due.
+    /// Does what is due at `now`.
     fn wake(&mut self, _now: Time, _out: &mut Vec<Out>) {}
 }
 
-/// What is made of settings: the pure part, as often as its actor is started, and the one that does the I/O.
-pub struct Made {
-    /// Makes the source afresh.
+/// Parts of a source made from settings: a constructor of the pure part, called at each start of its actor, and the
+/// worker.
+pub struct Parts {
+    /// Makes a new source.
     pub source: Box<dyn Fn() -> Box<dyn Source>>,
     /// Does its I/O.
     pub worker: Box<dyn Worker>,
 }
 
-/// A source by name.
+/// Source in a registry.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
     /// Its name in a deployment.
     pub name: &'static str,
-    /// What it listens to, in a line.
+    /// Description in one line.
     pub about: &'static str,
-    /// Makes it for some robots; wrong settings are named.
-    pub make: fn(&Settings, &[RobotId]) -> Result<Made, ConfigError>,
+    /// Makes it for some robots; an error names the wrong setting.
+    pub make: fn(&Settings, &[RobotId]) -> Result<Parts, ConfigError>,
 }
 
-/// All sources of readings of robots that are not simulated.
+/// All sources of readings of real robots.
 pub const REGISTRY: &[Entry] = &[Entry { name: "program", about: program::ABOUT, make: program::make }];

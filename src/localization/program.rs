@@ -1,13 +1,13 @@
-//! A program of the user's says where robots are: one JSON object a line, in any language.
+//! Source that runs a program of the user's, in any language, with one JSON object per line.
 //!
-//! `{"robot": 0, "stamp_s": 12.34, "x": 0.1, "y": -2.0, "vx": 0.0, "vy": 0.3}`: when it was measured on its own clock
-//! \[s\], position \[m\] and velocity \[m/s\] in the world frame. It may add `"heading"` \[rad\], counter-clockwise
-//! from the x axis, `"yaw_rate"` \[rad/s\], and standard deviations `"position_m"`, `"heading_rad"`, `"velocity_m_s"`,
-//! `"yaw_rate_rad_s"`.
+//! The program writes `{"robot": 0, "stamp_s": 12.34, "x": 0.1, "y": -2.0, "vx": 0.0, "vy": 0.3}`: time of measurement
+//! on its own clock \[s\], position \[m\] and velocity \[m/s\] in the world frame. It may add `"heading"` \[rad\],
+//! counter-clockwise from the x axis, `"yaw_rate"` \[rad/s\], and standard deviations `"position_m"`, `"heading_rad"`,
+//! `"velocity_m_s"`, `"yaw_rate_rad_s"`.
 
 use serde::Deserialize;
 
-use super::{In, Made, Out, Source};
+use super::{In, Out, Parts, Source};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
@@ -16,10 +16,10 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::{Reading, Wire};
 use crate::time::{Span, Time};
 
-/// What it listens to.
-pub const ABOUT: &str = "whatever a program of yours measures: JSON lines on its stdout";
+/// Description in one line.
+pub const ABOUT: &str = "a program of yours: JSON lines on its stdout";
 
-/// What the team file says of it.
+/// Settings in the team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
@@ -27,7 +27,7 @@ struct Config {
     command: Vec<String>,
 }
 
-/// What the program says.
+/// Line that the program writes.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Line {
@@ -49,14 +49,14 @@ struct Lines {
     robots: Vec<RobotId>,
 }
 
-/// Makes it.
-pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Made, ConfigError> {
+/// Makes the source and its worker.
+pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     if config.command.is_empty() {
         return Err(ConfigError::field("command", "it is empty; name a program and its arguments".to_owned()));
     }
     let robots = robots.to_vec();
-    Ok(Made {
+    Ok(Parts {
         source: Box::new(move || Box::new(Lines { robots: robots.clone() })),
         worker: Box::new(Program { command: config.command }),
     })
@@ -66,15 +66,13 @@ impl Source for Lines {
     fn take(&mut self, _: Time, input: In, out: &mut Vec<Out>) {
         let In::Packet(packet) = input else { return };
         out.push(match serde_json::from_slice::<Line>(packet) {
-            Err(_) => Out::Refused("it is no line of a source's program"),
-            Ok(line) if !self.robots.contains(&RobotId(line.robot)) => {
-                Out::Refused("it is of a robot of another source")
-            }
-            Ok(line) if !(0.0..1e10).contains(&line.stamp_s) => Out::Refused("its stamp is no time"),
+            Err(_) => Out::Refused("it is not a line in the source's format"),
+            Ok(line) if !self.robots.contains(&RobotId(line.robot)) => Out::Refused("its robot is not of this source"),
+            Ok(line) if !(0.0..1e10).contains(&line.stamp_s) => Out::Refused("its stamp is out of range"),
             Ok(line) => {
                 let reading = reading(&line);
                 let sound = Wire::Reading(reading.clone()).check().is_ok();
-                if sound { Out::Reading(reading) } else { Out::Refused("its numbers are none of a robot") }
+                if sound { Out::Reading(reading) } else { Out::Refused("its numbers are out of range") }
             }
         });
     }

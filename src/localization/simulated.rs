@@ -1,4 +1,4 @@
-//! The source of simulated robots: a sensor that measures what their World samples, with its noise, rate and latency.
+//! Source of simulated robots: a sensor with noise, rate and latency that measures the samples of their World.
 
 use std::collections::VecDeque;
 
@@ -10,20 +10,20 @@ use crate::random::Stream;
 use crate::time::{Span, Time};
 use crate::world::Sensor;
 
-/// The sensor of one robot.
+/// Sensor of one robot.
 #[derive(Debug)]
 pub struct Simulated {
     sensor: Sensor,
     stream: Stream,
-    /// When it has measured, and when it does next, at the earliest.
+    /// Time of the last measurement, and the earliest time of the next.
     measured: Option<Time>,
     ready: Time,
-    /// What was measured and is not told yet.
+    /// Readings that are delayed by the latency.
     pending: VecDeque<(Time, Reading)>,
 }
 
 impl Simulated {
-    /// A sensor that draws its noise from `stream`.
+    /// Makes a sensor that draws its noise from `stream`.
     pub fn new(sensor: Sensor, stream: Stream) -> Simulated {
         Simulated { sensor, stream, measured: None, ready: Time::ZERO, pending: VecDeque::new() }
     }
@@ -43,7 +43,7 @@ impl Simulated {
 impl Source for Simulated {
     fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         let In::Sample(sample) = input else { return };
-        // Who is placed is sampled twice at one instant, at two places: the second is where it is.
+        // A robot that is placed is sampled twice at one instant, at two places; the second is valid.
         if sample.time < self.ready && self.measured != Some(sample.time) {
             return;
         }

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use crate::actors::recorder::{Out, Steps};
 use crate::deploy::team::{Team, TeamFile};
-use crate::graph::process::{Graph, Heard};
+use crate::graph::process::{Graph, ProcessEvent};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::key::Key;
@@ -273,14 +273,14 @@ impl Seen {
         Seen { report, over, messages, counts, safety: RefCell::default(), outlets, duplicate: Cell::default() }
     }
 
-    fn hear(&self, heard: Heard) {
+    fn hear(&self, heard: ProcessEvent) {
         match heard {
-            Heard::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
-            Heard::Message(_) | Heard::Peers(_) => {}
-            Heard::Counts(counts) => self.counts.set(*counts),
-            Heard::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
-            Heard::Published => self.messages.set(self.messages.get() + 1),
-            Heard::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
+            ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
+            ProcessEvent::Message(_) | ProcessEvent::Peers(_) => {}
+            ProcessEvent::Counts(counts) => self.counts.set(*counts),
+            ProcessEvent::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
+            ProcessEvent::Published => self.messages.set(self.messages.get() + 1),
+            ProcessEvent::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
         }
     }
 

@@ -249,7 +249,7 @@ pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -
             bar.inc((episodes.len() - shown) as u64);
             shown = episodes.len();
         }
-        if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::On }
+        if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::Continue }
     }
 }
 

@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::time::Instant;
 
-use crate::actors::order::{Lack, Order, PERIOD, Wish};
+use crate::actors::order::{Order, OrderKind, PERIOD, Unconfirmed};
 use crate::deploy::Routes;
 use crate::graph::operator::{self, Operator};
 use crate::messages::ids::RobotId;
@@ -59,41 +59,41 @@ pub struct ResumeArgs {
 
 /// Engages the emergency stop, or re-arms.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
-    let wish = if args.rearm { Wish::Rearm } else { Wish::Stop };
-    Asked { team: &args.team, wish, json: args.json }.run(registry)
+    let kind = if args.rearm { OrderKind::Rearm } else { OrderKind::Stop };
+    Asked { team: &args.team, kind, json: args.json }.run(registry)
 }
 
 /// Resumes a held team.
 pub fn resume(args: &ResumeArgs, registry: &Registry) -> Result<Ended> {
-    Asked { team: &args.team, wish: Wish::Resume, json: args.json }.run(registry)
+    Asked { team: &args.team, kind: OrderKind::Resume, json: args.json }.run(registry)
 }
 
 /// The request of the user.
 struct Asked<'a> {
     team: &'a team::TeamArgs,
-    wish: Wish,
+    kind: OrderKind,
     json: bool,
 }
 
 impl Asked<'_> {
     fn run(&self, registry: &Registry) -> Result<Ended> {
         let file = self.team.read(registry)?;
-        let post = file.post().map_err(|error| self.team.wrong(&error))?;
+        let access = file.operator_access().map_err(|error| self.team.wrong(&error))?;
         let (deployment, identity) = (file.deployment(), ProcessIdentity::draw()?);
-        let key = team::key_of(post.key_file.as_deref())?.map(Key::new);
-        let me = identity.operator_of(post.number);
-        let link = &deployment.links[usize::from(post.link.0)];
+        let key = team::key_of(access.key_file.as_deref())?.map(Key::new);
+        let me = identity.operator_of(access.number);
+        let link = &deployment.links[usize::from(access.link.0)];
         let operator = Operator {
             me,
             seed: identity.seed,
             robots: deployment.robots,
             publishers: Routes::of(deployment).publishers(),
             key,
-            links: links::of_operator(deployment, links::at_post(&post, deployment)),
-            transports: links::join(&post, link, me.host, self.team.names_interface())?,
-            stop: Some(post.link),
+            links: links::of_operator(deployment, links::places_of(&access, deployment)),
+            transports: links::join(&access, link, me.host, self.team.names_interface())?,
+            stop: Some(access.link),
         };
-        let order = Rc::new(RefCell::new(Order::new(me.host, self.wish, deployment.robots)));
+        let order = Rc::new(RefCell::new(Order::new(me.host, self.kind, deployment.robots)));
         run_real(
             Instant::now(),
             |clock, readers| {
@@ -105,7 +105,7 @@ impl Asked<'_> {
             },
             |(), now| {
                 let waited = now.since(Time::ZERO);
-                waited >= PATIENCE || (order.borrow().met().is_some() && waited >= AT_LEAST)
+                waited >= PATIENCE || (order.borrow().confirmed_at().is_some() && waited >= AT_LEAST)
             },
         );
         let order = order.borrow();
@@ -114,24 +114,24 @@ impl Asked<'_> {
 
     /// Prints the result.
     fn tell(&self, order: &Order, robots: usize) -> Result<Ended> {
-        let lacking = order.lacking();
-        let took_s = order.met().map(Time::as_secs);
+        let unconfirmed = order.unconfirmed();
+        let took_s = order.confirmed_at().map(Time::as_secs);
         let state = order.latch().map_or("unknown", |latch| latch.word());
         if self.json {
-            let missing: Vec<u16> = lacking.iter().map(|(robot, _)| robot.0).collect();
+            let missing: Vec<u16> = unconfirmed.iter().map(|(robot, _)| robot.0).collect();
             let said = serde_json::json!({
                 "state": state, "robots": robots, "missing": missing, "took_s": took_s, "why": self.why(order),
             });
             print(&said.to_string())?;
         } else {
-            let what = match self.wish {
-                Wish::Stop => "stand",
-                Wish::Rearm => "are re-armed",
-                Wish::Resume => "may move",
+            let what = match self.kind {
+                OrderKind::Stop => "stand",
+                OrderKind::Rearm => "are re-armed",
+                OrderKind::Resume => "may move",
             };
             let took = took_s.map_or_else(String::new, |s| format!(", confirmed after {s:.3} s"));
-            print(&format!("{} of {robots} robots {what}{took}", robots - lacking.len()))?;
-            if self.wish == Wish::Rearm && took_s.is_some() && state == "held" {
+            print(&format!("{} of {robots} robots {what}{took}", robots - unconfirmed.len()))?;
+            if self.kind == OrderKind::Rearm && took_s.is_some() && state == "held" {
                 let file = self.team.path().display();
                 print(&format!("the team is held: 'murmurate resume {file}' starts the next episode"))?;
             }
@@ -144,23 +144,23 @@ impl Asked<'_> {
 
     /// Returns the reason why the request was not met; `None` if it was.
     fn why(&self, order: &Order) -> Option<String> {
-        if order.met().is_some() {
+        if order.confirmed_at().is_some() {
             return None;
         }
-        let names = |all: &[(RobotId, Lack)], of: &[Lack]| -> String {
-            let robots = all.iter().filter(|(_, lack)| of.contains(lack)).map(|(robot, _)| robot.0.to_string());
+        let names = |all: &[(RobotId, Unconfirmed)], of: &[Unconfirmed]| -> String {
+            let robots = all.iter().filter(|(_, reason)| of.contains(reason)).map(|(robot, _)| robot.0.to_string());
             robots.collect::<Vec<_>>().join(", ")
         };
-        let lacking = order.lacking();
-        if order.is_overtaken() {
+        let unconfirmed = order.unconfirmed();
+        if order.is_superseded() {
             let state = order.latch().map_or("unknown", |latch| latch.word());
             return Some(format!(
                 "overtaken: another operator or host has changed the latch meanwhile; the team is now {state}"
             ));
         }
-        let silent = names(&lacking, &[Lack::Silent]);
+        let silent = names(&unconfirmed, &[Unconfirmed::Silent]);
         let mut why = Vec::new();
-        if self.wish == Wish::Resume {
+        if self.kind == OrderKind::Resume {
             match order.latch() {
                 Some(latch) if latch.is_engaged() => {
                     why.push("refused: the team is stopped; 'murmurate stop --rearm' takes that back first".to_owned());
@@ -180,20 +180,23 @@ impl Asked<'_> {
         if !silent.is_empty() {
             why.push(format!("no word from robot {silent}: go and look at them"));
         }
-        let (bodies, controllers) = (names(&lacking, &[Lack::Body, Lack::Unmet]), names(&lacking, &[Lack::Controller]));
-        if !bodies.is_empty() && self.wish == Wish::Stop {
+        let (bodies, controllers) = (
+            names(&unconfirmed, &[Unconfirmed::Body, Unconfirmed::Both]),
+            names(&unconfirmed, &[Unconfirmed::Controller]),
+        );
+        if !bodies.is_empty() && self.kind == OrderKind::Stop {
             why.push(format!("the motors of robot {bodies} have not confirmed: go and look at them"));
         }
-        if !controllers.is_empty() && self.wish == Wish::Stop {
+        if !controllers.is_empty() && self.kind == OrderKind::Stop {
             why.push(format!("robot {controllers} stands, but its controller has not confirmed"));
         }
-        if self.wish != Wish::Stop && order.leading().is_none() {
+        if self.kind != OrderKind::Stop && order.leading().is_none() {
             why.push("no word from the state server: is its host running?".to_owned());
         }
         if why.is_empty() {
             why.push(format!(
                 "robot {} has not followed yet: try again",
-                names(&lacking, &[Lack::Unmet, Lack::Body, Lack::Controller])
+                names(&unconfirmed, &[Unconfirmed::Both, Unconfirmed::Body, Unconfirmed::Controller])
             ));
         }
         Some(why.join("; "))

@@ -37,11 +37,11 @@ fn with(mut settings: Settings, field: &str, value: impl Into<toml::Value>) -> S
     settings
 }
 
-fn driver(settings: &Settings) -> Result<drivers::Made, murmurate::config::ConfigError> {
+fn driver(settings: &Settings) -> Result<drivers::Parts, murmurate::config::ConfigError> {
     Registry::builtin().driver(settings, ROBOT)
 }
 
-fn source(settings: &Settings) -> Result<localization::Made, murmurate::config::ConfigError> {
+fn source(settings: &Settings) -> Result<localization::Parts, murmurate::config::ConfigError> {
     Registry::builtin().source(settings, &[ROBOT])
 }
 
@@ -70,15 +70,15 @@ fn next<const COUNT: usize>(gate: &mut Gate) -> [Vec<u8>; COUNT] {
 #[test]
 fn every_driver_stands_survives_noise_and_ends_with_its_host() {
     for entry in Registry::builtin().drivers() {
-        let made = driver(&settings(entry.name)).expect("its settings are sound");
-        let (mut driver, mut out) = ((made.driver)(), Vec::new());
+        let parts = driver(&settings(entry.name)).expect("its settings are sound");
+        let (mut driver, mut out) = ((parts.driver)(), Vec::new());
         assert!(driver.limits().speed_m_s > 0.0, "{}", entry.name);
         driver.drive(Time::ZERO, &drive(0.0), None, &mut out);
         assert!(!out.is_empty(), "{}: to stand is an order, too", entry.name);
         for noise in [&b""[..], b"\n", b"{}", &[0xff; 5000], b"{\"health\": 7}"] {
-            driver.told(Time::ZERO, noise, &mut out);
+            driver.receive(Time::ZERO, noise, &mut out);
         }
-        if let Some(worker) = made.worker {
+        if let Some(worker) = parts.worker {
             let (gate, worker) = employ(worker);
             let begun = Instant::now();
             drop(gate);
@@ -97,8 +97,8 @@ fn driver_error(settings: &Settings) -> String {
 #[test]
 fn every_source_refuses_invalid_packets() {
     for entry in Registry::builtin().sources() {
-        let made = source(&settings(entry.name)).expect("its settings are sound");
-        let (mut source, mut out) = ((made.source)(), Vec::new());
+        let parts = source(&settings(entry.name)).expect("its settings are sound");
+        let (mut source, mut out) = ((parts.source)(), Vec::new());
         for noise in [&b""[..], b"\n", b"{}", &[0xff; 5000], b"{\"robot\": 3}"] {
             source.take(Time::ZERO, In::Packet(noise), &mut out);
         }
@@ -133,20 +133,20 @@ fn wrong_settings_are_refused_by_their_field() {
 #[test]
 fn a_program_drives_a_robot_and_reports_its_status() {
     let script = "while read line; do echo \"$line\"; echo '{\"health\": \"faulty\", \"battery\": 12}'; done";
-    let made = driver(&with(program(script), "speed_m_s", 0.5)).expect("it is sound");
-    let (mut driver, mut out) = ((made.driver)(), Vec::new());
+    let parts = driver(&with(program(script), "speed_m_s", 0.5)).expect("it is sound");
+    let (mut driver, mut out) = ((parts.driver)(), Vec::new());
     assert_eq!(driver.limits().speed_m_s, 0.5);
     let north = Pose { position: Vec2::zeros(), heading: Some(std::f32::consts::FRAC_PI_2) };
     driver.drive(Time::ZERO, &drive(0.25), Some(&north), &mut out);
-    let Some(drivers::Out::Tell(line)) = out.pop() else { panic!("it tells its program") };
-    let (mut gate, worker) = employ(made.worker.expect("a program is a worker"));
+    let Some(drivers::Out::Send(line)) = out.pop() else { panic!("it sends a line to its program") };
+    let (mut gate, worker) = employ(parts.worker.expect("a program is a worker"));
     gate.send(line);
     let [line, word] = next(&mut gate);
     let said: serde_json::Value = serde_json::from_slice(&line).expect("a line is JSON");
     assert_eq!((said["robot"].as_u64(), said["vx"].as_f64(), said["for_s"].as_f64()), (Some(3), Some(0.25), Some(0.2)));
     let [ahead, left] = ["ahead", "left"].map(|field| said[field].as_f64().expect("the heading is known"));
     assert!(ahead.abs() < 1e-6 && (left + 0.25).abs() < 1e-6, "east is to the right of who points north: {said}");
-    driver.told(Time::ZERO, &word, &mut out);
+    driver.receive(Time::ZERO, &word, &mut out);
     assert_eq!(out.pop(), Some(drivers::Out::Condition(Health::Faulty, Some(12))));
     drop(gate);
     worker.join().expect("it does not panic");
@@ -159,9 +159,9 @@ fn a_program_localizes_robots() {
         echo '{"robot": 4, "stamp_s": 1.5, "x": 1, "y": 2, "vx": 0, "vy": 0}'
         echo '{"robot": 3, "stamp_s": 1.6, "x": 1e9, "y": 2, "vx": 0, "vy": 0}'
         cat"#;
-    let made = source(&program(script)).expect("it is sound");
-    let (mut source, mut out) = ((made.source)(), Vec::new());
-    let (mut gate, worker) = employ(made.worker);
+    let parts = source(&program(script)).expect("it is sound");
+    let (mut source, mut out) = ((parts.source)(), Vec::new());
+    let (mut gate, worker) = employ(parts.worker);
     for packet in next::<3>(&mut gate) {
         source.take(Time::ZERO, In::Packet(&packet), &mut out);
     }

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 use murmurate::config::ConfigError;
-use murmurate::config::fields::Takes;
+use murmurate::config::fields::FieldType;
 use murmurate::deploy::team::TeamFile;
 use murmurate::edge::{self, Gate, PacketSender, Port};
 use murmurate::messages::ids::HostId;
@@ -199,7 +199,7 @@ fn fields_of_one_name_take_the_same_values_in_all_transports() {
 const HUB: transport::Entry = transport::Entry {
     name: "hub",
     about: "a thread for each host of this process",
-    fields: &[Field::new("hub", Takes::Text)],
+    fields: &[Field::new("hub", FieldType::Text)],
     read: |settings: &LinkSettings| {
         let name = settings.need("hub", || "; name the hub".to_owned())?.text().to_owned();
         Ok(Arc::new(Hub { name }))

@@ -1,67 +1,67 @@
-//! What fields a team file may have, and what they take: those of the whole team, and those of a link, most of which
-//! are its transport's.
+//! Fields of a team file with their types and defaults: those of the whole team, and those of a link, most of which
+//! belong to its transport.
 
-use crate::config::fields::Takes;
+use crate::config::fields::FieldType;
 use crate::deploy::MODES;
 use crate::net::protocol::reliability::Reliability;
 use crate::net::transport;
 use crate::world::Sensor;
 
-/// A field: its name, what it takes, and its default as it would be written.
-type Field = (&'static str, Takes, Option<&'static str>);
+/// Name, type and default of a field, as written in a file.
+type Field = (&'static str, FieldType, Option<&'static str>);
 
-/// The name of the field that stands for every link's interface in flags and in the environment.
+/// Name of the field that sets every link's interface in flags and in the environment.
 pub const EVERY_INTERFACE: &str = "interface";
 
-/// How a kind of message is made to arrive.
+/// Names of the reliability modes.
 const RELIABILITIES: [&str; 4] = {
     let [(a, _), (b, _), (c, _), (d, _)] = Reliability::NAMED;
     [a, b, c, d]
 };
 
-/// How the states of simulated robots are measured.
+/// Names of the simulated sensors.
 const SENSORS: [&str; 2] = {
     let [(a, _), (b, _)] = Sensor::NAMED;
     [a, b]
 };
 
-/// The fields of the whole team, in the order in which they are shown.
+/// Fields of the whole team, in the order in which they are shown.
 const TEAM: [Field; 16] = [
-    ("team", Takes::Whole(0, 65_535), None),
-    ("key_file", Takes::Text, None),
-    ("mode", Takes::Choice(&MODES), None),
-    ("robots", Takes::Whole(1, 65_535), None),
-    ("scenario", Takes::Text, Some("passage")),
-    ("policy", Takes::Text, None),
-    ("episodes", Takes::Whole(1, 1_000_000), Some("16")),
-    ("seed", Takes::Whole(0, u64::MAX), Some("0")),
-    ("plant", Takes::Text, None),
-    ("lag_s", Takes::Number(0.0, 10.0), None),
-    ("contacts", Takes::Choice(&["block", "judge"]), None),
-    ("wall_radius_m", Takes::Number(1e-3, 10.0), None),
-    ("sensor", Takes::Choice(&SENSORS), None),
-    ("clamp", Takes::Choice(&["training", "deployed"]), Some("training")),
-    ("handling", Takes::Choice(&["hold", "as-published"]), Some("hold")),
-    ("estimator", Takes::Text, Some("none")),
+    ("team", FieldType::Whole(0, 65_535), None),
+    ("key_file", FieldType::Text, None),
+    ("mode", FieldType::Choice(&MODES), None),
+    ("robots", FieldType::Whole(1, 65_535), None),
+    ("scenario", FieldType::Text, Some("passage")),
+    ("policy", FieldType::Text, None),
+    ("episodes", FieldType::Whole(1, 1_000_000), Some("16")),
+    ("seed", FieldType::Whole(0, u64::MAX), Some("0")),
+    ("plant", FieldType::Text, None),
+    ("lag_s", FieldType::Number(0.0, 10.0), None),
+    ("contacts", FieldType::Choice(&["block", "judge"]), None),
+    ("wall_radius_m", FieldType::Number(1e-3, 10.0), None),
+    ("sensor", FieldType::Choice(&SENSORS), None),
+    ("clamp", FieldType::Choice(&["training", "deployed"]), Some("training")),
+    ("handling", FieldType::Choice(&["hold", "as-published"]), Some("hold")),
+    ("estimator", FieldType::Text, Some("none")),
 ];
 
-/// What of the team a robot or a host may have otherwise, beside its links.
+/// Fields of the team that a robot or a host may override, besides its links.
 const OVERRIDES: [&str; 2] = ["key_file", "policy"];
 
-/// The names of the fields of the whole team.
+/// Names of the fields of the whole team.
 pub fn team_fields() -> impl Iterator<Item = &'static str> {
     TEAM.iter().map(|(name, ..)| *name)
 }
 
-/// The fields of a team file.
+/// Fields of a team file.
 #[derive(Clone, Debug)]
 pub struct Fields {
-    /// The fields of links that belong to transports, each once.
+    /// Fields of links that belong to transports, each once.
     own: Vec<transport::Field>,
 }
 
 impl Fields {
-    /// The fields of teams whose links have these transports.
+    /// Returns the fields of teams whose links have these transports.
     pub fn of(transports: &[transport::Entry]) -> Fields {
         let mut own: Vec<transport::Field> = Vec::new();
         for field in transports.iter().flat_map(|entry| entry.fields) {
@@ -72,43 +72,43 @@ impl Fields {
         Fields { own }
     }
 
-    /// The names of the fields of a link that have one value.
+    /// Names of the fields of a link that have one value.
     pub fn of_link(&self) -> impl Iterator<Item = &'static str> {
         ["transport"].into_iter().chain(self.own.iter().filter(|field| !field.by_host).map(|field| field.name))
     }
 
-    /// The names of the tables of a link that have a value for each host.
+    /// Names of the tables of a link that have a value for each host.
     pub fn by_host(&self) -> impl Iterator<Item = &'static str> {
         self.own.iter().filter(|field| field.by_host).map(|field| field.name)
     }
 
-    fn takes(&self, name: &str, by_host: bool) -> Option<Takes> {
+    fn takes(&self, name: &str, by_host: bool) -> Option<FieldType> {
         let named = |field: &&transport::Field| field.name == name && field.by_host == by_host;
         self.own.iter().find(named).map(|field| field.takes)
     }
 
-    /// What a field takes and its default; `None` if there is no such field. A transport's own fields have their
-    /// defaults in its entry.
-    pub fn field(&self, key: &str) -> Option<(Takes, Option<&'static str>)> {
+    /// Type and default of a field; `None` if there is no such field. A transport's entry has the defaults of its own
+    /// fields.
+    pub fn field(&self, key: &str) -> Option<(FieldType, Option<&'static str>)> {
         let of_team =
             |name: &str| TEAM.iter().find(|(field, ..)| *field == name).map(|(_, takes, default)| (*takes, *default));
-        let own = |takes: Option<Takes>| takes.map(|takes| (takes, None));
+        let own = |takes: Option<FieldType>| takes.map(|takes| (takes, None));
         match key.split('.').collect::<Vec<_>>()[..] {
             [name] => of_team(name),
-            // Whether there is one of that name, the registry knows.
-            ["link", _, "transport"] => Some((Takes::Text, Some(transport::USUAL))),
+            // The registry checks the name.
+            ["link", _, "transport"] => Some((FieldType::Text, Some(transport::USUAL))),
             ["link", _, name] => own(self.takes(name, false)),
-            ["link", _, "reliability", _] => Some((Takes::Choice(&RELIABILITIES), None)),
+            ["link", _, "reliability", _] => Some((FieldType::Choice(&RELIABILITIES), None)),
             ["link", _, table, _] => own(self.takes(table, true)),
             ["robot" | "host", _, name] if OVERRIDES.contains(&name) => of_team(name),
-            // What senders and receivers must agree on is of the whole team.
+            // Senders and receivers must agree on reliability, so it is set for the whole team.
             ["robot" | "host", _, "link", _, "reliability", ..] => None,
             ["robot" | "host", _, "link", ..] => self.field(key.splitn(3, '.').nth(2)?),
             _ => None,
         }
     }
 
-    /// What there is where there is no such field.
+    /// List of the permitted fields, for the error about an unknown field.
     pub fn siblings(&self, key: &str) -> String {
         let names = match key.split('.').collect::<Vec<_>>()[..] {
             ["link", _, "reliability", ..] => return "a kind of message is followed by its reliability".to_owned(),
@@ -127,7 +127,7 @@ impl Fields {
         let parts: Vec<&str> = key.split('.').collect();
         match parts[..] {
             ["robot" | "host"] | ["robot" | "host", _] => true,
-            // What senders and receivers must agree on is of the whole team.
+            // Senders and receivers must agree on reliability, so it is set for the whole team.
             ["robot" | "host", _, ref link @ ..] => link.last() != Some(&"reliability") && self.holds_link_fields(link),
             ref link => self.holds_link_fields(link),
         }

@@ -1,7 +1,7 @@
-//! The values of a team file in layers: flag over environment over file, each with where it came from. What fields
-//! there are and what they take is in `fields`; what they mean for a team is in `team`.
+//! Values of a team file in layers: flag over environment over file, each with its origin. `fields` has the fields and
+//! their types; `team` has their meaning.
 //!
-//! Pure: the file's text, the environment and the flags are handed in.
+//! Pure: the caller passes the file's text, the environment and the flags.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,20 +11,20 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::fields::{EVERY_INTERFACE, Fields, team_fields};
-use crate::config::fields::{Takes, Value};
+use crate::config::fields::{FieldType, Value};
 use crate::config::{ConfigError, syntax};
 use crate::net::transport;
 
-/// Where a value comes from.
+/// Origin of a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// A flag, by its name.
+    /// Flag of this name.
     Flag(&'static str),
-    /// A variable of the environment, by its name.
+    /// Environment variable of this name.
     Environment(String),
-    /// This line of the team file.
+    /// Line of the team file.
     File(usize),
-    /// Nobody has said anything.
+    /// Not set anywhere.
     Default,
 }
 
@@ -39,30 +39,30 @@ impl fmt::Display for Origin {
     }
 }
 
-/// A value and where it comes from.
+/// Value with its origin.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Entry {
+pub struct LayerValue {
     /// The value.
     pub value: Value,
-    /// Where it comes from.
+    /// Its origin.
     pub origin: Origin,
 }
 
-/// A value that a flag sets.
+/// Value that a flag sets.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Flag {
-    /// The flag's name, for errors and as an origin.
+    /// Name of the flag, for errors and as an origin.
     pub flag: &'static str,
     /// The field.
     pub key: String,
-    /// What it is set to.
+    /// Its value as text.
     pub value: String,
 }
 
-/// Variables of the environment that are no fields.
+/// Environment variables that are no fields.
 const OTHER_VARIABLES: [&str; 1] = ["MURMURATE_LOG"];
 
-/// How errors name a field.
+/// Name of a field in errors.
 pub fn place(key: &str, origin: &Origin) -> String {
     match origin {
         Origin::Default => key.to_owned(),
@@ -71,20 +71,20 @@ pub fn place(key: &str, origin: &Origin) -> String {
     }
 }
 
-/// The layers.
+/// Layers of values.
 #[derive(Clone, Debug)]
 pub struct Layers {
     fields: Fields,
-    flags: BTreeMap<String, Entry>,
-    environment: BTreeMap<String, Entry>,
-    file: BTreeMap<String, Entry>,
-    /// The lines on which the file's tables begin that are read as a whole, and those of their fields.
+    flags: BTreeMap<String, LayerValue>,
+    environment: BTreeMap<String, LayerValue>,
+    file: BTreeMap<String, LayerValue>,
+    /// Lines of the file's tables that are read as a whole, and of their fields.
     tables: BTreeMap<String, usize>,
 }
 
 impl Layers {
-    /// Reads the file and the flags; the environment's `MURMURATE_…` follow once the links are known. The tables in
-    /// `whole` are left to others.
+    /// Reads the file and the flags; the environment's `MURMURATE_…` follow once the links are known. The caller reads
+    /// the tables in `whole`.
     pub fn read(
         text: &str,
         flags: &[Flag],
@@ -102,10 +102,11 @@ impl Layers {
         layers.flatten(text, "", table.get_ref(), whole)?;
         for Flag { flag, key, value } in flags {
             let origin = Origin::Flag(flag);
-            let takes = if key == EVERY_INTERFACE { Some((Takes::Interface, None)) } else { layers.fields.field(key) };
+            let takes =
+                if key == EVERY_INTERFACE { Some((FieldType::Interface, None)) } else { layers.fields.field(key) };
             let (takes, _) = takes.ok_or_else(|| layers.unknown(key, &origin))?;
             let value = takes.read(value).map_err(|why| ConfigError::field(place(key, &origin), why))?;
-            layers.flags.insert(key.clone(), Entry { value, origin });
+            layers.flags.insert(key.clone(), LayerValue { value, origin });
         }
         Ok(layers)
     }
@@ -132,7 +133,7 @@ impl Layers {
             match (self.fields.field(&key), value.get_ref()) {
                 (Some((takes, _)), value) => {
                     let value = takes.read_toml(value).map_err(|why| ConfigError::field(place(&key, &origin), why))?;
-                    self.file.insert(key, Entry { value, origin });
+                    self.file.insert(key, LayerValue { value, origin });
                 }
                 (None, DeValue::Table(inner)) if self.fields.holds_fields(&key) => {
                     self.flatten(text, &key, inner, whole)?
@@ -143,13 +144,13 @@ impl Layers {
         Ok(())
     }
 
-    /// Takes the fields of the whole team from the environment.
+    /// Reads the fields of the whole team from the environment.
     pub fn read_environment(&mut self, variables: &[(String, String)]) -> Result<(), ConfigError> {
         let fields: Vec<String> = team_fields().map(str::to_owned).collect();
         self.take(variables, &fields)
     }
 
-    /// Takes the fields of these links from the environment; then nothing unknown may be left in it.
+    /// Reads the fields of these links from the environment, then refuses unknown variables.
     pub fn read_link_environment(
         &mut self,
         variables: &[(String, String)],
@@ -175,14 +176,14 @@ impl Layers {
             let name = variable(key);
             let Some((_, value)) = variables.iter().find(|(other, _)| *other == name) else { continue };
             let origin = Origin::Environment(name);
-            let takes = self.fields.field(key).map_or(Takes::Interface, |(takes, _)| takes);
+            let takes = self.fields.field(key).map_or(FieldType::Interface, |(takes, _)| takes);
             let value = takes.read(value).map_err(|why| ConfigError::field(place(key, &origin), why))?;
-            self.environment.insert(key.clone(), Entry { value, origin });
+            self.environment.insert(key.clone(), LayerValue { value, origin });
         }
         Ok(())
     }
 
-    /// What fields there may be.
+    /// The permitted fields.
     pub fn fields(&self) -> &Fields {
         &self.fields
     }
@@ -192,10 +193,10 @@ impl Layers {
         ConfigError::field(place, format!("there is no such field; {}", self.fields.siblings(key)))
     }
 
-    /// The value of a field as these scopes see it, the narrowest first (each a prefix such as `host.pc.`, the last
-    /// one empty): a higher layer counts before a narrower scope, and a default last. A transport's own fields have
-    /// theirs in its entry.
-    pub fn find(&self, scopes: &[String], key: &str) -> Option<Entry> {
+    /// Value of a field in these scopes, the narrowest first (each a prefix such as `host.pc.`, the last one empty). A
+    /// higher layer takes precedence over a narrower scope, and a default comes last. A transport's entry has the
+    /// defaults of its own fields.
+    pub fn find(&self, scopes: &[String], key: &str) -> Option<LayerValue> {
         let every = (key.starts_with("link.") && key.ends_with(".interface")).then_some(EVERY_INTERFACE);
         for layer in [&self.flags, &self.environment, &self.file] {
             let scoped = scopes.iter().find_map(|scope| layer.get(&format!("{scope}{key}")));
@@ -205,11 +206,11 @@ impl Layers {
         }
         let (takes, default) = self.fields.field(key)?;
         let value = takes.read(default?).expect("defaults are sound");
-        Some(Entry { value, origin: Origin::Default })
+        Some(LayerValue { value, origin: Origin::Default })
     }
 
-    /// Every field that is set below this prefix, whatever the layer.
-    pub fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a Entry)> {
+    /// Every field with this prefix that is set in any layer.
+    pub fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a LayerValue)> {
         let layers = [&self.flags, &self.environment, &self.file];
         layers
             .into_iter()
@@ -218,13 +219,13 @@ impl Layers {
             .map(|(key, entry)| (key.as_str(), entry))
     }
 
-    /// The line on which a table begins that is read as a whole, or a field of one stands, as `table.field`.
+    /// The line of a table that is read as a whole, or of a field of one, as `table.field`.
     pub fn table(&self, name: &str) -> Option<usize> {
         self.tables.get(name).copied()
     }
 }
 
-/// The variable of the environment that sets a field.
+/// Name of the environment variable that sets a field.
 pub fn variable(key: &str) -> String {
     let name = key.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' });
     format!("MURMURATE_{}", name.collect::<String>())

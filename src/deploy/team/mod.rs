@@ -1,8 +1,8 @@
-//! A team file: a deployment, what the team is to do, and how each link's sockets are set up, resolved for one host.
+//! Team files: a deployment, the team's task and the sockets of each link, resolved for one host.
 //!
-//! Pure data and its checks: no file, socket or environment is touched here. `fields` says what may be there, `layers`
-//! where each value comes from, `names` whether what they name is there, `places` how a host takes part in each link,
-//! `show` all of it for a person.
+//! Pure data and its checks: no file, socket or environment is accessed here. `fields` has the permitted fields,
+//! `layers` the origins of values, `names` the check of names, `places` the host's place on each link, `show` the
+//! listing for people.
 
 mod fields;
 pub mod layers;
@@ -11,7 +11,7 @@ mod places;
 mod show;
 
 pub use layers::{Flag, Origin};
-pub use places::Post;
+pub use places::OperatorAccess;
 pub use show::Shown;
 
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ use std::sync::Arc;
 use serde::Deserialize;
 
 use self::fields::EVERY_INTERFACE;
-use self::layers::{Entry, Layers, place};
+use self::layers::{LayerValue, Layers, place};
 use super::{Deployment, Host, Link, MODES, Routes};
 use crate::config::{self, ConfigError};
 use crate::estimation;
@@ -33,50 +33,50 @@ use crate::safety::Safety;
 use crate::scenario::{Scenario, Settings};
 use crate::world::{Clamp, ContactRule, Overrides, Physics, Sensor};
 
-/// What a host needs to know of its team.
+/// Configuration of one host of a team.
 #[derive(Clone, Debug)]
 pub struct Team {
     /// The host.
     pub host: HostId,
-    /// Which host runs what, and which link carries what.
+    /// Hosts with their parts, and links with their kinds of messages.
     pub deployment: Deployment,
     /// The team's number on the wire.
     pub number: u16,
-    /// Where its key is; `None` for a team that talks to nothing but its own machine, without authentication.
+    /// Path of its key; `None` for a team within one machine, without authentication.
     pub key_file: Option<PathBuf>,
-    /// What it is to do.
+    /// Name of its scenario.
     pub scenario: String,
-    /// What drives it: a policy file, or the name of a policy; `None` for the one that the scenario has usually.
+    /// Policy: a file or a name; `None` for the scenario's default.
     pub policy: Option<PathBuf>,
-    /// Episodes, one after the other with resets between.
+    /// Number of episodes, one after the other with resets between.
     pub episodes: u32,
-    /// The root of all randomness.
+    /// Root of all randomness.
     pub seed: u64,
-    /// What simulated robots are like.
-    pub simulated: Simulated,
-    /// How the readings of the host's robots become an estimate.
+    /// Simulated robots, and the treatment of messages and commands.
+    pub simulated: SimulationSettings,
+    /// Estimator of the states of the host's robots.
     pub estimator: estimation::Entry,
-    /// What stops and slows every robot.
+    /// Conditions in which robots are stopped or slowed.
     pub safety: Safety,
-    /// The host's places, by link; `None` for a link on which this host neither sends nor listens.
+    /// The host's places, by link; `None` for a link on which it neither sends nor receives.
     pub links: Vec<Option<Place>>,
 }
 
-/// What simulated robots are like, and how messages and commands are handled.
+/// Simulated robots, and the treatment of messages and commands.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Simulated {
-    /// Their bodies and sensors, in the plant of the deployment.
+pub struct SimulationSettings {
+    /// Bodies and sensors of simulated robots, in the deployment's plant.
     pub physics: Physics,
-    /// How Controllers limit what the policy wants; the world's own limit goes with it.
+    /// Limit that Controllers put on the policy's output; it also sets the World's limit.
     pub clamp: Clamp,
-    /// What becomes of neighbours' messages once a robot's agent has seen them.
+    /// Lifetime of neighbours' messages after the agent's first step with them.
     pub handling: Handling,
 }
 
-/// The tables of a team file that are read as a whole, not field by field.
+/// Tables of a team file that are read as a whole, not field by field.
 const WHOLE_TABLES: [&str; 2] = ["deployment", "safety"];
 
-/// A team file with what the environment and the flags say, checked as far as it concerns all hosts.
+/// Team file with environment and flags, checked for all that concerns every host.
 #[derive(Clone, Debug)]
 pub struct TeamFile {
     registry: Registry,
@@ -94,8 +94,7 @@ struct Inline {
 }
 
 impl TeamFile {
-    /// Reads a team file that lies in `folder`. `variables` is the environment; what is named in them is looked up in
-    /// the registry.
+    /// Reads a team file in `folder`. `variables` is the environment; names are looked up in the registry.
     pub fn read(
         registry: &Registry,
         text: &str,
@@ -123,7 +122,7 @@ impl TeamFile {
         Ok(file)
     }
 
-    /// What its names are looked up in.
+    /// The registry of its names.
     pub fn registry(&self) -> &Registry {
         &self.registry
     }
@@ -155,12 +154,12 @@ impl TeamFile {
         Err(ConfigError::field("robot", format!("there is no {robot}; they are 0 to {}", self.deployment.robots - 1)))
     }
 
-    /// Checks what concerns each host.
+    /// Checks the configuration of each host.
     pub fn check(&self) -> Result<(), ConfigError> {
         self.hosts().try_for_each(|host| self.for_host(host).map(drop))
     }
 
-    /// The team as this host is to see it.
+    /// Returns the team's configuration for this host.
     pub fn for_host(&self, host: HostId) -> Result<Team, ConfigError> {
         let scopes = self.scopes(Some(host));
         let find = |key: &str| self.layers.find(&scopes, key);
@@ -210,7 +209,7 @@ impl TeamFile {
         build(&self.registry, &entry, Some(self.deployment.robots))
     }
 
-    fn simulated(&self, scopes: &[String], scenario: &dyn Scenario) -> Result<Simulated, ConfigError> {
+    fn simulated(&self, scopes: &[String], scenario: &dyn Scenario) -> Result<SimulationSettings, ConfigError> {
         let find = |key: &str| self.layers.find(scopes, key);
         let name = |key: &str| find(key).map(|entry| text(&entry).to_owned());
         let is = |key: &str, word: &str| name(key).is_some_and(|name| name == word);
@@ -228,21 +227,21 @@ impl TeamFile {
             let origin = find(error.field).expect("it was given").origin;
             ConfigError::field(place(error.field, &origin), error.to_string())
         })?;
-        Ok(Simulated {
+        Ok(SimulationSettings {
             physics,
             clamp: if is("clamp", "deployed") { Clamp::Deployed } else { Clamp::Training },
             handling: if is("handling", "as-published") { Handling::AsPublished } else { Handling::Hold },
         })
     }
 
-    /// How the host's robots are estimated.
+    /// Estimator of the host's robots.
     fn estimator(&self, scopes: &[String]) -> Result<estimation::Entry, ConfigError> {
         let entry = self.layers.find(scopes, "estimator").expect("it has a default");
         let found = self.registry.estimator(text(&entry)).copied();
         found.map_err(|error| ConfigError::field(place("estimator", &entry.origin), error.to_string()))
     }
 
-    /// The prefixes under which a host finds its values, the narrowest first.
+    /// Prefixes under which a host finds its values, the narrowest first.
     fn scopes(&self, host: Option<HostId>) -> Vec<String> {
         let host = host.map(|host| &self.deployment.hosts[usize::from(host.0)]);
         let robot = host.and_then(|host| only_robot(&host.agents)).map(|robot| format!("robot.{robot}."));
@@ -250,14 +249,15 @@ impl TeamFile {
         robot.into_iter().chain(host).chain([String::new()]).collect()
     }
 
-    /// A path as the file means it: from its own folder; as flags and environment mean it: from where the user is.
-    fn path(&self, entry: &Entry) -> PathBuf {
+    /// Resolves a path: from the file's own folder for values of the file, from the working directory for flags and
+    /// environment.
+    fn path(&self, entry: &LayerValue) -> PathBuf {
         let path = Path::new(text(entry));
         if matches!(entry.origin, Origin::File(_)) { self.folder.join(path) } else { path.to_owned() }
     }
 }
 
-/// The deployment of the file: a preset, or written out.
+/// The deployment of the file: a preset, or one written in it.
 fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) -> Result<Deployment, ConfigError> {
     let find = |key: &str| layers.find(&[String::new()], key);
     let (mode, robots, plant) = (find("mode"), find("robots"), find("plant"));
@@ -276,10 +276,7 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
         check_devices(registry, &deployment).map_err(|error| error.within("deployment.host"))?;
         let worse = |link: &&Link| link.delay_s > 0.0 || link.loss > 0.0 || link.range_m.is_some();
         if let Some(link) = deployment.links.iter().find(worse) {
-            let why = format!(
-                "link '{}' is to be made slow, lossy or short of range, which only 'murmurate sim' can",
-                link.name
-            );
+            let why = format!("link '{}' has a delay, loss or range, which only 'murmurate sim' emulates", link.name);
             return Err(ConfigError::field("deployment.link", why));
         }
         return match robots.filter(|entry| whole(entry) != deployment.robots as u64) {
@@ -306,7 +303,7 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
     }
 }
 
-/// Checks the settings of drivers and sources, by making them; no worker is started.
+/// Checks the settings of drivers and sources by making them; no worker is started.
 fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), ConfigError> {
     let ids = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<Vec<_>>();
     for host in &deployment.hosts {
@@ -318,8 +315,8 @@ fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), Con
     Ok(())
 }
 
-/// The scenario, for a team of this size or of its own.
-fn build(registry: &Registry, entry: &Entry, robots: Option<usize>) -> Result<Arc<dyn Scenario>, ConfigError> {
+/// Makes the scenario, for a team of this size or of its default size.
+fn build(registry: &Registry, entry: &LayerValue, robots: Option<usize>) -> Result<Arc<dyn Scenario>, ConfigError> {
     registry
         .scenario(text(entry), &Settings { robots, gap_m: None })
         .map_err(|error| ConfigError::field(place("scenario", &entry.origin), error.to_string()))
@@ -331,7 +328,7 @@ fn only_robot(agents: &[Vec<u16>]) -> Option<u16> {
     if let [only] = robots[..] { Some(only) } else { None }
 }
 
-/// A kind's name in files.
+/// Name of a kind in files.
 fn kebab(kind: Kind) -> String {
     match kind {
         Kind::Reading => "reading",
@@ -347,19 +344,19 @@ fn kebab(kind: Kind) -> String {
     .to_owned()
 }
 
-fn text(entry: &Entry) -> &str {
+fn text(entry: &LayerValue) -> &str {
     entry.value.text()
 }
 
-fn whole(entry: &Entry) -> u64 {
+fn whole(entry: &LayerValue) -> u64 {
     entry.value.whole()
 }
 
-fn whole_u16(entry: &Entry) -> u16 {
+fn whole_u16(entry: &LayerValue) -> u16 {
     u16::try_from(whole(entry)).expect("its range is smaller")
 }
 
-fn number(entry: &Entry) -> f32 {
+fn number(entry: &LayerValue) -> f32 {
     entry.value.number() as f32
 }
 

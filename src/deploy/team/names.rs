@@ -1,4 +1,4 @@
-//! Whether every host, robot, link and kind that a team file names is there.
+//! Check that every host, robot, link and kind named in a team file exists.
 
 use std::collections::BTreeSet;
 
@@ -8,7 +8,7 @@ use crate::config::ConfigError;
 use crate::messages::ids::RobotId;
 
 impl TeamFile {
-    /// Checks that everything that fields are named after is there.
+    /// Checks that the hosts, robots, links and kinds in the names of fields exist.
     pub(super) fn check_names(&self) -> Result<(), ConfigError> {
         let deployment = &self.deployment;
         let hosts: BTreeSet<&str> = deployment.hosts.iter().map(|host| host.name.as_str()).collect();
@@ -37,7 +37,7 @@ impl TeamFile {
                 ["link", link, "reliability", kind] => {
                     known("link", &links, link).and_then(|()| self.check_carries(link, kind))
                 }
-                // A table of its transport.
+                // Table of its transport.
                 ["link", link, _, host] => known("link", &links, link).and_then(|()| known("host", &hosts, host)),
                 ["link", link, ..] => known("link", &links, link),
                 _ => Ok(()),

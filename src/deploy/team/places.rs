@@ -1,9 +1,9 @@
-//! The place of a host on each link, as its transport reads it, and the mistakes that can be seen without opening one.
+//! Places of a host on its links, as their transports read them, with the checks that need no open socket.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use super::layers::{Entry, Origin, place};
+use super::layers::{LayerValue, Origin, place};
 use super::{TeamFile, kebab, text, whole_u16};
 use crate::config::ConfigError;
 use crate::deploy::Link;
@@ -15,43 +15,43 @@ use crate::net::transport;
 use crate::net::transport::settings::FieldValue;
 use crate::net::transport::{Field, LinkSettings, Place};
 
-/// The link of the emergency stop, as an operator joins it from whatever machine it runs on.
+/// Access of an operator to the link of the emergency stop, from any machine.
 #[derive(Clone, Debug)]
-pub struct Post {
+pub struct OperatorAccess {
     /// The link.
     pub link: LinkId,
     /// The team's number on the wire.
     pub number: u16,
-    /// Where its key is; `None` for a team without one.
+    /// Path of its key; `None` for a team without one.
     pub key_file: Option<PathBuf>,
-    /// The ways onto the link: one for each interface that a host has on it, or a single one that addresses each host.
+    /// Places on the link: one for each interface that a host uses on it, or a single one that addresses each host.
     pub places: Vec<Place>,
 }
 
 impl TeamFile {
-    /// The transport of a link, as these scopes see it.
+    /// The transport of a link in these scopes.
     pub(super) fn transport(&self, scopes: &[String], link: &Link) -> &transport::Entry {
         let name = self.layers.find(scopes, &format!("link.{}.transport", link.name)).expect("it has a default");
         self.registry.transport(text(&name)).expect("its name was checked when the file was read")
     }
 
-    /// The names of the values that a field has on a link: one, or one for each host.
+    /// Names of the values of a field on a link: one, or one for each host.
     pub(super) fn names_of(&self, field: &Field) -> Vec<String> {
         let hosts = self.deployment.hosts.iter().filter(|_| field.by_host);
         let names: Vec<String> = hosts.map(|host| format!("{}.{}", field.name, host.name)).collect();
         if field.by_host { names } else { vec![field.name.to_owned()] }
     }
 
-    /// The value of a field of the transport of the link at this place.
-    pub(super) fn of_link(&self, scopes: &[String], at: usize, (field, name): (&Field, &str)) -> Option<Entry> {
+    /// Value of a field of the transport of the link with index `at`.
+    pub(super) fn of_link(&self, scopes: &[String], at: usize, (field, name): (&Field, &str)) -> Option<LayerValue> {
         let key = format!("link.{}.{name}", self.deployment.links[at].name);
         self.layers.find(scopes, &key).or_else(|| {
             let value = field.takes.read(&field.default?(at)).expect("defaults are sound");
-            Some(Entry { value, origin: Origin::Default })
+            Some(LayerValue { value, origin: Origin::Default })
         })
     }
 
-    /// The place of a host on its link at this place.
+    /// The place of a host on the link with index `at`.
     pub(super) fn place(&self, host: HostId, at: usize) -> Result<Place, ConfigError> {
         let link = &self.deployment.links[at];
         let scopes = self.scopes(Some(host));
@@ -60,7 +60,7 @@ impl TeamFile {
         for (field, name) in
             transport.fields.iter().flat_map(|field| self.names_of(field).into_iter().map(move |n| (field, n)))
         {
-            let Some(Entry { value, origin }) = self.of_link(&scopes, at, (field, &name)) else { continue };
+            let Some(LayerValue { value, origin }) = self.of_link(&scopes, at, (field, &name)) else { continue };
             let value = FieldValue { value, place: place(&format!("link.{}.{name}", link.name), &origin) };
             values.insert(name, value);
         }
@@ -74,8 +74,8 @@ impl TeamFile {
         Ok(Place { endpoint, reliability: reliability.collect() })
     }
 
-    /// Where an operator joins the team: on the link that carries the emergency stop, and on no other.
-    pub fn post(&self) -> Result<Post, ConfigError> {
+    /// Access of an operator to the team: on the link that carries the emergency stop, and on no other.
+    pub fn operator_access(&self) -> Result<OperatorAccess, ConfigError> {
         let carries = |link: &Link| link.carries.contains(&Kind::Stop);
         let at = self.deployment.links.iter().position(carries).ok_or_else(|| {
             ConfigError::field("deployment.link.carries", "no link carries 'stop': this team runs in one process")
@@ -93,7 +93,7 @@ impl TeamFile {
         let number = number.ok_or_else(|| ConfigError::field("team", "missing; give the team a number"))?;
         let mut scopes = std::iter::once(None).chain(hosts.into_iter().map(Some));
         let key_file = scopes.find_map(|host| self.layers.find(&self.scopes(host), "key_file"));
-        Ok(Post {
+        Ok(OperatorAccess {
             link: LinkId(u16::try_from(at).expect("links are counted in u16")),
             number: whole_u16(&number),
             key_file: key_file.map(|entry| self.path(&entry)),
@@ -101,21 +101,21 @@ impl TeamFile {
         })
     }
 
-    /// Two links of a host that hear each other's frames are a mistake.
+    /// Refuses two links of a host that would receive each other's frames.
     pub(super) fn check_apart(&self, host: HostId, places: &[Option<Place>]) -> Result<(), ConfigError> {
         let scopes = self.scopes(Some(host));
         let mut seen: BTreeMap<(String, String), &str> = BTreeMap::new();
         for (link, place_on) in self.deployment.links.iter().zip(places) {
             let Some(place_on) = place_on else { continue };
             let claim = place_on.endpoint.claim();
-            let Some(twin) = seen.insert((claim.what.clone(), claim.on), &link.name) else { continue };
+            let Some(other) = seen.insert((claim.what.clone(), claim.on), &link.name) else { continue };
             let fields = self.transport(&scopes, link).fields;
             let by_host = fields.iter().any(|field| field.name == claim.field && field.by_host);
             let own = &self.deployment.hosts[usize::from(host.0)].name;
             let name = if by_host { format!("{}.{own}", claim.field) } else { claim.field.to_owned() };
             let key = format!("link.{}.{name}", link.name);
             let origin = self.layers.find(&scopes, &key).map_or(Origin::Default, |entry| entry.origin);
-            let why = format!("{} is link '{twin}' already; give each its own {}", claim.what, claim.field);
+            let why = format!("{} is link '{other}' already; give each its own {}", claim.what, claim.field);
             return Err(ConfigError::field(place(&key, &origin), why));
         }
         Ok(())

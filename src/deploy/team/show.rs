@@ -1,4 +1,4 @@
-//! Every value in effect with where it comes from, for people who wonder.
+//! Listing of every value in effect, with its origin.
 
 use super::fields::team_fields;
 use super::layers::Origin;
@@ -13,13 +13,13 @@ pub struct Shown {
     pub key: String,
     /// Its value in effect.
     pub value: String,
-    /// Where it comes from.
+    /// Its origin.
     pub origin: Origin,
 }
 
 impl TeamFile {
-    /// What simulated robots are like where nobody says otherwise.
-    fn usual(&self, key: &str) -> Option<String> {
+    /// Default of a property of simulated robots: that of the plant.
+    fn plant_default(&self, key: &str) -> Option<String> {
         let (plant, scenario) = (self.registry.plant(&self.deployment.plant).ok()?, self.scenario().ok()?);
         let physics = (plant.physics)(scenario.arena());
         let contacts = || if physics.contacts == ContactRule::Judge { "judge" } else { "block" };
@@ -32,7 +32,7 @@ impl TeamFile {
         }
     }
 
-    /// Every value in effect, for a host or for the team as a whole, with where it comes from.
+    /// Every value in effect, for a host or for the whole team, with its origin.
     pub fn values(&self, host: Option<HostId>) -> Vec<Shown> {
         let scopes = self.scopes(host);
         let mut all = Vec::new();
@@ -48,9 +48,9 @@ impl TeamFile {
                 "robots" => Some(self.deployment.robots.to_string()),
                 "mode" => None,
                 "key_file" => Some("none: frames are not authenticated".to_owned()),
-                "policy" => self.scenario().ok().map(|scenario| self.registry.usual_policy(&*scenario).to_owned()),
+                "policy" => self.scenario().ok().map(|scenario| self.registry.default_policy(&*scenario).to_owned()),
                 "plant" => Some(self.deployment.plant.clone()),
-                "lag_s" | "contacts" | "wall_radius_m" | "sensor" => self.usual(key),
+                "lag_s" | "contacts" | "wall_radius_m" | "sensor" => self.plant_default(key),
                 _ => None,
             };
             show(key.to_owned(), default);
@@ -67,7 +67,7 @@ impl TeamFile {
                 show(format!("link.{}.reliability.{}", link.name, kebab(*kind)), None);
             }
         }
-        // As TOML writes it: a line a field.
+        // TOML writes one line per field.
         let safety = toml::to_string(&self.safety).expect("safety is TOML");
         all.extend(safety.lines().filter_map(|line| line.split_once(" = ")).map(|(field, value)| {
             let key = format!("safety.{field}");

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::config::ConfigError;
-use crate::config::fields::{Takes, Value};
+use crate::config::fields::{FieldType, Value};
 use crate::messages::ids::HostId;
 
 /// A field of `[link.NAME]` that a transport reads. Transports with a field of the same name share it.
@@ -12,7 +12,7 @@ pub struct Field {
     /// Its name.
     pub name: &'static str,
     /// Values that it takes.
-    pub takes: Takes,
+    pub takes: FieldType,
     /// Default as it would be written, for the link with this index in the deployment.
     pub default: Option<fn(usize) -> String>,
     /// Whether it is a table with a value for each host of the team, by the host's name.
@@ -21,7 +21,7 @@ pub struct Field {
 
 impl Field {
     /// Returns a field with one value and no default.
-    pub const fn new(name: &'static str, takes: Takes) -> Field {
+    pub const fn new(name: &'static str, takes: FieldType) -> Field {
         Field { name, takes, default: None, by_host: false }
     }
 

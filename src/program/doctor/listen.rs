@@ -9,7 +9,7 @@ use std::time::Instant;
 use crate::deploy::Routes;
 use crate::deploy::team::Team;
 use crate::graph::operator::{Operator, observe, wire};
-use crate::graph::process::Heard;
+use crate::graph::process::ProcessEvent;
 use crate::messages::ids::{LinkId, RobotId};
 use crate::messages::wire::{Condition, Health, Kind, Phase, Wire};
 use crate::net::protocol::key::Key;
@@ -117,14 +117,17 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
         |clock, readers| {
             let heard = Rc::clone(&ears);
             let listener = wire((clock, readers), listener, move |said| match said {
-                Heard::Peers(peers) => {
+                ProcessEvent::Peers(peers) => {
                     heard.borrow_mut().peers = peers.iter().map(|p| ((p.link, p.host), p.clone())).collect();
                 }
-                Heard::Counts(counts) => heard.borrow_mut().counts = *counts,
-                Heard::Message(Wire::Telemetry(telemetry)) => {
+                ProcessEvent::Counts(counts) => heard.borrow_mut().counts = *counts,
+                ProcessEvent::Message(Wire::Telemetry(telemetry)) => {
                     telemetry.robots.iter().for_each(|told| heard.borrow_mut().learn(told));
                 }
-                Heard::Message(_) | Heard::Published | Heard::Duplicate(_) | Heard::Safety(..) => {}
+                ProcessEvent::Message(_)
+                | ProcessEvent::Published
+                | ProcessEvent::Duplicate(_)
+                | ProcessEvent::Safety(..) => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
             observe(clock, &listener, observer);

@@ -39,7 +39,7 @@ pub struct Loaded {
 /// Loads a policy by a name in the registry or from a file; without `named`, the scenario's default. `draw` overrides
 /// the file's choice between mean and sampled actions. Errors name the flag or the file.
 pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scenario: &dyn Scenario) -> Result<Loaded> {
-    let named = named.unwrap_or_else(|| Path::new(registry.usual_policy(scenario)));
+    let named = named.unwrap_or_else(|| Path::new(registry.default_policy(scenario)));
     let name = named.display().to_string();
     let (model, place) = match named.to_str().and_then(|name| registry.policy(name)) {
         Some(entry) => ((entry.build)(scenario), format!("--policy {name}")),

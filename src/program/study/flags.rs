@@ -181,7 +181,7 @@ impl Shared {
 
     /// Loads every policy with each of its handlings.
     fn policies_under_test(&self, registry: &Registry, scenario: &dyn Scenario) -> Result<Vec<PolicyUnderTest>> {
-        let usual = [registry.usual_policy(scenario).to_owned()];
+        let usual = [registry.default_policy(scenario).to_owned()];
         let policies = if self.policies.is_empty() { &usual[..] } else { &self.policies };
         let named = |name: &String| handling::preset(name).expect("the parser lets only presets through");
         let mut handlings: Vec<&'static Preset> = self.handlings.iter().map(named).collect();

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use murmurate::actors::network::{self, Identity};
 use murmurate::deploy::{Deployment, Routes};
 use murmurate::graph::operator::{Operator, wire};
-use murmurate::graph::process::Heard;
+use murmurate::graph::process::ProcessEvent;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::ids::{HostId, LinkId, RobotId};
 use murmurate::messages::latch::Latch;
@@ -116,7 +116,7 @@ fn speak(
         Instant::now(),
         |clock, readers| {
             let network = wire((clock, readers), operator, move |heard| {
-                if let Heard::Message(message) = heard {
+                if let ProcessEvent::Message(message) = heard {
                     hears(message);
                 }
             });

@@ -3,7 +3,7 @@
 use std::net::{SocketAddr, UdpSocket};
 
 use murmurate::config::ConfigError;
-use murmurate::drivers::{Driver, Entry, Limits, Made, Out};
+use murmurate::drivers::{Driver, Entry, Limits, Out, Parts};
 use murmurate::edge::{Port, Settings, Worker};
 use murmurate::messages::geometry::Pose;
 use murmurate::messages::ids::RobotId;
@@ -23,9 +23,9 @@ struct Config {
     robot: SocketAddr,
 }
 
-fn make(settings: &Settings, _: RobotId) -> Result<Made, ConfigError> {
+fn make(settings: &Settings, _: RobotId) -> Result<Parts, ConfigError> {
     let Config { robot } = settings.read()?;
-    Ok(Made { driver: Box::new(|| Box::new(Datagrams)), worker: Some(Box::new(Sender { robot })) })
+    Ok(Parts { driver: Box::new(|| Box::new(Datagrams)), worker: Some(Box::new(Sender { robot })) })
 }
 
 /// Driver on the control thread, without I/O.
@@ -38,10 +38,10 @@ impl Driver for Datagrams {
 
     fn drive(&mut self, _: Time, drive: &Drive, _: Option<&Pose>, out: &mut Vec<Out>) {
         let numbers = drive.velocity.to_array().map(f32::to_le_bytes);
-        out.push(Out::Tell(numbers.concat().into()));
+        out.push(Out::Send(numbers.concat().into()));
     }
 
-    fn told(&mut self, _: Time, _: &[u8], out: &mut Vec<Out>) {
+    fn receive(&mut self, _: Time, _: &[u8], out: &mut Vec<Out>) {
         out.push(Out::Refused("such a robot says nothing"));
     }
 }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use murmurate::config::ConfigError;
 use murmurate::edge::{Port, Settings, Worker};
-use murmurate::localization::{Entry, In, Made, Out, Source};
+use murmurate::localization::{Entry, In, Out, Parts, Source};
 use murmurate::messages::geometry::{Deviation, Pose, Twist, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::wire::Reading;
@@ -29,12 +29,12 @@ struct Config {
     begins: [f32; 2],
 }
 
-fn make(settings: &Settings, robots: &[RobotId]) -> Result<Made, ConfigError> {
+fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     let [robot] = *robots else {
         return Err(ConfigError::field("name", "a bench holds one robot".to_owned()));
     };
-    Ok(Made { source: Box::new(move || Box::new(Bench { robot })), worker: Box::new(Robot { config }) })
+    Ok(Parts { source: Box::new(move || Box::new(Bench { robot })), worker: Box::new(Robot { config }) })
 }
 
 /// Source on the control thread, without I/O.

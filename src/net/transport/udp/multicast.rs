@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::socket::{Addressing, INTERFACE, RECEIVE_BUFFER, SocketConfig, bound};
 use crate::config::ConfigError;
-use crate::config::fields::{Takes, Value};
+use crate::config::fields::{FieldType, Value};
 use crate::net::transport::interface::LOOPBACK;
 use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 
@@ -16,7 +16,11 @@ const PORT: u16 = 7700;
 pub const ENTRY: Entry = Entry {
     name: "multicast",
     about: "UDP to a group that all hosts listen to",
-    fields: &[INTERFACE, Field { default: Some(default_group), ..Field::new("group", Takes::Address) }, RECEIVE_BUFFER],
+    fields: &[
+        INTERFACE,
+        Field { default: Some(default_group), ..Field::new("group", FieldType::Address) },
+        RECEIVE_BUFFER,
+    ],
     read,
 };
 

@@ -6,19 +6,19 @@ use std::sync::Arc;
 
 use super::{Udp, fitness};
 use crate::config::ConfigError;
-use crate::config::fields::{Takes, Value};
+use crate::config::fields::{FieldType, Value};
 use crate::messages::ids::HostId;
 use crate::net::protocol::reliability::{Reliabilities, Setup};
 use crate::net::transport::interface::{self, LOOPBACK};
 use crate::net::transport::{Claim, Endpoint, Field, Filter, Finding, LinkSettings, OpenError, Transport};
 
 /// Field for the network interface of both transports.
-pub(super) const INTERFACE: Field = Field::new("interface", Takes::Interface);
+pub(super) const INTERFACE: Field = Field::new("interface", FieldType::Interface);
 
 /// Field for the receive buffer that is requested from the kernel \[bytes\].
 pub(super) const RECEIVE_BUFFER: Field = Field {
     default: Some(|_| (4 << 20).to_string()),
-    ..Field::new("receive_buffer_bytes", Takes::Whole(4096, 1 << 30))
+    ..Field::new("receive_buffer_bytes", FieldType::Whole(4096, 1 << 30))
 };
 
 /// Reads both fields.

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::socket::{Addressing, INTERFACE, RECEIVE_BUFFER, SocketConfig, bound};
 use crate::config::ConfigError;
-use crate::config::fields::Takes;
+use crate::config::fields::FieldType;
 use crate::messages::ids::HostId;
 use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 
@@ -14,7 +14,7 @@ use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 pub const ENTRY: Entry = Entry {
     name: "unicast",
     about: "UDP to each host by itself",
-    fields: &[INTERFACE, RECEIVE_BUFFER, Field { by_host: true, ..Field::new("peers", Takes::Address) }],
+    fields: &[INTERFACE, RECEIVE_BUFFER, Field { by_host: true, ..Field::new("peers", FieldType::Address) }],
     read,
 };
 

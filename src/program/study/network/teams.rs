@@ -98,7 +98,7 @@ fn measured(team: &Team, stop: &AtomicBool) -> Result<Option<Record>> {
     let began = cpu_s()?;
     let report = team.trial.run_while(|_| match stop.load(Ordering::Relaxed) {
         true => Proceed::Stop,
-        false => Proceed::On,
+        false => Proceed::Continue,
     });
     let cpu_s = cpu_s()? - began;
     let record =

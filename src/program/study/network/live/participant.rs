@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use crate::actors::network;
 use crate::deploy::team::Team;
+use crate::graph::attachment::{self, Attachment};
 use crate::graph::sockets::Shared;
-use crate::graph::station::{self, Station};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Latent, Wire};
 use crate::net::protocol::key::Key;
@@ -117,7 +117,7 @@ fn wire(
     });
     let host = participation.team.host;
     let identity = links::ProcessIdentity::draw().expect("the operating system gives random bytes");
-    let station = Station {
+    let attachment = Attachment {
         me: network::Identity { host, team: participation.team.number, incarnation: identity.incarnation },
         key: participation.key.map(Key::new),
         links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
@@ -127,8 +127,8 @@ fn wire(
         span: info_span!("network"),
     };
     let inward = to_peer.clone();
-    let network = station.open((clock, readers), vec![(LINK, open)], move |out| {
-        if let station::Out::Deliver(Wire::Latent(latent)) = out {
+    let network = attachment.open((clock, readers), vec![(LINK, open)], move |out| {
+        if let attachment::Out::Deliver(Wire::Latent(latent)) = out {
             inward.send(latent);
         }
     });

@@ -1,5 +1,4 @@
-//! Wiring of the state server, of what a host hands in to its actors (what has arrived, and to those that follow the
-//! state server and the emergency stop what these say), and of the host's own voice. No logic lives here.
+//! Wiring of the state server, of the delivery of messages within a host, and of the host's Status. It holds no logic.
 
 use std::cell::Cell;
 use std::collections::BTreeSet;
@@ -18,7 +17,7 @@ use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 
 /// The actors of one host that follow the state server and the emergency stop.
-struct Led {
+struct Followers {
     agents: Vec<Mailbox<agent::In>>,
     controllers: Vec<Mailbox<controller::In>>,
     bodies: Vec<Mailbox<body::In>>,
@@ -26,8 +25,8 @@ struct Led {
     status: Mailbox<status::In>,
 }
 
-impl Led {
-    /// Hands in an instruction of the state server.
+impl Followers {
+    /// Delivers an instruction of the state server.
     fn follow(&self, mode: &Mode) {
         self.world.iter().for_each(|world| world.send(world::In::Mode(mode.clone())));
         self.agents.iter().for_each(|agent| agent.send(agent::In::Mode(mode.clone())));
@@ -36,7 +35,7 @@ impl Led {
         self.status.send(status::In::Mode(mode.phase));
     }
 
-    /// Hands in an emergency stop, a re-arm or a question of an operator.
+    /// Delivers an emergency stop, a re-arm or an operator's question.
     fn stop(&self, stop: Stop) {
         self.controllers.iter().for_each(|controller| controller.send(controller::In::Stop(stop)));
         self.bodies.iter().for_each(|body| body.send(body::In::Stop(stop)));
@@ -44,16 +43,16 @@ impl Led {
     }
 }
 
-/// What becomes of a message that arrives at a host with these robots: whose it is.
+/// Makes the function that delivers a message to the actors of a host with these robots.
 pub(super) fn deliveries(
     graph: &Graph,
     host: HostId,
     agents: &[RobotId],
     (bodies, simulated): (&[RobotId], &[RobotId]),
 ) -> impl Fn(Wire) + use<> {
-    let firsts: BTreeSet<RobotId> = agents.iter().map(|robot| graph.routes.companions(*robot)[0]).collect();
-    // One entry an agent: its robots, and their caches.
-    let team_of = |first: &RobotId| graph.routes.companions(*first).to_vec();
+    let firsts: BTreeSet<RobotId> = agents.iter().map(|robot| graph.routes.agent_robots(*robot)[0]).collect();
+    // One entry per agent: its robots, and their caches.
+    let team_of = |first: &RobotId| graph.routes.agent_robots(*first).to_vec();
     let caches_of = |robots: &[RobotId]| robots.iter().map(|robot| graph.caches[robot.index()].clone()).collect();
     let caches: Vec<(Vec<RobotId>, Vec<Mailbox<cache::In>>)> =
         firsts.iter().map(team_of).map(|robots| (robots.clone(), caches_of(&robots))).collect();
@@ -62,14 +61,14 @@ pub(super) fn deliveries(
     let driven: BTreeSet<RobotId> = bodies.iter().copied().collect();
     let real: BTreeSet<RobotId> = driven.iter().copied().filter(|robot| !simulated.contains(robot)).collect();
     let decided: BTreeSet<RobotId> = agents.iter().copied().collect();
-    let team = Led {
+    let team = Followers {
         agents: firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect(),
         controllers: agents.iter().map(|robot| graph.controllers[robot.index()].clone()).collect(),
         bodies: driven.iter().map(|robot| graph.bodies[robot.index()].clone()).collect(),
         world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
         status: graph.status_of(host),
     };
-    // Readings are told to the host's voice only once somebody has ever looked: they are many.
+    // Readings go to the Status only after the first message of an observer: they are many.
     let observed = Cell::new(false);
     move |message| match message {
         Wire::Reading(m) => {
@@ -102,17 +101,17 @@ pub(super) fn deliveries(
             observed.set(true);
             team.status.send(status::In::Observe);
         }
-        // It is for observers, who are no hosts.
+        // Telemetry is for observers, which are no hosts of the deployment.
         Wire::Telemetry(_) => {}
     }
 }
 
-/// Starts the voice of one host.
+/// Starts the Status of one host.
 pub(super) fn wire_status(clock: &Clock, graph: &Graph, host: HostId, config: status::Config) {
     let network = graph.network_of(host);
     let make = move |_| Status::new(&config);
-    start(clock, &graph.statuses[usize::from(host.0)], info_span!("status"), make, move |said| {
-        network.send(network::In::Publish(match said {
+    start(clock, &graph.statuses[usize::from(host.0)], info_span!("status"), make, move |output| {
+        network.send(network::In::Publish(match output {
             status::Out::Status(status) => Wire::Status(status),
             status::Out::Telemetry(telemetry) => Wire::Telemetry(telemetry),
         }));
@@ -130,7 +129,7 @@ pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
     };
     let (host, robots) = (graph.routes.server_host(), plan.deployment.robots);
     let (network, status) = (graph.network_of(host), graph.status_of(host));
-    let make = move |life| StateServer::new(config.clone(), robots, life);
+    let make = move |incarnation| StateServer::new(config.clone(), robots, incarnation);
     let (starts, now) = (graph.starts.clone(), clock.clone());
     start(clock, &graph.server, info_span!("state server"), make, move |out| match out {
         state_server::Out::Mode(mode) => {
