@@ -123,7 +123,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     radio: String,
     /// How far the links reach that carry latents [m]: a large team is simulated much faster if nobody gets what is out
-    /// of range anyway; see docs/scale.md for how much more than robots hear it should be [default: everywhere]
+    /// of range anyway; see docs/simulate.md for how much more than robots hear it should be [default: everywhere]
     #[arg(long)]
     link_range_m: Option<f32>,
     /// How far a robot hears [m] ('inf' for everywhere) [default: as the policy's file says]
