@@ -142,9 +142,10 @@ impl Page {
 impl Block<'_> {
     /// The file that it shows: the one code span of the paragraph before it that is a file name.
     fn file(&self) -> Option<&str> {
+        let ending = format!(".{}", self.language);
         let spans = self.before.split('`').skip(1).step_by(2);
-        let mut files = spans.filter(|span| !span.contains([' ', '/']) && (span.ends_with(".toml") || span.ends_with(".py")));
-        files.next().filter(|_| files.next().is_none())
+        let mut files = spans.filter(|span| span.ends_with(&ending) && !span.contains([' ', '/', '<']));
+        files.next().filter(|_| files.next().is_none() && ["toml", "py"].contains(&self.language))
     }
 }
 
@@ -158,7 +159,7 @@ impl Sandbox {
             std::os::unix::fs::symlink(root().join(name), sandbox.at(name)).expect("a link");
         }
         fs::copy(root().join("teams/onboard-wlan.toml"), sandbox.at("team.toml")).expect("the team file");
-        sandbox.run(&["key", "new", "--out", "team.key"], "its key");
+        sandbox.run(&["key", "new", "--out", "team.key"]).expect("a key");
         let weights = root().join("policies/passage-published.safetensors");
         fs::copy(weights, sandbox.at("weights.safetensors")).expect("a policy file");
         sandbox.write("my-room.toml", "noise_loss = 0.05\n");
@@ -180,12 +181,14 @@ impl Sandbox {
         fs::write(self.at(name), content).expect("a temporary file");
     }
 
-    /// Runs the program to its end, which is to be a success.
-    fn run(&self, args: &[impl AsRef<str>], of: &str) -> String {
+    /// Runs the program to its end and returns what it prints; unless it succeeds, what went wrong.
+    fn run(&self, args: &[impl AsRef<str>]) -> Result<String, String> {
         let args: Vec<&str> = args.iter().map(AsRef::as_ref).collect();
         let output = murmurate(&args).current_dir(self.0.path()).output().expect("the program starts");
-        assert!(output.status.success(), "{of}\nas {args:?}: {}", text(&output.stderr));
-        text(&output.stdout)
+        if output.status.success() {
+            return Ok(text(&output.stdout));
+        }
+        Err(format!("as {args:?}: {}", text(&output.stderr)))
     }
 }
 
@@ -252,7 +255,8 @@ impl Args {
             }
             ("study", _) => self.with("--layouts", "1").with("--repeats", "1").quiet(),
             ("train", _) => {
-                let own = if self.has("--config") { self } else { self.without("--preset").with("--config", "small.toml") };
+                let own =
+                    if self.has("--config") { self } else { self.without("--preset").with("--config", "small.toml") };
                 own.without("--minutes").with("--steps", "160").quiet()
             }
             ("key", _) => {
@@ -266,67 +270,74 @@ impl Args {
 }
 
 /// Checks that the help of a subcommand has all flags of a command.
-fn check_flags(args: &Args, of: &str) {
+fn check_flags(args: &Args) -> Result<(), String> {
     let words = args.0.iter().take_while(|arg| !arg.starts_with('-') && !arg.contains(['.', '/']));
-    let names: Vec<&str> = words.map(String::as_str).chain(["--help"]).collect();
-    let help = run(&names);
-    assert!(help.status.success(), "{of}: {}", text(&help.stderr));
-    let help = text(&help.stdout);
+    let commands = if args.0[0] == "study" { 2 } else { 1 };
+    let names: Vec<&str> = words.take(commands).map(String::as_str).chain(["--help"]).collect();
+    let help = text(&run(&names).stdout);
     let known: BTreeSet<&str> = help.split_whitespace().map(|word| word.trim_end_matches(',')).collect();
-    for flag in args.0.iter().filter(|arg| arg.starts_with("--")) {
-        assert!(known.contains(flag.as_str()), "{of}: there is no {flag}");
+    match args.0.iter().find(|arg| arg.starts_with("--") && !known.contains(arg.as_str())) {
+        Some(flag) => Err(format!("{names:?} has no {flag}")),
+        None => Ok(()),
     }
 }
 
 /// Runs a command of a page, or checks as much of it as can be checked.
-fn check(page: &Page, sandbox: &Sandbox, command: &str, done: &Mutex<BTreeSet<String>>) {
-    let of = format!("{}: {command}", page.name);
+fn check(sandbox: &Sandbox, command: &str, done: &Mutex<BTreeSet<String>>) -> Result<(), String> {
     if let Some(example) = command.strip_prefix(PREFIXES[2]) {
-        assert!(root().join(format!("examples/{example}.rs")).is_file(), "{of}: there is no such example");
-        return;
+        let is_there = root().join(format!("examples/{example}.rs")).is_file();
+        return if is_there { Ok(()) } else { Err("there is no such example".to_owned()) };
     }
     let arguments = PREFIXES[..2].iter().find_map(|prefix| command.strip_prefix(prefix)).expect("it has a prefix");
     let (arguments, into) = arguments.split_once(" > ").map_or((arguments, None), |(args, file)| (args, Some(file)));
     let args = Args::of(arguments);
     if NOT_RUN.iter().any(|(text, _)| *text == command) {
-        return check_flags(&args, &of);
+        return check_flags(&args);
     }
     if LIVE.contains(&args.0[0].as_str()) {
-        check_flags(&args, &of);
+        check_flags(&args)?;
         let mut checked = vec!["config".to_owned(), "check".to_owned(), args.0[1].clone()];
         for flag in ["--host", "--robot", "--set", "--interface", "--key-file"] {
             checked.extend(args.value(flag).into_iter().flat_map(|value| [flag.to_owned(), value.to_owned()]));
         }
-        sandbox.run(&checked, &of);
-        return;
+        return sandbox.run(&checked).map(|_| ());
     }
+    // What bounds take away.
     if args.0[0] == "train" {
-        check_flags(&args, &of);
+        check_flags(&args)?;
     }
     let writes = into.is_some() || args.has("--out");
     let bounded = args.bounded();
     if !writes && !done.lock().expect("no test panicked").insert(bounded.0.join(" ")) {
-        return;
+        return Ok(());
     }
-    let said = sandbox.run(&bounded.0, &of);
+    let said = sandbox.run(&bounded.0)?;
     if let Some(file) = into {
         sandbox.write(file, &said);
     }
+    Ok(())
 }
 
 #[test]
 fn every_command_of_the_pages_works() {
-    let (pages, done, next) = (pages(), Mutex::default(), AtomicUsize::new(0));
+    let (pages, done, next, wrong) = (pages(), Mutex::default(), AtomicUsize::new(0), Mutex::new(Vec::new()));
     let work = || {
         while let Some(page) = pages.get(next.fetch_add(1, Ordering::Relaxed)) {
             let commands = page.commands();
             let sandbox = (!commands.is_empty()).then(|| Sandbox::new(page));
             for (command, sandbox) in commands.iter().zip(sandbox.iter().cycle()) {
-                check(page, sandbox, command, &done);
+                if let Err(why) = check(sandbox, command, &done) {
+                    wrong.lock().expect("no test panicked").push(format!("{}: {command}\n{why}", page.name));
+                }
             }
         }
     };
-    thread::scope(|scope| [scope.spawn(work), scope.spawn(work)].map(|worker| worker.join().expect("all pass")));
+    thread::scope(|scope| {
+        scope.spawn(work);
+        work();
+    });
+    let wrong = wrong.into_inner().expect("no test panicked");
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     let all: Vec<String> = pages.iter().flat_map(Page::commands).collect();
     assert!(all.len() > 50, "the pages have {} commands", all.len());
     for (command, reason) in NOT_RUN {
@@ -340,20 +351,17 @@ fn team_files_and_fault_plans_of_the_pages_are_valid() {
     for page in pages() {
         for block in page.blocks().iter().filter(|block| block.language == "toml") {
             let line = |start: &str| block.text.lines().any(|line| line.starts_with(start));
-            let sandbox = || {
-                let sandbox = Sandbox::new(&page);
-                sandbox.write("shown.toml", &block.text);
-                sandbox
-            };
-            let of = format!("{}:\n{}", page.name, block.text);
-            if line("team =") {
-                sandbox().run(&["config", "check", "shown.toml"], &of);
-            } else if line("[[actor]]") || line("[[link]]") {
-                let args = "sim --mode onboard-adhoc --faults shown.toml --episodes 1 --repeats 1 --quiet";
-                sandbox().run(&args.split(' ').collect::<Vec<_>>(), &of);
+            let args = if line("team =") {
+                "config check shown.toml"
+            } else if line("fault =") {
+                "sim --mode onboard-adhoc --faults shown.toml --episodes 1 --repeats 1 --quiet"
             } else {
                 continue;
-            }
+            };
+            let sandbox = Sandbox::new(&page);
+            sandbox.write("shown.toml", &block.text);
+            let ran = sandbox.run(&args.split(' ').collect::<Vec<_>>());
+            assert!(ran.is_ok(), "{}:\n{}\n{ran:?}", page.name, block.text);
             checked += 1;
         }
     }
