@@ -1,9 +1,9 @@
 //! The pages of `docs/` and the README: their commands run, their files are valid, their links lead somewhere, and the
 //! pages that are read first have short sentences.
 //!
-//! Commands are lines of `sh` blocks that begin with one of `PREFIXES`. Each page has a folder of its own, with the files
-//! that `Sandbox::new` puts there and those that the page shows. A page shows a file by naming it in code style, as in
-//! `crash.toml`, in the paragraph before a block.
+//! Commands are lines of `sh` blocks that begin with one of `PREFIXES`. Each page has a folder of its own, with the
+//! files that `Sandbox::new` puts there and those that the page shows. A page shows a file by naming it in code style,
+//! as in `crash.toml`, in the paragraph before a block.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
