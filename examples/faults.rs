@@ -1,4 +1,4 @@
-//! A fault test: a robot's controller crashes in mid-episode. Its motors stop in time, the episode is given up, and the
+//! A fault test: a robot's controller crashes in mid-episode. Its motors stop in time, the episode is aborted, and the
 //! next one succeeds. Copy it into a test of your own.
 //!
 //!     cargo run --release --example faults
@@ -9,7 +9,7 @@ use murmurate::messages::geometry::Vec2;
 use murmurate::scenario::judge::Verdict;
 use murmurate::trial::Trial;
 
-/// What goes wrong, as in a file for `sim --faults`.
+/// Fault plan, as in a file for `sim --faults`.
 const PLAN: &str = r#"
     [[actor]]
     actor = "controller"
@@ -24,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     trial.check()?;
     let report = trial.keeping_steps().run();
 
-    // Its motors stand still from the moment that its last command has lapsed, and a step of the world.
+    // Its motors stand still one step of the world after its last command has expired.
     let stopped_s = 4.0 + COMMAND_VALIDITY.as_secs() + 0.05;
     let during = |time_s: f64| (stopped_s..7.0).contains(&time_s);
     let samples = report.steps.iter().map(|step| &step.samples[2]).filter(|sample| during(sample.time.as_secs()));
@@ -33,9 +33,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         assert_eq!(sample.command, Vec2::zeros(), "at {}", sample.time);
         seen += 1;
     }
-    assert!(seen > 50, "it was looked at {seen} times");
+    assert!(seen > 50, "only {seen} samples");
 
-    // The state server misses it, gives the episode up, and leads the team into the next.
+    // The state server misses its heartbeats, aborts the episode, and starts the next.
     let verdicts: Vec<Verdict> = report.episodes.iter().map(|episode| episode.verdict).collect();
     assert_eq!(verdicts, [Verdict::Aborted, Verdict::Success]);
     println!("robot 2 stood still from {stopped_s:.2} s to 7 s; the episodes: {verdicts:?}");

@@ -15,7 +15,7 @@ use murmurate::registry::Registry;
 use murmurate::report::trial::TrialReport;
 use murmurate::trial::Trial;
 
-/// What all hosts of the team know. docs/teams.md has every field; a team that leaves its machine has a key.
+/// Team file, the same for all hosts. docs/teams.md has every field; a team of more than one machine has a key.
 const TEAM: &str = r#"
     team = 4711
     mode = "centralized"
@@ -33,7 +33,7 @@ const TEAM: &str = r#"
     group = "239.255.77.22:7721"
 "#;
 
-/// One host, from the team file to the end of the last episode.
+/// Runs one host, from the team file to the end of the last episode.
 fn host(id: HostId) -> Result<TrialReport, Box<dyn Error + Send + Sync>> {
     let registry = Registry::builtin();
     let team = TeamFile::read(&registry, TEAM, Path::new(""), &[], &[])?.for_host(id)?;
@@ -46,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error + Send + Sync>> {
     let hosts = [HostId(0), HostId(1)].map(|id| thread::spawn(move || host(id)));
     for handle in hosts {
         let report = handle.join().expect("a host does not panic")?;
-        // The host that judges has them: that of the World of the whole team, or else that of the state server.
+        // The host that judges has the results: that of the World of the whole team, or else of the state server.
         for episode in &report.episodes {
             println!("episode {}: {:?} in real time", episode.episode, episode.verdict);
         }

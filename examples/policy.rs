@@ -1,5 +1,5 @@
-//! A policy of one's own: robots tell each other how near to their goals they are, and whoever is nearest goes first.
-//! Beside it, scripted navigation in the same scenario. `tests/stranger/` shows how a policy comes to the command line.
+//! A policy of your own: robots broadcast their distances to their goals, and the nearest one goes first. Scripted
+//! navigation runs in the same scenario. `tests/stranger/` shows how to add a policy to the command line.
 //!
 //!     cargo run --release --example policy
 
@@ -15,11 +15,11 @@ const INTERFACE: Interface = Interface {
     radius_m: 1.5,
     period: Span::from_millis(50),
     limit_m_s: 0.8,
-    // A neighbour's message is of use for so long: some are lost.
+    // Hold time: a neighbour's last message is used this long, because some are lost.
     hold: Span::from_millis(200),
 };
 
-/// One robot's part. It keeps nothing: a robot that was started again is right at once.
+/// Policy of one robot. It has no state, so that a restarted robot needs none.
 struct NearestFirst;
 
 impl Policy for NearestFirst {
@@ -27,18 +27,18 @@ impl Policy for NearestFirst {
         INTERFACE
     }
 
-    /// What is broadcast.
+    /// Encodes the message to broadcast.
     fn encode(&mut self, own: &Observation, features: &mut [f32]) {
         features[0] = (own.goal - own.motion.position).norm();
     }
 
-    /// What is done about what was heard.
+    /// Returns the velocity, from the neighbours' messages.
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], _: &mut Stream) -> Vec2 {
         let mut wanted = (own.goal - own.motion.position).cap_magnitude(INTERFACE.limit_m_s);
         for other in neighbours {
             let apart = own.motion.position - other.motion.position;
             let near = (1.2 - apart.norm()).max(0.0);
-            // Who is farther from its goal makes more room; both pass on the same side.
+            // The robot farther from its goal makes more room; both pass on the same side.
             let yields = if other.features[0] < features[0] { 3.0 } else { 1.5 };
             wanted += (apart + Vec2::new(-apart.y, apart.x)).normalize() * near * yields;
         }

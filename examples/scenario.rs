@@ -1,14 +1,13 @@
-//! A scenario of one's own: robots face each other in two rows and change sides. Scripted navigation does it at once.
-//! `tests/stranger/` shows how a scenario comes to the command line.
+//! A scenario of your own: robots face each other in two rows and change sides, with scripted navigation.
+//! `tests/stranger/` shows how to add a scenario to the command line.
 //!
 //!     cargo run --release --example scenario
 
 use std::sync::Arc;
 
-use murmurate::messages::geometry::{Motion, Task, Vec2};
-use murmurate::messages::local::Contacts;
+use murmurate::messages::geometry::{Task, Vec2};
 use murmurate::registry::Registry;
-use murmurate::scenario::{Arena, Entry, Frame, Rules, Scenario, ScenarioError, Settings, Stage};
+use murmurate::scenario::{Arena, Entry, Frame, Rules, Scenario, ScenarioError, Settings, TeamSizes};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 
@@ -21,10 +20,7 @@ struct Rows {
 }
 
 fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
-    let robots = settings.robots.unwrap_or(6);
-    if !(2..=12).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: ROWS.name, min: 2, max: 12, robots });
-    }
+    let robots = TeamSizes::new(2, 12).even().check(ROWS.name, settings.robots.unwrap_or(6))?;
     let half_extent = Vec2::new(2.0 + robots as f32 / 2.0, 3.0);
     let arena = Arena { half_extent, keep_outs: Vec::new(), portals: Vec::new(), robot_radius_m: 0.25 };
     Ok(Arc::new(Rows { robots, arena }))
@@ -43,7 +39,7 @@ impl Scenario for Rows {
         &self.arena
     }
 
-    /// The goals of one episode are the starts of the next.
+    /// Returns the tasks of an episode; its goals are the starts of the next.
     fn tasks(&self, _: u64, episode: u32) -> Vec<Task> {
         let place = |robot: usize, episode: u32| {
             let side = if (robot + episode as usize).is_multiple_of(2) { 1.0 } else { -1.0 };
@@ -55,16 +51,6 @@ impl Scenario for Rows {
 
     fn frame(&self, _: &Task) -> Frame {
         Frame::World
-    }
-
-    /// For training alone: speed along y toward the goal.
-    fn reward(&self, task: &Task, after: &Motion, _: Contacts, stage: &mut Stage) -> f32 {
-        *stage = Stage(u8::from(self.reached(task, after.position)));
-        (task.goal - after.position).y.signum() * after.velocity.y
-    }
-
-    fn finished(&self, stage: Stage) -> bool {
-        stage == Stage(1)
     }
 
     fn rules(&self) -> Rules {

@@ -4,7 +4,7 @@
 //! Environment variables configure it (`NP_ID`, `NP_N`, `NP_RATE`, ...), and it writes its results to files in
 //! `NP_DIR`. The harness that starts it measures other middleware in the same way. A message of 152 bytes (sender,
 //! sequence number, timestamp, two floats of position, 32 floats) is sent as a latent. The sequence number is in its
-//! episode, the timestamp in its epoch and velocity, the position in its position.
+//! episode, the timestamp in its term and velocity, the position in its position.
 
 use std::cell::RefCell;
 use std::fmt::Write as _;
@@ -169,7 +169,7 @@ impl Peer {
         let (ms, rest) = ((stamp / 1_000_000) as u32, stamp % 1_000_000);
         out.push(Wire::Latent(Latent {
             robot: RobotId(self.id),
-            round: Round { epoch: ms, episode: sequence },
+            round: Round { term: ms, episode: sequence },
             phase: Phase::Running,
             motion: Motion {
                 position: Vec2::new((sequence & 0xffff) as f32, 0.0),
@@ -207,7 +207,7 @@ impl Peer {
         }
         sender.last = sender.last.max(Some(sequence));
         let velocity = latent.motion.velocity;
-        let stamp = u64::from(latent.round.epoch) * 1_000_000 + velocity.x as u64 * 1000 + velocity.y as u64;
+        let stamp = u64::from(latent.round.term) * 1_000_000 + velocity.x as u64 * 1000 + velocity.y as u64;
         let delay = now.saturating_sub(stamp + self.start_ns.min(self.zero_ns));
         self.delays[step(delay)] += 1;
         self.max_ns = self.max_ns.max(delay);
@@ -306,7 +306,7 @@ impl Core for Peer {
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Wire>) {
-        let (round, phase, latch) = (Round { epoch: 1, episode: 0 }, Phase::Running, Latch::default());
+        let (round, phase, latch) = (Round { term: 1, episode: 0 }, Phase::Running, Latch::default());
         if self.next <= now {
             self.send(now, out);
         }
@@ -329,7 +329,7 @@ fn main() {
     let folder: PathBuf = variable("NP_DIR", PathBuf::from("."));
     sleep_until(variable("NP_START_NS", 0));
     let group = SocketAddr::from((Ipv4Addr::new(239, 192, 7, 8), 45_451));
-    let way = multicast::way(group, &variable("NP_IFACE", "lo".to_owned()), 4 << 20);
+    let way = multicast::endpoint(group, &variable("NP_IFACE", "lo".to_owned()), 4 << 20);
     let open = way.open(HostId(id), Filter::Team { number: 1, tagged: true }).unwrap_or_else(|error| panic!("{error}"));
     let (origin, zero_ns) = (Instant::now(), monotonic_ns());
     let peer = Rc::new(RefCell::new(Peer::new(id, participants, zero_ns)));
@@ -387,7 +387,7 @@ fn wire(
     });
     let reliability = Reliabilities::from([(Kind::Latent, Reliability::Repeat)]);
     let station = Station {
-        me: network::Identity { host: HostId(id), team: 1, epoch: 1 },
+        me: network::Identity { host: HostId(id), team: 1, incarnation: 1 },
         key: Some(Key::new(KEY)),
         links: vec![Some(Setup::multicast(reliability))],
         router,

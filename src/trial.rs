@@ -318,7 +318,8 @@ impl Trial {
             let reason = format!("there is no host {}; there are {}, from 0", stop.by.0, deployment.hosts.len());
             return Err(ConfigError::field("stops", reason));
         }
-        self.faults.check(&deployment.targets())
+        self.faults.check(&deployment.targets())?;
+        self.faults.check_episodes(self.layouts.len())
     }
 
     /// The deployment as the trial uses it: layouts that do not chain leave nothing to drive to.

@@ -1,15 +1,12 @@
 #!/usr/bin/env bash
-# Builds the crate in tests/stranger/, which is no part of this one, and runs what it adds through the command line.
+# Builds the crate in tests/stranger/, which uses this one from outside, and runs what it adds through the command line.
 #
 #   bash tests/stranger.sh          a release build, in the same target folder
 set -euo pipefail
-cd "$(dirname "$0")/stranger"
+cd "$(dirname "$0")/.."
 
-export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$PWD/../../target}
-# The same versions as the crate itself, so that what is built is used again.
-cp ../../Cargo.lock Cargo.lock
-cargo build --release --quiet
-program=$CARGO_TARGET_DIR/release/stranger
+cargo build --locked --release --quiet --package stranger
+program=${CARGO_TARGET_DIR:-target}/release/stranger
 
 has() { # TEXT WORD...: refuses a text that lacks one of the words
     local text=$1 word

@@ -1,27 +1,27 @@
-//! The house rules that a machine can check: reads the source, and nothing but the source.
+//! House rules that a program can check, from the source text alone.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Longest line \[characters\].
+/// Maximum length of a line \[characters\].
 const WIDTH: usize = 120;
-/// Longest source file, its unit tests aside \[lines\].
+/// Maximum length of a source file without its unit tests \[lines\].
 const LENGTH: usize = 420;
 
 struct Source {
-    /// Relative to the repository, with forward slashes.
+    /// Path relative to the repository, with forward slashes.
     path: String,
     text: String,
 }
 
 impl Source {
-    /// Everything before the unit tests.
+    /// Returns the text before the unit tests.
     fn code(&self) -> &str {
         self.text.split("#[cfg(test)]\nmod tests").next().unwrap_or_default()
     }
 
-    /// The lines of code that name `word`, comments aside.
+    /// Returns the lines of code that contain `word`, without comments.
     fn lines_with(&self, word: &str) -> Vec<String> {
         let named = |line: &&str| !line.trim_start().starts_with("//") && line.contains(word);
         self.code().lines().filter(named).map(|line| format!("{}: {}", self.path, line.trim())).collect()
@@ -52,7 +52,7 @@ fn sources(folder: &str) -> Vec<Source> {
     found
 }
 
-/// The rooms of the library, each after all that it may use.
+/// Rooms of the library, each after those that it may use.
 const ROOMS: [&str; 30] = [
     "time",
     "random",
@@ -86,16 +86,16 @@ const ROOMS: [&str; 30] = [
     "program",
 ];
 
-/// Files that hold nothing but the names of what is below them, or a call into it.
+/// Files with nothing but declarations of their submodules, or a call into one.
 const DOORS: [&str; 3] = ["bin::murmurate", "lib", "net"];
 
-/// A file of the library as a module, and the modules that it uses.
+/// Module of the library, and the modules that it uses.
 struct Module {
     name: String,
     uses: Vec<String>,
 }
 
-/// All modules of the library. A path is followed to the longest part of it that is a module.
+/// Returns all modules of the library. A used path counts as its longest prefix that is a module.
 fn modules() -> Vec<Module> {
     let library = sources("src");
     let name = |path: &str| {
@@ -127,7 +127,7 @@ fn modules() -> Vec<Module> {
     library.iter().map(module).collect()
 }
 
-/// Where a module's room is in the order.
+/// Returns the index of a module's room.
 fn room(module: &str) -> Option<usize> {
     let within = |room: &str| module == room || module.starts_with(&format!("{room}::"));
     ROOMS.iter().enumerate().filter(|(_, room)| within(room)).max_by_key(|(_, room)| room.len()).map(|(at, _)| at)
@@ -150,15 +150,15 @@ fn no_room_uses_one_that_comes_after_it() {
 }
 
 #[test]
-fn no_files_go_round_in_circles() {
+fn no_files_use_each_other_in_a_cycle() {
     let mut modules = modules();
     let related = |one: &str, other: &str| one.starts_with(&format!("{other}::"));
     for module in &mut modules {
         let name = module.name.clone();
-        // A folder's own file and what is in it may know each other.
+        // A folder's `mod.rs` and the modules in it may use each other.
         module.uses.retain(|used| !related(used, &name) && !related(&name, used));
     }
-    // Whoever uses nobody that is left, or is used by nobody that is left, is in no circle.
+    // A module that uses no remaining one, or that no remaining one uses, is in no cycle.
     loop {
         let left: BTreeSet<String> = modules.iter().map(|module| module.name.clone()).collect();
         let used: BTreeSet<String> = modules.iter().flat_map(|module| &module.uses).cloned().collect();
@@ -169,12 +169,12 @@ fn no_files_go_round_in_circles() {
         }
     }
     let left: Vec<String> = modules.iter().map(|module| format!("{} uses {:?}", module.name, module.uses)).collect();
-    assert!(left.is_empty(), "these files use each other in a circle, or are between two such:\n{}", left.join("\n"));
+    assert!(left.is_empty(), "these files form cycles, or lie between two cycles:\n{}", left.join("\n"));
 }
 
-/// Words that only some files may name.
+/// Checks words that only some files may contain.
 #[test]
-fn what_touches_the_machine_is_in_its_place() {
+fn access_to_the_machine_is_confined_to_its_files() {
     let rules: [(&str, &[&str]); 12] = [
         ("unsafe", &["src/train/matrix.rs"]),
         ("actix", &["src/runtime/shell.rs"]),
@@ -186,23 +186,23 @@ fn what_touches_the_machine_is_in_its_place() {
         ("thread_rng", &[]),
         ("rand::rng()", &[]),
         ("HashMap", &[]),
-        // Which transports there are, their folder knows and nobody else.
+        // Only their folder names the transports.
         ("Udp", &["src/net/transport/"]),
         ("udp::", &["src/net/transport/"]),
     ];
     for source in sources("src") {
         for (word, places) in rules {
             if !places.iter().any(|place| source.path.starts_with(place)) {
-                assert_eq!(source.lines_with(word), Vec::<String>::new(), "'{word}' has no business there");
+                assert_eq!(source.lines_with(word), Vec::<String>::new(), "'{word}' is not allowed there");
             }
         }
     }
 }
 
-/// Transcendental functions of the platform are not the same on all of them; `libm` is. Only what nothing is reckoned
-/// from again may use them: reports, studies and output.
+/// Checks the use of transcendental functions, which differ between platforms, unlike `libm`. Only reports, studies and
+/// output may use those of the platform, because no trace depends on them.
 #[test]
-fn no_trace_hangs_on_the_mathematics_of_the_platform() {
+fn no_trace_depends_on_the_platform_s_mathematics() {
     let functions = [
         "sin", "cos", "tan", "sin_cos", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "exp2",
         "exp_m1", "ln", "ln_1p", "log", "log2", "log10", "powf", "cbrt", "hypot",
@@ -215,7 +215,7 @@ fn no_trace_hangs_on_the_mathematics_of_the_platform() {
     }
 }
 
-/// Modes and links are data: only their presets may name them, and studies those presets that they run.
+/// Checks that modes and links are data: only their presets name them, and studies those presets that they run.
 #[test]
 fn nothing_asks_for_a_mode_or_a_link_by_name() {
     let presets = "src/deploy/presets.rs";
@@ -227,7 +227,7 @@ fn nothing_asks_for_a_mode_or_a_link_by_name() {
                 "src/study/columns.rs",
                 "src/study/published.rs",
                 "src/study/network/growth.rs",
-                // The default of a flag.
+                // Default of a flag.
                 "src/program/sim.rs",
             ],
         ),
@@ -237,7 +237,7 @@ fn nothing_asks_for_a_mode_or_a_link_by_name() {
         for (words, places) in rules {
             for word in words.iter().filter(|_| !places.contains(&&*source.path)) {
                 let mut named = source.lines_with(word);
-                // A feature of the crate has the name of a mode.
+                // One feature of the crate has the name of a mode.
                 named.retain(|line| !line.contains("feature = "));
                 assert_eq!(named, Vec::<String>::new(), "{word} is for the presets to name");
             }
@@ -251,7 +251,7 @@ fn nothing_asks_for_a_mode_or_a_link_by_name() {
 }
 
 #[test]
-fn nothing_sleeps_and_nothing_is_left_for_later() {
+fn no_code_sleeps_or_is_left_undone() {
     let here = "tests/tidy.rs";
     let all =
         ["src", "tests", "benches", "examples"].into_iter().flat_map(sources).filter(|source| source.path != here);
@@ -266,9 +266,9 @@ fn nothing_sleeps_and_nothing_is_left_for_later() {
 }
 
 #[test]
-fn files_say_what_they_are_and_stay_readable() {
+fn files_have_a_description_and_a_readable_size() {
     for source in ["src", "tests", "benches", "examples"].into_iter().flat_map(sources) {
-        assert!(source.text.starts_with("//!"), "{}: the first line says what lives there", source.path);
+        assert!(source.text.starts_with("//!"), "{}: the first line describes the file", source.path);
         for (index, line) in source.text.lines().enumerate() {
             let width = line.chars().count();
             assert!(width <= WIDTH, "{}:{}: {width} characters", source.path, index + 1);
@@ -279,7 +279,7 @@ fn files_say_what_they_are_and_stay_readable() {
 }
 
 #[test]
-fn every_module_has_its_line_in_the_architecture() {
+fn every_module_has_a_line_in_the_architecture() {
     let map =
         fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
     for source in sources("src").iter().filter(|source| !source.path.ends_with("mod.rs")) {

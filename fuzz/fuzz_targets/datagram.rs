@@ -3,7 +3,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use murmurate::net::protocol::codec::{self, Content};
-use murmurate::net::protocol::report::{Report, read_held, read_names};
+use murmurate::net::protocol::report::{Report, read_held, read_ids};
 
 fuzz_target!(|bytes: &[u8]| {
     let _ = codec::peek(bytes);
@@ -17,7 +17,7 @@ fuzz_target!(|bytes: &[u8]| {
             }
             (content @ (Content::Report | Content::NumberedReport), body) => drop(Report::read(content, body)),
             (Content::Held, body) => drop(read_held(body)),
-            (content, body) => drop(read_names(content, body)),
+            (content, body) => drop(read_ids(content, body)),
         }
     }
 });

@@ -11,7 +11,7 @@ use crate::cells::{self, Cells};
 use crate::hearing::CommRange;
 use crate::messages::geometry::{Motion, Task, Vec2, is_finite};
 use crate::messages::ids::RobotId;
-use crate::messages::local::{Action, Heard, NEAR_M, Other, Percept, Progress};
+use crate::messages::local::{Action, NEAR_M, NeighbourLatent, OtherRobot, Percept, Progress};
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Features, Latent, MAX_FEATURES, Mode, Phase, Round, all_sound};
 use crate::policy::{Neighbour, Policy};
@@ -240,7 +240,8 @@ impl Agent {
         let frame = self.scenario.frame(&task);
         let policy = if phase == Phase::Running { &mut seat.pilot.run } else { &mut seat.pilot.reset };
 
-        let usable = |heard: &&Heard| heard.round == round && heard.phase == phase && heard.features.0.len() == width;
+        let usable =
+            |heard: &&NeighbourLatent| heard.round == round && heard.phase == phase && heard.features.0.len() == width;
         let cached = percept.heard.iter().filter(usable).map(|heard| {
             (
                 heard.robot,
@@ -272,9 +273,9 @@ impl Agent {
             _ => (task.goal - own.position).norm() <= START_M,
         };
         let known =
-            percept.heard.iter().map(|heard| Other { robot: heard.robot, motion: heard.motion, age: heard.age });
-        let beside = companions.map(|other| Other { robot: other.robot, motion: other.motion, age: Span::ZERO });
-        let near = |other: &Other| (other.motion.position - own.position).norm_squared() <= NEAR_M * NEAR_M;
+            percept.heard.iter().map(|heard| OtherRobot { robot: heard.robot, motion: heard.motion, age: heard.age });
+        let beside = companions.map(|other| OtherRobot { robot: other.robot, motion: other.motion, age: Span::ZERO });
+        let near = |other: &OtherRobot| (other.motion.position - own.position).norm_squared() <= NEAR_M * NEAR_M;
         Some(Action {
             robot: seat.pilot.robot,
             round,
@@ -356,7 +357,7 @@ mod tests {
         }
     }
 
-    const ROUND: Round = Round { epoch: 1, episode: 0 };
+    const ROUND: Round = Round { term: 1, episode: 0 };
     const MEASURED: Vec2 = Vec2::new(0.1, -0.2);
 
     fn agent(robots: &[u16]) -> Agent {
@@ -379,7 +380,7 @@ mod tests {
         agent
     }
 
-    fn percept(robot: u16, x: f32, heard: Vec<Heard>) -> In {
+    fn percept(robot: u16, x: f32, heard: Vec<NeighbourLatent>) -> In {
         let estimate = Motion { position: Vec2::new(x, -1.5), velocity: MEASURED };
         In::Percept(Percept { robot: RobotId(robot), due: Time::ZERO, estimate, heard })
     }
@@ -441,7 +442,7 @@ mod tests {
 
     #[test]
     fn latents_of_another_round_phase_or_width_are_not_heard() {
-        let heard = |robot: u16, round: Round, phase: Phase, floats: &[f32]| Heard {
+        let heard = |robot: u16, round: Round, phase: Phase, floats: &[f32]| NeighbourLatent {
             robot: RobotId(robot),
             round,
             phase,
@@ -449,7 +450,7 @@ mod tests {
             features: Features(floats.into()),
             age: Span::ZERO,
         };
-        let other = Round { epoch: 1, episode: 1 };
+        let other = Round { term: 1, episode: 1 };
         let all = vec![
             heard(1, ROUND, Phase::Running, &[7.0]),
             heard(2, ROUND, Phase::Resetting, &[7.0]),

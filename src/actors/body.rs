@@ -165,12 +165,12 @@ impl Core for Body {
                 self.pass_on(out);
             }
             In::Stop(stop) => {
-                let changed = self.latch.told(stop.latch);
+                let changed = self.latch.apply(stop.latch);
                 self.latched(now, changed, out);
                 out.push(Out::Follows(self.latch.latch()));
             }
             In::Latch(said) => {
-                let changed = self.latch.learned(said);
+                let changed = self.latch.update(said);
                 self.latched(now, changed, out);
                 self.correct(now, said, out);
                 if changed {

@@ -9,7 +9,7 @@ use crate::actor::Core;
 use crate::estimation::{self, Estimator};
 use crate::hearing::{CommRange, Handling};
 use crate::messages::ids::RobotId;
-use crate::messages::local::{Heard, Percept};
+use crate::messages::local::{NeighbourLatent, Percept};
 use crate::messages::wire::{Latent, Reading};
 use crate::random::Stream;
 use crate::time::{Span, Time};
@@ -81,7 +81,7 @@ impl Cache {
             return None;
         }
         let estimate = self.estimator.at(now)?;
-        let heard = self.heard.values().map(|(arrived, latent)| Heard {
+        let heard = self.heard.values().map(|(arrived, latent)| NeighbourLatent {
             robot: latent.robot,
             round: latent.round,
             phase: latent.phase,

@@ -250,12 +250,12 @@ mod tests {
 
     fn mode(episode: u32, phase: Phase) -> In {
         let task = Task { start: Vec2::zeros(), goal: Vec2::zeros() };
-        let round = Round { epoch: 1, episode };
+        let round = Round { term: 1, episode };
         In::Mode(Mode { round, repeat: 0, phase, first: RobotId(0), tasks: [task; 3].into(), latch: Latch::default() })
     }
 
     fn action(episode: u32, phase: Phase, x: f32, progress: Progress) -> In {
-        let round = Round { epoch: 1, episode };
+        let round = Round { term: 1, episode };
         let estimate = Motion { velocity: MEASURED, ..Motion::default() };
         let (robot, velocity, others) = (RobotId(1), Vec2::new(x, 0.0), Vec::new());
         In::Action(Action { robot, round, phase, due: Time::ZERO, velocity, estimate, others, progress })

@@ -14,9 +14,9 @@ use crate::messages::wire::{Kind, Wire};
 use crate::net::protocol::codec::{self, Content, Flags, Frame, Header};
 use crate::net::protocol::key::Key;
 pub use crate::net::protocol::link::Identity;
-use crate::net::protocol::link::{Duplicate, Guest, LinkCounts, LinkState};
-use crate::net::protocol::outgoing::Leaving;
-use crate::net::protocol::reliability::{Ride, Setup};
+use crate::net::protocol::link::{DuplicateId, Guest, LinkCounts, LinkState};
+use crate::net::protocol::outgoing::Outbound;
+use crate::net::protocol::reliability::{Piggyback, Setup};
 use crate::net::protocol::router::{Audience, Router};
 use crate::net::protocol::sender::Peer;
 use crate::random::Stream;
@@ -48,7 +48,7 @@ pub enum Out {
     /// To those that show it: summaries of the other hosts, on links with reports.
     Peers(Vec<Peer>),
     /// Another live host has the id of this one and was started before it. Said once.
-    Duplicate(Duplicate),
+    Duplicate(DuplicateId),
     /// To a link's transport: an operator of the team speaks from an address that is in no file.
     Admit(LinkId, Guest),
 }
@@ -84,7 +84,7 @@ pub struct Network {
     indoors: Header,
     indoor_counts: LinkCounts,
     stream: Stream,
-    leaving: Vec<Leaving>,
+    leaving: Vec<Outbound>,
     next_counts: Time,
     /// Whether it has said that it duplicates another host.
     duplicates: bool,
@@ -116,18 +116,19 @@ impl Impostors {
 }
 
 impl Network {
-    /// A network at the start of its epoch. It draws from `stream` when to ask and when to answer.
+    /// A network at the start of its incarnation. It draws from `stream` when to ask and when to answer.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
-        let shared = links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.ride == Ride::Any)).collect();
+        let shared =
+            links.iter().map(|setup| setup.as_ref().is_some_and(|setup| setup.piggyback == Piggyback::Any)).collect();
         let ids = (0..=u16::MAX).map(LinkId);
         let hosts = router.hosts();
         let mut state = |id, setup| LinkState::new(me, id, key.clone(), Setup { hosts, ..setup }, &mut stream);
         let links: Vec<Option<LinkState>> =
             ids.zip(links).map(|(id, setup)| setup.map(|setup| state(id, setup))).collect();
         let due = links.iter().map(|link| link.as_ref().and_then(LinkState::due)).collect();
-        let Identity { host, team, epoch } = me;
-        let indoors = Header { flags: codec::Flags::default(), team, sender: host, epoch, sequence: 0 };
+        let Identity { host, team, incarnation } = me;
+        let indoors = Header { flags: codec::Flags::default(), team, sender: host, incarnation, sequence: 0 };
         let indoor_counts = LinkCounts::default();
         let (leaving, next_counts, duplicates) = (Vec::new(), Time::ZERO, false);
         Network {
@@ -155,7 +156,7 @@ impl Network {
         let encoded = match leaves {
             Some((link, audience)) => {
                 let state = self.links[usize::from(link.0)].as_mut().expect("this host has a part in it");
-                let encoded = state.say(now, audience, &message, &mut self.leaving);
+                let encoded = state.send(now, audience, &message, &mut self.leaving);
                 self.due[usize::from(link.0)] = state.due();
                 transmit(link, &mut self.leaving, out);
                 encoded
@@ -226,7 +227,7 @@ impl Network {
     }
 }
 
-fn transmit(link: LinkId, leaving: &mut Vec<Leaving>, out: &mut Vec<Out>) {
+fn transmit(link: LinkId, leaving: &mut Vec<Outbound>, out: &mut Vec<Out>) {
     out.extend(leaving.drain(..).map(|(audience, frame)| Out::Transmit(link, audience, frame)));
 }
 
@@ -292,7 +293,7 @@ mod tests {
             local: kind == Kind::Reading && robot == RobotId(0),
             leaves: (robot == RobotId(1)).then_some((LINK, Audience::Host(HostId(9)))),
         });
-        let me = Identity { host: HostId(host), team, epoch: 1 };
+        let me = Identity { host: HostId(host), team, incarnation: 1 };
         let links = vec![Some(Setup::emulated(Reliabilities::new()))];
         Network::new(Config { me, key: None, links, router }, Seed::of_run(1).stream("network"))
     }

@@ -223,7 +223,7 @@ impl Recorder {
         if !goes_on {
             self.heard.iter_mut().for_each(|(_, heard)| heard.clear());
         }
-        // A new epoch of the same instruction changes nothing.
+        // A new term of the same instruction changes nothing.
         self.since = if goes_on { self.since } else { now };
         (self.round, self.phase) = (round, phase);
     }
@@ -341,7 +341,7 @@ impl Recorder {
 
 /// Which datagram this is; a copy is the same one.
 fn datagram(header: &Header) -> Datagram {
-    (header.sender, header.epoch, header.sequence, header.flags.has(Flags::DIRECT))
+    (header.sender, header.incarnation, header.sequence, header.flags.has(Flags::DIRECT))
 }
 
 impl Core for Recorder {
@@ -417,10 +417,10 @@ mod tests {
     }
 
     fn say(recorder: &mut Recorder, ms: u64, episode: u32, phase: Phase) -> Vec<Out> {
-        let round = Round { epoch: 1, episode };
+        let round = Round { term: 1, episode };
         let tasks = recorder.config.layouts.episode(0).into();
         let mode = Wire::Mode(Mode { round, repeat: 4, phase, first: RobotId(0), tasks, latch: Latch::default() });
-        let header = Header { flags: Flags::default(), team: 0, sender: HostId(0), epoch: 1, sequence: 0 };
+        let header = Header { flags: Flags::default(), team: 0, sender: HostId(0), incarnation: 1, sequence: 0 };
         let frame = codec::encode(&header, &mode).unwrap();
         let mut out = Vec::new();
         recorder.handle(at_ms(ms), In::Tap(frame), &mut out);

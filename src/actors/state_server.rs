@@ -75,7 +75,7 @@ pub struct Config {
 pub struct StateServer {
     config: Config,
     robots: Vec<Option<(Time, Heartbeat)>>,
-    /// Its incarnation: no later one starts from an earlier epoch.
+    /// Its incarnation: no later one starts from an earlier term.
     life: u32,
     /// Whether it has taken up its work without hearing anyone.
     blind: bool,
@@ -150,8 +150,8 @@ impl StateServer {
     fn take_up(&mut self, now: Time) {
         let heard: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
         let last = self.latest_round(now);
-        let epoch = last.epoch.saturating_add(1).max(self.life);
-        self.round = Round { epoch, episode: last.episode.min(self.config.layouts.len()) };
+        let term = last.term.saturating_add(1).max(self.life);
+        self.round = Round { term, episode: last.episode.min(self.config.layouts.len()) };
         self.blind = heard.is_empty();
         let waits = heard.iter().any(|beat| beat.round == last && beat.phase == Phase::Waiting);
         let in_the_midst = |beat: &Heartbeat| {
@@ -163,7 +163,7 @@ impl StateServer {
         } else if waits {
             // A former incarnation waited for a host; it is not known which, so everyone has to follow first.
             self.enter(now, Phase::Waiting);
-        } else if last.epoch > 0 && heard.iter().any(in_the_midst) {
+        } else if last.term > 0 && heard.iter().any(in_the_midst) {
             tracing::warn!(episode = last.episode, "a running episode is given up: the state server was restarted");
             self.enter(now, Phase::AbortRunning);
         } else {
@@ -172,16 +172,16 @@ impl StateServer {
     }
 
     /// A robot follows a later round than this: one of a former incarnation, or one that was garbled on its way.
-    /// It would refuse everything that is said here, so the epoch has to overtake it.
+    /// It would refuse everything that is said here, so the term has to overtake it.
     fn overtake(&mut self, now: Time) {
         let latest = self.latest_round(now);
-        if self.round.epoch == 0 || latest <= self.round {
+        if self.round.term == 0 || latest <= self.round {
             return;
         }
         if self.blind {
             self.take_up(now);
         } else {
-            self.round.epoch = latest.epoch.saturating_add(1);
+            self.round.term = latest.term.saturating_add(1);
             self.said = None;
         }
     }
@@ -202,9 +202,9 @@ impl StateServer {
         self.overshot += 1;
         if self.overshot.is_power_of_two() {
             let (robot, times) = (beat.robot, self.overshot);
-            let (epoch, number) = (beat.round.epoch, beat.latch.number());
+            let (term, number) = (beat.round.term, beat.latch.number());
             tracing::error!(
-                "{robot} claims epoch {epoch} and stop number {number}, which are out of reach: ignored ({times} times)"
+                "{robot} claims term {term} and stop number {number}, which are out of reach: ignored ({times} times)"
             );
         }
     }
@@ -228,7 +228,7 @@ impl StateServer {
         match self.latch.resumed(stop.latch) {
             Some(clear) if hindrances.is_empty() => self.latched(clear),
             Some(_) => {}
-            None => self.latched(self.latch.told(stop.latch)),
+            None => self.latched(self.latch.after(stop.latch)),
         }
         if stop.by.is_operator() {
             out.push(Out::Leading(Leading { latch: self.latch, hindrances }));
@@ -359,7 +359,7 @@ impl Core for StateServer {
         match input {
             In::Heartbeat(beat) => {
                 let latch = self.latch.joined(beat.latch);
-                let fresh = self.round.epoch == 0;
+                let fresh = self.round.term == 0;
                 let overshoots = self.latch.is_overshot_by(beat.latch) || self.round.is_overshot_by(beat.round);
                 if overshoots && !fresh {
                     self.doubt(&beat);
@@ -385,7 +385,7 @@ impl Core for StateServer {
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.decide(now);
         // Until it knows where the team is, it has nothing to say but that everyone is to stand.
-        let speaks = self.round.epoch > 0 || !self.latch.is_clear() || self.leaves;
+        let speaks = self.round.term > 0 || !self.latch.is_clear() || self.leaves;
         // A server that is about to end says so at every step.
         let period = if self.leaves { Span::ZERO } else { MODE_PERIOD };
         if speaks && self.said.is_none_or(|said| now.since(said) >= period) {
@@ -427,8 +427,8 @@ mod tests {
         Time::ZERO + Span::from_millis(ms)
     }
 
-    fn round(epoch: u32, episode: u32) -> Round {
-        Round { epoch, episode }
+    fn round(term: u32, episode: u32) -> Round {
+        Round { term, episode }
     }
 
     #[test]
@@ -644,7 +644,7 @@ mod tests {
     #[test]
     fn a_server_that_was_started_afresh_still_waits_for_a_host_that_has_left() {
         let mut next = super::tests::server();
-        let round_of = |server: &StateServer| if server.round.epoch == 0 { round(1, 0) } else { server.round };
+        let round_of = |server: &StateServer| if server.round.term == 0 { round(1, 0) } else { server.round };
         tick(&mut next, at_ms(0));
         for ms in (0..60_000).step_by(50) {
             let (robot, phase, latch) = (RobotId(0), Phase::Waiting, Latch::default());
@@ -688,13 +688,13 @@ mod tests {
             server.handle(at_ms(ms), In::Heartbeat(far.clone()), &mut Vec::new());
             tick(&mut server, at_ms(ms));
         }
-        assert_eq!((server.round.epoch, server.latch), (1, Latch::default()));
+        assert_eq!((server.round.term, server.latch), (1, Latch::default()));
         assert_eq!(server.overshot, 16);
         let two_say = 1 << 25;
         let mut fresh = super::tests::server();
         beat(&mut fresh, at_ms(0), round(two_say, 0), [Phase::NeedReset; 2]);
         tick(&mut fresh, at_ms(0));
-        assert_eq!(fresh.round.epoch, two_say + 1, "what two say is taken up, however far");
+        assert_eq!(fresh.round.term, two_say + 1, "what two say is taken up, however far");
         let mut fresh = super::tests::server();
         fresh.handle(at_ms(0), In::Heartbeat(far.clone()), &mut Vec::new());
         tick(&mut fresh, at_ms(10));
@@ -702,7 +702,7 @@ mod tests {
         beat(&mut fresh, at_ms(20), round(40, 0), [Phase::NeedReset; 2]);
         fresh.handle(at_ms(30), In::Heartbeat(far), &mut Vec::new());
         tick(&mut fresh, at_ms(40));
-        assert_eq!((fresh.round.epoch, fresh.latch), (41, Latch::default()));
+        assert_eq!((fresh.round.term, fresh.latch), (41, Latch::default()));
     }
 
     #[test]

@@ -296,7 +296,7 @@ mod tests {
         assert_eq!(order, [0, 1, 2, 0, 1, 2]);
         let (last, _) = told.last().unwrap();
         assert_eq!((told[0].0, told[1].0, *last), (at_ms(1000), at_ms(1300), at_ms(3700)));
-        let header = Header { flags: Flags(0), team: 7, sender: HostId(4), epoch: u32::MAX, sequence: u32::MAX };
+        let header = Header { flags: Flags(0), team: 7, sender: HostId(4), incarnation: u32::MAX, sequence: u32::MAX };
         let message = Wire::Telemetry(Telemetry { host: HostId(4), robots: told[0].1.clone() });
         let bytes = codec::encode(&header, &message).unwrap().len() + codec::TAG_BYTES;
         assert!(bytes * 10 / 3 < 330, "{bytes} bytes a telling");

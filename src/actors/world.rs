@@ -97,8 +97,8 @@ impl World {
     fn place(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
         let mut ground = self.ground.borrow_mut();
         for (index, body) in self.bodies.iter_mut().enumerate() {
-            // A new epoch of a running episode is no reason to carry anyone back.
-            let due = ground.placed[index].epoch == 0 || ground.placed[index].episode < mode.round.episode;
+            // A new term of a running episode is no reason to carry anyone back.
+            let due = ground.placed[index].term == 0 || ground.placed[index].episode < mode.round.episode;
             if let Some(task) = mode.task_of(body.robot).filter(|_| due) {
                 ground.plant.place(index, task.start);
                 ground.placed[index] = mode.round;
@@ -210,7 +210,7 @@ mod tests {
         let mut world = world(Placement::Drive);
         let task = Task { start: Vec2::new(0.5, -2.0), goal: Vec2::zeros() };
         let mut say = |episode: u32, phase: Phase| {
-            let (round, latch, mut out) = (Round { epoch: 1, episode }, Latch::default(), Vec::new());
+            let (round, latch, mut out) = (Round { term: 1, episode }, Latch::default(), Vec::new());
             let mode = Mode { round, repeat: 0, phase, first: RobotId(0), tasks: [task; 2].into(), latch };
             world.handle(at_ms(50), In::Mode(mode), &mut out);
             out.len()
@@ -226,7 +226,7 @@ mod tests {
         let mut world = world(Placement::Exact);
         let task = Task { start: Vec2::new(0.5, -2.0), goal: Vec2::zeros() };
         let tasks = [task; 2].into();
-        let round = Round { epoch: 1, episode: 0 };
+        let round = Round { term: 1, episode: 0 };
         let mode = Mode { round, repeat: 0, phase: Phase::Running, first: RobotId(0), tasks, latch: Latch::default() };
         let mut out = Vec::new();
         world.handle(at_ms(50), In::Mode(mode.clone()), &mut out);

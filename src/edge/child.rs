@@ -1,4 +1,4 @@
-//! A program of the user's as a worker: what it is told stands on its stdin, what it says on its stdout, a line each.
+//! A user's program as a worker: it reads packets from stdin and writes packets to stdout, one a line.
 //!
 //! So a driver or a source can be written in any language. Its stderr is this program's own.
 
@@ -6,15 +6,15 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
 use std::thread;
 
-use super::{Mouth, Packet, Port, Worker};
+use super::{Packet, PacketSender, Port, Worker};
 
-/// The longest line that is taken; a longer one is cut, and so refused by whoever reads it \[bytes\].
+/// Longest line that is taken \[bytes\]; a longer one is cut, and so refused by its reader.
 const LONGEST: u64 = 4096;
 
 /// A program and its arguments.
 #[derive(Clone, Debug)]
 pub struct Program {
-    /// The program, and what it is started with.
+    /// The program and its arguments.
     pub command: Vec<String>,
 }
 
@@ -29,36 +29,36 @@ impl Worker for Program {
                 return;
             }
         };
-        let (mouth, says) = (port.mouth(), child.stdout.take());
-        let reader = thread::spawn(move || says.map(|says| read(says, &mouth)));
+        let (sender, stdout) = (port.sender(), child.stdout.take());
+        let reader = thread::spawn(move || stdout.map(|stdout| read(stdout, &sender)));
         let mut stdin = child.stdin.take();
         while let Some(line) = port.wait() {
             let written = stdin.as_mut().map(|stdin| stdin.write_all(&line).and_then(|()| stdin.flush()));
             if let Some(Err(error)) = written {
-                tracing::error!("'{program}' takes nothing any more: {error}");
+                tracing::error!("'{program}' does not read its input: {error}");
                 break;
             }
         }
-        // It is told to end by the end of its input.
+        // The end of its input tells it to end.
         drop(stdin);
         end(&mut child, program);
         let _ = reader.join();
     }
 }
 
-/// Passes lines on until there are no more.
-fn read(says: impl Read, mouth: &Mouth) {
-    let mut says = BufReader::new(says);
+/// Passes lines on until the program closes its stdout.
+fn read(stdout: impl Read, sender: &PacketSender) {
+    let mut stdout = BufReader::new(stdout);
     loop {
         let mut line = Vec::new();
-        match says.by_ref().take(LONGEST).read_until(b'\n', &mut line) {
+        match stdout.by_ref().take(LONGEST).read_until(b'\n', &mut line) {
             Ok(0) | Err(_) => return,
-            Ok(_) => mouth.say(Packet::from(line)),
+            Ok(_) => sender.send(Packet::from(line)),
         }
     }
 }
 
-/// Waits for a program that has been told to end, which it has a moment for; then it is killed.
+/// Waits a moment for a program that has been told to end, then kills it.
 fn end(child: &mut Child, program: &str) {
     let waited = (0..100).find_map(|_| {
         thread::park_timeout(std::time::Duration::from_millis(5));

@@ -5,7 +5,8 @@
 //! actor = "controller"     # cache, agent, controller, body, world, state-server, network
 //! robot = 2                # whose; a robot's agent is the one that hosts it
 //! fault = "crash"          # crash, stall, mute, slow
-//! at_s = 3.0
+//! at_s = 3.0               # since the trial began, or since that of:
+//! episode = 5              # counted from 0; may be left out
 //! for_s = 1.5
 //!
 //! [[link]]
@@ -44,6 +45,8 @@ struct ActorEntry {
     #[serde(default)]
     robot: u16,
     fault: ActorFaultKind,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    episode: Option<u32>,
     at_s: f64,
     for_s: f64,
     #[serde(default)]
@@ -63,6 +66,8 @@ struct LinkEntry {
     share: f64,
     #[serde(default)]
     by_s: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    episode: Option<u32>,
     from_s: f64,
     until_s: f64,
 }
@@ -86,6 +91,7 @@ impl FaultPlan {
             actor: fault.role,
             robot: fault.robot.0,
             fault: fault.kind,
+            episode: fault.episode,
             at_s: fault.at.as_secs(),
             for_s: fault.lasts.as_secs(),
             by_s: fault.by.as_secs(),
@@ -97,6 +103,7 @@ impl FaultPlan {
             hosts: fault.hosts.iter().map(|host| host.0).collect(),
             share: fault.share,
             by_s: fault.by.as_secs(),
+            episode: fault.episode,
             from_s: fault.from.as_secs(),
             until_s: fault.until.as_secs().min(LATEST_S),
         };
@@ -131,6 +138,7 @@ impl ActorEntry {
             at: Time::ZERO + seconds(field("at_s"), self.at_s)?,
             lasts: seconds(field("for_s"), self.for_s)?,
             by: duration(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
+            episode: self.episode,
         })
     }
 }
@@ -164,6 +172,7 @@ impl LinkEntry {
             by: duration(field("by_s"), self.by_s, LONGEST_DELAY_S)?,
             from: Time::ZERO + from,
             until: Time::ZERO + until,
+            episode: self.episode,
         })
     }
 }

@@ -5,6 +5,11 @@
 
 mod file;
 
+use std::cell::{OnceCell, RefCell};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::rc::Rc;
+
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
@@ -63,6 +68,8 @@ pub struct ActorFault {
     pub lasts: Span,
     /// Additional delay before messages and timers are handled; only for `Slow`.
     pub by: Span,
+    /// The episode from whose start `at` counts, from 0; `None` for the start of the trial.
+    pub episode: Option<u32>,
 }
 
 /// Kind of fault of a link's frames.
@@ -102,6 +109,8 @@ pub struct LinkFault {
     pub from: Time,
     /// End, exclusive.
     pub until: Time,
+    /// The episode from whose start `from` and `until` count, from 0; `None` for the start of the trial.
+    pub episode: Option<u32>,
 }
 
 impl LinkFault {
@@ -116,13 +125,23 @@ impl LinkFault {
             by: Span::ZERO,
             from: Time::ZERO,
             until: Time::MAX,
+            episode: None,
         }
     }
 
-    /// Whether a frame sent at `now` is subject to this fault; `share` is drawn by the caller.
-    pub fn hits(&self, now: Time, kind: Kind, from: HostId, to: HostId) -> bool {
-        let divides = self.hosts.contains(&from) != self.hosts.contains(&to);
-        (self.from <= now && now < self.until)
+    /// Whether a frame sent at `now` is subject to this fault, if its episode, where it has one, began at `began`;
+    /// `share` is drawn by the caller.
+    pub fn hits(&self, now: Time, began: impl FnOnce(u32) -> Option<Time>, kind: Kind, ends: (HostId, HostId)) -> bool {
+        let origin = match self.episode {
+            None => Time::ZERO,
+            Some(episode) => match began(episode) {
+                Some(began) => began,
+                None => return false,
+            },
+        };
+        let elapsed = Time::ZERO + now.since(origin);
+        let divides = self.hosts.contains(&ends.0) != self.hosts.contains(&ends.1);
+        (self.from <= elapsed && elapsed < self.until)
             && (self.kinds.is_empty() || self.kinds.contains(&kind))
             && (self.kind != LinkFaultKind::Partition || divides)
     }
@@ -146,6 +165,55 @@ pub struct FaultPlan {
     pub actors: Vec<ActorFault>,
     /// Faults of links.
     pub links: Vec<LinkFault>,
+}
+
+/// The name of an enum's variant, as in a plan's file.
+fn word(value: &impl Serialize) -> String {
+    serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+/// Start times of a trial's episodes, as far as they have begun: written where the state server begins them, read by
+/// what injects faults. Only one-process simulations have faults, and these run on one thread.
+#[derive(Clone, Default)]
+pub struct EpisodeStarts {
+    starts: Rc<RefCell<BTreeMap<u32, Time>>>,
+    /// Is called at the start of each episode.
+    listener: Rc<OnceCell<Listener>>,
+}
+
+/// A function of an episode and the time at which it starts.
+type Listener = Box<dyn Fn(u32, Time)>;
+
+impl fmt::Debug for EpisodeStarts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("EpisodeStarts").field(&self.starts).finish()
+    }
+}
+
+impl EpisodeStarts {
+    /// Sets the function that is called at the start of each episode.
+    ///
+    /// # Panics
+    /// If there is one already.
+    pub fn listen(&self, listener: impl Fn(u32, Time) + 'static) {
+        assert!(self.listener.set(Box::new(listener)).is_ok(), "a trial injects its faults in one place");
+    }
+
+    /// Notes that an episode starts at `now`, unless it has started before.
+    pub fn note(&self, episode: u32, now: Time) {
+        if self.starts.borrow().contains_key(&episode) {
+            return;
+        }
+        self.starts.borrow_mut().insert(episode, now);
+        if let Some(listener) = self.listener.get() {
+            listener(episode, now);
+        }
+    }
+
+    /// The start of an episode; `None` before it.
+    pub fn of(&self, episode: u32) -> Option<Time> {
+        self.starts.borrow().get(&episode).copied()
+    }
 }
 
 /// Roles and kinds of faults in a drawn plan.
@@ -187,7 +255,7 @@ impl FaultPlan {
             } else {
                 let kind = ACTOR_FAULTS[stream.random_range(0..ACTOR_FAULTS.len())];
                 let role = ROLES[stream.random_range(0..ROLES.len())];
-                plan.actors.push(ActorFault { role, robot, kind, at, lasts, by });
+                plan.actors.push(ActorFault { role, robot, kind, at, lasts, by, episode: None });
             }
         }
         plan
@@ -216,6 +284,43 @@ impl FaultPlan {
             }
         }
         Ok(())
+    }
+
+    /// Checks that the trial has the episodes from whose starts faults are timed.
+    pub fn check_episodes(&self, episodes: u32) -> Result<(), ConfigError> {
+        let actors = self.actors.iter().enumerate().map(|(index, fault)| (format!("actor[{index}]"), fault.episode));
+        let links = self.links.iter().enumerate().map(|(index, fault)| (format!("link[{index}]"), fault.episode));
+        match actors.chain(links).find(|(_, episode)| episode.is_some_and(|episode| episode >= episodes)) {
+            None => Ok(()),
+            Some((entry, _)) => {
+                let reason = format!("the trial has {episodes}, counted from 0");
+                Err(ConfigError::field(format!("{entry}.episode"), reason))
+            }
+        }
+    }
+
+    /// Each fault in words, for a report.
+    pub fn describe(&self) -> Vec<String> {
+        let when = |episode: Option<u32>, at: Time| match episode {
+            Some(episode) => format!("episode {episode} at {:.1} s", at.as_secs()),
+            None => format!("at {:.1} s", at.as_secs()),
+        };
+        let actor = |fault: &ActorFault| {
+            let whose = if fault.role == Role::StateServer { String::new() } else { format!(" of {}", fault.robot) };
+            let (role, kind) = (word(&fault.role), word(&fault.kind));
+            format!("{role}{whose}: {kind} {} for {:.1} s", when(fault.episode, fault.at), fault.lasts.as_secs())
+        };
+        let link = |fault: &LinkFault| {
+            let share = 100.0 * fault.share;
+            let (begins, kind) = (when(fault.episode, fault.from), word(&fault.kind));
+            let ends = if fault.until == Time::MAX {
+                "to the end".to_owned()
+            } else {
+                format!("for {:.1} s", fault.until.since(fault.from).as_secs())
+            };
+            format!("link {}: {kind} of {share:.0} % {begins} {ends}", fault.link)
+        };
+        self.actors.iter().map(actor).chain(self.links.iter().map(link)).collect()
     }
 
     /// Returns the faults planned for one link.

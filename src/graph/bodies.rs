@@ -38,7 +38,7 @@ pub(super) fn wire_body(clock: &Clock, graph: &Graph, robot: RobotId, process: &
     };
     start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
-        body::Out::Tell(packet) => gate.iter().for_each(|gate| gate.borrow_mut().tell(packet.clone())),
+        body::Out::Tell(packet) => gate.iter().for_each(|gate| gate.borrow_mut().send(packet.clone())),
         body::Out::Condition(health, battery) => status.send(status::In::Condition(robot, health, battery)),
         body::Out::Follows(latch) => status.send(status::In::Body(robot, latch)),
         body::Out::Stop(stop) => network.send(network::In::Publish(Wire::Stop(stop))),

@@ -9,7 +9,7 @@ use super::devices::Devices;
 use super::process::{Graph, Heard, Process};
 use super::sockets;
 use crate::actors::{body, localizer, recorder};
-use crate::edge::Worked;
+use crate::edge::WorkerState;
 use crate::graph::{Plan, wire_hosts, wire_recorder};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::key::Key;
@@ -75,22 +75,22 @@ pub fn wire(
 fn wire_gates((clock, readers): (&Clock, &mut Readers), graph: &Graph, process: &Process) {
     for (robot, device) in &process.devices.drivers {
         let Some(gate) = device.gate.clone() else { continue };
-        let (bell, body) = (gate.borrow().bell(), graph.bodies[robot.index()].clone());
+        let (event_fd, body) = (gate.borrow().event_fd(), graph.bodies[robot.index()].clone());
         let ended = Cell::new(false);
-        readers.watch(Rc::new(bell), move || {
-            let worked = gate.borrow_mut().take(|packet| body.send(body::In::Packet(packet)));
-            if worked == Worked::Ended && !ended.replace(true) {
+        readers.watch(Rc::new(event_fd), move || {
+            let state = gate.borrow_mut().take(|packet| body.send(body::In::Packet(packet)));
+            if state == WorkerState::Ended && !ended.replace(true) {
                 body.send(body::In::WorkerEnded);
             }
         });
     }
     if let Some(gate) = process.devices.source.as_ref().and_then(|device| device.gate.clone()) {
-        let (bell, localizer) = (gate.borrow().bell(), Mailbox::new("localizer"));
+        let (event_fd, localizer) = (gate.borrow().event_fd(), Mailbox::new("localizer"));
         wire_source(clock, graph, process, &localizer);
         let ended = Cell::new(false);
-        readers.watch(Rc::new(bell), move || {
-            let worked = gate.borrow_mut().take(|packet| localizer.send(localizer::In::Packet(packet)));
-            if worked == Worked::Ended && !ended.replace(true) {
+        readers.watch(Rc::new(event_fd), move || {
+            let state = gate.borrow_mut().take(|packet| localizer.send(localizer::In::Packet(packet)));
+            if state == WorkerState::Ended && !ended.replace(true) {
                 tracing::error!("the source of this host has ended: no robot is measured any more; restart the host");
             }
         });

@@ -12,6 +12,7 @@ use crate::actors::status::{self, Status};
 use crate::actors::{agent, body, cache, controller, network, world};
 use crate::graph::Plan;
 use crate::messages::ids::{HostId, RobotId};
+use crate::messages::phase::Phase;
 use crate::messages::wire::{Mode, Stop, Wire};
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
@@ -130,8 +131,14 @@ pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
     let (host, robots) = (graph.routes.server_host(), plan.deployment.robots);
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let make = move |life| StateServer::new(config.clone(), robots, life);
+    let (starts, now) = (graph.starts.clone(), clock.clone());
     start(clock, &graph.server, info_span!("state server"), make, move |out| match out {
-        state_server::Out::Mode(mode) => network.send(network::In::Publish(Wire::Mode(mode))),
+        state_server::Out::Mode(mode) => {
+            if mode.phase == Phase::Running {
+                starts.note(mode.round.episode, now.now());
+            }
+            network.send(network::In::Publish(Wire::Mode(mode)));
+        }
         state_server::Out::Leading(leading) => status.send(status::In::Leading(leading)),
     });
 }

@@ -23,7 +23,7 @@ use crate::actors::recorder::{self, Recorder};
 use crate::actors::status;
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::estimation;
-use crate::faults::FaultPlan;
+use crate::faults::{ActorFault, FaultPlan};
 use crate::graph::leading::{deliveries, wire_server, wire_status};
 use crate::graph::process::{Graph, Heard, Process};
 use crate::graph::station::Station;
@@ -101,10 +101,18 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
     wire_hosts(clock, plan, &graph, &process);
     wire_links(clock, plan, &graph);
     wire_recorder(clock, plan, &graph, said);
-    for fault in &plan.faults.actors {
-        let (fault, graph) = (fault.clone(), Rc::clone(&graph));
-        clock.call(fault.at, Box::new(move || graph.inject(fault)));
+    for fault in plan.faults.actors.iter().filter(|fault| fault.episode.is_none()) {
+        inject(clock, &graph, fault, fault.at);
     }
+    // Weak, because the graph holds the listener.
+    let (later, weak) = (clock.clone(), Rc::downgrade(&graph));
+    let timed: Vec<ActorFault> = plan.faults.actors.iter().filter(|fault| fault.episode.is_some()).cloned().collect();
+    graph.starts.listen(move |episode, now| {
+        let Some(graph) = weak.upgrade() else { return };
+        for fault in timed.iter().filter(|fault| fault.episode == Some(episode)) {
+            inject(&later, &graph, fault, now + fault.at.since(Time::ZERO));
+        }
+    });
     if let Some(until) = plan.until {
         let record = graph.record();
         clock.call(until, Box::new(move || record(recorder::In::Closing)));
@@ -114,6 +122,12 @@ pub fn wire(clock: &Clock, plan: Plan, said: impl FnMut(recorder::Out) + 'static
         clock.call(at, Box::new(move || network.send(network::In::Publish(Wire::Stop(stop)))));
     }
     graph
+}
+
+/// Injects a fault at that time.
+fn inject(clock: &Clock, graph: &Rc<Graph>, fault: &ActorFault, at: Time) {
+    let (fault, graph) = (fault.clone(), Rc::clone(graph));
+    clock.call(at, Box::new(move || graph.inject(fault)));
 }
 
 /// The actors of the hosts that run here.
@@ -293,7 +307,7 @@ fn wire_network(
 ) {
     let name = plan.deployment.hosts[usize::from(host.0)].name.clone();
     let station = Station {
-        me: network::Identity { host, team: process.team, epoch: process.incarnation },
+        me: network::Identity { host, team: process.team, incarnation: process.incarnation },
         key: process.key.clone(),
         links: process.setups(&plan.deployment, &graph.routes, host),
         router: graph.routes.router(host),
@@ -335,11 +349,11 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
         let id = LinkId(u16::try_from(index).expect("links are counted in u16"));
         let routes = graph.routes.clone();
         let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
-        let (seed, name) = (plan.seed, link.name.clone());
+        let (seed, name, starts) = (plan.seed, link.name.clone(), graph.starts.clone());
         let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
         let make = move |life| {
             let stream = seed.stream(&format!("link/{name}/{life}"));
-            let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream);
+            let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream).with_starts(starts.clone());
             let air = || seed.child(&format!("link/{name}/radio/{life}"));
             let radio_link = radio.clone().map(|radio| RadioLink::new(radio, &robots_of, &air()));
             let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));

@@ -5,14 +5,14 @@ use std::rc::Rc;
 
 use crate::actors::{agent, body, cache, controller, localizer, network, recorder, state_server, status, world};
 use crate::deploy::{Deployment, Link, Routes};
-use crate::faults::{ActorFault, Role};
+use crate::faults::{ActorFault, EpisodeStarts, Role};
 use crate::graph::Plan;
 use crate::graph::devices::Devices;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
 use crate::messages::wire::{Stop, Wire};
 use crate::net::protocol::key::Key;
-use crate::net::protocol::link::{Duplicate, LinkCounts};
+use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::sender::Peer;
 use crate::net::transport;
@@ -58,7 +58,7 @@ pub enum Heard<'a> {
     /// What it has counted on its links since it was started.
     Counts(&'a LinkCounts),
     /// Another live host has the id of this one and was started before it.
-    Duplicate(Duplicate),
+    Duplicate(DuplicateId),
     /// How often the guard of a robot of this process has stopped or slowed it since it was started.
     Safety(RobotId, SafetyCounts),
 }
@@ -109,6 +109,8 @@ pub struct Graph {
     pub(super) transports: Rc<[Mailbox<transport::In>]>,
     /// Where there is one.
     pub(super) recorder: Option<Mailbox<recorder::In>>,
+    /// Start times of episodes, for faults that are timed from them.
+    pub(super) starts: EpisodeStarts,
 }
 
 impl Graph {
@@ -141,6 +143,7 @@ impl Graph {
             networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
             transports: links.map(Mailbox::new).collect(),
             recorder: process.records.then(|| Mailbox::new("recorder")),
+            starts: EpisodeStarts::default(),
             routes,
         }
     }

@@ -62,7 +62,7 @@ fn wire(
     mailbox: &Mailbox<transport::In>,
     network: &Mailbox<network::In>,
 ) {
-    let (time, network, bell) = (clock.clone(), network.clone(), transport.bell());
+    let (time, network, descriptor) = (clock.clone(), network.clone(), transport.descriptor());
     let span = info_span!("transport", link = link.0);
     // It outlives its actor: what waits in a socket would be lost with it.
     let transport = Rc::new(RefCell::new(transport));
@@ -78,7 +78,7 @@ fn wire(
             network.send(network::In::Dropped(link, dropped - told.replace(dropped)));
         }
     };
-    readers.watch_link(bell, move || flooded.borrow().rests_until(), ring);
+    readers.watch_link(descriptor, move || flooded.borrow().paused_until(), ring);
     start(clock, mailbox, span, move |_| Outward(Rc::clone(&transport)), |never| match never {});
 }
 
@@ -151,8 +151,8 @@ mod tests {
     use crate::config::fields::Value;
     use crate::messages::ids::HostId;
     use crate::net::protocol::router::Audience;
-    use crate::net::transport::settings::Said;
-    use crate::net::transport::{Filter, Given, Transmit, udp};
+    use crate::net::transport::settings::FieldValue;
+    use crate::net::transport::{Filter, LinkSettings, Transmit, udp};
     use crate::runtime::real::run_real;
 
     /// Counts the frames that have arrived.
@@ -181,16 +181,17 @@ mod tests {
         let peer = UdpSocket::bind(at(47_751)).unwrap();
         peer.set_nonblocking(true).unwrap();
         let open = |port: u16| {
-            let said = |value| Said { value, place: String::new() };
+            let said = |value| FieldValue { value, place: String::new() };
             let values = [
                 ("interface".to_owned(), said(Value::Text("lo".to_owned()))),
                 ("receive_buffer_bytes".to_owned(), said(Value::Whole(1 << 16))),
                 ("peers.here".to_owned(), said(Value::Address(at(port)))),
                 ("peers.there".to_owned(), said(Value::Address(at(47_751)))),
             ];
-            let given = Given { link: "test", host: HostId(0), hosts: vec!["here", "there"], values: values.into() };
-            let way = (udp::unicast::ENTRY.read)(&given).unwrap();
-            (LinkId(3), way.open(HostId(0), Filter::All).unwrap())
+            let settings =
+                LinkSettings { link: "test", host: HostId(0), hosts: vec!["here", "there"], values: values.into() };
+            let endpoint = (udp::unicast::ENTRY.read)(&settings).unwrap();
+            (LinkId(3), endpoint.open(HostId(0), Filter::All).unwrap())
         };
         let sockets = vec![open(47_752), open(47_753)];
         for port in [47_752, 47_753] {

@@ -9,7 +9,7 @@ use crate::messages::ids::LinkId;
 use crate::messages::wire::Wire;
 use crate::net::protocol::codec::Frame;
 use crate::net::protocol::key::Key;
-use crate::net::protocol::link::{Duplicate, LinkCounts};
+use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::net::protocol::reliability::Setup;
 use crate::net::protocol::router::Router;
 use crate::net::protocol::sender::Peer;
@@ -49,7 +49,7 @@ pub enum Out {
     /// What is known of the other hosts, on links with reports.
     Peers(Vec<Peer>),
     /// Another live host has the id of this one and was started before it.
-    Duplicate(Duplicate),
+    Duplicate(DuplicateId),
 }
 
 impl Station {
@@ -65,7 +65,7 @@ impl Station {
         let Station { me, key, links, router, seed, stream, span } = self;
         let config = network::Config { me, key, links, router };
         let make = move |life: u32| {
-            let me = Identity { epoch: me.epoch.wrapping_add(life), ..me };
+            let me = Identity { incarnation: me.incarnation.wrapping_add(life), ..me };
             Network::new(network::Config { me, ..config.clone() }, seed.stream(&format!("{stream}/{life}")))
         };
         let tell = move |link: LinkId, told| transports[usize::from(link.0)].send(told);

@@ -1,5 +1,5 @@
-//! A process's links, from what the team file says to open transports, and who the process is on them. What is said on
-//! them never matters here.
+//! Links of a process: from the team file to open transports, with the identity of the process on them. Does not
+//! interpret frames.
 
 use std::sync::Arc;
 
@@ -8,86 +8,86 @@ use crate::deploy::team::{Post, Team};
 use crate::deploy::{Deployment, Link};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::reliability::Setup;
-use crate::net::transport::{Filter, OpenError, Place, Transport, Way};
+use crate::net::transport::{Endpoint, Filter, OpenError, Place, Transport};
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Why a process has no part in its links.
+/// Reason for which a process has no access to its links.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
-    /// The team file says what cannot be on this machine.
+    /// The team file does not fit this machine.
     #[error("{0}")]
     Wrong(String),
-    /// It may go well later, as where an interface is down.
+    /// It may work later, for example when an interface is up.
     #[error("{0}")]
     NotNow(String),
 }
 
-/// A link and what is open of it.
+/// A link and its open transport.
 pub type Open = (LinkId, Box<dyn Transport>);
 
-/// Random numbers of the operating system that make a process itself and no other.
-pub struct Fresh {
-    /// Its incarnation on every link. No clock is asked: many robots have none that survives a restart.
+/// Random numbers of the operating system that identify a process.
+pub struct ProcessIdentity {
+    /// Its incarnation on every link. Not from a clock: many robots have none that survives a restart.
     pub incarnation: u32,
-    /// The root of what its link layer draws; nobody else can know it.
+    /// Seed of its link layer; unpredictable for others.
     pub seed: Seed,
-    /// The number that it has as an operator.
+    /// Its number as an operator.
     pub operator: HostId,
 }
 
-impl Fresh {
-    /// Draws them.
-    pub fn draw() -> Result<Fresh, LinkError> {
+impl ProcessIdentity {
+    /// Draws the numbers.
+    pub fn draw() -> Result<ProcessIdentity, LinkError> {
         let no_random = |e| LinkError::NotNow(format!("the operating system gives no random bytes: {e}"));
         let (mut seed, mut numbers) = ([0; 32], [0; 8]);
         getrandom::fill(&mut seed).and_then(|()| getrandom::fill(&mut numbers)).map_err(no_random)?;
         let [a, b, c, d, e, f, ..] = numbers;
-        Ok(Fresh {
+        Ok(ProcessIdentity {
             incarnation: u32::from_le_bytes([a, b, c, d]),
             seed: Seed::of_bytes(seed),
             operator: HostId::operator(u16::from_le_bytes([e, f])),
         })
     }
 
-    /// An operator of this team.
+    /// Returns the identity of an operator of this team.
     pub fn operator_of(&self, team: u16) -> Identity {
-        Identity { host: self.operator, team, epoch: self.incarnation }
+        Identity { host: self.operator, team, incarnation: self.incarnation }
     }
 }
 
-/// How the links are set up that have a place here: as the deployment has them, and as the team file has it otherwise.
+/// Returns the setups of the links that have a place: the deployment's, overridden by the team file's.
 pub fn setups<'a>(deployment: &Deployment, places: impl IntoIterator<Item = Option<&'a Place>>) -> Vec<Option<Setup>> {
     let setup = |(link, place): (&Link, Option<&Place>)| place.map(|place| place.setup(&link.reliability));
     deployment.links.iter().zip(places).map(setup).collect()
 }
 
-/// How they are set up for an operator, which is to be believed at once: a report goes with every datagram.
+/// Returns the setups for an operator, which is to be accepted at once: a report goes with every datagram.
 pub fn of_operator<'a>(
     deployment: &Deployment,
     places: impl IntoIterator<Item = Option<&'a Place>>,
 ) -> Vec<Option<Setup>> {
     let setups = setups(deployment, places).into_iter();
-    setups.map(|setup| setup.map(|setup| Setup { report_rides: Span::ZERO, ..setup })).collect()
+    setups.map(|setup| setup.map(|setup| Setup { report_piggyback_age: Span::ZERO, ..setup })).collect()
 }
 
-/// The place of an operator that has a part in the link of the stop alone.
+/// Returns the places of an operator that takes part only in the link that carries `Stop`.
 pub fn at_post<'a>(post: &'a Post, deployment: &Deployment) -> impl Iterator<Item = Option<&'a Place>> {
     let at = usize::from(post.link.0);
     (0..deployment.links.len()).map(move |link| (link == at).then(|| &post.places[0]))
 }
 
-/// What a host of the team has to hear.
+/// Returns the filter for the frames of the team.
 pub fn filter(team: &Team) -> Filter {
     Filter::Team { number: team.number, tagged: team.key_file.is_some() }
 }
 
-/// Opens the links that the team's host uses, for `me`.
+/// Opens the links of the team's host, for `me`.
 pub fn open(team: &Team, me: HostId) -> Result<Vec<Open>, LinkError> {
     let mut open = Vec::new();
     for (at, (link, place)) in team.deployment.links.iter().zip(&team.links).enumerate() {
         let Some(place) = place else { continue };
-        let transport = place.way.open(me, filter(team)).map_err(|error| failed(&link.name, error))?;
+        let transport = place.endpoint.open(me, filter(team)).map_err(|error| failed(&link.name, error))?;
         tracing::info!(link = link.name, "open");
         open.push((LinkId(u16::try_from(at).expect("links are counted in u16")), transport));
     }
@@ -101,21 +101,21 @@ fn failed(link: &str, error: OpenError) -> LinkError {
     }
 }
 
-/// Opens the link of the stop for an operator: by every way of the team file that this machine has; or, where it has
-/// none of those, by all that it has. Where a flag has `named` the interface, by that one or none.
+/// Opens the link that carries `Stop` for an operator: on every interface of the team file that this machine has; if it
+/// has none of those, on all that it has. If a flag has `named` the interface, only on that one.
 pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
-    let all = || post.places.iter().map(|place| &place.way);
-    let mut ways: Vec<Arc<dyn Way>> = all().filter(|way| way.is_here()).cloned().collect();
-    if ways.is_empty() {
-        let first = &post.places[0].way;
-        // Of a flag nothing else is meant.
-        ways = if named { vec![Arc::clone(first)] } else { first.everywhere() };
+    let all = || post.places.iter().map(|place| &place.endpoint);
+    let mut endpoints: Vec<Arc<dyn Endpoint>> = all().filter(|endpoint| endpoint.is_available()).cloned().collect();
+    if endpoints.is_empty() {
+        let first = &post.places[0].endpoint;
+        // An interface named by a flag has no substitute.
+        endpoints = if named { vec![Arc::clone(first)] } else { first.on_all_interfaces() };
     }
     let filter = Filter::Team { number: post.number, tagged: post.key_file.is_some() };
     let mut open = Vec::new();
     let mut refused = None;
-    for way in &ways {
-        match way.open(me, filter) {
+    for endpoint in &endpoints {
+        match endpoint.open(me, filter) {
             Ok(transport) => open.push((post.link, transport)),
             Err(error) => refused = Some(error),
         }
@@ -123,7 +123,7 @@ pub fn join(post: &Post, link: &Link, me: HostId, named: bool) -> Result<Vec<Ope
     match refused {
         Some(error) if open.is_empty() => Err(failed(&link.name, error)),
         _ if open.is_empty() => {
-            let named: Vec<&str> = all().filter_map(|way| way.interface()).collect();
+            let named: Vec<&str> = all().filter_map(|endpoint| endpoint.interface()).collect();
             let why = format!("link '{}': no interface of this machine is up; the file names {named:?}", link.name);
             Err(LinkError::NotNow(why))
         }

@@ -1,5 +1,5 @@
-//! One host of a team in real time: from what a team file says, on this machine's clock and sockets, to its end. The
-//! command line's `host` is made of it, and `examples/host.rs` is a whole team.
+//! One host of a team in real time: from its team file, on this machine's clock and sockets, to its end. The command
+//! `host` is made of it, and `examples/host.rs` is a whole team.
 
 pub mod links;
 
@@ -7,7 +7,7 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::time::Instant;
 
-use self::links::{Fresh, LinkError};
+use self::links::{LinkError, ProcessIdentity};
 use crate::actors::recorder::Out;
 use crate::deploy::team::Team;
 use crate::graph::Plan;
@@ -22,35 +22,35 @@ use crate::runtime::real::{Readers, run_real};
 use crate::time::{Span, Time};
 use crate::trial::Trial;
 
-/// How long a host goes on after the last episode: whoever has missed the news hears it again.
+/// Time that a host runs on after the last episode, so that hosts that missed the end receive it again.
 const GRACE: Span = Span::from_millis(500);
-/// The same for the host of the state server, which tells the news.
+/// The same for the host of the state server, which announces the end.
 const SERVER_GRACE: Span = Span::from_millis(2000);
 
-/// How long the team's host goes on after the last episode.
+/// Time that the team's host runs on after the last episode.
 pub fn grace(team: &Team) -> Span {
     if team.deployment.hosts[usize::from(team.host.0)].state_server { SERVER_GRACE } else { GRACE }
 }
 
-/// Why a host cannot be opened.
+/// Reason for which a host cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// One of its links cannot.
+    /// One of its links cannot be opened.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// One of its drivers or sources cannot.
+    /// One of its drivers or sources cannot be opened.
     #[error(transparent)]
     Device(#[from] DeviceError),
 }
 
 impl OpenError {
-    /// Whether a file is wrong, and not the machine.
+    /// Whether a file is at fault, and not the machine.
     pub fn is_wrong_input(&self) -> bool {
         matches!(self, OpenError::Link(LinkError::Wrong(_)) | OpenError::Device(DeviceError::Config(_)))
     }
 }
 
-/// A host whose sockets are open.
+/// A host with open sockets.
 pub struct LiveHost {
     host: Host,
     workers: Workers,
@@ -59,21 +59,21 @@ pub struct LiveHost {
 }
 
 impl LiveHost {
-    /// Opens the sockets of the team's host, for its part of the trial, and its drivers and sources by their names in
+    /// Opens the sockets of the team's host for its part of the trial, and its drivers and sources by their names in
     /// the registry. A team without a key may have no link that leaves the machine.
     pub fn open(team: &Team, trial: &Trial, key: Option<Key>, registry: &Registry) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
         let transports = links::open(team, team.host)?;
-        let Fresh { incarnation, seed: secret, .. } = Fresh::draw()?;
+        let ProcessIdentity { incarnation, seed: secret, .. } = ProcessIdentity::draw()?;
         let entry = &team.deployment.hosts[usize::from(team.host.0)];
         let (devices, workers) = devices::open(entry, registry)?;
         let host = Host { id: team.host, team: team.number, incarnation, secret, key, links, devices, transports };
         Ok(LiveHost { host, workers, plan: trial.plan(), grace: grace(team) })
     }
 
-    /// Runs the host on this thread, with its time counted from `origin`. `heard` is told what its Network makes
-    /// known, `said` what the Recorder says, which is there on the host that judges (`Deployment::judge`).
-    /// `begun` is called once its actors stand; `done` is asked after every turn.
+    /// Runs the host on this thread, with its time counted from `origin`. `heard` receives the events of its Network,
+    /// `said` the output of the Recorder, which runs on the host that judges (`Deployment::judge`). `begun` is called
+    /// once its actors have started; `done` is called after every turn.
     pub fn run(
         self,
         origin: Instant,
@@ -97,7 +97,7 @@ impl LiveHost {
     }
 
     /// Runs the host on this thread until its team has finished. The report has episodes on the host that judges
-    /// (`Deployment::judge`); what is counted in it is of this host alone.
+    /// (`Deployment::judge`); its counters are those of this host alone.
     pub fn run_to_the_end(self) -> TrialReport {
         let (report, news) = (Rc::new(RefCell::new(TrialReport::default())), Rc::new(Cell::new(false)));
         let (told, grace) = (Rc::clone(&news), self.grace);

@@ -1,7 +1,7 @@
-//! Float vectors on the wire: one MessagePack `bin` of little-endian f32, not one marker a number.
+//! Float vectors on the wire: one MessagePack `bin` of little-endian f32, without a marker for each number.
 //!
-//! Holds `Features`, the one message field of no fixed length, and serde impls; whether numbers make sense is checked
-//! by `Wire::check`.
+//! Holds `Features`, the only message field of variable length, and serde impls. `Wire::check` checks whether numbers
+//! make sense.
 
 use std::fmt;
 use std::sync::Arc;
@@ -11,15 +11,15 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2};
 
-/// The most floats that a latent may carry: with them a frame stays inside one datagram.
+/// Most floats in a latent: with them a frame fits into one datagram.
 pub const MAX_FEATURES: usize = 256;
 
-/// What a robot's policy tells its neighbours: for a GNN the encoder's output, for ORCA the radius \[m\]
-/// and the preferred velocity \[m/s\].
+/// Message of a robot's policy to its neighbours: for a GNN the encoder's output, for ORCA the radius \[m\] and the
+/// preferred velocity \[m/s\].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features(pub Arc<[f32]>);
 
-/// Takes a byte string and hands it to a parser, which says what it expected.
+/// Visitor that hands a byte string to a parser; the text says what was expected.
 struct Bytes<T>(fn(&[u8]) -> Option<T>, &'static str);
 
 impl<T> Visitor<'_> for Bytes<T> {
@@ -32,12 +32,12 @@ impl<T> Visitor<'_> for Bytes<T> {
     }
 }
 
-/// What is a fixed number of floats on the wire.
+/// A value that is a fixed number of floats on the wire.
 trait Floats<const N: usize>: Sized {
-    /// What they are, for whoever reads others.
+    /// Description for decoding errors.
     const EXPECTED: &'static str;
     fn floats(&self) -> [f32; N];
-    /// None of floats that are written otherwise.
+    /// Converts from floats; none if they are not in the form that `floats` gives.
     fn of(floats: [f32; N]) -> Option<Self>;
 }
 
@@ -59,12 +59,12 @@ fn unpack_exactly<const N: usize>(bytes: &[u8]) -> Option<[f32; N]> {
     Some(fours.map(f32::from_le_bytes))
 }
 
-/// How a number is written that may be unknown: as this NaN, and no other.
+/// Encodes a number that may be unknown: as this NaN, and no other.
 fn unknown(float: Option<f32>) -> f32 {
     float.unwrap_or(f32::NAN)
 }
 
-/// The same the other way; none if it is another NaN.
+/// Decodes a number that may be unknown; the outer option is none if it is another NaN.
 fn known(float: f32) -> Option<Option<f32>> {
     match float.is_nan() {
         true => (float.to_bits() == f32::NAN.to_bits()).then_some(None),
@@ -168,7 +168,7 @@ impl Serialize for Features {
 impl<'de> Deserialize<'de> for Features {
     fn deserialize<D: Deserializer<'de>>(d: D) -> Result<Features, D::Error> {
         let parse = |bytes: &[u8]| {
-            // Of known length, so that the shared slice is allocated once and filled in one sweep.
+            // The length is known, so the shared slice is allocated once and filled in one pass.
             let whole = bytes.len().is_multiple_of(4) && bytes.len() <= 4 * MAX_FEATURES;
             whole.then(|| Features(unpack(bytes).collect()))
         };

@@ -1,4 +1,4 @@
-//! Points, velocities and what is made of them. SI units; x and y right-handed (REP-103).
+//! Points, velocities and types made of them. SI units; x and y right-handed (REP-103).
 
 use std::fmt;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
@@ -43,13 +43,13 @@ impl Vec2 {
         Vec2::new(0.0, 1.0)
     }
 
-    /// Both coordinates.
+    /// Both coordinates as an array.
     #[inline(always)]
     pub const fn to_array(self) -> [f32; 2] {
         [self.x, self.y]
     }
 
-    /// What a function makes of each coordinate.
+    /// Applies a function to each coordinate.
     #[inline(always)]
     pub fn map(self, mut of: impl FnMut(f32) -> f32) -> Vec2 {
         Vec2::new(of(self.x), of(self.y))
@@ -91,26 +91,26 @@ impl Vec2 {
         self.norm_squared().sqrt()
     }
 
-    /// The same direction, and no longer than `most`.
+    /// Returns the vector with its length limited to `most`.
     pub fn cap_magnitude(self, most: f32) -> Vec2 {
         let length = self.norm();
         if length > most { self * (most / length) } else { self }
     }
 
-    /// The direction, of length 1; of a zero vector not numbers.
+    /// Returns the unit vector of this direction; NaN for a zero vector.
     #[inline(always)]
     pub fn normalize(&self) -> Vec2 {
         *self / self.norm()
     }
 
-    /// The direction, unless the length is `least` or below.
+    /// Returns the unit vector, unless the length is `least` or below.
     #[inline(always)]
     pub fn try_normalize(&self, least: f32) -> Option<Vec2> {
         let norm = self.norm();
         if norm <= least { None } else { Some(*self / norm) }
     }
 
-    /// The distance of each coordinate from zero.
+    /// Absolute value of each coordinate.
     #[inline(always)]
     pub fn abs(&self) -> Vec2 {
         Vec2::new(self.x.abs(), self.y.abs())
@@ -122,14 +122,14 @@ impl Vec2 {
         self.x.max(self.y)
     }
 
-    /// The same number added to both coordinates.
+    /// Adds the same number to both coordinates.
     #[inline(always)]
     pub fn add_scalar(&self, both: f32) -> Vec2 {
         *self + Vec2::repeat(both)
     }
 }
 
-/// `[x, y]`, at the precision that is asked for.
+/// `[x, y]`, with the precision of the format string.
 impl fmt::Display for Vec2 {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("[")?;
@@ -224,7 +224,7 @@ impl SubAssign for Vec2 {
     }
 }
 
-/// Where a robot is and how it moves, in the world frame.
+/// Position and velocity of a robot in the world frame.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Motion {
     /// Position of the centre \[m\].
@@ -233,25 +233,25 @@ pub struct Motion {
     pub velocity: Vec2,
 }
 
-/// Where a robot is and where it points, in the world frame (REP-103).
+/// Position and heading of a robot in the world frame (REP-103).
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Pose {
     /// Position of the centre \[m\].
     pub position: Vec2,
-    /// Heading \[rad\], counter-clockwise from the x axis, within -pi and pi; none where nobody measures it.
+    /// Heading \[rad\], counter-clockwise from the x axis, within -pi and pi; none if it is not measured.
     pub heading: Option<f32>,
 }
 
-/// How a robot moves and turns, in the world frame.
+/// Linear velocity and yaw rate of a robot in the world frame.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Twist {
     /// Velocity of the centre \[m/s\].
     pub velocity: Vec2,
-    /// Yaw rate \[rad/s\], counter-clockwise; none where nobody measures it.
+    /// Yaw rate \[rad/s\], counter-clockwise; none if it is not measured.
     pub yaw_rate: Option<f32>,
 }
 
-/// How good a measurement is, as standard deviations; none where that is not known.
+/// Standard deviations of a measurement; none where unknown.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Deviation {
     /// Of the position along each axis \[m\].
@@ -264,7 +264,7 @@ pub struct Deviation {
     pub yaw_rate_rad_s: Option<f32>,
 }
 
-/// Where one robot starts an episode and where it is to go, in the world frame.
+/// Start and goal of one robot in an episode, in the world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Task {
     /// Start \[m\].
@@ -279,20 +279,20 @@ impl Motion {
         Motion { position, velocity: Vec2::zeros() }
     }
 
-    /// Whether all four numbers are finite and of a size that a robot's can be.
+    /// Whether all four numbers are finite and of a plausible size.
     pub fn is_sound(&self) -> bool {
         is_sound(self.position) && is_sound(self.velocity)
     }
 }
 
 impl Pose {
-    /// Whether the position is of a size that a robot's can be, and the heading within a turn.
+    /// Whether the position is of a plausible size and the heading is within a turn.
     pub fn is_sound(&self) -> bool {
         is_sound(self.position) && self.heading.is_none_or(|heading| heading.abs() <= MAX_HEADING)
     }
 
-    /// A velocity \[m/s\] of the world frame in the frame of a robot with this pose: x ahead, y to the left. None
-    /// where the heading is not known.
+    /// Converts a velocity \[m/s\] from the world frame into the frame of a robot with this pose: x ahead, y to the
+    /// left. None if the heading is unknown.
     pub fn into_body(&self, velocity: Vec2) -> Option<Vec2> {
         let (sin, cos) = libm::sincosf(self.heading?);
         Some(Vec2::new(cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x))
@@ -300,23 +300,23 @@ impl Pose {
 }
 
 impl Twist {
-    /// Whether all numbers are of a size that a robot's can be.
+    /// Whether all numbers are of a plausible size.
     pub fn is_sound(&self) -> bool {
         is_sound(self.velocity) && self.yaw_rate.is_none_or(|rate| rate.abs() <= MAX_SIZE)
     }
 }
 
 impl Deviation {
-    /// Whether what is known is a deviation: not below zero, and finite.
+    /// Whether every known deviation is finite and not negative.
     pub fn is_sound(&self) -> bool {
         let all = [self.position_m, self.heading_rad, self.velocity_m_s, self.yaw_rate_rad_s];
         all.into_iter().flatten().all(|deviation| (0.0..=MAX_SIZE).contains(&deviation))
     }
 }
 
-/// The largest heading \[rad\]: pi, as an f32 has it, which is a little more.
+/// Largest heading \[rad\]: pi as an f32, which is slightly more than pi.
 pub const MAX_HEADING: f32 = std::f32::consts::PI;
-/// The largest coordinate \[m\] and velocity \[m/s\] that is taken for one: arithmetic in f32 stays finite with it.
+/// Largest coordinate \[m\] and velocity \[m/s\] that is valid: arithmetic in f32 stays finite with it.
 pub const MAX_SIZE: f32 = 1e5;
 
 /// Whether both coordinates are finite and at most `MAX_SIZE`.

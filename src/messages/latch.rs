@@ -1,21 +1,23 @@
-//! Latch: whether the team may move. Soft state: robots and state server repeat it, and of two the later one holds.
+//! Emergency stop latch: whether the team may move. Soft state: robots and state server repeat it, and the later of two
+//! holds.
 //!
-//! An emergency stop engages it. A re-arm takes the stop back and leaves the team held; a resume lets it move again.
-//! A stop is never refused; a re-arm and a resume count only if they are later than what they take back.
+//! An emergency stop engages it. A re-arm takes the stop back and leaves the team held; a resume lets it move again. A
+//! stop is never refused; a re-arm and a resume count only if they are later than the state that they end.
 
 use serde::{Deserialize, Serialize};
 
-/// Every latch on the wire is a multiple of this, so that no single bit error turns one latch into another.
+/// Factor of every latch on the wire, so that no single bit error turns one latch into another.
 const WIRE_FACTOR: u64 = 251;
-/// The largest number on the wire. At `JUMP` for each of 8000 messages a second it is reached after 17 years.
+/// Largest number on the wire. At `JUMP` for each of 8000 messages a second it is reached after 17 years.
 const MAX_NUMBER: u64 = 1 << 52;
-/// The largest number that is believed at once: a team that is stopped once a second reaches it after 45 years.
+/// Largest number that is accepted without a look at the known one: a team that is stopped once a second reaches it
+/// after 45 years.
 const CREDIBLE: u64 = 1 << 32;
-/// The furthest that a number beyond `CREDIBLE` may be ahead of what is known. Without these bounds, one message with
-/// the largest number would keep a team stopped for good.
+/// Most that a number beyond `CREDIBLE` may exceed the known one. Without these bounds, one message with the largest
+/// number would keep a team stopped for good.
 const JUMP: u64 = 1024;
 
-/// Whether motors may turn; a later one is the more restrictive.
+/// Whether motors may turn, in ascending order of restriction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum State {
     #[default]
@@ -24,8 +26,8 @@ enum State {
     Engaged,
 }
 
-/// The state of the emergency stop, and how often it has changed: the larger number outranks, and of two with the same
-/// number the more restrictive state.
+/// State of the emergency stop and the number of its changes. The larger number outranks; with equal numbers, the more
+/// restrictive state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "u64", try_from = "u64")]
 pub struct Latch {
@@ -34,17 +36,17 @@ pub struct Latch {
 }
 
 impl Latch {
-    /// Robots may move, as the change with this number; zero is how a team starts.
+    /// Robots may move, as of the change with this number; zero is the initial state of a team.
     pub const fn clear(number: u64) -> Latch {
         Latch { number, state: State::Clear }
     }
 
-    /// The stop is taken back and the team waits for a resume, as the change with this number.
+    /// The stop is taken back and the team waits for a resume, as of the change with this number.
     pub const fn held(number: u64) -> Latch {
         Latch { number, state: State::Held }
     }
 
-    /// Everyone is to stand, as the change with this number.
+    /// All robots stand, as of the change with this number.
     pub const fn engaged(number: u64) -> Latch {
         Latch { number, state: State::Engaged }
     }
@@ -64,12 +66,12 @@ impl Latch {
         self.state == State::Engaged
     }
 
-    /// Which change it is.
+    /// Number of the change.
     pub fn number(self) -> u64 {
         self.number
     }
 
-    /// The state as a word for people and JSON.
+    /// Word for the state, for people and JSON.
     pub fn word(self) -> &'static str {
         match self.state {
             State::Clear => "clear",
@@ -78,72 +80,73 @@ impl Latch {
         }
     }
 
-    /// Whether another latch is so far ahead of this one that it cannot be an honest one.
+    /// Whether another latch is so far ahead of this one that it cannot be genuine.
     pub fn is_overshot_by(self, other: Latch) -> bool {
         other.number > ceiling(self.number)
     }
 
-    /// The later of this latch and one that another host repeats; one that overshoots is ignored.
+    /// Returns the later of this latch and one that another host repeats; one that overshoots is ignored.
     pub fn joined(self, other: Latch) -> Latch {
         if self.is_overshot_by(other) { self } else { self.max(other) }
     }
 
-    /// The latch after a message of an operator or a host. A stop counts whatever its number, since who says it need
-    /// not know how often that was said before; a re-arm has to be later than the stop. A resume changes nothing here:
-    /// it is the state server's to grant ([`Latch::resumed`]), and everyone else learns of it from there.
-    pub fn told(self, said: Latch) -> Latch {
-        match said.state {
+    /// Returns the latch after a message of an operator or a host. A stop counts whatever its number, since its sender
+    /// need not know the present number; a re-arm has to be later than the stop. A resume changes nothing here: the
+    /// state server grants it ([`Latch::resumed`]) and all others follow the state server.
+    pub fn after(self, other: Latch) -> Latch {
+        match other.state {
             State::Clear => self,
-            State::Held => self.joined(said),
-            State::Engaged if self.is_engaged() => self.joined(said),
-            State::Engaged if self.is_overshot_by(said) => Latch::engaged(self.number + 1),
-            State::Engaged => Latch::engaged(said.number.max(self.number + 1)),
+            State::Held => self.joined(other),
+            State::Engaged if self.is_engaged() => self.joined(other),
+            State::Engaged if self.is_overshot_by(other) => Latch::engaged(self.number + 1),
+            State::Engaged => Latch::engaged(other.number.max(self.number + 1)),
         }
     }
 
-    /// The latch after a resume, if this one is held and the resume is meant for exactly this hold.
-    pub fn resumed(self, said: Latch) -> Option<Latch> {
-        (self.is_held() && said.is_clear() && said.number == self.number + 1).then_some(said)
+    /// Returns the latch after a resume, if this one is held and the resume names exactly this hold.
+    pub fn resumed(self, other: Latch) -> Option<Latch> {
+        (self.is_held() && other.is_clear() && other.number == self.number + 1).then_some(other)
     }
 }
 
-/// The latch that one actor on a robot's side follows: guard or body.
+/// Latch that one actor of a robot follows: guard or body.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LatchFollower {
     latch: Latch,
-    /// Whether the state server was heard.
+    /// Whether a message of the state server has arrived.
     informed: bool,
-    /// The latch that the state server said last, if that overshoots.
-    doubted: Option<Latch>,
+    /// Newest latch of the state server, if that overshoots.
+    overshot: Option<Latch>,
 }
 
 impl LatchFollower {
-    /// The latch that it follows.
+    /// Latch that is followed.
     pub fn latch(&self) -> Latch {
         self.latch
     }
 
-    /// Whether it has heard from the state server how the latch stands; before, nothing may move.
+    /// Whether the state server's latch is known; before that, nothing may move.
     pub fn is_informed(&self) -> bool {
         self.informed
     }
 
-    /// Takes a message of an operator or a host; whether that has changed anything.
-    pub fn told(&mut self, said: Latch) -> bool {
-        self.set(self.latch.told(said))
+    /// Applies a message of an operator or a host; returns whether that changed the latch.
+    pub fn apply(&mut self, other: Latch) -> bool {
+        self.set(self.latch.after(other))
     }
 
-    /// Takes what the state server repeats; whether that has changed anything. What overshoots counts when it is said a
-    /// second time: an actor that was started afresh cannot know, and a garbled number does not repeat.
-    pub fn learned(&mut self, said: Latch) -> bool {
-        let before = self.doubted.take();
-        let later = if !self.latch.is_overshot_by(said) {
-            self.latch.joined(said)
-        } else if before.is_some_and(|before| before <= said && !before.is_overshot_by(said)) {
-            // A stop that the state server has not heard of yet is not forgotten.
-            if self.latch.is_engaged() { said.told(self.latch) } else { said }
+    /// Applies a latch that the state server repeats; returns whether that changed the latch. A latch that overshoots
+    /// counts the second time it arrives: an actor that has just started cannot know the number, and a corrupted number
+    /// does not repeat.
+    pub fn update(&mut self, other: Latch) -> bool {
+        let before = self.overshot.take();
+        let later = if !self.latch.is_overshot_by(other) {
+            self.latch.joined(other)
+        } else if before.is_some_and(|before| before <= other && !before.is_overshot_by(other)) {
+            // Keep a stop that has not reached the state server yet.
+            if self.latch.is_engaged() { other.after(self.latch) } else { other }
         } else {
-            self.doubted = Some(said);
+            self.overshot = Some(other);
             self.latch
         };
         self.informed = true;
@@ -155,19 +158,19 @@ impl LatchFollower {
     }
 }
 
-/// The largest number that is believed where this one is known.
+/// Largest number that is accepted where this one is known.
 fn ceiling(known: u64) -> u64 {
     known.max(CREDIBLE) + JUMP
 }
 
-/// The latest of some latches, without one that alone is out of reach of the others and of what is known.
+/// Returns the latest of some latches, without a single one that is out of reach of the others and of the known one.
 pub fn latest(known: Latch, latches: impl Iterator<Item = Latch> + Clone) -> Latch {
     let known_of_two = second_largest(latches.clone().map(Latch::number));
     let ceiling = ceiling(known.number.max(known_of_two));
     latches.filter(|latch| latch.number <= ceiling).fold(known, Latch::max)
 }
 
-/// The second largest of some numbers, which two have claimed; zero of fewer.
+/// Returns the second largest number, which at least two senders have reached; zero of fewer than two.
 pub fn second_largest(numbers: impl Iterator<Item = u64>) -> u64 {
     let (mut largest, mut second) = (0, 0);
     for number in numbers {
@@ -201,13 +204,13 @@ mod tests {
 
     #[test]
     fn a_stop_always_counts_and_a_re_arm_only_if_it_is_later() {
-        let stopped = Latch::default().told(Latch::engaged(0));
-        assert_eq!(stopped, Latch::engaged(1), "who says it need not know the number");
-        assert_eq!(stopped.told(Latch::engaged(1)), stopped, "again");
-        assert_eq!(stopped.told(Latch::held(1)), stopped, "no later than the stop");
-        let held = stopped.told(Latch::held(2));
+        let stopped = Latch::default().after(Latch::engaged(0));
+        assert_eq!(stopped, Latch::engaged(1), "its sender need not know the number");
+        assert_eq!(stopped.after(Latch::engaged(1)), stopped, "again");
+        assert_eq!(stopped.after(Latch::held(1)), stopped, "no later than the stop");
+        let held = stopped.after(Latch::held(2));
         assert_eq!(held, Latch::held(2));
-        assert_eq!(held.told(Latch::engaged(1)), Latch::engaged(3), "a stop is never too old");
+        assert_eq!(held.after(Latch::engaged(1)), Latch::engaged(3), "a stop is never too old");
         assert_eq!(held.joined(Latch::engaged(1)), held, "what others knew before is");
         assert_eq!(held.joined(Latch::engaged(2)), Latch::engaged(2), "in doubt everyone stands");
     }
@@ -215,7 +218,7 @@ mod tests {
     #[test]
     fn only_the_resume_for_this_very_hold_clears_it_and_nobody_but_the_state_server_takes_it() {
         let held = Latch::held(2);
-        assert_eq!(held.told(Latch::clear(3)), held, "robots do not take it from an operator");
+        assert_eq!(held.after(Latch::clear(3)), held, "robots do not take it from an operator");
         assert_eq!(held.resumed(Latch::clear(3)), Some(Latch::clear(3)));
         for wrong in [Latch::clear(2), Latch::clear(4), Latch::held(3), Latch::engaged(3)] {
             assert_eq!(held.resumed(wrong), None, "{wrong:?}");
@@ -229,28 +232,28 @@ mod tests {
     fn a_number_that_overshoots_stops_the_team_and_can_be_taken_back() {
         let far = MAX_NUMBER;
         for known in [Latch::clear(4), Latch::held(4), Latch::engaged(4)] {
-            for said in [Latch::clear(far), Latch::held(far), Latch::engaged(far)] {
-                assert_eq!(known.joined(said), known, "what others repeat");
+            for other in [Latch::clear(far), Latch::held(far), Latch::engaged(far)] {
+                assert_eq!(known.joined(other), known, "what others repeat");
             }
-            let stopped = known.told(Latch::engaged(far));
-            assert!(stopped.is_engaged() && stopped.number() <= 5, "{known:?} {said:?}", said = far);
-            assert!(stopped.told(Latch::held(stopped.number() + 1)).is_held());
+            let stopped = known.after(Latch::engaged(far));
+            assert!(stopped.is_engaged() && stopped.number() <= 5, "{known:?} {far:?}");
+            assert!(stopped.after(Latch::held(stopped.number() + 1)).is_held());
         }
     }
 
     #[test]
     fn a_fresh_follower_learns_any_number_from_the_state_server_and_forgets_no_stop() {
         let mut fresh = LatchFollower::default();
-        assert!(!fresh.is_informed() && fresh.learned(Latch::held(CREDIBLE)) && fresh.is_informed());
+        assert!(!fresh.is_informed() && fresh.update(Latch::held(CREDIBLE)) && fresh.is_informed());
         assert_eq!(fresh.latch(), Latch::held(CREDIBLE), "at once");
         let far = CREDIBLE + 9 * JUMP;
-        assert!(!fresh.learned(Latch::clear(far)), "what overshoots has to be said twice");
-        assert!(!fresh.learned(Latch::held(CREDIBLE)) && !fresh.learned(Latch::clear(far)), "and in a row");
-        assert!(fresh.learned(Latch::clear(far + 1)));
+        assert!(!fresh.update(Latch::clear(far)), "a latch that overshoots has to arrive twice");
+        assert!(!fresh.update(Latch::held(CREDIBLE)) && !fresh.update(Latch::clear(far)), "and in a row");
+        assert!(fresh.update(Latch::clear(far + 1)));
         assert_eq!(fresh.latch(), Latch::clear(far + 1));
         let mut stopped = LatchFollower::default();
-        assert!(stopped.told(Latch::engaged(0)) && !stopped.learned(Latch::clear(far)));
-        assert!(stopped.learned(Latch::clear(far)));
+        assert!(stopped.apply(Latch::engaged(0)) && !stopped.update(Latch::clear(far)));
+        assert!(stopped.update(Latch::clear(far)));
         assert_eq!(stopped.latch(), Latch::engaged(far + 1), "the state server has not heard of the stop yet");
     }
 
@@ -258,18 +261,18 @@ mod tests {
     fn a_robot_that_has_missed_a_thousand_changes_follows_the_next_and_so_does_a_server_that_forgot_them() {
         let mut robot = LatchFollower::default();
         assert!(
-            robot.told(Latch::engaged(5000)) && robot.told(Latch::held(9000)) && robot.learned(Latch::clear(20_000))
+            robot.apply(Latch::engaged(5000)) && robot.apply(Latch::held(9000)) && robot.update(Latch::clear(20_000))
         );
-        assert_eq!(Latch::default().told(Latch::engaged(5000)), Latch::engaged(5000));
-        assert_eq!(Latch::default().told(Latch::held(5000)), Latch::held(5000));
+        assert_eq!(Latch::default().after(Latch::engaged(5000)), Latch::engaged(5000));
+        assert_eq!(Latch::default().after(Latch::held(5000)), Latch::held(5000));
     }
 
     #[test]
-    fn what_one_claims_alone_out_of_reach_is_not_the_latest() {
+    fn a_single_claim_out_of_reach_is_not_the_latest() {
         let (far, known) = (Latch::engaged(MAX_NUMBER), Latch::clear(4));
         assert_eq!(latest(known, [far].into_iter()), known);
         assert_eq!(latest(known, [far, Latch::held(7)].into_iter()), Latch::held(7));
-        assert_eq!(latest(known, [far, far].into_iter()), far, "two say so");
+        assert_eq!(latest(known, [far, far].into_iter()), far, "two claim it");
         assert_eq!(latest(known, [Latch::held(CREDIBLE)].into_iter()), Latch::held(CREDIBLE));
     }
 

@@ -1,4 +1,4 @@
-//! What stays between the actors of one host. Frames and units as in `wire`.
+//! Messages between the actors of one host. Frames and units as in `wire`.
 
 use std::sync::Arc;
 
@@ -7,92 +7,92 @@ use super::ids::RobotId;
 use super::wire::{Features, Phase, Round};
 use crate::time::{Span, Time};
 
-/// What a robot knows at one tick of its agent: Cache to Agent.
+/// Inputs of a robot's policy at one tick of its agent: Cache to Agent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Percept {
     /// The robot.
     pub robot: RobotId,
-    /// When the tick was due, on this host's clock.
+    /// Time at which the tick was due, on this host's clock.
     pub due: Time,
     /// Its own filtered estimate.
     pub estimate: Motion,
     /// Its usable neighbours, by robot id.
-    pub heard: Vec<Heard>,
+    pub heard: Vec<NeighbourLatent>,
 }
 
-/// One neighbour's newest latent, as the Cache holds it.
+/// Newest latent of one neighbour, as held by the Cache.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Heard {
+pub struct NeighbourLatent {
     /// The neighbour.
     pub robot: RobotId,
-    /// The round that it acts in.
+    /// Round in which it was computed.
     pub round: Round,
-    /// The phase that it acts in.
+    /// Phase in which it was computed.
     pub phase: Phase,
-    /// Its own estimate when it spoke.
+    /// The neighbour's own estimate when it was sent.
     pub motion: Motion,
-    /// Its policy's message.
+    /// Message of its policy.
     pub features: Features,
-    /// Age since arrival here.
+    /// Age since arrival on this host.
     pub age: Span,
 }
 
-/// Robots that are farther away than this are of no account to each other's safety \[m\].
+/// Distance beyond which two robots do not affect each other's safety \[m\].
 pub const NEAR_M: f32 = 5.0;
 
-/// Where another robot was last known to be, whatever it has said.
+/// Last known position and velocity of another robot, whatever round and phase it is in.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Other {
+pub struct OtherRobot {
     /// The other robot.
     pub robot: RobotId,
-    /// Its own estimate then, world frame.
+    /// Its own estimate at that time, world frame.
     pub motion: Motion,
-    /// Age since arrival here.
+    /// Age since arrival on this host.
     pub age: Span,
 }
 
-/// Whether a robot is where it is to be.
+/// Whether a robot has reached its target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
-    /// Not there yet.
+    /// Not reached yet.
     Underway,
     /// At its start when resetting, at its goal when running.
     Reached,
 }
 
-/// What the policy wants of one robot: Agent to Controller.
+/// Output of the policy for one robot: Agent to Controller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Action {
     /// The robot.
     pub robot: RobotId,
-    /// The round that it was computed in.
+    /// Round in which it was computed.
     pub round: Round,
-    /// The phase that it was computed in.
+    /// Phase in which it was computed.
     pub phase: Phase,
-    /// When the tick was due that it comes of, on this host's clock.
+    /// Time at which its tick was due, on this host's clock.
     pub due: Time,
-    /// Wanted velocity \[m/s\], world frame; not yet limited. NaN if the policy came apart.
+    /// Desired velocity \[m/s\], world frame; not yet limited. NaN if the policy has diverged.
     pub velocity: Vec2,
     /// The robot's own estimate for this step, world frame.
     pub estimate: Motion,
-    /// The other robots within `NEAR_M` that are known of.
-    pub others: Vec<Other>,
-    /// Whether the robot is where it is to be.
+    /// OtherRobot known robots within `NEAR_M`.
+    pub others: Vec<OtherRobot>,
+    /// Whether the robot has reached its target.
     pub progress: Progress,
 }
 
-/// What a body asks of its world: Body to World.
+/// Command of a body to its world: Body to World.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drive {
     /// The robot.
     pub robot: RobotId,
     /// Commanded velocity \[m/s\], world frame.
     pub velocity: Vec2,
-    /// When the world stops the robot by itself, should its body fall silent.
+    /// Time at which the world stops the robot, should its body send nothing more.
     pub until: Time,
 }
 
-/// What the world did with a robot in its last step.
+/// Contacts of a robot in the last step of its world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Contacts {
     /// A move was blocked by another robot.
@@ -101,12 +101,12 @@ pub struct Contacts {
     pub wall: bool,
 }
 
-/// The true state of one robot: World to its Body, and to the Recorder.
+/// True state of one robot: World to its Body, and to the Recorder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// The robot.
     pub robot: RobotId,
-    /// When.
+    /// Time of the state.
     pub time: Time,
     /// True position and velocity.
     pub motion: Motion,
@@ -114,16 +114,16 @@ pub struct Sample {
     pub heading: f32,
     /// True yaw rate \[rad/s\], counter-clockwise.
     pub yaw_rate: f32,
-    /// The velocity that the world was told to drive it at \[m/s\]: zero once a command has lapsed.
+    /// Velocity that the world was commanded to drive it at \[m/s\]: zero once a command has lapsed.
     pub command: Vec2,
-    /// What got in its way.
+    /// Contacts in the last step.
     pub contacts: Contacts,
 }
 
-/// The true state of all robots of one world after a step: World to Recorder.
+/// True state of all robots of one world after a step: World to Recorder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
-    /// When.
+    /// Time of the state.
     pub time: Time,
     /// By robot id.
     pub samples: Arc<[Sample]>,

@@ -1,8 +1,8 @@
-//! Every message of the system: plain data, serde only. No behaviour beyond checking one's own ranges.
+//! All messages of the system: plain data with serde, which checks nothing but its own ranges.
 //!
-//! `wire` holds what may cross hosts and therefore always passes through a Network; `local` holds what
-//! stays between the actors of one host; `ids`, `geometry`, `floats`, `latch`, `round` and `status` are
-//! their vocabulary. `nalgebra` turns points and poses into that crate's and back.
+//! `wire` holds messages that may cross hosts and therefore always pass through a Network. `local` holds messages
+//! between the actors of one host. `ids`, `geometry`, `floats`, `latch`, `phase`, `round`, `status` and `telemetry` are
+//! their parts. `nalgebra` converts points and poses to that crate's types and back.
 
 mod floats;
 pub mod geometry;

@@ -1,4 +1,4 @@
-//! Conversions to and from nalgebra, in which much of robotics in Rust writes its points and poses.
+//! Conversions to and from nalgebra, which many robotics crates use for points and poses.
 
 use nalgebra::{Isometry2, Point2, Vector2};
 
@@ -35,7 +35,7 @@ impl From<Isometry2<f32>> for Pose {
 }
 
 impl Pose {
-    /// The transform from the robot's frame into the world frame; none where nobody measures the heading.
+    /// Returns the transform from the robot's frame into the world frame; none if the heading is unknown.
     pub fn isometry(&self) -> Option<Isometry2<f32>> {
         self.heading.map(|heading| Isometry2::new(self.position.into(), heading))
     }

@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
 pub enum Phase {
-    /// Nothing is to be done before a reset; the whole team stands.
+    /// Waits for a reset; the whole team stands.
     NeedReset,
     /// Robots drive to their starts.
     Resetting,
     /// A robot is at its start and holds it.
     FinishedResetting,
-    /// The policy under test drives.
+    /// The policy under test drives the robots.
     Running,
     /// A robot has reached its goal; the policy still drives.
     FinishedRunning,
@@ -20,7 +20,7 @@ pub enum Phase {
     AbortRunning,
     /// All episodes are done; the whole team stops for good.
     EpisodesFinished,
-    /// A host has left; the whole team stands until it is back, and then runs the episode that was given up again.
+    /// A host has left; the whole team stands until it is back, and then runs the interrupted episode again.
     Waiting,
 }
 

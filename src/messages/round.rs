@@ -1,68 +1,70 @@
-//! Round: which instruction of the state server is meant, and how an actor follows from one to the next.
+//! Round: the number of an instruction of the state server, and the rule by which an actor follows from one to the
+//! next.
 
 use serde::{Deserialize, Serialize};
 
 use super::latch::second_largest;
 
-/// The largest epoch on the wire. At `Round::JUMP` for each of a state server's 20 decisions a second it is reached
-/// after 38 days.
-pub(super) const MAX_EPOCH: u32 = 1 << 30;
+/// Largest term on the wire. At `Round::JUMP` for each of a state server's 20 decisions a second it is reached after
+/// 38 days.
+pub(super) const MAX_TERM: u32 = 1 << 30;
 
-/// Which instruction of the state server is meant: later epochs outrank, then later episodes.
+/// Number of an instruction of the state server: later epochs outrank, then later episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct Round {
-    /// Incarnation of the state server, counted from one; zero before any was heard.
-    pub epoch: u32,
+    /// Term of the state server, as of a leader in Raft: each start begins a later one. Zero before its first message.
+    pub term: u32,
     /// Episode, counted from zero over the whole trial.
     pub episode: u32,
 }
 
 impl Round {
-    /// The largest epoch that is believed at once: a state server that is started once an hour reaches it after a
-    /// century.
+    /// Largest term that is accepted without a look at the known one: a state server that is started once an hour
+    /// reaches it after a century.
     const CREDIBLE: u32 = 1 << 20;
-    /// The furthest that an epoch beyond `CREDIBLE` may be ahead of what is known. Without these bounds, one message
-    /// with the largest epoch could never be overtaken.
+    /// Most that a term beyond `CREDIBLE` may exceed the known one. Without these bounds, no later term could follow
+    /// one message with the largest term.
     const JUMP: u32 = 16;
 
-    /// Whether another round is so far ahead of this one that it cannot be an honest one.
+    /// Whether another round is so far ahead of this one that it cannot be genuine.
     pub fn is_overshot_by(self, other: Round) -> bool {
-        other.epoch > self.epoch.max(Round::CREDIBLE) + Round::JUMP
+        other.term > self.term.max(Round::CREDIBLE) + Round::JUMP
     }
 
-    /// The latest of some rounds, without one whose epoch alone is out of reach of the others and of what is known. The
-    /// epoch after it is still within the reach of those that follow what is known.
+    /// Returns the latest of some rounds, without a single one whose term is out of reach of the others and of the
+    /// known one. The term after it is still within reach of actors that follow the known one.
     pub fn latest(known: Round, rounds: impl Iterator<Item = Round> + Clone) -> Round {
-        let second = second_largest(rounds.clone().map(|round| round.epoch.into()));
-        let ceiling = u64::from(known.epoch).max(second).max(Round::CREDIBLE.into()) + u64::from(Round::JUMP) - 1;
-        rounds.filter(|round| u64::from(round.epoch) <= ceiling).max().unwrap_or_default()
+        let second = second_largest(rounds.clone().map(|round| round.term.into()));
+        let ceiling = u64::from(known.term).max(second).max(Round::CREDIBLE.into()) + u64::from(Round::JUMP) - 1;
+        rounds.filter(|round| u64::from(round.term) <= ceiling).max().unwrap_or_default()
     }
 }
 
-/// The round that one actor follows.
+/// Round that one actor follows.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RoundFollower {
     round: Round,
-    /// The epoch of a round that overshot, if the newest did.
-    doubted: Option<u32>,
+    /// Epoch of the newest round, if that overshot.
+    overshot: Option<u32>,
 }
 
 impl RoundFollower {
-    /// The round that it follows.
+    /// Round that is followed.
     pub fn round(&self) -> Round {
         self.round
     }
 
-    /// Whether an instruction of this round is to be followed. An earlier round never is; one that overshoots is when
-    /// it comes a second time, since an actor that was started afresh cannot know, and a garbled one does not repeat.
-    pub fn admits(&mut self, said: Round) -> bool {
-        let before = self.doubted.take();
-        let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&said.epoch));
-        if self.round.is_overshot_by(said) && !repeated {
-            self.doubted = Some(said.epoch);
+    /// Whether an instruction of this round is to be followed. An earlier round never is. One that overshoots is
+    /// followed the second time it arrives: an actor that has just started cannot know the term, and a corrupted one
+    /// does not repeat.
+    pub fn admits(&mut self, round: Round) -> bool {
+        let before = self.overshot.take();
+        let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&round.term));
+        if self.round.is_overshot_by(round) && !repeated {
+            self.overshot = Some(round.term);
             return false;
         }
-        said >= self.round
+        round >= self.round
     }
 
     /// Follows this round from now on.
@@ -76,8 +78,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_earlier_round_is_refused_and_one_that_overshoots_has_to_be_said_twice() {
-        let round = |epoch| Round { epoch, episode: 0 };
+    fn an_earlier_round_is_refused_and_one_that_overshoots_has_to_arrive_twice() {
+        let round = |term| Round { term, episode: 0 };
         let mut follower = RoundFollower::default();
         assert!(follower.admits(round(1)));
         follower.follow(round(1));

@@ -1,26 +1,26 @@
-//! Status: what one host says of itself, to operators and to the state server.
+//! Status of one host, for operators and for the state server.
 
 use serde::{Deserialize, Serialize};
 
 use super::ids::{HostId, RobotId};
 use super::latch::Latch;
 
-/// How one robot follows the emergency stop, as a host knows it that runs a part of it.
+/// Latches that one robot follows, as known to a host that runs a part of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Following {
     /// The robot.
     pub robot: RobotId,
-    /// The latch that its controller follows; none where that runs elsewhere or says nothing.
+    /// Latch of its controller; none if that runs on another host or has sent nothing.
     pub controller: Option<Latch>,
-    /// The same of its body.
+    /// Latch of its body; none likewise.
     pub body: Option<Latch>,
 }
 
-/// Why the state server refuses a resume.
+/// Reason for which the state server refuses a resume.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
 pub enum Hindrance {
-    /// The robot is silent.
+    /// The robot's heartbeats are missing.
     Missing,
     /// Its host has left and is not back.
     Left,
@@ -42,28 +42,28 @@ impl TryFrom<u8> for Hindrance {
     }
 }
 
-/// The state server's view of the emergency stop, and of what keeps it from granting a resume.
+/// The state server's latch, and the robots that keep it from granting a resume.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Leading {
-    /// The latch that it follows.
+    /// Latch that it follows.
     pub latch: Latch,
-    /// The robots that stand in the way of a resume, the first `MAX_HINDRANCES`.
+    /// Robots that prevent a resume, the first `MAX_HINDRANCES`.
     pub hindrances: Vec<(RobotId, Hindrance)>,
 }
 
-/// The most robots that are named in one `Leading`.
+/// Most robots that one `Leading` names.
 pub const MAX_HINDRANCES: usize = 16;
 
-/// One host's word of itself: to operators, how far its robots follow the emergency stop; to the state server, that
-/// it leaves or is here.
+/// Status of one host: to operators, how far its robots follow the emergency stop; to the state server, whether it
+/// leaves or takes part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
     /// The host.
     pub host: HostId,
-    /// It has been told to end: its robots stand, and it will not be heard any more.
+    /// The host is shutting down: its robots stand, and it will send nothing more.
     pub leaves: bool,
-    /// Its robots: at most `MAX_BLOCK`, in the order of their ids.
+    /// Latches of its robots: at most `MAX_BLOCK`, in the order of their ids.
     pub robots: Vec<Following>,
-    /// Where it runs the state server.
+    /// The state server's view, on the host that runs it.
     pub leading: Option<Leading>,
 }

@@ -1,4 +1,4 @@
-//! Telemetry: how the robots of a host are, for whoever looks at the team; and the word by which somebody does.
+//! Telemetry: the condition of a host's robots for observers, and the request of an observer for it.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,22 +6,22 @@ use super::geometry::Pose;
 use super::ids::{HostId, RobotId};
 use super::phase::Phase;
 
-/// Somebody looks at the team: an observer, to everyone, once a second. It changes nothing.
+/// Request of an observer for telemetry, to every host, once a second. It changes nothing else.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Observe {
     /// The observer.
     pub by: HostId,
 }
 
-/// How well a robot's hardware is, as its driver has it.
+/// Condition of a robot's hardware, as reported by its driver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
 pub enum Health {
-    /// It does what it is told.
+    /// The hardware follows its commands.
     Ready,
-    /// It answers, and says that something is wrong with it.
+    /// The hardware answers and reports a fault.
     Faulty,
-    /// It does not answer.
+    /// The hardware does not answer.
     Silent,
 }
 
@@ -39,38 +39,38 @@ impl TryFrom<u8> for Health {
     }
 }
 
-/// Where a robot was measured last.
+/// Last measured pose of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Seen {
-    /// Where it was.
+    /// Measured pose.
     pub pose: Pose,
-    /// How long ago that has arrived \[ms\].
+    /// Time since it arrived \[ms\].
     pub age_ms: u32,
 }
 
-/// How one robot is, as far as one host knows.
+/// Condition of one robot, as far as one host knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
     /// The robot.
     pub robot: RobotId,
-    /// Where it is in the episode; of the host that runs its agent.
+    /// Phase of the episode; from the host that runs its agent.
     pub phase: Option<Phase>,
-    /// Where it was measured last; of the same host.
+    /// Last measured pose; from the same host.
     pub seen: Option<Seen>,
-    /// How well it is; of the host that its motors hang on.
+    /// Condition of its hardware; from the host that drives its motors.
     pub health: Option<Health>,
-    /// What is left of its battery \[%\]; of the same host.
+    /// Battery charge \[%\]; from the same host.
     pub battery: Option<u8>,
 }
 
-/// How some robots of a host are; said while an observer is there, and to nobody in particular.
+/// Condition of some robots of a host; broadcast while there is an observer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Telemetry {
     /// The host.
     pub host: HostId,
-    /// At most `MAX_CONDITIONS` of its robots.
+    /// Conditions of at most `MAX_CONDITIONS` of its robots.
     pub robots: Vec<Condition>,
 }
 
-/// The most robots in one `Telemetry`: 32 x 28 bytes stay inside one datagram.
+/// Most robots in one `Telemetry`: 32 x 28 bytes fit into one datagram.
 pub const MAX_CONDITIONS: usize = 32;

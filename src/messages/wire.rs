@@ -1,7 +1,7 @@
-//! What may cross hosts. Every message here passes through a Network, also inside one process.
+//! Messages that may cross hosts. Each passes through a Network, within one process too.
 //!
-//! Positions and velocities are in the world frame, \[m\] and \[m/s\]. Integers have a fixed width. Soft
-//! state (`Heartbeat`, `Mode`) is repeated and idempotent; nothing here asks for an answer.
+//! Positions and velocities are in the world frame, \[m\] and \[m/s\]. Integers have a fixed width. Soft state
+//! (`Heartbeat`, `Mode`) is repeated and idempotent; no message asks for an answer.
 
 use std::sync::Arc;
 
@@ -13,37 +13,37 @@ use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2, is_sound};
 use super::ids::{HostId, RobotId};
 use super::latch::Latch;
 pub use super::phase::Phase;
-use super::round::MAX_EPOCH;
+use super::round::MAX_TERM;
 pub use super::round::Round;
 pub use super::status::{Following, Hindrance, Leading, MAX_HINDRANCES, Status};
 pub use super::telemetry::{Condition, Health, MAX_CONDITIONS, Observe, Seen, Telemetry};
 use crate::time::Span;
 
-/// The largest feature: a policy that says more has come apart.
+/// Largest feature: a policy that exceeds it has diverged.
 pub const MAX_FEATURE: f32 = 1e6;
-/// The most robots in one `Mode` block: 64 x 16 bytes stay inside one datagram.
+/// Most robots in one `Mode` block: 64 x 16 bytes fit into one datagram.
 pub const MAX_BLOCK: usize = 64;
-/// The longest validity that a command may claim: a lost team must not roll on for longer.
+/// Longest validity of a command: robots that lose their team must not drive on for longer.
 pub const MAX_VALIDITY: Span = Span::from_millis(1000);
 
-/// What a sensor says of a robot.
+/// Measurement of a robot by a sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
     /// The robot that is measured.
     pub robot: RobotId,
-    /// When it was measured \[ns\], on the sensor's clock, which is compared with no other: it tells a new reading from
-    /// a repeated one, and how far apart two are.
+    /// Time of measurement \[ns\] on the sensor's clock, which is compared with no other. It distinguishes a new
+    /// reading from a repeated one and gives the interval between two.
     pub stamp_ns: u64,
-    /// Where it is and where it points.
+    /// Measured position and heading.
     pub pose: Pose,
-    /// How it moves and turns.
+    /// Measured velocity and yaw rate.
     pub twist: Twist,
-    /// How good that is.
+    /// Standard deviations of the measurement.
     pub deviation: Deviation,
 }
 
 impl Reading {
-    /// What a sensor says that sees a point and no heading, and not how well it sees.
+    /// Reading of a sensor that measures a point: without heading, with unknown deviations.
     pub fn of_point(robot: RobotId, stamp_ns: u64, motion: Motion) -> Reading {
         Reading {
             robot,
@@ -54,28 +54,28 @@ impl Reading {
         }
     }
 
-    /// What policies take of it: position and velocity.
+    /// Position and velocity, which policies use.
     pub fn motion(&self) -> Motion {
         Motion { position: self.pose.position, velocity: self.twist.velocity }
     }
 }
 
-/// What a robot broadcasts to its neighbours.
+/// Broadcast of a robot to its neighbours.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Latent {
     /// The sender.
     pub robot: RobotId,
-    /// The round it acts in; a receiver in another round has no use for it.
+    /// Round it acts in; a receiver in another round ignores the message.
     pub round: Round,
-    /// The phase it acts in: latents of the reset policy and of the policy under test do not mix.
+    /// Phase it acts in: latents of the reset policy and of the policy under test do not mix.
     pub phase: Phase,
     /// The sender's own estimate.
     pub motion: Motion,
-    /// The message of its policy.
+    /// Message of its policy.
     pub features: Features,
 }
 
-/// What a robot's body is to do.
+/// Command for a robot's motors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotorCommand {
     /// The robot.
@@ -83,38 +83,38 @@ pub struct MotorCommand {
     /// Commanded velocity \[m/s\], world frame.
     #[serde(with = "floats::vec2")]
     pub velocity: Vec2,
-    /// How long after arrival it holds; then the body stops.
+    /// Time after arrival during which it is valid; then the body stops.
     pub valid_for: Span,
 }
 
-/// Where a robot stands in the episode; soft state.
+/// Progress of a robot in the episode; soft state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Heartbeat {
     /// The robot.
     pub robot: RobotId,
-    /// The last round that it heard of.
+    /// Last round that it has received.
     pub round: Round,
     /// Its own phase in that round.
     pub phase: Phase,
-    /// What it knows of the emergency stop.
+    /// Latch that it follows.
     pub latch: Latch,
 }
 
-/// The whole instruction for one block of robots; soft state.
+/// Instruction of the state server for one block of robots; soft state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mode {
     /// The round.
     pub round: Round,
-    /// Which repeat of the experiment this trial is.
+    /// Index of the trial among the repeats of the experiment.
     pub repeat: u32,
-    /// What the team is to do.
+    /// Phase that the team is to be in.
     pub phase: Phase,
     /// First robot of the block.
     pub first: RobotId,
     /// Start and goal of each robot of the block.
     #[serde(with = "floats::tasks")]
     pub tasks: Arc<[Task]>,
-    /// What the state server knows of the emergency stop.
+    /// Latch that the state server follows.
     pub latch: Latch,
 }
 
@@ -125,40 +125,40 @@ impl Mode {
     }
 }
 
-/// The emergency stop, engaged or taken back, or the hold after it lifted: of an operator or a host, to everyone. It is
-/// no soft state; hosts that hear it repeat its latch in `Heartbeat` and `Mode`.
+/// Emergency stop, its re-arm or the resume after it, from an operator or a host to every host. It is not soft state;
+/// hosts that receive it repeat its latch in `Heartbeat` and `Mode`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stop {
-    /// The host that says so.
+    /// Host that sent it.
     pub by: HostId,
-    /// The latch that is to hold.
+    /// Latch that is to hold.
     pub latch: Latch,
 }
 
 impl Stop {
-    /// Everyone is to stand. `seen` is the latest latch that `by` has heard of; none is needed.
+    /// Stops all robots. `seen` is the latest latch that `by` knows of; none is needed.
     pub fn engage(by: HostId, seen: Latch) -> Stop {
         Stop { by, latch: Latch::engaged(seen.number() + 1) }
     }
 
-    /// The stop is taken back; the team is held. `seen` is the latest latch that `by` has heard of: a later stop stays
+    /// Takes the stop back; the team is held. `seen` is the latest latch that `by` knows of: a later stop stays
     /// engaged.
     pub fn rearm(by: HostId, seen: Latch) -> Stop {
         Stop { by, latch: Latch::held(seen.number() + 1) }
     }
 
-    /// The hold ends and the next episode begins, if the state server agrees. `seen` is the hold that is meant.
+    /// Ends the hold and begins the next episode, if the state server agrees. `seen` is the hold that is meant.
     pub fn resume(by: HostId, seen: Latch) -> Stop {
         Stop { by, latch: Latch::clear(seen.number() + 1) }
     }
 
-    /// A question to everyone for their `Status`; it changes nothing.
+    /// Asks every host for its `Status`; it changes nothing.
     pub fn ask(by: HostId) -> Stop {
         Stop { by, latch: Latch::default() }
     }
 }
 
-/// Any message that may cross hosts.
+/// A message that may cross hosts.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Wire {
     /// Body to Cache.
@@ -206,7 +206,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Whether it is between hosts and operators: it goes where the stop goes, and no deployment names it.
+    /// Whether it is between hosts and operators: it is routed like `Stop`, and no deployment names it.
     pub fn follows_the_stop(self) -> bool {
         matches!(self, Kind::Status | Kind::Observe | Kind::Telemetry)
     }
@@ -225,28 +225,28 @@ pub const KINDS: [Kind; 9] = [
     Kind::Telemetry,
 ];
 
-/// Why a message has no place on the wire.
+/// Reason for which a message may not be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unfit {
     /// A position, velocity or feature is NaN, infinite or too large.
-    #[error("a number is not finite, or too large to be one")]
+    #[error("a number is not finite or out of range")]
     Number,
     /// A list is empty or longer than its limit.
     #[error("a list is empty or too long")]
     Length,
-    /// A command claims to hold longer than `MAX_VALIDITY`.
-    #[error("a command claims too long a validity")]
+    /// The validity of a command exceeds `MAX_VALIDITY`.
+    #[error("the validity of a command is too long")]
     Validity,
-    /// A `Mode` block runs past the last possible robot.
-    #[error("a block of robots runs past the last possible one")]
+    /// A `Mode` block exceeds the largest robot id.
+    #[error("a block of robots exceeds the largest robot id")]
     Block,
-    /// The epoch of a round is larger than any.
-    #[error("the epoch of a round is larger than any")]
-    Epoch,
+    /// The term of a round is out of range.
+    #[error("the term of a round is out of range")]
+    Term,
 }
 
-/// Whether no number is NaN, infinite or larger than `MAX_FEATURE`. Without a way out at the first: so it is a
-/// handful of vector instructions. NaN is never at most anything.
+/// Whether no number is NaN, infinite or larger than `MAX_FEATURE`. No early return, so that it compiles to a few
+/// vector instructions. NaN is never at most anything.
 pub fn all_sound(floats: &[f32]) -> bool {
     floats.iter().fold(true, |all, float| all & (float.abs() <= MAX_FEATURE))
 }
@@ -267,8 +267,8 @@ impl Wire {
         }
     }
 
-    /// The robot that the message is about: sender or target; the first of its block for `Mode`, `Status` and
-    /// `Telemetry`, the first of the team for `Stop` and `Observe`.
+    /// Robot that the message is about: sender or target. For `Mode`, `Status` and `Telemetry` the first of its block,
+    /// for `Stop` and `Observe` the first of the team.
     pub fn robot(&self) -> RobotId {
         match self {
             Wire::Reading(m) => m.robot,
@@ -282,7 +282,7 @@ impl Wire {
         }
     }
 
-    /// Checks the message's own ranges, at both ends of a link.
+    /// Checks the message's own ranges; both ends of a link call it.
     pub fn check(&self) -> Result<(), Unfit> {
         let sound = match self {
             Wire::Reading(m) => m.pose.is_sound() && m.twist.is_sound() && m.deviation.is_sound(),
@@ -301,8 +301,8 @@ impl Wire {
             Wire::Mode(m) => m.round,
             _ => Round::default(),
         };
-        if round.epoch > MAX_EPOCH {
-            return Err(Unfit::Epoch);
+        if round.term > MAX_TERM {
+            return Err(Unfit::Term);
         }
         match self {
             Wire::Latent(m) if m.features.0.len() > MAX_FEATURES => Err(Unfit::Length),

@@ -1,7 +1,7 @@
-//! Between hosts. Nothing here knows what a message is good for; nothing in `policy` or `scenario` knows of this room.
+//! Networking between hosts. It does not interpret messages, and nothing in `policy` or `scenario` depends on it.
 //!
-//! `protocol` is what real hosts say to each other, `transport` moves its frames, and `media` stands in for cables and
-//! radios in one process.
+//! `protocol` defines the bytes and decisions of real hosts, `transport` moves their frames, and `media` emulates
+//! cables and radios in one process.
 
 pub mod media;
 pub mod protocol;

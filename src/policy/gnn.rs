@@ -66,7 +66,7 @@ struct FirstLayer {
 impl Network {
     /// Makes the network of a checked file.
     pub fn new(file: PolicyFile) -> Network {
-        let PolicyFile { manifest, assumed, digest, networks: [encoder, message, update] } = file;
+        let PolicyFile { manifest, assumed, digest, networks: [encoder, message, update], .. } = file;
         let part = |layers: &[Layer]| (!layers.is_empty()).then(|| Mlp::new(layers.to_vec()));
         let (last, rest) = message.layers().split_last().expect("a perceptron has a layer");
         let (first, update_rest) = update.layers().split_first().expect("a perceptron has a layer");
@@ -107,7 +107,7 @@ impl Network {
         &self.manifest
     }
 
-    /// Assumptions made because its file has no manifest, as text; `None` if it has one.
+    /// Assumptions made because its file has no manifest or an incomplete one, as text.
     pub fn assumed(&self) -> Option<&str> {
         self.assumed.as_deref()
     }

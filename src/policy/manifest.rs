@@ -96,6 +96,22 @@ pub enum Distribution {
     DiagonalNormal,
 }
 
+/// Function between the layers of the encoder, the message network and the update network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Activation {
+    /// max(x, 0).
+    Relu,
+}
+
+/// Combination of the messages of all neighbours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Aggregation {
+    /// Their sum.
+    Sum,
+}
+
 /// The manifest of a policy file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -111,6 +127,12 @@ pub struct Manifest {
     /// Features of an edge, in order; the published architecture has none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub edge: Vec<EdgeField>,
+    /// Function between layers; `None` if the file does not say, and then [`Activation::Relu`] is assumed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub activation: Option<Activation>,
+    /// Combination of messages; `None` if the file does not say, and then [`Aggregation::Sum`] is assumed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub aggregation: Option<Aggregation>,
     /// Widths of the encoder, input first.
     pub encoder: Vec<usize>,
     /// Widths of the message network, input first.
@@ -148,6 +170,8 @@ impl Manifest {
             architecture: Architecture::Published,
             observation: vec![Field::GoalMinusPosition, Field::Position, Field::PositionPlusVelocity],
             edge: Vec::new(),
+            activation: None,
+            aggregation: None,
             encoder: vec![6, 16, 32, 32, 32],
             message: vec![32, 64, 64, 64],
             update: vec![64, 64, 64, 64, 4],
@@ -272,7 +296,7 @@ mod tests {
     #[test]
     fn optional_fields_without_a_value_are_not_written_and_not_required() {
         let text = serde_json::to_string(&Manifest::published()).expect("a manifest is JSON");
-        for field in ["edge", "log_std_max", "training"] {
+        for field in ["edge", "activation", "aggregation", "log_std_max", "training"] {
             assert!(!text.contains(field), "{field} is left out: {text}");
         }
         assert_eq!(serde_json::from_str::<Manifest>(&text).expect("it can be read"), Manifest::published());

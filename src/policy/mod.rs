@@ -8,6 +8,7 @@ pub mod manifest;
 pub mod mlp;
 mod model;
 pub mod orca;
+pub mod probe;
 pub mod route;
 pub mod safetensors;
 pub mod shipped;

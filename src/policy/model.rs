@@ -82,12 +82,16 @@ impl Model {
 
     /// Reads a policy file from `bytes` for the scenario of this name; actions are drawn as the file says.
     pub fn from_file(bytes: &[u8], scenario: &str) -> Result<Model, ModelError> {
-        let file = weights::read(bytes)?;
+        let mut file = weights::read(bytes)?;
         if file.manifest.scenario != scenario {
             return Err(ModelError::Scenario { theirs: file.manifest.scenario, ours: scenario.to_owned() });
         }
-        let draw = file.manifest.draw;
-        Ok(Model::Gnn(Arc::new(Network::new(file)), draw))
+        let (draw, probe) = (file.manifest.draw, file.probe.take());
+        let network = Arc::new(Network::new(file));
+        if let Some(probe) = probe {
+            probe.check(&network)?;
+        }
+        Ok(Model::Gnn(network, draw))
     }
 
     /// Makes a model of a policy in code. `instance` makes one robot's instance, for an arena in the policy frame.
@@ -152,7 +156,7 @@ impl Model {
         self.network().map_or("", Network::digest)
     }
 
-    /// Assumptions made because the policy file has no manifest, for a warning; `None` if it has one.
+    /// Assumptions made because the policy file has no manifest or an incomplete one, for a warning.
     pub fn assumed(&self) -> Option<&str> {
         self.network()?.assumed()
     }

@@ -2,7 +2,8 @@
 //!
 //! Tensors are `encoder.N.weight` \[out, in\] and `encoder.N.bias` \[out\], likewise `message` and `update`, with N
 //! counting 0, 2, 4, ... as in a PyTorch `Sequential` with its ReLUs. The published file calls the latter two
-//! `gnn` and `post` and has no manifest. No file is opened here: the caller passes its bytes.
+//! `gnn` and `post` and has no manifest. Tensors `probe.*` are a [`Probe`]. No file is opened here: the caller passes its
+//! bytes.
 
 use std::collections::BTreeMap;
 
@@ -18,17 +19,47 @@ const NAMES: [&str; 3] = ["encoder", "message", "update"];
 /// Tensor name prefixes of the three networks in the published file.
 const PUBLISHED_NAMES: [&str; 3] = ["encoder", "gnn", "post"];
 
+/// Beginning of the names of a probe's tensors.
+const PROBE: &str = "probe.";
+/// Tensors of a probe, in the order of [`Probe`]'s fields; each has one row per robot.
+const PROBE_TENSORS: [&str; 6] =
+    ["probe.position", "probe.velocity", "probe.goal", "probe.age", "probe.latent", "probe.output"];
+
+/// Inputs and outputs of a team in which every robot has a message of every other. Row-major, one row per robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Probe {
+    /// Positions \[m\], policy frame: \[robots, 2\].
+    pub position: Vec<f32>,
+    /// Velocities \[m/s\], policy frame: \[robots, 2\].
+    pub velocity: Vec<f32>,
+    /// Goals \[m\], policy frame: \[robots, 2\].
+    pub goal: Vec<f32>,
+    /// Ages of messages \[s\], by receiver and then by sender: \[robots, robots\].
+    pub age_s: Vec<f32>,
+    /// Latents: \[robots, features\].
+    pub latent: Vec<f32>,
+    /// Raw outputs, \[mean_x, mean_y, log_std_x, log_std_y\]: \[robots, 4\].
+    pub output: Vec<f32>,
+}
+
+impl Probe {
+    /// Largest number of robots in a probe.
+    pub const MOST_ROBOTS: usize = 64;
+}
+
 /// The content of a checked policy file.
 #[derive(Debug)]
 pub struct PolicyFile {
     /// The file's manifest, or the assumed one.
     pub manifest: Manifest,
-    /// Assumptions made because the file has no manifest, as text for the user; `None` if it has one.
+    /// Assumptions made because the file has no manifest or an incomplete one, as text for the user.
     pub assumed: Option<String>,
     /// Digest of the whole file (first 64 bits of its BLAKE3 hash, in hexadecimal).
     pub digest: String,
     /// Encoder, message network and update network.
     pub networks: [Mlp; 3],
+    /// Inputs and outputs to compare the networks with, if the file has them.
+    pub probe: Option<Probe>,
 }
 
 /// Error of a file that is not a valid policy file.
@@ -85,6 +116,19 @@ pub enum WeightsError {
     /// A tensor is not part of the network.
     #[error("the tensor '{0}' is not part of the network; remove it from the file")]
     Unknown(String),
+    /// The network computes other numbers than those stored with it.
+    #[error(
+        "its probe does not match: the network's {what} differ by up to {difference:.1e} from those in the file, more \
+         than {tolerance:.0e}; the usual causes are another activation, another aggregation, or inputs in another order"
+    )]
+    Probe {
+        /// The outputs that differ: latents or outputs.
+        what: &'static str,
+        /// The largest difference.
+        difference: f32,
+        /// The largest difference that is accepted.
+        tolerance: f32,
+    },
     /// The hash of the tensors differs from that in the manifest.
     #[error("the tensors' SHA-256 begins with {found:.16} and is not that of the manifest: the file was changed")]
     Hash {
@@ -103,7 +147,8 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
             let manifest: Manifest =
                 serde_json::from_str(text).map_err(|e| WeightsError::Manifest(config::json(&e)))?;
             manifest.check().map_err(WeightsError::Manifest)?;
-            (manifest, NAMES, None)
+            let assumed = assumed_of(&manifest);
+            (manifest, NAMES, assumed)
         }
         None => {
             let manifest = Manifest::published();
@@ -116,33 +161,65 @@ pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
             (manifest, PUBLISHED_NAMES, Some(assumed))
         }
     };
-    let hint = if assumed.is_some() {
-        " (the file has no manifest, so it is taken for the published passage network)"
-    } else {
-        ""
-    };
+    let has_manifest = metadata.contains_key(manifest::KEY);
+    let hint =
+        if has_manifest { "" } else { " (the file has no manifest, so it is taken for the published passage network)" };
     let network = |name: &str, widths: &[usize]| network(&tensors, name, widths, hint);
     let networks = [
         network(names[0], &manifest.encoder)?,
         network(names[1], &manifest.message)?,
         network(names[2], &manifest.update)?,
     ];
-    let wanted = networks.iter().map(|network| 2 * network.layers().len()).sum::<usize>();
-    if tensors.len() > wanted {
+    let probe = tensors.keys().any(|name| name.starts_with(PROBE)).then(|| probe(&tensors, &manifest)).transpose()?;
+    let layers = networks.iter().map(|network| 2 * network.layers().len()).sum::<usize>();
+    if tensors.len() > layers + probe.as_ref().map_or(0, |_| PROBE_TENSORS.len()) {
         let widths = [&manifest.encoder, &manifest.message, &manifest.update];
-        let known =
-            |name: &str| (0..3).any(|k| layer_names(names[k], widths[k]).any(|(w, b, _)| w == name || b == name));
+        let known = |name: &str| {
+            PROBE_TENSORS.contains(&name)
+                || (0..3).any(|k| layer_names(names[k], widths[k]).any(|(w, b, _)| w == name || b == name))
+        };
         let unknown = tensors.keys().find(|name| !known(name));
         return Err(WeightsError::Unknown(unknown.cloned().unwrap_or_default()));
     }
-    if assumed.is_none() {
+    if has_manifest {
         let found = hash(&tensors);
         if found != manifest.sha256 {
             return Err(WeightsError::Hash { found, expected: manifest.sha256 });
         }
     }
     let digest = blake3::hash(bytes).to_hex()[..16].to_owned();
-    Ok(PolicyFile { manifest, assumed, digest, networks })
+    Ok(PolicyFile { manifest, assumed, digest, networks, probe })
+}
+
+/// Assumptions about what a manifest leaves out. Files by this crate's trainer need none: it has one activation and one
+/// aggregation.
+fn assumed_of(manifest: &Manifest) -> Option<String> {
+    let ours = manifest.training.as_ref().is_some_and(|training| training.program.starts_with(env!("CARGO_PKG_NAME")));
+    let left_out: Vec<&str> = [
+        manifest.activation.is_none().then_some("\"activation\": \"relu\""),
+        manifest.aggregation.is_none().then_some("\"aggregation\": \"sum\""),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
+    (!ours && !left_out.is_empty()).then(|| {
+        format!("its manifest does not say {0}, which is assumed; if that is right, add it", left_out.join(", "))
+    })
+}
+
+/// Reads the probe of a file that has one.
+fn probe(tensors: &TensorsByName, manifest: &Manifest) -> Result<Probe, WeightsError> {
+    let first = tensors.get(PROBE_TENSORS[0]).and_then(|tensor| tensor.shape.first()).copied();
+    // A wrong number of robots is refused as a shape below.
+    let robots = first.filter(|robots| (1..=Probe::MOST_ROBOTS).contains(robots)).unwrap_or(1);
+    let latent = manifest.encoder.last().copied().unwrap_or(0);
+    let widths = [2, 2, 2, robots, latent, 4];
+    let mut read = PROBE_TENSORS
+        .iter()
+        .zip(widths)
+        .map(|(name, width)| floats(tensors, name, &[robots, width], " (a probe has all six of its tensors)"));
+    let mut next = || read.next().expect("there are six tensors");
+    Ok(Probe { position: next()?, velocity: next()?, goal: next()?, age_s: next()?, latent: next()?, output: next()? })
 }
 
 /// Names and shape of each layer's tensors: name of the weight, name of the bias, \[out, in\].

@@ -1,4 +1,4 @@
-//! `murmurate deployment`: a preset mode as a file to start from; and the radio that `--radio` puts on its links.
+//! `murmurate deployment`: prints a preset mode as a deployment file. Also puts the radio of `--radio` on links.
 
 use std::path::Path;
 
@@ -14,13 +14,13 @@ use crate::program::output::{print, read_text};
 /// Flags of `murmurate deployment`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The preset mode
+    /// Preset mode to print
     #[arg(value_parser = PossibleValuesParser::new(MODES))]
     mode: String,
     /// Size of the team
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=5000))]
     robots: u16,
-    /// What its links are: 'none' for ideal ones, a preset radio (wifi, wifi-n, wifi-slow) or a radio as a file
+    /// Radio of its links: 'none' (ideal links), a preset (wifi, wifi-n, wifi-slow), or a radio file (docs/radio.md)
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     radio: String,
 }
@@ -35,7 +35,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// The deployment with the radio of that name or file on its links.
+/// Returns the deployment with this radio, a preset or a file, on its links.
 pub fn with_radio(deployment: Deployment, given: &str) -> Result<Deployment> {
     if given == "none" {
         return Ok(deployment);

@@ -1,4 +1,4 @@
-//! `murmurate host`: what runs on a robot. One host of a team: its actors, in real time, on its sockets.
+//! `murmurate host`: runs one host of a team in real time: its actors, on its sockets. A robot runs this.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -16,7 +16,7 @@ use crate::graph::process::{Graph, Heard};
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::key::Key;
-use crate::net::protocol::link::{Duplicate, LinkCounts};
+use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::registry::Registry;
 use crate::report::event::{Counted, HostEvent, RobotSafety};
 use crate::report::summary::{Counts, Run, Summary};
@@ -35,10 +35,10 @@ use crate::program::Ended;
 use crate::program::outlets::Outlets;
 use crate::program::team;
 
-/// How long a host that is told to end goes on, for its last commands and its farewell to get out.
+/// Time from a request to stop until the host ends, in which its last commands and its notice of leaving are sent.
 const STOPPING: Span = Span::from_millis(200);
 
-/// What a host is for, where a team has one of the kind.
+/// Role that selects a host, in a team with one host of that role.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Role {
     /// Runs the agents of several robots.
@@ -56,22 +56,22 @@ pub struct Args {
     team: team::TeamArgs,
     #[command(flatten)]
     which: team::Which,
-    /// The host that is there for this
+    /// Selects the host by its role
     #[arg(long, conflicts_with = "which-host")]
     role: Option<Role>,
-    /// Prints what happens as JSON, one object a line, in place of the table at the end; when nobody reads it any more,
-    /// the host stops
+    /// Prints events as JSON, one object per line, instead of the final table; the host stops when the reader closes
+    /// the pipe
     #[arg(long)]
     json: bool,
-    /// Writes every robot's path to a CSV file while it runs; for the host with the World
+    /// CSV file for every robot's trajectory, written while the host runs; only for the host with the World
     #[arg(long, value_name = "FILE.csv")]
     trajectories: Option<PathBuf>,
 }
 
-/// How often a host says what it has counted, so that one that is killed counts as of its last word.
+/// Period of the event with all counts, which remain known if the host is killed.
 const COUNTED_PERIOD: Span = Span::from_millis(1000);
 
-/// What has become known while the host runs.
+/// State collected while the host runs.
 struct Seen {
     report: RefCell<TrialReport>,
     over: Cell<bool>,
@@ -80,7 +80,7 @@ struct Seen {
     safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
     outlets: Outlets,
     /// Another live host has the id of this one.
-    duplicate: Cell<Option<Duplicate>>,
+    duplicate: Cell<Option<DuplicateId>>,
 }
 
 /// Runs the host until the team has finished, or until it is told to stop.
@@ -101,27 +101,27 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?));
     let outlets = &seen.outlets;
     let live = LiveHost::open(&team, &trial, key, registry)?;
-    let (signal, rings) = listen()?;
+    let (signal, wake_reader) = signals()?;
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");
     let abandoned = Rc::new(Cell::new(false));
     let mut watch = Watch::new(&team, Rc::clone(&seen), Arc::clone(&signal), Rc::clone(&abandoned));
-    let (heard, said) = (Rc::clone(&seen), Rc::clone(&seen));
+    let (heard, recorded) = (Rc::clone(&seen), Rc::clone(&seen));
     let graph = live.run(
         began,
         move |h| heard.hear(h),
-        move |o| said.say(o),
+        move |out| recorded.record(out),
         |readers| {
             outlets.notify(&NotifyState::Ready);
-            let source = Rc::clone(&rings);
-            readers.watch(rings, move || {
+            let source = Rc::clone(&wake_reader);
+            readers.watch(wake_reader, move || {
                 let _ = (&*source).read(&mut [0; 16]);
             });
             if args.json {
-                // Whoever has started this host and listens to it has died: its robot must not go on alone.
+                // The process that started this host and read its events has died: its robot must not go on alone.
                 let gone = Rc::clone(&abandoned);
                 readers.watch_end(Rc::new(std::io::stdout()), move || gone.set(true));
             }
-            outlets.tell(&HostEvent::Ready { host: name.clone() });
+            outlets.print_event(&HostEvent::Ready { host: name.clone() });
         },
         |graph: &Rc<Graph>, now| watch.turn(graph, now),
     );
@@ -130,7 +130,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     watch.failure(&name)?;
     let report = seen.report.borrow().clone().counted([&counted].into_iter());
     let (interrupted, unwritten) = (watch.over.is_none(), counted.unwritten);
-    outlets.tell(&if interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) });
+    outlets.print_event(&if interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) });
     if !args.json && !report.episodes.is_empty() {
         let run = Run {
             mode: team.deployment.mode.clone(),
@@ -140,6 +140,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             judged: team.deployment.judged(),
             seed: team.seed,
             wall_s: began.elapsed().as_secs_f64(),
+            faults: Vec::new(),
             interrupted,
         };
         let counts = if team.deployment.hosts.len() == 1 { Counts::Team } else { Counts::Host };
@@ -150,37 +151,39 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
 }
 
-/// A number that is set by the signals that end a host, and what has something to read when one has come.
-fn listen() -> Result<(Arc<AtomicUsize>, Rc<UnixStream>)> {
-    let (signal, (rings, bell)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
-    rings.set_nonblocking(true).context("cannot make a pipe")?;
+/// Returns the number of the signal that has come (0 for none), and a socket that is readable once one has.
+fn signals() -> Result<(Arc<AtomicUsize>, Rc<UnixStream>)> {
+    let (signal, (reader, writer)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
+    reader.set_nonblocking(true).context("cannot make a pipe")?;
     for number in [SIGINT, SIGTERM] {
-        // First the number, then the bell that wakes this thread to read it.
+        // First the number, then the byte that wakes this thread to read it.
         signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
-            .and_then(|_| signal_hook::low_level::pipe::register(number, bell.try_clone()?))
+            .and_then(|_| signal_hook::low_level::pipe::register(number, writer.try_clone()?))
             .context("cannot listen for signals")?;
     }
-    Ok((signal, Rc::new(rings)))
+    Ok((signal, Rc::new(reader)))
 }
 
-/// What is looked at after every turn of a host: what there is to tell, and whether it is to end.
+/// Checks after every turn of the event loop: prints new events and decides whether the host ends.
 struct Watch {
     seen: Rc<Seen>,
     id: HostId,
-    /// How long it goes on after the last episode.
+    /// Time that the host runs on after the last episode.
     grace: Span,
     signal: Arc<AtomicUsize>,
-    /// Whether whoever listened to it has died.
+    /// True once the reader of its events has closed the pipe.
     abandoned: Rc<Cell<bool>>,
-    /// How often the service manager wants to hear of it.
+    /// Watchdog timeout of the service manager.
     watchdog: Option<Duration>,
-    /// How many episodes it has told of.
-    told: usize,
-    petted: Time,
+    /// Number of episodes reported so far.
+    reported: usize,
+    /// Time of the last watchdog notification.
+    notified: Time,
+    /// Time of the last event with counts.
     counted: Time,
     over: Option<Time>,
     stopping: Option<Time>,
-    /// Why its output is lost.
+    /// Error that has ended its output.
     lost: Option<anyhow::Error>,
 }
 
@@ -193,8 +196,8 @@ impl Watch {
             signal,
             abandoned,
             watchdog: sd_notify::watchdog_enabled(),
-            told: 0,
-            petted: Time::ZERO,
+            reported: 0,
+            notified: Time::ZERO,
             counted: Time::ZERO,
             over: None,
             stopping: None,
@@ -202,22 +205,22 @@ impl Watch {
         }
     }
 
-    /// Looks once; whether the host is to end.
+    /// Runs the checks once; returns whether the host ends.
     fn turn(&mut self, graph: &Graph, now: Time) -> bool {
         let seen = Rc::clone(&self.seen);
         let outlets = &seen.outlets;
-        while let Some(episode) = seen.report.borrow().episodes.get(self.told).copied() {
-            self.told += 1;
-            outlets.tell(&HostEvent::Episode(episode));
+        while let Some(episode) = seen.report.borrow().episodes.get(self.reported).copied() {
+            self.reported += 1;
+            outlets.print_event(&HostEvent::Episode(episode));
         }
         if now.since(self.counted) >= COUNTED_PERIOD {
             self.counted = now;
-            outlets.tell(&HostEvent::Counted(seen.counted(graph)));
+            outlets.print_event(&HostEvent::Counted(seen.counted(graph)));
         }
-        if let Some(patience) = self.watchdog
-            && now.since(self.petted) >= Span::from_secs(patience.as_secs_f64() / 4.0)
+        if let Some(timeout) = self.watchdog
+            && now.since(self.notified) >= Span::from_secs(timeout.as_secs_f64() / 4.0)
         {
-            self.petted = now;
+            self.notified = now;
             outlets.notify(&NotifyState::Watchdog);
         }
         if seen.over.get() && self.over.is_none() {
@@ -228,7 +231,7 @@ impl Watch {
             outlets.notify(&NotifyState::Stopping);
             graph.leave(self.id);
             if self.abandoned.get() {
-                // The one that looked after the whole team has died.
+                // The process that supervised the whole team has died.
                 graph.stop(self.id);
             }
         }
@@ -239,12 +242,12 @@ impl Watch {
             || self.stopping.is_some_and(|at| now.since(at) >= STOPPING)
     }
 
-    /// Why the host of that name has not ended as it should.
+    /// Returns an error if the host of that name has not ended as it should.
     fn failure(&mut self, name: &str) -> Result<()> {
         if let Some(error) = self.lost.take() {
             return Err(error);
         }
-        if let Some(Duplicate { host, .. }) = self.seen.duplicate.get() {
+        if let Some(DuplicateId { host, .. }) = self.seen.duplicate.get() {
             return Err(anyhow!(
                 "another live host is number {} of this team ('{name}') and was started before this one: stop it, or \
                  correct --host or --robot here",
@@ -252,7 +255,7 @@ impl Watch {
             ));
         }
         if self.abandoned.get() && !self.seen.over.get() {
-            return Err(anyhow!("nobody reads what this host prints; it has stopped"));
+            return Err(anyhow!("the reader of this host's events has closed the pipe; the host has stopped"));
         }
         Ok(())
     }
@@ -275,16 +278,16 @@ impl Seen {
         }
     }
 
-    fn say(&self, out: Out) {
+    fn record(&self, out: Out) {
         let mut report = self.report.borrow_mut();
         match out {
             Out::Step(step) => self.outlets.step(&step),
-            told => report.note(told),
+            other => report.note(other),
         }
         report.simulated = report.totals.end.since(Time::ZERO);
     }
 
-    /// All counts so far.
+    /// Returns all counts so far.
     fn counted(&self, graph: &Graph) -> Counted {
         let (refused, lost) = graph.undelivered();
         let robot = |(&robot, &counts): (&RobotId, &SafetyCounts)| RobotSafety { robot, counts };
@@ -325,12 +328,12 @@ impl Args {
             .collect();
         match fits[..] {
             [only] => Ok(HostId(u16::try_from(only).expect("hosts are counted in u16"))),
-            _ => Err(BadInput(format!("--role: {} hosts of this team are that; give --host NAME", fits.len())).into()),
+            _ => Err(BadInput(format!("--role: {} hosts have that role; give --host NAME", fits.len())).into()),
         }
     }
 }
 
-/// Refuses trajectories of a host that does not see the whole team.
+/// Refuses trajectories of a host that does not simulate the whole team.
 fn sees_whole_team(team: &Team) -> Result<()> {
     let host = &team.deployment.hosts[usize::from(team.host.0)];
     if host.simulates.len() != team.deployment.robots {

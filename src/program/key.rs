@@ -30,7 +30,7 @@ pub enum Args {
 /// Flags of `murmurate key new`.
 #[derive(clap::Args)]
 pub struct New {
-    /// File to write
+    /// Key file to write
     #[arg(long, value_name = "FILE", default_value = "team.key")]
     out: PathBuf,
     /// Replaces an existing key; every robot of the team then needs the new one

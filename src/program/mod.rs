@@ -79,6 +79,9 @@ enum Command {
     #[cfg(feature = "train")]
     /// Trains a policy.
     Train(Box<train::Args>),
+    /// Examines policy files.
+    #[command(subcommand)]
+    Policy(policy::Args),
     /// Runs one host of a team in real time: what is started on a robot.
     Host(Box<host::Args>),
     #[cfg(feature = "sim")]
@@ -194,6 +197,7 @@ fn run(command: Command, registry: &Registry) -> anyhow::Result<Ended> {
         Command::Study(args) => study::run(&args, registry),
         #[cfg(feature = "train")]
         Command::Train(args) => train::run(&args, registry),
+        Command::Policy(args) => policy::run(&args, registry),
         Command::Host(args) => host::run(&args, registry),
         #[cfg(feature = "sim")]
         Command::Launch(args) => launch::run(&args, registry),

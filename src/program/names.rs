@@ -24,7 +24,8 @@ fn named(arg: Arg, registry: &Registry) -> Arg {
             let named: Vec<String> =
                 registry.policies().iter().map(|entry| format!("'{}' ({})", entry.name, entry.about)).collect();
             let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
-            arg.help(format!("{help}. Policies with a name: {}", named.join("; ")))
+            let (text, default) = help.split_at(help.find(" [default").unwrap_or(help.len()));
+            arg.help(format!("{text}. Named policies: {}{default}", named.join("; ")))
         }
         _ => arg,
     }

@@ -1,5 +1,5 @@
-//! Outlets: everything that a running host writes, each through a writer of its own: events or a table on stdout,
-//! trajectories, and its state for the service manager. Nothing here waits; what is dropped is counted by its kind.
+//! Outlets of a running host, each with its own background writer: events or a table on stdout, trajectories, and
+//! states for the service manager. Writing never waits; dropped output is counted by kind.
 
 use std::cell::{Cell, RefCell};
 use std::io::{self, Write};
@@ -17,13 +17,13 @@ use sd_notify::NotifyState;
 
 use crate::program::BadInput;
 use crate::program::background_writer::{BackgroundWriter, Target};
-use crate::program::output::{FAREWELL, log_lines_dropped};
+use crate::program::output::{FLUSH_TIMEOUT, log_lines_dropped};
 use crate::program::paths::Paths;
 
 /// The outlets of a host.
 pub struct Outlets {
     stdout: BackgroundWriter,
-    /// Whether stdout has events.
+    /// Whether stdout carries events.
     json: bool,
     trajectories: Option<(BackgroundWriter, RefCell<Rows>)>,
     service: Option<BackgroundWriter>,
@@ -32,7 +32,7 @@ pub struct Outlets {
 }
 
 impl Outlets {
-    /// Opens them. A pipe for the trajectories may be without a reader: then they wait for one, and this does not.
+    /// Opens the outlets. A trajectory pipe may have no reader yet: its writer waits for one, this function does not.
     pub fn open(json: bool, trajectories: Option<&Path>) -> Result<Outlets> {
         let thread = "cannot start a thread to write";
         let stdout = Target::copy_of(io::stdout()).context("stdout is not open")?;
@@ -55,8 +55,8 @@ impl Outlets {
         Ok(Outlets { stdout, json, trajectories, service, events: Cell::new(0), steps: Cell::new(0) })
     }
 
-    /// Tells an event, if events are asked for.
-    pub fn tell(&self, event: &HostEvent) {
+    /// Prints an event, with `--json`.
+    pub fn print_event(&self, event: &HostEvent) {
         if self.json && !self.stdout.push((event.to_line() + "\n").into_bytes()) {
             self.events.set(self.events.get() + 1);
         }
@@ -67,7 +67,7 @@ impl Outlets {
         self.stdout.push(format!("{table}\n").into_bytes());
     }
 
-    /// Writes a step of the World, if trajectories are asked for.
+    /// Writes a step of the World, with `--trajectories`.
     pub fn step(&self, step: &Step) {
         let Some((writer, rows)) = &self.trajectories else { return };
         if !writer.push(rows.borrow_mut().of(step)) {
@@ -78,38 +78,37 @@ impl Outlets {
         }
     }
 
-    /// Tells the service manager something.
+    /// Sends a state to the service manager.
     pub fn notify(&self, state: &NotifyState<'_>) {
         if let Some(writer) = &self.service {
-            // The manager misses what it has no room for; what keeps a watchdog quiet is said again.
+            // States that do not fit are dropped; watchdog notifications are repeated.
             writer.push(format!("{state}\n").into_bytes());
         }
     }
 
-    /// Output that was dropped so far.
+    /// Returns the counts of dropped output.
     pub fn unwritten(&self) -> Unwritten {
         Unwritten { log_lines: log_lines_dropped(), events: self.events.get(), steps: self.steps.get() }
     }
 
-    /// Why stdout cannot be written to at all: it leads to a disk that is full, say. A reader that has gone is no
-    /// failure.
+    /// Returns the error that has ended stdout, such as a full disk. A pipe closed by its reader is not an error.
     pub fn failure(&self) -> Option<anyhow::Error> {
         self.stdout.failure().map(|error| anyhow!("cannot write to stdout: {error}"))
     }
 
-    /// Waits a little for what is still to be written, logs what is not, and tells why, if it could not be.
+    /// Waits a limited time for queued output, logs the counts of dropped output, and returns the first write error.
     pub fn close(&self) -> Result<()> {
         let others = self.trajectories.iter().map(|(writer, _)| writer).chain(&self.service);
         let writers: Vec<&BackgroundWriter> = std::iter::once(&self.stdout).chain(others).collect();
         for writer in &writers {
-            writer.flush(FAREWELL);
+            writer.flush(FLUSH_TIMEOUT);
         }
         let dropped: u64 = writers.iter().map(|writer| writer.dropped()).sum();
         if dropped > 0 {
             let Unwritten { log_lines, events, steps } = self.unwritten();
-            tracing::warn!(dropped, events, steps, log_lines, "output was dropped: nobody took it in time");
+            tracing::warn!(dropped, events, steps, log_lines, "output was dropped: it could not be written in time");
         }
-        // No robot stops for trajectories, but whoever wanted them is told.
+        // No robot stops because of its trajectories file, but the error is returned.
         let trajectories = self.trajectories.as_ref().and_then(|(writer, _)| writer.failure());
         match (self.failure(), trajectories) {
             (Some(error), _) => Err(error),
@@ -119,13 +118,13 @@ impl Outlets {
     }
 }
 
-/// Robots' paths as rows in memory.
+/// CSV rows of trajectories, in memory.
 struct Rows {
     paths: Paths<Shared>,
     written: Shared,
 }
 
-/// Memory that its owner and a writer share.
+/// Buffer that its owner and a writer share.
 #[derive(Clone, Default)]
 struct Shared(Rc<RefCell<Vec<u8>>>);
 
@@ -135,7 +134,7 @@ impl Rows {
         Ok(Rows { paths: Paths::new(written.clone())?, written })
     }
 
-    /// The rows of a step; before the first, the names of the columns.
+    /// Returns the rows of a step; the first call starts with the header line.
     fn of(&mut self, step: &Step) -> Vec<u8> {
         let paths = &mut self.paths;
         paths.write(0, step).and_then(|()| paths.flush()).expect("memory takes everything");
@@ -153,7 +152,7 @@ impl Write for Shared {
     }
 }
 
-/// The service manager's socket, if it has started this process (`sd_notify(3)`).
+/// Connects to the service manager's socket, if the manager has started this process (`sd_notify(3)`).
 fn service_socket() -> Option<UnixDatagram> {
     let name = std::env::var_os("NOTIFY_SOCKET")?;
     let address = match name.as_bytes() {
@@ -176,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_full_disk_stops_no_host_and_is_told_at_its_end() {
+    fn a_full_disk_stops_no_host_and_is_an_error_at_its_end() {
         let outlets = Outlets::open(false, Some(Path::new("/dev/full"))).expect("it is there");
         let sample = Sample {
             robot: RobotId(0),
@@ -189,10 +188,10 @@ mod tests {
         };
         let step = Step { episode: 0, phase: Phase::Running, samples: vec![sample], hearing: Vec::new() };
         outlets.step(&step);
-        outlets.trajectories.as_ref().expect("they are asked for").0.flush(FAREWELL);
+        outlets.trajectories.as_ref().expect("they are asked for").0.flush(FLUSH_TIMEOUT);
         outlets.step(&step);
         assert_eq!((outlets.unwritten().steps, outlets.failure().is_none()), (1, true));
-        let why = outlets.close().expect_err("it is told").to_string();
+        let why = outlets.close().expect_err("the disk is full").to_string();
         assert!(why.starts_with("cannot write the trajectories: "), "{why}");
     }
 }

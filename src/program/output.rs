@@ -1,4 +1,4 @@
-//! Data to stdout, talk to stderr; and the files that a user has named, read.
+//! Output to stdout and stderr, and reading of the files that a user has named.
 
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::io::{self, ErrorKind, IsTerminal, Write};
@@ -12,13 +12,13 @@ use anyhow::{Context, Result};
 use crate::program::BadInput;
 use crate::program::background_writer::{BackgroundWriter, Target};
 
-/// How long the end of a process waits for what is still to be written to a pipe or a disk.
-pub const FAREWELL: Duration = Duration::from_millis(500);
+/// Longest time that the end of a process waits for output to a pipe or a disk.
+pub const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The background writer to stderr, in commands that must not wait for it.
 static LOG: OnceLock<BackgroundWriter> = OnceLock::new();
 
-/// Has everything for stderr written by a thread of its own from now on, the message of a panic included.
+/// Sends everything for stderr through a background writer from now on, including panic messages.
 pub fn open_log_lane() -> io::Result<()> {
     let writer = BackgroundWriter::open(Target::copy_of(io::stderr())?, Some(missing))?;
     if LOG.set(writer).is_ok() {
@@ -32,22 +32,22 @@ pub fn open_log_lane() -> io::Result<()> {
 }
 
 fn missing(lines: u64) -> String {
-    format!("warning: {lines} log lines were dropped here: nobody read them in time\n")
+    format!("warning: {lines} log lines were dropped here: they were not read in time\n")
 }
 
-/// Log lines that were dropped so far.
+/// Returns the number of log lines dropped so far.
 pub fn log_lines_dropped() -> u64 {
     LOG.get().map_or(0, BackgroundWriter::dropped)
 }
 
-/// Waits a little for the last lines to reach stderr.
+/// Waits a limited time for the last lines to reach stderr.
 pub fn flush_log() {
     if let Some(writer) = LOG.get() {
-        writer.flush(FAREWELL);
+        writer.flush(FLUSH_TIMEOUT);
     }
 }
 
-/// Says something to the person, on stderr.
+/// Prints a message on stderr, with keys redacted.
 pub fn talk(text: &str) {
     say(redacted(text).into_owned() + "\n");
 }
@@ -56,17 +56,17 @@ fn say(lines: String) {
     match LOG.get() {
         Some(writer) => {
             writer.push(lines.into_bytes());
-            // What follows a panic is the end of the process.
+            // The process ends after a panic.
             if std::thread::panicking() {
-                writer.flush(FAREWELL);
+                writer.flush(FLUSH_TIMEOUT);
             }
         }
-        // Nobody is there to be told that stderr is closed.
+        // An error of stderr cannot be reported.
         None => drop(io::stderr().write_all(lines.as_bytes())),
     }
 }
 
-/// Where log lines go, one at each write: to stderr, without anything that could be a key.
+/// Writer of log lines to stderr, one line per write, with keys redacted.
 pub struct LogLines;
 
 impl Write for LogLines {
@@ -80,12 +80,12 @@ impl Write for LogLines {
     }
 }
 
-/// Whether stderr may have colours: only on a terminal, and never against the person's will (<https://no-color.org>).
+/// Whether stderr may have colours: only on a terminal, and not if `NO_COLOR` is set (<https://no-color.org>).
 pub fn colour() -> bool {
     io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// Prints data, on stdout. A reader that has closed the pipe has seen enough.
+/// Prints data on stdout. A pipe closed by its reader is not an error.
 pub fn print(text: &str) -> Result<()> {
     match writeln!(io::stdout(), "{text}") {
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
@@ -93,14 +93,14 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Reads a text file that the user has named; a key, which would be named by mistake, is refused as what it is.
+/// Reads a text file that the user has named. A team key, named by mistake, is refused as a key file.
 pub fn read_text(path: &Path, what: &str) -> Result<String> {
     let refuse = |why: String| BadInput(format!("cannot read the {what} '{}': {why}", path.display()));
     let bytes = read_bytes(path, what)?;
     String::from_utf8(bytes).map_err(|_| refuse("it is no text in UTF-8".to_owned()).into())
 }
 
-/// Reads a file that the user has named, likewise.
+/// Reads a file that the user has named. A team key is refused as in `read_text`.
 pub fn read_bytes(path: &Path, what: &str) -> Result<Vec<u8>> {
     let bytes =
         std::fs::read(path).map_err(|e| BadInput(format!("cannot read the {what} '{}': {e}", path.display())))?;

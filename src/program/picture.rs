@@ -1,4 +1,4 @@
-//! Pictures of one episode of `sim`: which files they go to, and what they say of the run.
+//! Pictures of one episode of `sim`: their flags, files and captions.
 
 use std::path::{Path, PathBuf};
 
@@ -15,18 +15,18 @@ use crate::trial::{Trial, TrialReport};
 /// Flags for pictures.
 #[derive(clap::Args)]
 pub struct Flags {
-    /// Makes an animation of one episode: a page that plays it (.html), or a picture that moves (.svg)
+    /// File for an animation of one episode: a page with a player (.html), or an animated picture (.svg)
     #[arg(long, value_name = "FILE.html|FILE.svg")]
     animate: Option<PathBuf>,
-    /// Draws one episode as a still picture
+    /// File for a still picture of one episode
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
-    /// Which episode of the first repeat --animate and --svg show, from 0 [default: 0]
+    /// Index of the episode that --animate and --svg show, in the first repeat, from 0 [default: 0]
     #[arg(long, value_name = "N")]
     episode: Option<u32>,
 }
 
-/// How an episode is drawn.
+/// Function that draws an episode.
 type Draw = fn(&Scene) -> String;
 
 /// The pictures of a run, with their files open.
@@ -36,7 +36,7 @@ pub struct Pictures {
 }
 
 impl Pictures {
-    /// Opens their files, for a run of so many episodes.
+    /// Opens the files, for a run of this many episodes.
     pub fn open(args: &Flags, episodes: u32) -> Result<Pictures> {
         let film: (&str, Draw) = ("html", film);
         let files = [
@@ -65,12 +65,17 @@ impl Pictures {
         Ok(Pictures { files, episode: args.episode.unwrap_or(0) })
     }
 
-    /// What a trial is to keep of its steps, which otherwise would be `steps`.
+    /// Whether there are any.
+    pub fn any(&self) -> bool {
+        !self.files.is_empty()
+    }
+
+    /// Returns the steps that a trial keeps: those that pictures need, or else `steps`.
     pub fn steps(&self, repeat: u32, steps: Steps) -> Steps {
         if repeat == 0 && !self.files.is_empty() { Steps::WithHearing } else { steps }
     }
 
-    /// Draws them, and gives the files their names. An episode that was interrupted is not drawn.
+    /// Draws the pictures and completes their files. An interrupted episode is not drawn.
     pub fn draw(self, trial: &Trial, policy: &str, reports: &[TrialReport]) -> Result<()> {
         if self.files.is_empty() {
             return Ok(());
@@ -93,7 +98,7 @@ impl Pictures {
     }
 }
 
-/// How a file of this name is drawn.
+/// Returns the function that draws a file of this name.
 fn draw(flag: &str, path: &Path, endings: &[(&str, Draw)]) -> Result<Draw> {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match endings.iter().find(|(known, _)| *known == ending) {

@@ -1,5 +1,6 @@
 //! `murmurate sim`: episodes in one process under virtual time.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,6 +13,7 @@ use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::registry::Registry;
+use crate::report::comparison::Comparison;
 use crate::report::episode::Episode;
 use crate::report::summary::{Run, Summary};
 use crate::safety::Safety;
@@ -22,6 +24,7 @@ use crate::world::{Clamp, ContactRule, Overrides, Placement, Sensor};
 use anyhow::{Context, Result};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
 
 use crate::program::BadInput;
 use crate::program::Ended;
@@ -38,120 +41,121 @@ use crate::program::whole_file::WholeFile;
 /// Flags of `murmurate sim`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Which host runs what, as one of the paper's modes
+    /// Mode of the paper, which sets what each host runs
     #[arg(long, default_value = "sim", value_parser = PossibleValuesParser::new(MODES))]
     mode: String,
-    /// Which host runs what, as a file (see 'murmurate deployment'); takes the place of --mode
+    /// Deployment file, which replaces --mode (see 'murmurate deployment')
     #[arg(long, value_name = "FILE.toml", conflicts_with = "mode")]
     deployment: Option<PathBuf>,
-    /// What the team is to do
+    /// Task of the team
     #[arg(long, default_value = "passage")]
     scenario: String,
-    /// What drives the robots: a policy by its name, or a policy file (safetensors) [default: shipped, or orca
-    /// where the scenario has none]
+    /// Policy of the robots: a name in the registry (shipped, published, orca, or one of your own crate) or a policy
+    /// file (safetensors). Given several times, it compares the policies on the same episodes [default: shipped, or orca
+    /// for a scenario without a shipped policy]
     #[arg(long, value_name = "NAME|FILE")]
-    policy: Option<PathBuf>,
-    /// How actions are drawn from a trained policy [default: as its file says]
+    policy: Vec<PathBuf>,
+    /// Action of a trained policy: the mean of its distribution or a sample from it [default: as its file says]
     #[arg(long, value_parser = choice([("mean", Draw::Mean), ("sample", Draw::Sample)]))]
     action: Option<Draw>,
-    /// Size of the team [default: the scenario's own]
+    /// Size of the team [default: that of the deployment file, or else the scenario's own]
     #[arg(long)]
     robots: Option<usize>,
-    /// Episodes of a trial, one after the other with resets between
+    /// Number of episodes of a trial, each with a reset before it
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     episodes: u32,
-    /// Trials: the same episodes with other random numbers
+    /// Number of trials: the same episodes with other random numbers
     #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     repeats: u32,
-    /// Starts and goals from a file: {"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}
+    /// File with starts and goals: {"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}
     #[arg(long, value_name = "FILE.json")]
     episodes_file: Option<PathBuf>,
-    /// How robots come to their starts: put there exactly, or driven there [default: as the deployment says]
+    /// Placement of robots at their starts: put there exactly, or driven there [default: as the deployment says]
     #[arg(long, value_parser = choice([("exact", Placement::Exact), ("drive", Placement::Drive)]))]
     placement: Option<Placement>,
-    /// What simulated robots move in (docs/world.md) [default: as the deployment says, else kinematic]
+    /// Plant: the dynamics of simulated robots (docs/world.md) [default: as the deployment says, or else kinematic]
     #[arg(long)]
     plant: Option<String>,
-    /// Time constant of simulated robots' drivetrains: their true velocity follows commands this slowly [s] [default:
-    /// as the plant has it: kinematic 0, rigid 0.5]
+    /// Time constant of simulated robots' drivetrains: the lag of their true velocity behind commands [s] [default:
+    /// that of the plant: kinematic 0, rigid 0.5]
     #[arg(long)]
     lag_s: Option<f32>,
-    /// What comes of a contact: the move is not made, as in training, or it is made and the judge is told [default:
-    /// block; not for plant rigid]
+    /// Effect of a contact: 'block' does not make the move, as in training; 'judge' makes it and reports the contact to
+    /// the judge [default: block; not for plant rigid]
     #[arg(long, value_parser = choice([("block", ContactRule::Block), ("judge", ContactRule::Judge)]))]
     contacts: Option<ContactRule>,
-    /// How near to a wall a robot's centre touches it [m] [default: the scenario's robot radius, 0.25; not for plant
-    /// rigid]
+    /// Distance from a wall at which a robot's centre touches it [m] [default: the scenario's robot radius, 0.25; not
+    /// for plant rigid]
     #[arg(long)]
     wall_radius_m: Option<f32>,
-    /// How robots' states are measured: exactly, or with noise and latency [default: as the plant has it: kinematic
-    /// exact, rigid motion-capture]
+    /// Sensor of robots' states: exact, or with noise and latency [default: that of the plant: kinematic exact, rigid
+    /// motion-capture]
     #[arg(long, value_parser = choice(Sensor::NAMED))]
     sensor: Option<Sensor>,
-    /// What limits acceleration: the world to 1 m/s^2, as in training, or only the robots' own controllers, to commands
-    /// within 0.25 m/s of the measured velocity, as on the published robots
+    /// Limit of acceleration: 'training' is a limit of the world, 1 m/s^2; 'deployed' is only that of the robots'
+    /// controllers, commands within 0.25 m/s of the measured velocity, as on the published robots
     #[arg(long, default_value = "training",
         value_parser = choice([("training", Clamp::Training), ("deployed", Clamp::Deployed)]))]
     clamp: Clamp,
-    /// What comes between policy and wheels: 'emulated' is what the published robots had; 'deployed' is what runs on
-    /// real hosts, with stops on late ticks and stale state at once, a geofence and a least distance
+    /// Safety functions between policy and motor commands: 'emulated' are those of the published robots; 'deployed' are
+    /// those of real hosts, with stops on late ticks and stale state, a geofence and a minimum distance
     #[arg(long, default_value = "emulated",
         value_parser = choice([("emulated", Safety::emulated()), ("deployed", Safety::deployed())]))]
     safety: Safety,
-    /// What becomes of a neighbour's message after the step that has used it: dropped, as published, or held until a
-    /// newer one comes or the policy's window is over
+    /// Handling of a neighbour's message after the step that used it: 'as-published' drops it; 'hold' keeps it until a
+    /// newer one arrives or the policy's hold time is over
     #[arg(long, default_value = "hold",
         value_parser = choice([("as-published", Handling::AsPublished), ("hold", Handling::Hold)]))]
     handling: Handling,
-    /// What comes of a robot's readings until the next one
+    /// Estimator of a robot's state between its readings
     #[arg(long, default_value = "none")]
     estimator: String,
-    /// The root of all randomness
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// How long a message takes to cross a link [ms]
+    /// Delay of a message on a link [ms]
     #[arg(long, default_value_t = 0.0)]
     delay_ms: f64,
-    /// Share of messages that a receiver misses, 0 to 1
+    /// Share of messages that a receiver loses, 0 to 1
     #[arg(long, default_value_t = 0.0)]
     loss: f64,
-    /// What suffers delay and loss: what robots tell each other, or everything on every link [default: latent]
+    /// Messages that --delay-ms and --loss act on: latents, or all on every link but cables [default: latent]
     #[arg(long, value_parser = PossibleValuesParser::new(["latent", "all"]))]
     impair: Option<String>,
-    /// What the mode's links are: 'none' for ideal ones or those of the deployment file, a preset radio (wifi, wifi-n,
-    /// wifi-slow), or a radio as a file (see docs/radio.md)
+    /// Radio of the links: 'none' (ideal links, or those of the deployment file), a preset (wifi, wifi-n, wifi-slow),
+    /// or a radio file (docs/radio.md)
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "none")]
     radio: String,
-    /// How far the links reach that carry latents [m]: a large team is simulated much faster if nobody gets what is out
-    /// of range anyway; see docs/simulate.md for how much more than robots hear it should be [default: everywhere]
+    /// Transmission range of the links that carry latents [m]: with one, a large team is simulated much faster;
+    /// docs/simulate.md says by how much it should exceed the communication range [default: unlimited]
     #[arg(long)]
     link_range_m: Option<f32>,
-    /// How far a robot hears [m] ('inf' for everywhere) [default: as the policy's file says]
+    /// Communication range of a robot [m], 'inf' for unlimited [default: as the policy's file says]
     #[arg(long)]
     comm_range_m: Option<f32>,
-    /// Standard deviation of that range, drawn anew for every message [m]
+    /// Standard deviation of the communication range, which is drawn anew for every message [m]
     #[arg(long, default_value_t = 0.0)]
     comm_range_std_m: f32,
-    /// What goes wrong: a seed to draw faults from, or a plan
+    /// Fault plan: a seed to draw it from, or a file (docs/faults.md)
     #[arg(long, value_name = "SEED|FILE.toml")]
     faults: Option<String>,
-    /// Trials that run at the same time [default: one per core]; the numbers do not depend on it
+    /// Number of trials that run concurrently; the results do not depend on it [default: one per core]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     jobs: Option<u16>,
-    /// Writes every robot's path to a CSV file
+    /// CSV file for every robot's trajectory
     #[arg(long, value_name = "FILE.csv")]
     trajectories: Option<PathBuf>,
     #[command(flatten)]
     pictures: picture::Flags,
-    /// Prints one JSON object in place of the table
+    /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
-    /// Says nothing on stderr but errors
+    /// Prints only errors and interruptions on stderr
     #[arg(long)]
     quiet: bool,
 }
 
-/// A flag that takes one of these names.
+/// Returns the parser of a flag that takes one of these names.
 fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
     all: [(&'static str, T); N],
 ) -> impl TypedValueParser<Value = T> {
@@ -160,42 +164,67 @@ fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
         .map(move |name| named(name).expect("the parser lets only these names through"))
 }
 
-/// Runs the trials and prints what came of them.
+/// Runs the trials of every policy and prints the results.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
-    let (trial, policy) = trial(args, registry)?;
+    let named: Vec<Option<&Path>> =
+        if args.policy.is_empty() { vec![None] } else { args.policy.iter().map(|policy| Some(&**policy)).collect() };
+    // Errors of every policy must show before the first one runs.
+    let trials: Vec<(Trial, String)> =
+        named.iter().map(|policy| trial(args, *policy, registry)).collect::<Result<_>>()?;
     let pictures = Pictures::open(&args.pictures, args.episodes)?;
+    if trials.len() > 1 && (args.trajectories.is_some() || pictures.any()) {
+        return bad("--policy: trajectories and pictures are of one policy; name one".to_owned());
+    }
     let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
-    tracing::info!("{} repeats of {} episodes; Ctrl-C prints what there is", args.repeats, args.episodes);
+    tracing::info!("{} repeats of {} episodes; Ctrl-C prints the results so far", args.repeats, args.episodes);
 
-    let began = Instant::now();
-    let reports = run_all(args, &trial, &pictures, &stop)?;
-    // A Ctrl-C that comes after the last episode has interrupted nothing.
-    let interrupted = reports.len() < args.repeats as usize || reports.iter().any(|report| !report.finished);
+    let mut results = Vec::new();
+    for (trial, policy) in &trials {
+        let began = Instant::now();
+        let reports = run_all(args, trial, &pictures, &stop)?;
+        let summary = summary(args, trial, policy, &reports, began.elapsed());
+        results.push((summary, reports));
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
+    }
+    let interrupted = results.len() < trials.len() || results.iter().any(|(summary, _)| summary.interrupted);
+    if let [(trial, policy)] = &trials[..] {
+        let (summary, reports) = results.swap_remove(0);
+        show(args, &summary)?;
+        if let Some(mut file) = paths.take() {
+            write_paths(&mut file, &reports)?;
+            file.keep()?;
+        }
+        pictures.draw(trial, policy, &reports)?;
+    } else {
+        show(args, &Comparison::of(results))?;
+    }
+    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+}
+
+/// Prints a result as a table or as one JSON object.
+fn show(args: &Args, result: &(impl Serialize + Display)) -> Result<()> {
+    print(&if args.json { serde_json::to_string(result).context("a result is JSON")? } else { result.to_string() })
+}
+
+fn summary(args: &Args, trial: &Trial, policy: &str, reports: &[TrialReport], took: Duration) -> Summary {
     let run = Run {
         mode: trial.deployment.mode.clone(),
         scenario: trial.scenario.name().to_owned(),
-        policy: policy.clone(),
+        policy: policy.to_owned(),
         robots: trial.scenario.robots(),
         judged: trial.deployment.judged(),
         seed: args.seed,
-        wall_s: began.elapsed().as_secs_f64(),
-        interrupted,
+        wall_s: took.as_secs_f64(),
+        faults: trial.faults.describe(),
+        // A Ctrl-C that comes after the last episode has interrupted nothing.
+        interrupted: reports.len() < args.repeats as usize || reports.iter().any(|report| !report.finished),
     };
-    let summary = Summary::of(run, &reports);
-    print(&if args.json {
-        serde_json::to_string(&summary).context("a summary is JSON")?
-    } else {
-        summary.to_string()
-    })?;
-    if let Some(mut file) = paths.take() {
-        write_paths(&mut file, &reports)?;
-        file.keep()?;
-    }
-    pictures.draw(&trial, &policy, &reports)?;
-    Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
+    Summary::of(run, reports)
 }
 
 fn run_all(args: &Args, trial: &Trial, pictures: &Pictures, stop: &AtomicBool) -> Result<Vec<TrialReport>> {
@@ -211,7 +240,7 @@ fn run_all(args: &Args, trial: &Trial, pictures: &Pictures, stop: &AtomicBool) -
     Ok(reports.into_iter().map(|(_, report)| report).collect())
 }
 
-/// Shows every episode on a bar as it ends, until the trial is to stop.
+/// Returns a callback that advances the bar with each finished episode and stops the trial once `stop` is set.
 pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -> Proceed {
     let mut shown = 0;
     move |episodes| {
@@ -223,7 +252,7 @@ pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -
     }
 }
 
-/// A bar over so many episodes, with the time that is left. On anything but a terminal it draws nothing.
+/// Returns a progress bar over this many episodes, with the remaining time. It draws only on a terminal.
 pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();
@@ -236,10 +265,10 @@ pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
     bar
 }
 
-/// The deployment with links as the flags say.
+/// Returns the deployment with the links that the flags define.
 fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
-        return bad("--impair: there is nothing to suffer from; add --delay-ms or --loss".to_owned());
+        return bad("--impair: there is no impairment; add --delay-ms or --loss".to_owned());
     }
     for (flag, value, most) in [("--delay-ms", args.delay_ms, 60_000.0), ("--loss", args.loss, 1.0)] {
         if !(0.0..=most).contains(&value) {
@@ -260,8 +289,8 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     deployment::with_radio(deployment, &args.radio)
 }
 
-/// The first trial, of which all others are repeats, and its policy's name in the report.
-fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
+/// The first trial of a policy, of which all others are repeats, and the policy's name in the report.
+fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
     let file = args.deployment.as_deref().map(read_deployment).transpose()?;
     let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
     let scenario = registry
@@ -279,8 +308,7 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
     if let Some(plant) = &args.plant {
         deployment.plant.clone_from(plant);
     }
-    let policy::Loaded { model, name: policy, assumed } =
-        policy::load(registry, args.policy.as_deref(), args.action, &*scenario)?;
+    let policy::Loaded { model, name: policy, assumed } = policy::load(registry, policy, args.action, &*scenario)?;
     if let Some(assumed) = assumed.filter(|_| !args.quiet) {
         talk(&format!("warning: {assumed}"));
     }
@@ -298,7 +326,7 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
             return bad(format!("--placement drive: the episodes file '{}': {reason}", path.display()));
         }
     }
-    // Once before the faults and once with them, so that the error names the file that is wrong.
+    // Checked before the faults and again with them, so that the error names the wrong file.
     let place = match &args.deployment {
         Some(path) => format!("the deployment file '{}'", path.display()),
         None => format!("mode '{}'", args.mode),
@@ -315,7 +343,7 @@ fn trial(args: &Args, registry: &Registry) -> Result<(Trial, String)> {
     Ok((trial, policy))
 }
 
-/// The trial with robots as the flags say.
+/// Returns the trial with the robots that the flags define.
 fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
     if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
         return bad(format!("--lag-s: {lag_s} is not 0 to 10"));
@@ -325,7 +353,7 @@ fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
     }
     let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
     let overrides = Overrides { lag_s, contacts, wall_radius_m, sensor };
-    // A file with a plant that there is not is refused with its other faults, by its name.
+    // A file with an unknown plant is refused later, with its other errors, by its name.
     if let Ok(entry) = trial.registry.plant(&trial.deployment.plant) {
         let flag = |field: &str| format!("--{}", field.replace('_', "-"));
         trial.physics = overrides

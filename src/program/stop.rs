@@ -1,5 +1,5 @@
-//! `murmurate stop` and `murmurate resume`: the team's emergency stop, engaged, taken back, and the hold after it
-//! lifted; and which robots have confirmed it.
+//! `murmurate stop` and `murmurate resume`: engage or re-arm the team's emergency stop, lift the hold after it, and
+//! report which robots have confirmed.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -17,14 +17,14 @@ use crate::time::{Span, Time};
 use anyhow::{Result, anyhow};
 
 use crate::live::links;
-use crate::live::links::Fresh;
+use crate::live::links::ProcessIdentity;
 use crate::program::Ended;
 use crate::program::output::print;
 use crate::program::team;
 
-/// How long it is said at least: hosts that come late or have missed it hear it, too.
+/// Shortest time for which the order is repeated, so that it reaches hosts that start late or have missed it.
 const AT_LEAST: Span = Span::from_millis(500);
-/// How long robots have to confirm it.
+/// Longest time that robots have to confirm.
 const PATIENCE: Span = Span::from_millis(3000);
 
 /// Flags of `murmurate stop`.
@@ -35,7 +35,7 @@ const PATIENCE: Span = Span::from_millis(3000);
 pub struct Args {
     #[command(flatten)]
     team: team::TeamArgs,
-    /// Takes the emergency stop back; robots stand until 'murmurate resume'
+    /// Re-arms after an emergency stop; robots stand still until 'murmurate resume'
     #[arg(long)]
     rearm: bool,
     /// Prints one JSON object
@@ -57,13 +57,13 @@ pub struct ResumeArgs {
     json: bool,
 }
 
-/// Engages the emergency stop, or takes it back.
+/// Engages the emergency stop, or re-arms.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let wish = if args.rearm { Wish::Rearm } else { Wish::Stop };
     Asked { team: &args.team, wish, json: args.json }.run(registry)
 }
 
-/// Lets a held team go on.
+/// Resumes a held team.
 pub fn resume(args: &ResumeArgs, registry: &Registry) -> Result<Ended> {
     Asked { team: &args.team, wish: Wish::Resume, json: args.json }.run(registry)
 }
@@ -79,13 +79,13 @@ impl Asked<'_> {
     fn run(&self, registry: &Registry) -> Result<Ended> {
         let file = self.team.read(registry)?;
         let post = file.post().map_err(|error| self.team.wrong(&error))?;
-        let (deployment, fresh) = (file.deployment(), Fresh::draw()?);
+        let (deployment, identity) = (file.deployment(), ProcessIdentity::draw()?);
         let key = team::key_of(post.key_file.as_deref())?.map(Key::new);
-        let me = fresh.operator_of(post.number);
+        let me = identity.operator_of(post.number);
         let link = &deployment.links[usize::from(post.link.0)];
         let operator = Operator {
             me,
-            seed: fresh.seed,
+            seed: identity.seed,
             robots: deployment.robots,
             publishers: Routes::of(deployment).publishers(),
             key,
@@ -98,7 +98,7 @@ impl Asked<'_> {
             Instant::now(),
             |clock, readers| {
                 operator::command((clock, readers), operator, &order);
-                // A turn at least so often, whatever arrives.
+                // The loop turns at least this often, whatever arrives.
                 for beat in 0..=PATIENCE.as_nanos() / PERIOD.as_nanos() {
                     clock.call(Time::ZERO + PERIOD * beat, Box::new(|| {}));
                 }
@@ -112,7 +112,7 @@ impl Asked<'_> {
         self.tell(&order, deployment.robots)
     }
 
-    /// Prints what came of it.
+    /// Prints the result.
     fn tell(&self, order: &Order, robots: usize) -> Result<Ended> {
         let lacking = order.lacking();
         let took_s = order.met().map(Time::as_secs);
@@ -142,7 +142,7 @@ impl Asked<'_> {
         }
     }
 
-    /// Why it is not as it was asked for; `None` if it is.
+    /// Returns the reason why the request was not met; `None` if it was.
     fn why(&self, order: &Order) -> Option<String> {
         if order.met().is_some() {
             return None;

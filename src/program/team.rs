@@ -1,4 +1,4 @@
-//! The team file as the commands take it: its flags, the environment, the key and the policy that it names.
+//! Team file arguments of commands: flags, environment variables, and the key and the policy that the file names.
 
 use std::path::{Path, PathBuf};
 
@@ -15,37 +15,38 @@ use crate::program::key;
 use crate::program::output::{read_text, talk};
 use crate::program::policy;
 
-/// The team file and what differs from it.
+/// Team file, and flags that override its fields.
 #[derive(clap::Args)]
 pub struct TeamArgs {
-    /// The team file (docs/teams.md says what is in it)
+    /// Team file (docs/teams.md)
     #[arg(value_name = "TEAM.toml")]
     pub file: PathBuf,
-    /// Sets a field of the team file, such as link.infra.interface=wlan1; may be given several times
+    /// Sets a field of the team file, such as link.infra.interface=wlan1, or policy=NAME|FILE: a name in the registry
+    /// (shipped, published, orca, or one of your own crate) or a policy file (safetensors); may be given several times
     #[arg(long, value_name = "FIELD=VALUE")]
     pub set: Vec<String>,
-    /// The network interface of every link
+    /// Network interface of every link
     #[arg(long, value_name = "NAME")]
     pub interface: Option<String>,
-    /// The team's key
+    /// File with the team's key
     #[arg(long, value_name = "FILE")]
     pub key_file: Option<PathBuf>,
 }
 
-/// One host of the team.
+/// Flags that select one host of the team.
 #[derive(clap::Args)]
 #[group(id = "which-host", multiple = false)]
 pub struct Which {
-    /// The host of that name
+    /// Selects the host by its name
     #[arg(long, value_name = "NAME")]
     host: Option<String>,
-    /// The host that runs this robot's agent
+    /// Selects the host that runs this robot's agent
     #[arg(long, value_name = "N")]
     robot: Option<u16>,
 }
 
 impl TeamArgs {
-    /// A team file that a command with flags of its own has named.
+    /// Returns the arguments of a team file that another flag names.
     #[cfg(feature = "study")]
     pub fn of(file: PathBuf, set: Vec<String>) -> TeamArgs {
         TeamArgs { file, set, interface: None, key_file: None }
@@ -56,12 +57,12 @@ impl TeamArgs {
         self.interface.is_some()
     }
 
-    /// Where the team file is.
+    /// Returns the path of the team file.
     pub fn path(&self) -> &Path {
         &self.file
     }
 
-    /// Reads the team file, the environment and the flags; what they name, the registry has.
+    /// Reads the team file, the environment and the flags; names in them are looked up in the registry.
     pub fn read(&self, registry: &Registry) -> Result<TeamFile> {
         let text = read_text(&self.file, "team file")?;
         let mut flags = Vec::new();
@@ -86,19 +87,19 @@ impl TeamArgs {
         TeamFile::read(registry, &text, folder, &variables, &flags).map_err(|e| self.wrong(&e))
     }
 
-    /// An error of the team file, with its name.
+    /// Returns an error of the team file, with its path.
     pub fn wrong(&self, error: &ConfigError) -> anyhow::Error {
         BadInput(format!("the team file '{}': {error}", self.file.display())).into()
     }
 
-    /// The team as a host is to see it.
+    /// Returns the team, resolved for one host.
     pub fn for_host(&self, file: &TeamFile, host: HostId) -> Result<Team> {
         file.for_host(host).map_err(|e| self.wrong(&e))
     }
 }
 
 impl Which {
-    /// The host, if one was named.
+    /// Returns the selected host, if any.
     pub fn find(&self, file: &TeamFile) -> Result<Option<HostId>> {
         let found = match (&self.host, self.robot) {
             (Some(name), _) => Some(file.host_named(name)),
@@ -109,7 +110,7 @@ impl Which {
     }
 }
 
-/// The team's key. A team that keeps to its own machine may be without one, and hears what that means.
+/// Reads the team's key, if it has one. Prints a warning if it has none, unless this host opens no link.
 pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
     if team.key_file.is_none() && team.links.iter().all(Option::is_none) {
         return Ok(None);
@@ -117,7 +118,7 @@ pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
     key_of(team.key_file.as_deref())
 }
 
-/// The key in this file; without a file a warning of what that means.
+/// Reads this key file; without a file, prints a warning.
 pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
     if file.is_none() {
         talk(
@@ -128,7 +129,7 @@ pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
     file.map(key::read).transpose()
 }
 
-/// The team's policy.
+/// Loads the team's policy.
 pub fn policy(team: &Team, registry: &Registry) -> Result<policy::Loaded> {
     let settings = Settings::of(team.deployment.robots);
     let scenario = registry.scenario(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;

@@ -1,18 +1,18 @@
-//! How old messages are: a histogram over five decades, small enough to be carried along and exact at its edges.
+//! Histogram of message ages over five decades: small, and exact at its bin edges.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::time::Span;
 
-/// The edges of one decade: the series R20 of preferred numbers (ISO 3), so that 20 ms and 50 ms are edges.
+/// Bin edges of one decade: the series R20 of preferred numbers (ISO 3), so that 20 ms and 50 ms are edges.
 const DECADE: [u64; 20] =
     [100, 112, 125, 140, 160, 180, 200, 224, 250, 280, 315, 355, 400, 450, 500, 560, 630, 710, 800, 900];
 /// Edges from 100 us to 10 s.
 const EDGES: usize = 101;
-/// A bin below every edge, and one for what is older than the last.
+/// Number of bins: one below each edge, and one for ages above the last.
 const BINS: usize = EDGES + 1;
 
-/// Ages, counted by bin: those up to and with an edge that are above the edge before.
+/// Counts of ages by bin. A bin includes its upper edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ages {
     counts: [u64; BINS],
@@ -24,14 +24,14 @@ impl Default for Ages {
     }
 }
 
-/// The upper edge of a bin.
+/// Returns the upper edge of a bin.
 fn edge(bin: usize) -> Span {
     let exponent = u32::try_from(bin / DECADE.len()).expect("five decades");
     Span::from_nanos(DECADE[bin % DECADE.len()] * 10u64.pow(exponent) * 1000)
 }
 
 impl Ages {
-    /// Counts one.
+    /// Counts one age.
     pub fn add(&mut self, age: Span) {
         let (mut low, mut high) = (0, EDGES);
         while low < high {
@@ -41,29 +41,29 @@ impl Ages {
         self.counts[low] += 1;
     }
 
-    /// Counts all of another histogram.
+    /// Adds the counts of another histogram.
     pub fn merge(&mut self, other: &Ages) {
         self.counts.iter_mut().zip(other.counts).for_each(|(mine, theirs)| *mine += theirs);
     }
 
-    /// How many there are.
+    /// Returns the number of ages counted.
     pub fn total(&self) -> u64 {
         self.counts.iter().sum()
     }
 
-    /// The share that is not older than `limit`, an edge; `None` if there is none at all.
+    /// Returns the share of ages up to `limit`, which is an edge; `None` without ages.
     pub fn share_within(&self, limit: Span) -> Option<f64> {
         let within: u64 = (0..EDGES).filter(|&bin| edge(bin) <= limit).map(|bin| self.counts[bin]).sum();
         let total = self.total();
         (total > 0).then(|| within as f64 / total as f64)
     }
 
-    /// The edge that a share `q` of them does not pass \[s\]; `None` if there are none, or too many past the last edge.
+    /// Returns the first edge up to which at least a share `q` of the ages lies \[s\]; `None` if there is none.
     pub fn quantile_s(&self, q: f64) -> Option<f64> {
         self.cumulative().into_iter().find(|&(_, share)| share >= q).map(|(edge_s, _)| edge_s)
     }
 
-    /// Edges \[s\], each with the share that does not pass it; empty if there are none.
+    /// Returns the edges \[s\], each with the share of ages up to it; empty without ages.
     pub fn cumulative(&self) -> Vec<(f64, f64)> {
         let total = self.total();
         if total == 0 {
@@ -78,7 +78,7 @@ impl Ages {
     }
 }
 
-/// As pairs of bin and count, without the empty ones.
+/// Serializes pairs of bin and count, without empty bins.
 impl Serialize for Ages {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         to.collect_seq(self.counts.iter().enumerate().filter(|(_, count)| **count > 0))

@@ -1,11 +1,11 @@
-//! What a team costs: what a run has said and carried, per robot and second of its time. Who runs it measures the CPU.
+//! Cost of a team: messages, bytes, deliveries and airtime per robot and simulated second. Callers measure CPU time.
 
 use serde::{Deserialize, Serialize};
 
 use super::trial::{Said, TrialReport};
 use crate::messages::wire::{KINDS, Kind};
 
-/// The same per robot and second.
+/// Messages of one kind per robot and second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KindCost {
     /// The kind.
@@ -16,27 +16,27 @@ pub struct KindCost {
     pub bytes: f64,
 }
 
-/// What a run costs per robot and second of its time.
+/// Cost of a run per robot and simulated second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
-    /// The size of the team.
+    /// Size of the team.
     pub robots: usize,
-    /// How much time was simulated \[s\].
+    /// Simulated time \[s\].
     pub virtual_s: f64,
     /// Messages published, of all kinds \[1/s\].
     pub messages: f64,
     /// Their bytes \[1/s\].
     pub bytes: f64,
-    /// The same by kind.
+    /// Messages and bytes by kind.
     pub kinds: Vec<KindCost>,
-    /// Datagrams that a host has taken in from a link \[1/s\].
+    /// Datagrams that hosts accepted from links \[1/s\].
     pub deliveries: f64,
-    /// How long a robot's share of the frames was on the air, over all channels \[s/s\]; none without a radio.
+    /// Airtime of the frames on all channels \[s/s\]; none without a radio.
     pub airtime: Option<f64>,
 }
 
 impl Cost {
-    /// What a run of so many robots has cost per robot and second. It has to have been given a duration.
+    /// Returns the cost of a run of this many robots. Its trial must have a duration.
     pub fn of(robots: usize, report: &TrialReport) -> Cost {
         let virtual_s = report.simulated.as_secs();
         let each = |count: u64| count as f64 / (robots as f64 * virtual_s);

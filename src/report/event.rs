@@ -9,7 +9,7 @@ use crate::messages::ids::RobotId;
 use crate::net::protocol::link::LinkCounts;
 use crate::safety::guard::SafetyCounts;
 
-/// Something that a host tells.
+/// Event of a host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 pub enum HostEvent {
@@ -18,10 +18,10 @@ pub enum HostEvent {
         /// Its name.
         host: String,
     },
-    /// An episode is over; told by the host that judges: the one whose World simulates the whole team, or else that of
-    /// the state server.
+    /// An episode is over. Reported by the host that judges: the one whose World simulates the whole team, or else that
+    /// of the state server.
     Episode(Episode),
-    /// All counts so far: once a second, and as its last word where the team has not finished.
+    /// All counts so far: once a second, and as the last event if the team has not finished.
     Counted(Counted),
     /// The team has finished its episodes.
     Finished(Counted),
@@ -33,33 +33,32 @@ pub enum HostEvent {
 pub struct Counted {
     /// Messages published.
     pub messages: u64,
-    /// Messages that a full mailbox refused.
+    /// Messages refused by full mailboxes.
     pub refused: u64,
-    /// Messages that were lost in crashes.
+    /// Messages lost in crashes.
     pub lost: u64,
-    /// Frames sent, let in, and refused by cause, on all links together, up to the last full second.
+    /// Frames sent, accepted, and refused by cause, on all links together, up to the last full second.
     pub links: Box<LinkCounts>,
-    /// The oldest command that a robot of the team was driven by \[s\]; null where that cannot be known, as on all
-    /// hosts but one whose World simulates the whole team.
+    /// Largest age of a command that drove a robot of the team \[s\]; null where it is unknown, as on all hosts but one
+    /// whose World simulates the whole team.
     pub oldest_command_s: Option<f64>,
-    /// How often robots of this host were stopped or slowed, up to their last heartbeats; robots that never were are
-    /// left out.
+    /// Stops and slowdowns of this host's robots, up to their last heartbeats; robots without any are left out.
     pub safety: Vec<RobotSafety>,
     /// Output that was dropped.
     pub unwritten: Unwritten,
 }
 
-/// How often one robot was stopped or slowed.
+/// Stops and slowdowns of one robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotSafety {
     /// The robot.
     pub robot: RobotId,
-    /// By reason.
+    /// Counts by reason.
     #[serde(flatten)]
     pub counts: SafetyCounts,
 }
 
-/// Output that was dropped because nothing on the control thread waits for a disk, a terminal or a pipe.
+/// Output that was dropped because the control thread never waits for a disk, a terminal or a pipe.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Unwritten {
@@ -72,7 +71,7 @@ pub struct Unwritten {
 }
 
 impl Unwritten {
-    /// All kinds together.
+    /// Returns the sum over all kinds.
     pub fn total(&self) -> u64 {
         self.log_lines + self.events + self.steps
     }
@@ -89,12 +88,12 @@ impl Sum for Unwritten {
 }
 
 impl HostEvent {
-    /// As a line, without its end.
+    /// Returns the event as a line, without the newline.
     pub fn to_line(&self) -> String {
         serde_json::to_string(self).expect("an event is JSON")
     }
 
-    /// From a line; `None` if it is none.
+    /// Parses a line; `None` if it is not an event.
     pub fn from_line(line: &str) -> Option<HostEvent> {
         serde_json::from_str(line).ok()
     }
@@ -107,7 +106,7 @@ mod tests {
     use crate::scenario::judge::Verdict;
 
     #[test]
-    fn an_event_survives_its_line() {
+    fn an_event_is_read_from_its_line_unchanged() {
         let episode = |min_separation_m| Episode {
             repeat: 0,
             episode: 3,

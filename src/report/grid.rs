@@ -1,36 +1,36 @@
-//! Two-dimensional histograms: what stays of all the steps of a run.
+//! Two-dimensional histograms, which summarize the steps of a run.
 
 use serde::{Deserialize, Serialize};
 
-/// One axis of a grid, cut into equal bins.
+/// Axis of a grid, divided into equal bins.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Axis {
-    /// Where it begins.
+    /// Lower end.
     pub low: f32,
-    /// Where it ends.
+    /// Upper end.
     pub high: f32,
-    /// Into how many bins it is cut.
+    /// Number of bins.
     pub bins: usize,
 }
 
 impl Axis {
-    /// An axis of bins of about `width`, at most `most` of them.
+    /// Creates an axis with bins of about `width`, at most `most` of them.
     pub fn new(low: f32, high: f32, width: f32, most: usize) -> Axis {
         let bins = ((high - low) / width).round() as usize;
         Axis { low, high, bins: bins.clamp(1, most) }
     }
 
-    /// The width of a bin.
+    /// Returns the width of a bin.
     pub fn width(&self) -> f32 {
         (self.high - self.low) / self.bins as f32
     }
 
-    /// Where a bin begins.
+    /// Returns the lower edge of a bin.
     pub fn at(&self, bin: usize) -> f32 {
         self.low + self.width() * bin as f32
     }
 
-    /// The bin of a value; what lies beyond an end counts there.
+    /// Returns the bin of a value; values beyond an end belong to the bin there.
     fn bin(&self, value: f32) -> usize {
         (((value - self.low) / self.width()).max(0.0) as usize).min(self.bins - 1)
     }
@@ -47,7 +47,7 @@ pub struct Grid {
     counts: Vec<u64>,
 }
 
-/// A grid as it is written: without its empty bins.
+/// Serialized grid, without empty bins.
 #[derive(Clone, Serialize, Deserialize)]
 struct Sparse {
     x: Axis,
@@ -75,7 +75,7 @@ impl From<Sparse> for Grid {
 }
 
 impl Grid {
-    /// An empty grid.
+    /// Creates an empty grid.
     pub fn new(x: Axis, y: Axis) -> Grid {
         Grid { x, y, counts: vec![0; x.bins.saturating_mul(y.bins).min(1 << 20)] }
     }
@@ -86,24 +86,24 @@ impl Grid {
         self.counts[at] += 1;
     }
 
-    /// Counts all of another grid with the same axes.
+    /// Adds the counts of another grid with the same axes.
     pub fn merge(&mut self, other: &Grid) {
         assert_eq!((self.x, self.y), (other.x, other.y), "grids of one study have the same axes");
         self.counts.iter_mut().zip(&other.counts).for_each(|(mine, theirs)| *mine += theirs);
     }
 
-    /// How many pairs were counted.
+    /// Returns the number of pairs counted.
     pub fn total(&self) -> u64 {
         self.counts.iter().sum()
     }
 
-    /// What was counted in a bin.
+    /// Returns the number of pairs in a bin.
     pub fn count(&self, x: usize, y: usize) -> u64 {
         self.counts[y * self.x.bins + x]
     }
 
-    /// The value of y that a share `q` of the pairs in a bin of x does not pass, interpolated within its bin; `None`
-    /// for fewer than `least` pairs.
+    /// Returns the quantile `q` of y among the pairs in a bin of x, interpolated within its bin; `None` for fewer than
+    /// `least` pairs.
     pub fn quantile(&self, x: usize, q: f64, least: u64) -> Option<f32> {
         let total: u64 = (0..self.y.bins).map(|y| self.count(x, y)).sum();
         if total < least.max(1) {
@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_grid_survives_its_text_and_has_quantiles() {
+    fn a_grid_is_read_from_its_text_unchanged_and_has_quantiles() {
         let mut grid = Grid::new(Axis::new(0.0, 1.0, 0.5, 10), Axis::new(0.0, 4.0, 1.0, 10));
         for y in [0.5, 1.5, 2.5, 3.5, 9.0] {
             grid.add(0.1, y);

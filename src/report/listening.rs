@@ -1,4 +1,4 @@
-//! What robots have heard of each other in a run, as far as one who sees all of them can tell.
+//! Delivery and delay of messages between robots in a run, as measured by an observer of all hosts.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -8,25 +8,25 @@ use super::ages::Ages;
 use crate::messages::ids::{HostId, RobotId};
 use crate::time::{Span, Time};
 
-/// Messages between robots on their links, and what the Caches made of them.
+/// Statistics of messages between robots: their arrival over links, and their use in control steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Listening {
-    /// Arrivals that there would be if nothing was lost: every message at every other host with an agent.
+    /// Arrivals without any loss: every message at every other host with an agent.
     pub due: u64,
-    /// Those that there were; a copy of what is there already is none.
+    /// Actual arrivals, without duplicates.
     pub arrived: u64,
-    /// From publication to arrival, over the arrivals.
+    /// Delays from publication to arrival, over the arrivals.
     pub delay: Ages,
     /// Control steps of robots that hear others over a link.
     pub steps: u64,
-    /// Messages of others that those steps had: within range, and not yet dropped or too old.
+    /// Messages of others that those steps used: within range, and not yet dropped or too old.
     pub heard: u64,
-    /// From publication to the control step that had it, over the messages heard.
+    /// Ages from publication to the control step, over the messages heard.
     pub age: Ages,
 }
 
 impl Listening {
-    /// Adds what was heard in another run.
+    /// Adds the statistics of another run.
     pub fn merge(&mut self, other: &Listening) {
         self.due += other.due;
         self.arrived += other.arrived;
@@ -36,59 +36,59 @@ impl Listening {
         self.age.merge(&other.age);
     }
 
-    /// The share of messages that arrived; `None` if none had to cross a link.
+    /// Returns the share of messages that arrived; `None` if none had to cross a link.
     pub fn delivered(&self) -> Option<f64> {
         (self.due > 0).then(|| self.arrived as f64 / self.due as f64)
     }
 
-    /// How many neighbours a control step had a message of, on average.
+    /// Returns the mean number of neighbours that a control step had a message of.
     pub fn neighbours(&self) -> Option<f64> {
         (self.steps > 0).then(|| self.heard as f64 / self.steps as f64)
     }
 }
 
-/// Robots publish far more often than this; what is older than the last so many messages of one robot is forgotten.
+/// Number of messages remembered in each queue; older ones are forgotten.
 const KEPT: usize = 64;
 
-/// Which datagram a message left in: its sender, incarnation and number, and whether it was for one host.
+/// Identity of a datagram: its sender, incarnation and sequence number, and whether it was addressed to one host.
 pub type Datagram = (HostId, u32, u32, bool);
 
-/// Follows messages between robots from publication to arrival and on to the control steps that have them. It sees
-/// what no host can: clocks of two hosts are one clock here.
+/// Follows messages between robots from publication to arrival and to the control steps that use them. Unlike a host
+/// it has one clock for all hosts.
 #[derive(Clone, Debug)]
 pub struct Listener {
     listening: Listening,
-    /// At how many hosts a message of a robot is due.
+    /// Number of hosts at which a message is due.
     hosts: u64,
-    /// By sending host: the last datagrams, whose they were, and when they were published.
+    /// By sending host: the last datagrams, with robot and time of publication.
     sent: BTreeMap<HostId, VecDeque<(Datagram, RobotId, Time)>>,
-    /// By receiving host and sending robot: when the last messages arrived, and when they were published.
+    /// By receiving host and sending robot: times of arrival and of publication of the last messages.
     had: BTreeMap<(HostId, RobotId), VecDeque<(Time, Time)>>,
 }
 
 impl Listener {
-    /// A listener to a team whose messages are due at so many other hosts.
+    /// Creates a listener to a team whose messages are due at this many other hosts.
     pub fn new(hosts: u64) -> Listener {
         Listener { listening: Listening::default(), hosts, sent: BTreeMap::new(), had: BTreeMap::new() }
     }
 
-    /// What it has found.
+    /// Returns the statistics so far.
     pub fn listening(&self) -> Listening {
         self.listening
     }
 
-    /// A robot has published a message.
+    /// Records that a robot has published a message.
     pub fn published(&mut self, now: Time, datagram: Datagram, robot: RobotId) {
         self.listening.due += self.hosts;
         keep(self.sent.entry(datagram.0).or_default(), (datagram, robot, now));
     }
 
-    /// A datagram has arrived at a host.
+    /// Records that a datagram has arrived at a host.
     pub fn arrived(&mut self, now: Time, to: HostId, datagram: Datagram) {
         let sent = self.sent.get(&datagram.0).into_iter().flatten();
         let Some((_, robot, published)) = sent.rev().find(|(other, ..)| *other == datagram) else { return };
         let had = self.had.entry((to, *robot)).or_default();
-        // A robot says one thing at a time: what was published at the same instant is a copy.
+        // A robot publishes one message at a time: an equal time of publication marks a duplicate.
         if had.iter().any(|(_, other)| other == published) {
             return;
         }
@@ -97,8 +97,8 @@ impl Listener {
         self.listening.delay.add(now.since(*published));
     }
 
-    /// A robot at a host has taken a control step on messages of these ages since their arrival; their ages since
-    /// publication, which are the same for those that crossed no link.
+    /// Records a control step of a robot at a host, with the ages of its messages since arrival. Returns the ages since
+    /// publication, which are the same for messages that crossed no link.
     pub fn stepped(&mut self, now: Time, at: HostId, heard: &[(RobotId, Span)]) -> Vec<(RobotId, Span)> {
         let mut ages = heard.to_vec();
         if self.hosts == 0 {

@@ -1,6 +1,7 @@
-//! What came of a run: episodes, their summary, and the tables that a person reads.
+//! Results of a run: episodes, summaries, tables, figures and pictures.
 
 pub mod ages;
+pub mod comparison;
 pub mod cost;
 pub mod episode;
 pub mod event;

@@ -1,4 +1,4 @@
-//! What came of some episodes, counted: the columns that every table and every JSON object has.
+//! Counts of verdicts: the same words in every table, JSON object and CSV file.
 
 use serde::Serialize;
 
@@ -6,7 +6,7 @@ use super::episode::Episode;
 use super::statistics::{quantile, wilson_95};
 use crate::scenario::judge::Verdict;
 
-/// What came of some episodes.
+/// Counts and statistics of some episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Outcomes {
     /// Episodes that have a result.
@@ -22,13 +22,13 @@ pub struct Outcomes {
     /// Quartiles of the same \[s\].
     pub makespan_quartiles_s: Option<[f64; 2]>,
     /// Episodes that failed because two robots came too near to each other.
-    pub collisions_robot: usize,
-    /// Episodes that failed because a wall was touched.
-    pub collisions_wall: usize,
+    pub robot_collisions: usize,
+    /// Episodes that failed because a robot touched a wall.
+    pub wall_collisions: usize,
     /// Episodes that failed because not all robots arrived in time.
     pub timeouts: usize,
-    /// Episodes that the state server gave up.
-    pub aborts: usize,
+    /// Episodes that the state server aborted.
+    pub aborted: usize,
     /// Episodes in which a robot was out of sight for too long, where readings are judged.
     pub unseen: usize,
 }
@@ -47,11 +47,26 @@ impl Outcomes {
             success_ci95: wilson_95(successes, episodes.len()),
             makespan_median_s: at(0.5),
             makespan_quartiles_s: at(0.25).zip(at(0.75)).map(|(first, third)| [first, third]),
-            collisions_robot: count(Verdict::RobotCollision),
-            collisions_wall: count(Verdict::WallCollision),
+            robot_collisions: count(Verdict::RobotCollision),
+            wall_collisions: count(Verdict::WallCollision),
             timeouts: count(Verdict::Timeout),
-            aborts: count(Verdict::Aborted),
+            aborted: count(Verdict::Aborted),
             unseen: count(Verdict::Unseen),
         }
+    }
+
+    /// The failures in words, such as "2 robot collisions, 1 timeout"; "none" if there are none.
+    pub fn failures(&self) -> String {
+        let kinds = [
+            (self.robot_collisions, "robot collision", "robot collisions"),
+            (self.wall_collisions, "wall collision", "wall collisions"),
+            (self.timeouts, "timeout", "timeouts"),
+            (self.aborted, "aborted", "aborted"),
+            (self.unseen, "unseen", "unseen"),
+        ];
+        let found = kinds.iter().filter(|(count, ..)| *count > 0);
+        let words: Vec<String> =
+            found.map(|(count, one, many)| format!("{count} {}", if *count == 1 { one } else { many })).collect();
+        if words.is_empty() { "none".to_owned() } else { words.join(", ") }
     }
 }

@@ -1,4 +1,5 @@
-//! A report as one self-contained HTML page: text, tables, figures. It loads nothing and follows light and dark.
+//! A report as one self-contained HTML page: text, tables, figures. It loads no other file
+//! and follows the reader's light or dark scheme.
 
 use std::fmt::Write as _;
 
@@ -11,11 +12,11 @@ pub enum Part<'a> {
     Heading(String),
     /// A paragraph.
     Text(String),
-    /// Something to be typed or looked at as it is.
+    /// Preformatted text.
     Verbatim(String),
-    /// A table: its heads and its rows.
+    /// A table: column heads and rows.
     Table(Vec<&'a str>, Vec<Vec<String>>),
-    /// Names with what they mean.
+    /// Terms with their definitions.
     Terms(Vec<(String, String)>),
     /// A figure.
     Figure(&'a Figure),
@@ -34,12 +35,12 @@ dt{font-weight:600}dd{margin:0 0 .4em 1.2em;overflow-wrap:anywhere}\
 figure{margin:1.5em 0;padding:8px;background:#fff;color:#1a1a1a;border:1px solid light-dark(#ddd,#3a3d40)}\
 figure svg{width:100%;height:auto;display:block}figcaption{padding:.5em 1em;max-width:75em}";
 
-/// Text that stands for itself in HTML.
+/// Escapes text for HTML.
 fn plain(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// The page.
+/// Returns the page as HTML.
 pub fn page(title: &str, parts: &[Part]) -> String {
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\

@@ -1,5 +1,5 @@
-//! An SVG figure as PNG, at its own size times two. Its text is set in a font that the program carries, so a machine
-//! without fonts draws the same.
+//! SVG figures as PNG, at twice their size. Text is set in a font that the program contains, so that a machine without
+//! fonts draws the same.
 
 use std::sync::{Arc, LazyLock};
 
@@ -8,7 +8,7 @@ use resvg::usvg::{Options, Tree, fontdb};
 
 /// Roboto Regular (Apache License 2.0, see `assets/fonts`).
 static FONT: &[u8] = include_bytes!("../../assets/fonts/Roboto-Regular.ttf");
-/// Pixels of the picture for each of the figure.
+/// Pixels of the PNG per pixel of the figure.
 const SCALE: f32 = 2.0;
 
 static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
@@ -18,12 +18,12 @@ static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
     Arc::new(fonts)
 });
 
-/// A figure cannot be turned into pixels.
+/// Error: a figure cannot be rendered.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot draw a figure as PNG: {0}")]
 pub struct PngError(String);
 
-/// The picture's file.
+/// Renders a figure; returns the content of the PNG file.
 pub fn render(svg: &str) -> Result<Vec<u8>, PngError> {
     let wrong = |what: String| PngError(what);
     let options = Options { fontdb: Arc::clone(&FONTS), font_family: "Roboto".to_owned(), ..Options::default() };
@@ -39,7 +39,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_leaves_ink() {
+    fn text_is_drawn() {
         let text = |text: &str| {
             format!(
                 "<svg xmlns='http://www.w3.org/2000/svg' width='60' height='20'>\

@@ -1,10 +1,10 @@
-//! The few statistics that reports need.
+//! Statistics of reports: Wilson interval and quantiles.
 
-/// The 95 % quantile of the standard normal, two-sided.
+/// Two-sided 95 % quantile of the standard normal distribution.
 const Z_95: f64 = 1.959_963_984_540_054;
 
-/// The Wilson score interval at 95 % of `successes` out of `trials` (Wilson, JASA 1927); the whole of 0 to 1
-/// when nothing was tried.
+/// Returns the Wilson score interval at 95 % of `successes` out of `trials` (Wilson, JASA 1927); 0 to 1 without
+/// trials.
 pub fn wilson_95(successes: usize, trials: usize) -> [f64; 2] {
     if trials == 0 {
         return [0.0, 1.0];
@@ -16,7 +16,7 @@ pub fn wilson_95(successes: usize, trials: usize) -> [f64; 2] {
     [(centre - half).max(0.0), (centre + half).min(1.0)]
 }
 
-/// The quantile `q` (0 to 1) of the values, interpolated linearly; `None` if there are none.
+/// Returns the quantile `q` (0 to 1) of the values, interpolated linearly; `None` if there are none.
 pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -40,7 +40,7 @@ mod tests {
     }
 
     #[test]
-    fn the_median_lies_in_the_middle() {
+    fn the_median_is_interpolated() {
         assert_eq!(quantile(&[3.0, 1.0, 2.0], 0.5), Some(2.0));
         assert_eq!(quantile(&[4.0, 1.0, 2.0, 3.0], 0.5), Some(2.5));
         assert_eq!(quantile(&[], 0.5), None);

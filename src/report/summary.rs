@@ -39,6 +39,9 @@ pub struct Summary {
     /// What came of the episodes.
     #[serde(flatten)]
     pub outcomes: Outcomes,
+    /// Former names of `robot_collisions`, `wall_collisions` and `aborted`, for one version.
+    #[serde(flatten)]
+    former: FormerNames,
     /// What their verdicts were found from.
     pub judged: Judged,
     /// Whose counts these are.
@@ -47,6 +50,8 @@ pub struct Summary {
     pub virtual_s: f64,
     /// Wall-clock time of the run \[s\].
     pub wall_s: f64,
+    /// Injected faults, in words.
+    pub faults: Vec<String>,
     /// Messages published.
     pub messages: u64,
     /// Messages that a full mailbox refused.
@@ -72,6 +77,14 @@ pub struct Summary {
     pub interrupted: bool,
 }
 
+/// Former names of fields of [`Outcomes`], so that scripts that read them go on working.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+struct FormerNames {
+    collisions_robot: usize,
+    collisions_wall: usize,
+    aborts: usize,
+}
+
 /// What a run was, beside its results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
@@ -89,28 +102,40 @@ pub struct Run {
     pub seed: u64,
     /// How long it took \[s\].
     pub wall_s: f64,
+    /// Injected faults, in words.
+    pub faults: Vec<String>,
     /// Whether it was ended before its time.
     pub interrupted: bool,
 }
+
+/// Most faults that a table lists; JSON has all.
+const LISTED_FAULTS: usize = 4;
 
 impl Summary {
     /// Sums up the trials of a run, in the order of their repeats.
     pub fn of(run: Run, trials: &[TrialReport]) -> Summary {
         let episodes: Vec<Episode> = trials.iter().flat_map(|trial| &trial.episodes).copied().collect();
+        let outcomes = Outcomes::of(&episodes);
         let totals = || trials.iter().map(|trial| trial.totals);
         let mut trace = Xxh3::new();
         totals().for_each(|totals| trace.update(&totals.trace.to_le_bytes()));
-        let Run { mode, scenario, policy, robots, judged, seed, wall_s, interrupted } = run;
+        let Run { mode, scenario, policy, robots, judged, seed, wall_s, faults, interrupted } = run;
         Summary {
             mode,
             scenario,
             policy,
             robots,
-            outcomes: Outcomes::of(&episodes),
+            former: FormerNames {
+                collisions_robot: outcomes.robot_collisions,
+                collisions_wall: outcomes.wall_collisions,
+                aborts: outcomes.aborted,
+            },
+            outcomes,
             judged,
             counts: Counts::Team,
             virtual_s: trials.iter().map(|trial| trial.simulated.as_secs()).sum(),
             wall_s,
+            faults,
             messages: totals().map(|totals| totals.messages).sum(),
             refused: trials.iter().map(|trial| trial.refused).sum(),
             lost: trials.iter().map(|trial| trial.lost).sum(),
@@ -159,17 +184,15 @@ impl fmt::Display for Summary {
             }
             _ => writeln!(f, "  makespan            -   no episode succeeded")?,
         }
-        let failed = [
-            (self.outcomes.collisions_robot, "robots too near"),
-            (self.outcomes.collisions_wall, "wall touched"),
-            (self.outcomes.timeouts, "too late"),
-            (self.outcomes.aborts, "given up"),
-            (self.outcomes.unseen, "with a robot out of sight"),
-        ];
-        let failed: Vec<String> =
-            failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
-        let what = if failed.is_empty() { "none".to_owned() } else { failed.join(", ") };
-        writeln!(f, "  failures     {:>8}   {what}", episodes - successes)?;
+        writeln!(f, "  failures     {:>8}   {}", episodes - successes, self.outcomes.failures())?;
+        for (index, fault) in self.faults.iter().take(LISTED_FAULTS).enumerate() {
+            let head = if index == 0 { self.faults.len().to_string() } else { String::new() };
+            let name = if index == 0 { "faults" } else { "" };
+            writeln!(f, "  {name:<12} {head:>8}   {fault}")?;
+        }
+        if let Some(more) = self.faults.len().checked_sub(LISTED_FAULTS).filter(|more| *more > 0) {
+            writeln!(f, "  {:<12} {:>8}   and {more} more; --json has them all", "", "")?;
+        }
         if self.judged == Judged::Readings {
             writeln!(f, "  judged       readings   what touched between two readings of a robot was not seen")?;
         }

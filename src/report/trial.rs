@@ -1,5 +1,5 @@
-//! What came of one trial: its episodes, its totals, and its steps if they were kept. Whatever a recorder tells, or the
-//! processes of a team count, becomes a report here and nowhere else.
+//! Report of one trial: its episodes, its totals, and its steps if they were kept. It is built here alone, from the
+//! events of a recorder and the counts of a team's processes.
 
 use super::episode::Episode;
 use super::event::Counted;
@@ -13,40 +13,40 @@ use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
 
-/// How much of one kind of message was said.
+/// Messages of one kind that were published.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Said {
     /// Messages published, whether or not they have left their host.
     pub messages: u64,
-    /// Their datagrams, one message in each and without a tag \[bytes\].
+    /// Size of their datagrams, with one message in each and without a tag \[bytes\].
     pub bytes: u64,
 }
 
-/// What came of a trial.
+/// Report of a trial.
 #[derive(Clone, Debug, Default)]
 pub struct TrialReport {
-    /// The episodes that have a result, in order.
+    /// Episodes that have a result, in order.
     pub episodes: Vec<Episode>,
-    /// How much time was simulated.
+    /// Simulated time.
     pub simulated: Span,
     /// Messages, trace and checks, up to the last result.
     pub totals: Totals,
     /// Whether every episode has a result.
     pub finished: bool,
-    /// Messages that full mailboxes refused.
+    /// Messages refused by full mailboxes.
     pub refused: u64,
-    /// Messages that were lost in crashes.
+    /// Messages lost in crashes.
     pub lost: u64,
-    /// Every step, if the trial was to keep them.
+    /// Every step, if the trial keeps them.
     pub steps: Vec<Step>,
 }
 
-/// What a recorder tells of a trial, as it happens.
+/// Event of a recorder.
 #[derive(Clone, Debug)]
 pub enum Told {
-    /// An episode is over; and what the trial comes to so far.
+    /// An episode is over; with the totals so far.
     Episode(Episode, Totals),
-    /// The whole team has been seen.
+    /// A step of the whole team.
     Step(Step),
     /// All episodes are over.
     Finished(Totals),
@@ -55,9 +55,9 @@ pub enum Told {
 }
 
 impl TrialReport {
-    /// Takes down what a recorder tells.
-    pub fn note(&mut self, told: Told) {
-        match told {
+    /// Adds an event of a recorder.
+    pub fn note(&mut self, event: Told) {
+        match event {
             Told::Episode(episode, totals) => {
                 self.episodes.push(episode);
                 self.totals = totals;
@@ -68,17 +68,16 @@ impl TrialReport {
         }
     }
 
-    /// The same trial with what processes of its team have counted, each in all of its lives, in place of what one
-    /// recorder has heard.
-    pub fn counted<'a>(self, lives: impl Iterator<Item = &'a Counted> + Clone) -> TrialReport {
-        let sum = |of: fn(&Counted) -> u64| lives.clone().map(of).sum();
-        let oldest = lives.clone().filter_map(|counted| counted.oldest_command_s).reduce(f64::max);
+    /// Replaces the counts of the one recorder by those of the team's processes, over all their incarnations.
+    pub fn counted<'a>(self, incarnations: impl Iterator<Item = &'a Counted> + Clone) -> TrialReport {
+        let sum = |of: fn(&Counted) -> u64| incarnations.clone().map(of).sum();
+        let oldest = incarnations.clone().filter_map(|counted| counted.oldest_command_s).reduce(f64::max);
         TrialReport {
             totals: Totals {
                 messages: sum(|counted| counted.messages),
                 oldest_command: oldest.map(Span::from_secs),
-                links: lives.clone().map(|counted| *counted.links).sum(),
-                safety: lives.clone().flat_map(|counted| &counted.safety).map(|robot| robot.counts).sum(),
+                links: incarnations.clone().map(|counted| *counted.links).sum(),
+                safety: incarnations.clone().flat_map(|counted| &counted.safety).map(|robot| robot.counts).sum(),
                 ..self.totals
             },
             refused: sum(|counted| counted.refused),
@@ -87,7 +86,7 @@ impl TrialReport {
         }
     }
 
-    /// How many episodes succeeded.
+    /// Returns the number of successful episodes.
     pub fn successes(&self) -> usize {
         self.episodes.iter().filter(|episode| episode.verdict == Verdict::Success).count()
     }
@@ -98,45 +97,45 @@ impl TrialReport {
 pub struct Step {
     /// The episode.
     pub episode: u32,
-    /// What the team is doing.
+    /// Phase of the episode.
     pub phase: Phase,
-    /// By robot id.
+    /// States by robot id.
     pub samples: Vec<Sample>,
-    /// Who hears whom while an episode runs, by the hearing robot; empty unless it was to be kept.
+    /// Messages that robots had while an episode runs, by receiving robot; empty unless they are kept.
     pub hearing: Vec<Hearing>,
 }
 
-/// A robot that has a message of another robot in its last control step.
+/// Message of another robot that a robot had in its last control step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Hearing {
-    /// The robot that hears.
+    /// The receiving robot.
     pub robot: RobotId,
-    /// Whom it hears.
+    /// The robot that published the message.
     pub of: RobotId,
-    /// Since the message was published.
+    /// Age of the message since its publication.
     pub age: Span,
 }
 
-/// What a whole trial comes to.
+/// Totals of a trial.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
     /// Messages published.
     pub messages: u64,
-    /// The same by kind, in the order of `KINDS`, with their bytes.
+    /// Messages by kind, in the order of `KINDS`, with their bytes.
     pub said: [Said; KINDS.len()],
-    /// When the last episode ended.
+    /// Time at which the last episode ended.
     pub end: Time,
-    /// A digest of every message and every true state, with its time.
+    /// Digest of every message and every true state, with its time.
     pub trace: u128,
-    /// The oldest command that any robot was still driven by, since it was published; none where the true state of some
-    /// robot was never told.
+    /// Largest age since publication of a command that drove a robot; none if the true state of some robot was never
+    /// reported.
     pub oldest_command: Option<Span>,
-    /// What the Networks counted on all links, up to the last full second.
+    /// Counts of the Networks on all links, up to the last full second.
     pub links: LinkCounts,
-    /// What happened on all radio channels, up to the last full second; nothing without a radio.
+    /// Counts of all radio channels, up to the last full second; zero without a radio.
     pub radio: RadioCounts,
-    /// What the robots' guards counted, up to their last heartbeats.
+    /// Counts of the robots' guards, up to their last heartbeats.
     pub safety: SafetyCounts,
-    /// What robots heard of each other while episodes ran; empty unless steps are kept.
+    /// Statistics of messages between robots while episodes ran; empty unless steps are kept.
     pub listening: Listening,
 }

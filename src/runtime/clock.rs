@@ -1,6 +1,6 @@
-//! The clock of a run: the present, an event queue ordered by (time, sequence), and who has been rung since, in that
-//! order. There is no other source of order, so under virtual time a seed gives the same run, however often. `drive`
-//! and `real` move it on.
+//! Clock of a run: the current time, an event queue ordered by (time, sequence), and the queue of tasks that were
+//! woken, in that order. Nothing else determines the order, so under virtual time the same seed gives the same run.
+//! `drive` and `real` advance it.
 
 use std::cell::{Cell, RefCell};
 use std::cmp::Ordering;
@@ -9,7 +9,7 @@ use std::rc::Rc;
 
 use crate::time::Time;
 
-/// What the actors of one virtual world share: the time, and the queue of what is due.
+/// Time and event queue that the actors of one run share.
 #[derive(Clone, Default)]
 pub struct Clock {
     now: Rc<Cell<Time>>,
@@ -20,36 +20,36 @@ pub struct Clock {
 struct Queue {
     events: BinaryHeap<Event>,
     sequence: u64,
-    sleepers: Vec<Registered>,
-    rung: VecDeque<usize>,
+    tasks: Vec<Task>,
+    woken: VecDeque<usize>,
 }
 
-struct Registered {
-    attend: Rc<dyn Fn()>,
-    /// It is not rung twice before it has attended.
-    rung: bool,
-    /// When it has to be rung at the latest, in real time; `Time::MAX` if it need not be.
+struct Task {
+    run: Rc<dyn Fn()>,
+    /// Whether it is in the queue of woken tasks.
+    woken: bool,
+    /// Latest time at which it has to be woken, in real time; `Time::MAX` if never.
     latest: Time,
 }
 
-/// Who can be rung, by a mailbox or by the clock.
+/// Handle of a task, which a mailbox or the clock can wake.
 #[derive(Clone, Copy, Debug)]
-pub struct Sleeper(usize);
+pub struct TaskId(usize);
 
 struct Event {
     at: Time,
     sequence: u64,
-    what: What,
+    action: Action,
 }
 
-enum What {
-    Wake(Sleeper),
+enum Action {
+    Wake(TaskId),
     Call(Box<dyn FnOnce()>),
 }
 
 impl Ord for Event {
     fn cmp(&self, other: &Event) -> Ordering {
-        // Reversed: the heap gives its greatest first, and the earliest event is due first.
+        // Reversed: the heap returns its greatest element first, and the earliest event is due first.
         (other.at, other.sequence).cmp(&(self.at, self.sequence))
     }
 }
@@ -69,114 +69,114 @@ impl PartialEq for Event {
 impl Eq for Event {}
 
 impl Clock {
-    /// The present.
+    /// Returns the current time.
     pub fn now(&self) -> Time {
         self.now.get()
     }
 
-    /// Makes `attend` known; it is called once after every time that it was rung.
-    pub fn register(&self, attend: Rc<dyn Fn()>) -> Sleeper {
+    /// Registers a task; `run` is called once after each time that it was woken.
+    pub fn register(&self, run: Rc<dyn Fn()>) -> TaskId {
         let mut queue = self.queue.borrow_mut();
-        queue.sleepers.push(Registered { attend, rung: false, latest: Time::MAX });
-        Sleeper(queue.sleepers.len() - 1)
+        queue.tasks.push(Task { run, woken: false, latest: Time::MAX });
+        TaskId(queue.tasks.len() - 1)
     }
 
-    /// `sleeper` attends when those have attended that were rung before it.
-    pub fn ring(&self, sleeper: Sleeper) {
-        let Queue { sleepers, rung, .. } = &mut *self.queue.borrow_mut();
-        // A run that has ended has nobody left to ring.
-        if let Some(registered) = sleepers.get_mut(sleeper.0)
-            && !std::mem::replace(&mut registered.rung, true)
+    /// Wakes a task: it runs after all tasks that were woken before it.
+    pub fn wake(&self, task: TaskId) {
+        let Queue { tasks, woken, .. } = &mut *self.queue.borrow_mut();
+        // After the end of a run no task is left.
+        if let Some(task_entry) = tasks.get_mut(task.0)
+            && !std::mem::replace(&mut task_entry.woken, true)
         {
-            rung.push_back(sleeper.0);
+            woken.push_back(task.0);
         }
     }
 
-    /// Lets everyone attend who is rung, until nobody is.
-    pub(super) fn attend(&self) {
-        while let Some(attend) = self.next_rung() {
-            attend();
+    /// Runs woken tasks until none is left.
+    pub(super) fn run_woken(&self) {
+        while let Some(run) = self.next_woken() {
+            run();
         }
     }
 
-    fn next_rung(&self) -> Option<Rc<dyn Fn()>> {
-        let Queue { sleepers, rung, .. } = &mut *self.queue.borrow_mut();
-        let registered = &mut sleepers[rung.pop_front()?];
-        registered.rung = false;
-        Some(Rc::clone(&registered.attend))
+    fn next_woken(&self) -> Option<Rc<dyn Fn()>> {
+        let Queue { tasks, woken, .. } = &mut *self.queue.borrow_mut();
+        let task_entry = &mut tasks[woken.pop_front()?];
+        task_entry.woken = false;
+        Some(Rc::clone(&task_entry.run))
     }
 
-    /// Rings `sleeper` at `at`. Real time may pass over that until whoever is rung has to be.
-    pub fn arm(&self, at: Time, sleeper: Sleeper) {
-        self.push(at, What::Wake(sleeper));
+    /// Schedules a wake-up of a task. In real time it may be delayed until the time given to [`Clock::expect`].
+    pub fn arm(&self, at: Time, task: TaskId) {
+        self.push(at, Action::Wake(task));
     }
 
-    /// From now on `sleeper`, which is armed for then or before, has to be rung by `latest`, or never.
-    pub fn expect(&self, latest: Option<Time>, sleeper: Sleeper) {
-        if let Some(registered) = self.queue.borrow_mut().sleepers.get_mut(sleeper.0) {
-            registered.latest = latest.unwrap_or(Time::MAX);
+    /// Sets the latest time at which a task that is armed for then or before has to be woken; none for never.
+    pub fn expect(&self, latest: Option<Time>, task: TaskId) {
+        if let Some(task_entry) = self.queue.borrow_mut().tasks.get_mut(task.0) {
+            task_entry.latest = latest.unwrap_or(Time::MAX);
         }
     }
 
-    /// Calls `call` at `at`.
+    /// Schedules a call.
     pub fn call(&self, at: Time, call: Box<dyn FnOnce()>) {
-        self.push(at, What::Call(call));
+        self.push(at, Action::Call(call));
     }
 
-    fn push(&self, at: Time, what: What) {
+    fn push(&self, at: Time, action: Action) {
         let mut queue = self.queue.borrow_mut();
         let sequence = queue.sequence;
         queue.sequence += 1;
         let at = at.max(self.now());
-        queue.events.push(Event { at, sequence, what });
+        queue.events.push(Event { at, sequence, action });
     }
 
-    /// Goes to the earliest event and lets it happen; `false` if there is none.
+    /// Advances to the earliest event and executes it; `false` if there is none.
     pub(super) fn step(&self) -> bool {
         let Some(event) = self.queue.borrow_mut().events.pop() else { return false };
         assert!(event.at >= self.now(), "time runs forward");
         self.now.set(event.at);
-        self.happen(event.what);
+        self.execute(event.action);
         true
     }
 
-    /// When the earliest event is due.
+    /// Returns the time of the earliest event.
     fn next(&self) -> Option<Time> {
         self.queue.borrow().events.peek().map(|event| event.at)
     }
 
-    /// When a driver of real time has to be awake at the latest. Looks at everyone, of whom a host has few; an event
-    /// for a sleeper that has changed its mind since wakes nobody by itself.
+    /// Returns the latest time until which a driver of real time may sleep. It looks at all tasks, of which a host has
+    /// few; an event for a task that has since been re-armed does not wake the driver.
     pub(super) fn latest(&self) -> Option<Time> {
         let queue = self.queue.borrow();
-        let calls = queue.events.iter().filter(|event| matches!(event.what, What::Call(_))).map(|event| event.at);
-        let latest = queue.sleepers.iter().map(|sleeper| sleeper.latest).chain(calls).fold(Time::MAX, Time::min);
+        let calls = queue.events.iter().filter(|event| matches!(event.action, Action::Call(_))).map(|event| event.at);
+        let latest = queue.tasks.iter().map(|task| task.latest).chain(calls).fold(Time::MAX, Time::min);
         Some(latest).filter(|latest| *latest < Time::MAX)
     }
 
-    /// The present is `now`, as read from a real clock, which may have passed over events.
+    /// Sets the current time, as read from a real clock; events before it stay in the queue.
     pub(super) fn set(&self, now: Time) {
         self.now.set(now.max(self.now()));
     }
 
-    /// Lets the earliest event happen that is due by now, however late; `false` if there is none.
+    /// Executes the earliest event that is due by now, however late; `false` if there is none.
     pub(super) fn catch_up(&self) -> bool {
         if self.next().is_none_or(|at| at > self.now()) {
             return false;
         }
         let event = self.queue.borrow_mut().events.pop().expect("there is a next event");
-        self.happen(event.what);
+        self.execute(event.action);
         true
     }
 
-    fn happen(&self, what: What) {
-        match what {
-            What::Call(call) => call(),
-            What::Wake(sleeper) => self.ring(sleeper),
+    fn execute(&self, action: Action) {
+        match action {
+            Action::Call(call) => call(),
+            Action::Wake(task) => self.wake(task),
         }
     }
 
-    /// Lets go of all sleepers and events, which hold the actors that hold this clock.
+    /// Drops all tasks and events, which hold the actors that hold this clock.
     pub(super) fn clear(&self) {
         *self.queue.borrow_mut() = Queue::default();
     }
@@ -191,28 +191,28 @@ mod tests {
     fn an_event_that_may_be_late_waits_for_one_that_may_not() {
         let clock = Clock::default();
         let ms = |ms: u64| Time::ZERO + Span::from_millis(ms);
-        let sleeper = clock.register(Rc::new(|| {}));
-        clock.arm(ms(10), sleeper);
-        clock.expect(Some(ms(15)), sleeper);
+        let task = clock.register(Rc::new(|| {}));
+        clock.arm(ms(10), task);
+        clock.expect(Some(ms(15)), task);
         assert_eq!(clock.latest(), Some(ms(15)));
         clock.call(ms(12), Box::new(|| {}));
         assert_eq!(clock.latest(), Some(ms(12)), "both at once");
         clock.set(ms(12));
         assert!(clock.catch_up() && clock.catch_up() && !clock.catch_up());
-        clock.expect(None, sleeper);
+        clock.expect(None, task);
         assert_eq!(clock.latest(), None);
     }
 
     #[test]
-    fn who_wants_to_be_rung_later_than_before_is_not_waited_for_before() {
+    fn a_task_that_is_postponed_does_not_wake_the_driver_at_its_earlier_time() {
         let clock = Clock::default();
         let ms = |ms: u64| Time::ZERO + Span::from_millis(ms);
-        let sleeper = clock.register(Rc::new(|| {}));
-        clock.arm(ms(10), sleeper);
-        clock.expect(Some(ms(10)), sleeper);
-        clock.expect(Some(ms(30)), sleeper);
+        let task = clock.register(Rc::new(|| {}));
+        clock.arm(ms(10), task);
+        clock.expect(Some(ms(10)), task);
+        clock.expect(Some(ms(30)), task);
         assert_eq!(clock.latest(), Some(ms(30)));
         clock.set(ms(30));
-        assert!(clock.catch_up(), "the event of before rings it");
+        assert!(clock.catch_up(), "the event of before wakes it");
     }
 }

@@ -1,4 +1,4 @@
-//! The driver of virtual time: lets the actors run until every mailbox is empty, then goes to the next event.
+//! Driver of virtual time: runs the actors until every mailbox is empty, then advances to the next event.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -11,12 +11,12 @@ use super::clock::Clock;
 use super::shell::in_system;
 use crate::time::Time;
 
-/// Why a virtual run ended.
+/// Reason for the end of a virtual run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// `done` said so.
+    /// `done` returned true.
     Done,
-    /// Nothing was left to happen.
+    /// No event was left.
     Idle,
 }
 
@@ -43,7 +43,7 @@ pub fn run_virtual<W>(build: impl FnOnce(&Clock) -> W, mut done: impl FnMut(&W, 
     })
 }
 
-/// The actor library's tasks: who starts, and who is started again.
+/// Tasks of the actor library: actors that start or restart.
 pub(super) struct Tasks {
     tasks: LocalSet,
     signal: Arc<Signal>,
@@ -65,15 +65,15 @@ impl Tasks {
         Tasks { tasks: LocalSet::new(), signal: Arc::new(Signal(AtomicBool::new(true))) }
     }
 
-    /// Where actors can be started.
+    /// Enters a context in which actors can be started.
     pub(super) fn enter(&self) -> LocalEnterGuard {
         self.tasks.enter()
     }
 
-    /// Lets the actors attend until every mailbox is empty.
+    /// Runs the actors until every mailbox is empty.
     pub(super) fn drain(&mut self, clock: &Clock) {
         loop {
-            clock.attend();
+            clock.run_woken();
             if !self.signal.0.swap(false, atomic::Ordering::Relaxed) {
                 return;
             }

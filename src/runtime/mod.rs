@@ -1,4 +1,4 @@
-//! What runs actors: mailboxes and lives, the queue of events, and the two drivers of time.
+//! Runtime of actors: mailboxes, supervision, the event queue, and the two drivers of time.
 //!
 //! `shell` is the only file that names the actor library; `clock` and `drive` are virtual time, `real` is real time.
 

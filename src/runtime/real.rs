@@ -1,7 +1,7 @@
-//! The driver of real time: does what is due, lets the actors run until every mailbox is empty, then sleeps until the
-//! next event or until a file descriptor has something to read. One thread, no runtime's timers: they are a
-//! millisecond coarse, and an alarm of the kernel is not. What is due comes before what has arrived, so a flood of
-//! datagrams delays no control tick by more than one reading. What the actors do never lives here.
+//! Driver of real time: executes due events, runs the actors until every mailbox is empty, then sleeps until the next
+//! event or until a file descriptor is readable. It uses one thread and a kernel timer; a runtime's timers have a
+//! resolution of a millisecond. Due events come before received datagrams, so a flood delays a control tick by at most
+//! one read. It contains no actor logic.
 
 use std::cell::Cell;
 use std::os::fd::AsFd;
@@ -18,77 +18,90 @@ use super::drive::Tasks;
 use super::shell::in_system;
 use crate::time::{Span, Time};
 
-/// The longest sleep. Whoever has to be heard sooner has something to read.
+/// Longest sleep. Events before its end come from descriptors.
 const MAX_SLEEP: Span = Span::from_millis(1000);
-/// Descriptors that one look tells of; the others are told of by the next.
-const TOLD_AT_ONCE: usize = 16;
-/// The name of the alarm among the descriptors.
-const ALARM: u64 = u64::MAX;
+/// Most descriptors reported by one wait; the next wait reports the others.
+const MAX_EVENTS: usize = 16;
+/// Key of the timer among the descriptors.
+const TIMER: u64 = u64::MAX;
 
-/// File descriptors, and who is rung when one of them has something to read.
+/// File descriptors, and the callback for each when it is readable.
 pub struct Readers {
     readers: Vec<Reader>,
-    /// Watches all of them, and the alarm.
+    /// Watches all of them, and the timer.
     all: Epoll,
-    /// Watches those that never rest, and the alarm.
-    restless: Epoll,
-    alarm: TimerFd,
-    /// When the alarm goes off.
-    alarm_at: Option<Time>,
-    /// Those that have something to read and are not rung yet.
+    /// Watches those that are never paused, and the timer.
+    never_paused: Epoll,
+    timer: TimerFd,
+    /// Time for which the timer is set.
+    timer_at: Option<Time>,
+    /// Readable descriptors whose callback has not been called yet.
     ready: Vec<usize>,
 }
 
 struct Reader {
     source: Rc<dyn AsFd>,
-    /// Whether the end of it is awaited, and not what it says.
+    /// Whether the reader waits for the end of the source and not for input.
     end: bool,
-    /// Whether it has nothing more to tell.
-    over: Cell<bool>,
-    ring: Box<dyn Fn()>,
-    /// Until when it is to be left alone.
-    rests: Option<Box<dyn Fn() -> Option<Time>>>,
+    /// Whether that end has been reported.
+    reported: Cell<bool>,
+    notify: Box<dyn Fn()>,
+    /// Time until which the source is paused.
+    paused_until: Option<Box<dyn Fn() -> Option<Time>>>,
 }
 
 impl Readers {
     fn new() -> Readers {
         let epoll = || Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).expect("a process may watch descriptors");
         let flags = TimerFlags::TFD_NONBLOCK | TimerFlags::TFD_CLOEXEC;
-        let alarm = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags).expect("a process may have a timer");
-        let (all, restless) = (epoll(), epoll());
-        for epoll in [&all, &restless] {
-            // It tells once, and needs not be read before it is set again.
-            let event = EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, ALARM);
-            epoll.add(alarm.as_fd(), event).expect("a timer can be watched");
+        let timer = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags).expect("a process may have a timer");
+        let (all, never_paused) = (epoll(), epoll());
+        for epoll in [&all, &never_paused] {
+            // Edge-triggered, so that it need not be read before it is set again.
+            let event = EpollEvent::new(EpollFlags::EPOLLIN | EpollFlags::EPOLLET, TIMER);
+            epoll.add(timer.as_fd(), event).expect("a timer can be watched");
         }
-        Readers { readers: Vec::new(), all, restless, alarm, alarm_at: None, ready: Vec::new() }
+        Readers { readers: Vec::new(), all, never_paused, timer, timer_at: None, ready: Vec::new() }
     }
 
-    /// Rings whenever `source` has something to read, until it has been read.
-    pub fn watch(&mut self, source: Rc<dyn AsFd>, ring: impl Fn() + 'static) {
-        self.add(Reader { source, end: false, over: Cell::new(false), ring: Box::new(ring), rests: None });
+    /// Calls `notify` whenever `source` is readable, until it has been read.
+    pub fn watch(&mut self, source: Rc<dyn AsFd>, notify: impl Fn() + 'static) {
+        self.add(Reader {
+            source,
+            end: false,
+            reported: Cell::new(false),
+            notify: Box::new(notify),
+            paused_until: None,
+        });
     }
 
-    /// Rings whenever `source` has something to read, but not before the time that `rests` answers with.
+    /// Calls `notify` whenever `source` is readable, but not before the time that `paused_until` returns.
     pub fn watch_link(
         &mut self,
         source: Rc<dyn AsFd>,
-        rests: impl Fn() -> Option<Time> + 'static,
-        ring: impl Fn() + 'static,
+        paused_until: impl Fn() -> Option<Time> + 'static,
+        notify: impl Fn() + 'static,
     ) {
-        let (ring, rests) = (Box::new(ring), Some(Box::new(rests) as Box<dyn Fn() -> Option<Time>>));
-        self.add(Reader { source, end: false, over: Cell::new(false), ring, rests });
+        let (notify, paused_until) = (Box::new(notify), Some(Box::new(paused_until) as Box<dyn Fn() -> Option<Time>>));
+        self.add(Reader { source, end: false, reported: Cell::new(false), notify, paused_until });
     }
 
-    /// Rings once when the other end of `source`, which is written to, has gone. A regular file has no other end.
-    pub fn watch_end(&mut self, source: Rc<dyn AsFd>, ring: impl Fn() + 'static) {
-        self.add(Reader { source, end: true, over: Cell::new(false), ring: Box::new(ring), rests: None });
+    /// Calls `notify` once when the other end of `source`, which is written to, is closed. A regular file has no other
+    /// end.
+    pub fn watch_end(&mut self, source: Rc<dyn AsFd>, notify: impl Fn() + 'static) {
+        self.add(Reader {
+            source,
+            end: true,
+            reported: Cell::new(false),
+            notify: Box::new(notify),
+            paused_until: None,
+        });
     }
 
     fn add(&mut self, reader: Reader) {
         let flags = if reader.end { EpollFlags::empty() } else { EpollFlags::EPOLLIN };
         let event = EpollEvent::new(flags, self.readers.len() as u64);
-        let also = reader.rests.is_none().then_some(&self.restless);
+        let also = reader.paused_until.is_none().then_some(&self.never_paused);
         for epoll in also.into_iter().chain([&self.all]) {
             match epoll.add(reader.source.as_fd(), event) {
                 Ok(()) => {}
@@ -99,63 +112,63 @@ impl Readers {
         self.readers.push(reader);
     }
 
-    /// Until when links are to be left alone, if any is.
-    fn rest(&self, now: Time) -> Option<Time> {
-        self.readers.iter().filter_map(|reader| reader.rests.as_ref()?()).filter(|until| *until > now).max()
+    /// Latest time until which a link is paused, if any is.
+    fn paused(&self, now: Time) -> Option<Time> {
+        self.readers.iter().filter_map(|reader| reader.paused_until.as_ref()?()).filter(|until| *until > now).max()
     }
 
-    /// Sleeps until one has something to read or `next` has come, or looks only, where it has come.
+    /// Sleeps until a descriptor is readable or `next` has come; if it has come, only polls.
     fn sleep(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
-        let rest = self.rest(now);
-        let until = rest.map_or(next, |rest| rest.min(next));
+        let pause = self.paused(now);
+        let until = pause.map_or(next, |pause| pause.min(next));
         let timeout = if until <= now {
             EpollTimeout::ZERO
         } else {
-            self.set_alarm(now, until, elapsed);
+            self.set_timer(now, until, elapsed);
             EpollTimeout::NONE
         };
-        let epoll = if rest.is_some() { &self.restless } else { &self.all };
-        let mut events = [EpollEvent::empty(); TOLD_AT_ONCE];
-        let told = match epoll.wait(&mut events, timeout) {
-            Ok(told) => told,
+        let epoll = if pause.is_some() { &self.never_paused } else { &self.all };
+        let mut events = [EpollEvent::empty(); MAX_EVENTS];
+        let count = match epoll.wait(&mut events, timeout) {
+            Ok(count) => count,
             Err(Errno::EINTR) => 0,
             Err(error) => panic!("the kernel does not watch descriptors that are open: {error}"),
         };
         self.ready
-            .extend(events[..told].iter().filter(|event| event.data() != ALARM).map(|event| event.data() as usize));
+            .extend(events[..count].iter().filter(|event| event.data() != TIMER).map(|event| event.data() as usize));
     }
 
-    /// Rings for those that have something to read.
-    fn ring(&mut self) {
+    /// Calls the callbacks of readable descriptors.
+    fn notify(&mut self) {
         for reader in self.ready.drain(..).map(|index| &self.readers[index]) {
-            if reader.end && !reader.over.replace(true) {
-                for epoll in [&self.all, &self.restless] {
-                    // One that is not watched is not to be told of, which is all that is wanted.
+            if reader.end && !reader.reported.replace(true) {
+                for epoll in [&self.all, &self.never_paused] {
+                    // An error means that it is not watched any more, which is the aim.
                     let _ = epoll.delete(reader.source.as_fd());
                 }
             }
-            (reader.ring)();
+            (reader.notify)();
         }
     }
 
-    /// Wakes the sleep at `next` at the latest. A timeout of the sleep itself would set the machine's timer for every
-    /// datagram that arrives, and take it back, which costs more than the datagram; an alarm stands until something
-    /// earlier is due.
-    fn set_alarm(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
-        // One that has gone off is silent until it is set again.
-        if self.alarm_at.is_some_and(|at| at > now && at <= next) {
+    /// Sets the timer to end the sleep at `next` at the latest. A timeout of the sleep itself would set and clear the
+    /// machine's timer for every datagram, which costs more than the datagram; this timer stays until something earlier
+    /// is due.
+    fn set_timer(&mut self, now: Time, next: Time, elapsed: impl Fn() -> Time) {
+        // A timer that has expired does not fire until it is set again.
+        if self.timer_at.is_some_and(|at| at > now && at <= next) {
             return;
         }
         let next = next.min(now + MAX_SLEEP);
         let span = Span::from_nanos(next.since(elapsed()).as_nanos().max(1));
         let once = Expiration::OneShot(TimeSpec::from_duration(std::time::Duration::from_nanos(span.as_nanos())));
-        self.alarm.set(once, TimerSetTimeFlags::empty()).expect("an open timer can be set");
-        self.alarm_at = Some(next);
+        self.timer.set(once, TimerSetTimeFlags::empty()).expect("an open timer can be set");
+        self.timer_at = Some(next);
     }
 }
 
-/// Runs actors in real time on this thread: `build` starts them and says which descriptors are read, and time goes by
-/// from `origin` until `done`, which is asked after every turn.
+/// Runs actors in real time on this thread. `build` starts them and names the descriptors to watch. Time counts from
+/// `origin`; the run ends when `done`, called after every turn, returns true.
 pub fn run_real<W>(
     origin: Instant,
     build: impl FnOnce(&Clock, &mut Readers) -> W,
@@ -174,7 +187,7 @@ pub fn run_real<W>(
             clock.set(now);
             while clock.catch_up() {}
             actors.drain(&clock);
-            readers.ring();
+            readers.notify();
             actors.drain(&clock);
             if done(&world, now) {
                 break;
@@ -194,21 +207,26 @@ mod tests {
 
     use super::*;
 
-    /// Runs what `build` starts for 5 ms of real time at the least.
+    /// Runs what `build` starts for 5 ms of real time at least.
     fn run(build: impl FnOnce(&Clock, &mut Readers)) {
-        let until = Time::ZERO + Span::from_millis(5);
+        run_until(Span::from_millis(5), build, || false);
+    }
+
+    /// Runs what `build` starts until `done`, for `limit` of real time at most.
+    fn run_until(limit: Span, build: impl FnOnce(&Clock, &mut Readers), done: impl Fn() -> bool) {
+        let until = Time::ZERO + limit;
         run_real(
             Instant::now(),
             |clock, readers| {
                 build(clock, readers);
                 clock.call(until, Box::new(|| {}));
             },
-            |(), now| now >= until,
+            |(), now| now >= until || done(),
         );
     }
 
     #[test]
-    fn a_descriptor_rings_until_it_is_read() {
+    fn a_descriptor_calls_until_it_is_read() {
         let (mut here, there) = UnixStream::pair().unwrap();
         here.write_all(b"ab").unwrap();
         let read = Rc::new(RefCell::new(Vec::new()));
@@ -225,29 +243,29 @@ mod tests {
     }
 
     #[test]
-    fn a_link_that_rests_is_not_rung_and_delays_nothing() {
+    fn a_paused_link_is_not_read_and_delays_nothing() {
         let (mut here, there) = UnixStream::pair().unwrap();
         here.write_all(b"a").unwrap();
-        let (rung, called) = (Rc::new(Cell::new(0)), Rc::new(Cell::new(false)));
-        let (ring, call) = (Rc::clone(&rung), Rc::clone(&called));
+        let (calls, called) = (Rc::new(Cell::new(0)), Rc::new(Cell::new(false)));
+        let (notify, call) = (Rc::clone(&calls), Rc::clone(&called));
         run(move |clock, readers| {
-            readers.watch_link(Rc::new(there), || Some(Time::MAX), move || ring.set(ring.get() + 1));
+            readers.watch_link(Rc::new(there), || Some(Time::MAX), move || notify.set(notify.get() + 1));
             clock.call(Time::ZERO + Span::from_millis(2), Box::new(move || call.set(true)));
         });
-        assert_eq!((rung.get(), called.get()), (0, true));
+        assert_eq!((calls.get(), called.get()), (0, true));
     }
 
     #[test]
-    fn the_end_of_a_pipe_rings_once_and_a_regular_file_has_none() {
+    fn the_end_of_a_pipe_is_reported_once_and_a_regular_file_has_none() {
         let (here, there) = UnixStream::pair().unwrap();
         drop(there);
-        let rung = Rc::new(Cell::new(0));
-        let ring = Rc::clone(&rung);
+        let calls = Rc::new(Cell::new(0));
+        let notify = Rc::clone(&calls);
         run(move |_, readers| {
-            readers.watch_end(Rc::new(here), move || ring.set(ring.get() + 1));
+            readers.watch_end(Rc::new(here), move || notify.set(notify.get() + 1));
             readers.watch_end(Rc::new(tempfile::tempfile().unwrap()), || panic!("a file does not end"));
         });
-        assert_eq!(rung.get(), 1);
+        assert_eq!(calls.get(), 1);
     }
 
     #[test]
@@ -257,7 +275,7 @@ mod tests {
         let write = Rc::clone(&here);
         let order = Rc::new(RefCell::new(Vec::new()));
         let (first, second, source) = (Rc::clone(&order), Rc::clone(&order), Rc::new(there));
-        run(move |clock, readers| {
+        let build = move |clock: &Clock, readers: &mut Readers| {
             let from = Rc::clone(&source);
             readers.watch(source, move || {
                 (&*from).read_exact(&mut [0]).unwrap();
@@ -270,7 +288,9 @@ mod tests {
                 due.call(due.now() + Span::from_nanos(1), Box::new(move || first.borrow_mut().push("due")));
             };
             clock.call(Time::ZERO + Span::from_millis(1), Box::new(act));
-        });
+        };
+        // A loaded machine may take longer than the events themselves.
+        run_until(Span::from_secs(5.0), build, || order.borrow().len() == 2);
         assert_eq!(*order.borrow(), ["due", "arrived"]);
     }
 }

@@ -1,11 +1,11 @@
-//! The shell around every core: mailbox, timer, supervision and fault injection. The only file that names
-//! the actor library.
+//! Shell around every core: mailbox, timer, supervision and fault injection. The only file that names the actor
+//! library.
 //!
-//! A mailbox is bounded: what it refuses is counted, never queued elsewhere. Messages of one sender stay
-//! in order; between senders there is none to rely on. An actor is started, stopped and started again by the actor
-//! library; its mailbox is a queue of our own, and the clock lets those attend that were rung, in that order. The
-//! library's own mailbox and tasks took a third of a run's time. A crashed actor starts again with a fresh
-//! core. A real panic ends the process: state that a broken invariant has touched must not drive a robot.
+//! A mailbox is bounded; refused messages are counted and dropped. Messages of one sender stay in order; between
+//! senders there is no guaranteed order. The actor library starts, stops and restarts an actor. Its mailbox is a queue
+//! of our own, and the clock runs woken actors in the order of their wake-ups: the library's own mailbox and tasks took
+//! a third of a run's time. A crashed actor restarts with a fresh core. A real panic ends the process: state after a
+//! broken invariant must not drive a robot.
 
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::VecDeque;
@@ -14,16 +14,16 @@ use std::rc::{Rc, Weak};
 use actix::{Actor, ActorContext, Addr, Context, Handler, Message, Supervised, Supervisor, System};
 use tracing::Span as TraceSpan;
 
-use super::clock::{Clock, Sleeper};
+use super::clock::{Clock, TaskId};
 use crate::actor::Core;
 use crate::faults::{ActorFault, ActorFaultKind};
 use crate::time::{Span, Time};
 
-/// How many messages a mailbox holds: all that a team of 2000 says in one control period, eight a robot.
+/// Capacity of a mailbox: all messages of a team of 2000 in one control period, eight a robot.
 pub const MAILBOX_CAPACITY: usize = 16_384;
-/// How often a core may be woken at one instant before that is taken for a bug.
+/// Most wake-ups of a core at one instant; more are a bug.
 const MAX_WAKES_AT_ONCE: usize = 64;
-/// The exit status of a process that a panic has ended, as of any Rust program.
+/// Exit status after a panic, as of any Rust program.
 const PANIC_STATUS: i32 = 101;
 
 enum Envelope<I> {
@@ -31,15 +31,14 @@ enum Envelope<I> {
     Inject(ActorFault),
 }
 
-/// The way to one actor of this thread. Cheap to clone; made before the actor, so that actors can know each
-/// other.
+/// Address of one actor of this thread. Cheap to clone; made before the actor, so that actors can hold each other's.
 pub struct Mailbox<I>(Rc<Slot<I>>);
 
 struct Slot<I> {
     name: String,
     queue: RefCell<VecDeque<Envelope<I>>>,
-    /// Rings for the actor, once it is started.
-    bell: OnceCell<(Clock, Sleeper)>,
+    /// Wakes the actor, once it is started.
+    waker: OnceCell<(Clock, TaskId)>,
     refused: Cell<u64>,
     lost: Cell<u64>,
 }
@@ -51,38 +50,38 @@ impl<I> Clone for Mailbox<I> {
 }
 
 impl<I> Mailbox<I> {
-    /// The mailbox of an actor that is yet to be started under this name.
+    /// Returns a mailbox for an actor that is started later under this name.
     pub fn new(name: impl Into<String>) -> Mailbox<I> {
         Mailbox(Rc::new(Slot {
             name: name.into(),
             queue: RefCell::default(),
-            bell: OnceCell::new(),
+            waker: OnceCell::new(),
             refused: Cell::new(0),
             lost: Cell::new(0),
         }))
     }
 
-    /// The actor's name.
+    /// Name of the actor.
     pub fn name(&self) -> &str {
         &self.0.name
     }
 
-    /// Puts a message into the mailbox; a full one refuses and counts it.
+    /// Puts a message into the mailbox; a full one drops and counts it.
     pub fn send(&self, input: I) {
         self.post(Envelope::Deliver(input));
     }
 
-    /// Strikes the actor with a fault.
+    /// Injects a fault into the actor.
     pub fn inject(&self, fault: ActorFault) {
         self.post(Envelope::Inject(fault));
     }
 
-    /// Messages that the full mailbox refused, so far.
+    /// Number of messages that the full mailbox refused.
     pub fn refused(&self) -> u64 {
         self.0.refused.get()
     }
 
-    /// Messages that were lost in crashes, so far.
+    /// Number of messages that were lost in crashes.
     pub fn lost(&self) -> u64 {
         self.0.lost.get()
     }
@@ -94,8 +93,8 @@ impl<I> Mailbox<I> {
             return self.refuse();
         }
         queue.push_back(envelope);
-        if let Some((clock, actor)) = slot.bell.get() {
-            clock.ring(*actor);
+        if let Some((clock, actor)) = slot.waker.get() {
+            clock.wake(*actor);
         }
     }
 
@@ -108,28 +107,28 @@ impl<I> Mailbox<I> {
     }
 }
 
-/// A core with all that it needs to live.
+/// A core with its mailbox, timer, faults and supervision.
 struct Shell<C: Core + 'static> {
     make: Box<dyn FnMut(u32) -> C>,
     core: Option<C>,
     incarnation: u32,
-    /// How a crash is told to the supervisor.
-    life: Option<Addr<Life<C>>>,
-    /// Whether the supervisor has started it, or started it again.
+    /// Address of the supervised actor, which is told of a crash.
+    supervisee: Option<Addr<Supervisee<C>>>,
+    /// Whether the supervisor has started or restarted it.
     alive: bool,
     sink: Box<dyn FnMut(C::Out)>,
     out: Vec<C::Out>,
     clock: Clock,
-    sleeper: Sleeper,
+    task: TaskId,
     armed: Option<Time>,
-    /// When the clock expects it to want its next turn.
+    /// Time given to the clock for its next turn.
     expected: Option<Time>,
     faults: Faults,
     held: VecDeque<(Time, C::In)>,
     mailbox: Mailbox<C::In>,
 }
 
-/// The injected faults that are in force, each until its time.
+/// Injected faults in force, each until its time.
 #[derive(Default)]
 struct Faults {
     down: Time,
@@ -140,7 +139,7 @@ struct Faults {
 }
 
 impl Faults {
-    /// When an input or a timer that is due at `at` is taken up.
+    /// Time at which an input or a timer that is due at `at` is processed.
     #[inline]
     fn taken_up(&self, at: Time) -> Time {
         let at = if at < self.slow { at + self.slow_by } else { at };
@@ -148,8 +147,8 @@ impl Faults {
     }
 }
 
-/// Starts an actor behind `mailbox`: `make` builds its core for each incarnation, counted from 1, and
-/// `sink` takes what it says.
+/// Starts an actor behind `mailbox`: `make` builds its core for each incarnation, counted from 1, and `sink` takes its
+/// output.
 pub fn start<C: Core + 'static>(
     clock: &Clock,
     mailbox: &Mailbox<C::In>,
@@ -159,23 +158,23 @@ pub fn start<C: Core + 'static>(
 ) {
     let shell = Rc::new_cyclic(|shell: &Weak<RefCell<Shell<C>>>| {
         let (shell, name, time) = (shell.clone(), mailbox.clone(), clock.clone());
-        let sleeper = clock.register(Rc::new(move || {
+        let task = clock.register(Rc::new(move || {
             if let Some(shell) = shell.upgrade() {
                 let (now, _inside) = (time.now(), span.enter());
-                let _guard = EndsTheProcess { name: name.name(), now };
-                shell.borrow_mut().attend(now);
+                let _guard = ExitOnPanic { name: name.name(), now };
+                shell.borrow_mut().run(now);
             }
         }));
         RefCell::new(Shell {
             core: Some(make(1)),
             make: Box::new(make),
             incarnation: 1,
-            life: None,
+            supervisee: None,
             alive: true,
             sink: Box::new(sink),
             out: Vec::new(),
             clock: clock.clone(),
-            sleeper,
+            task,
             armed: None,
             expected: None,
             faults: Faults::default(),
@@ -183,13 +182,13 @@ pub fn start<C: Core + 'static>(
             mailbox: mailbox.clone(),
         })
     });
-    let sleeper = shell.borrow().sleeper;
-    assert!(mailbox.0.bell.set((clock.clone(), sleeper)).is_ok(), "{} is started once", mailbox.name());
-    let life = Life(Rc::clone(&shell));
-    // The supervisor gives an actor up that nobody holds an address of.
-    shell.borrow_mut().life = Some(Supervisor::start(move |_: &mut Context<Life<C>>| life));
-    // At its first turn the core says when it wants to be woken.
-    clock.ring(sleeper);
+    let task = shell.borrow().task;
+    assert!(mailbox.0.waker.set((clock.clone(), task)).is_ok(), "{} is started once", mailbox.name());
+    let supervisee = Supervisee(Rc::clone(&shell));
+    // The supervisor stops an actor without a held address.
+    shell.borrow_mut().supervisee = Some(Supervisor::start(move |_: &mut Context<Supervisee<C>>| supervisee));
+    // In its first turn the core returns its first wake-up time.
+    clock.wake(task);
 }
 
 impl<C: Core + 'static> Shell<C> {
@@ -205,23 +204,23 @@ impl<C: Core + 'static> Shell<C> {
         }
     }
 
-    /// Takes all that waits in the mailbox, up to a crash.
-    fn attend(&mut self, now: Time) {
+    /// Processes the messages in the mailbox, up to a crash.
+    fn run(&mut self, now: Time) {
         loop {
             let next = self.mailbox.0.queue.borrow_mut().pop_front();
             match next {
                 None => break,
                 Some(Envelope::Deliver(input)) => self.take_in(now, input),
-                Some(Envelope::Inject(fault)) => self.strike(now, &fault),
+                Some(Envelope::Inject(fault)) => self.inject(now, &fault),
             }
         }
         self.turn(now);
     }
 
-    /// Does all that is due, lets it out, and sets the timer for the next.
+    /// Processes everything due, passes on the output, and sets the timer for the next turn.
     fn turn(&mut self, now: Time) {
         if self.core.is_none() {
-            self.revive(now);
+            self.restart(now);
         }
         if !self.held.is_empty() {
             self.take_up_held(now);
@@ -243,17 +242,17 @@ impl<C: Core + 'static> Shell<C> {
         self.arm(now, next);
     }
 
-    /// Starts the core afresh, once the supervisor has and the crash is over.
+    /// Makes a new core, once the supervisor has restarted the actor and the crash is over.
     #[cold]
-    fn revive(&mut self, now: Time) {
+    fn restart(&mut self, now: Time) {
         if self.alive && now >= self.faults.down {
             self.incarnation += 1;
             self.core = Some((self.make)(self.incarnation));
-            tracing::info!(incarnation = self.incarnation, "started afresh");
+            tracing::info!(incarnation = self.incarnation, "restarted");
         }
     }
 
-    /// Hands the core what a fault has held back until now.
+    /// Passes inputs to the core that a fault has delayed until now.
     #[cold]
     fn take_up_held(&mut self, now: Time) {
         let Some(core) = &mut self.core else { return };
@@ -263,7 +262,7 @@ impl<C: Core + 'static> Shell<C> {
         }
     }
 
-    /// Sets the timer; `wake` is when the core wants to be woken.
+    /// Sets the timer; `wake` is the wake-up time of the core.
     fn arm(&mut self, now: Time, wake: Option<Time>) {
         let next = match &self.core {
             None => Some(self.faults.down),
@@ -276,20 +275,20 @@ impl<C: Core + 'static> Shell<C> {
         if next != self.expected {
             self.expected = next;
             let tolerance = |at: Time| self.core.as_ref().map_or(Span::ZERO, |core| core.tolerance(at.since(now)));
-            self.clock.expect(next.map(|at| at + tolerance(at)), self.sleeper);
+            self.clock.expect(next.map(|at| at + tolerance(at)), self.task);
         }
-        // An earlier alarm that still stands will come through here again: one event serves many re-armings.
+        // An earlier wake-up that is still scheduled calls this again: one event serves many re-armings.
         let stands = self.armed.filter(|at| *at > now);
         if let Some(next) = next
             && stands.is_none_or(|at| next < at)
         {
-            self.clock.arm(next, self.sleeper);
+            self.clock.arm(next, self.task);
             self.armed = Some(next);
         }
     }
 
     #[cold]
-    fn strike(&mut self, now: Time, fault: &ActorFault) {
+    fn inject(&mut self, now: Time, fault: &ActorFault) {
         tracing::warn!(kind = ?fault.kind, lasts = %fault.lasts, "fault injected");
         let until = now + fault.lasts;
         match fault.kind {
@@ -302,33 +301,33 @@ impl<C: Core + 'static> Shell<C> {
             }
             ActorFaultKind::Crash => {
                 self.faults = Faults { down: self.faults.down.max(until), ..Faults::default() };
-                // A crash loses what the actor knew, had not said yet and had not taken up.
+                // A crash loses the actor's state, unsent output and delayed inputs.
                 self.core = None;
                 self.out.clear();
                 self.mailbox.lose(self.held.len());
                 self.held.clear();
                 self.alive = false;
-                self.life.as_ref().expect("it was started").do_send(Crash);
+                self.supervisee.as_ref().expect("it was started").do_send(Crash);
             }
         }
     }
 }
 
-/// An actor's life as the actor library sees it: it begins, ends in a crash, and begins again.
-struct Life<C: Core + 'static>(Rc<RefCell<Shell<C>>>);
+/// The actor as supervised by the actor library, which starts it, stops it at a crash and restarts it.
+struct Supervisee<C: Core + 'static>(Rc<RefCell<Shell<C>>>);
 
-/// The end of a life.
+/// Message that stops the supervised actor.
 struct Crash;
 
 impl Message for Crash {
     type Result = ();
 }
 
-impl<C: Core + 'static> Actor for Life<C> {
+impl<C: Core + 'static> Actor for Supervisee<C> {
     type Context = Context<Self>;
 }
 
-impl<C: Core + 'static> Handler<Crash> for Life<C> {
+impl<C: Core + 'static> Handler<Crash> for Supervisee<C> {
     type Result = ();
 
     fn handle(&mut self, _: Crash, context: &mut Self::Context) {
@@ -336,21 +335,21 @@ impl<C: Core + 'static> Handler<Crash> for Life<C> {
     }
 }
 
-impl<C: Core + 'static> Supervised for Life<C> {
+impl<C: Core + 'static> Supervised for Supervisee<C> {
     fn restarting(&mut self, _: &mut Self::Context) {
         let mut shell = self.0.borrow_mut();
         shell.alive = true;
-        shell.clock.ring(shell.sleeper);
+        shell.clock.wake(shell.task);
     }
 }
 
-/// Ends the process when it is dropped by a panic, which the actor library would survive in silence.
-struct EndsTheProcess<'a> {
+/// Ends the process when a panic drops it; the actor library would continue without a message.
+struct ExitOnPanic<'a> {
     name: &'a str,
     now: Time,
 }
 
-impl Drop for EndsTheProcess<'_> {
+impl Drop for ExitOnPanic<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.end();
@@ -358,16 +357,16 @@ impl Drop for EndsTheProcess<'_> {
     }
 }
 
-impl EndsTheProcess<'_> {
+impl ExitOnPanic<'_> {
     #[cold]
-    #[allow(clippy::print_stderr)] // Where no log is set up, this is the only way to say so.
+    #[allow(clippy::print_stderr)] // Without a log, stderr is the only way to report it.
     fn end(&self) {
         let why = format!(
             "{} broke an invariant at {} (see the panic above); the process ends so that motors stop. Please report it \
              with the command that you ran.",
             self.name, self.now
         );
-        // A log may have a writer that does not wait; stderr waits for whoever reads it.
+        // A log may have a writer that does not block; stderr blocks until it is read.
         if tracing::dispatcher::has_been_set() {
             tracing::error!("{why}");
         } else {
@@ -377,7 +376,7 @@ impl EndsTheProcess<'_> {
     }
 }
 
-/// Runs `inside` where actors can be started: in an actor system of its own on this thread.
+/// Runs `inside` in a new actor system on this thread, where actors can be started.
 pub(super) fn in_system<R>(inside: impl FnOnce() -> R) -> R {
     let system = System::with_tokio_rt(|| {
         tokio::runtime::Builder::new_current_thread().build().expect("a runtime without I/O or timers needs nothing")

@@ -206,13 +206,13 @@ impl Guard {
     /// Applies an operator's stop or re-arm; true if the latch has changed.
     pub fn apply_stop(&mut self, stop: &Stop) -> bool {
         let before = self.latch();
-        self.latch.told(stop.latch) && self.changed(before)
+        self.latch.apply(stop.latch) && self.changed(before)
     }
 
     /// Merges the latch that the state server repeats; true if the own latch has changed.
     pub fn learn_latch(&mut self, latch: Latch) -> bool {
         let before = self.latch();
-        self.latch.learned(latch) && self.changed(before)
+        self.latch.update(latch) && self.changed(before)
     }
 
     fn changed(&mut self, before: Latch) -> bool {
@@ -383,7 +383,7 @@ impl Guard {
 mod tests {
     use super::*;
     use crate::messages::ids::HostId;
-    use crate::messages::local::{Other, Progress};
+    use crate::messages::local::{OtherRobot, Progress};
     use crate::messages::wire::{Phase, Round};
 
     fn at_ms(ms: u64) -> Time {
@@ -510,9 +510,9 @@ mod tests {
     fn the_minimum_distance_holds_after_a_neighbour_is_no_longer_heard() {
         let mut guard = guard(Safety { late_tick: Switch::Off, own_state: Switch::Off, ..Safety::deployed() });
         let motion = Motion::at_rest(Vec2::new(0.5, 0.0));
-        let others = vec![Other { robot: RobotId(1), motion, age: Span::from_millis(100) }];
+        let others = vec![OtherRobot { robot: RobotId(1), motion, age: Span::from_millis(100) }];
         let mut speed =
-            |ms: u64, others: Vec<Other>| match guard.decide(at_ms(ms), &Action { others, ..action(0, EAST) }) {
+            |ms: u64, others: Vec<OtherRobot>| match guard.decide(at_ms(ms), &Action { others, ..action(0, EAST) }) {
                 Decision::Drive(granted) => granted.velocity().x,
                 decision => panic!("{decision:?}"),
             };
@@ -526,7 +526,7 @@ mod tests {
     fn the_emulated_settings_change_no_velocity() {
         let mut guard = guard(Safety::emulated());
         let motion = Motion::at_rest(Vec2::new(9.1, 0.0));
-        let others = vec![Other { robot: RobotId(1), motion, age: Span::ZERO }];
+        let others = vec![OtherRobot { robot: RobotId(1), motion, age: Span::ZERO }];
         let estimate = Motion::at_rest(Vec2::new(9.0, 0.0));
         assert_eq!(guard.decide(at_ms(900), &Action { estimate, others, ..action(0, EAST) }), DRIVE);
         assert_eq!((guard.counts(), guard.wake_at()), (SafetyCounts::default(), Some(at_ms(1000))));

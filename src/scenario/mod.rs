@@ -10,7 +10,7 @@ pub mod passage;
 pub mod sightings;
 pub mod swap;
 
-use std::fmt::Debug;
+use std::fmt::{self, Debug};
 use std::sync::Arc;
 
 pub use arena::{Arena, KeepOut, Portal};
@@ -115,8 +115,11 @@ pub trait Scenario: Debug + Send + Sync {
         (task.goal - position).norm() <= self.rules().arrival_m
     }
 
-    /// The reward of one robot for one step that ends in `after`; updates its stage.
-    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32;
+    /// The scenario's own reward of one robot for one step that ends in `after`; updates its stage. `None`, the
+    /// default, if it has none: a training then rewards progress and arrival, which need no code here.
+    fn reward(&self, _task: &Task, _after: &Motion, _contacts: Contacts, _stage: &mut Stage) -> Option<f32> {
+        None
+    }
 
     /// `reward` for all robots of a team: one dynamic call per team instead of one per robot, for fast rollouts.
     fn rewards(&self, team: TeamAfterStep, rewards: &mut [f32]) {
@@ -124,7 +127,7 @@ pub trait Scenario: Debug + Send + Sync {
         for (((task, ((&position, &velocity), &contacts)), stage), reward) in
             team.tasks.iter().zip(states).zip(team.stage).zip(rewards)
         {
-            *reward = self.reward(task, &Motion { position, velocity }, contacts, stage);
+            *reward = self.reward(task, &Motion { position, velocity }, contacts, stage).unwrap_or(0.0);
         }
     }
 
@@ -140,11 +143,59 @@ pub trait Scenario: Debug + Send + Sync {
         (task.goal - position).norm()
     }
 
-    /// Whether a robot at `stage` can receive no more reward for progress.
-    fn finished(&self, stage: Stage) -> bool;
+    /// Whether a robot at `stage` can receive no more of the scenario's own reward for progress.
+    fn finished(&self, _stage: Stage) -> bool {
+        true
+    }
+
+    /// Success rate that scripted navigation (`orca`) reaches at least with the default team in mode `sim`, 0 to 1.
+    /// `tests/graph/contracts.rs` holds the scenario to it.
+    fn scripted_success(&self) -> f64 {
+        0.9
+    }
 
     /// Criteria for success and failure of an episode.
     fn rules(&self) -> Rules;
+}
+
+/// The team sizes that a scenario supports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TeamSizes {
+    /// Smallest number of robots.
+    pub least: usize,
+    /// Largest number of robots.
+    pub most: usize,
+    /// Divisor of every supported number: 1 for any number, 2 for even teams only.
+    pub multiple_of: usize,
+}
+
+impl TeamSizes {
+    /// All numbers of robots from `least` to `most`.
+    pub const fn new(least: usize, most: usize) -> TeamSizes {
+        TeamSizes { least, most, multiple_of: 1 }
+    }
+
+    /// The even ones of them.
+    pub const fn even(self) -> TeamSizes {
+        TeamSizes { multiple_of: 2, ..self }
+    }
+
+    /// Returns `robots` if the scenario of this name supports that many.
+    pub fn check(self, scenario: &'static str, robots: usize) -> Result<usize, ScenarioError> {
+        let supported = (self.least..=self.most).contains(&robots) && robots.is_multiple_of(self.multiple_of);
+        if supported { Ok(robots) } else { Err(ScenarioError::Robots { scenario, sizes: self, robots }) }
+    }
+}
+
+impl fmt::Display for TeamSizes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} to {} robots", self.least, self.most)?;
+        match self.multiple_of {
+            1 => Ok(()),
+            2 => f.write_str(", an even number"),
+            of => write!(f, ", a multiple of {of}"),
+        }
+    }
 }
 
 /// The user's settings of a scenario.
@@ -196,14 +247,12 @@ pub enum ScenarioError {
         known: String,
     },
     /// The scenario does not support this number of robots.
-    #[error("the scenario '{scenario}' takes {min} to {max} robots, not {robots}")]
+    #[error("the scenario '{scenario}' takes {sizes}, not {robots}")]
     Robots {
         /// The scenario.
         scenario: &'static str,
-        /// Smallest supported number.
-        min: usize,
-        /// Largest supported number.
-        max: usize,
+        /// The supported numbers.
+        sizes: TeamSizes,
         /// The requested number.
         robots: usize,
     },

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use rand::RngExt;
 
-use super::{Arena, Frame, KeepOut, Portal, Rules, Scenario, ScenarioError, Settings, Stage};
+use super::{Arena, Frame, KeepOut, Portal, Rules, Scenario, ScenarioError, Settings, Stage, TeamSizes};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::{Seed, Stream};
@@ -38,7 +38,7 @@ const MOUTH_M: f32 = WALL_HALF_M + ROBOT_RADIUS_M + 0.05;
 /// Clearance of the path through the gap from the wall's ends \[m\], beyond a robot's radius.
 const LANE_M: f32 = 0.1;
 /// Smallest and largest team, limited by the lattice and by the room in half of the arena.
-const ROBOTS: (usize, usize) = (2, 12);
+const ROBOTS: TeamSizes = TeamSizes::new(2, 12);
 /// Size of the published team.
 const PUBLISHED_ROBOTS: usize = 5;
 /// Distance of the reward's waypoints from the middle of the wall, on both sides \[m\] (published environment).
@@ -59,10 +59,7 @@ pub struct Passage {
 
 /// Makes the scenario; an error names an unsupported team size or gap.
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
-    let robots = settings.robots.unwrap_or(PUBLISHED_ROBOTS);
-    if !(ROBOTS.0..=ROBOTS.1).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: "passage", min: ROBOTS.0, max: ROBOTS.1, robots });
-    }
+    let robots = ROBOTS.check("passage", settings.robots.unwrap_or(PUBLISHED_ROBOTS))?;
     let gap_m = settings.gap_m.unwrap_or(GAP_M);
     if !(GAPS_M.0..=GAPS_M.1).contains(&gap_m) {
         return Err(ScenarioError::Gap { scenario: "passage", gap_m, hint: "; it may be 0.6 to 3 m wide" });
@@ -152,7 +149,7 @@ impl Scenario for Passage {
     }
 
     /// The published reward: speed toward the next waypoint \[m/s\], penalties for blocked moves, 10 for arriving.
-    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32 {
+    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> Option<f32> {
         let seen = self.observe(task, after);
         let target = match stage.0 {
             0 => Vec2::new(0.0, -WAYPOINT_M),
@@ -179,7 +176,7 @@ impl Scenario for Passage {
         if stage.0 == 3 {
             reward += 10.0;
         }
-        reward
+        Some(reward)
     }
 
     /// Length of the path to the gap, straight through it, and on to the goal \[m\]. It decreases continuously along
@@ -246,9 +243,9 @@ mod tests {
         let mut stage = Stage(0);
         // For a start at y > 0 everything is mirrored: the first waypoint is at y = +0.4.
         let at = |y| Motion { position: Vec2::new(0.0, y), velocity: Vec2::new(0.0, -1.0) };
-        let reward = passage.reward(&task, &at(0.9), Contacts::default(), &mut stage);
+        let reward = passage.reward(&task, &at(0.9), Contacts::default(), &mut stage).unwrap();
         assert!((reward - 1.0).abs() < 1e-6, "moving straight to the waypoint is rewarded by its speed, not {reward}");
-        passage.reward(&task, &at(0.45), Contacts::default(), &mut stage);
+        passage.reward(&task, &at(0.45), Contacts::default(), &mut stage).unwrap();
         assert_eq!(stage, Stage(1));
     }
 }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 
-use super::{Arena, Frame, Rules, Scenario, ScenarioError, Settings, Stage};
+use super::{Arena, Frame, Rules, Scenario, ScenarioError, Settings, Stage, TeamSizes};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::Seed;
@@ -25,7 +25,7 @@ const ROBOT_RADIUS_M: f32 = 0.25;
 /// Average speed across the arena's diagonal from which the time limit follows \[m/s\].
 const SLOWEST_M_S: f32 = 0.2;
 /// Smallest and largest team.
-const ROBOTS: (usize, usize) = (2, 2000);
+const ROBOTS: TeamSizes = TeamSizes::new(2, 2000);
 /// The last stage, with no reward left for progress.
 const LAST_STAGE: Stage = Stage(2);
 
@@ -41,10 +41,7 @@ pub struct Swap {
 
 /// Makes the scenario; an error names an unsupported team size or a gap, which it has not.
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
-    let robots = settings.robots.unwrap_or(8);
-    if !(ROBOTS.0..=ROBOTS.1).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: "swap", min: ROBOTS.0, max: ROBOTS.1, robots });
-    }
+    let robots = ROBOTS.check("swap", settings.robots.unwrap_or(8))?;
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: "swap", gap_m, hint: "; it has no walls" });
     }
@@ -110,7 +107,7 @@ impl Scenario for Swap {
     }
 
     /// Speed toward the goal \[m/s\], -1 for a blocked move, 10 for arriving.
-    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32 {
+    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> Option<f32> {
         let offset = task.goal - after.position;
         let distance = offset.norm();
         let mut reward = if contacts.robot || contacts.wall { -1.0 } else { 0.0 };
@@ -125,7 +122,7 @@ impl Scenario for Swap {
         if stage.0 == 1 {
             reward += 10.0;
         }
-        reward
+        Some(reward)
     }
 
     fn finished(&self, stage: Stage) -> bool {

@@ -13,14 +13,6 @@ const HEADS: [&str; 9] =
 fn cells(row: &Row) -> [String; 9] {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
-    let failed = [
-        (row.outcomes.collisions_robot, "near"),
-        (row.outcomes.collisions_wall, "wall"),
-        (row.outcomes.timeouts, "late"),
-        (row.outcomes.aborts, "aborted"),
-        (row.outcomes.unseen, "unseen"),
-    ];
-    let failed: Vec<String> = failed.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
     [
         row.name.clone(),
         percent(row.outcomes.success_rate),
@@ -29,7 +21,7 @@ fn cells(row: &Row) -> [String; 9] {
         or_dash(row.outcomes.makespan_median_s.map(|median| format!("{median:.2} s"))),
         or_dash(row.outcomes.makespan_quartiles_s.map(|[first, third]| format!("{first:.2} to {third:.2}"))),
         or_dash(row.paper_makespan_median_s.map(|median| format!("{median:.1} s"))),
-        if failed.is_empty() { "none".to_owned() } else { failed.join(", ") },
+        row.outcomes.failures(),
         or_dash(row.delivered.zip(row.within_50ms).map(|(delivered, within)| percent(delivered * within))),
     ]
 }

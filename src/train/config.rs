@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::network::Shape;
 use crate::config::{self, ConfigError};
 use crate::policy::Draw;
-use crate::policy::manifest::{Architecture, EdgeField, Field, Manifest};
+use crate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
 
 /// Presets: name and text of each, from a committed file.
 pub const PRESETS: &[(&str, &str)] = &[
@@ -120,7 +120,7 @@ pub struct Ppo {
 pub struct Reward {
     /// Factor on the sum of all terms.
     pub scale: f32,
-    /// Weight of the scenario's own reward.
+    /// Weight of the scenario's own reward; 0 if it has none.
     pub scenario: f32,
     /// Reward per metre by which the remaining path becomes shorter \[1/m\].
     pub progress: f32,
@@ -238,6 +238,8 @@ impl Config {
             architecture: policy.architecture,
             observation: policy.observation.clone(),
             edge: policy.edge.clone(),
+            activation: Some(Activation::Relu),
+            aggregation: Some(Aggregation::Sum),
             encoder: shape.encoder,
             message: shape.message,
             update: shape.update,

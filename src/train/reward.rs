@@ -1,9 +1,9 @@
 //! The reward of a robot for a step: the scenario's own reward and the terms that the configuration adds.
 
 use super::config::Reward;
-use crate::messages::geometry::{Task, Vec2};
+use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
-use crate::scenario::Scenario;
+use crate::scenario::{Scenario, Stage};
 use crate::world::kinematic::PERIOD;
 
 /// One robot's step, as input to its reward.
@@ -23,6 +23,14 @@ pub struct RobotStep<'a> {
     pub to_go_m: &'a mut f32,
     /// Whether it had arrived before the step; updated.
     pub arrived: &'a mut bool,
+}
+
+/// Whether the scenario has a reward of its own.
+pub fn has_reward(scenario: &dyn Scenario) -> bool {
+    let tasks = scenario.tasks(0, 0);
+    let reward =
+        |task: &Task| scenario.reward(task, &Motion::at_rest(task.start), Contacts::default(), &mut Stage::default());
+    tasks.first().and_then(reward).is_some()
 }
 
 /// The reward of one robot for a step, without the terms that depend on other robots.

@@ -10,6 +10,7 @@ use super::config::Config;
 use super::network::Network;
 use super::parallel::in_parallel;
 use super::record::EpisodeTotals;
+use super::reward::has_reward;
 use super::rollout::{CHUNK, Chunk, RolloutSettings};
 use super::update::{Learner, Outcome, Workspace, initial, update};
 use crate::policy::manifest::Training;
@@ -93,12 +94,23 @@ pub enum SetupError {
         ours: String,
     },
     /// The groups of a stage have another number of robots than the scenario.
-    #[error("curriculum: its groups have {found} robots; the scenario has {robots}")]
+    #[error(
+        "curriculum: its groups have {found} robots; the team has {robots}: change 'groups', or start from what \
+         'murmurate train SCENARIO --print-config' prints"
+    )]
     Groups {
         /// Number of robots in a group.
         found: usize,
         /// Number of robots in the scenario.
         robots: usize,
+    },
+    /// A weight is set for a reward that the scenario does not have.
+    #[error("reward.scenario: {weight}, but the scenario '{scenario}' has no reward of its own; set it to 0")]
+    NoReward {
+        /// Name of the scenario.
+        scenario: String,
+        /// The weight.
+        weight: f32,
     },
 }
 
@@ -139,6 +151,10 @@ impl Trainer {
     pub fn new(plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
         let settings = Settings { robots: plan.config.robots, gap_m: None };
         let scenario = registry.scenario(&plan.scenario, &settings)?;
+        let weight = plan.config.reward.scenario;
+        if weight > 0.0 && !has_reward(&*scenario) {
+            return Err(SetupError::NoReward { scenario: plan.scenario, weight });
+        }
         let seed = Seed::of_run(plan.seed);
         let (actor, critic) = (Network::new(plan.config.actor()), Network::new(plan.config.critic()));
         let log_std = plan.config.ppo.log_std;
@@ -308,6 +324,11 @@ impl Trainer {
     /// The scenario of the whole team.
     pub fn scenario(&self) -> &Arc<dyn Scenario> {
         &self.scenario
+    }
+
+    /// Whether the scenario's own reward is a term of the reward.
+    pub fn uses_scenario_reward(&self) -> bool {
+        self.plan.config.reward.scenario > 0.0
     }
 
     /// The policy's parameters.

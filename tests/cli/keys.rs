@@ -1,5 +1,5 @@
-//! A key by mistake: given to every flag that takes a file, in place of a name, inside of other files. Its digits
-//! appear in no error, no log and no output.
+//! A team key given by mistake: to every flag that takes a file, instead of a name, and inside other files. Its digits
+//! appear in no error, log or output.
 
 use std::fs::write;
 use std::process::{Command, Output};
@@ -9,7 +9,7 @@ use tempfile::TempDir;
 
 const KEY: &str = "0f1e2d3c4b5a69788796a5b4c3d2e1f01f2e3d4c5b6a79889786b5a4d3c2f1e0";
 
-/// Digits of the key in a row that are too many.
+/// Number of consecutive digits of the key that must not appear.
 const SEEN: usize = 8;
 
 struct Place(TempDir);
@@ -22,7 +22,7 @@ impl Place {
     }
 }
 
-/// Runs it and looks for the key in what it says. It does not succeed.
+/// Runs a command, which must fail, and returns its output, which must not contain the key.
 fn hides(command: &mut Command) -> String {
     let Output { status, stdout, stderr } = command.output().expect("it starts");
     let said = format!("{}{}", text(&stdout), text(&stderr));
@@ -68,7 +68,7 @@ fn every_flag_that_takes_a_file_recognises_a_key_and_does_not_show_it() {
 }
 
 #[test]
-fn a_key_in_the_place_of_a_name_is_not_shown() {
+fn a_key_instead_of_a_name_is_not_shown() {
     let place = Place(TempDir::new().expect("a temporary folder"));
     let team = "team = 1\nmode = \"offboard\"\n[link.infra]\ninterface = \"lo\"\n[link.loopback]\ninterface = \"lo\"\n";
     let file = place.file("team.toml", team);
@@ -89,7 +89,7 @@ fn a_key_in_the_place_of_a_name_is_not_shown() {
 }
 
 #[test]
-fn a_key_inside_of_a_file_is_not_quoted() {
+fn a_key_inside_a_file_is_not_quoted() {
     let place = Place(TempDir::new().expect("a temporary folder"));
     let toml = [
         format!("key = \"{KEY}\"\n"),
@@ -121,7 +121,7 @@ fn a_key_inside_of_a_file_is_not_quoted() {
         hides(&mut murmurate(&["sim", "--episodes-file", &file]));
         let fit = place.0.path().join("fit.toml").to_string_lossy().into_owned();
         hides(&mut murmurate(&["study", "network", "--rows", &file, "--fit", &fit]));
-        // As the header of a policy file: its length, and then JSON.
+        // As the header of a policy file: its length, then JSON.
         let header = (content.len() as u64).to_le_bytes();
         let policy = place.0.path().join(format!("{at}.safetensors"));
         write(&policy, [&header[..], content.as_bytes()].concat()).expect("it can be written");

@@ -1,4 +1,4 @@
-//! The program as a user meets it: commands that end by themselves, their output, files and refusals.
+//! Tests of the command line: commands that end by themselves, their output, files and refusals.
 
 #[cfg(feature = "train")]
 mod keys;

@@ -1,14 +1,14 @@
-//! Pictures of an episode: whole files that load nothing, the same for the same run, and what is refused.
+//! Pictures of an episode: complete files that load no other, the same for the same run; and refusals.
 
 use std::path::Path;
 
 use crate::program::{refuses, run, text};
 use tempfile::TempDir;
 
-/// One episode of the passage is no larger \[bytes\].
+/// Size limit of a picture of one episode of the passage \[bytes\].
 const LARGEST: usize = 300_000;
 
-/// Runs `sim` with these flags and one with the name of a file; the file and what was said on stdout.
+/// Runs `sim` with these flags and one that names a file; returns the file and stdout.
 fn drawn(folder: &Path, flag: &str, name: &str, flags: &[&str]) -> (String, String) {
     let path = folder.join(name);
     let path = path.to_str().expect("the path is text");
@@ -17,7 +17,7 @@ fn drawn(folder: &Path, flag: &str, name: &str, flags: &[&str]) -> (String, Stri
     (std::fs::read_to_string(path).expect("the picture is there"), text(&output.stdout))
 }
 
-/// All tags of a text are closed in their order; those of HTML that never are do not count.
+/// Checks that all tags are closed in order, except those of HTML that have no end tag.
 fn closes(file: &str) {
     let mut open: Vec<&str> = Vec::new();
     for tag in file.split('<').skip(1).map(|after| after.split('>').next().expect("a tag ends")) {
@@ -39,7 +39,7 @@ fn loads_nothing(file: &str) {
     }
 }
 
-/// An SVG file is well-formed XML; its document is handed on.
+/// Checks that an SVG file is well-formed XML; returns the document.
 fn svg(file: &str, look: impl FnOnce(&roxmltree::Document)) {
     let document = roxmltree::Document::parse(file).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(document.root_element().tag_name().name(), "svg");
@@ -47,7 +47,7 @@ fn svg(file: &str, look: impl FnOnce(&roxmltree::Document)) {
     look(&document);
 }
 
-/// The page without its script, which is no markup.
+/// Returns the page without its script.
 fn markup(page: &str) -> String {
     let parts: Vec<&str> = page.split("<script").collect();
     assert_eq!(parts.len(), 3, "the data and the script");
@@ -55,14 +55,14 @@ fn markup(page: &str) -> String {
     parts[0].to_owned() + &after(parts[1]) + &after(parts[2])
 }
 
-/// The numbers in a page.
+/// Returns the data in a page.
 fn data(page: &str) -> serde_json::Value {
     let after = page.split_once("id=\"data\">").expect("the data").1;
     serde_json::from_str(after.split_once("</script>").expect("its end").0).expect("JSON")
 }
 
 #[test]
-fn an_episode_is_a_page_that_loads_nothing_and_is_the_same_again() {
+fn an_episode_is_a_page_that_loads_no_file_and_is_reproducible() {
     let folder = TempDir::new().expect("a temporary folder");
     let flags = ["--mode", "onboard-adhoc", "--episodes", "2", "--delay-ms", "60", "--loss", "0.3", "--episode", "1"];
     let (page, said) = drawn(folder.path(), "--animate", "episode.html", &flags);
@@ -77,12 +77,12 @@ fn an_episode_is_a_page_that_loads_nothing_and_is_the_same_again() {
     assert_eq!(data["walls"].as_array().expect("walls").len(), 2);
     let heard: Vec<&str> =
         data["links"].as_array().expect("links").iter().filter_map(|link| link[3].as_str()).collect();
-    // 60 ms are between 3 and 4 of 24 steps of the policy's window of 0.4 s: nothing is heard that is younger.
+    // 60 ms are between 3 and 4 of the 24 steps of the policy's hold time of 0.4 s: no message is younger.
     let youngest = heard.iter().flat_map(|ages| ages.to_lowercase().into_bytes()).filter(|age| *age != b'.').min();
     assert!(youngest.is_some_and(|age| (b'd'..=b'f').contains(&age)), "{youngest:?}");
     let (again, unchanged) = drawn(folder.path(), "--animate", "again.html", &flags);
     assert!(page == again, "the same run makes the same file");
-    // A picture changes nothing in the run that it is of.
+    // Drawing does not change the run.
     let trace = |said: &str| serde_json::from_str::<serde_json::Value>(said).expect("JSON")["trace_hash"].clone();
     let plain = run(&[&["sim", "--repeats", "1", "--json", "--quiet"], &flags[..flags.len() - 2]].concat());
     assert_eq!((trace(&said), trace(&unchanged)), (trace(&text(&plain.stdout)), trace(&said)));
@@ -111,7 +111,7 @@ fn both_svg_pictures_are_well_formed_and_show_every_robot() {
 }
 
 #[test]
-fn a_large_team_that_fails_is_drawn_with_the_place_where_it_fails() {
+fn a_failure_of_a_large_team_is_drawn_at_its_place() {
     let folder = TempDir::new().expect("a temporary folder");
     let flags = ["--scenario", "swap", "--robots", "20", "--policy", "orca", "--episodes", "1", "--comm-range-m", "0"];
     let flags = [&flags[..], &["--contacts", "judge", "--wall-radius-m", "0.3", "--mode", "sim"]].concat();
@@ -129,7 +129,7 @@ fn a_large_team_that_fails_is_drawn_with_the_place_where_it_fails() {
 }
 
 #[test]
-fn pictures_that_cannot_be_made_are_refused_before_the_run() {
+fn impossible_pictures_are_refused_before_the_run() {
     let folder = TempDir::new().expect("a temporary folder");
     let path = folder.path().join("episode.gif");
     let path = path.to_str().expect("the path is text");

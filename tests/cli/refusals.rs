@@ -1,4 +1,4 @@
-//! The program as a user meets it: what it prints, where, and with which exit code.
+//! Output, errors and exit codes of the program, above all of `sim`.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ impl Folder {
         self.0.path().join(name)
     }
 
-    /// Writes a file and gives its path as text.
+    /// Writes a file; returns its path as text.
     fn file(&self, name: &str, content: impl AsRef<[u8]>) -> String {
         let path = self.path(name);
         std::fs::write(&path, content).expect("a temporary file");
@@ -104,7 +104,7 @@ fn wrong_files_are_refused_in_one_line_that_names_the_place() {
         &["episodes[0]", "robot 1", "start"],
     );
 
-    // Robots that are to drive to their starts must be there when the episode before is over.
+    // Robots that drive to their starts must end the previous episode there.
     let episode = r#"[{"start": [0, -1.5], "goal": [0, 1.5]}, {"start": [1, -1.5], "goal": [1, 1.5]}]"#;
     let file = folder.file("apart.json", format!(r#"{{"episodes": [{episode}, {episode}]}}"#));
     let args = ["sim", "--robots", "2", "--episodes", "2", "--episodes-file", &file, "--placement"];
@@ -136,7 +136,7 @@ fn wrong_files_are_refused_in_one_line_that_names_the_place() {
     deployment(("agents = [[1]]", "agents = [[0]]"), &["robot 0", "second agent"]);
 }
 
-/// A tensor by name: shape and bytes.
+/// Tensors by name, with shape and bytes.
 type Tensor = (String, Vec<usize>, Vec<u8>);
 
 fn small() -> (Manifest, Vec<u8>) {
@@ -150,7 +150,7 @@ fn small() -> (Manifest, Vec<u8>) {
     (manifest, bytes)
 }
 
-/// The small policy file with its tensors or its manifest changed.
+/// Returns the small policy file with changed tensors or a changed manifest.
 fn changed(tensors: impl Fn(&mut Vec<Tensor>), manifest: impl Fn(String) -> Option<String>) -> Vec<u8> {
     let (_, bytes) = small();
     let file = safetensors::SafeTensors::deserialize(&bytes).expect("it was just written");
@@ -237,7 +237,7 @@ fn trajectories_go_through_links_and_into_devices() {
 }
 
 #[test]
-fn json_is_one_object_with_the_promised_fields_whatever_the_jobs() {
+fn json_is_one_object_with_the_documented_fields_for_any_number_of_jobs() {
     let json = |jobs: &str| {
         let args = ["sim", "--mode", "offboard", "--episodes", "2", "--repeats", "3", "--json", "--jobs", jobs];
         let output = run(&args);
@@ -253,9 +253,14 @@ fn json_is_one_object_with_the_promised_fields_whatever_the_jobs() {
         "success_rate",
         "success_ci95",
         "makespan_median_s",
+        "robot_collisions",
+        "wall_collisions",
+        "timeouts",
+        "aborted",
+        "unseen",
         "collisions_robot",
         "collisions_wall",
-        "timeouts",
+        "aborts",
         "virtual_s",
         "wall_s",
         "messages",
@@ -273,7 +278,7 @@ fn json_is_one_object_with_the_promised_fields_whatever_the_jobs() {
 }
 
 #[test]
-fn flags_about_the_robots_reach_them_and_their_defaults_change_nothing() {
+fn flags_of_the_robots_take_effect_and_their_defaults_change_nothing() {
     let trace = |args: &[&str]| {
         let common = ["sim", "--mode", "onboard-adhoc", "--loss", "0.5", "--episodes", "1", "--repeats", "1", "--json"];
         let output = run(&[&common[..], args].concat());
@@ -293,14 +298,14 @@ fn flags_about_the_robots_reach_them_and_their_defaults_change_nothing() {
         assert_eq!(trace(&[flag, default]), plain, "{flag} {default}");
         assert_ne!(trace(&[flag, other]), plain, "{flag} {other}");
     }
-    // As wide as the gap, nearly: it blocks or it does not.
+    // Nearly as wide as the gap, so that contacts occur.
     let wide = |contacts| trace(&["--wall-radius-m", "0.49", "--contacts", contacts]);
     assert_eq!(wide("block"), trace(&["--wall-radius-m", "0.49"]));
     assert_ne!(wide("block"), wide("judge"));
 }
 
 #[test]
-fn trajectories_are_written_whole() {
+fn trajectories_are_written_completely() {
     let folder = Folder::new();
     let path = folder.file("paths.csv", "what was there before");
     let output = run(&["sim", "--episodes", "1", "--repeats", "2", "--trajectories", &path]);
@@ -315,7 +320,7 @@ fn trajectories_are_written_whole() {
 }
 
 #[test]
-fn ctrl_c_prints_what_there_is() {
+fn ctrl_c_prints_the_results_so_far() {
     let mut child = murmurate(&["sim", "--episodes", "100000", "--repeats", "4", "--json"])
         .env("MURMURATE_LOG", "info")
         .stdout(Stdio::piped())
@@ -336,7 +341,7 @@ fn ctrl_c_prints_what_there_is() {
 }
 
 #[test]
-fn a_deployment_that_was_printed_can_be_run() {
+fn a_printed_deployment_can_be_run() {
     let folder = Folder::new();
     let printed = run(&["deployment", "onboard-adhoc", "--robots", "3"]);
     let file = folder.file("team.toml", printed.stdout);
@@ -349,7 +354,7 @@ fn a_deployment_that_was_printed_can_be_run() {
 }
 
 #[test]
-fn nothing_is_coloured_and_help_is_data() {
+fn output_has_no_colours_and_help_goes_to_stdout() {
     for args in [&["--help"][..], &["sim", "--help"], &["--version"]] {
         let output = run(args);
         assert_eq!(output.status.code(), Some(0));

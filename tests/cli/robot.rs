@@ -1,4 +1,4 @@
-//! The program as a robot has it: what every build can do, and what one says that lacks a feature.
+//! Builds with few features, as on a robot: the commands of every build, and errors about missing features.
 
 use std::fs::{copy, read_dir, write};
 use std::path::Path;
@@ -6,9 +6,9 @@ use std::path::Path;
 use crate::program::{refuses, run, text};
 use tempfile::TempDir;
 
-/// What every program has.
+/// Commands of every build.
 const ALWAYS: [&str; 6] = ["host", "doctor", "stop", "resume", "key", "config"];
-/// What is there with a feature, by its name.
+/// Commands that depend on a feature, and whether this build has it.
 const WITH: [(&str, bool); 7] = [
     ("sim", cfg!(feature = "sim")),
     ("deployment", cfg!(feature = "sim")),
@@ -58,7 +58,7 @@ fn every_example_is_checked_and_shown_in_every_build() {
 }
 
 #[test]
-fn a_team_that_names_what_the_program_lacks_is_refused_by_the_field_with_the_feature() {
+fn a_team_that_needs_a_missing_feature_is_refused_by_field_and_feature() {
     let folder = TempDir::new().expect("a temporary folder");
     let file = folder.path().join("team.toml").to_string_lossy().into_owned();
     write(&file, "team = 1\nmode = \"sim\"\nplant = \"rigid\"\n").expect("it can be written");

@@ -1,4 +1,4 @@
-//! What shells and `man` are told of the program: scripts and pages that they accept.
+//! Completion scripts and man pages, which shells and `man` accept.
 
 use std::fs;
 use std::io::Write;
@@ -10,7 +10,7 @@ use crate::program::{refuses, run, text};
 
 const SHELLS: [&str; 5] = ["bash", "elvish", "fish", "powershell", "zsh"];
 
-/// What a tool says to `input`, or `None`, said aloud, where there is no such tool.
+/// Runs a tool on `input`; returns its success and output, or `None`, with a notice, if it is not installed.
 fn tool(program: &str, args: &[&str], input: &str) -> Option<(bool, String)> {
     let mut command = Command::new(program);
     command.args(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());

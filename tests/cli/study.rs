@@ -1,5 +1,5 @@
-//! Studies as a user meets them: rows and their schema, files that are the same whatever the threads and whatever was
-//! interrupted, refusals before anything is computed, and what must hold of any result.
+//! Studies on the command line: rows and their schema, files that do not depend on threads or interruptions, refusals
+//! before anything is computed, and properties of any result.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
@@ -10,7 +10,7 @@ use crate::program::{murmurate, refuses, run, text};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// A study that takes a second or two in a debug build.
+/// Study that takes a second or two in a debug build.
 const SMALL: [&str; 12] = [
     "study",
     "modes",
@@ -38,7 +38,7 @@ impl Place {
     }
 }
 
-/// Every file of a folder, by its path in it.
+/// Returns every file of a folder, by its relative path.
 fn files(folder: &str) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![PathBuf::from(folder)];
@@ -56,7 +56,7 @@ fn files(folder: &str) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// Runs it with more flags, to its end.
+/// Runs a study with more flags, to its end.
 fn done(args: &[&str], more: &[&str]) -> Output {
     let output = run(&[args, more].concat());
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
@@ -107,7 +107,7 @@ fn every_column_of_the_table_has_its_row() {
 }
 
 #[test]
-fn threads_change_no_byte_and_the_report_stands_by_itself() {
+fn files_do_not_depend_on_threads_and_the_report_loads_no_file() {
     let place = Place::new();
     let (one, two) = (place.at("one"), place.at("two"));
     done(&SMALL, &["--jobs", "1", "--out", &one]);
@@ -134,7 +134,7 @@ fn threads_change_no_byte_and_the_report_stands_by_itself() {
     assert_eq!(csv.records().count(), 2 * 2 * 2, "columns x repeats x layouts");
 }
 
-/// Starts a study on one thread and waits until it has kept a trial.
+/// Starts a study on one thread and waits until it has written the record of a trial.
 fn begun(args: &[&str], out: &str) -> (Child, impl Iterator<Item = String> + use<>) {
     let mut command = murmurate(&[args, &["--jobs", "1", "--out", out]].concat());
     let command = command.env("MURMURATE_LOG", "murmurate=info").stdout(Stdio::null()).stderr(Stdio::piped());
@@ -145,10 +145,10 @@ fn begun(args: &[&str], out: &str) -> (Child, impl Iterator<Item = String> + use
 }
 
 #[test]
-fn what_was_killed_or_interrupted_goes_on_to_the_same_bytes() {
+fn a_killed_or_interrupted_study_continues_to_the_same_files() {
     let place = Place::new();
     let (whole, halves) = (place.at("whole"), place.at("halves"));
-    // Twenty trials: the first is kept long before the last begins.
+    // Twenty trials: the first is recorded long before the last begins.
     let args = ["study", "delay", "--robots", "2", "--layouts", "1", "--repeats", "1", "--quiet"];
     done(&args, &["--out", &whole]);
 
@@ -165,14 +165,14 @@ fn what_was_killed_or_interrupted_goes_on_to_the_same_bytes() {
     assert_eq!(child.wait().expect("it ends").code(), Some(130), "{told:?}");
     assert!(told.iter().any(|line| line.contains("the same command goes on from there")), "{told:?}");
 
-    // A record that is half a file is no record.
+    // An incomplete file is not used as a record.
     let torn = kept.keys().find(|name| name.starts_with("trials")).expect("a trial was kept");
     std::fs::write(Path::new(&halves).join(torn), "{\"column\":").expect("a file");
     done(&args, &["--out", &halves]);
     same(&whole, &halves);
 }
 
-/// What a study finds in its folder and does again, when each trial's file there was changed.
+/// Changes each trial's file in a folder, runs the study again, and returns its output.
 fn with_changed_trials(args: &[&str], out: &str, change: impl Fn(&str, &[u8]) -> Vec<u8>) -> (String, String) {
     let whole = files(out);
     let trials: Vec<&PathBuf> = whole.keys().filter(|name| name.starts_with("trials")).collect();
@@ -201,7 +201,7 @@ fn trials_of_another_seed_or_policy_are_run_again() {
     let (ours, seed, other) = (place.at("ours"), place.at("seed"), place.at("other"));
     done(&args, &["--out", &ours]);
     done(&args, &["--seed", "1", "--out", &seed]);
-    // The same name, and other weights in it.
+    // The same name with other weights.
     take("passage-published.safetensors");
     done(&args, &["--out", &other]);
     take("passage.safetensors");
@@ -231,7 +231,7 @@ fn trials_of_another_version_or_build_or_other_conditions_are_run_again() {
         });
         assert!(!said.contains("are finished already"), "{field}: {said}");
     }
-    // A folder of another build is refused as a whole: its report would be of two programs.
+    // A folder of another build is refused as a whole: its report would mix two programs.
     let study = Path::new(&out).join("study.json");
     let mut identity: Value = serde_json::from_slice(&std::fs::read(&study).expect("it is there")).expect("JSON");
     identity["build"] = "0123456789abcdef".into();
@@ -240,7 +240,7 @@ fn trials_of_another_version_or_build_or_other_conditions_are_run_again() {
 }
 
 #[test]
-fn what_is_wrong_is_said_before_anything_is_computed() {
+fn errors_are_reported_before_anything_is_computed() {
     let place = Place::new();
     let modes = |args: &[&str], words: &[&str]| refuses(&[&["study", "modes"], args].concat(), words);
     modes(&["--handling", "best"], &["--handling", "best", "as-published"]);
@@ -280,7 +280,7 @@ fn what_is_wrong_is_said_before_anything_is_computed() {
 }
 
 #[test]
-fn losses_are_found_and_never_help_much() {
+fn losses_are_measured_and_do_not_raise_success_much() {
     let args = ["study", "delay", "--policy", "published@as-published", "--delays-ms", "0,50", "--losses", "0,0.9"];
     let rows = columns(&[&args[..], &["--layouts", "5", "--repeats", "2"]].concat());
     let of = |name: &str, field: &str| -> f64 {

@@ -1,4 +1,4 @@
-//! The network study as the program runs it: its rows, its folder, the medium fitted to the paper, and a fit.
+//! The network study on the command line: its rows, its folder, the medium fitted to the paper, and a fit.
 
 use std::fs;
 
@@ -17,7 +17,7 @@ fn number(row: &Value, field: &str) -> f64 {
 }
 
 #[test]
-fn the_paper_s_shape_comes_of_one_set_of_parameters() {
+fn one_set_of_parameters_reproduces_the_paper_s_curves() {
     let adhoc = ["--medium", "paper", "--networks", "ad-hoc", "--seconds", "20"];
     let unicast = ["--addressing", "unicast", "--reliability", "ack,ack-off", "--retries", "1,7", "--rates", "100,200"];
     let all = rows(&[&adhoc[..], &unicast].concat());
@@ -40,7 +40,7 @@ fn the_paper_s_shape_comes_of_one_set_of_parameters() {
 }
 
 #[test]
-fn a_report_does_not_depend_on_threads_and_is_gone_on_with() {
+fn a_report_does_not_depend_on_threads_and_can_be_continued() {
     let folder = tempfile::tempdir().unwrap();
     let small =
         ["study", "network", "--rates", "20,60", "--seconds", "2", "--retries", "7", "--teams", "none", "--quiet"];
@@ -71,7 +71,7 @@ fn a_report_does_not_depend_on_threads_and_is_gone_on_with() {
 }
 
 #[test]
-fn cases_and_teams_of_another_seed_version_or_build_are_done_again() {
+fn cases_and_teams_of_another_seed_version_or_build_are_run_again() {
     let folder = tempfile::tempdir().unwrap();
     let small = ["study", "network", "--rates", "60", "--networks", "ad-hoc", "--addressing", "multicast"];
     let study = |name: &str, seed: &str| {
@@ -104,7 +104,7 @@ fn cases_and_teams_of_another_seed_version_or_build_are_done_again() {
 }
 
 #[test]
-fn what_a_robot_of_a_growing_team_costs_is_measured_once_and_kept() {
+fn the_cost_of_a_robot_in_a_growing_team_is_measured_once_and_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let small = ["study", "network", "--rates", "60", "--networks", "ad-hoc", "--addressing", "multicast"];
@@ -127,13 +127,13 @@ fn what_a_robot_of_a_growing_team_costs_is_measured_once_and_kept() {
     let [small, large] = [5, 60].map(|robots| of("onboard-adhoc", robots));
     assert!((number(small, "airtime") / number(large, "airtime") - 1.0).abs() < 0.05, "{small} {large}");
     assert!(number(large, "airtime_around") > 2.0 * number(small, "airtime_around"), "{small} {large}");
-    // Processor time is another one each time; what is kept is not measured again.
+    // Processor time varies between measurements; recorded teams are not measured again.
     assert!(study() == (grown, page));
     assert!(text(&fs::read(out.join("table.txt")).unwrap()).contains("cost per robot"));
 }
 
 #[test]
-fn a_fit_recovers_the_radio_that_rows_were_made_of() {
+fn a_fit_recovers_the_radio_that_generated_the_rows() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
     fs::write(path("truth.toml"), "noise_loss = 0.12\nbackground = 0.24\nrate = \"ofdm-12\"\n").unwrap();
@@ -142,7 +142,7 @@ fn a_fit_recovers_the_radio_that_rows_were_made_of() {
     let output = run(&[&made[..], &sweep, &["--teams", "none", "--json", "--quiet"]].concat());
     assert!(output.status.success(), "{}", text(&output.stderr));
     fs::write(path("rows.json"), &output.stdout).unwrap();
-    // Started from another radio, and with other draws than those of the rows.
+    // Started from another radio, and with other random numbers than those of the rows.
     let fit = ["study", "network", "--rows", &path("rows.json"), "--fit", &path("fit.toml"), "--medium", "wifi"];
     let output = run(&[&fit[..], &["--json", "--quiet"]].concat());
     assert!(output.status.success(), "{}", text(&output.stderr));
@@ -154,7 +154,7 @@ fn a_fit_recovers_the_radio_that_rows_were_made_of() {
     assert!(fitted["rivals"].as_array().is_some_and(Vec::is_empty), "{fitted}");
     assert!(fs::read_to_string(path("fit.toml")).unwrap().contains("ofdm-12"));
 
-    // Of a file with measured rows those count alone; a row that cannot be is named.
+    // In a file with measured rows only those count; an invalid row is named.
     let mut rows: Value = serde_json::from_slice(&fs::read(path("rows.json")).unwrap()).unwrap();
     let refused = |name: &str, change: &dyn Fn(&mut Value), named: &[&str]| {
         let mut changed = rows["rows"].clone();

@@ -1,4 +1,4 @@
-//! Team files, keys and their refusals as a user meets them, and the example files.
+//! Team files and keys on the command line, their refusals, and the example files.
 
 use std::fs::{Permissions, read_to_string, set_permissions, write};
 use std::io::{BufRead, BufReader, Write};
@@ -30,7 +30,7 @@ fn done(output: &Output) -> String {
 }
 
 #[test]
-fn every_example_is_sound_and_says_all_that_it_is() {
+fn every_example_is_valid_and_shows_all_its_values() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("teams");
     let files = std::fs::read_dir(&root).expect("the examples").map(|entry| entry.expect("an example").path());
     let mut names: Vec<String> = Vec::new();
@@ -51,7 +51,7 @@ fn every_example_is_sound_and_says_all_that_it_is() {
 }
 
 #[test]
-fn a_key_is_its_owners_alone_and_never_overwritten_by_chance() {
+fn a_key_is_private_to_its_owner_and_not_overwritten_by_accident() {
     let folder = TempDir::new().expect("a temporary folder");
     let path = folder.path().join("team.key");
     let key = path.to_string_lossy().into_owned();
@@ -72,7 +72,7 @@ fn a_key_is_its_owners_alone_and_never_overwritten_by_chance() {
 }
 
 #[test]
-fn a_key_that_is_none_is_refused_in_one_line() {
+fn an_invalid_key_is_refused_in_one_line() {
     let (folder, file) = folder();
     let key: PathBuf = folder.path().join("team.key");
     let sound = read_to_string(&key).expect("it is there");
@@ -100,7 +100,7 @@ fn a_key_that_is_none_is_refused_in_one_line() {
 }
 
 #[test]
-fn a_key_of_an_ordinary_user_is_no_key_for_root() {
+fn root_refuses_a_key_of_an_ordinary_user() {
     let (folder, file) = folder();
     let key = folder.path().join("team.key");
     if !geteuid().is_root() {
@@ -110,14 +110,14 @@ fn a_key_of_an_ordinary_user_is_no_key_for_root() {
     chown(&key, Some(1000), None).expect("root may");
     refuses(&["config", "check", &file], &["team.key", "user 1000", "user 0", "chown 0"]);
     chown(&key, Some(0), None).expect("root may");
-    // A link is followed: what counts is the file at its end.
+    // Links are followed: the file at the end counts.
     let link = folder.path().join("link.key");
     symlink(&key, &link).expect("a link");
     done(&run(&["config", "check", &file, "--key-file", &link.to_string_lossy()]));
 }
 
 #[test]
-fn a_team_that_cannot_be_is_refused_in_one_line() {
+fn an_invalid_team_is_refused_in_one_line() {
     let (folder, file) = folder();
     let refused = |change: (&str, &str), words: &[&str]| {
         assert!(TEAM.contains(change.0), "{}", change.0);
@@ -196,7 +196,7 @@ fn show_says_where_every_value_comes_from() {
 }
 
 #[test]
-fn the_doctor_says_what_is_wrong_and_what_to_do() {
+fn doctor_reports_problems_and_remedies() {
     let (folder, file) = folder();
     let output = run(&["doctor", &file, "--host", "world", "--set", "link.infra.interface=wlan99"]);
     assert_eq!(output.status.code(), Some(1));
@@ -222,7 +222,7 @@ fn the_doctor_says_what_is_wrong_and_what_to_do() {
     assert!(text(&output.stdout).contains("is not there"));
 }
 
-/// A team of its own on loopback, on groups of its own.
+/// Returns a team on loopback with its own groups.
 fn loopback(folder: &TempDir, number: u16) -> String {
     let link = |name: &str, last: u8| {
         format!("[link.{name}]\ninterface = \"lo\"\ngroup = \"239.255.78.{last}:{}\"\n", 40_000 + number)
@@ -262,7 +262,7 @@ fn launch_starts_a_team_and_stops_it_when_interrupted() {
 }
 
 #[test]
-fn the_doctor_hears_who_is_there_and_who_is_not() {
+fn doctor_lists_present_and_missing_hosts() {
     let (folder, _) = folder();
     let file = loopback(&folder, 773);
     let set = ["--set", "robots=2"];

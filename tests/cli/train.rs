@@ -1,4 +1,4 @@
-//! `murmurate train` as a user meets it: what it writes, how it stops, and what it refuses.
+//! `murmurate train` on the command line: its files, its interruption, and its refusals.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -8,7 +8,7 @@ use crate::program::{murmurate, refuses, run, text};
 use murmurate::train::config::Config;
 use tempfile::TempDir;
 
-/// A configuration that trains in no time, changed.
+/// Returns a configuration that trains quickly, changed by `change`.
 fn small(change: impl Fn(&mut Config)) -> String {
     let mut config = Config::preset("robust").expect("it is a preset");
     (config.ppo.environments, config.ppo.decisions, config.ppo.minibatch) = (40, 4, 80);
@@ -18,7 +18,7 @@ fn small(change: impl Fn(&mut Config)) -> String {
     toml::to_string(&config).expect("a configuration is TOML")
 }
 
-/// A folder with the small configuration in it.
+/// Folder with the small configuration in it.
 struct Place(TempDir);
 
 impl Place {
@@ -55,7 +55,7 @@ fn a_training_ends_in_a_policy_that_runs() {
     let ran = run(&["sim", "--policy", &policy, "--episodes", "2", "--repeats", "1", "--json"]);
     assert_eq!(ran.status.code(), Some(0), "{}", text(&ran.stderr));
 
-    // What was written is a configuration to start from.
+    // The written file is a valid configuration.
     let again = place.at("runs/second");
     let written = place.at("runs/first/config.toml");
     let trained = run(&["train", "passage", "--config", &written, "--steps", "800", "--out", &again, "--quiet"]);
@@ -65,7 +65,7 @@ fn a_training_ends_in_a_policy_that_runs() {
 }
 
 #[test]
-fn ctrl_c_saves_and_resuming_goes_on_bit_for_bit() {
+fn ctrl_c_saves_and_a_resumed_training_is_the_same_bit_for_bit() {
     let place = Place::new();
     let config = place.at("small.toml");
     let train = |out: &str, more: &[&str]| {
@@ -77,7 +77,7 @@ fn ctrl_c_saves_and_resuming_goes_on_bit_for_bit() {
 
     let mut child =
         train(&halves, &[]).env("MURMURATE_LOG", "murmurate=info").stderr(Stdio::piped()).spawn().expect("it starts");
-    // Once it says that it trains, it listens for Ctrl-C; five iterations and what is evaluated between take seconds.
+    // It handles Ctrl-C once it logs that it trains; five iterations and their evaluations take seconds.
     let mut lines = BufReader::new(child.stderr.take().expect("it is piped")).lines();
     assert!(lines.any(|line| line.is_ok_and(|line| line.contains("Ctrl-C saves"))));
     let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill is there");
@@ -156,7 +156,7 @@ fn another_training_s_checkpoint_is_not_resumed() {
     resumed(&["--config", &other], &["cannot resume", "configuration"]);
     refuses(&["train", "swap", "--steps", "320", "--out", &out, "--resume"], &["cannot resume", "swap", "passage"]);
 
-    // Its weights can be begun with, if the networks are the same.
+    // Training can start from its weights if the networks are the same.
     let (checkpoint, next) = (place.at("out/checkpoint.bin"), place.at("next"));
     let begin = |config: &str| {
         run(&["train", "passage", "--steps", "160", "--out", &next, "--config", config, "--from", &checkpoint])
@@ -174,7 +174,7 @@ fn another_training_s_checkpoint_is_not_resumed() {
 }
 
 #[test]
-fn a_training_that_comes_apart_keeps_the_last_good_checkpoint() {
+fn a_diverged_training_keeps_the_last_good_checkpoint() {
     let place = Place::new();
     let config = place.at("wild.toml");
     let wild = |config: &mut Config| {

@@ -1,11 +1,11 @@
-//! What several tests share: where the reference data is, and the small things around it.
+//! Shared by several tests: access to the reference data.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use safetensors::SafeTensors;
 
-/// A file of the reference data; `None`, saying so, where it is absent.
+/// Returns a file of the reference data; `None`, with a notice, if it is absent.
 pub fn reference(name: &str) -> Option<PathBuf> {
     let folder = std::env::var_os("MURMURATE_REFERENCE").map(PathBuf::from);
     let folder = folder.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/reference"));
@@ -13,7 +13,7 @@ pub fn reference(name: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    // Straight to stderr: what a passing test prints is kept from the reader, and this is for the reader.
+    // Directly to stderr, because the output of a passing test is captured.
     let where_from = "set MURMURATE_REFERENCE to the folder of the reference data";
     let line = format!("skipped: there is no '{}'; {where_from}\n", path.display());
     let _ = std::io::stderr().write_all(line.as_bytes());

@@ -1,5 +1,5 @@
-//! What every registered scenario, policy and plant, and every preset mode, must do. A new entry in a registry
-//! is tested here without a line of new test code.
+//! Requirements on every registered scenario, policy and plant, and on every preset mode. A new entry in a registry
+//! is tested here without new test code.
 
 use murmurate::deploy::{Deployment, MODES};
 use murmurate::messages::geometry::{Motion, Vec2, is_finite};
@@ -13,7 +13,7 @@ use murmurate::time::Span;
 use murmurate::trial::Trial;
 use murmurate::world;
 
-/// Every scenario with its own team, and with each other team size that it takes.
+/// Returns every scenario with its default team and with each other team size that it accepts.
 fn scenarios() -> Vec<std::sync::Arc<dyn Scenario>> {
     let sizes = [None, Some(2), Some(3), Some(8), Some(12)];
     let of = |entry: &'static scenario::Entry| {
@@ -25,7 +25,7 @@ fn scenarios() -> Vec<std::sync::Arc<dyn Scenario>> {
 }
 
 #[test]
-fn a_scenario_deals_out_tasks_that_chain_and_have_room() {
+fn tasks_of_a_scenario_chain_and_have_room() {
     for scenario in scenarios() {
         for seed in 0..20 {
             for episode in 0..3 {
@@ -77,25 +77,25 @@ fn the_distance_to_go_is_never_less_than_a_straight_line_and_ends_at_the_goal() 
 }
 
 #[test]
-fn a_reward_is_finite_and_comes_to_an_end_at_the_goal() {
+fn a_reward_is_finite_and_ends_at_the_goal() {
     for scenario in scenarios() {
         for task in scenario.tasks(3, 0) {
             let mut stage = Stage::default();
-            // From start to goal along a line: through walls, which is no business of a reward's.
+            // From start to goal along a line, through walls, which a reward does not know.
             for k in 0..=400 {
                 let share = (k as f32 / 200.0).min(1.0);
                 let position = task.start + (task.goal - task.start) * share;
                 let motion = Motion { position, velocity: task.goal - task.start };
                 let contacts = Contacts { robot: k == 10, wall: k == 20 };
                 let before = stage;
-                let earned = scenario.reward(&task, &motion, contacts, &mut stage);
+                let Some(earned) = scenario.reward(&task, &motion, contacts, &mut stage) else { break };
                 assert!(earned.is_finite() && stage >= before, "{}: {earned} at {stage:?}", scenario.name());
             }
             let motion = Motion::at_rest(task.goal);
             assert!(scenario.reached(&task, task.goal));
             let free = scenario.reward(&task, &motion, Contacts::default(), &mut stage.clone());
-            let blocked = Contacts { robot: true, wall: true };
-            assert!(scenario.reward(&task, &motion, blocked, &mut stage) < free, "being blocked costs");
+            let blocked = scenario.reward(&task, &motion, Contacts { robot: true, wall: true }, &mut stage);
+            assert!(blocked < free || free.is_none(), "{}: being blocked costs", scenario.name());
         }
     }
 }
@@ -103,9 +103,17 @@ fn a_reward_is_finite_and_comes_to_an_end_at_the_goal() {
 #[test]
 fn the_scripted_baseline_solves_every_scenario() {
     for entry in scenario::REGISTRY {
-        let report = Trial::preset("sim", entry.name).expect("a preset").seed(1).episodes(12).run();
-        assert_eq!(report.episodes.len(), 12);
-        assert!(report.successes() >= 11, "{}: {:?}", entry.name, report.episodes);
+        let trial = Trial::preset("sim", entry.name).expect("a preset").episodes(12);
+        let bar = trial.scenario.scripted_success();
+        let (mut successes, mut failed) = (0, Vec::new());
+        for seed in 1..=5 {
+            let report = trial.clone().seed(seed).run();
+            assert_eq!(report.episodes.len(), 12);
+            successes += report.successes();
+            let wrong = report.episodes.iter().filter(|episode| episode.verdict != Verdict::Success);
+            failed.extend(wrong.map(|episode| (seed, episode.episode, episode.verdict)));
+        }
+        assert!(successes as f64 >= 60.0 * bar, "{}: {successes} of 60, bar {bar}: {failed:?}", entry.name);
     }
 }
 
@@ -123,7 +131,7 @@ fn every_mode_runs_episodes_with_resets() {
 
 #[test]
 fn layouts_that_do_not_chain_are_placed_exactly_in_every_mode() {
-    // The same episode three times over: the goals of one are where the next one ends, too.
+    // The same episode three times: its goals are not the starts of the next.
     let episode = r#"[{"start": [0.3, -1.5], "goal": [-0.4, 1.5]}, {"start": [-0.5, -1.5], "goal": [0.6, 1.5]}]"#;
     let text = format!("{{\"episodes\": [{episode}, {episode}, {episode}]}}");
     let scenario = scenario::build("passage", &Settings::of(2)).expect("two robots can pass");
@@ -140,10 +148,10 @@ fn layouts_that_do_not_chain_are_placed_exactly_in_every_mode() {
     }
 }
 
-/// What a robot sees, and what its neighbours say.
+/// Observation of a robot, and its neighbours' messages.
 type Situation = (Observation, Vec<(Motion, Vec<f32>)>);
 
-/// A few observations and what two neighbours might say.
+/// Returns a few observations, with messages of two neighbours.
 fn situations(model: &Model) -> Vec<Situation> {
     let width = model.interface().features;
     let at = |x: f32, y: f32| Motion { position: Vec2::new(x, y), velocity: Vec2::new(0.2, 0.5) };
@@ -159,7 +167,7 @@ fn situations(model: &Model) -> Vec<Situation> {
 }
 
 #[test]
-fn a_policy_is_a_function_of_what_it_sees_and_draws() {
+fn a_policy_is_a_function_of_its_inputs_and_random_numbers() {
     let passage = scenario::build("passage", &Settings::default()).expect("the default is sound");
     let named = policy::REGISTRY.iter().map(|entry| (entry.build)(&*passage).expect("the passage has every policy"));
     for model in named.chain([policy::untrained(1), policy::untrained_full(1)]) {
@@ -188,7 +196,7 @@ fn a_policy_is_a_function_of_what_it_sees_and_draws() {
 }
 
 #[test]
-fn a_plant_obeys_and_repeats_itself() {
+fn a_plant_follows_commands_and_is_deterministic() {
     let scenario = scenario::build("passage", &Settings::default()).expect("the default is sound");
     let starts: Vec<Vec2> = scenario.tasks(1, 0).iter().map(|task| task.start).collect();
     for entry in world::REGISTRY {

@@ -1,4 +1,4 @@
-//! One seed, one run: bit for bit, however often, on whatever thread, beside whatever else.
+//! Determinism: a seed gives the same run bit for bit, on any thread and beside any other run.
 
 use murmurate::deploy::Impair;
 use murmurate::hearing::CommRange;
@@ -6,7 +6,7 @@ use murmurate::policy;
 use murmurate::report::trial::TrialReport;
 use murmurate::trial::Trial;
 
-/// A trial in which everything that draws random numbers does so.
+/// Returns a trial that uses every source of random numbers.
 fn busy(mode: &str) -> Trial {
     let mut trial = Trial::preset(mode, "passage").expect("a preset").seed(11).episodes(2);
     if mode.starts_with("onboard") || mode == "offboard" {
@@ -37,13 +37,13 @@ fn the_same_seed_gives_the_same_trace() {
 }
 
 #[test]
-fn a_sampled_network_repeats_itself_too() {
+fn a_sampled_policy_is_deterministic_too() {
     let trial = || Trial { model: policy::untrained(4), ..busy("onboard-adhoc") }.episodes(1);
     assert_eq!(trace(&trial().run()), trace(&trial().run()));
 }
 
 #[test]
-fn seed_and_repeat_make_a_difference() {
+fn runs_depend_on_seed_and_repeat() {
     let other = trace(&busy("offboard").seed(12).run());
     let repeat = trace(&Trial { repeat: 1, ..busy("offboard") }.run());
     let first = trace(&busy("offboard").run());
@@ -51,7 +51,7 @@ fn seed_and_repeat_make_a_difference() {
 }
 
 #[test]
-fn a_trial_does_not_notice_another_beside_it() {
+fn concurrent_trials_do_not_affect_each_other() {
     let alone = trace(&busy("onboard-infra").run());
     std::thread::scope(|scope| {
         let noise = scope.spawn(|| busy("offboard").run());

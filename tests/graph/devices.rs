@@ -1,4 +1,4 @@
-//! What every driver, source and estimator of the registry keeps to, and user programs as drivers and sources.
+//! Contracts of every driver, source and estimator of the registry, and user programs as drivers and sources.
 
 use std::os::fd::AsFd;
 use std::thread;
@@ -18,7 +18,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
 const ROBOT: RobotId = RobotId(3);
 
-/// Settings that each driver and source of this crate can be made with.
+/// Returns valid settings of each driver and source of this crate.
 fn settings(name: &str) -> Settings {
     match name {
         "program" => program("while read line; do :; done"),
@@ -49,18 +49,18 @@ fn drive(x: f32) -> Drive {
     Drive { robot: ROBOT, velocity: Vec2::new(x, 0.0), until: Time::ZERO + Span::from_millis(200) }
 }
 
-/// Starts a worker; the gate to it, and what ends when it does.
+/// Starts a worker; returns the gate to it, and a handle that ends with it.
 fn employ(worker: Box<dyn Worker>) -> (Gate, thread::JoinHandle<()>) {
     let (gate, port) = edge::channel().expect("there are descriptors left");
     (gate, thread::spawn(move || worker.run(port)))
 }
 
-/// The next packets of a worker, which has five seconds for each.
+/// Returns the next packets of a worker, which has five seconds for each.
 fn next<const COUNT: usize>(gate: &mut Gate) -> [Vec<u8>; COUNT] {
     let mut packets = Vec::new();
     while packets.len() < COUNT {
-        let bell = gate.bell();
-        let mut watched = [PollFd::new(bell.as_fd(), PollFlags::POLLIN)];
+        let event_fd = gate.event_fd();
+        let mut watched = [PollFd::new(event_fd.as_fd(), PollFlags::POLLIN)];
         assert_eq!(poll(&mut watched, PollTimeout::from(5000u16)), Ok(1), "the worker says something");
         gate.take(|packet| packets.push(packet.into_vec()));
     }
@@ -95,7 +95,7 @@ fn driver_error(settings: &Settings) -> String {
 }
 
 #[test]
-fn every_source_survives_noise_and_says_nothing_of_it() {
+fn every_source_refuses_invalid_packets() {
     for entry in Registry::builtin().sources() {
         let made = source(&settings(entry.name)).expect("its settings are sound");
         let (mut source, mut out) = ((made.source)(), Vec::new());
@@ -107,7 +107,7 @@ fn every_source_survives_noise_and_says_nothing_of_it() {
 }
 
 #[test]
-fn every_estimator_knows_nothing_at_first_and_keeps_one_that_stands_where_it_is() {
+fn every_estimator_starts_without_an_estimate_and_keeps_a_resting_robot_in_place() {
     for entry in Registry::builtin().estimators() {
         let mut estimator = (entry.make)();
         assert_eq!(estimator.at(Time::ZERO), None, "{}", entry.name);
@@ -131,7 +131,7 @@ fn wrong_settings_are_refused_by_their_field() {
 }
 
 #[test]
-fn a_program_drives_a_robot_and_tells_how_it_is() {
+fn a_program_drives_a_robot_and_reports_its_status() {
     let script = "while read line; do echo \"$line\"; echo '{\"health\": \"faulty\", \"battery\": 12}'; done";
     let made = driver(&with(program(script), "speed_m_s", 0.5)).expect("it is sound");
     let (mut driver, mut out) = ((made.driver)(), Vec::new());
@@ -140,7 +140,7 @@ fn a_program_drives_a_robot_and_tells_how_it_is() {
     driver.drive(Time::ZERO, &drive(0.25), Some(&north), &mut out);
     let Some(drivers::Out::Tell(line)) = out.pop() else { panic!("it tells its program") };
     let (mut gate, worker) = employ(made.worker.expect("a program is a worker"));
-    gate.tell(line);
+    gate.send(line);
     let [line, word] = next(&mut gate);
     let said: serde_json::Value = serde_json::from_slice(&line).expect("a line is JSON");
     assert_eq!((said["robot"].as_u64(), said["vx"].as_f64(), said["for_s"].as_f64()), (Some(3), Some(0.25), Some(0.2)));
@@ -153,7 +153,7 @@ fn a_program_drives_a_robot_and_tells_how_it_is() {
 }
 
 #[test]
-fn a_program_says_where_robots_are() {
+fn a_program_localizes_robots() {
     let script = r#"
         echo '{"robot": 3, "stamp_s": 1.5, "x": 1, "y": 2, "vx": 0.5, "vy": 0, "heading": 0.25}'
         echo '{"robot": 4, "stamp_s": 1.5, "x": 1, "y": 2, "vx": 0, "vy": 0}'

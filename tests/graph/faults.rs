@@ -1,4 +1,4 @@
-//! Things die, and the team survives: motors stop in time, the next episode runs.
+//! Faults in whole trials: motors stop in time, and the next episode runs.
 //!
 //! The first test is an example to copy for a system of your own.
 
@@ -15,7 +15,7 @@ use murmurate::time::{Span, Time};
 use murmurate::trial::Trial;
 use murmurate::world::kinematic;
 
-/// An example: robot 2 loses its controller in the midst of the first episode, for three seconds.
+/// Example: the controller of robot 2 crashes in the middle of the first episode, for three seconds.
 #[test]
 fn example_a_crashed_controller_stops_its_robot_and_the_next_episode_runs() {
     let plan = r#"
@@ -30,7 +30,7 @@ fn example_a_crashed_controller_stops_its_robot_and_the_next_episode_runs() {
     let trial = trial.seed(1).episodes(2).faults(FaultPlan::from_toml(plan).expect("the plan is sound"));
     let report = trial.keeping_steps().run();
 
-    // Its motors stand still from the moment that its last command has lapsed.
+    // Its motors stand still once its last command has expired.
     let stopped_at = 4.0 + COMMAND_VALIDITY.as_secs() + kinematic::PERIOD.as_secs();
     for step in &report.steps {
         let robot = &step.samples[2];
@@ -38,7 +38,7 @@ fn example_a_crashed_controller_stops_its_robot_and_the_next_episode_runs() {
             assert_eq!(robot.command, Vec2::zeros(), "at {}", robot.time);
         }
     }
-    // The state server misses it, gives the episode up, and leads the team into the next.
+    // The state server misses its heartbeats, aborts the episode, and starts the next.
     assert_eq!(report.episodes[0].verdict, Verdict::Aborted);
     assert_eq!(report.episodes[1].verdict, Verdict::Success);
 }
@@ -49,7 +49,7 @@ fn trial(mode: &str, seed: u64) -> Trial {
     Trial::preset(mode, "passage").expect("a preset").seed(seed).episodes(3).keeping_steps()
 }
 
-/// The command that runs the same again.
+/// Returns the command that reproduces the run.
 fn replay(mode: &str, seed: u64, faults: u64) -> String {
     format!(
         "replay with: cargo run --release -- sim --mode {mode} --seed {seed} --episodes 5 --repeats 1 \
@@ -57,7 +57,7 @@ fn replay(mode: &str, seed: u64, faults: u64) -> String {
     )
 }
 
-/// The same for a plan that was not drawn from a seed.
+/// Returns plan and command that reproduce a run whose plan was not drawn from a seed.
 fn replay_plan(mode: &str, seed: u64, plan: &FaultPlan) -> String {
     format!(
         "replay with the plan\n{}\nin plan.toml: cargo run --release -- sim --mode {mode} --seed {seed} --episodes 3 \
@@ -66,7 +66,7 @@ fn replay_plan(mode: &str, seed: u64, plan: &FaultPlan) -> String {
     )
 }
 
-/// A moment in the midst of the first episode.
+/// A time in the middle of the first episode.
 fn midst(mode: &str, seed: u64) -> Time {
     let report = trial(mode, seed).run();
     let running: Vec<Time> = report
@@ -78,7 +78,7 @@ fn midst(mode: &str, seed: u64) -> Time {
     running[running.len() / 3]
 }
 
-/// When the robot was still driven between two moments; `None` if it never was.
+/// Returns the first time between two times at which the robot was driven; `None` if it never was.
 fn driven(report: &TrialReport, robot: RobotId, from: Time, until: Time) -> Option<Time> {
     let samples = report.steps.iter().map(|step| &step.samples[robot.index()]);
     samples.filter(|s| s.time >= from && s.time < until).find(|s| s.command != Vec2::zeros()).map(|s| s.time)
@@ -92,12 +92,13 @@ fn a_crash_of_any_actor_stops_the_motors_in_time_and_the_next_episode_runs() {
         for role in [Role::Cache, Role::Agent, Role::Controller, Role::Body, Role::StateServer] {
             let at = midst(mode, 5);
             let lasts = Span::from_millis(4000);
-            let fault = ActorFault { role, robot, kind: ActorFaultKind::Crash, at, lasts, by: Span::ZERO };
+            let fault =
+                ActorFault { role, robot, kind: ActorFaultKind::Crash, at, lasts, by: Span::ZERO, episode: None };
             let plan = FaultPlan { actors: vec![fault], links: Vec::new() };
             let replay = replay_plan(mode, 5, &plan);
             let report = trial(mode, 5).faults(plan).run();
 
-            // Robots hear of a dead state server by its silence; of anything else by what it no longer sends.
+            // A dead state server is detected by its silence, any other actor by the messages that it no longer sends.
             let silence =
                 if role == Role::StateServer { Span::from_secs(Safety::emulated().silence_s) } else { Span::ZERO };
             let robots = if role == Role::StateServer { RobotId::team(5).collect() } else { vec![robot] };
@@ -118,7 +119,7 @@ fn a_robot_whose_agent_was_away_for_a_moment_rejoins_the_running_episode() {
     let at = midst("onboard-adhoc", 6);
     let lasts = Span::from_millis(700);
     let (role, robot, kind) = (Role::Agent, RobotId(0), ActorFaultKind::Crash);
-    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO };
+    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO, episode: None };
     let plan = FaultPlan { actors: vec![fault], links: Vec::new() };
     let report = trial("onboard-adhoc", 6).faults(plan).run();
     assert_eq!(report.episodes[0].verdict, Verdict::Success, "{:?}", report.episodes[0]);
@@ -127,11 +128,11 @@ fn a_robot_whose_agent_was_away_for_a_moment_rejoins_the_running_episode() {
 }
 
 #[test]
-fn whoever_is_stalled_or_mute_is_missed_and_comes_back() {
+fn a_stalled_or_mute_actor_is_missed_and_rejoins() {
     for kind in [ActorFaultKind::Stall, ActorFaultKind::Mute] {
         let at = midst("onboard-infra", 7);
         let (role, robot, lasts) = (Role::Controller, RobotId(1), MISSING_AFTER + Span::from_millis(1500));
-        let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO };
+        let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO, episode: None };
         let plan = FaultPlan { actors: vec![fault], links: Vec::new() };
         let report = trial("onboard-infra", 7).faults(plan).run();
         let late = driven(&report, robot, at + COMMAND_VALIDITY + kinematic::PERIOD, at + lasts);
@@ -142,10 +143,10 @@ fn whoever_is_stalled_or_mute_is_missed_and_comes_back() {
 }
 
 #[test]
-fn a_slow_actor_is_slow_and_nothing_else() {
+fn a_slow_actor_only_adds_delay() {
     let slow = |by| {
         let (role, robot, kind) = (Role::Agent, RobotId(1), ActorFaultKind::Slow);
-        let fault = ActorFault { role, robot, kind, at: Time::ZERO, lasts: Span::from_secs(1000.0), by };
+        let fault = ActorFault { role, robot, kind, at: Time::ZERO, lasts: Span::from_secs(1000.0), by, episode: None };
         trial("offboard", 8).faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run()
     };
     let (report, quick) = (slow(Span::from_millis(30)), trial("offboard", 8).run());
@@ -162,7 +163,7 @@ fn a_partitioned_network_stops_the_team_and_heals() {
     let hosts = vec![murmurate::messages::ids::HostId(0)];
     let fault = LinkFault { kind: LinkFaultKind::Partition, hosts, from, until, ..LinkFault::always("infra") };
     let report = trial("onboard-infra", 9).faults(FaultPlan { actors: Vec::new(), links: vec![fault] }).run();
-    // Own readings are gone: 100 ms until they count as stale, one tick, and the validity of the last command.
+    // Without own readings: 100 ms until they are stale, one tick, and the validity of the last command.
     let in_time = Span::from_millis(100) + kinematic::PERIOD + COMMAND_VALIDITY + kinematic::PERIOD;
     assert_eq!(driven(&report, RobotId(0), from + in_time, until), None);
     assert_eq!(report.episodes[0].verdict, Verdict::Aborted);
@@ -170,12 +171,12 @@ fn a_partitioned_network_stops_the_team_and_heals() {
 }
 
 #[test]
-fn seeded_plans_are_safe_always_and_make_progress_once_they_are_over() {
+fn seeded_plans_are_always_safe_and_make_progress_once_they_are_over() {
     for seed in 0..24 {
         let mode = MODES[seed as usize % MODES.len()];
         let trial = trial(mode, seed).episodes(5).random_faults(seed);
         let plan = trial.faults.clone();
-        // What was stalled or slow may be carried out as late as that.
+        // Commands of a stalled or slow actor may be executed that late.
         let late = plan.actors.iter().map(|fault| match fault.kind {
             ActorFaultKind::Stall => fault.lasts,
             ActorFaultKind::Slow => fault.by,
@@ -204,12 +205,12 @@ fn seeded_plans_are_safe_always_and_make_progress_once_they_are_over() {
 }
 
 #[test]
-fn an_episode_has_one_result_whatever_dies_at_once() {
+fn an_episode_has_one_result_whatever_crashes_together() {
     let everyone = [Role::Cache, Role::Agent, Role::Controller, Role::Body];
     for mode in ["sim", "offboard", "onboard-infra"] {
         let at = Time::ZERO + Span::from_millis(12_000);
         let (kind, lasts, by) = (ActorFaultKind::Crash, Span::from_millis(2000), Span::ZERO);
-        let of = |role| move |robot| ActorFault { role, robot, kind, at, lasts, by };
+        let of = |role| move |robot| ActorFault { role, robot, kind, at, lasts, by, episode: None };
         let mut actors: Vec<ActorFault> = everyone.iter().flat_map(|&role| RobotId::team(5).map(of(role))).collect();
         actors.push(of(Role::StateServer)(RobotId(0)));
         let report = trial(mode, 3).episodes(4).faults(FaultPlan { actors, links: Vec::new() }).run();
@@ -219,10 +220,10 @@ fn an_episode_has_one_result_whatever_dies_at_once() {
 }
 
 #[test]
-fn a_trial_ends_even_if_the_state_server_never_comes_back() {
+fn a_trial_ends_even_if_the_state_server_never_restarts() {
     let (role, robot, kind) = (Role::StateServer, RobotId(0), ActorFaultKind::Crash);
     let (at, lasts) = (midst("sim", 5), Span::from_secs(100_000.0));
-    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO };
+    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO, episode: None };
     let report = trial("sim", 5).faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run();
     assert!(report.finished && report.simulated < Span::from_secs(1000.0), "{}", report.simulated);
     let verdicts: Vec<Verdict> = report.episodes.iter().map(|episode| episode.verdict).collect();
@@ -231,10 +232,10 @@ fn a_trial_ends_even_if_the_state_server_never_comes_back() {
 }
 
 #[test]
-fn a_world_that_was_away_finds_its_robots_where_they_were() {
+fn a_restarted_world_finds_its_robots_where_they_were() {
     let at = midst("offboard", 4);
     let (role, robot, kind, lasts) = (Role::World, RobotId(0), ActorFaultKind::Crash, Span::from_millis(300));
-    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO };
+    let fault = ActorFault { role, robot, kind, at, lasts, by: Span::ZERO, episode: None };
     let report = trial("offboard", 4).faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run();
     for pair in report.steps.windows(2) {
         for (before, after) in pair[0].samples.iter().zip(&pair[1].samples) {
@@ -249,7 +250,7 @@ fn a_world_that_was_away_finds_its_robots_where_they_were() {
 fn two_worlds_share_a_team_even_if_one_is_slow() {
     let slow = (Role::World, RobotId(3), ActorFaultKind::Slow, Span::from_millis(10));
     let (at, lasts) = (Time::ZERO + Span::from_millis(500), Span::from_secs(1000.0));
-    let fault = ActorFault { role: slow.0, robot: slow.1, kind: slow.2, at, lasts, by: slow.3 };
+    let fault = ActorFault { role: slow.0, robot: slow.1, kind: slow.2, at, lasts, by: slow.3, episode: None };
     let mut trial = trial("onboard-adhoc", 10).faults(FaultPlan { actors: vec![fault], links: Vec::new() });
     let hosts = &mut trial.deployment.hosts;
     let world = hosts.last_mut().expect("the last host is the world's");

@@ -1,4 +1,4 @@
-//! What a team costs as it grows: counts, which are the same on every machine. `benches/growth.rs` has the times.
+//! Cost of a growing team, as counts, which are the same on every machine. `benches/growth.rs` has the times.
 
 use murmurate::messages::wire::{KINDS, Kind};
 use murmurate::report::cost::Cost;
@@ -11,7 +11,7 @@ fn team(mode: &str, robots: usize) -> Trial {
     Trial::of_team(mode, "swap", robots).expect("there is room for them")
 }
 
-/// With frames that carry a little farther than they are listened to.
+/// Returns a team whose frames reach a little beyond the communication range.
 fn ranged(trial: Trial) -> Trial {
     let deployment = trial.deployment.clone().ranged(growth::range_m()).expect("latents cross a link");
     Trial { deployment, ..trial }
@@ -24,25 +24,25 @@ fn lasting(trial: &Trial, seconds: f64) -> (TrialReport, Cost) {
 }
 
 #[test]
-fn a_robot_of_a_large_team_says_and_hears_no_more_than_one_of_a_small_team() {
+fn a_robot_of_a_large_team_sends_and_receives_no_more_than_one_of_a_small_team() {
     for mode in ["sim", "onboard-adhoc", "onboard-infra"] {
         let cost = |robots| Cost::of(robots, &growth::trial(mode, robots, Span::from_secs(6.0)).unwrap().run());
         let [small, large] = [50, 200].map(cost);
         assert!(large.messages < 1.02 * small.messages, "{mode}: {small:?}, {large:?}");
         assert!(large.bytes < 1.1 * small.bytes, "{mode}: {small:?}, {large:?}");
-        // There are fewer at the edge of a larger ground, where half of the neighbours are missing.
+        // A larger ground has relatively fewer robots at its edge, where half of the neighbours are missing.
         assert!(large.deliveries <= 1.3 * small.deliveries, "{mode}: {small:?}, {large:?}");
     }
 }
 
 #[test]
-fn without_a_range_everyone_hears_everyone() {
+fn without_a_range_all_robots_hear_each_other() {
     let [small, large] = [20, 60].map(|robots| lasting(&team("onboard-adhoc", robots), 4.0).1);
     assert!(large.deliveries > 2.0 * small.deliveries, "{small:?}, {large:?}");
 }
 
 #[test]
-fn a_range_beyond_what_is_listened_to_changes_nothing_but_the_deliveries() {
+fn a_range_beyond_the_communication_range_changes_nothing_but_the_deliveries() {
     for (mode, robots) in [("onboard-adhoc", 30), ("offboard", 30), ("onboard-infra", 40)] {
         let trial = team(mode, robots).seed(5).episodes(2);
         let (everywhere, near) = (trial.run(), ranged(trial).run());

@@ -1,5 +1,5 @@
-//! Verdicts from readings, where no World has the whole team: beside those from true states, with readings that are
-//! lost, overtake each other, or end.
+//! Verdicts from readings, where no World has the whole team: compared with those from true states, with readings that
+//! are lost, out of order, or end.
 
 use murmurate::deploy::{Deployment, Host};
 use murmurate::faults::{ActorFault, ActorFaultKind, FaultPlan, LinkFault, LinkFaultKind, Role};
@@ -16,14 +16,14 @@ use murmurate::world::{ContactRule, Placement, Sensor};
 
 const EPISODES: u32 = 6;
 
-/// A team of five in which no move is blocked, so that it is the same whichever World a robot is in.
+/// Returns a team of five in which no move is blocked, so that it does not matter which World a robot is in.
 fn trial(mode: &str, seed: u64) -> Trial {
     let mut trial = Trial::preset(mode, "passage").expect("a preset").seed(seed).episodes(EPISODES).keeping_steps();
     (trial.physics.contacts, trial.physics.wall_radius_m) = (ContactRule::Judge, 0.16);
     trial
 }
 
-/// The same team with its bodies on two hosts.
+/// Returns the same team with its bodies on two hosts.
 fn apart(mut trial: Trial) -> Trial {
     let hosts = &mut trial.deployment.hosts;
     let world = hosts.iter_mut().find(|host| !host.simulates.is_empty()).expect("one simulates");
@@ -33,7 +33,7 @@ fn apart(mut trial: Trial) -> Trial {
     trial
 }
 
-/// A share of all readings is lost; the links carry nothing else less.
+/// Loses a share of all readings, and nothing else.
 fn losing(mut trial: Trial, loss: f64) -> Trial {
     let carries = |link: &&mut murmurate::deploy::Link| link.carries.contains(&Kind::Reading);
     let link = trial.deployment.links.iter_mut().find(carries).expect("one carries readings");
@@ -41,12 +41,12 @@ fn losing(mut trial: Trial, loss: f64) -> Trial {
     trial
 }
 
-/// What is the same in two episodes, whatever they were judged by.
+/// Returns the results of an episode that do not depend on how it was judged.
 fn result(episode: &Episode) -> Episode {
     Episode { judged: Judged::Truth, ..*episode }
 }
 
-/// What the true states of the same run come to, judged from the first step after the start to the verdict.
+/// Returns the results from true states of the same run, from the first step after the start to the verdict.
 fn truth(trial: &Trial, report: &TrialReport, episode: u32) -> Option<Finding> {
     let of = |step: &&Step| step.episode == episode && step.phase == Phase::Running;
     let goals = trial.layouts.episode(episode).iter().map(|task| task.goal).collect();
@@ -59,7 +59,7 @@ fn truth(trial: &Trial, report: &TrialReport, episode: u32) -> Option<Finding> {
 }
 
 #[test]
-fn exact_readings_of_two_worlds_come_to_what_one_world_knows() {
+fn exact_readings_of_two_worlds_give_the_verdicts_of_one_world() {
     for (mode, placement) in
         [("offboard", Placement::Drive), ("onboard-adhoc", Placement::Drive), ("onboard-infra", Placement::Exact)]
     {
@@ -101,7 +101,7 @@ fn lost_and_late_readings_of_robots_that_succeed_still_show_that_they_do() {
 }
 
 #[test]
-fn a_robot_whose_readings_end_is_no_silent_success() {
+fn a_robot_whose_readings_end_is_no_success() {
     let trial = apart(trial("onboard-infra", 12));
     let report = trial.run();
     let of = |step: &&Step| step.episode == 0 && step.phase == Phase::Running;
@@ -109,7 +109,7 @@ fn a_robot_whose_readings_end_is_no_silent_success() {
     let first = report.episodes[0];
     assert_eq!(first.verdict, Verdict::Success);
     let end = begun + Span::from_secs(first.makespan_s.expect("it is a success"));
-    // Whoever arrives first is not seen from then on, and everyone else arrives.
+    // The first robot to arrive has no readings from then on, and all others arrive.
     let tasks = trial.layouts.episode(0);
     let there = |at: Vec2, robot: usize| (tasks[robot].goal - at).norm() < 0.2;
     let (at, robot) = report
@@ -123,22 +123,22 @@ fn a_robot_whose_readings_end_is_no_silent_success() {
         .expect("somebody arrives");
     assert!(end.since(at) > SIGHT + Span::from_millis(300), "the others go on for long");
     for (role, kind) in [(Role::Body, ActorFaultKind::Mute), (Role::Body, ActorFaultKind::Crash)] {
-        let fault = ActorFault { role, robot, kind, at, lasts: Span::from_secs(1000.0), by: Span::ZERO };
+        let fault = ActorFault { role, robot, kind, at, lasts: Span::from_secs(1000.0), by: Span::ZERO, episode: None };
         let blind = trial.clone().episodes(1).faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run();
         let found = blind.episodes[0];
         assert_eq!((found.verdict, found.makespan_s), (Verdict::Unseen, None), "{kind:?}");
     }
-    // The same, where a World has everyone: nobody loses sight of anyone.
+    // The same with a World of the whole team: no robot is unseen.
     let mut whole = trial.clone().episodes(1);
     whole.deployment = Deployment::preset("onboard-infra", 5).expect("a preset");
     let (role, kind) = (Role::Body, ActorFaultKind::Mute);
-    let fault = ActorFault { role, robot, kind, at, lasts: Span::from_secs(1000.0), by: Span::ZERO };
+    let fault = ActorFault { role, robot, kind, at, lasts: Span::from_secs(1000.0), by: Span::ZERO, episode: None };
     let seen = whole.faults(FaultPlan { actors: vec![fault], links: Vec::new() }).run();
     assert_ne!(seen.episodes[0].verdict, Verdict::Unseen);
 }
 
 #[test]
-fn noisy_readings_of_a_slow_sensor_judge_as_the_truth_but_for_what_they_cannot_show() {
+fn noisy_readings_of_a_slow_sensor_give_the_true_verdicts_except_for_what_they_miss() {
     let mut trial = apart(trial("onboard-infra", 3));
     trial.physics.sensor = Sensor { period: Span::from_millis(100), ..Sensor::MOTION_CAPTURE };
     let report = trial.run();

@@ -1,4 +1,4 @@
-//! The actor graph in one process under virtual time: whole trials and what they promise.
+//! The actor graph in one process under virtual time: whole trials and their guarantees.
 
 mod common;
 mod contracts;

@@ -1,4 +1,4 @@
-//! What simulated robots are like and what becomes of their messages, as whole trials show it.
+//! Physics of simulated robots, sensors, and handling of messages, tested in whole trials.
 
 use murmurate::deploy::{Impair, MODES};
 use murmurate::hearing::Handling;
@@ -12,7 +12,7 @@ fn trial(mode: &str) -> Trial {
 }
 
 #[test]
-fn a_lagging_drivetrain_takes_longer_over_the_same_way() {
+fn a_lagging_drivetrain_takes_longer_on_the_same_path() {
     let run = |lag_s: f32| {
         let mut trial = trial("sim").episodes(8);
         trial.physics.lag_s = lag_s;
@@ -28,7 +28,7 @@ fn a_lagging_drivetrain_takes_longer_over_the_same_way() {
 fn a_contact_with_a_wall_blocks_or_is_only_judged() {
     let run = |contacts: ContactRule| {
         let mut trial = trial("sim").keeping_steps();
-        // As wide as the gap, nearly.
+        // Nearly as wide as the gap.
         (trial.physics.contacts, trial.physics.wall_radius_m) = (contacts, 0.49);
         trial.run()
     };
@@ -41,7 +41,7 @@ fn a_contact_with_a_wall_blocks_or_is_only_judged() {
     assert_eq!((crossed(&blocked), crossed(&judged)), (0, 5));
 }
 
-/// Nothing is late here, so a command is worked out from the velocity after the step before.
+/// Nothing is late here, so a command is computed from the velocity after the previous step.
 #[test]
 fn under_the_deployed_clamp_commands_stay_near_the_measured_velocity_in_every_mode() {
     let farthest = |mode: &str, clamp: Clamp| {
@@ -61,7 +61,7 @@ fn under_the_deployed_clamp_commands_stay_near_the_measured_velocity_in_every_mo
 }
 
 #[test]
-fn messages_that_are_dropped_after_use_make_a_difference_where_some_are_lost() {
+fn dropping_messages_after_use_matters_when_some_are_lost() {
     let trace = |trial: &Trial, handling: Handling| Trial { handling, ..trial.clone() }.run().totals.trace;
     let mut lossy = trial("onboard-adhoc");
     lossy.deployment = lossy.deployment.impaired(None, Some(0.5), Impair::Latent).expect("latents cross hosts");
@@ -88,7 +88,7 @@ fn robots_can_be_placed_in_a_mode_in_which_they_would_drive() {
     }
 }
 
-/// A trial among rigid bodies, with what limits the published robots.
+/// Returns a trial with rigid bodies and the limits of the published robots.
 fn rigid(mode: &str) -> Trial {
     trial(mode).plant("rigid").clamp(Clamp::Deployed)
 }
@@ -107,7 +107,7 @@ fn resets_succeed_among_rigid_bodies_in_every_mode_and_repeat_themselves_bit_for
     }
 }
 
-/// What robots of 0.16 m do in each other's way, whatever they want.
+/// Checks robots with a radius of 0.16 m.
 #[test]
 fn rigid_robots_never_overlap_deeply_nor_enter_a_wall() {
     for mode in ["centralized", "onboard-adhoc"] {
@@ -130,7 +130,7 @@ fn rigid_robots_never_overlap_deeply_nor_enter_a_wall() {
 }
 
 #[test]
-fn motion_capture_makes_a_difference_and_an_exact_sensor_none() {
+fn motion_capture_changes_a_run_and_an_exact_sensor_does_not() {
     let trace = |plant: &str, sensor: Sensor| {
         let mut trial = trial("offboard").plant(plant).episodes(2);
         trial.physics.sensor = sensor;

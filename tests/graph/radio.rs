@@ -1,5 +1,5 @@
 //! The radio channel against the standard and the literature: Bianchi's saturation model, retries, relays, queues,
-//! range; and that it repeats itself.
+//! range and determinism.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ fn at_s(s: f64) -> Time {
     Time::ZERO + Span::from_secs(s)
 }
 
-/// All stations always have a frame for the next one.
+/// Runs a saturated channel: every station always has a frame for the next station.
 fn saturated(radio: &Radio, stations: u16, bytes: usize, lasts_s: f64) -> RadioCounts {
     let mut channel = Channel::new(radio.clone(), stations, &seed(1));
     for station in 0..stations {
@@ -38,7 +38,7 @@ const PAYLOAD_BYTES: usize = 1023;
 
 #[test]
 fn saturation_is_as_in_bianchis_model() {
-    // His counters count busy slots, as those of EDCA do; those of the older rule must not be far from it either.
+    // Bianchi's backoff counts busy slots, as EDCA does; the older DCF rule must not be far from it.
     for (stages, counting) in [(3, Counting::Edca), (5, Counting::Edca), (3, Counting::Dcf), (5, Counting::Dcf)] {
         let radio = Radio { counting, ..Radio::bianchi(stages) };
         for stations in [2, 5, 10, 20, 50] {
@@ -60,7 +60,7 @@ fn saturation_is_as_in_bianchis_model() {
     }
 }
 
-/// What arrives of `frames` frames that are offered one by one, each long after the last one.
+/// Returns the arrivals of `frames` frames, each offered long after the previous one.
 fn one_by_one(channel: &mut Channel<u32>, frames: u32, to: &Destination, bytes: usize) -> Vec<Delivery<u32>> {
     let mut arrived = Vec::new();
     for frame in 0..frames {
@@ -73,7 +73,7 @@ fn one_by_one(channel: &mut Channel<u32>, frames: u32, to: &Destination, bytes: 
 }
 
 #[test]
-fn unicast_is_sent_again_as_often_as_it_may_be() {
+fn unicast_is_retransmitted_up_to_the_retry_limit() {
     for retries in [1, 3, 5, 7] {
         let radio = Radio { retries, noise_loss: 0.5, ..ad_hoc() };
         let mut channel = Channel::new(radio, 2, &seed(2));
@@ -126,7 +126,7 @@ fn a_frame_on_an_idle_channel_takes_its_airtime_and_less_than_a_slot() {
 }
 
 #[test]
-fn a_full_queue_drops_what_comes_last() {
+fn a_full_queue_drops_the_newest_frames() {
     let radio = Radio { queue: 4, ..ad_hoc() };
     let mut channel = Channel::new(radio, 2, &seed(5));
     (0..10).for_each(|frame| channel.offer(Time::ZERO, 0, Destination::One(1), 300, frame));
@@ -137,8 +137,8 @@ fn a_full_queue_drops_what_comes_last() {
 }
 
 #[test]
-fn an_access_point_has_a_queue_of_its_own() {
-    // What goes up at 54 Mbit/s comes down at one: the access point is the bottleneck.
+fn an_access_point_has_its_own_queue() {
+    // Frames go to the access point at 54 Mbit/s and from it at one: it is the bottleneck.
     let radio = Radio { queue: 8, ..Radio::default() };
     let mut channel = Channel::new(radio, 3, &seed(6));
     let all: Arc<[u16]> = Arc::new([0, 1, 2]);
@@ -157,12 +157,12 @@ fn an_access_point_has_a_queue_of_its_own() {
 }
 
 #[test]
-fn a_ranged_multicast_reaches_those_who_are_near() {
+fn a_ranged_multicast_reaches_stations_within_range() {
     let mut channel = Channel::new(Radio { range_m: Some(2.0), ..ad_hoc() }, 4, &seed(7));
     for (station, x) in [(0, 0.0), (1, 1.5), (2, 2.5)] {
         channel.place(station, Vec2::new(x, 0.0));
     }
-    // Of station 3 nobody knows where it is: it is in everybody's reach.
+    // Station 3 has no known position, so it is within everyone's range.
     let all = Destination::Many(Arc::new([0, 1, 2, 3]));
     let reached = |arrived: &[Delivery<u32>]| arrived.iter().map(|delivery| delivery.to).collect::<Vec<_>>();
     assert_eq!(reached(&one_by_one(&mut channel, 1, &all, 100)), [1, 3]);
@@ -170,7 +170,7 @@ fn a_ranged_multicast_reaches_those_who_are_near() {
 }
 
 #[test]
-fn noise_spoils_multicast_for_each_listener_by_itself() {
+fn noise_corrupts_multicast_at_each_receiver_independently() {
     let mut channel = Channel::new(Radio { noise_loss: 0.16, ..ad_hoc() }, 3, &seed(8));
     let arrived = one_by_one(&mut channel, 5000, &Destination::Many(Arc::new([1, 2])), 100);
     let share = arrived.len() as f64 / 10_000.0;
@@ -181,7 +181,7 @@ fn noise_spoils_multicast_for_each_listener_by_itself() {
 }
 
 #[test]
-fn foreign_frames_take_the_share_that_they_ask_for() {
+fn background_frames_take_their_share_of_the_channel() {
     let mut channel: Channel<()> = Channel::new(Radio { background: 0.3, ..ad_hoc() }, 2, &seed(9));
     channel.wake(at_s(60.0), &mut Vec::new());
     let counts = channel.counts(at_s(60.0));
@@ -191,7 +191,7 @@ fn foreign_frames_take_the_share_that_they_ask_for() {
 }
 
 #[test]
-fn a_channel_repeats_itself_and_a_seed_makes_a_difference() {
+fn a_channel_is_deterministic_and_depends_on_its_seed() {
     let run = |number: u64| {
         let radio = Radio { noise_loss: 0.1, background: 0.2, counting: Counting::Dcf, ..Radio::default() };
         let mut channel = Channel::new(radio, 5, &seed(number));
@@ -210,7 +210,7 @@ fn a_channel_repeats_itself_and_a_seed_makes_a_difference() {
 }
 
 #[test]
-fn a_radio_comes_to_every_link_that_would_have_one() {
+fn a_radio_is_put_on_every_wireless_link() {
     for mode in MODES {
         let preset = Deployment::preset(mode, 5).unwrap();
         let near = Radio { range_m: Some(2.0), ..ad_hoc() };
@@ -236,7 +236,7 @@ fn a_radio_comes_to_every_link_that_would_have_one() {
 }
 
 #[test]
-fn a_team_on_a_radio_repeats_itself_and_loses_what_the_radio_loses() {
+fn a_team_on_a_radio_is_deterministic_and_loses_the_frames_of_the_radio() {
     let run = |radio: Option<Radio>| {
         let mut trial = Trial::preset("onboard-adhoc", "passage").expect("a preset").seed(5);
         trial.deployment = match &radio {
@@ -255,7 +255,7 @@ fn a_team_on_a_radio_repeats_itself_and_loses_what_the_radio_loses() {
     let counts = wifi.0.radio;
     assert!(counts.arrived > 1000 && counts.lost() * 50 < counts.wanted, "{counts:?}");
     assert!(counts.airtime() > 0.05 && counts.airtime() < 0.5, "{counts:?}");
-    // Robots that are deaf to each other beyond a step say less to each other, to nobody else.
+    // With a range, frames to robots beyond it are lost.
     let near = run(Some(Radio { range_m: Some(0.7), ..ad_hoc() })).0.radio;
     assert!(near.lost_range > counts.wanted / 10, "{near:?}");
     assert_eq!(counts.lost_range, 0);

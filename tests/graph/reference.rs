@@ -1,5 +1,5 @@
-//! Against the published release: its network, its environment and its results. The data is not part of this
-//! repository; where it is absent, these tests skip and say so.
+//! Comparison with the published release: its network, its environment and its results. The data is not part of this
+//! repository; without it, these tests print a notice and skip.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -96,7 +96,7 @@ fn every_step_of_the_environment_matches() {
     let tensors = SafeTensors::deserialize(&file).expect("the vectors are safetensors");
     let [pos, vel, action, reward] = ["pos", "vel", "action", "reward"].map(|name| floats(&tensors, name));
     let goal = floats(&tensors, "goal");
-    // The data is in the policy's frame, also where a rollout has put robots on the far side at once.
+    // The data is in the policy frame, also where a rollout has placed robots on the far side.
     let start = Vec2::new(0.0, -1.5);
     let [stage, done, near] = ["stage", "done", "near"].map(|name| bytes(&tensors, name));
     let [hit_agent, hit_wall] = ["hit_agent", "hit_wall"].map(|name| bytes(&tensors, name));
@@ -138,7 +138,7 @@ fn every_step_of_the_environment_matches() {
                 let task = Task { start, goal: vec2(&goal, rollout * ROBOTS + i) };
                 let mut reached = Stage(stage[before + i]);
                 let motion = Motion { position: position[i], velocity: velocity[i] };
-                let earned = scenario.reward(&task, &motion, contacts[i], &mut reached);
+                let earned = scenario.reward(&task, &motion, contacts[i], &mut reached).expect("the passage has one");
                 let expected = Contacts { robot: hit_agent[now + i] == 1, wall: hit_wall[now + i] == 1 };
                 assert_eq!(contacts[i], expected, "{place}");
                 assert_eq!(reached.0, stage[after + i], "{place}: stage");
@@ -156,7 +156,7 @@ fn every_step_of_the_environment_matches() {
     assert!(checked > 0, "the file holds steps");
 }
 
-/// Runs `trials` on two threads, in their order.
+/// Runs `trials` on two threads; results are in their order.
 fn run_all(trials: Vec<Trial>) -> Vec<Episode> {
     let half = trials.len().div_ceil(2);
     std::thread::scope(|scope| {
@@ -166,7 +166,7 @@ fn run_all(trials: Vec<Trial>) -> Vec<Episode> {
     })
 }
 
-/// One row of the published closed-loop table: name, share of successes, how many were tried, makespan \[s\].
+/// One row of the published closed-loop table: name, share of successes, number of episodes, makespan \[s\].
 struct Row(&'static str, f64, usize, f64);
 
 fn compare(row: &Row, episodes: &[Episode]) {
@@ -174,7 +174,7 @@ fn compare(row: &Row, episodes: &[Episode]) {
     let found = Outcomes::of(episodes);
     let (n, ours) = (episodes.len() as f64, found.success_rate);
     let pooled = (ours * n + rate * tried as f64) / (n + tried as f64);
-    // Where nobody ever failed, there is no more to tell apart than one failure.
+    // Without failures the deviation would be zero; one failure is the smallest difference.
     let error = (pooled * (1.0 - pooled) * (1.0 / n + 1.0 / tried as f64)).sqrt().max(1.0 / n);
     let median = found.makespan_median_s.expect("some episodes succeed");
     println!(
@@ -183,8 +183,8 @@ fn compare(row: &Row, episodes: &[Episode]) {
         100.0 * ours,
         100.0 * rate,
         (ours - rate).abs() / error,
-        found.collisions_wall,
-        found.collisions_robot,
+        found.wall_collisions,
+        found.robot_collisions,
         found.timeouts
     );
     assert!((ours - rate).abs() <= 2.6 * error, "{name}: success {ours}, published {rate}");

@@ -1,4 +1,4 @@
-//! Safety on the robots' side, in whole trials: whatever triggers, the motors stop in time, and the team recovers.
+//! Safety functions of the robots, in whole trials: after any trigger the motors stop in time, and the team recovers.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ fn trial(mode: &str, seed: u64) -> Trial {
     Trial { safety: Safety::deployed(), ..trial }
 }
 
-/// A moment in the midst of the first episode.
+/// A time in the middle of the first episode.
 fn midst(trial: &Trial) -> Time {
     let report = trial.run();
     let running = report.steps.iter().filter(|step| step.episode == 0 && step.phase == Phase::Running);
@@ -44,7 +44,7 @@ fn midst(trial: &Trial) -> Time {
     running[running.len() / 3]
 }
 
-/// The robots that are driven at some time between two moments.
+/// Returns the robots that are driven at any time between two times.
 fn driven(report: &TrialReport, from: Time, until: Time) -> Vec<(RobotId, Time)> {
     let samples = report.steps.iter().flat_map(|step| &step.samples);
     let moving = samples.filter(|s| s.time >= from && s.time < until && s.command != Vec2::zeros());
@@ -52,12 +52,12 @@ fn driven(report: &TrialReport, from: Time, until: Time) -> Vec<(RobotId, Time)>
 }
 
 fn actor(role: Role, robot: u16, kind: ActorFaultKind, at: Time, lasts: Span) -> FaultPlan {
-    let fault = ActorFault { role, robot: RobotId(robot), kind, at, lasts, by: Span::ZERO };
+    let fault = ActorFault { role, robot: RobotId(robot), kind, at, lasts, by: Span::ZERO, episode: None };
     FaultPlan { actors: vec![fault], links: Vec::new() }
 }
 
 #[test]
-fn nothing_triggers_in_a_sound_team() {
+fn nothing_triggers_in_a_healthy_team() {
     for mode in MODES {
         let report = trial(mode, 3).run();
         let stopped = SafetyCounts { fence: 0, distance: 0, ..report.totals.safety };
@@ -82,10 +82,10 @@ fn without_own_readings_a_robot_stops_within_the_age_of_the_last() {
     assert_eq!(published.totals.safety, SafetyCounts::default());
 }
 
-/// The cores of one robot, one tick after the other: the same stamp keeps arriving, and the robot stands in time.
+/// Runs the cores of one robot, tick by tick: the same stamp keeps arriving, and the robot stops in time.
 #[test]
 fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
-    let (robot, round, period) = (RobotId(0), Round { epoch: 1, episode: 0 }, ms(50));
+    let (robot, round, period) = (RobotId(0), Round { term: 1, episode: 0 }, ms(50));
     let (range, hold, handling) = (CommRange::fixed(2.0), ms(200), Handling::Hold);
     let config = cache::Config {
         robot,
@@ -144,7 +144,7 @@ fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
 }
 
 #[test]
-fn a_policy_that_comes_apart_moves_nobody_and_the_episodes_are_given_up() {
+fn a_policy_with_invalid_outputs_moves_no_robot_and_the_episodes_are_aborted() {
     let mut manifest = Manifest::published();
     (manifest.encoder, manifest.message, manifest.update) = (vec![6, 4, 3], vec![3, 5, 4], vec![4, 4]);
     let huge = |widths: &[usize]| -> Vec<(Vec<f32>, Vec<f32>)> {
@@ -158,7 +158,7 @@ fn a_policy_that_comes_apart_moves_nobody_and_the_episodes_are_given_up() {
             let report = Trial { model: model.clone(), safety, ..trial(mode, 2) }.run();
             assert!(report.finished && report.episodes.iter().all(|episode| episode.verdict == Verdict::Aborted));
             assert!(report.totals.safety.output > 0, "{mode}: {:?}", report.totals.safety);
-            // A step of a reset may still be carried out as the episode begins.
+            // A step of a reset may still be executed as the episode begins.
             assert!(report.steps.iter().any(|step| step.phase == Phase::Running), "{mode}: episodes do begin");
             let later = |steps: &&[Step]| steps.iter().all(|step| step.phase != Phase::Resetting);
             let begun: Vec<&[Step]> = report.steps.windows(3).filter(later).collect();
@@ -174,7 +174,7 @@ fn late_ticks_stop_a_robot_and_no_burst_of_old_actions_follows() {
         let trial = trial("onboard-adhoc", 4);
         let (at, lasts) = (midst(&trial), ms(600));
         let report = trial.faults(actor(role, 2, ActorFaultKind::Stall, at, lasts)).run();
-        // A tick that was just met, the one that is missed, and how late it may be.
+        // The last tick on time, the missed tick, and its allowed lateness.
         let stopped = at + ms(50) + ms(50) + kinematic::PERIOD;
         let late: Vec<_> = driven(&report, stopped, at + lasts).into_iter().filter(|(r, _)| r.0 == 2).collect();
         assert_eq!(late, [], "{role:?}");
@@ -210,7 +210,7 @@ fn an_emergency_stop_stops_everyone_within_100_ms_and_holds_until_a_later_re_arm
                 (at + ms(5000), Stop::resume(by, Latch::held(1))),
                 (resumed, Stop::resume(by, Latch::held(2))),
             ];
-            // Whoever is started afresh while it holds has to learn of it.
+            // A host that restarts during the stop has to learn of it.
             let crashed = actor(Role::Controller, 1, ActorFaultKind::Crash, at + ms(1000), ms(500));
             let report = Trial { stops, ..trial }.faults(crashed).run();
             assert_eq!(driven(&report, at + ms(100), resumed), [], "{mode}");
@@ -222,7 +222,7 @@ fn an_emergency_stop_stops_everyone_within_100_ms_and_holds_until_a_later_re_arm
 }
 
 #[test]
-fn who_misses_the_stop_or_the_re_arm_hears_of_it_from_the_state_server() {
+fn a_host_that_misses_the_stop_or_the_re_arm_gets_it_from_the_state_server() {
     let trial = trial("onboard-infra", 7);
     let (at, by) = (midst(&trial), HostId(3));
     let rearmed = at + ms(2000);
@@ -232,7 +232,7 @@ fn who_misses_the_stop_or_the_re_arm_hears_of_it_from_the_state_server() {
         (rearmed, Stop::rearm(by, Latch::engaged(1))),
         (rearmed + ms(500), Stop::resume(HostId(server), Latch::held(2))),
     ];
-    // No stop gets through to anyone: only the host that says it knows.
+    // The stop reaches no other host: only its sender has it.
     let links = vec![LinkFault { kinds: vec![Kind::Stop], ..LinkFault::always("infra") }];
     let report = Trial { stops, ..trial }.faults(FaultPlan { actors: Vec::new(), links }).run();
     // A heartbeat at once, the state server's next decision, and a World step.
@@ -242,7 +242,7 @@ fn who_misses_the_stop_or_the_re_arm_hears_of_it_from_the_state_server() {
 }
 
 #[test]
-fn a_fence_keeps_commands_on_the_ground() {
+fn a_geofence_keeps_commands_inside() {
     let mut trial = trial("offboard", 8);
     (trial.safety.geofence_margin_m, trial.safety.geofence_horizon_s) = (0.0, 2.0);
     let half = trial.scenario.arena().half_extent;
@@ -257,7 +257,7 @@ fn a_fence_keeps_commands_on_the_ground() {
 }
 
 #[test]
-fn a_least_distance_reduces_collisions_of_a_policy_that_hears_nobody() {
+fn a_minimum_distance_reduces_collisions_of_a_policy_without_messages() {
     let model = weights::read(shipped("passage").expect("one is shipped")).expect("and it can be read");
     let model = Model::Gnn(Arc::new(Network::new(model)), Draw::Mean);
     let collisions = |distance: Switch| {

@@ -1,5 +1,5 @@
-//! The shell: what it promises of mailboxes, timers, restarts and injected faults, shown on a core that notes
-//! everything it is handed.
+//! Guarantees of the shell about mailboxes, timers, restarts and injected faults, tested with a core that records
+//! everything it is given.
 
 use std::cell::RefCell;
 use std::process::Command;
@@ -13,13 +13,13 @@ use murmurate::runtime::drive::{End, run_virtual};
 use murmurate::runtime::shell::{MAILBOX_CAPACITY, Mailbox, start};
 use murmurate::time::{Span, Time};
 
-/// Says what it is handed: its incarnation, when, and which number. Number 0 stands for a timer.
+/// Record of one input: incarnation, time \[ms\] and number. Number 0 stands for a timer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Note(u32, u64, u64);
 
 struct Noting {
     incarnation: u32,
-    /// When it wants to be woken \[ms\].
+    /// Times at which it wakes \[ms\].
     alarms: Vec<u64>,
 }
 
@@ -48,11 +48,11 @@ fn at(ms: u64) -> Time {
 
 fn fault(kind: ActorFaultKind, from: u64, lasts: u64) -> ActorFault {
     let (lasts, by) = (Span::from_millis(lasts), Span::from_millis(30));
-    ActorFault { role: Role::Cache, robot: RobotId(0), kind, at: at(from), lasts, by }
+    ActorFault { role: Role::Cache, robot: RobotId(0), kind, at: at(from), lasts, by, episode: None }
 }
 
-/// Hands the numbers to a noting core at their times \[ms\], strikes it with the faults, and gives its notes and
-/// the mailbox's counts of refused and lost messages.
+/// Sends the numbers to a recording core at their times \[ms\], with these faults. Returns its records and the
+/// mailbox's counts of refused and lost messages.
 fn notes(alarms: &[u64], sent: &[(u64, u64)], faults: &[ActorFault]) -> (Vec<Note>, u64, u64) {
     let said = Rc::new(RefCell::new(Vec::new()));
     let build = |clock: &Clock| {
@@ -77,7 +77,7 @@ fn notes(alarms: &[u64], sent: &[(u64, u64)], faults: &[ActorFault]) -> (Vec<Not
 }
 
 #[test]
-fn messages_come_in_order_and_timers_on_time() {
+fn messages_are_handled_in_order_and_timers_on_time() {
     let (notes, refused, lost) = notes(&[5, 20, 7], &[(1, 11), (1, 12), (6, 13), (20, 14)], &[]);
     let expected =
         [Note(1, 1, 11), Note(1, 1, 12), Note(1, 5, 0), Note(1, 6, 13), Note(1, 7, 0), Note(1, 20, 14), Note(1, 20, 0)];
@@ -102,16 +102,16 @@ fn a_full_mailbox_refuses_and_counts() {
 }
 
 #[test]
-fn a_crashed_actor_loses_what_it_is_sent_and_starts_afresh() {
+fn a_crashed_actor_loses_its_messages_and_restarts_without_state() {
     let sent = [(1, 11), (3, 12), (9, 13), (11, 14)];
     let (notes, refused, lost) = notes(&[1], &sent, &[fault(ActorFaultKind::Crash, 2, 8)]);
-    // The alarm at 1 ms was over; the fresh core wants it again, and gets it as soon as it lives.
+    // The alarm at 1 ms was over; the restarted core sets it again, and it fires at once.
     assert_eq!(notes, [Note(1, 1, 11), Note(1, 1, 0), Note(2, 10, 0), Note(2, 11, 14)]);
     assert_eq!((refused, lost), (0, 2));
 }
 
 #[test]
-fn a_stalled_actor_takes_everything_up_afterwards_in_order() {
+fn a_stalled_actor_handles_everything_afterwards_in_order() {
     let sent = [(1, 11), (3, 12), (9, 13), (11, 14)];
     let (notes, _, lost) = notes(&[5], &sent, &[fault(ActorFaultKind::Stall, 2, 8)]);
     assert_eq!(notes, [Note(1, 1, 11), Note(1, 10, 12), Note(1, 10, 13), Note(1, 10, 0), Note(1, 11, 14)]);
@@ -119,7 +119,7 @@ fn a_stalled_actor_takes_everything_up_afterwards_in_order() {
 }
 
 #[test]
-fn a_stalled_actor_holds_as_much_as_a_mailbox_and_refuses_the_rest() {
+fn a_stalled_actor_queues_a_mailbox_of_messages_and_refuses_the_rest() {
     let flood = (0..MAILBOX_CAPACITY as u64).map(|number| (3, number + 1));
     let more = (1..=10).map(|number| (4, number));
     let sent: Vec<(u64, u64)> = flood.chain(more).collect();
@@ -128,14 +128,14 @@ fn a_stalled_actor_holds_as_much_as_a_mailbox_and_refuses_the_rest() {
 }
 
 #[test]
-fn a_mute_actor_works_and_is_not_heard() {
+fn a_mute_actor_works_without_output() {
     let (notes, ..) = notes(&[], &[(1, 11), (3, 12), (11, 14)], &[fault(ActorFaultKind::Mute, 2, 8)]);
     assert_eq!(notes, [Note(1, 1, 11), Note(1, 11, 14)]);
 }
 
 #[test]
-fn a_slow_actor_takes_everything_up_late_in_order() {
-    // Slow from 2 to 10 ms, by 30 ms; what comes afterwards must not overtake.
+fn a_slow_actor_handles_everything_late_in_order() {
+    // Slow from 2 to 10 ms, by 30 ms; later messages must not overtake.
     let sent = [(1, 11), (3, 12), (9, 13), (11, 14), (60, 15)];
     let (notes, ..) = notes(&[5], &sent, &[fault(ActorFaultKind::Slow, 2, 8)]);
     let numbers: Vec<u64> = notes.iter().map(|note| note.2).filter(|number| *number > 0).collect();
@@ -144,7 +144,7 @@ fn a_slow_actor_takes_everything_up_late_in_order() {
     assert!(notes.contains(&Note(1, 60, 15)));
 }
 
-/// Runs only as the child process of the next test.
+/// Runs only as a child process of the next test.
 #[test]
 fn child_that_breaks_an_invariant() {
     if std::env::var_os("MURMURATE_TEST_CHILD").is_some() {

@@ -1,4 +1,4 @@
-//! What every transport of the registry keeps to, and one that does its work on a thread of its own.
+//! Contracts of every transport of the registry, and a transport with a thread of its own.
 
 use std::net::SocketAddr;
 use std::os::fd::AsFd;
@@ -10,23 +10,23 @@ use std::thread;
 use murmurate::config::ConfigError;
 use murmurate::config::fields::Takes;
 use murmurate::deploy::team::TeamFile;
-use murmurate::edge::{self, Gate, Mouth, Port};
+use murmurate::edge::{self, Gate, PacketSender, Port};
 use murmurate::messages::ids::HostId;
 use murmurate::net::protocol::link::{Guest, Standing};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::router::Audience;
 use murmurate::net::transport::{
-    self, Claim, Counts, Field, Filter, Given, In, OpenError, Place, Transmit, Transport, Way,
+    self, Claim, Counts, Endpoint, Field, Filter, In, LinkSettings, OpenError, Place, Transmit, Transport,
 };
 use murmurate::registry::Registry;
 use murmurate::time::Time;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 
-/// How long a frame may take, and how long is waited for one that should not come \[ms\].
+/// Longest time for a frame to arrive, and the wait for one that should not arrive \[ms\].
 const PATIENCE: u16 = 5000;
 const SURPLUS: u16 = 30;
 
-/// What the team file says of a link with each transport, in a team of three robots and a World; and mistakes, with how
+/// Team file of a link with each transport, in a team of three robots and a World; and mistakes, with how
 /// the error begins.
 fn lines(name: &str) -> (&'static str, &'static [(&'static str, &'static str, &'static str)]) {
     match name {
@@ -51,7 +51,7 @@ fn lines(name: &str) -> (&'static str, &'static [(&'static str, &'static str, &'
     }
 }
 
-/// Held by a test that opens links: others would hear what it says.
+/// Lock of a test that opens links: other tests would receive its frames.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
@@ -75,7 +75,7 @@ fn read(text: &str) -> Result<TeamFile, ConfigError> {
     Ok(file)
 }
 
-/// The places of the three robots' hosts on the link that is tried.
+/// Returns the places of the three robots' hosts on the tested link.
 fn places(name: &str) -> Vec<Place> {
     let file = read(&text(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
     let at = file.deployment().links.iter().position(|link| link.name == "infra").expect("the preset has it");
@@ -85,19 +85,19 @@ fn places(name: &str) -> Vec<Place> {
 
 fn open(places: &[Place]) -> Vec<Box<dyn Transport>> {
     let hosts = (0..).map(HostId);
-    hosts.zip(places).map(|(host, place)| place.way.open(host, Filter::All).expect("it can be opened")).collect()
+    hosts.zip(places).map(|(host, place)| place.endpoint.open(host, Filter::All).expect("it can be opened")).collect()
 }
 
 fn say(transport: &mut dyn Transport, audience: Audience, frame: &[u8]) {
     transport.handle(Time::ZERO, In::Transmit(Transmit { from: HostId(0), audience, frame: frame.into() }));
 }
 
-/// What arrives: so many frames, and whatever comes soon after them.
+/// Receives so many frames, and those that come soon after them.
 fn hear(transport: &mut dyn Transport, count: usize) -> Vec<(Option<SocketAddr>, Vec<u8>)> {
     let mut heard = Vec::new();
     loop {
-        let bell = transport.bell();
-        let mut watched = [PollFd::new(bell.as_fd(), PollFlags::POLLIN)];
+        let descriptor = transport.descriptor();
+        let mut watched = [PollFd::new(descriptor.as_fd(), PollFlags::POLLIN)];
         let patience = if heard.len() < count { PATIENCE } else { SURPLUS };
         match poll(&mut watched, PollTimeout::from(patience)).expect("it can be watched") {
             0 => return heard,
@@ -111,7 +111,7 @@ fn frames(transport: &mut dyn Transport, count: usize) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn what_is_said_to_all_arrives_once_at_each_other_host() {
+fn a_frame_to_all_arrives_once_at_each_other_host() {
     let _alone = alone();
     for entry in registry().transports() {
         let mut hosts = open(&places(entry.name));
@@ -126,7 +126,7 @@ fn what_is_said_to_all_arrives_once_at_each_other_host() {
 }
 
 #[test]
-fn what_is_for_one_reaches_that_one_and_no_other_where_the_link_is_addressed() {
+fn a_frame_to_one_host_reaches_only_that_host_on_an_addressed_link() {
     let _alone = alone();
     for entry in registry().transports() {
         let places = places(entry.name);
@@ -141,21 +141,21 @@ fn what_is_for_one_reaches_that_one_and_no_other_where_the_link_is_addressed() {
 }
 
 #[test]
-fn a_guest_is_heard_by_all_and_answered_once_it_is_admitted() {
+fn a_guest_reaches_all_hosts_and_is_answered_once_admitted() {
     let _alone = alone();
     for entry in registry().transports() {
         let places = places(entry.name);
         let mut hosts = open(&places);
         let operator = HostId::operator(9);
-        let guest = places[0].for_guest(HostId(0)).way;
-        assert_eq!(guest.claim(), places[1].for_guest(HostId(1)).way.claim(), "{}: it is one link", entry.name);
+        let guest = places[0].for_guest(HostId(0)).endpoint;
+        assert_eq!(guest.claim(), places[1].for_guest(HostId(1)).endpoint.claim(), "{}: it is one link", entry.name);
         let mut guest = guest.open(operator, Filter::All).expect("it can be opened");
         say(&mut *guest, Audience::All, b"hello");
         for host in &mut hosts {
             let heard = hear(&mut **host, 1);
             assert_eq!(heard.len(), 1, "{}", entry.name);
             if let Some(at) = heard[0].0 {
-                let admitted = Guest { host: operator, at, standing: Standing::Proven };
+                let admitted = Guest { host: operator, at, standing: Standing::Accepted };
                 host.handle(Time::ZERO, In::Admit(admitted));
             }
         }
@@ -165,13 +165,13 @@ fn a_guest_is_heard_by_all_and_answered_once_it_is_admitted() {
 }
 
 #[test]
-fn what_a_team_file_says_wrong_is_refused_by_its_field() {
+fn mistakes_in_a_team_file_are_refused_by_their_field() {
     for entry in registry().transports() {
         let sound = text(entry.name);
         for (from, to, start) in lines(entry.name).1 {
             assert!(sound.contains(from), "{from}");
             let error = read(&sound.replacen(from, to, 1)).expect_err("it is refused").to_string();
-            // A field that is left out leaves its line empty.
+            // A missing field leaves its line empty.
             assert!(error.starts_with(start), "{}: {error}", entry.name);
         }
         let transport = format!("transport = \"{}\"", entry.name);
@@ -184,48 +184,48 @@ fn what_a_team_file_says_wrong_is_refused_by_its_field() {
 }
 
 #[test]
-fn transports_whose_fields_have_one_name_take_the_same_there() {
+fn fields_of_one_name_take_the_same_values_in_all_transports() {
     let mut all = Registry::builtin();
     for entry in transport::REGISTRY {
-        // A copy under another name is let in only if its fields agree with all others.
+        // A copy under another name is accepted only if its fields agree with all others.
         let name = Box::leak(format!("{}-copy", entry.name).into_boxed_str());
         all = all.with_transport(transport::Entry { name, ..*entry });
     }
     assert_eq!(all.transports().len(), 2 * transport::REGISTRY.len());
 }
 
-/// A transport whose work is done on a thread of its own, as an asynchronous library's is: hosts of this process meet
-/// at hubs that have names.
+/// Transport that works on its own thread, as an asynchronous library does: hosts of this process exchange frames
+/// through named hubs.
 const HUB: transport::Entry = transport::Entry {
     name: "hub",
     about: "a thread for each host of this process",
     fields: &[Field::new("hub", Takes::Text)],
-    read: |given: &Given| {
-        let name = given.need("hub", || "; name the hub".to_owned())?.text().to_owned();
+    read: |settings: &LinkSettings| {
+        let name = settings.need("hub", || "; name the hub".to_owned())?.text().to_owned();
         Ok(Arc::new(Hub { name }))
     },
 };
 
 /// Everyone who is at a hub.
-static MEMBERS: Mutex<Vec<(Hub, HostId, Mouth)>> = Mutex::new(Vec::new());
+static MEMBERS: Mutex<Vec<(Hub, HostId, PacketSender)>> = Mutex::new(Vec::new());
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Hub {
     name: String,
 }
 
-impl Way for Hub {
+impl Endpoint for Hub {
     fn open(&self, host: HostId, _: Filter) -> Result<Box<dyn Transport>, OpenError> {
         let (gate, port) = edge::channel().map_err(|error| OpenError::NotNow(error.to_string()))?;
         let mut members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
-        members.retain(|(_, _, mouth)| !mouth.is_closed());
-        members.push((self.clone(), host, port.mouth()));
+        members.retain(|(_, _, sender)| !sender.is_closed());
+        members.push((self.clone(), host, port.sender()));
         let hub = self.clone();
         thread::spawn(move || hub.work(host, port));
         Ok(Box::new(Line { gate, counts: Counts::default() }))
     }
 
-    fn for_guest(&self, _: HostId) -> Arc<dyn Way> {
+    fn for_guest(&self, _: HostId) -> Arc<dyn Endpoint> {
         Arc::new(self.clone())
     }
 
@@ -233,7 +233,7 @@ impl Way for Hub {
         Setup::unicast(reliability)
     }
 
-    fn stays_here(&self) -> bool {
+    fn is_local(&self) -> bool {
         true
     }
 
@@ -241,20 +241,20 @@ impl Way for Hub {
         Claim { field: "hub", what: self.name.clone(), on: String::new() }
     }
 
-    fn among(&self, _: &[HostId]) -> Arc<dyn Way> {
+    fn restricted_to(&self, _: &[HostId]) -> Arc<dyn Endpoint> {
         Arc::new(self.clone())
     }
 }
 
 impl Hub {
-    /// Passes on what `host` says, each packet with whom it is for in front.
+    /// Passes on the packets of `host`, each with its audience in front.
     fn work(&self, host: HostId, mut port: Port) {
         while let Some(packet) = port.wait() {
             let to = u16::from_le_bytes([packet[0], packet[1]]);
             let members = MEMBERS.lock().unwrap_or_else(PoisonError::into_inner);
             let others = members.iter().filter(|(hub, other, _)| hub == self && *other != host);
-            for (_, _, mouth) in others.filter(|(_, other, _)| to == u16::MAX || other.0 == to) {
-                mouth.say(packet[2..].into());
+            for (_, _, sender) in others.filter(|(_, other, _)| to == u16::MAX || other.0 == to) {
+                sender.send(packet[2..].into());
             }
         }
     }
@@ -266,8 +266,8 @@ struct Line {
 }
 
 impl Transport for Line {
-    fn bell(&self) -> Rc<dyn AsFd> {
-        Rc::new(self.gate.bell())
+    fn descriptor(&self) -> Rc<dyn AsFd> {
+        Rc::new(self.gate.event_fd())
     }
 
     fn receive(&mut self, _: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
@@ -278,7 +278,7 @@ impl Transport for Line {
     fn handle(&mut self, _: Time, input: In) {
         if let In::Transmit(Transmit { audience, frame, .. }) = input {
             let to = if let Audience::Host(host) = audience { host.0 } else { u16::MAX };
-            self.gate.tell([&to.to_le_bytes()[..], &frame].concat().into());
+            self.gate.send([&to.to_le_bytes()[..], &frame].concat().into());
         }
     }
 

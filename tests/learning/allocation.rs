@@ -1,4 +1,4 @@
-//! One policy step allocates nothing, once it has seen its most neighbours.
+//! A policy step allocates no memory once it has had its largest number of neighbours.
 
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::policy::{self, Neighbour};
@@ -25,6 +25,6 @@ fn a_step_of_a_network_allocates_nothing() {
         let counted = allocation_counter::measure(|| (0..100).for_each(|k| step(k % 5)));
         assert_eq!(counted.count_total, 0, "{}: {counted:?}", model.name());
     }
-    // The counter counts: otherwise zero would mean nothing.
+    // Checks that the counter works.
     assert_eq!(allocation_counter::measure(|| drop(std::hint::black_box(vec![0u8; 64]))).count_total, 1);
 }

@@ -1,5 +1,5 @@
-//! Every derivative of the trainer against central differences in f64: both architectures, the policy's loss and
-//! the critic's, through late sources, robots that hear nobody, and every layer.
+//! Every derivative of the trainer against central differences in f64: both architectures, the losses of policy and
+//! critic, through late sources, robots without neighbours, and every layer.
 
 use murmurate::policy::manifest::Architecture;
 use murmurate::random::{Seed, Stream};
@@ -8,7 +8,7 @@ use murmurate::train::loss::{self, Sample, Terms};
 use murmurate::train::network::{Network, Shape, Space};
 use rand::RngExt;
 
-/// Graphs of three robots: one with late sources, one where robot 1 hears nobody, one where nobody hears anyone.
+/// Returns graphs of three robots: with late sources, with a robot 1 without neighbours, and without any edge.
 fn graphs(inputs: usize, edge: usize, stream: &mut Stream) -> Graphs {
     let mut graphs = Graphs::new(3, inputs, edge);
     let heard: [&[(usize, u16)]; 3] =
@@ -41,7 +41,7 @@ fn shapes() -> Vec<Shape> {
     ]
 }
 
-/// The sum of both losses over all robots, and its derivatives by the outputs.
+/// Returns the sum of both losses over all robots, and its derivatives by the outputs.
 fn lost(outputs: &[f64], samples: &[Sample<f64>]) -> (f64, Vec<f64>) {
     let terms = Terms { clip: 0.2, entropy: 0.03, log_std_max: 0.4 };
     let (mut sum, mut d_outputs) = (0.0, Vec::new());
@@ -65,7 +65,7 @@ fn every_derivative_matches_central_differences() {
         let mut batch = Batch::default();
         batch.gather((0..3).map(|graph| (&graphs, graph)));
         let mut parameters: Vec<f64> = (0..network.parameters()).map(|_| stream.random_range(-0.6..0.6)).collect();
-        // Units that are mostly awake: a sleeping one passes nothing on.
+        // Positive biases keep most units active: an inactive one has no gradient.
         for (_, _, bias, end) in network.layers().concat() {
             parameters[bias..end].iter_mut().for_each(|bias| *bias = bias.abs());
         }
@@ -110,10 +110,10 @@ fn every_derivative_matches_central_differences() {
 #[test]
 fn the_policy_loss_is_flat_where_it_is_clipped_and_where_the_deviation_is_capped() {
     let terms = Terms { clip: 0.2, entropy: 0.0, log_std_max: -1.0 };
-    // Twice as likely as before and good: no more of it.
+    // Much more likely than before, with a positive advantage: clipped.
     let far = Sample { action: [0.0, 0.0], log_density: -5.0f64, advantage: 1.0 };
     assert_eq!(loss::policy(&[0.0, 0.0, -2.0, -2.0], &far, &terms).d_outputs, [0.0; 4]);
-    // Bad: away from it.
+    // With a negative advantage: not clipped.
     let bad = Sample { advantage: -1.0, ..far };
     assert!(loss::policy(&[0.1, 0.0, -2.0, -2.0], &bad, &terms).d_outputs[0] != 0.0);
     let capped = loss::policy(&[0.1, 0.2, 0.0, 0.0], &Sample { log_density: -0.5, ..bad }, &terms);

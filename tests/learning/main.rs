@@ -1,4 +1,4 @@
-//! Policies as numbers: gradients, whole trainings, files from Python, and what a step allocates.
+//! Numerics of policies: gradients, whole trainings, files from Python, and allocations of a step.
 
 mod allocation;
 mod gradients;

@@ -1,6 +1,6 @@
 //! Policy files written by Python, as `docs/bring-your-policy.md` shows, load and answer as they did there.
 //!
-//! `tests/data/export.py` has made the files and the answers.
+//! `tests/data/export.py` generated the files and the expected outputs.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,13 +13,13 @@ use murmurate::policy::{Draw, Neighbour, Policy};
 use murmurate::scenario::Observation;
 use murmurate::time::Span;
 
-/// A team in which everyone hears everyone, and what each says and does; one entry for each robot.
+/// Case of a fully connected team: inputs, messages and actions, one entry per robot.
 #[derive(serde::Deserialize)]
 struct Case {
     position: Vec<[f32; 2]>,
     velocity: Vec<[f32; 2]>,
     goal: Vec<[f32; 2]>,
-    /// By robot, then by the neighbour that it heard \[ms\].
+    /// Ages by robot, then by neighbour \[ms\].
     age_ms: Vec<Vec<u64>>,
     latent: Vec<Vec<f32>>,
     output: Vec<[f32; 4]>,
@@ -34,7 +34,7 @@ fn text(name: &str) -> String {
     String::from_utf8(read(name)).expect("it is text")
 }
 
-/// Runs all cases of an architecture; how far the latents and the outputs are off at most.
+/// Runs all cases of an architecture; returns the largest errors of latents and outputs.
 fn compare(architecture: &str) -> (Arc<Network>, f32, f32) {
     let file = weights::read(&read(&format!("tests/data/python_{architecture}.safetensors")))
         .unwrap_or_else(|e| panic!("{architecture}: {e}"));
@@ -82,7 +82,7 @@ fn files_from_python_answer_as_they_did_there() {
 }
 
 #[test]
-fn a_manifest_from_python_says_what_it_said_there() {
+fn a_manifest_from_python_is_read_unchanged() {
     let (network, ..) = compare("full");
     let manifest = network.manifest();
     assert_eq!(manifest.architecture, Architecture::Full);
@@ -93,7 +93,7 @@ fn a_manifest_from_python_says_what_it_said_there() {
 #[test]
 fn a_file_from_python_whose_weights_were_changed_is_refused() {
     let mut file = read("tests/data/python_full.safetensors");
-    // The sign of the last number.
+    // Flips the sign of the last number.
     *file.last_mut().expect("it is not empty") ^= 0x80;
     assert!(matches!(weights::read(&file), Err(WeightsError::Hash { .. })));
 }

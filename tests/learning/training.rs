@@ -26,7 +26,7 @@ use murmurate::trial::Trial;
 use murmurate::world::{Clamp, ContactRule, Physics, kinematic};
 use rand::RngExt;
 
-/// A preset, made small: 70 environments are a whole chunk and a part of one.
+/// Returns a small preset: 70 environments are one whole chunk and a part of one.
 fn small(preset: &str) -> Config {
     let mut config = Config::preset(preset).expect("it is a preset");
     (config.ppo.environments, config.ppo.decisions, config.ppo.minibatch) = (70, 6, 128);
@@ -40,7 +40,7 @@ fn plan(config: Config, seed: u64) -> Plan {
     Plan { scenario: "passage".to_owned(), preset: "small".to_owned(), config, seed }
 }
 
-/// Some iterations that go through every stage; the checkpoint after `stop` of them, and the policy at the end.
+/// Runs a few iterations through every stage; returns the checkpoint after `stop` of them, and the final policy.
 fn train(mut trainer: Trainer, iterations: std::ops::Range<u32>, stop: u32, threads: usize) -> (Vec<u8>, Vec<u8>) {
     let mut checkpoint = Vec::new();
     for iteration in iterations {
@@ -94,6 +94,7 @@ fn dynamics_and_reward_are_those_of_the_world() {
                         "{name}, step {step}"
                     );
                     let reward = scenario.reward(&tasks[robot], &state.motion, state.contacts, &mut stages[robot]);
+                    let reward = reward.expect("both scenarios have a reward");
                     assert_eq!(
                         (environments.reward[at], environments.stage[at]),
                         (reward, stages[robot]),
@@ -141,7 +142,7 @@ fn a_damaged_checkpoint_is_refused() {
 }
 
 #[test]
-fn a_training_that_comes_apart_says_where_and_why() {
+fn a_diverged_training_reports_where_and_why() {
     let mut config = small("robust");
     config.ppo.learning_rate = [1.0, 1.0];
     (config.ppo.kl_stop, config.ppo.epochs, config.reward.scale) = (f32::INFINITY, 20, 1e4);
@@ -153,7 +154,7 @@ fn a_training_that_comes_apart_says_where_and_why() {
 }
 
 #[test]
-fn a_trained_policy_s_file_says_how_it_came_to_be() {
+fn a_trained_policy_s_file_records_its_training() {
     for (preset, _) in PRESETS {
         let mut trainer = Trainer::new(plan(Config::preset(preset).expect("it is a preset"), 3), &Registry::builtin())
             .expect("it is sound");
@@ -168,7 +169,7 @@ fn a_trained_policy_s_file_says_how_it_came_to_be() {
     }
 }
 
-/// The parameters of a policy file in the order of the trainer.
+/// Returns the parameters of a policy file in the order of the trainer.
 fn parameters(bytes: &[u8], manifest: &Manifest) -> Vec<f32> {
     let tensors = safetensors::SafeTensors::deserialize(bytes).expect("it is a safetensors file");
     let mut parameters = Vec::new();
@@ -184,7 +185,7 @@ fn parameters(bytes: &[u8], manifest: &Manifest) -> Vec<f32> {
     parameters
 }
 
-/// What the trainer and `sim` find for the shipped policy on the same layouts: verdicts and makespans \[s\].
+/// Evaluates the shipped policy on the same layouts by the trainer and by `sim`: verdicts and makespans \[s\].
 fn both(
     mode: &str,
     robots: usize,
@@ -238,12 +239,12 @@ fn both(
     [ours.collect(), theirs]
 }
 
-/// Share of successes.
+/// Returns the share of successes.
 fn rate(all: &[(Verdict, f64)]) -> f64 {
     all.iter().filter(|one| one.0 == Verdict::Success).count() as f64 / all.len() as f64
 }
 
-/// Median makespan of the successes \[s\].
+/// Returns the median makespan of the successes \[s\].
 fn median(all: &[(Verdict, f64)]) -> f64 {
     let makespans: Vec<f64> = all.iter().filter(|one| one.0 == Verdict::Success).map(|one| one.1).collect();
     quantile(&makespans, 0.5).unwrap_or(0.0)
@@ -251,7 +252,7 @@ fn median(all: &[(Verdict, f64)]) -> f64 {
 
 #[test]
 fn the_quick_evaluation_is_that_of_sim_in_lock_step() {
-    // The sums run in another order: two robots rarely make much of a last digit, five at a gap often do.
+    // Sums have another order. With two robots rounding rarely changes an episode; with five at a gap it often does.
     for (robots, episodes, alike) in [(2, 100, 0.85), (5, 150, 0.5)] {
         let [ours, theirs] = both("sim", robots, episodes, |trial| trial, |_| Episode::perfect(robots));
         let same = ours.iter().zip(&theirs).filter(|(a, b)| a.0 == b.0 && (a.1 - b.1).abs() < 0.0501).count();
@@ -290,7 +291,7 @@ fn the_quick_evaluation_is_that_of_sim_when_messages_are_late_and_lost() {
     };
     let [ours, theirs] = both("onboard-adhoc", 5, EPISODES, lagging, conditions);
     println!("trainer {} {} s, sim {} {} s", rate(&ours), median(&ours), rate(&theirs), median(&theirs));
-    // Three standard deviations of a difference of two shares of 240, near 90 %, and a little.
+    // A little more than three standard deviations of the difference of two shares near 90 % of 240.
     assert!((rate(&ours) - rate(&theirs)).abs() < 0.085, "{} here, {} in sim", rate(&ours), rate(&theirs));
     assert!((median(&ours) - median(&theirs)).abs() < 0.3, "{} s here, {} s in sim", median(&ours), median(&theirs));
 }

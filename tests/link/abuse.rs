@@ -20,7 +20,7 @@ use murmurate::net::protocol::router::{Audience, Publishers, Route, Router};
 use murmurate::time::{Span, Time};
 use proptest::prelude::*;
 
-/// Two hosts that believe each other, and one more datagram that host 1 sends and host 0 has not heard.
+/// Two hosts that accept each other, and one more datagram that host 1 sends and host 0 has not heard.
 fn two() -> (Rig, Vec<u8>) {
     let mut rig = Rig::team(2, Reliabilities::new());
     rig.meet();
@@ -53,7 +53,7 @@ fn counted_for(rig: &mut Rig, frames: &[Vec<u8>]) -> LinkCounts {
         replay: less(|c| c.replay),
         late: less(|c| c.late),
         unproven: less(|c| c.unproven),
-        twin: less(|c| c.twin),
+        duplicate_id: less(|c| c.duplicate_id),
         team: less(|c| c.team),
         version: less(|c| c.version),
         range: less(|c| c.range),
@@ -73,8 +73,8 @@ fn sealed(key: &Key, header: Header, message: &Wire) -> Vec<u8> {
     bytes
 }
 
-fn header(sender: u16, epoch: u32, sequence: u32) -> Header {
-    Header { flags: Flags::default(), team: TEAM, sender: HostId(sender), epoch, sequence }
+fn header(sender: u16, incarnation: u32, sequence: u32) -> Header {
+    Header { flags: Flags::default(), team: TEAM, sender: HostId(sender), incarnation, sequence }
 }
 
 /// A datagram whose report shows host 0 that its sender is alive now.
@@ -82,7 +82,7 @@ fn lively(rig: &Rig, header: Header, message: &Wire) -> Vec<u8> {
     let mut bytes = codec::encode(&header, message).expect("a sound message").to_vec();
     let mut said = rig.sent.iter().rev().filter(|flight| flight.from == 0);
     let echo = said.find_map(|flight| report(&flight.frame, TAG_BYTES)).expect("host 0 reports").stamp;
-    let entry = Entry { host: HostId(0), echo, held: Span::ZERO, lost: 0, asks: false, direct: None };
+    let entry = Entry { host: HostId(0), echo, held: Span::ZERO, lost: 0, challenge: false, direct: None };
     let report = Report { stamp: Stamp::new(rig.now.as_nanos() / 1000 + 1), heard: vec![entry] };
     codec::add(&mut bytes, Content::Report, |bytes| report.write(bytes));
     key().seal(&mut bytes, LINK, None);
@@ -149,7 +149,7 @@ fn each_refusal_has_its_cause() {
     is(version, LinkCounts { version: 1, ..none }, "another version");
     is(garbled, LinkCounts { malformed: 1, ..none }, "cut before it was tagged");
     is(of(|header| header.sender = HostId(0)), LinkCounts { own: 1, ..none }, "our own");
-    is(of(|header| header.epoch = 0), LinkCounts { unproven: 1, ..none }, "an incarnation that proves nothing");
+    is(of(|header| header.incarnation = 0), LinkCounts { unproven: 1, ..none }, "an incarnation that proves nothing");
     is(of(|header| header.sender = HostId(5)), LinkCounts { unproven: 1, ..none }, "a host that proves nothing");
     is(number, LinkCounts { range: 1, ..none }, "a number that is none");
     is(frame, LinkCounts { late: 1, ..none }, "what was held back for longer than a report");
@@ -186,12 +186,12 @@ fn recordings_are_worth_nothing_after_any_restart() {
     assert!(rig.delivered[0].len() == 20, "nothing more");
     assert_eq!(rig.counted(0).unproven, recorded.len() as u64);
 
-    // The sender starts again, and is believed; what it said before it died is not.
+    // The sender starts again, and is accepted; what it said before it died is not.
     rig.restart(1, config(1, 2, 2, Some(key()), setup()));
     rig.meet();
     rig.publish(1, latent(1, 77));
     rig.run_ms(10);
-    assert_eq!(rig.delivered[0].len(), 1, "it is believed within three messages");
+    assert_eq!(rig.delivered[0].len(), 1, "it is accepted within three messages");
     rig.counted(0);
     let counts = counted_for(&mut rig, &recorded);
     assert_eq!(counts.unproven + counts.replay, recorded.len() as u64);
@@ -226,7 +226,7 @@ fn numbers_wrap_and_what_was_before_the_wrap_stays_old() {
 fn two_live_hosts_of_one_id_are_noticed_by_all() {
     // The fourth host has the id of the second.
     let hosts = [(0, 1), (1, 1), (2, 1), (1, 2)];
-    let config = |(host, epoch)| config(host, 3, epoch, Some(key()), multicast(Reliabilities::new()));
+    let config = |(host, incarnation)| config(host, 3, incarnation, Some(key()), multicast(Reliabilities::new()));
     let mut rig = Rig::new(hosts.map(config));
     for step in 0..60 {
         for (host, robot) in [(0, 0), (1, 1), (2, 2), (3, 1)] {
@@ -236,9 +236,9 @@ fn two_live_hosts_of_one_id_are_noticed_by_all() {
         rig.run_to(next);
     }
     for host in 0..3 {
-        assert!(rig.counted(host).twin > 5, "host {host}: {:?}", rig.counts[host]);
+        assert!(rig.counted(host).duplicate_id > 5, "host {host}: {:?}", rig.counts[host]);
     }
-    assert!(rig.peers[0].iter().any(|peer| peer.host == 1 && peer.twins > 5));
+    assert!(rig.peers[0].iter().any(|peer| peer.host == 1 && peer.duplicate_ids > 5));
     assert!(rig.delivered[0].len() > 100, "one of the two and the third host are heard");
 }
 
@@ -309,10 +309,10 @@ fn made_up_senders_take_no_room_from_hosts_of_the_team_and_operators() {
     }
     let operators = (0..HostId::OPERATORS).map(|number| delivered(HostId::operator(number).0, 1, engage(number)));
     assert_eq!(operators.sum::<usize>(), usize::from(HostId::OPERATORS), "each operator is heard");
-    assert_eq!(delivered(1, 2, latent(1, 2)), 1, "a host that was believed before is");
+    assert_eq!(delivered(1, 2, latent(1, 2)), 1, "a host that was accepted before is");
     assert_eq!(delivered(3, 1, latent(3, 1)), 1, "and one that comes later");
     let counts = counts_of(&mut network);
-    assert_eq!((counts.crowd, counts.replay + counts.twin), (0, 0));
+    assert_eq!((counts.crowd, counts.replay + counts.duplicate_id), (0, 0));
 }
 
 #[test]
@@ -336,7 +336,7 @@ fn an_operator_and_a_host_prove_themselves_beside_thousands_that_a_member_makes_
         let frame = lively(&rig, header(HostId::operator(number).0, 2, 1), &engage(number));
         rig.arrive(0, &frame);
     }
-    assert_eq!(rig.delivered[0].len(), 3000, "each is believed");
+    assert_eq!(rig.delivered[0].len(), 3000, "each is accepted");
     rig.delivered[0].clear();
     // A real one of each kind, from its first datagram on.
     rig.restart(1, config(3, 4, 7, Some(key()), multicast(Reliabilities::new())));
@@ -354,13 +354,13 @@ fn an_operator_and_a_host_prove_themselves_beside_thousands_that_a_member_makes_
 }
 
 /// An operator with this number.
-fn operator(number: u16, epoch: u32) -> Config {
+fn operator(number: u16, incarnation: u32) -> Config {
     let router = Router::new(4, |kind, _| match kind {
         Kind::Stop => STOP,
         _ => Route::default(),
     });
-    let me = Identity { host: HostId::operator(number), team: TEAM, epoch };
-    let setup = Setup { report_rides: Span::ZERO, ..multicast(Reliabilities::new()) };
+    let me = Identity { host: HostId::operator(number), team: TEAM, incarnation };
+    let setup = Setup { report_piggyback_age: Span::ZERO, ..multicast(Reliabilities::new()) };
     Config { me, key: Some(key()), links: vec![Some(setup)], router }
 }
 
@@ -371,7 +371,7 @@ fn with_operator(setup: &Setup) -> (Rig, Vec<Vec<u8>>) {
     let mut rig = Rig::new([host(0), host(1), config(9, 2, 1, None, setup.clone())]);
     rig.run_ms(1000);
     let mut config = operator(5, 7);
-    config.links = vec![Some(Setup { report_rides: Span::ZERO, ..setup.clone() })];
+    config.links = vec![Some(Setup { report_piggyback_age: Span::ZERO, ..setup.clone() })];
     rig.restart(2, config);
     for _ in 0..10 {
         rig.publish(2, engage(5));
@@ -386,7 +386,7 @@ fn a_recording_of_an_operator_from_elsewhere_does_not_take_its_answers() {
     let setup = Setup::unicast(Reliabilities::new());
     let (mut rig, said) = with_operator(&setup);
     let [here, elsewhere] = [1, 2].map(|port| Some(SocketAddr::from(([127, 0, 0, 1], port))));
-    // What it says itself comes from its own address.
+    // Its own datagrams come from its own address.
     let delay = std::mem::replace(&mut rig.delay, Span::from_secs(1e6));
     rig.publish(2, engage(5));
     let fresh = rig.sent.last().expect("it has said a stop").frame.clone();
@@ -394,11 +394,11 @@ fn a_recording_of_an_operator_from_elsewhere_does_not_take_its_answers() {
     let guest =
         |at: Option<SocketAddr>, standing| Guest { host: HostId::operator(5), at: at.expect("an address"), standing };
     rig.arrive_from(0, &fresh, here);
-    assert_eq!(rig.admitted[0], [guest(here, Standing::Proven)]);
+    assert_eq!(rig.admitted[0], [guest(here, Standing::Accepted)]);
     for frame in said.iter().chain([&fresh.to_vec()]) {
         rig.arrive_from(0, frame, elsewhere);
     }
-    assert_eq!(rig.admitted[0].len(), 1, "a recording of one that is believed admits nobody");
+    assert_eq!(rig.admitted[0].len(), 1, "a recording of one that is accepted admits nobody");
 
     // Once the operator is forgotten, its recordings are those of one that has to prove itself, and soon of none.
     rig.restart(2, config(9, 2, 1, None, setup));
@@ -408,7 +408,7 @@ fn a_recording_of_an_operator_from_elsewhere_does_not_take_its_answers() {
         rig.run_ms(100);
     }
     let admitted = &rig.admitted[0][1..];
-    assert!(!admitted.is_empty() && admitted.iter().all(|guest| guest.standing == Standing::Unproven));
+    assert!(!admitted.is_empty() && admitted.iter().all(|guest| guest.standing == Standing::Candidate));
     assert!(admitted.len() <= 20 * said.len(), "{} times, in 2 s and never again", admitted.len());
     let before = rig.admitted[0].len();
     said.iter().for_each(|frame| rig.arrive_from(0, frame, elsewhere));

@@ -9,7 +9,7 @@ use murmurate::actor::Core;
 use murmurate::actors::network::In;
 use murmurate::net::protocol::codec::{self, Content, HEADER_BYTES};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
-use murmurate::net::protocol::report::{Report, read_held, read_names};
+use murmurate::net::protocol::report::{Report, read_held, read_ids};
 use murmurate::random::{Seed, Stream};
 use murmurate::time::Time;
 use rand::RngExt;
@@ -76,7 +76,7 @@ fn no_mutation_of_the_corpus_gets_past_a_decoder_unsound() {
                     })
                 }
                 Ok((Content::Held, body)) => read_held(body).map(drop),
-                Ok((content, body)) => read_names(content, body).map(drop),
+                Ok((content, body)) => read_ids(content, body).map(drop),
                 Err(error) => Err(error),
             };
             *(if sound.is_ok() { &mut decoded } else { &mut refused }) += 1;

@@ -72,7 +72,7 @@ fn a_host_that_is_restarted_is_heard_again_within_a_second_whatever_its_number()
         for frame in former.map(|flight| flight.frame.clone()).collect::<Vec<_>>() {
             rig.arrive(0, &frame);
         }
-        assert!(rig.delivered[0].is_empty(), "restart {restart}: a recording is believed");
+        assert!(rig.delivered[0].is_empty(), "restart {restart}: a recording is accepted");
     }
     println!("heard again by all at most {worst} after the start");
 }
@@ -91,7 +91,7 @@ fn recording(epochs: u32, ms: u64) -> Vec<Flight> {
 #[test]
 fn recordings_of_former_runs_are_not_believed_and_do_not_hold_up_a_start() {
     for runs in [1, 40] {
-        let former: Vec<Flight> = (0..runs).flat_map(|epoch| recording(epoch, 3000)).collect();
+        let former: Vec<Flight> = (0..runs).flat_map(|incarnation| recording(incarnation, 3000)).collect();
         let mut rig = Rig::new((0..5).map(|host| config(host, 5, 1000, Some(key()), setup())));
         let mut next = former.iter().cycle();
         let whole = |rig: &Rig| {
@@ -113,7 +113,7 @@ fn recordings_of_former_runs_are_not_believed_and_do_not_hold_up_a_start() {
         }
         println!("beside 4000 recordings a second of {runs} former runs: whole after {}", rig.now);
         for host in 0..5 {
-            assert_eq!((0..5).map(|robot| got(&rig, host, robot, 66)).sum::<usize>(), 0, "nothing old is believed");
+            assert_eq!((0..5).map(|robot| got(&rig, host, robot, 66)).sum::<usize>(), 0, "nothing old is accepted");
         }
     }
 }
@@ -134,7 +134,7 @@ fn a_recording_with_the_incarnation_of_a_host_that_is_not_there_is_no_proof_of_l
 }
 
 /// Two hosts; what host 1 says without a report is held back until it falls silent, but for its soft state. Then some
-/// time passes and all of it is released: how many messages are believed.
+/// time passes and all of it is released: how many messages are accepted.
 fn released(setup: &Setup, everything: bool, after_ms: u64) -> usize {
     let mut rig = Rig::new((0..2).map(|host| config(host, 2, 1, Some(key()), setup.clone())));
     talk(&mut rig, &[0, 1], Some(1), 2000);
@@ -159,7 +159,7 @@ fn released(setup: &Setup, everything: bool, after_ms: u64) -> usize {
 fn what_was_held_back_while_reports_passed_is_refused_whenever_it_is_released() {
     for after_ms in [1000, 8000, 45_000, 300_000] {
         for setup in [setup(), Setup::unicast(Reliabilities::new())] {
-            assert_eq!(released(&setup, false, after_ms), 0, "{:?}, {after_ms} ms", setup.ride);
+            assert_eq!(released(&setup, false, after_ms), 0, "{:?}, {after_ms} ms", setup.piggyback);
         }
     }
     // Where nothing passes that could order it, its sender is not heard either.
@@ -204,7 +204,7 @@ fn jitter_and_retransmissions_make_nothing_late() {
             for turn in 0..100 {
                 (0..5).for_each(|host| rig.publish(host, latent(host as u16, 3)));
                 let mut operator = operator(turn, u32::from(turn));
-                operator.links = vec![Some(Setup { report_rides: Span::ZERO, ..setup.clone() })];
+                operator.links = vec![Some(Setup { report_piggyback_age: Span::ZERO, ..setup.clone() })];
                 rig.restart(5, operator);
                 // The report comes as soon as it can, the last retry as late as it can.
                 for (jitter_ms, ms) in [(0, 40), (100, 360)] {
@@ -224,13 +224,13 @@ fn of_two_live_hosts_with_one_id_the_later_one_learns_that_it_is_one_too_many() 
     // One starts 5 s after the other, or both at once.
     for (apart_ms, numbers) in [(5000, [1, 2]), (5000, [2, 1]), (0, [1, 2]), (0, [2, 1])] {
         let silent = config(9, 3, 1, None, setup());
-        let own = |epoch| config(1, 3, epoch, Some(key()), setup());
+        let own = |incarnation| config(1, 3, incarnation, Some(key()), setup());
         let first = |host| config(host, 3, 1, Some(key()), setup());
         let mut rig = Rig::new([first(0), own(numbers[0]), first(2), silent]);
         talk(&mut rig, &[0, 1, 2], Some(1), apart_ms);
         rig.restart(3, own(numbers[1]));
         talk(&mut rig, &[0, 1, 2, 3], Some(1), 1000);
-        let told = [1, 3].map(|host| rig.duplicates[host].map(|duplicate| (duplicate.host, duplicate.epoch)));
+        let told = [1, 3].map(|host| rig.duplicates[host].map(|duplicate| (duplicate.host, duplicate.incarnation)));
         let later = usize::from(apart_ms > 0 || numbers[1] < numbers[0]);
         let mut expected = [None; 2];
         expected[later] = Some((HostId(1), numbers[1 - later]));
@@ -248,17 +248,17 @@ fn a_recording_of_its_former_self_ends_no_host() {
         talk(&mut rig, &[0, 1, 2], Some(1), 20);
     }
     assert_eq!(rig.duplicates, [None; 5]);
-    assert_eq!(rig.counted(1).twin, 0);
+    assert_eq!(rig.counted(1).duplicate_id, 0);
 }
 
 /// An operator: it says `Stop`, and hears nothing but reports.
-fn operator(number: u16, epoch: u32) -> Config {
+fn operator(number: u16, incarnation: u32) -> Config {
     let router = Router::new(5, |kind, _| match kind {
         Kind::Stop => Route { local: true, leaves: Some((LINK, Audience::All)) },
         _ => Route::default(),
     });
-    let eager = Setup { report_rides: Span::ZERO, ..setup() };
-    let me = Identity { host: HostId::operator(number), team: TEAM, epoch };
+    let eager = Setup { report_piggyback_age: Span::ZERO, ..setup() };
+    let me = Identity { host: HostId::operator(number), team: TEAM, incarnation };
     Config { me, key: Some(key()), links: vec![Some(eager)], router }
 }
 
@@ -282,7 +282,7 @@ fn operators_at_the_same_instant_and_of_the_same_number_are_all_heard_at_once() 
         rig.restart(15, operator(10, 77));
         talk(&mut rig, &[0, 1, 2, 3, 4], Some(1), 60_000);
         rig.loss = loss;
-        let twins: Vec<u64> = (0..5).map(|host| rig.counted(host).twin).collect();
+        let duplicates: Vec<u64> = (0..5).map(|host| rig.counted(host).duplicate_id).collect();
         for (at, number) in numbers[..10].iter().enumerate() {
             rig.restart(5 + at, operator(*number, at as u32 * 1000));
         }
@@ -302,8 +302,12 @@ fn operators_at_the_same_instant_and_of_the_same_number_are_all_heard_at_once() 
         println!("loss {loss}: ten operators at once are heard by 1 to 4 hosts after {after:?}");
         rig.loss = 0.0;
         rig.run_ms(2000);
-        assert_eq!((0..5).map(|host| rig.counted(host).twin).collect::<Vec<_>>(), twins, "none is refused for another");
-        let ninth = rig.peers[0].iter().filter(|peer| peer.host == HostId::operator(9).0 && peer.proven).count();
+        assert_eq!(
+            (0..5).map(|host| rig.counted(host).duplicate_id).collect::<Vec<_>>(),
+            duplicates,
+            "none is refused for another"
+        );
+        let ninth = rig.peers[0].iter().filter(|peer| peer.host == HostId::operator(9).0 && peer.accepted).count();
         assert_eq!(ninth, 2, "side by side");
     }
 }

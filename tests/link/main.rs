@@ -1,4 +1,4 @@
-//! The wire and the link layer: what is decoded, who is believed, what is repaired, and what soft state costs.
+//! The wire and the link layer: decoding, authentication, repairs, and the cost of soft state.
 
 mod abuse;
 mod fuzz_decoders;

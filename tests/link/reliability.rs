@@ -173,7 +173,7 @@ fn hosts_know_loss_and_the_way_to_each_other() {
     for peer in &rig.peers[0] {
         let (round_trip, uncertainty) = (peer.round_trip_s.unwrap(), peer.uncertainty_s.unwrap());
         assert!((round_trip - 600e-6).abs() < 10e-6 && uncertainty < 1e-3, "{peer:?}");
-        assert!(peer.proven && peer.missing > 0, "{peer:?}");
+        assert!(peer.accepted && peer.missing > 0, "{peer:?}");
         assert_ne!(HostId(peer.host), HostId(0));
     }
 }

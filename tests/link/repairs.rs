@@ -8,11 +8,11 @@ use murmurate::actors::network::{Config, Identity};
 use murmurate::messages::geometry::Motion;
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::wire::{Kind, MotorCommand, Reading, Wire};
-use murmurate::net::protocol::again::{RETRIES, RETRY_AFTER};
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, Flags, MAX_FRAME_BYTES};
 use murmurate::net::protocol::reliability::{Reliabilities, Reliability, Setup};
-use murmurate::net::protocol::report::read_names;
+use murmurate::net::protocol::report::read_ids;
+use murmurate::net::protocol::retransmit::{RETRIES, RETRY_AFTER};
 use murmurate::net::protocol::router::{Audience, Route, Router};
 use murmurate::random::Seed;
 use murmurate::time::{Span, Time};
@@ -35,7 +35,7 @@ fn config(host: u16, hosts: usize, reliability: Reliability, to: To) -> Config {
     });
     let kinds = [Kind::Reading, Kind::MotorCommand, Kind::Latent].map(|kind| (kind, reliability));
     let setup = if to == To::One { Setup::unicast } else { Setup::multicast };
-    let me = Identity { host: HostId(host), team: TEAM, epoch: 1 };
+    let me = Identity { host: HostId(host), team: TEAM, incarnation: 1 };
     Config { me, key: Some(key()), links: vec![Some(setup(Reliabilities::from(kinds)))], router }
 }
 
@@ -54,7 +54,7 @@ fn command(robot: u16) -> Wire {
     Wire::MotorCommand(MotorCommand { robot: RobotId(robot), velocity, valid_for: Span::from_millis(200) })
 }
 
-/// A team in which host 0 and each other believe each other.
+/// A team in which host 0 and each other accept each other.
 fn team(receivers: u16, reliability: Reliability, to: To) -> Rig {
     let hosts = receivers + 1;
     let mut rig = Rig::new((0..hosts).map(|host| config(host, hosts.into(), reliability, to)));
@@ -76,7 +76,7 @@ fn checked_copies(rig: &Rig, reliability: Reliability) -> u64 {
             if !matches!(content, Content::Ack | Content::Nack) {
                 continue;
             }
-            let names = read_names(content, body).expect("sound names").into_iter();
+            let names = read_ids(content, body).expect("sound names").into_iter();
             let mine = names.filter(|name| usize::from(name.host.0) == *to);
             told.extend(mine.map(|name| (*at, header.sender.0, content, name.direct, name.sequence)));
         }
@@ -160,7 +160,7 @@ fn repaired(receivers: u16, reliability: Reliability, to: To) -> (f64, f64) {
         // Missing datagrams are known by a report, which leaves every 250 ms.
         rig.run_ms(if reliability == Reliability::Nack { 400 } else { 120 });
         if to == To::One {
-            // What a receiver misses it learns from the next datagram that is for it.
+            // A receiver learns what it misses from the next datagram to it.
             (1..=receivers).for_each(|host| rig.publish(0, command(host)));
             said += usize::from(receivers);
         }
@@ -240,7 +240,7 @@ fn each_of_twenty_streams_is_offered_for_repair() {
     };
     let config = |host: u16| {
         let setup = Setup::multicast(Reliabilities::from([(Kind::Latent, Reliability::Nack)]));
-        let me = Identity { host: HostId(host), team: TEAM, epoch: 1 };
+        let me = Identity { host: HostId(host), team: TEAM, incarnation: 1 };
         Config { me, key: Some(key()), links: vec![Some(setup)], router: router(host) }
     };
     let mut rig = Rig::new([config(0), config(1)]);

@@ -13,7 +13,7 @@ use murmurate::messages::wire::{Features, Heartbeat, Kind, Latent, Phase, Round,
 use murmurate::net::protocol::codec::TAG_BYTES;
 use murmurate::net::protocol::codec::{self, Content, Frame};
 use murmurate::net::protocol::key::Key;
-use murmurate::net::protocol::link::{Duplicate, Guest, LinkCounts};
+use murmurate::net::protocol::link::{DuplicateId, Guest, LinkCounts};
 use murmurate::net::protocol::reliability::{Reliabilities, Setup};
 use murmurate::net::protocol::report::Report;
 use murmurate::net::protocol::router::{Audience, Route, Router};
@@ -30,7 +30,7 @@ pub fn key() -> Key {
 }
 
 /// Robot i lives on host i: its latents are for all others, its heartbeats for host 0.
-pub fn config(host: u16, robots: usize, epoch: u32, key: Option<Key>, setup: Setup) -> Config {
+pub fn config(host: u16, robots: usize, incarnation: u32, key: Option<Key>, setup: Setup) -> Config {
     let router = Router::new(robots, |kind, robot| {
         let own = robot.0 == host;
         match kind {
@@ -40,7 +40,7 @@ pub fn config(host: u16, robots: usize, epoch: u32, key: Option<Key>, setup: Set
             _ => Route { local: !own, leaves: own.then_some((LINK, Audience::All)) },
         }
     });
-    Config { me: Identity { host: HostId(host), team: TEAM, epoch }, key, links: vec![Some(setup)], router }
+    Config { me: Identity { host: HostId(host), team: TEAM, incarnation }, key, links: vec![Some(setup)], router }
 }
 
 pub fn network(config: Config) -> Network {
@@ -68,7 +68,7 @@ pub fn multicast(kinds: Reliabilities) -> Setup {
 pub fn latent(robot: u16, episode: u32) -> Wire {
     Wire::Latent(Latent {
         robot: RobotId(robot),
-        round: Round { epoch: 1, episode },
+        round: Round { term: 1, episode },
         phase: Phase::Running,
         motion: Motion::default(),
         features: Features(Arc::from(vec![0.5; 32])),
@@ -76,7 +76,7 @@ pub fn latent(robot: u16, episode: u32) -> Wire {
 }
 
 pub fn heartbeat(robot: u16, episode: u32) -> Wire {
-    let round = Round { epoch: 1, episode };
+    let round = Round { term: 1, episode };
     Wire::Heartbeat(Heartbeat { robot: RobotId(robot), round, phase: Phase::Running, latch: Latch::default() })
 }
 
@@ -98,7 +98,7 @@ pub struct Rig {
     pub peers: Vec<Vec<Peer>>,
     pub counts: Vec<LinkCounts>,
     /// The host that each was found to duplicate.
-    pub duplicates: Vec<Option<Duplicate>>,
+    pub duplicates: Vec<Option<DuplicateId>>,
     /// The guests that each has admitted, in order.
     pub admitted: Vec<Vec<Guest>>,
     /// The number of each host: its place, unless set otherwise.
@@ -251,7 +251,7 @@ impl Rig {
         self.counts[host]
     }
 
-    /// Lets everyone be believed by everyone: each says two things.
+    /// Lets everyone be accepted by everyone: each says two things.
     pub fn meet(&mut self) {
         for _ in 0..3 {
             for host in 0..self.networks.len() {

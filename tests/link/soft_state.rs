@@ -51,9 +51,9 @@ fn talk(rig: &mut Rig, kinds: &[Kind], ms: u64, mut each: impl FnMut(&mut Rig) -
     }
 }
 
-/// How many pairs of hosts believe each other, by the newest that they make known.
-fn believed(rig: &Rig) -> usize {
-    rig.peers.iter().map(|peers| peers.iter().filter(|peer| peer.proven).count()).sum()
+/// Number of pairs of hosts that accept each other, by their newest summaries.
+fn accepted(rig: &Rig) -> usize {
+    rig.peers.iter().map(|peers| peers.iter().filter(|peer| peer.accepted).count()).sum()
 }
 
 /// The most soft state that any host sends \[bytes/s\].
@@ -81,9 +81,9 @@ fn soft_state_keeps_to_its_budget_and_does_its_work_however_large_the_team() {
     for (hosts, told_ms) in [(5u16, 2000), (50, 2000), (200, 4000)] {
         let mut rig = Rig::team(hosts, Reliabilities::new());
         let pairs = usize::from(hosts) * usize::from(hosts - 1);
-        talk(&mut rig, &[], 4000, |rig| believed(rig) == pairs);
+        talk(&mut rig, &[], 4000, |rig| accepted(rig) == pairs);
         let whole = rig.now;
-        assert_eq!(believed(&rig), pairs, "{hosts} hosts are whole within 4 s");
+        assert_eq!(accepted(&rig), pairs, "{hosts} hosts are whole within 4 s");
         talk(&mut rig, &[], 2000, |_| false);
         let idle = cost(&mut rig, &[], 4);
         let slow = cost(&mut rig, &[Kind::Latent], 4);
@@ -102,9 +102,9 @@ fn soft_state_keeps_to_its_budget_and_does_its_work_however_large_the_team() {
         rig.arrived = None;
         let mut least = pairs;
         talk(&mut rig, &[Kind::Latent], 20_000, |rig| {
-            least = least.min(believed(rig));
+            least = least.min(accepted(rig));
             false
         });
-        assert_eq!(least, pairs, "{hosts} hosts: none ceases to be believed at 30 % loss");
+        assert_eq!(least, pairs, "{hosts} hosts: none ceases to be accepted at 30 % loss");
     }
 }

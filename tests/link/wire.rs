@@ -17,7 +17,8 @@ use murmurate::net::protocol::codec::{
 use murmurate::time::Span;
 use proptest::prelude::*;
 
-const HEADER: Header = Header { flags: Flags(Flags::DIRECT), team: 7, sender: HostId(3), epoch: 2, sequence: u32::MAX };
+const HEADER: Header =
+    Header { flags: Flags(Flags::DIRECT), team: 7, sender: HostId(3), incarnation: 2, sequence: u32::MAX };
 
 fn send(message: &Wire) -> Frame {
     encode(&HEADER, message).expect("a sound message can be sent")
@@ -38,7 +39,7 @@ fn phase() -> impl Strategy<Value = Phase> {
 }
 
 fn round() -> impl Strategy<Value = Round> {
-    (0..=1u32 << 30, any::<u32>()).prop_map(|(epoch, episode)| Round { epoch, episode })
+    (0..=1u32 << 30, any::<u32>()).prop_map(|(term, episode)| Round { term, episode })
 }
 
 fn latch() -> impl Strategy<Value = Latch> {
@@ -108,7 +109,7 @@ fn message() -> impl Strategy<Value = Wire> {
 fn latent(features: Vec<f32>) -> Wire {
     Wire::Latent(Latent {
         robot: RobotId(u16::MAX),
-        round: Round { epoch: 1 << 30, episode: u32::MAX },
+        round: Round { term: 1 << 30, episode: u32::MAX },
         phase: Phase::Running,
         motion: Motion { position: Vec2::new(1.25, -2.5), velocity: Vec2::new(0.5, 1.5) },
         features: Features(Arc::from(features)),

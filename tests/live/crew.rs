@@ -1,5 +1,5 @@
-//! A team of real processes as tests drive it: hosts that are started, listened to, halted, killed and started again.
-//! Nothing here sleeps: time goes by in steps of the World, which arrive as lines.
+//! Team of real processes for tests: starts, halts, kills and restarts hosts, and reads their output. Nothing here
+//! sleeps: time passes in steps of the World, which arrive as lines.
 
 use std::collections::BTreeMap;
 use std::fs::write;
@@ -16,7 +16,7 @@ use tempfile::TempDir;
 
 use crate::program::run;
 
-/// How long anything that is waited for may take.
+/// Longest wait for anything.
 const PATIENCE: Duration = Duration::from_secs(90);
 
 /// One robot in one step of the World.
@@ -47,18 +47,18 @@ impl Row {
     }
 }
 
-/// What a host has said.
+/// Output of a host.
 #[derive(Debug)]
 pub enum Said {
     Row(Row),
     Event(HostEvent),
     /// A line of stderr.
     Log(String),
-    /// It says nothing more on stdout.
+    /// The end of an output.
     Closed,
 }
 
-/// Something that was said: by which start of which host, and when it was heard.
+/// Output of a host, with its incarnation and time of arrival.
 pub struct Heard {
     pub host: String,
     pub life: u32,
@@ -72,7 +72,7 @@ struct Member {
     life: u32,
 }
 
-/// The processes; all are killed when this is dropped.
+/// Processes of a team; all are killed when this is dropped.
 pub struct Crew {
     command: Box<dyn Fn(&str) -> Command>,
     members: BTreeMap<String, Member>,
@@ -80,12 +80,12 @@ pub struct Crew {
 }
 
 impl Crew {
-    /// A crew of nobody yet; `command` starts the host of a name. The host of the World prints its paths.
+    /// Creates a team without processes; `command` starts a host by name. The host of the World prints trajectories.
     pub fn new(command: impl Fn(&str) -> Command + 'static) -> Crew {
         Crew { command: Box::new(command), members: BTreeMap::new(), heard: sync_channel(65_536) }
     }
 
-    /// Starts a host, or starts it again.
+    /// Starts or restarts a host.
     pub fn start(&mut self, host: &str) {
         let life = self.members.remove(host).map_or(1, |member| member.life + 1);
         let mut command = (self.command)(host);
@@ -116,25 +116,25 @@ impl Crew {
         Pid::from_raw(i32::try_from(self.members[host].child.id()).expect("process numbers are small"))
     }
 
-    /// Sends a host a signal; gives the time right after it.
+    /// Sends a signal to a host; returns the time right after it.
     pub fn signal(&self, host: &str, signal: Signal) -> Instant {
         kill(self.pid(host), signal).expect("it runs");
         Instant::now()
     }
 
-    /// The exit code of a host that has ended or is about to; none after a signal.
+    /// Waits for a host to end; returns its exit code, or none after a signal.
     pub fn ended(&mut self, host: &str) -> Option<i32> {
         self.members.get_mut(host).expect("it was started").child.wait().expect("it is ours").code()
     }
 
-    /// Hears what is said until `found` finds something in it.
+    /// Reads output until `found` returns something.
     pub fn until<T>(&self, what: &str, mut found: impl FnMut(&Heard) -> Option<T>) -> T {
         let deadline = Instant::now() + PATIENCE;
         let (mut last, mut logs) = (String::new(), String::new());
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
             let Ok(heard) = self.heard.1.recv_timeout(left) else { panic!("never came: {what}; last: {last}{logs}") };
-            // What a former life has said late is of the past.
+            // Late output of a former incarnation is ignored.
             if self.members[&heard.host].life != heard.life {
                 continue;
             }
@@ -148,7 +148,7 @@ impl Crew {
         }
     }
 
-    /// Hears what is said for so long, and forgets it.
+    /// Reads output for this long, and drops it.
     pub fn pass(&self, span: Duration) {
         let until = Instant::now() + span;
         while let Some(left) = until.checked_duration_since(Instant::now()) {
@@ -178,7 +178,7 @@ impl Crew {
         })
     }
 
-    /// Waits until all these robots are driven in an episode after this one, and says which.
+    /// Waits until all these robots are driven in an episode after this one; returns the episode.
     pub fn runs_after(&self, episode: Option<u32>, robots: &[u16]) -> u32 {
         let (mut now, mut waiting) = (None, robots.to_vec());
         self.row("the next episode runs", |row, _| {
@@ -202,7 +202,7 @@ impl Drop for Crew {
     }
 }
 
-/// A folder with a key and this team file; and the path of the latter.
+/// Returns a folder with a key and this team file, and the path of the file.
 pub fn folder(team: &str) -> (TempDir, String) {
     let folder = TempDir::new().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
@@ -212,7 +212,7 @@ pub fn folder(team: &str) -> (TempDir, String) {
     (folder, file)
 }
 
-/// Straight to stderr: what a passing test prints is kept from the reader, and this is for the reader.
+/// Prints directly to stderr, because the output of a passing test is captured.
 pub fn report(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }

@@ -1,8 +1,8 @@
-//! Junk at a running team, each kind by itself, at every group of a team on real sockets. Control ticks stay inside
-//! their deadline, episodes end as they would, memory stays flat, and all is as before a second after it ends.
+//! Floods of junk, one kind at a time, at every group of a running team on real sockets. Control ticks meet their
+//! deadline, no episode is aborted, memory does not grow, and a second after the flood there is no trace of it.
 //!
-//! `MURMURATE_JUNK=full` sends each kind at 30 000 and at 100 000 datagrams a second for 10 s; else it is 30 000, and
-//! 1 s. It prints a table of rates, processor time and late ticks.
+//! `MURMURATE_JUNK=full` sends each kind at 30 000 and at 100 000 datagrams a second for 10 s; the default is 30 000
+//! for 1 s. It prints a table of rates, processor time and late ticks.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::process::{Command, Stdio};
@@ -17,19 +17,19 @@ use murmurate::scenario::judge::Verdict;
 
 const HOSTS: [&str; 4] = ["agent-0", "agent-1", "agent-2", "world"];
 const ROBOTS: [u16; 3] = [0, 1, 2];
-/// The rate up to which no tick may be late \[datagrams/s\].
+/// Rate up to which no tick may be late \[datagrams/s\].
 const HARMLESS_PER_S: u64 = 30_000;
 const FLOOD_PER_S: u64 = 100_000;
 
-/// Whether a process comes before those that have no deadline.
+/// Whether a process has a higher priority than normal ones.
 fn has_priority(crew: &Crew, host: &str) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/{}/stat", crew.pid(host))).expect("it runs");
-    // Behind the name in parentheses: proc(5) counts niceness as the 19th field, and the name is the second.
+    // Fields after the name in parentheses: niceness is the 19th field in proc(5), and the name is the second.
     let rest = stat.rsplit_once(')').expect("a name").1;
     rest.split_whitespace().nth(16).expect("a niceness").starts_with('-')
 }
 
-/// Processor time of a process so far \[s\].
+/// Returns the processor time of a process so far \[s\].
 fn cpu_s(crew: &Crew, host: &str) -> f64 {
     let stat = std::fs::read_to_string(format!("/proc/{}/stat", crew.pid(host))).expect("it runs");
     let rest = stat.rsplit_once(')').expect("a name").1;
@@ -37,14 +37,14 @@ fn cpu_s(crew: &Crew, host: &str) -> f64 {
     rest.split_whitespace().skip(11).take(2).map(|ticks| ticks.parse::<f64>().expect("a number") / 100.0).sum()
 }
 
-/// What a process has in memory \[KiB\].
+/// Memory of a process \[KiB\].
 fn resident_kib(crew: &Crew, host: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", crew.pid(host))).expect("it runs");
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("it is told");
     line.split_whitespace().next().expect("a number").parse().expect("a number")
 }
 
-/// What is said within a time.
+/// Output within a time.
 #[derive(Debug, Default)]
 struct Seen {
     late: usize,
@@ -69,7 +69,7 @@ fn watch(crew: &Crew, span: Duration) -> Seen {
     seen
 }
 
-/// A team that runs, its folder and file, its groups and its number.
+/// Starts a team; returns its folder and file, its groups and its number, too.
 fn team() -> (Crew, (tempfile::TempDir, String), [SocketAddrV4; 2], u16) {
     let number = 791;
     let groups = [1, 2].map(|last| SocketAddrV4::new(Ipv4Addr::new(239, 255, 81, last), 40_791));
@@ -86,7 +86,7 @@ fn team() -> (Crew, (tempfile::TempDir, String), [SocketAddrV4; 2], u16) {
         if host == "world" {
             args.extend(["--trajectories", "/dev/stdout"]);
         }
-        // As its service is started (packaging/), where this is permitted: before everything that has no deadline.
+        // With the priority of its service (packaging/), where this is permitted.
         let mut command = Command::new("nice");
         command.args(["-n", "-10", env!("CARGO_BIN_EXE_murmurate")]).args(&args).stdin(Stdio::null());
         command.env_remove("MURMURATE_JUNK").env("MURMURATE_LOG", "warn");
@@ -99,7 +99,7 @@ fn team() -> (Crew, (tempfile::TempDir, String), [SocketAddrV4; 2], u16) {
     (crew, (folder, path), groups, number)
 }
 
-/// Stops the team, by an operator that comes before what has no deadline; after how long everyone had confirmed \[s\].
+/// Stops the team, by an operator with high priority; returns the time until all robots had confirmed \[s\].
 fn stop(file: &str) -> f64 {
     let mut command = Command::new("nice");
     command.args(["-n", "-10", env!("CARGO_BIN_EXE_murmurate"), "stop", file, "--json"]);
@@ -117,7 +117,7 @@ fn go_on(file: &str) {
 }
 
 #[test]
-fn a_running_team_does_not_mind_junk() {
+fn a_running_team_withstands_floods_of_junk() {
     let _alone = alone();
     let full = std::env::var("MURMURATE_JUNK").is_ok_and(|what| what == "full");
     let span = Duration::from_secs(if full { 10 } else { 1 });
@@ -129,7 +129,7 @@ fn a_running_team_does_not_mind_junk() {
     report("kind       asked/s  sent/s  CPU of 4 hosts  late ticks  given up  World steps  late after  stop confirmed");
     for (kind, rate) in junk::KINDS.into_iter().flat_map(|kind| rates.iter().map(move |rate| (kind, *rate))) {
         let what = junk::junk(kind, groups, number);
-        // What was said meanwhile is of another time.
+        // Ignore the output meanwhile.
         crew.pass(Duration::from_millis(10));
         let before = HOSTS.map(|host| resident_kib(&crew, host));
         let sender = junk::Sender::start(groups, &what, rate);
@@ -156,7 +156,7 @@ fn a_running_team_does_not_mind_junk() {
             assert!(after <= before + 2048, "{host} has grown from {before} to {after} KiB");
         }
         if judged && rate <= HARMLESS_PER_S {
-            // On the gate's machine, in a debug build beside whatever else runs there, one is no defect.
+            // On a shared machine with a debug build, single late ticks are no defect.
             let allowed = quiet.late + if full { 0 } else { 2 };
             assert!(late <= allowed, "{late} late ticks under {kind:?}, {} without", quiet.late);
             assert!(steps as f64 >= span.as_secs_f64() * 20.0 * 0.9, "the World has made {steps} steps");

@@ -1,4 +1,4 @@
-//! A sender of junk: as many datagrams a second as it is told, or as it gets done, at the groups of a team.
+//! Sender of junk: datagrams at a given rate, or as fast as it can, to the groups of a team.
 
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::sync::Arc;
@@ -10,22 +10,22 @@ use murmurate::net::protocol::codec::VERSION;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// What the datagrams are like.
+/// Kind of the datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Random bytes, or a header of the team's with a length or version that is none.
+    /// Random bytes, or a header of the team with an invalid length or version.
     Malformed,
-    /// What the team's could look like, with tags of another key.
+    /// In the team's format, with tags of another key.
     WrongKey,
-    /// What the team has said itself, again and again.
+    /// The team's own datagrams, repeated.
     Replayed,
 }
 
 pub const KINDS: [Kind; 3] = [Kind::Malformed, Kind::WrongKey, Kind::Replayed];
-/// Different datagrams of one kind.
+/// Number of different datagrams of one kind.
 const DIFFERENT: u16 = 64;
 
-/// Junk at `groups` of the team with this number. Replayed: what is heard on each group within a second at most.
+/// Returns junk for the `groups` of the team with this number. Replays are datagrams captured within at most a second.
 pub fn junk(kind: Kind, groups: [SocketAddrV4; 2], team: u16) -> [Vec<Vec<u8>>; 2] {
     let mut random = ChaCha8Rng::seed_from_u64(4);
     let mut bytes = |length: usize| (0..length).map(|_| random.random()).collect::<Vec<u8>>();
@@ -65,7 +65,7 @@ fn overhear(group: SocketAddrV4) -> Vec<Vec<u8>> {
     heard
 }
 
-/// Threads that send until they are stopped.
+/// Threads that send until stopped.
 pub struct Sender {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<f64>>,
@@ -83,7 +83,7 @@ impl Sender {
         Sender { threads: (0..threads).map(one).collect(), stop }
     }
 
-    /// Stops, and says how many there were a second.
+    /// Stops sending; returns the rate \[1/s\].
     pub fn stop(self) -> f64 {
         self.stop.store(true, Ordering::Relaxed);
         self.threads.into_iter().map(|thread| thread.join().expect("it stops")).sum()
@@ -96,7 +96,7 @@ fn babble(groups: [SocketAddrV4; 2], junk: &[Vec<Vec<u8>>; 2], rate_per_s: u64, 
     let mut sent = 0u64;
     while !stop.load(Ordering::Relaxed) {
         let due = (began.elapsed().as_nanos() * u128::from(rate_per_s) / 1_000_000_000) as u64;
-        // In bursts of a millisecond at the most: who was kept from sending does not make up for all of it at once.
+        // In bursts of at most a millisecond: a delayed thread does not catch up all at once.
         for _ in 0..due.saturating_sub(sent).min(rate_per_s / 1000) {
             let at = sent as usize % 2;
             let _ = socket.send_to(&junk[at][sent as usize / 2 % junk[at].len()], groups[at]);

@@ -1,4 +1,4 @@
-//! What dies, at any moment: every kind of process of a team that runs on real sockets. Motors stop in time, the next
+//! Deaths at any moment: every kind of process of a team that runs on real sockets. Motors stop in time, the next
 //! episode runs, and nobody is left behind. `MURMURATE_KILLS=50` strikes at so many moments (an hour has room for 400).
 
 use std::collections::BTreeMap;
@@ -18,16 +18,16 @@ use nix::sys::signal::Signal;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// How long a motor command holds (`actors::graph::COMMAND_VALIDITY`).
+/// Validity of a motor command (`actors::graph::COMMAND_VALIDITY`).
 const VALID_S: f64 = 0.2;
 /// A step of the World.
 const STEP_S: f64 = 0.05;
-/// How long the state server may be silent.
+/// Longest silence of the state server before robots stop.
 const SILENCE_S: f64 = 1.0;
-/// How much later than on time a process may be on a busy machine; how late the World was is measured.
+/// Allowed lateness of a process on a busy machine; that of the World is measured.
 const SLACK_S: f64 = 0.02;
 
-/// How long a process is halted, or dead before it is started again.
+/// Time for which a process is halted, or dead before its restart.
 const HALT: Duration = Duration::from_millis(1500);
 
 const ROBOTS: [u16; 3] = [0, 1, 2];
@@ -55,7 +55,7 @@ fn team(number: u16) -> String {
     text
 }
 
-/// The whole team, running its first episode.
+/// Starts the whole team, up to its first running episode.
 fn launched(file: &str) -> (Crew, u32) {
     let file = file.to_owned();
     let mut crew = Crew::new(move |host| {
@@ -74,7 +74,7 @@ fn launched(file: &str) -> (Crew, u32) {
     (crew, episode)
 }
 
-/// The World's clock beside this process's, both of which are the machine's: the least that a line takes is nothing.
+/// Offset of the World's clock from this process's, under the assumption that the fastest line takes no time.
 struct Clocks {
     origin: Option<Instant>,
 }
@@ -88,16 +88,16 @@ impl Clocks {
     }
 }
 
-/// What came of one stroke.
+/// Result of one kill.
 struct Stroke {
     victim: String,
     signal: Signal,
-    /// When its robots were last driven after it, and when they first were not \[s\].
+    /// Times after it at which its robots were last driven, and first were not \[s\].
     driven_s: f64,
     stood_s: f64,
 }
 
-/// Lets a random number of steps go by and strikes while the victim's robots are driven. Gives what came of it.
+/// Waits for a random number of steps and signals the victim while its robots are driven. Returns the result.
 fn strike(crew: &mut Crew, episode: u32, victim: &str, signal: Signal, random: &mut ChaCha8Rng) -> Stroke {
     let robots: Vec<u16> = match victim.strip_prefix("agent-") {
         Some(robot) => vec![robot.parse().expect("a robot's number")],
@@ -117,7 +117,7 @@ fn strike(crew: &mut Crew, episode: u32, victim: &str, signal: Signal, random: &
     let struck = crew.signal(victim, signal);
     let stroke = |driven_s, stood_s| Stroke { victim: victim.to_owned(), signal, driven_s, stood_s };
     let stroke = if victim == "world" {
-        // Its motors are halted or dead with it; what counts is that they do not start with what was said before.
+        // Its motors are halted or dead with it. They must not start later from earlier commands.
         crew.pass(HALT);
         stroke(0.0, 0.0)
     } else {
@@ -158,7 +158,7 @@ fn strike(crew: &mut Crew, episode: u32, victim: &str, signal: Signal, random: &
 }
 
 #[test]
-fn motors_stop_in_time_whatever_is_struck_and_the_next_episode_runs() {
+fn motors_stop_in_time_whichever_process_is_killed_and_the_next_episode_runs() {
     let _alone = alone();
     let (_folder, file) = folder(&team(781));
     let (mut crew, mut episode) = launched(&file);
@@ -196,7 +196,7 @@ fn motors_stop_in_time_whatever_is_struck_and_the_next_episode_runs() {
     }
 }
 
-/// Ends a host in the midst of a running episode after this one; that episode.
+/// Ends a host in the middle of a running episode after this one; returns that episode.
 fn told_to_end(crew: &mut Crew, after: Option<u32>, victim: &str, team_stands: Duration) -> u32 {
     let (mut waiting, mut now) = (ROBOTS.to_vec(), None);
     let episode = crew.row("all are driven in a running episode", |row, _| {
@@ -221,7 +221,7 @@ fn told_to_end(crew: &mut Crew, after: Option<u32>, victim: &str, team_stands: D
             Said::Log(line) => assert!(!line.contains("emergency stop"), "leaving is not stopping: {line}"),
             _ => {}
         }
-        // The World's host says no more once it has ended.
+        // The World's host prints nothing once it has ended.
         let closed = victim == "world" && heard.host == victim && matches!(heard.said, Said::Closed);
         (closed || Instant::now() >= until).then_some(())
     });
@@ -236,13 +236,13 @@ fn told_to_end(crew: &mut Crew, after: Option<u32>, victim: &str, team_stands: D
 }
 
 #[test]
-fn the_team_stands_and_waits_for_a_host_that_is_told_to_end_and_runs_the_episode_again() {
+fn the_team_stops_and_waits_for_a_terminated_host_and_repeats_the_episode() {
     let _beside = beside();
     let (_folder, file) = folder(&team(783));
     let (mut crew, _) = launched(&file);
     let mut last = None;
     for victim in ["agent-1", "server", "world"] {
-        // A state server's last word takes half of its silence at the most.
+        // The last message of a state server takes at most half of its allowed silence.
         let episode = told_to_end(&mut crew, last, victim, Duration::from_millis(500));
         last = Some(episode);
         crew.start(victim);
@@ -257,11 +257,11 @@ fn the_team_stands_and_waits_for_a_host_that_is_told_to_end_and_runs_the_episode
 }
 
 #[test]
-fn nobody_outlives_a_launch_that_was_killed() {
-    // Whatever another test starts meanwhile would inherit the pipe, too.
+fn no_process_outlives_a_killed_launch() {
+    // Processes that another test starts meanwhile would inherit the pipe, too.
     let _alone = alone();
     let (_folder, file) = folder(&team(782));
-    // Inherited by launch and by all that it starts: it is closed when the last of them has gone.
+    // Launch and all its processes inherit the pipe, so it is closed when the last of them has ended.
     let (mut all_gone, held) = std::io::pipe().expect("a pipe");
     let mut command = murmurate(&["launch", &file, "--json"]);
     command.env_remove("MURMURATE_KILLS").stdout(Stdio::null()).stderr(Stdio::piped());

@@ -1,5 +1,5 @@
-//! Machines as network namespaces, with networks between them, as tests build them. Needs root and `ip`, and `nft`
-//! where frames are to be lost. Everything is gone when the lab is dropped.
+//! Machines as network namespaces, with networks between them. Needs root and `ip`, and `nft` for lost frames. Dropping
+//! the lab removes everything.
 
 use std::io::Write;
 use std::process::{Command, Stdio};
@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 
 use crate::crew::report;
 
-/// A machine: its name, and for each of its interfaces the interface's name and the network that it is on.
+/// Machine: its name, and the name and network of each interface.
 pub type Machine = (String, Vec<(String, String)>);
 
-/// Namespaces of this process: one for each machine, and one with a bridge for each network.
+/// Namespaces of this process: one per machine, and one with a bridge per network.
 pub struct Lab {
     prefix: String,
     machines: Vec<Machine>,
@@ -19,13 +19,13 @@ pub struct Lab {
 }
 
 impl Lab {
-    /// Builds it; `None`, saying so, where that is not permitted.
+    /// Builds the lab; `None`, with a notice, where that is not permitted.
     pub fn build(tag: &str, machines: Vec<Machine>) -> Option<Lab> {
         let mut networks: Vec<String> =
             machines.iter().flat_map(|(_, on)| on.iter().map(|(_, to)| to.clone())).collect();
         networks.sort();
         networks.dedup();
-        // Several tests of one process may have a lab at once.
+        // Several tests of one process may have labs at the same time.
         static LABS: AtomicUsize = AtomicUsize::new(0);
         let number = LABS.fetch_add(1, Ordering::Relaxed);
         let lab = Lab { prefix: format!("{tag}{}-{number}", std::process::id()), machines, networks };
@@ -36,7 +36,7 @@ impl Lab {
                 report("skipped: network namespaces need root and the program 'ip'");
                 return None;
             }
-            // Without snooping every frame is seen on every port.
+            // Without snooping, multicast frames go to every port.
             assert!(lab.ip(&["-n", &hub, "link", "add", "bridge", "type", "bridge", "mcast_snooping", "0"]));
             assert!(lab.ip(&["-n", &hub, "link", "set", "bridge", "up"]));
         }
@@ -44,7 +44,7 @@ impl Lab {
             let space = lab.space(name);
             assert!(lab.ip(&["netns", "add", &space]));
             assert!(lab.ip(&["-n", &space, "link", "set", "lo", "up"]));
-            // Addresses of IPv6 are used at once, not after a second of looking for a double.
+            // IPv6 addresses are usable at once, without duplicate address detection, which takes a second.
             lab.run(name, "sh", &["-c", "echo 0 > /proc/sys/net/ipv6/conf/default/accept_dad"]);
             for (interface, network) in interfaces {
                 let (hub, port) = (lab.space(network), format!("port{number}"));
@@ -60,14 +60,14 @@ impl Lab {
         Some(lab)
     }
 
-    /// The IPv4 address of a machine on a network.
+    /// Returns the IPv4 address of a machine on a network.
     pub fn address(&self, machine: &str, network: &str) -> String {
         let number = self.machines.iter().position(|(name, _)| name == machine).expect("it is in the lab");
         let subnet = self.networks.iter().position(|name| name == network).expect("it is in the lab");
         format!("10.80.{}.{}", subnet + 1, number + 10)
     }
 
-    /// Waits until every interface has its carrier: the kernel tells it up to a second late.
+    /// Waits until every interface has its carrier, which the kernel reports up to a second late.
     fn settle(&self) {
         let deadline = Instant::now() + Duration::from_secs(10);
         for (name, interfaces) in &self.machines {
@@ -83,12 +83,12 @@ impl Lab {
         }
     }
 
-    /// The namespace of a machine or a network.
+    /// Returns the namespace of a machine or a network.
     pub fn space(&self, name: &str) -> String {
         format!("{}-{name}", self.prefix)
     }
 
-    /// A command on a machine.
+    /// Returns a command on a machine.
     pub fn command(&self, machine: &str, program: &str) -> Command {
         on(&self.space(machine), program)
     }
@@ -98,14 +98,14 @@ impl Lab {
         status.is_ok_and(|status| status.success())
     }
 
-    /// Runs `ip` with these words; whether it succeeds.
+    /// Runs `ip` with these arguments; returns whether it succeeds.
     pub fn ip(&self, args: &[&str]) -> bool {
         let status = Command::new("ip").args(args).stdin(Stdio::null()).stderr(Stdio::null()).status();
         status.is_ok_and(|status| status.success())
     }
 
-    /// Lets every interface lose this share of the frames that arrive, each by itself; address resolution is spared.
-    /// Whether that can be had here.
+    /// Makes every interface lose this share of arriving frames, independently, except for address resolution. Returns
+    /// whether that is possible here.
     pub fn lose(&self, percent: u32) -> bool {
         self.machines.iter().all(|(name, interfaces)| {
             let mut rules = "table netdev lossy\ndelete table netdev lossy\ntable netdev lossy {\n".to_owned();
@@ -124,10 +124,10 @@ impl Lab {
     }
 }
 
-/// A command in a namespace.
+/// Returns a command in a namespace.
 pub fn on(space: &str, program: &str) -> Command {
     let mut command = Command::new("ip");
-    // How often a test does something is no field of a team file.
+    // The variables of the tests are not fields of a team file.
     command.args(["netns", "exec", space, program]).env_remove("MURMURATE_STOPS");
     command
 }

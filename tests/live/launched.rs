@@ -1,4 +1,4 @@
-//! What `launch` makes of a team, beside the same team in one process: processes, sockets and real time change little.
+//! A team under `launch`, beside the same team in one process: processes, sockets and real time change little.
 //! An episode takes eight seconds of real time; `MURMURATE_LAUNCHED=32` runs so many.
 
 use std::collections::BTreeMap;
@@ -16,12 +16,12 @@ use murmurate::scenario::{self, Settings};
 use murmurate::trial::Trial;
 
 const SEED: u64 = 3;
-/// Without being told otherwise.
+/// Default number of episodes.
 const EPISODES: u32 = 3;
-/// So many may end differently, and of every 32 so many.
+/// Number of episodes that may end differently, of up to 32 and of every further 32.
 const DIFFERENT: u32 = 2;
 
-/// By episode: its verdict, and what is told of it.
+/// Returns the verdict and the printed makespan of each episode in one process.
 fn simulated(episodes: u32) -> BTreeMap<u32, (String, String)> {
     let scenario = scenario::build("passage", &Settings::default()).expect("the scenario");
     let deployment = Deployment::preset("offboard", scenario.robots()).expect("a preset");
@@ -38,7 +38,7 @@ fn simulated(episodes: u32) -> BTreeMap<u32, (String, String)> {
     report.episodes.iter().map(told).collect()
 }
 
-/// The same from what `launch` says while it runs.
+/// Returns the same from the log of `launch`.
 fn launched(episodes: u32) -> BTreeMap<u32, (String, String)> {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
     let set = [
@@ -61,7 +61,7 @@ fn launched(episodes: u32) -> BTreeMap<u32, (String, String)> {
     said.lines().filter_map(told).collect()
 }
 
-/// Two robots whose bodies are simulated by two processes, each beside its own agent.
+/// Team of two robots, each simulated by the process that runs its agent.
 const APART: &str = r#"
 team = 4811
 scenario = "passage"
@@ -93,13 +93,13 @@ carries = ["reading", "latent", "heartbeat", "mode", "stop"]
 interface = "lo"
 "#;
 
-/// The same link, where each host is addressed by itself.
+/// Settings of the same link with unicast.
 const ADDRESSED: &str = r#"
 transport = "unicast"
 peers = { left = "127.0.0.1:41796", right = "127.0.0.1:41797" }
 "#;
 
-/// What `launch` prints of that team: with `--json` or without.
+/// Output of `launch` for that team: with `--json` or without.
 fn launched_apart(name: &str, link: &str, flags: &[&str]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join(name);

@@ -1,6 +1,6 @@
 //! Teams of real processes in real time, on loopback or between network namespaces.
 //!
-//! What needs root or a tool that is not there skips, and says so. A test that judges times to a few milliseconds runs
+//! A test that needs root or a missing tool skips, and says so. A test that judges times to a few milliseconds runs
 //! [`alone`]; the others run [`beside`] one another, each with ports, groups and namespaces of its own.
 #![cfg(target_os = "linux")]
 
@@ -19,10 +19,10 @@ mod stop;
 
 use std::sync::{Condvar, Mutex, MutexGuard};
 
-/// How many tests run beside one another at the most.
+/// Maximum number of concurrent tests.
 const BESIDE: usize = 6;
 
-/// Who runs: so many beside one another, or one alone.
+/// Permits of running tests: so many beside one another, or one alone.
 struct Running {
     beside: usize,
     alone: bool,
@@ -35,7 +35,7 @@ fn running() -> MutexGuard<'static, Running> {
     RUNNING.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// A test's permit to run, until it is dropped.
+/// Permit of a test to run, until it is dropped.
 struct Permit {
     alone: bool,
 }
@@ -66,14 +66,14 @@ impl Drop for Permit {
     }
 }
 
-/// Waits until no other test of this program runs, and keeps all others waiting: for what would be late if other teams
-/// took its processors.
+/// Waits until no other test of this program runs, and blocks all others: for tests that would be late if other teams
+/// used the processors.
 fn alone() -> Permit {
     Permit::wait(true)
 }
 
-/// Waits until there is room beside others: for teams that spend their time waiting. It does not wait for tests that
-/// wait to be alone, so that these come when most others are over.
+/// Waits until there is room for a concurrent test: for teams that are mostly idle. It does not wait for tests that
+/// wait to be alone, so that those run when most others are over.
 fn beside() -> Permit {
     Permit::wait(false)
 }

@@ -1,6 +1,6 @@
 //! The network study between five network namespaces on one bridge. With each sender shaped by `tc tbf` and each
-//! receiver losing by nftables it is held against the emulation of the same; without, it is interrupted, gone on with,
-//! and a radio is fitted to it. Needs root, `ip`, `tc` and `nft`; skips, saying so, where it cannot run.
+//! receiver losing by nftables it is compared with the emulation of the same; without, it is interrupted, continued,
+//! and a radio is fitted to it. Needs root, `ip`, `tc` and `nft`; skips with a notice where it cannot run.
 use crate::alone;
 use std::fs;
 use std::io::{BufRead as _, BufReader, Write as _};
@@ -9,19 +9,19 @@ use std::process::{Child, Command, Output, Stdio};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// Messages a second, each to four readers by unicast: below and above the 263 that five links of 1 Mbit/s carry.
+/// Messages a second, each to four receivers by unicast: below and above the 263 that five links of 1 Mbit/s carry.
 const RATES: [f64; 2] = [240.0, 400.0];
 const STATIONS: usize = 5;
-/// Content of a message; with it a datagram of 552 bytes, 594 on the link.
+/// Payload of a message, which makes a datagram of 552 bytes, 594 on the link.
 const BYTES: &str = "512";
 const MTU: &str = "760";
 const MEDIUM: &str = "rate_bit_s = 1e6\nburst_bytes = 774\nqueue_bytes = 12000\nloss = 0.16\n";
 const SHAPE: [&str; 6] = ["rate", "1mbit", "burst", "774", "limit", "12000"];
 
-/// Namespaces of this process, gone with it.
+/// Namespaces of this process, removed at its end.
 struct Lab(String);
 
-/// What the links of a lab are like.
+/// Links of a lab.
 #[derive(Clone, Copy, PartialEq)]
 enum Links {
     Plain,
@@ -29,7 +29,7 @@ enum Links {
 }
 
 impl Lab {
-    /// Builds it; `None` where that is not permitted.
+    /// Builds the lab; `None` where that is not permitted.
     fn build(links: Links) -> Option<Lab> {
         let lab = Lab(format!("mnet{}", std::process::id()));
         let tools = ["tc", "nft"].iter().all(|tool| run(tool, &["-V"]) || run(tool, &["-v"]));
@@ -57,7 +57,7 @@ impl Lab {
             }
             let shape = ["netns", "exec", &space, "tc", "qdisc", "add", "dev", "eth0", "root", "tbf"];
             assert!(run("ip", &[&shape[..], &SHAPE[..]].concat()), "tbf");
-            // What is measured is UDP; the coordinator's connection is spared.
+            // Only UDP is measured; the coordinator's connection is spared.
             let rules = "table netdev loss {\nchain in {\n\
                          type filter hook ingress device \"eth0\" priority 0;\n\
                          ip protocol udp numgen random mod 100 < 16 drop\n}\n}\n";
@@ -70,9 +70,9 @@ impl Lab {
         format!("{}-{name}", self.0)
     }
 
-    /// The program in a namespace.
+    /// Returns the program in a namespace.
     fn program(&self, space: &str, args: &[&str]) -> Command {
-        // Ahead of whatever else the machine does: what is measured is the link, not the wait for a processor.
+        // With a high priority, to measure the link and not the wait for a processor.
         let mut command = Command::new("nice");
         command.args(["-n", "-15", "ip", "netns", "exec", &self.space(space)]);
         command.args([env!("CARGO_BIN_EXE_murmurate"), "study", "network"]);
@@ -96,7 +96,7 @@ fn run(program: &str, args: &[&str]) -> bool {
     command.status().is_ok_and(|status| status.success())
 }
 
-/// A process that does not outlive the test.
+/// Process that is killed at the end of the test.
 struct Process(Option<Child>);
 
 impl Process {
@@ -108,7 +108,7 @@ impl Process {
         self.0.as_mut().expect("it has not ended")
     }
 
-    /// Waits for its end.
+    /// Waits for the process to end.
     fn end(mut self) -> Output {
         self.0.take().expect("it has not ended").wait_with_output().expect("it ends")
     }
@@ -123,10 +123,10 @@ impl Drop for Process {
     }
 }
 
-/// How often it is measured at most: a busy machine delays datagrams more than the links do, and seldom three times.
+/// Maximum number of measurements: a busy machine may delay datagrams more than the links, but seldom three times.
 const ATTEMPTS: usize = 3;
 
-/// A team of five in a folder of its own, and its participants.
+/// Team of five in its own folder, with its participants.
 struct Team {
     folder: TempDir,
 }
@@ -155,7 +155,7 @@ impl Team {
         self.folder.path().join(name).to_string_lossy().into_owned()
     }
 
-    /// The program of one host, which says which case it measures.
+    /// Starts the program of one host, which prints the case that it measures.
     fn participant(&self, lab: &Lab, station: usize) -> Process {
         let name = format!("robot-{station}");
         let args = ["--live", &self.path("team.toml"), "--coordinator", COORDINATOR, "--host", &name];
@@ -177,7 +177,7 @@ impl Team {
 const COORDINATOR: &str = "10.81.0.1:7790";
 
 #[test]
-fn what_is_measured_between_namespaces_is_what_is_emulated() {
+fn a_measurement_between_namespaces_agrees_with_its_emulation() {
     let _alone = alone();
     let mut found = Vec::new();
     for _ in 0..ATTEMPTS {
@@ -191,7 +191,7 @@ fn what_is_measured_between_namespaces_is_what_is_emulated() {
 }
 
 #[test]
-fn a_measurement_goes_on_after_an_interruption_and_a_radio_is_fitted_to_it() {
+fn a_measurement_continues_after_an_interruption_and_a_radio_is_fitted_to_it() {
     let _alone = alone();
     let Some(lab) = Lab::build(Links::Plain) else { return };
     let team = Team::new();
@@ -202,7 +202,7 @@ fn a_measurement_goes_on_after_an_interruption_and_a_radio_is_fitted_to_it() {
     let mut hosts = team.participants(&lab);
     let mut command = team.coordinator(&lab, &args);
     let mut coordinator = Process::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()));
-    // The first case is kept when the second begins.
+    // The first case is recorded when the second begins.
     let mut told = BufReader::new(hosts[0].child().stderr.take().unwrap()).lines().map(Result::unwrap);
     assert!(told.any(|line| line.starts_with("case 1:")), "the second case begins");
     assert!(run("kill", &["-INT", &coordinator.child().id().to_string()]));
@@ -225,7 +225,7 @@ fn a_measurement_goes_on_after_an_interruption_and_a_radio_is_fitted_to_it() {
     assert_eq!((rows.len(), live.len()), (6, 3));
     assert!(live.iter().all(|row| row["delivered"].as_f64().unwrap() > 0.99), "{live:#?}");
     assert!(kept(0).unwrap() == first, "what was measured is not measured again");
-    // A bridge is no radio, but what comes of it is one.
+    // A bridge is not a radio, but the result of the fit is a valid one.
     let fit = &report["fit"];
     assert!(fit["rows"] == 3 && fit["rate"].is_string() && fit["residual_shares"].is_number(), "{fit}");
     assert!(report["uncertainty_s"].as_f64().is_some_and(|off| off > 0.0 && off < 0.01), "{report}");
@@ -236,7 +236,7 @@ fn a_measurement_goes_on_after_an_interruption_and_a_radio_is_fitted_to_it() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// Where a measurement and the emulation of the same are apart; `None` where it cannot run.
+/// Returns the differences between a measurement and its emulation; `None` where it cannot run.
 fn disagreements() -> Option<Vec<String>> {
     let lab = Lab::build(Links::Shaped)?;
     let team = Team::new();

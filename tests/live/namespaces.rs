@@ -1,5 +1,5 @@
 //! A team of six machines: five robots, and one for World and StateServer, each a network namespace of its own, with
-//! two networks between them. Needs root and `ip`; skips, saying so, where it cannot run.
+//! two networks between them. Needs root and `ip`; skips with a notice where it cannot run.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -24,28 +24,28 @@ use nix::sys::signal::Signal;
 use nix::sys::socket::{AddressFamily, LinkAddr, SockFlag, SockProtocol, SockType, recvfrom, socket};
 
 const ROBOTS: [u16; 5] = [0, 1, 2, 3, 4];
-/// The networks.
+/// Networks.
 const NETWORKS: [&str; 2] = ["adhoc", "infra"];
 const GROUPS: [&str; 3] = ["239.255.80.1:41790", "239.255.80.2:41790", "239.255.80.3:41790"];
 
-/// A host's name and what it is connected to.
+/// Hosts, each with its connections.
 fn hosts() -> Vec<(String, &'static [&'static str])> {
     let robots = ROBOTS.iter().map(|robot| (format!("robot-{robot}"), &NETWORKS[..]));
     robots.chain([("world".to_owned(), &NETWORKS[1..])]).collect()
 }
 
-/// What was seen on a network: UDP ports that were sent to, blocks by what they hold, and datagrams.
+/// Traffic of a network: UDP ports that were sent to, blocks by what they hold, and datagrams.
 #[derive(Default)]
 struct Seen {
     groups: BTreeSet<String>,
     blocks: BTreeMap<&'static str, u64>,
     datagrams: u64,
-    /// Not UDP at all: what the link itself needs.
+    /// Frames other than UDP, which the network itself needs.
     other: u64,
 }
 
 impl Seen {
-    /// A frame of Ethernet.
+    /// Counts an Ethernet frame.
     fn frame(&mut self, frame: &[u8]) {
         let ip = frame.get(14..).unwrap_or_default();
         let is_udp = frame.get(12..14) == Some(&[8, 0]) && ip.get(9) == Some(&17);
@@ -77,18 +77,18 @@ impl Seen {
     }
 }
 
-/// Hears all that crosses a network until it is told to stop.
+/// Captures all frames of a network until `stop` is set.
 fn capture(space: &str, stop: &Arc<AtomicBool>) -> JoinHandle<Seen> {
     let (space, stop) = (File::open(format!("/run/netns/{space}")).expect("it was made"), Arc::clone(stop));
     thread::spawn(move || {
         setns(space, CloneFlags::CLONE_NEWNET).expect("root may");
-        let ears = socket(AddressFamily::Packet, SockType::Raw, SockFlag::SOCK_NONBLOCK, SockProtocol::EthAll);
-        let ears = ears.expect("root may");
+        let rx = socket(AddressFamily::Packet, SockType::Raw, SockFlag::SOCK_NONBLOCK, SockProtocol::EthAll);
+        let rx = rx.expect("root may");
         let (mut seen, mut buffer) = (Seen::default(), [0; 2048]);
         while !stop.load(Ordering::Relaxed) {
-            let mut polled = [PollFd::new(ears.as_fd(), PollFlags::POLLIN)];
+            let mut polled = [PollFd::new(rx.as_fd(), PollFlags::POLLIN)];
             poll(&mut polled, PollTimeout::from(200u16)).expect("it can be polled");
-            while let Ok((length, _)) = recvfrom::<LinkAddr>(ears.as_raw_fd(), &mut buffer) {
+            while let Ok((length, _)) = recvfrom::<LinkAddr>(rx.as_raw_fd(), &mut buffer) {
                 seen.frame(&buffer[..length]);
             }
         }
@@ -96,7 +96,7 @@ fn capture(space: &str, stop: &Arc<AtomicBool>) -> JoinHandle<Seen> {
     })
 }
 
-/// Waits for the result of an episode from `first` on that was not given up.
+/// Waits for the result of an episode from `first` on that was not aborted.
 fn result_from(crew: &Crew, first: u32) -> u32 {
     crew.until("an episode ends well", |heard| match &heard.said {
         Said::Event(HostEvent::Episode(episode)) => {
@@ -106,7 +106,7 @@ fn result_from(crew: &Crew, first: u32) -> u32 {
     })
 }
 
-/// What has crossed the two networks: of each link its kinds of messages, to its own group.
+/// Checks the traffic of the two networks: of each link its kinds of messages, to its own group.
 fn each_network_has_its_own(adhoc: &Seen, infra: &Seen) {
     let told = |name: &str, seen: &Seen| {
         let Seen { groups, blocks, datagrams, other } = seen;
@@ -148,7 +148,7 @@ fn six_machines_on_two_networks_run_and_survive_partition_leave_and_rejoin() {
     let names: Vec<String> = hosts().into_iter().map(|(host, _)| host).collect();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
 
-    // The last robot comes late.
+    // The last robot starts late.
     let early: Vec<&str> = names.iter().copied().filter(|host| *host != "robot-4").collect();
     early.iter().for_each(|host| crew.start(host));
     crew.ready(&early);

@@ -1,5 +1,5 @@
-//! Output of a host and of a launch while they drive robots: nothing that is written holds a control tick up, and what
-//! was counted is told, however a process ends.
+//! Output of a host and of a launch while they drive robots: writing never delays a control tick, and counts are
+//! reported, however a process ends.
 
 use std::io::{BufRead, BufReader, ErrorKind, PipeReader, PipeWriter, Read, Write, pipe};
 use std::os::fd::AsFd;
@@ -20,13 +20,13 @@ use nix::unistd::{Pid, mkfifo};
 use serde_json::Value;
 
 const ROBOTS: usize = 12;
-/// How long nobody reads: the queue holds 13 seconds of the trajectories of so many robots.
+/// Time without a reader: the queue holds 13 seconds of the trajectories of this many robots.
 const STUCK: Duration = Duration::from_secs(18);
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How long a host may take to end with its pipes stuck: three times half a second of waiting, and what it does anyway.
+/// Longest time for a host with stuck pipes to end: three waits of half a second, and its usual work.
 const END: Duration = Duration::from_secs(4);
 
-/// A pipe that is full before anybody writes to it.
+/// Pipe that is already full.
 struct Full {
     reader: PipeReader,
     writer: PipeWriter,
@@ -40,7 +40,7 @@ impl Full {
         full
     }
 
-    /// A writer that waits, for a process.
+    /// Returns the blocking end for a process to write to.
     fn end(&self) -> Stdio {
         self.writer.try_clone().expect("a copy").into()
     }
@@ -61,7 +61,7 @@ impl Full {
     }
 }
 
-/// A process that does not outlive the test.
+/// Process that is killed at the end of the test.
 struct Process(Child);
 
 impl Drop for Process {
@@ -77,7 +77,7 @@ impl Process {
     }
 }
 
-/// All robots' agents and the state server on one host, the World on another.
+/// Returns a team with all agents and the state server on one host and the World on another.
 fn team() -> String {
     let robots: Vec<String> = (0..ROBOTS).map(|robot| robot.to_string()).collect();
     let robots = robots.join(", ");
@@ -91,13 +91,13 @@ fn team() -> String {
     )
 }
 
-/// Waits on nothing for a while.
+/// Waits for a while.
 fn pass(span: Duration) {
     let (_keep, silence) = channel::<()>();
     assert!(silence.recv_timeout(span).is_err());
 }
 
-/// Reads what was counted until it covers the time in which nobody read; then the pipe stays open, unread.
+/// Reads counts until they cover the time without a reader; then the pipe stays open, unread.
 fn read_all(reader: &PipeReader) -> Receiver<Counted> {
     let reader = reader.try_clone().expect("a copy");
     let (sender, found) = channel();
@@ -124,7 +124,7 @@ fn full_pipes_and_a_trajectory_pipe_without_a_reader_make_no_tick_late() {
     mkfifo(&fifo, Mode::S_IRWXU).expect("a pipe");
     let pipes: Vec<[Full; 2]> = (0..2).map(|_| [Full::new(), Full::new()]).collect();
     let start = |host: &str, [out, log]: &[Full; 2]| {
-        // As its service is started (packaging/), where this is permitted: before everything that has no deadline.
+        // With the priority of its service (packaging/), where this is permitted.
         let mut command = Command::new("nice");
         command.args(["-n", "-10", env!("CARGO_BIN_EXE_murmurate"), "host", &file, "--host", host, "--json"]);
         if host == "world" {
@@ -135,7 +135,7 @@ fn full_pipes_and_a_trajectory_pipe_without_a_reader_make_no_tick_late() {
     };
     let mut hosts: Vec<Process> = ["pc", "world"].iter().zip(&pipes).map(|(host, pipes)| start(host, pipes)).collect();
     pass(STUCK);
-    // The reader of stdout is back, so that it can be told; nobody ever reads the log.
+    // Now stdout is read again; the log never is.
     let [pc, world] = [0, 1].map(|host| read_all(&pipes[host][0].reader));
     let [pc, world] = [pc, world].map(|host| host.recv_timeout(PATIENCE).expect("it has gone on while nobody read"));
     let late: u64 = pc.safety.iter().map(|robot| robot.counts.late_tick + robot.counts.own_state).sum();
@@ -154,7 +154,7 @@ fn full_pipes_and_a_trajectory_pipe_without_a_reader_make_no_tick_late() {
     assert!(world.unwritten.steps > 0, "the steps that were dropped are counted: {world:?}");
 }
 
-/// The team of a launch: two robots and their World, an episode of a few seconds.
+/// Returns the team of a launch: two robots and their World, with episodes of a few seconds.
 fn pair(episodes: u32, number: u16) -> (tempfile::TempDir, String) {
     let links: String = [("loopback", 1), ("infra", 2)]
         .iter()
@@ -169,7 +169,7 @@ fn pair(episodes: u32, number: u16) -> (tempfile::TempDir, String) {
     folder(&(head + &links))
 }
 
-/// A launch that runs; its lines on stderr.
+/// Starts a launch; returns its lines on stderr, too.
 fn launched(episodes: u32, number: u16) -> (tempfile::TempDir, String, Process, Receiver<String>) {
     let (folder, file) = pair(episodes, number);
     let mut child = murmurate(&["launch", &file, "--json"])
@@ -209,7 +209,7 @@ fn until(lines: &Receiver<String>, said: &mut String, words: &[&str]) {
     }
 }
 
-/// Interrupts it; gives its exit code, its object and the rest of its log.
+/// Interrupts a launch; returns its exit code, its JSON object and the rest of its log.
 fn interrupted(mut launch: Process, lines: &Receiver<String>) -> (Option<i32>, Value, String) {
     launch.signal(Signal::SIGINT);
     let mut out = String::new();
@@ -220,12 +220,12 @@ fn interrupted(mut launch: Process, lines: &Receiver<String>) -> (Option<i32>, V
 }
 
 #[test]
-fn a_launch_tells_what_its_hosts_counted_after_a_stop_a_kill_and_an_interrupt() {
+fn a_launch_reports_the_counts_of_its_hosts_after_a_stop_a_kill_and_an_interrupt() {
     let _beside = beside();
     let (_folder, file, launch, lines) = launched(1000, 741);
     let mut said = String::new();
     until(&lines, &mut said, &["3 processes run"]);
-    // Long enough for every host to have counted something.
+    // Long enough for every host to have reported counts.
     pass(Duration::from_secs(3));
     signal_host(&launch, "agent-1", Signal::SIGKILL);
     until(&lines, &mut said, &["warning: the process 'agent-1'", "started again"]);
@@ -233,7 +233,7 @@ fn a_launch_tells_what_its_hosts_counted_after_a_stop_a_kill_and_an_interrupt() 
     let stop = run(&["stop", &file]);
     assert_eq!(stop.status.code(), Some(0), "{}{}", text(&stop.stdout), text(&stop.stderr));
     until(&lines, &mut said, &["agent-1", "ERROR", "emergency stop"]);
-    // A warning of a guard reaches the log, not errors alone.
+    // Warnings of a guard reach the log, too, not only errors.
     let rearm = run(&["stop", &file, "--rearm"]);
     assert_eq!(rearm.status.code(), Some(0), "{}{}", text(&rearm.stdout), text(&rearm.stderr));
     until(&lines, &mut said, &["WARN", "re-armed"]);
@@ -247,7 +247,7 @@ fn a_launch_tells_what_its_hosts_counted_after_a_stop_a_kill_and_an_interrupt() 
 }
 
 #[test]
-fn a_launch_whose_log_nobody_reads_ends_with_all_results() {
+fn a_launch_with_an_unread_log_ends_with_all_results() {
     let _beside = beside();
     let (_folder, file) = pair(1, 743);
     let log = Full::new();
@@ -269,7 +269,7 @@ fn a_launch_whose_log_nobody_reads_ends_with_all_results() {
 }
 
 #[test]
-fn an_interrupt_past_the_last_verdict_is_told_as_one() {
+fn an_interrupt_after_the_last_verdict_is_reported() {
     let _beside = beside();
     let (_folder, _, launch, lines) = launched(1, 742);
     let mut said = String::new();

@@ -1,4 +1,4 @@
-//! The program as tests start it, and what a refusal looks like. Shared by the tests of the command line.
+//! Running the program in tests, and checking its refusals. Shared by the tests of the command line.
 #![allow(dead_code)] // Each test uses its part.
 
 use std::process::{Command, Output, Stdio};
@@ -17,7 +17,7 @@ pub fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_vec()).expect("output is UTF-8")
 }
 
-/// The program refuses: exit code 2, nothing on stdout, one line on stderr with all of `words`.
+/// Checks that the program refuses: exit code 2, nothing on stdout, one line on stderr with all of `words`.
 pub fn refuses(args: &[&str], words: &[&str]) {
     let output = run(args);
     let (out, err) = (text(&output.stdout), text(&output.stderr));

@@ -176,7 +176,7 @@ impl TeamFile {
         let links: Vec<Option<Place>> = links.collect::<Result<_, _>>()?;
         self.check_apart(host, &links)?;
         let key_file = find("key_file").map(|entry| self.path(&entry));
-        let outside = links.iter().position(|link| link.as_ref().is_some_and(|place| !place.way.stays_here()));
+        let outside = links.iter().position(|link| link.as_ref().is_some_and(|place| !place.endpoint.is_local()));
         if let (None, Some(at)) = (&key_file, outside) {
             let (host, link) = (&self.deployment.hosts[usize::from(host.0)].name, &self.deployment.links[at].name);
             let why = format!(
@@ -418,11 +418,11 @@ interface = "wlan8"
     }
 
     fn interface(team: &Team, link: usize) -> &str {
-        team.links[link].as_ref().unwrap().way.interface().unwrap()
+        team.links[link].as_ref().unwrap().endpoint.interface().unwrap()
     }
 
     fn claim(team: &Team, link: usize) -> String {
-        team.links[link].as_ref().unwrap().way.claim().what
+        team.links[link].as_ref().unwrap().endpoint.claim().what
     }
 
     #[test]
@@ -448,7 +448,7 @@ interface = "wlan8"
         assert_eq!(interface(&third, 1), "wlan7", "a robot's override is narrower than its host's");
         assert_eq!(claim(&third, 2), "127.0.0.1:3", "where it listens");
         let guest = third.links[2].as_ref().unwrap().for_guest(third.host);
-        assert_eq!(guest.way.claim().what, "127.0.0.1:1, 127.0.0.1:2, 127.0.0.1:3, 127.0.0.1:4");
+        assert_eq!(guest.endpoint.claim().what, "127.0.0.1:1, 127.0.0.1:2, 127.0.0.1:3, 127.0.0.1:4");
         assert_eq!(file.host_of(RobotId(2)), Ok(HostId(2)));
         assert!(file.host_of(RobotId(3)).is_err() && file.host_named("pc").is_err());
     }

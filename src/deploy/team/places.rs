@@ -12,8 +12,8 @@ use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::protocol::reliability::Reliability;
 use crate::net::transport;
-use crate::net::transport::settings::Said;
-use crate::net::transport::{Field, Given, Place};
+use crate::net::transport::settings::FieldValue;
+use crate::net::transport::{Field, LinkSettings, Place};
 
 /// The link of the emergency stop, as an operator joins it from whatever machine it runs on.
 #[derive(Clone, Debug)]
@@ -61,17 +61,17 @@ impl TeamFile {
             transport.fields.iter().flat_map(|field| self.names_of(field).into_iter().map(move |n| (field, n)))
         {
             let Some(Entry { value, origin }) = self.of_link(&scopes, at, (field, &name)) else { continue };
-            let said = Said { value, place: place(&format!("link.{}.{name}", link.name), &origin) };
-            values.insert(name, said);
+            let value = FieldValue { value, place: place(&format!("link.{}.{name}", link.name), &origin) };
+            values.insert(name, value);
         }
         let hosts = self.deployment.hosts.iter().map(|host| host.name.as_str()).collect();
-        let way = (transport.read)(&Given { link: &link.name, host, hosts, values })?;
+        let endpoint = (transport.read)(&LinkSettings { link: &link.name, host, hosts, values })?;
         let reliability = KINDS.iter().filter_map(|&kind| {
             let entry = self.layers.find(&scopes, &format!("link.{}.reliability.{}", link.name, kebab(kind)))?;
             let named = Reliability::NAMED.iter().find(|(name, _)| *name == text(&entry));
             Some((kind, named.expect("the fields let only reliabilities through").1))
         });
-        Ok(Place { way, reliability: reliability.collect() })
+        Ok(Place { endpoint, reliability: reliability.collect() })
     }
 
     /// Where an operator joins the team: on the link that carries the emergency stop, and on no other.
@@ -85,7 +85,7 @@ impl TeamFile {
         let mut places: Vec<Place> = Vec::new();
         for &host in &hosts {
             let place = self.place(host, at)?.for_guest(host);
-            if places.iter().all(|other| other.way.claim() != place.way.claim()) {
+            if places.iter().all(|other| other.endpoint.claim() != place.endpoint.claim()) {
                 places.push(place);
             }
         }
@@ -107,7 +107,7 @@ impl TeamFile {
         let mut seen: BTreeMap<(String, String), &str> = BTreeMap::new();
         for (link, place_on) in self.deployment.links.iter().zip(places) {
             let Some(place_on) = place_on else { continue };
-            let claim = place_on.way.claim();
+            let claim = place_on.endpoint.claim();
             let Some(twin) = seen.insert((claim.what.clone(), claim.on), &link.name) else { continue };
             let fields = self.transport(&scopes, link).fields;
             let by_host = fields.iter().any(|field| field.name == claim.field && field.by_host);

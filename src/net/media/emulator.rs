@@ -5,7 +5,7 @@
 
 use rand::RngExt;
 
-use crate::faults::{LinkFault, LinkFaultKind};
+use crate::faults::{EpisodeStarts, LinkFault, LinkFaultKind};
 use crate::messages::ids::HostId;
 use crate::messages::wire::Kind;
 use crate::net::protocol::codec::{Frame, HEADER_BYTES};
@@ -28,13 +28,19 @@ pub struct Impairment {
 pub struct LinkEmulator {
     impairment: Impairment,
     faults: Vec<LinkFault>,
+    starts: EpisodeStarts,
     stream: Stream,
 }
 
 impl LinkEmulator {
     /// Returns an emulator with the faults planned for its link; it draws from `stream` alone.
     pub fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> LinkEmulator {
-        LinkEmulator { impairment, faults, stream }
+        LinkEmulator { impairment, faults, starts: EpisodeStarts::default(), stream }
+    }
+
+    /// Sets the start times of episodes, for faults that are timed from them.
+    pub fn with_starts(self, starts: EpisodeStarts) -> LinkEmulator {
+        LinkEmulator { starts, ..self }
     }
 
     /// Carries one frame from one host to one receiver: puts each copy that arrives, with its time of arrival, into
@@ -56,7 +62,9 @@ impl LinkEmulator {
         }
         let first = arrivals.len();
         arrivals.push((at, frame.clone()));
-        for fault in self.faults.iter().filter(|fault| fault.hits(now, kind, from, to)) {
+        for fault in
+            self.faults.iter().filter(|fault| fault.hits(now, |episode| self.starts.of(episode), kind, (from, to)))
+        {
             if fault.share < 1.0 && !self.stream.random_bool(fault.share) {
                 continue;
             }

@@ -1,17 +1,17 @@
-//! A token bucket: how much one sender may say. Pure; the time is handed in.
+//! Token bucket: rate limit of one sender. Pure; the caller passes the time.
 
 use crate::time::{Span, Time};
 
-/// How much one sender may say.
+/// Rate limit of one sender.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
-    /// Datagrams \[1/s\] in the long run.
+    /// Sustained rate of datagrams \[1/s\].
     pub per_s: f64,
-    /// Datagrams at once.
+    /// Burst size \[datagrams\].
     pub burst: f64,
 }
 
-/// What one sender has left.
+/// Remaining tokens of one sender.
 #[derive(Clone, Copy, Debug)]
 pub struct Bucket {
     tokens: f64,
@@ -19,7 +19,7 @@ pub struct Bucket {
 }
 
 impl Bucket {
-    /// A full one.
+    /// Returns a full bucket.
     pub fn full(now: Time, rate: &Rate) -> Bucket {
         Bucket { tokens: rate.burst, at: now }
     }
@@ -30,13 +30,13 @@ impl Bucket {
         self.at = self.at.max(now);
     }
 
-    /// How many tokens there are.
+    /// Number of tokens.
     pub fn left(&mut self, now: Time, rate: &Rate) -> usize {
         self.fill(now, rate);
         self.tokens as usize
     }
 
-    /// Takes one token, if there is one.
+    /// Takes one token, if there is one; returns whether there was.
     pub fn take(&mut self, now: Time, rate: &Rate) -> bool {
         self.fill(now, rate);
         let left = self.tokens >= 1.0;

@@ -1,8 +1,8 @@
-//! Incarnations that have not shown yet that they are alive: each is echoed for a while, so that it can.
+//! Candidates: incarnations that have not proved their liveness yet. Each is echoed for a while, so that it can.
 //!
-//! A recording of a former run is such a candidate for ever, so candidates are bounded, hosts of the team apart from
-//! guests, and their places are given fairly: first to those that were echoed least. A recording that repeats itself
-//! grows old, since only a stamp that has advanced keeps a candidate fresh.
+//! A recording of a former run stays a candidate for ever. So candidates are bounded, hosts of the team apart from
+//! guests, and those that were echoed least come first. A repeated recording expires, since only a stamp that has
+//! advanced keeps a candidate fresh.
 
 use std::collections::BTreeMap;
 
@@ -11,27 +11,27 @@ use super::report::Stamp;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// The most candidates that are hosts of the team.
+/// Most candidates that are hosts of the team.
 const MAX_HOSTS: usize = 1024;
-/// The most candidates that are guests: operators, and hosts that the deployment does not know.
+/// Most candidates that are guests: operators, and hosts that the deployment does not know.
 const MAX_GUESTS: usize = 256;
-/// The share of a full table that makes room at once, so that a flood does not search it for every datagram.
-const MAKES_ROOM: usize = 16;
-/// The most candidates of one host: more former runs than one is likely to have recorded of the same key and link.
+/// Share of a full table that is removed at once, so that a flood does not cause a search for every datagram.
+const REMOVED_SHARE: usize = 16;
+/// Most candidates of one host: more former runs than are likely to have been recorded with the same key and link.
 pub const MAX_CANDIDATES: usize = 32;
-/// Stamps that lie further apart are of two runs, even of one incarnation: an hour \[us\].
+/// Difference beyond which two stamps are of two runs, even of one incarnation: an hour \[us\].
 const SAME_CLOCK_US: i64 = 3_600_000_000;
 
-/// An incarnation that has not shown yet that it is alive.
+/// An incarnation that has not proved its liveness yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate {
     /// The incarnation.
-    pub epoch: u32,
-    /// Its greatest stamp.
+    pub incarnation: u32,
+    /// Its largest stamp.
     pub stamp: Stamp,
-    /// When that came.
+    /// Time of arrival of that stamp.
     pub at: Time,
-    /// How often it was echoed.
+    /// Number of times it was echoed.
     pub echoed: u32,
 }
 
@@ -40,22 +40,22 @@ impl Candidate {
         now.since(self.at) < FRESH
     }
 
-    /// How little would be lost with it: one that says nothing new, then one that has had many chances; of several the
-    /// one that has said nothing new for longest.
-    fn weakness(&self, now: Time) -> (bool, u32, Span) {
+    /// Order of removal. First candidates that have expired, then those that were echoed most; of several, the one
+    /// whose stamp has not advanced for longest.
+    fn removal_order(&self, now: Time) -> (bool, u32, Span) {
         (!self.is_fresh(now), self.echoed, now.since(self.at))
     }
 }
 
-/// News that a stamp was to the candidates.
+/// Novelty of a candidate's stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Noted {
-    /// A new candidate's, or it has advanced: its sender may be waiting for an answer.
-    News,
-    /// No news of a candidate that has said something new lately.
-    Known,
-    /// No news of a candidate that has not.
-    Old,
+pub enum Novelty {
+    /// A new candidate, or its stamp has advanced: the sender may wait for an answer.
+    New,
+    /// The stamp has not advanced; the candidate is still fresh.
+    Repeated,
+    /// The stamp has not advanced; the candidate has expired.
+    Expired,
 }
 
 /// Candidates with a common bound.
@@ -71,39 +71,39 @@ impl Table {
         Table { by_host: BTreeMap::new(), count: 0, most }
     }
 
-    fn note(&mut self, now: Time, host: HostId, candidate: Candidate) -> Noted {
+    fn note(&mut self, now: Time, host: HostId, candidate: Candidate) -> Novelty {
         let stamp = candidate.stamp;
         let same = |known: &&mut Candidate| {
-            known.epoch == candidate.epoch && stamp.ahead_us(known.stamp).abs() < SAME_CLOCK_US
+            known.incarnation == candidate.incarnation && stamp.ahead_us(known.stamp).abs() < SAME_CLOCK_US
         };
         let all = self.by_host.get_mut(&host);
         if let Some(known) = all.and_then(|all| all.iter_mut().find(same)) {
             if stamp.ahead_us(known.stamp) > 0 {
                 (known.stamp, known.at) = (stamp, now);
-                return Noted::News;
+                return Novelty::New;
             }
-            return if known.is_fresh(now) { Noted::Known } else { Noted::Old };
+            return if known.is_fresh(now) { Novelty::Repeated } else { Novelty::Expired };
         }
         if self.count >= self.most {
             self.make_room(now);
         }
         let all = self.by_host.entry(host).or_default();
         if all.len() >= MAX_CANDIDATES {
-            *all.iter_mut().max_by_key(|known| known.weakness(now)).expect("there are many") = candidate;
+            *all.iter_mut().max_by_key(|known| known.removal_order(now)).expect("there are many") = candidate;
         } else {
             self.count += 1;
             all.push(candidate);
         }
-        Noted::News
+        Novelty::New
     }
 
-    /// The weakest leave, whichever host's they are.
+    /// Removes the first candidates in order of removal, whichever host they are of.
     fn make_room(&mut self, now: Time) {
         let each = self.by_host.iter().flat_map(|(&host, all)| all.iter().map(move |one| (host, *one)));
         let mut all: Vec<(HostId, Candidate)> = each.collect();
-        all.sort_by_key(|(_, one)| std::cmp::Reverse(one.weakness(now)));
-        for (host, weak) in all.into_iter().take(self.most / MAKES_ROOM) {
-            self.remove(host, |one| (one.epoch, one.stamp) == (weak.epoch, weak.stamp));
+        all.sort_by_key(|(_, one)| std::cmp::Reverse(one.removal_order(now)));
+        for (host, first) in all.into_iter().take(self.most / REMOVED_SHARE) {
+            self.remove(host, |one| (one.incarnation, one.stamp) == (first.incarnation, first.stamp));
         }
     }
 
@@ -117,7 +117,7 @@ impl Table {
         }
     }
 
-    /// Those whose stamp is fresh enough to be echoed: those that were echoed least first, then the newest.
+    /// Returns the fresh candidates: those that were echoed least first, then the newest.
     fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let each = self.by_host.iter().flat_map(|(&host, all)| all.iter().map(move |one| (host, *one)));
         let mut waiting: Vec<(HostId, Candidate)> = each.filter(|(_, one)| one.is_fresh(now)).collect();
@@ -135,7 +135,7 @@ pub struct Candidates {
 }
 
 impl Candidates {
-    /// None yet. Hosts of the team have numbers below `first_guest`.
+    /// Returns an empty table. Hosts of the team have numbers below `first_guest`.
     pub fn new(first_guest: HostId) -> Candidates {
         Candidates { hosts: Table::new(MAX_HOSTS), guests: Table::new(MAX_GUESTS), first_guest }
     }
@@ -144,22 +144,22 @@ impl Candidates {
         if host < self.first_guest { &mut self.hosts } else { &mut self.guests }
     }
 
-    /// Takes up the stamp of a report.
-    pub fn note(&mut self, now: Time, host: HostId, epoch: u32, stamp: Stamp) -> Noted {
-        self.table(host).note(now, host, Candidate { epoch, stamp, at: now, echoed: 0 })
+    /// Notes the stamp of a report.
+    pub fn note(&mut self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Novelty {
+        self.table(host).note(now, host, Candidate { incarnation, stamp, at: now, echoed: 0 })
     }
 
-    /// This incarnation has shown that it is alive, and is no candidate any more. Gives what was known of it.
-    pub fn forget(&mut self, host: HostId, epoch: u32) -> Option<Candidate> {
+    /// Removes an incarnation that has proved its liveness. Returns its candidate.
+    pub fn forget(&mut self, host: HostId, incarnation: u32) -> Option<Candidate> {
         let table = self.table(host);
         let all = table.by_host.get(&host)?.iter();
-        let known = all.filter(|known| known.epoch == epoch).max_by_key(|known| known.echoed).copied();
-        table.remove(host, |one| one.epoch == epoch);
+        let known = all.filter(|known| known.incarnation == incarnation).max_by_key(|known| known.echoed).copied();
+        table.remove(host, |one| one.incarnation == incarnation);
         known
     }
 
-    /// Those whose stamp is fresh enough to be echoed, guests and hosts by turns: neither kind holds the other up. Of
-    /// each kind those that were echoed least first, then the newest.
+    /// Returns the fresh candidates, guests and hosts alternately, so that neither delay the other. Of each, those that
+    /// were echoed least come first, then the newest.
     pub fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let [mut guests, mut hosts] = [&self.guests, &self.hosts].map(|table| table.waiting(now).into_iter());
         let mut waiting = Vec::with_capacity(guests.len() + hosts.len());
@@ -170,7 +170,7 @@ impl Candidates {
         waiting
     }
 
-    /// A report leaves that echoes this stamp.
+    /// Counts a report that echoes this stamp.
     pub fn echoed(&mut self, host: HostId, stamp: Stamp) {
         let all = self.table(host).by_host.get_mut(&host);
         if let Some(one) = all.and_then(|all| all.iter_mut().find(|one| one.stamp == stamp)) {
@@ -178,7 +178,7 @@ impl Candidates {
         }
     }
 
-    /// Of each host the candidate that said something new last.
+    /// Returns the candidate of each host whose stamp advanced last.
     pub fn newest(&self) -> impl Iterator<Item = (HostId, Candidate)> {
         let all = self.hosts.by_host.iter().chain(&self.guests.by_host);
         all.filter_map(|(&host, all)| Some((host, *all.iter().max_by_key(|one| one.at)?)))
@@ -197,18 +197,18 @@ mod tests {
     fn a_crowd_of_recordings_does_not_displace_a_candidate_that_was_never_echoed() {
         let (host, mut all) = (HostId(1), none());
         let at = |ms: u64| Time::ZERO + Span::from_millis(ms);
-        for epoch in 0..MAX_CANDIDATES as u32 {
-            let stamp = Stamp::new(u64::from(epoch) + 5);
-            assert_eq!(all.note(at(0), host, epoch, stamp), Noted::News);
+        for incarnation in 0..MAX_CANDIDATES as u32 {
+            let stamp = Stamp::new(u64::from(incarnation) + 5);
+            assert_eq!(all.note(at(0), host, incarnation, stamp), Novelty::New);
             all.echoed(host, stamp);
         }
         all.note(at(1), host, 1000, Stamp::new(1000));
-        for epoch in 2000..2010 {
-            all.note(at(2), host, epoch, Stamp::new(epoch.into()));
-            all.echoed(host, Stamp::new(epoch.into()));
+        for incarnation in 2000..2010 {
+            all.note(at(2), host, incarnation, Stamp::new(incarnation.into()));
+            all.echoed(host, Stamp::new(incarnation.into()));
         }
         let waiting = all.waiting(at(3));
-        assert_eq!((waiting.len(), waiting[0].1.epoch), (MAX_CANDIDATES, 1000), "it is echoed next");
+        assert_eq!((waiting.len(), waiting[0].1.incarnation), (MAX_CANDIDATES, 1000), "it is echoed next");
     }
 
     #[test]
@@ -221,7 +221,10 @@ mod tests {
             all.note(at(ms), host, 2, Stamp::new(4));
         }
         let waiting = all.waiting(at(3000));
-        assert_eq!(waiting.iter().map(|(_, one)| (one.epoch, one.stamp)).collect::<Vec<_>>(), [(2, Stamp::new(2905))]);
+        assert_eq!(
+            waiting.iter().map(|(_, one)| (one.incarnation, one.stamp)).collect::<Vec<_>>(),
+            [(2, Stamp::new(2905))]
+        );
     }
 
     #[test]
@@ -238,14 +241,14 @@ mod tests {
         let mut all = none();
         let often = |all: &mut Candidates, host: u16, times: u32| {
             let stamp = Stamp::new(u64::from(host) + 5);
-            assert_eq!(all.note(Time::ZERO, HostId(host), 1, stamp), Noted::News);
+            assert_eq!(all.note(Time::ZERO, HostId(host), 1, stamp), Novelty::New);
             (0..times).for_each(|_| all.echoed(HostId(host), stamp));
         };
         (0..MAX_HOSTS as u16).for_each(|host| often(&mut all, host, if host == 77 { 9 } else { 1 }));
         often(&mut all, 5000, 0);
         let left: Vec<u16> = all.newest().map(|(host, _)| host.0).collect();
         assert!(left.contains(&5000) && !left.contains(&77));
-        assert_eq!((left.len(), all.hosts.count), (MAX_HOSTS - MAX_HOSTS / MAKES_ROOM + 1, left.len()));
+        assert_eq!((left.len(), all.hosts.count), (MAX_HOSTS - MAX_HOSTS / REMOVED_SHARE + 1, left.len()));
         assert_eq!(all.waiting(Time::ZERO)[0].0, HostId(5000));
     }
 
@@ -261,8 +264,8 @@ mod tests {
         assert!(waiting[0].0.is_operator() && waiting[1].0 == HostId(1));
         (0..5000).for_each(|host| _ = all.note(Time::ZERO + FRESH, HostId(host), 1, Stamp::new(9)));
         assert!(all.guests.count > MAX_GUESTS / 2 && all.hosts.count <= MAX_HOSTS);
-        let epochs = all.newest().count();
-        assert_eq!(epochs, all.hosts.count + all.guests.count);
+        let incarnations = all.newest().count();
+        assert_eq!(incarnations, all.hosts.count + all.guests.count);
     }
 
     #[test]
@@ -272,8 +275,8 @@ mod tests {
             |ms: u64, stamp: u64| all.note(Time::ZERO + Span::from_millis(ms), HostId(1), 1, Stamp::new(stamp));
         assert_eq!(
             [note(0, 5), note(1, 5), note(2, 9), note(3, 8)],
-            [Noted::News, Noted::Known, Noted::News, Noted::Known]
+            [Novelty::New, Novelty::Repeated, Novelty::New, Novelty::Repeated]
         );
-        assert_eq!(note(2 + FRESH.as_nanos() / 1_000_000, 9), Noted::Old);
+        assert_eq!(note(2 + FRESH.as_nanos() / 1_000_000, 9), Novelty::Expired);
     }
 }

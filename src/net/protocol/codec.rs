@@ -1,4 +1,4 @@
-//! The one encoder and the one decoder of the wire.
+//! Encoder and decoder of the wire format; there are no others.
 //!
 //! A datagram is a header of 14 bytes, little-endian, then blocks, then a tag where the team has a key (`key`):
 //!
@@ -8,12 +8,12 @@
 //! | 1 | flags |
 //! | 2..4 | team |
 //! | 4..6 | sending host |
-//! | 6..10 | epoch: the sender's incarnation, a random number |
+//! | 6..10 | the sender's incarnation, a random number |
 //! | 10..14 | sequence number, counted on this link for all hosts, or for the one that it is for |
 //!
-//! A block is what it holds (1 byte), how long it is (2) and its body: a message as one MessagePack array, or what the
-//! link layer says for itself (`report`). Decoding never panics, whatever the bytes, and never allocates more than
-//! the datagram is long.
+//! A block is a content byte, a length of 2 bytes and a body: a message as one MessagePack array, or a control block of
+//! the link layer (`report`). Decoding never panics, whatever the bytes, and never allocates more than the length of
+//! the datagram.
 
 use std::sync::Arc;
 
@@ -23,37 +23,37 @@ use super::unpack::Reader;
 use crate::messages::ids::HostId;
 use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
 
-/// Version of the wire format; a receiver refuses every other.
+/// Version of the wire format; a receiver refuses all others.
 pub const VERSION: u8 = 4;
-/// Bytes of a tag: BLAKE3 with a key, cut to 128 bits.
+/// Bytes of a tag: keyed BLAKE3, truncated to 128 bits.
 pub const TAG_BYTES: usize = 16;
 /// Bytes of the header.
 pub const HEADER_BYTES: usize = 14;
-/// Where its flags are.
+/// Offset of the flags in the header.
 pub const FLAGS_AT: usize = 1;
 /// Bytes before the body of a block.
 pub const BLOCK_BYTES: usize = 3;
-/// The largest datagram, tag included: below the 1280 bytes that every IPv6 link carries (RFC 8200, section 5),
-/// with room for the headers of IP and UDP.
+/// Largest datagram, tag included: below the 1280 bytes that every IPv6 link carries (RFC 8200, section 5), with room
+/// for the headers of IP and UDP.
 pub const MAX_FRAME_BYTES: usize = 1200;
-/// The largest datagram before its tag.
+/// Largest datagram before its tag.
 pub const MAX_PLAIN_BYTES: usize = MAX_FRAME_BYTES - TAG_BYTES;
 
-/// An encoded datagram, shared by all who carry it.
+/// An encoded datagram, shared without copies.
 pub type Frame = Arc<[u8]>;
 
-/// What a datagram says of itself in single bits.
+/// Flags of a datagram, one bit each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Flags(pub u8);
 
 impl Flags {
     /// A tag follows.
     pub const TAGGED: u8 = 1;
-    /// It is for one host, and counted among those that are.
+    /// It is for one host, and numbered in that host's sequence space.
     pub const DIRECT: u8 = 2;
-    /// It has been sent before.
+    /// Retransmission.
     pub const COPY: u8 = 4;
-    /// Whoever hears it shall say so.
+    /// The receiver shall acknowledge it.
     pub const ACK: u8 = 8;
 
     /// Whether this bit is set.
@@ -62,35 +62,36 @@ impl Flags {
     }
 }
 
-/// Who sent a datagram, and which of its datagrams it is.
+/// Header of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// What it says of itself.
+    /// Flags.
     pub flags: Flags,
     /// The team that it belongs to.
     pub team: u16,
     /// The host that sent it.
     pub sender: HostId,
-    /// The sender's incarnation; a restarted host has another one.
-    pub epoch: u32,
-    /// Counts the sender's datagrams to all or to one on this link within an epoch.
+    /// The sender's incarnation; a restarted host has a new one.
+    pub incarnation: u32,
+    /// Number of the datagram in its sequence space: per link and incarnation, those to all hosts or those to one.
     pub sequence: u32,
 }
 
-/// What a block holds.
+/// Content of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
     /// A message.
     Message(Kind),
     /// A link report.
     Report,
-    /// A link report of a link on which datagrams are addressed: it says of each host what is next for it alone.
+    /// A link report of a link with unicast datagrams: each entry has the number of the next datagram to its host
+    /// alone.
     NumberedReport,
     /// Acknowledgements.
     Ack,
-    /// Requests to send again.
+    /// Requests to retransmit.
     Nack,
-    /// The numbers of earlier datagrams that may be asked for.
+    /// Numbers of earlier datagrams that may be requested.
     Held,
 }
 
@@ -124,7 +125,7 @@ impl Content {
     }
 }
 
-/// Why a message cannot be sent.
+/// Reason for which a message cannot be sent.
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
     /// The message breaks its own ranges.
@@ -135,7 +136,7 @@ pub enum EncodeError {
     TooLong(Kind, usize),
 }
 
-/// Why bytes are not a frame.
+/// Reason for which bytes are not a frame.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
     /// Shorter than a header or longer than a datagram.
@@ -153,10 +154,10 @@ pub enum DecodeError {
     /// The datagram ends within a block, or holds none, or more than one where one is expected.
     #[error("the blocks are not what their lengths say")]
     Blocks,
-    /// A block of the link layer is not what it promises.
+    /// A control block does not have the form of its content.
     #[error("the body is not a {0:?}")]
     Link(Content),
-    /// The body is not the message that the header promises.
+    /// The body is not a message of the kind that its block names.
     #[error("the body is not a {0:?}")]
     Body(Kind),
     /// Bytes follow the message.
@@ -173,7 +174,7 @@ pub fn start(header: &Header) -> Vec<u8> {
     bytes.extend_from_slice(&[VERSION, header.flags.0]);
     bytes.extend_from_slice(&header.team.to_le_bytes());
     bytes.extend_from_slice(&header.sender.0.to_le_bytes());
-    bytes.extend_from_slice(&header.epoch.to_le_bytes());
+    bytes.extend_from_slice(&header.incarnation.to_le_bytes());
     bytes.extend_from_slice(&header.sequence.to_le_bytes());
     bytes
 }
@@ -225,12 +226,12 @@ pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
     if flags.0 & !(Flags::TAGGED | Flags::DIRECT | Flags::COPY | Flags::ACK) != 0 {
         return Err(DecodeError::Flags(flags.0));
     }
-    let (epoch, sequence) = (u32::from_le_bytes([e0, e1, e2, e3]), u32::from_le_bytes([n0, n1, n2, n3]));
+    let (incarnation, sequence) = (u32::from_le_bytes([e0, e1, e2, e3]), u32::from_le_bytes([n0, n1, n2, n3]));
     let (team, sender) = (u16::from_le_bytes([t0, t1]), HostId(u16::from_le_bytes([s0, s1])));
-    Ok(Header { flags, team, sender, epoch, sequence })
+    Ok(Header { flags, team, sender, incarnation, sequence })
 }
 
-/// The blocks of a datagram without its tag. After an error there are no more.
+/// Returns the blocks of a datagram without its tag, up to the first error.
 pub fn blocks(plain: &[u8]) -> impl Iterator<Item = Result<(Content, &[u8]), DecodeError>> {
     let mut rest = plain.get(HEADER_BYTES..).unwrap_or_default();
     std::iter::from_fn(move || {
@@ -250,7 +251,7 @@ fn split(bytes: &[u8]) -> Result<(Content, &[u8], &[u8]), DecodeError> {
     Ok((content, body, rest))
 }
 
-/// What a datagram holds first: all that the emulated medium goes by.
+/// Returns the content of a datagram's first block, by which the emulated medium treats it.
 pub fn first(datagram: &[u8]) -> Result<Content, DecodeError> {
     split(datagram.get(HEADER_BYTES..).unwrap_or_default()).map(|(content, ..)| content)
 }

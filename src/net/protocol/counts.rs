@@ -1,4 +1,4 @@
-//! Counts of a host on a link: everything that left, was let in, or was dropped, each by its cause. No decisions.
+//! Counters of a host on a link: everything sent, accepted or dropped, each by its cause. No decisions.
 
 use std::iter::Sum;
 
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 macro_rules! counts {
     ($($(#[$doc:meta])* $name:ident,)*) => {
-        /// Datagrams and messages of one link, as one host counted them.
+        /// Datagrams and messages of one link, as counted by one host.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(default)]
         pub struct LinkCounts {
@@ -24,45 +24,47 @@ macro_rules! counts {
 counts! {
     /// Datagrams sent with data, each counted once; and messages that stayed on the host.
     sent,
-    /// Datagrams sent again: timed repeats, repairs that were asked for, retries without an acknowledgement.
+    /// Datagrams retransmitted: timed repeats, requested repairs, retries without an acknowledgement.
     copies,
     /// Datagrams sent with nothing but soft state: heartbeats, modes, link reports, acknowledgements, requests.
     soft,
-    /// Given up: sent with all retries and never acknowledged by everyone.
+    /// Given up: sent with all retries and never acknowledged by all receivers.
     lapsed,
     /// Not sent: out of the ranges of their kind.
     unfit,
-    /// Messages received and let in.
+    /// Messages received and accepted.
     accepted,
-    /// Messages let in that came by a copy: the first transmission was lost.
+    /// Messages accepted from a retransmission: the first transmission was lost.
     repaired,
-    /// Set aside: for another host of the same multicast group. Not a fault.
+    /// Ignored: for another host of the same multicast group. Not a fault.
     aside,
-    /// Refused: own datagrams, heard back.
+    /// Refused: datagrams of this process, received back.
     own,
     /// Refused: the tag is missing or wrong, or there is one and no key to check it.
     auth,
     /// Refused: too old to tell whether it is new, or of a former incarnation, on a link with authentication.
     replay,
-    /// Refused: a report that was sent after it had come long before it, or it was a report itself and long under way.
+    /// Refused: delayed. It was sent before a report that arrived long before it, or is a report that was long in
+    /// transit.
     late,
-    /// Refused: the sender has not shown yet that it is alive now.
+    /// Refused: the sender has not proved its liveness yet.
     unproven,
-    /// Refused: a second live host under one id.
-    twin,
+    /// Refused: from a second live host with the same id.
+    #[serde(rename = "twin")]
+    duplicate_id,
     /// Refused: of another team.
     team,
     /// Refused: of another version.
     version,
     /// Refused: numbers out of the ranges of their kind.
     range,
-    /// Refused: the same datagram again.
+    /// Refused: duplicate of a datagram.
     duplicate,
-    /// Refused: older than what is already here.
+    /// Refused: older than the newest message of its stream.
     stale,
-    /// Refused: the sender says more than it may.
+    /// Refused: the sender exceeds its rate limit.
     rate,
-    /// Refused: more senders than are remembered.
+    /// Refused: the table of senders is full.
     crowd,
     /// Dropped: a queue of the transport was full.
     queue,
@@ -73,9 +75,9 @@ counts! {
 }
 
 impl LinkCounts {
-    /// Everything that was refused or dropped on arrival, whatever the cause.
+    /// Everything refused or dropped on arrival, whatever the cause.
     pub fn refused(&self) -> u64 {
-        let forged = self.own + self.auth + self.replay + self.unproven + self.twin + self.team + self.version;
+        let forged = self.own + self.auth + self.replay + self.unproven + self.duplicate_id + self.team + self.version;
         let late = self.duplicate + self.stale + self.late + self.rate + self.crowd + self.queue;
         forged + late + self.range + self.malformed + self.misrouted
     }

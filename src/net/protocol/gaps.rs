@@ -1,34 +1,34 @@
-//! Datagrams that are known to be missing: which are asked for, and when. Sends nothing.
+//! Missing datagrams: which to request, and when. Sends nothing.
 
 use std::collections::BTreeMap;
 
 use super::codec::{Flags, Header};
-use super::order::LATE;
-use super::report::Name;
+use super::lateness::LATE;
+use super::report::DatagramId;
 use super::window::Window;
 use crate::time::{Span, Time};
 
-/// The most datagrams that are known to be missing.
+/// Most missing datagrams that are tracked.
 const MAX_GAPS: usize = 256;
-/// How often a missing datagram is asked for: at 30 % loss of requests and answers alike, 7 % stay missing.
+/// Requests for a missing datagram: at 30 % loss of requests and answers alike, 7 % stay missing.
 const ASKS: u32 = 4;
-/// The longest random wait before asking, so that one asks for all (RFC 5401, section 3.2).
+/// Largest random backoff before a request, so that one receiver asks for all (RFC 5401, section 3.2).
 pub const BACKOFF: Span = Span::from_millis(10);
 
-/// A datagram that is missing.
+/// A missing datagram.
 #[derive(Clone, Copy, Debug)]
 struct Gap {
     due: Time,
     asked: u32,
 }
 
-/// All that is known to be missing on one link.
+/// All missing datagrams of one link.
 #[derive(Clone, Debug, Default)]
-pub struct Gaps(BTreeMap<Name, Gap>);
+pub struct Gaps(BTreeMap<DatagramId, Gap>);
 
 impl Gaps {
-    /// A new datagram says what its sender still holds: whatever of it has not been here is missing. `backoff` draws
-    /// how long to wait before asking. Only what is held is asked for, so requests never breed requests.
+    /// Adds the numbers that a new datagram offers for retransmission and that have not arrived. `backoff` draws the
+    /// wait before a request. Only offered datagrams are requested, so lost requests cause no further requests.
     pub fn note(
         &mut self,
         now: Time,
@@ -37,52 +37,52 @@ impl Gaps {
         window: &Window,
         mut backoff: impl FnMut() -> Span,
     ) {
-        self.0.remove(&Name::of(header));
+        self.0.remove(&DatagramId::of(header));
         for &sequence in held.iter().filter(|sequence| window.misses(**sequence)) {
             if self.0.len() < MAX_GAPS {
-                let name = Name::of(&Header { sequence, ..*header });
-                self.0.entry(name).or_insert_with(|| Gap { due: now + backoff(), asked: 0 });
+                let id = DatagramId::of(&Header { sequence, ..*header });
+                self.0.entry(id).or_insert_with(|| Gap { due: now + backoff(), asked: 0 });
             }
         }
     }
 
-    /// Whether nothing is known to be missing.
+    /// Whether no datagram is known to be missing.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Whether this is a copy of a datagram that is being asked for: however old, its sender still holds it.
+    /// Whether this is a retransmission that was requested: however old, its sender still keeps it.
     pub fn awaits(&self, header: &Header) -> bool {
-        header.flags.has(Flags::COPY) && self.0.contains_key(&Name::of(header))
+        header.flags.has(Flags::COPY) && self.0.contains_key(&DatagramId::of(header))
     }
 
-    /// Another host has asked for these: a second request would be one too many. What is for one host has a number
-    /// among those of that host alone, so another's request says nothing of this one's.
-    pub fn asked_by_others(&mut self, now: Time, names: &[Name]) {
-        for name in names.iter().filter(|name| !name.direct) {
-            if let Some(gap) = self.0.get_mut(name) {
+    /// Postpones requests for datagrams that another host has requested. Unicast datagrams have a sequence space for
+    /// each receiver, so another host's request says nothing about this host's.
+    pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
+        for id in ids.iter().filter(|id| !id.direct) {
+            if let Some(gap) = self.0.get_mut(id) {
                 gap.due = gap.due.max(now + BACKOFF * 2);
             }
         }
     }
 
-    /// When something is to be asked for.
+    /// Time of the next request.
     pub fn due(&self) -> Option<Time> {
         self.0.values().map(|gap| gap.due).min()
     }
 
-    /// The datagrams to ask for now, at most `room`.
-    pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<Name> {
-        let mut names = Vec::new();
+    /// Returns the datagrams to request now, at most `room`.
+    pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<DatagramId> {
+        let mut ids = Vec::new();
         self.0.retain(|_, gap| gap.asked < ASKS || gap.due > now);
-        for (name, gap) in &mut self.0 {
-            if gap.due <= now && names.len() < room {
-                names.push(*name);
+        for (id, gap) in &mut self.0 {
+            if gap.due <= now && ids.len() < room {
+                ids.push(*id);
                 gap.asked += 1;
-                // The last answer is waited for as long as there and back may take.
+                // Wait one round trip for the answer to the last request.
                 gap.due = now + if gap.asked < ASKS { BACKOFF * (1 << gap.asked) + backoff() } else { LATE * 2 };
             }
         }
-        names
+        ids
     }
 }

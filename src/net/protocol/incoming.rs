@@ -1,136 +1,136 @@
-//! Arrival on a link: which incarnations are believed, what is new, what is missing. Decides; sends nothing.
+//! Reception on a link: which incarnations are accepted, which datagrams are new, which are missing. Sends nothing.
 //!
-//! On a link with a key a sender is let in only once it has shown that it is alive now: it echoes a stamp of this host
-//! that is no older than `FRESH`. So a recording proves nothing, not even to a host that has just been restarted. Of a
-//! host of the deployment one incarnation is believed; another one takes its place when it has fallen silent. Operators
-//! are told apart by their incarnations, any number of them side by side.
+//! On a link with a key a sender is accepted once it proves its liveness: it echoes a stamp of this host that is no
+//! older than `FRESH`. So a recording proves nothing, not even to a host that has just restarted. Of a host of the
+//! deployment one incarnation is accepted; another replaces it after it has fallen silent. Operators are identified by
+//! incarnation, and any number are accepted at once.
 
 use super::bucket::Rate;
-use super::candidates::{Candidates, Noted};
+use super::candidates::{Candidates, Novelty};
 use super::codec::{Flags, Header};
 use super::counts::LinkCounts;
+use super::duplicate_id::DuplicateIds;
 use super::gaps::Gaps;
-use super::limits::{FRESH, PROOF_HOLDS, REPORT_HOLDS, SILENT, UNHEARD};
+use super::limits::{FRESH, PROOF_VALIDITY, REPORT_VALIDITY, SILENT, SILENT_WITHOUT_KEY};
 use super::offset::Offsets;
-use super::report::{Entry, Name, REPORT_BYTES, Report, Stamps};
+use super::report::{DatagramId, Entry, REPORT_BYTES, Report, Stamps};
+use super::report_schedule::{Occasion, ReportSchedule};
 use super::router::Audience;
 use super::sender::{Peer, Sender};
 use super::senders::Senders;
-use super::telling::{Occasion, Telling};
-use super::twins::Twins;
-use super::window::{Place, Window};
+use super::window::{Position, Window};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// Datagrams of a second live host from which it is logged: a host that is restarted within `SILENT` is none.
-const TWINS_TO_LOG: u64 = 8;
+/// Datagrams of a second live host from which it is logged: a host restarted within `SILENT` sends fewer.
+const DUPLICATES_TO_LOG: u64 = 8;
 
-/// How soon another host should hear from this one.
+/// Urgency of a report for another host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Prompt {
-    /// No sooner than usual.
+pub enum Urgency {
+    /// With the next regular report.
     #[default]
-    No,
-    /// With the next datagram.
-    Soon,
-    /// At once.
-    Now,
+    Regular,
+    /// Piggybacked on the next datagram.
+    NextDatagram,
+    /// Immediately.
+    Immediate,
 }
 
-/// Fate of a datagram.
+/// Outcome of the admission of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// It is new.
-    New(Prompt),
-    /// It was here; a sender that wants acknowledgements has missed one.
-    Again,
-    /// It is not let in: its sender has to show first that it is alive, and may be waiting for an answer to do so.
-    Unproven(Prompt),
-    /// It is not let in.
+    New(Urgency),
+    /// It is a duplicate; if its sender wants acknowledgements, one was lost.
+    Duplicate,
+    /// It is refused: its sender has to prove its liveness first, and may wait for a report to do so.
+    Candidate(Urgency),
+    /// It is refused.
     Refused,
 }
 
-/// This host as one link knows it.
+/// This host's identity and settings on one link.
 #[derive(Clone, Copy, Debug)]
-pub struct Here {
+pub struct LocalEnd {
     /// The host.
     pub host: HostId,
     /// Its incarnation.
-    pub epoch: u32,
+    pub incarnation: u32,
     /// The link.
     pub link: LinkId,
-    /// Whether senders have to show that they are alive: on a link with a key.
-    pub guarded: bool,
-    /// The least number that no host of the team has.
+    /// Whether senders have to prove their liveness: on a link with a key.
+    pub authenticated: bool,
+    /// Smallest number of a guest: one that no host of the team has.
     pub first_guest: HostId,
-    /// Bytes of an entry of its reports.
+    /// Bytes of an entry in its reports.
     pub entry_bytes: usize,
-    /// The clock of its stamps.
+    /// Clock of its stamps.
     pub stamps: Stamps,
 }
 
-/// An entry about this host that can only have been written just now.
+/// Liveness proof: an entry about this host that echoes a recent stamp of it.
 #[derive(Clone, Copy, Debug)]
-struct Proof {
+struct LivenessProof {
     entry: Entry,
-    /// How old the stamp is that it echoes.
+    /// Age of the echoed stamp.
     age: Span,
 }
 
-/// Everything that has arrived on one link.
+/// Reception state of one link.
 #[derive(Clone, Debug)]
 pub struct Incoming {
-    here: Here,
+    local: LocalEnd,
     rate: Option<Rate>,
     senders: Senders,
     candidates: Candidates,
-    /// Datagrams that are missing.
+    /// Missing datagrams.
     pub gaps: Gaps,
-    telling: Telling,
-    /// Others with the id of this host.
-    pub twins: Twins,
+    schedule: ReportSchedule,
+    /// Other processes with the id of this host.
+    pub duplicate_ids: DuplicateIds,
 }
 
 impl Incoming {
-    /// Nothing yet.
-    pub fn new(here: Here, rate: Option<Rate>) -> Incoming {
-        let telling = Telling::new(here.host, here.guarded, here.entry_bytes);
-        let twins = Twins::new(here.link, here.host, here.epoch);
-        let (senders, candidates) = (Senders::new(here.first_guest), Candidates::new(here.first_guest));
-        Incoming { here, rate, senders, candidates, gaps: Gaps::default(), telling, twins }
+    /// Returns the initial state.
+    pub fn new(local: LocalEnd, rate: Option<Rate>) -> Incoming {
+        let schedule = ReportSchedule::new(local.host, local.authenticated, local.entry_bytes);
+        let duplicate_ids = DuplicateIds::new(local.link, local.host, local.incarnation);
+        let (senders, candidates) = (Senders::new(local.first_guest), Candidates::new(local.first_guest));
+        Incoming { local, rate, senders, candidates, gaps: Gaps::default(), schedule, duplicate_ids }
     }
 
-    /// Takes up a datagram of this team whose tag is right.
+    /// Admits a datagram of this team with a valid tag.
     pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
-        let proof = report.and_then(|report| self.about_us(now, report));
-        let known = match self.here.guarded {
-            true => self.known(now, header, report, proof, counts),
-            false => self.known_openly(now, header, counts),
+        let proof = report.and_then(|report| self.liveness_proof(now, report));
+        let known = match self.local.authenticated {
+            true => self.check_accepted(now, header, report, proof, counts),
+            false => self.check_without_key(now, header, counts),
         };
         if let Err(verdict) = known {
             return verdict;
         }
-        let sender = self.senders.get_mut((header.sender, header.epoch)).expect("it is known by now");
-        let lane = usize::from(header.flags.has(Flags::DIRECT));
-        let window = &mut sender.lanes[lane].window;
-        let late = self.here.guarded && sender.order.is_late(now, lane, header.sequence);
+        let sender = self.senders.get_mut((header.sender, header.incarnation)).expect("it is known by now");
+        let space = usize::from(header.flags.has(Flags::DIRECT));
+        let window = &mut sender.spaces[space].window;
+        let late = self.local.authenticated && sender.lateness.is_late(now, space, header.sequence);
         if late && window.misses(header.sequence) && !self.gaps.awaits(header) {
             counts.late += 1;
             return Verdict::Refused;
         }
-        match window.place(header.sequence, header.flags.has(Flags::COPY)) {
-            Place::New => {}
-            Place::Seen => {
+        match window.record(header.sequence, header.flags.has(Flags::COPY)) {
+            Position::New => {}
+            Position::Seen => {
                 counts.duplicate += 1;
-                return Verdict::Again;
+                return Verdict::Duplicate;
             }
-            Place::Behind if self.here.guarded => {
+            Position::Behind if self.local.authenticated => {
                 counts.replay += 1;
                 return Verdict::Refused;
             }
-            // Without a key there is no replay to fear, and newest wins all the same.
-            Place::Behind => {}
+            // Without a key replays are not detected, and the newest message of a stream counts anyway.
+            Position::Behind => {}
         }
         if let Some(rate) = &self.rate
             && !sender.bucket.take(now, rate)
@@ -139,145 +139,154 @@ impl Incoming {
             return Verdict::Refused;
         }
         sender.heard(now);
-        let Some(report) = report else { return Verdict::New(Prompt::No) };
-        let asked = sender.wants || (sender.listed.is_none() && sender.stamp.is_some());
+        let Some(report) = report else { return Verdict::New(Urgency::Regular) };
+        let challenged = sender.challenged || (sender.listed.is_none() && sender.stamp.is_some());
         sender.stamped(now, report.stamp);
-        if lane == 0 {
+        if space == 0 {
             let direct = proof.and_then(|proof| proof.entry.direct);
-            sender.order.reported(now, [Some(header.sequence), direct]);
+            sender.lateness.reported(now, [Some(header.sequence), direct]);
         }
-        if let Some(Proof { entry, .. }) = proof {
+        if let Some(LivenessProof { entry, .. }) = proof {
             sender.proved = now;
-            sender.offsets.measure(now, self.here.stamps.of(now), report.stamp, &entry);
-            sender.wants |= entry.asks;
-            sender.told_of_loss(now, entry.lost);
+            sender.offsets.measure(now, self.local.stamps.of(now), report.stamp, &entry);
+            sender.challenged |= entry.challenge;
+            sender.note_reported_loss(now, entry.lost);
         }
-        let asks = !asked && (sender.wants || sender.listed.is_none());
-        Verdict::New(match asks {
-            true if header.sender.is_operator() => Prompt::Now,
-            true => Prompt::Soon,
-            false => Prompt::No,
+        let report_due = !challenged && (sender.challenged || sender.listed.is_none());
+        Verdict::New(match report_due {
+            true if header.sender.is_operator() => Urgency::Immediate,
+            true => Urgency::NextDatagram,
+            false => Urgency::Regular,
         })
     }
 
-    /// Whether this incarnation is believed, on a link with a key; takes it up if it proves to be alive.
-    fn known(
+    /// Checks that this incarnation is accepted, on a link with a key; accepts it if the datagram proves its liveness.
+    fn check_accepted(
         &mut self,
         now: Time,
         header: &Header,
         report: Option<&Report>,
-        proof: Option<Proof>,
+        proof: Option<LivenessProof>,
         counts: &mut LinkCounts,
     ) -> Result<(), Verdict> {
-        let id = (header.sender, header.epoch);
-        // A report to one host alone would not show where the datagrams to all stand.
+        let id = (header.sender, header.incarnation);
+        // A unicast report would not show where the sequence to all hosts stands.
         let proof = proof.filter(|_| !header.flags.has(Flags::DIRECT));
-        let believed = self.senders.get_mut(id).filter(|sender| now.since(sender.proved) <= PROOF_HOLDS);
-        match (believed, report) {
+        let accepted = self.senders.get_mut(id).filter(|sender| now.since(sender.proved) <= PROOF_VALIDITY);
+        match (accepted, report) {
             (Some(sender), Some(report)) => {
-                let off = sender.offsets.is_off(now, self.here.stamps.of(now), report.stamp, FRESH);
+                let off = sender.offsets.is_off(now, self.local.stamps.of(now), report.stamp, FRESH);
                 if off && proof.is_none() {
                     counts.late += 1;
                     return Err(Verdict::Refused);
                 } else if off {
-                    // Written now by what comes back, and not by its own clock: that clock has stood still.
+                    // The echo shows that the report is recent although its stamp is not: the sender's clock has
+                    // paused.
                     sender.offsets = Offsets::default();
                 }
                 return Ok(());
             }
-            (Some(sender), None) if now.since(sender.reported) <= REPORT_HOLDS => return Ok(()),
+            (Some(sender), None) if now.since(sender.reported) <= REPORT_VALIDITY => return Ok(()),
             _ => {}
         }
         match (report, proof) {
-            (Some(report), Some(proof)) => self.taken_up(now, header, report, proof, counts),
-            _ => Err(self.noted(now, header, report, counts)),
+            (Some(report), Some(proof)) => self.accept_incarnation(now, header, report, proof, counts),
+            _ => Err(self.note_candidate(now, header, report, counts)),
         }
     }
 
-    /// An incarnation has said something without showing that it is alive: it has to hear from this host, to do so.
+    /// Notes a datagram of an incarnation without a liveness proof. It needs a report of this host to prove its
+    /// liveness.
     #[cold]
-    fn noted(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
-        let rival = self.senders.rival((header.sender, header.epoch)).and_then(|id| self.senders.get(id));
-        if rival.is_some_and(|rival| rival.former == Some(header.epoch)) {
+    fn note_candidate(
+        &mut self,
+        now: Time,
+        header: &Header,
+        report: Option<&Report>,
+        counts: &mut LinkCounts,
+    ) -> Verdict {
+        let current =
+            self.senders.other_incarnation((header.sender, header.incarnation)).and_then(|id| self.senders.get(id));
+        if current.is_some_and(|current| current.predecessor == Some(header.incarnation)) {
             counts.replay += 1;
             return Verdict::Refused;
         }
         counts.unproven += 1;
-        // Without a report there is nothing to echo; with a stamp that was there before there is nothing to add. So a
-        // recording that is repeated makes this host say nothing.
-        let noted = report.map(|report| self.candidates.note(now, header.sender, header.epoch, report.stamp));
-        match noted {
-            Some(Noted::News) if header.sender.is_operator() => Verdict::Unproven(Prompt::Now),
-            Some(Noted::News) => Verdict::Unproven(Prompt::Soon),
-            Some(Noted::Known) => Verdict::Unproven(Prompt::No),
-            Some(Noted::Old) | None => Verdict::Refused,
+        // Without a report there is nothing to echo, and a stamp that is known adds nothing. So a repeated recording
+        // gets no answer.
+        let novelty = report.map(|report| self.candidates.note(now, header.sender, header.incarnation, report.stamp));
+        match novelty {
+            Some(Novelty::New) if header.sender.is_operator() => Verdict::Candidate(Urgency::Immediate),
+            Some(Novelty::New) => Verdict::Candidate(Urgency::NextDatagram),
+            Some(Novelty::Repeated) => Verdict::Candidate(Urgency::Regular),
+            Some(Novelty::Expired) | None => Verdict::Refused,
         }
     }
 
-    /// An incarnation shows that it is alive.
+    /// Accepts an incarnation that proves its liveness.
     #[cold]
-    fn taken_up(
+    fn accept_incarnation(
         &mut self,
         now: Time,
         header: &Header,
         report: &Report,
-        proof: Proof,
+        proof: LivenessProof,
         counts: &mut LinkCounts,
     ) -> Result<(), Verdict> {
-        let id = (header.sender, header.epoch);
+        let id = (header.sender, header.incarnation);
         let mut sender = Sender::new(now, self.rate.as_ref());
-        if let Some(rival) = self.senders.rival((header.sender, header.epoch)) {
-            let other = self.senders.get_mut(rival).expect("it was found");
-            if proof.age >= now.since(other.since) {
-                // Proof of having been alive before the other one was: a recording.
+        if let Some(current_id) = self.senders.other_incarnation((header.sender, header.incarnation)) {
+            let current = self.senders.get_mut(current_id).expect("it was found");
+            if proof.age >= now.since(current.since) {
+                // The echoed stamp predates the accepted incarnation: a recording.
                 counts.replay += 1;
                 return Err(Verdict::Refused);
             }
-            if now.since(other.reported) < SILENT {
-                counts.twin += 1;
-                other.twins += 1;
-                if other.twins >= TWINS_TO_LOG && other.twins.is_power_of_two() {
-                    let (id, times) = (header.sender.0, other.twins);
+            if now.since(current.reported) < SILENT {
+                counts.duplicate_id += 1;
+                current.duplicate_ids += 1;
+                if current.duplicate_ids >= DUPLICATES_TO_LOG && current.duplicate_ids.is_power_of_two() {
+                    let (id, times) = (header.sender.0, current.duplicate_ids);
                     tracing::error!("two live hosts have the id {id} (noticed {times} times): stop one of them");
                 }
-                self.candidates.note(now, header.sender, header.epoch, report.stamp);
+                self.candidates.note(now, header.sender, header.incarnation, report.stamp);
                 return Err(Verdict::Refused);
             }
-            (sender.twins, sender.former) = (other.twins, Some(rival.1));
-            self.senders.remove(rival);
+            (sender.duplicate_ids, sender.predecessor) = (current.duplicate_ids, Some(current_id.1));
+            self.senders.remove(current_id);
         } else if let Some(before) = self.senders.get(id) {
-            (sender.twins, sender.former) = (before.twins, before.former);
+            (sender.duplicate_ids, sender.predecessor) = (before.duplicate_ids, before.predecessor);
         } else if !self.senders.make_room(now, header.sender) {
             counts.crowd += 1;
             return Err(Verdict::Refused);
         }
-        sender.lanes[0].window = Window::starting(header.sequence);
+        sender.spaces[0].window = Window::starting(header.sequence);
         if let Some(direct) = proof.entry.direct {
-            sender.lanes[1].window = Window::starting(direct);
+            sender.spaces[1].window = Window::starting(direct);
         }
-        if self.candidates.forget(header.sender, header.epoch).is_some_and(|candidate| candidate.echoed > 0) {
+        if self.candidates.forget(header.sender, header.incarnation).is_some_and(|candidate| candidate.echoed > 0) {
             sender.listed = Some(now);
         }
         self.senders.insert(id, sender);
         Ok(())
     }
 
-    /// The same on a link without a key: everyone is believed, one incarnation of a host at a time.
-    fn known_openly(&mut self, now: Time, header: &Header, counts: &mut LinkCounts) -> Result<(), Verdict> {
-        let id = (header.sender, header.epoch);
+    /// The same without a key: every sender is accepted, one incarnation of a host at a time.
+    fn check_without_key(&mut self, now: Time, header: &Header, counts: &mut LinkCounts) -> Result<(), Verdict> {
+        let id = (header.sender, header.incarnation);
         if self.senders.get(id).is_some() {
             return Ok(());
         }
         let mut sender = Sender::new(now, self.rate.as_ref());
-        if let Some(rival) = self.senders.rival((header.sender, header.epoch)) {
-            let other = self.senders.get_mut(rival).expect("it was found");
-            if other.age(now).is_some_and(|age| age < UNHEARD) {
-                counts.twin += 1;
-                other.twins += 1;
+        if let Some(current_id) = self.senders.other_incarnation((header.sender, header.incarnation)) {
+            let current = self.senders.get_mut(current_id).expect("it was found");
+            if current.age(now).is_some_and(|age| age < SILENT_WITHOUT_KEY) {
+                counts.duplicate_id += 1;
+                current.duplicate_ids += 1;
                 return Err(Verdict::Refused);
             }
-            sender.twins = other.twins;
-            self.senders.remove(rival);
+            sender.duplicate_ids = current.duplicate_ids;
+            self.senders.remove(current_id);
         } else if !self.senders.make_room(now, header.sender) {
             counts.crowd += 1;
             return Err(Verdict::Refused);
@@ -286,32 +295,32 @@ impl Incoming {
         Ok(())
     }
 
-    /// Another incarnation of this very host has said this: a live one, or a recording of a former run.
+    /// Handles a report of another incarnation of this host: a live one, or a recording of a former run.
     #[cold]
-    pub fn rival_of_us(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
-        self.candidates.note(now, header.sender, header.epoch, report.stamp);
-        match self.about_us(now, report) {
+    pub fn note_duplicate_id(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
+        self.candidates.note(now, header.sender, header.incarnation, report.stamp);
+        match self.liveness_proof(now, report) {
             Some(proof) => {
-                counts.twin += 1;
-                self.twins.claim(now, header.epoch, proof.entry.held);
+                counts.duplicate_id += 1;
+                self.duplicate_ids.claim(now, header.incarnation, proof.entry.held);
             }
             None => counts.unproven += 1,
         }
     }
 
-    /// The entry of a report about this host, if it can only have been written just now.
-    fn about_us(&self, now: Time, report: &Report) -> Option<Proof> {
-        let about_us = report.heard.iter().filter(|entry| entry.host == self.here.host);
-        about_us
-            .filter_map(|entry| Some(Proof { entry: *entry, age: self.here.stamps.age(now, entry.echo)? }))
+    /// Returns the liveness proof in a report: an entry about this host with a recent echo.
+    fn liveness_proof(&self, now: Time, report: &Report) -> Option<LivenessProof> {
+        let about_this_host = report.heard.iter().filter(|entry| entry.host == self.local.host);
+        about_this_host
+            .filter_map(|entry| Some(LivenessProof { entry: *entry, age: self.local.stamps.age(now, entry.echo)? }))
             .find(|proof| proof.age <= FRESH)
     }
 
-    /// Whether a message about `robot` is the newest of its stream; all kinds are state, so an older one is worth
-    /// nothing.
+    /// Whether a message about `robot` is the newest of its stream, and if so records it. All kinds are state, so an
+    /// older message is useless.
     pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
-        let Some(sender) = self.senders.get_mut((header.sender, header.epoch)) else { return false };
-        let newest = &mut sender.lanes[usize::from(header.flags.has(Flags::DIRECT))].newest;
+        let Some(sender) = self.senders.get_mut((header.sender, header.incarnation)) else { return false };
+        let newest = &mut sender.spaces[usize::from(header.flags.has(Flags::DIRECT))].newest;
         let newest = newest.entry((kind, robot)).or_insert(header.sequence.wrapping_sub(1));
         let ahead = header.sequence.wrapping_sub(*newest);
         if ahead == 0 {
@@ -328,45 +337,45 @@ impl Incoming {
         true
     }
 
-    /// A new datagram says what its sender still holds: what of it has not been here is missing.
+    /// Notes the numbers that a new datagram offers and that have not arrived.
     pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], backoff: impl FnMut() -> Span) {
         if held.is_empty() && self.gaps.is_empty() {
             return;
         }
-        let Some(sender) = self.senders.get((header.sender, header.epoch)) else { return };
-        let lane = &sender.lanes[usize::from(header.flags.has(Flags::DIRECT))];
-        self.gaps.note(now, header, held, &lane.window, backoff);
+        let Some(sender) = self.senders.get((header.sender, header.incarnation)) else { return };
+        let space = &sender.spaces[usize::from(header.flags.has(Flags::DIRECT))];
+        self.gaps.note(now, header, held, &space.window, backoff);
     }
 
-    /// Another host has asked for these.
-    pub fn asked_by_others(&mut self, now: Time, names: &[Name]) {
-        self.gaps.asked_by_others(now, names);
+    /// Notes requests of another host.
+    pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
+        self.gaps.asked_by_others(now, ids);
     }
 
-    /// The next report, in at most `room` bytes.
+    /// Returns the next report, in at most `room` bytes.
     pub fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
-        let places = room.checked_sub(REPORT_BYTES)? / self.here.entry_bytes;
-        let uptime = self.twins.uptime(now);
+        let places = room.checked_sub(REPORT_BYTES)? / self.local.entry_bytes;
+        let uptime = self.duplicate_ids.uptime(now);
         let (candidates, senders) = (&mut self.candidates, &mut self.senders);
-        let heard = self.telling.entries((now, uptime), places, occasion, candidates, senders);
-        Some(Report { stamp: self.here.stamps.of(now), heard })
+        let heard = self.schedule.entries((now, uptime), places, occasion, candidates, senders);
+        Some(Report { stamp: self.local.stamps.of(now), heard })
     }
 
-    /// How many times a message to these hosts is to be repeated, by what they report.
+    /// Returns the number of repeats of a message to these hosts, by their reported loss.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         self.senders.repeats(now, audience)
     }
 
-    /// All that is known of the others: of a host that nobody is believed to be, the newest candidate.
+    /// Returns summaries of all other hosts; of a host without an accepted incarnation, that of the newest candidate.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
-        let link = self.here.link;
-        let believed = self.senders.iter().map(move |(id, sender)| {
-            let proven = !self.here.guarded
-                || (now.since(sender.proved) <= PROOF_HOLDS && now.since(sender.reported) <= REPORT_HOLDS);
+        let link = self.local.link;
+        let accepted = self.senders.iter().map(move |(id, sender)| {
+            let proven = !self.local.authenticated
+                || (now.since(sender.proved) <= PROOF_VALIDITY && now.since(sender.reported) <= REPORT_VALIDITY);
             sender.peer(now, link, id, proven)
         });
-        let us = self.here.host;
+        let us = self.local.host;
         let candidates = self.candidates.newest().filter(move |(host, _)| *host != us && !self.senders.knows(*host));
-        candidates.map(move |(host, candidate)| Peer::candidate(now, link, host, &candidate)).chain(believed)
+        candidates.map(move |(host, candidate)| Peer::candidate(now, link, host, &candidate)).chain(accepted)
     }
 }

@@ -1,61 +1,61 @@
-//! The team key: a keyed tag on every datagram, made and checked here and nowhere else.
+//! Team key: the keyed tag on every datagram. No other file makes or checks tags.
 //!
-//! The tag covers the whole datagram, and the link and the host that it is meant for, which cost no bytes: a
-//! datagram of one link proves nothing on another. It hides nothing; whoever listens can read. Where keys come from
-//! and where they are kept is not known here.
+//! The tag covers the whole datagram, and the link and the host that it is for, which take no bytes in it: a datagram
+//! of one link is not valid on another. Nothing is encrypted. Where keys come from and how they are stored is decided
+//! elsewhere.
 
 use std::fmt;
 
 use super::codec::{FLAGS_AT, Flags, HEADER_BYTES, MAX_FRAME_BYTES, TAG_BYTES};
 use crate::messages::ids::{HostId, LinkId};
 
-/// Bytes that say where a datagram belongs.
-const PLACE_BYTES: usize = 4;
+/// Bytes of the link and the host that a datagram is for.
+const ASSOCIATED_BYTES: usize = 4;
 
-/// What every member of a team knows and nobody else.
+/// Secret of a team, known to all its members.
 #[derive(Clone)]
 pub struct Key([u8; 32]);
 
 impl Key {
-    /// The key with these bytes.
+    /// Returns the key with these bytes.
     pub fn new(bytes: [u8; 32]) -> Key {
         Key(bytes)
     }
 
-    /// Adds the tag to a datagram without one; `to` is the host it is for, or none if for all.
+    /// Appends the tag to a datagram; `to` is the host it is for, or none if for all.
     pub fn seal(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) {
         datagram[FLAGS_AT] |= Flags::TAGGED;
         let tag = self.tag(datagram, link, to);
         datagram.extend_from_slice(&tag.as_bytes()[..TAG_BYTES]);
     }
 
-    /// The datagram without its tag, if that is right for `link` and, where it is for one host, for `here`.
+    /// Returns the datagram without its tag, if that is valid for `link` and, for a unicast datagram, for `here`.
     pub fn open<'a>(&self, datagram: &'a [u8], link: LinkId, here: HostId) -> Option<&'a [u8]> {
         if datagram.len() < HEADER_BYTES + TAG_BYTES || datagram.len() > MAX_FRAME_BYTES {
             return None;
         }
         let (plain, tag) = datagram.split_at(datagram.len() - TAG_BYTES);
-        // Nothing is believed yet: the flag only says which of two tags to expect.
+        // The flag is not authenticated yet; it only says which of two tags to expect.
         let to = (plain[FLAGS_AT] & Flags::DIRECT != 0).then_some(here);
-        // A buffer of the longest frame's length would take longer to clear than this one to get.
-        let mut hashed = Vec::with_capacity(plain.len() + PLACE_BYTES);
+        // Clearing a buffer of the longest frame's length would take longer than allocating this one.
+        let mut hashed = Vec::with_capacity(plain.len() + ASSOCIATED_BYTES);
         hashed.extend_from_slice(plain);
         let expected = self.tag(&mut hashed, link, to);
         // Hashes compare in constant time; the half that is not sent is zero in both.
         (half(&expected.as_bytes()[..TAG_BYTES]) == half(tag)).then_some(plain)
     }
 
-    /// The whole hash of a datagram and its place, which it has room for or grows for.
+    /// Returns the whole hash of a datagram, its link and its receiver; the buffer grows for these if needed.
     fn tag(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) -> blake3::Hash {
         let length = datagram.len();
-        datagram.extend_from_slice(&place(link, to));
+        datagram.extend_from_slice(&associated(link, to));
         let hash = blake3::keyed_hash(&self.0, datagram);
         datagram.truncate(length);
         hash
     }
 }
 
-fn place(link: LinkId, to: Option<HostId>) -> [u8; PLACE_BYTES] {
+fn associated(link: LinkId, to: Option<HostId>) -> [u8; ASSOCIATED_BYTES] {
     let ([a, b], [c, d]) = (link.0.to_le_bytes(), to.map_or(u16::MAX, |host| host.0).to_le_bytes());
     [a, b, c, d]
 }

@@ -1,19 +1,19 @@
-//! The times and shares by which a link believes, repeats and forgets.
+//! Times and loss thresholds of a link.
 
 use crate::time::Span;
 
-/// How old an echo may be and still show that its sender is alive; and how long a stamp is echoed.
+/// Largest age of an echoed stamp that proves liveness; stamps are echoed for as long.
 pub const FRESH: Span = Span::from_millis(2000);
-/// How long after showing that it is alive a sender is believed: in a team of 200 reports list each host every 3 s, and
-/// with a loss of 30 % some of those that list this one do not arrive.
-pub const PROOF_HOLDS: Span = Span::from_millis(15_000);
-/// How long after its last report a sender is believed: what was held back for longer is worth nothing. Reports leave
-/// every 250 ms.
-pub const REPORT_HOLDS: Span = Span::from_millis(3000);
-/// A host without a report for so long is silent: another incarnation of it may take its place.
+/// Validity of a liveness proof: in a team of 200 reports list each host every 3 s, and with a loss of 30 % some of
+/// those that list this host do not arrive.
+pub const PROOF_VALIDITY: Span = Span::from_millis(15_000);
+/// Time after its last report during which a sender is accepted: datagrams that were held back for longer are useless.
+/// Reports are sent every 250 ms.
+pub const REPORT_VALIDITY: Span = Span::from_millis(3000);
+/// Time without a report after which a host is silent: another incarnation of it may replace it.
 pub const SILENT: Span = Span::from_millis(400);
-/// Without a key: a host of which nothing has come for so long is silent.
-pub const UNHEARD: Span = Span::from_millis(300);
+/// The same without a key: time without any datagram after which a host is silent.
+pub const SILENT_WITHOUT_KEY: Span = Span::from_millis(300);
 /// Reported loss from which a message is repeated: 2 of 64, about 3 %.
 pub const LOSS_TO_REPEAT: u8 = 2;
 /// Reported loss from which it is repeated twice: 40 %.

@@ -1,5 +1,4 @@
-//! One link as one host sees it: what leaves (`outgoing`), what arrives (`incoming`), and everything counted. Pure;
-//! no sockets, no clock.
+//! One link of one host: sending (`outgoing`), reception (`incoming`) and counters. Pure; no sockets, no clock.
 
 use std::net::SocketAddr;
 
@@ -8,15 +7,15 @@ use rand::RngExt;
 use super::codec::TAG_BYTES;
 use super::codec::{self, Content, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES};
 pub use super::counts::LinkCounts;
+pub use super::duplicate_id::DuplicateId;
 use super::gaps::BACKOFF;
-use super::incoming::{Here, Incoming, Verdict};
+use super::incoming::{Incoming, LocalEnd, Verdict};
 use super::key::Key;
-use super::outgoing::{Leaving, Outgoing, REPORT_PERIOD};
+use super::outgoing::{Outbound, Outgoing, REPORT_PERIOD};
 use super::reliability::{Reports, Setup};
-use super::report::{ENTRY_BYTES, MAX_NAMES, NUMBERED_ENTRY_BYTES, Name, Report, Stamps, read_held, read_names};
+use super::report::{DatagramId, ENTRY_BYTES, MAX_IDS, NUMBERED_ENTRY_BYTES, Report, Stamps, read_held, read_ids};
 use super::router::Audience;
 use super::sender::Peer;
-pub use super::twins::Duplicate;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Kind, Wire};
 use crate::random::Stream;
@@ -29,31 +28,31 @@ pub struct Identity {
     pub host: HostId,
     /// Its team.
     pub team: u16,
-    /// Its incarnation: a random number for each start of the host.
-    pub epoch: u32,
+    /// Its incarnation: a random number drawn at each start of the host.
+    pub incarnation: u32,
 }
 
-/// How far an operator has come to be believed.
+/// State of an operator on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// It has to show first that it is alive, and for that to hear the reports of this host.
-    Unproven,
-    /// It has just said something that is new.
-    Proven,
+    /// It has to prove its liveness, and needs the reports of this host to do so.
+    Candidate,
+    /// It is accepted, and its newest datagram is new.
+    Accepted,
 }
 
-/// A host at an address that is in no file.
+/// A host whose address is in no file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Guest {
     /// The host.
     pub host: HostId,
-    /// Where it was heard from.
+    /// Address that its datagram came from.
     pub at: SocketAddr,
-    /// Whether it is believed.
+    /// Whether it is accepted.
     pub standing: Standing,
 }
 
-/// One link as one host sees it.
+/// State of one link of one host.
 #[derive(Clone, Debug)]
 pub struct LinkState {
     me: Identity,
@@ -63,32 +62,40 @@ pub struct LinkState {
     incoming: Incoming,
     outgoing: Outgoing,
     counts: LinkCounts,
-    /// When anything is next due: asked for far more often than it changes.
+    /// Time of the next action; cached, since it is read far more often than it changes.
     due: Option<Time>,
-    /// The operator that the newest datagram came from, if it is to be heard where that came from.
+    /// Operator that sent the newest datagram, if the transport should send to its address.
     operator: Option<(HostId, Standing)>,
 }
 
 impl LinkState {
-    /// The state at the start of an incarnation. With a key there are always reports: they show who is alive. Draws
-    /// from `stream` where its stamps begin, so on a real host nobody may be able to foretell that.
+    /// Returns the state at the start of an incarnation. With a key there are always reports: they prove liveness.
+    /// Draws the start of its stamps from `stream`, which must be unpredictable on a real host.
     pub fn new(me: Identity, id: LinkId, key: Option<Key>, mut setup: Setup, stream: &mut Stream) -> LinkState {
         if key.is_some() {
             setup.reports = Reports::On;
         }
-        let Identity { host, team, epoch } = me;
+        let Identity { host, team, incarnation } = me;
         let jitter = Span::from_nanos(stream.random_range(0..=REPORT_PERIOD.as_nanos()));
-        let first = if setup.report_rides == Span::ZERO { Span::ZERO } else { REPORT_PERIOD + jitter };
-        let header = Header { flags: Flags::default(), team, sender: host, epoch, sequence: 0 };
-        let guarded = key.is_some();
-        let entry_bytes = if guarded && setup.is_addressed() { NUMBERED_ENTRY_BYTES } else { ENTRY_BYTES };
+        let first = if setup.report_piggyback_age == Span::ZERO { Span::ZERO } else { REPORT_PERIOD + jitter };
+        let header = Header { flags: Flags::default(), team, sender: host, incarnation, sequence: 0 };
+        let authenticated = key.is_some();
+        let entry_bytes = if authenticated && setup.is_addressed() { NUMBERED_ENTRY_BYTES } else { ENTRY_BYTES };
         let first_guest = setup.hosts.map_or(HostId::operator(0), HostId);
-        let here = Here { host, epoch, link: id, guarded, first_guest, entry_bytes, stamps: Stamps::random(stream) };
+        let local = LocalEnd {
+            host,
+            incarnation,
+            link: id,
+            authenticated,
+            first_guest,
+            entry_bytes,
+            stamps: Stamps::random(stream),
+        };
         let mut state = LinkState {
             me,
             id,
             reports: setup.reports,
-            incoming: Incoming::new(here, setup.rate),
+            incoming: Incoming::new(local, setup.rate),
             outgoing: Outgoing::new(header, id, key.clone(), setup, first),
             key,
             counts: LinkCounts::default(),
@@ -103,29 +110,29 @@ impl LinkState {
         self.due = [self.outgoing.due(), self.incoming.gaps.due()].into_iter().flatten().min();
     }
 
-    /// A message leaves for these hosts. Gives what was encoded.
-    pub fn say(
+    /// Sends a message to these hosts. Returns it as encoded.
+    pub fn send(
         &mut self,
         now: Time,
         audience: Audience,
         message: &Wire,
-        out: &mut Vec<Leaving>,
+        out: &mut Vec<Outbound>,
     ) -> Result<Frame, EncodeError> {
-        self.incoming.twins.uptime(now);
-        let encoded = self.outgoing.say(now, audience, message, &mut self.incoming, &mut self.counts, out);
+        self.incoming.duplicate_ids.uptime(now);
+        let encoded = self.outgoing.send(now, audience, message, &mut self.incoming, &mut self.counts, out);
         self.plan();
         encoded
     }
 
-    /// Takes a datagram in: what it holds, without its tag, if it is to be believed and new.
+    /// Admits a datagram; returns its header and its bytes without the tag if it is accepted and new.
     pub fn admit<'a>(
         &mut self,
         now: Time,
         frame: &'a [u8],
         stream: &mut Stream,
-        out: &mut Vec<Leaving>,
+        out: &mut Vec<Outbound>,
     ) -> Option<(Header, &'a [u8])> {
-        self.incoming.twins.uptime(now);
+        self.incoming.duplicate_ids.uptime(now);
         let read = self.read(now, frame, stream, out);
         self.plan();
         match read {
@@ -142,7 +149,7 @@ impl LinkState {
         now: Time,
         frame: &'a [u8],
         stream: &mut Stream,
-        out: &mut Vec<Leaving>,
+        out: &mut Vec<Outbound>,
     ) -> Result<Option<(Header, &'a [u8])>, DecodeError> {
         self.operator = None;
         let shortest = HEADER_BYTES + if self.key.is_some() { TAG_BYTES } else { 0 };
@@ -162,72 +169,72 @@ impl LinkState {
             self.counts.team += 1;
             return Ok(None);
         }
-        if (header.sender, header.epoch) == (self.me.host, self.me.epoch) {
+        if (header.sender, header.incarnation) == (self.me.host, self.me.incarnation) {
             self.counts.own += 1;
             return Ok(None);
         }
-        let said = Said::read(plain)?;
-        // An operator's number is drawn at random, and two may have drawn the same.
+        let blocks = ControlBlocks::read(plain)?;
+        // Operator numbers are drawn at random, and two operators may have drawn the same.
         if header.sender == self.me.host && !header.sender.is_operator() {
-            self.note_twin(now, &header, &said);
+            self.note_duplicate_id(now, &header, &blocks);
             return Ok(None);
         }
-        let verdict = self.incoming.admit(now, &header, said.report.as_ref(), &mut self.counts);
+        let verdict = self.incoming.admit(now, &header, blocks.report.as_ref(), &mut self.counts);
         match verdict {
-            Verdict::New(prompt) | Verdict::Unproven(prompt) => self.outgoing.prompt(now, prompt),
-            Verdict::Again | Verdict::Refused => {}
+            Verdict::New(urgency) | Verdict::Candidate(urgency) => self.outgoing.request_report(now, urgency),
+            Verdict::Duplicate | Verdict::Refused => {}
         }
         let standing = match verdict {
-            Verdict::New(_) => Some(Standing::Proven),
-            Verdict::Unproven(_) => Some(Standing::Unproven),
-            Verdict::Again | Verdict::Refused => None,
+            Verdict::New(_) => Some(Standing::Accepted),
+            Verdict::Candidate(_) => Some(Standing::Candidate),
+            Verdict::Duplicate | Verdict::Refused => None,
         };
         self.operator = standing.filter(|_| header.sender.is_operator()).map(|standing| (header.sender, standing));
-        if matches!(verdict, Verdict::Unproven(_) | Verdict::Refused) {
+        if matches!(verdict, Verdict::Candidate(_) | Verdict::Refused) {
             return Ok(None);
         }
         if header.flags.has(Flags::ACK) {
-            self.outgoing.acknowledge(now, Name::of(&header));
+            self.outgoing.acknowledge(now, DatagramId::of(&header));
         }
-        if verdict == Verdict::Again {
+        if verdict == Verdict::Duplicate {
             return Ok(None);
         }
-        self.incoming.note_gaps(now, &header, &said.held, || backoff(stream));
-        if !(said.acks.is_empty() && said.asks.is_empty()) {
-            self.answer(now, header.sender, said, out);
+        self.incoming.note_gaps(now, &header, &blocks.held, || backoff(stream));
+        if !(blocks.acks.is_empty() && blocks.requests.is_empty()) {
+            self.answer(now, header.sender, blocks, out);
         }
         Ok(Some((header, plain)))
     }
 
-    /// Another process with the id of this host has said something.
+    /// Notes a datagram of another process with the id of this host.
     #[cold]
-    fn note_twin(&mut self, now: Time, header: &Header, said: &Said) {
-        match (&self.key, &said.report) {
-            (Some(_), Some(report)) => self.incoming.rival_of_us(now, header, report, &mut self.counts),
+    fn note_duplicate_id(&mut self, now: Time, header: &Header, blocks: &ControlBlocks) {
+        match (&self.key, &blocks.report) {
+            (Some(_), Some(report)) => self.incoming.note_duplicate_id(now, header, report, &mut self.counts),
             (Some(_), None) => self.counts.unproven += 1,
-            (None, _) => self.counts.twin += 1,
+            (None, _) => self.counts.duplicate_id += 1,
         }
     }
 
-    /// Takes in what `from` has acknowledged and what it asks for.
+    /// Handles the acknowledgements and requests of `from`.
     #[inline(never)]
-    fn answer(&mut self, now: Time, from: HostId, said: Said, out: &mut Vec<Leaving>) {
-        let mine = |names: Vec<Name>| -> (Vec<Name>, Vec<Name>) {
-            names.into_iter().partition(|name| (name.host, name.epoch) == (self.me.host, self.me.epoch))
+    fn answer(&mut self, now: Time, from: HostId, blocks: ControlBlocks, out: &mut Vec<Outbound>) {
+        let mine = |ids: Vec<DatagramId>| -> (Vec<DatagramId>, Vec<DatagramId>) {
+            ids.into_iter().partition(|id| (id.host, id.incarnation) == (self.me.host, self.me.incarnation))
         };
-        if !said.acks.is_empty() {
-            self.outgoing.acknowledged(now, from, &mine(said.acks).0);
+        if !blocks.acks.is_empty() {
+            self.outgoing.acknowledged(now, from, &mine(blocks.acks).0);
         }
-        if !said.asks.is_empty() {
-            let (mine, others) = mine(said.asks);
+        if !blocks.requests.is_empty() {
+            let (mine, others) = mine(blocks.requests);
             self.incoming.asked_by_others(now, &others);
-            self.outgoing.asked(now, from, &mine, &mut self.counts, out);
+            self.outgoing.requested(now, from, &mine, &mut self.counts, out);
         }
     }
 
-    /// The process that this one duplicates, if another live host with this id was started before it.
-    pub fn duplicate(&self) -> Option<Duplicate> {
-        self.incoming.twins.duplicate()
+    /// Returns the process that this one duplicates: another live host with this id that was started earlier.
+    pub fn duplicate(&self) -> Option<DuplicateId> {
+        self.incoming.duplicate_ids.duplicate()
     }
 
     /// Whether a decoded message about `robot` is the newest of its stream.
@@ -235,13 +242,13 @@ impl LinkState {
         self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// The operator that the newest datagram came from; none if it came from a host, or was neither new nor of one that
-    /// may still prove itself. A transport has to be told where it is, so that it can.
+    /// Returns the operator that sent the newest datagram. None if a host sent it, or if it was neither new nor of a
+    /// candidate. The transport needs its address, so that reports reach it.
     pub fn operator(&self) -> Option<(HostId, Standing)> {
         self.operator
     }
 
-    /// Counts bytes that are no message.
+    /// Counts bytes that are not a message.
     #[cold]
     pub fn refuse(&mut self, error: &DecodeError) {
         match error {
@@ -251,73 +258,73 @@ impl LinkState {
         }
     }
 
-    /// The counts, to add to them.
+    /// Counters, mutable.
     pub fn counts(&mut self) -> &mut LinkCounts {
         &mut self.counts
     }
 
-    /// The counts so far.
+    /// Counters so far.
     pub fn counted(&self) -> LinkCounts {
         self.counts
     }
 
-    /// Summaries of the others; none on a link without reports.
+    /// Returns summaries of the other hosts; none on a link without reports.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let told = self.reports == Reports::On;
         self.incoming.peers(now).filter(move |_| told)
     }
 
-    /// When anything is next due.
+    /// Time of the next action.
     pub fn due(&self) -> Option<Time> {
         self.due
     }
 
-    /// Does what is due.
-    pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Leaving>) {
-        self.incoming.twins.uptime(now);
+    /// Performs the actions that are due.
+    pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Outbound>) {
+        self.incoming.duplicate_ids.uptime(now);
         self.outgoing.wake(now, &mut self.incoming, &mut self.counts, out);
         if self.incoming.gaps.due().is_some_and(|due| due <= now) {
-            let names = self.incoming.gaps.ask(now, MAX_NAMES, || backoff(stream));
-            if !names.is_empty() {
-                self.outgoing.ask(&names, &mut self.counts, out);
+            let ids = self.incoming.gaps.ask(now, MAX_IDS, || backoff(stream));
+            if !ids.is_empty() {
+                self.outgoing.ask(&ids, &mut self.counts, out);
             }
         }
         self.plan();
     }
 }
 
-/// The blocks of a datagram that are for the link layer.
+/// Control blocks of a datagram.
 #[derive(Default)]
-struct Said {
+struct ControlBlocks {
     report: Option<Report>,
     held: Vec<u32>,
-    acks: Vec<Name>,
-    asks: Vec<Name>,
+    acks: Vec<DatagramId>,
+    requests: Vec<DatagramId>,
 }
 
-impl Said {
-    fn read(plain: &[u8]) -> Result<Said, DecodeError> {
-        let (mut said, mut empty) = (Said::default(), true);
+impl ControlBlocks {
+    fn read(plain: &[u8]) -> Result<ControlBlocks, DecodeError> {
+        let (mut blocks, mut empty) = (ControlBlocks::default(), true);
         for block in codec::blocks(plain) {
             empty = false;
             match block? {
                 (Content::Message(_), _) => {}
                 (content @ (Content::Report | Content::NumberedReport), body) => {
-                    said.report = Some(Report::read(content, body)?);
+                    blocks.report = Some(Report::read(content, body)?);
                 }
-                (Content::Held, body) => said.held.extend(read_held(body)?),
-                (content @ Content::Ack, body) => said.acks.extend(read_names(content, body)?),
-                (content @ Content::Nack, body) => said.asks.extend(read_names(content, body)?),
+                (Content::Held, body) => blocks.held.extend(read_held(body)?),
+                (content @ Content::Ack, body) => blocks.acks.extend(read_ids(content, body)?),
+                (content @ Content::Nack, body) => blocks.requests.extend(read_ids(content, body)?),
             }
         }
-        if empty { Err(DecodeError::Blocks) } else { Ok(said) }
+        if empty { Err(DecodeError::Blocks) } else { Ok(blocks) }
     }
 }
 
-/// How long to wait before asking for a repair: mostly long, rarely short, so that few ask (RFC 5401, section 3.2,
-/// `RandomBackoff`).
+/// Draws the wait before a request for a repair: mostly long, rarely short, so that few receivers ask (RFC 5401,
+/// section 3.2, `RandomBackoff`).
 fn backoff(stream: &mut Stream) -> Span {
-    /// The size of a group that is assumed.
+    /// Assumed group size.
     const GROUP: f64 = 10.0;
     let (lambda, longest) = (libm::log(GROUP) + 1.0, BACKOFF.as_secs());
     let scale = lambda / (longest * (libm::exp(lambda) - 1.0));

@@ -1,24 +1,24 @@
-//! The protocol of hosts: bytes, who is believed, what is sent again, and the way of every message. All pure.
+//! Protocol of hosts: encoding, authentication, retransmission and routing. All pure.
 
-pub mod again;
 pub mod bucket;
 pub mod candidates;
 pub mod codec;
 pub mod counts;
+pub mod duplicate_id;
 pub mod gaps;
 pub mod incoming;
 pub mod key;
+pub mod lateness;
 pub mod limits;
 pub mod link;
 pub mod offset;
-pub mod order;
 pub mod outgoing;
 pub mod reliability;
 pub mod report;
+pub mod report_schedule;
+pub mod retransmit;
 pub mod router;
 pub mod sender;
 pub mod senders;
-pub mod telling;
-pub mod twins;
 mod unpack;
 pub mod window;

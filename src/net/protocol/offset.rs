@@ -1,38 +1,38 @@
-//! How far the stamps of another host lie from this one's, from stamps that came back (RFC 5905, section 8).
+//! Clock offset between the stamps of two hosts, from echoed stamps (RFC 5905, section 8).
 //!
-//! Stamps begin at random, so the difference itself means nothing; it shows how long a report was under way.
+//! Stamps start at a random value, so the offset itself means nothing; it shows how long a report was in transit.
 
 use std::collections::VecDeque;
 
 use super::report::{Entry, Stamp};
 use crate::time::{Span, Time};
 
-/// How many of the newest measurements the best is taken from (RFC 5905, section 10: the clock filter has 8).
+/// Measurements that are kept, of which the best counts (RFC 5905, section 10: the clock filter has 8).
 const KEPT: usize = 8;
-/// How fast two clocks may drift apart (RFC 5905: 15 ppm for one).
+/// Largest drift between two clocks (RFC 5905: 15 ppm for one).
 const DRIFT: f64 = 30e-6;
 
-/// How far the stamps of another host are ahead.
+/// Offset of another host's stamps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Offset {
-    /// Its stamps less those of this host \[s\].
+    /// Its stamps minus those of this host \[s\].
     pub ahead_s: f64,
-    /// It is this much less or more at the most \[s\]: half the way there and back, and drift since.
+    /// Bound on the error of the offset \[s\]: half of the round trip, and drift since.
     pub uncertainty_s: f64,
-    /// The shortest way there and back that was seen lately \[s\].
+    /// Shortest recent round trip \[s\].
     pub round_trip_s: f64,
 }
 
-/// The newest measurements: when, clock ahead \[s\], there and back \[s\].
+/// Newest measurements: time, offset \[s\], round trip \[s\].
 #[derive(Clone, Debug, Default)]
 pub struct Offsets(VecDeque<(Time, f64, f64)>);
 
 impl Offsets {
-    /// Takes up what came back: an entry about this host in a report written at `theirs` on the other clock; `here` is
-    /// the stamp of `now` on this one.
+    /// Adds a measurement from an entry about this host. The report was written at `theirs` on the other clock; `here`
+    /// is the stamp of `now` on this one.
     pub fn measure(&mut self, now: Time, here: Stamp, theirs: Stamp, entry: &Entry) {
         let round_trip = here.ahead_us(entry.echo) as f64 * 1e-6 - entry.held.as_secs();
-        // A sender that has held it for longer than it was under way does not tell the truth.
+        // A sender that claims to have held the stamp for longer than the round trip is wrong.
         if round_trip >= -1e-5 {
             let round_trip = round_trip.max(0.0);
             if self.0.len() == KEPT {
@@ -42,15 +42,15 @@ impl Offsets {
         }
     }
 
-    /// Whether a report that was written at `theirs` was certainly under way for longer than `most`, or was written by
-    /// another clock.
+    /// Whether a report written at `theirs` was certainly in transit for longer than `most`, or was written by another
+    /// clock.
     pub fn is_off(&self, now: Time, here: Stamp, theirs: Stamp, most: Span) -> bool {
         let Some(offset) = self.estimate(now) else { return false };
         let delay_s = offset.ahead_s - theirs.ahead_us(here) as f64 * 1e-6;
         delay_s.abs() > most.as_secs() + offset.uncertainty_s
     }
 
-    /// The best estimate: that of the shortest way there and back.
+    /// Returns the best estimate: the one with the shortest round trip.
     pub fn estimate(&self, now: Time) -> Option<Offset> {
         let of = |&(at, ahead_s, round_trip_s): &(Time, f64, f64)| {
             let uncertainty_s = 0.5 * round_trip_s + DRIFT * now.since(at).as_secs() + 1e-6;
@@ -71,11 +71,11 @@ mod tests {
         let mut offsets = Offsets::default();
         let (here, there) = (Stamps::beginning_at(1 << 47), Stamps::beginning_at((1 << 47) + 3_000_000));
         let at_us = |us: u64| Time::ZERO + Span::from_nanos(us * 1000);
-        // The other one's stamps are 3 s ahead; 200 us there, 5 ms held, 600 us and then 100 us back.
+        // The other clock is 3 s ahead; 200 us there, 5 ms held, 600 us and then 100 us back.
         for (start, back) in [(1_000_000, 600), (2_000_000, 100)] {
             let theirs = there.of(at_us(start + 200 + 5000));
             let (host, held, echo) = (HostId(0), Span::from_millis(5), here.of(at_us(start)));
-            let entry = Entry { host, echo, held, lost: 0, asks: false, direct: None };
+            let entry = Entry { host, echo, held, lost: 0, challenge: false, direct: None };
             let now = at_us(start + 5200 + back);
             offsets.measure(now, here.of(now), theirs, &entry);
         }

@@ -1,47 +1,47 @@
-//! Departure on a link: sequence numbers, what rides on what, what is sent again and when. Knows no receiver but
-//! by what `incoming` says of it.
+//! Transmission on a link: sequence numbers, piggybacking, reports and retransmission. Knows other hosts only through
+//! `incoming`.
 
 use std::collections::BTreeMap;
 
-use super::again::{Again, Once, Stream};
 use super::bucket::{Bucket, Rate};
 use super::codec::TAG_BYTES;
 use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Frame, HEADER_BYTES, Header};
 use super::codec::{MAX_PLAIN_BYTES, add};
 use super::counts::LinkCounts;
-use super::incoming::{Incoming, Prompt};
+use super::incoming::{Incoming, Urgency};
 use super::key::Key;
-use super::reliability::{Reliability, Reports, Ride, Setup};
-use super::report::{MAX_NAMES, NAME_BYTES, Name, write_held, write_names};
+use super::reliability::{Piggyback, Reliability, Reports, Setup};
+use super::report::{DatagramId, ID_BYTES, MAX_IDS, write_held, write_ids};
+use super::report_schedule::Occasion;
+use super::retransmit::{Retransmitter, StreamId, Untagged};
 use super::router::Audience;
-use super::telling::Occasion;
 use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
 
-/// How long soft state waits for data to ride on, where data has left within this time: a robot that says something
-/// twelve times a second still takes all of it along. What may not wait is no soft state: a `Stop` leaves at once.
-pub const HOLD: Span = Span::from_millis(100);
-/// Soft state leaves by itself no more often than this; half of it where there are modes among it.
+/// Longest time soft state waits to be piggybacked on data, where data was sent within this time: data twelve times a
+/// second carries all of it. Messages that may not wait, such as `Stop`, are not soft state and are sent at once.
+pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
+/// Smallest interval between datagrams with only soft state; half of it if there are modes among it.
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
-/// A report leaves by itself when the last one is this old.
+/// Age of the last report at which the next one is sent alone.
 pub const REPORT_PERIOD: Span = Span::from_millis(250);
-/// A report for which another host waits rides as soon as the last one is this old.
-const PROMPTED_RIDES: Span = Span::from_millis(10);
-/// Reports that must leave at once do so no more often than this: a flood of recordings makes no flood of answers.
+/// Age of the last report from which a pending one may be piggybacked.
+const PENDING_PIGGYBACK_AGE: Span = Span::from_millis(10);
+/// Smallest interval between urgent reports: a flood of recordings causes no flood of answers.
 const URGENT_PERIOD: Span = Span::from_millis(20);
-/// Reports that must leave at once, in the long run and in a burst: ten operators that act at one instant take some
-/// ten of them; sequences of recordings cause no more than there are regular reports.
+/// Sustained rate and burst of urgent reports. Ten operators that act at one instant take about ten of them; sequences
+/// of recordings cause no more than there are regular reports.
 const URGENT_RATE: Rate = Rate { per_s: 4.0, burst: 25.0 };
-/// The period for an operator, which has to be believed soon by a whole team.
+/// Interval of urgent reports from an operator, which a whole team has to accept soon.
 const EAGER_PERIOD: Span = Span::from_millis(5);
-/// How long acknowledgements wait for each other.
+/// Time for which acknowledgements are collected.
 const ACK_WITHIN: Span = Span::from_millis(2);
 
-/// A datagram on its way to a transport.
-pub type Leaving = (Audience, Frame);
+/// A sealed datagram for a transport.
+pub type Outbound = (Audience, Frame);
 
-/// Everything that leaves on one link.
+/// Transmission state of one link.
 #[derive(Clone, Debug)]
 pub struct Outgoing {
     me: Header,
@@ -50,31 +50,32 @@ pub struct Outgoing {
     setup: Setup,
     to_all: u32,
     direct: BTreeMap<HostId, u32>,
-    again: Again,
-    /// Soft state that waits: the newest of each stream, whom it is for, its block.
-    soft: BTreeMap<Stream, (Audience, Frame)>,
+    retransmitter: Retransmitter,
+    /// Pending soft state: for the newest message of each stream its receivers and its encoding.
+    soft: BTreeMap<StreamId, (Audience, Frame)>,
     soft_due: Option<Time>,
-    /// Since when any waits.
+    /// Time since which any is pending.
     soft_since: Option<Time>,
-    /// When that was said which last left by itself: periods count from there, so that waiting does not add up.
-    soft_said: Option<Time>,
-    data_left: Option<Time>,
-    report_left: Option<Time>,
+    /// Time at which the soft state last sent alone became pending: periods count from there, so that waits do not add
+    /// up.
+    soft_sent: Option<Time>,
+    data_sent: Option<Time>,
+    report_sent: Option<Time>,
     report_due: Option<Time>,
-    /// A host waits for a report.
-    prompted: bool,
-    /// When a report that must leave at once does, and when the last one did.
+    /// Whether another host waits for a report.
+    report_pending: bool,
+    /// Time at which a pending urgent report is sent, and that of the last one.
     urgent_due: Option<Time>,
-    urgent_left: Option<Time>,
+    urgent_sent: Option<Time>,
     urgent_bucket: Bucket,
-    /// Whether reports say of each host what is next for it alone.
+    /// Whether report entries have the number of the next datagram to their host alone.
     numbered: bool,
-    acks: BTreeMap<HostId, Vec<Name>>,
+    acks: BTreeMap<HostId, Vec<DatagramId>>,
     acks_due: Option<Time>,
 }
 
 impl Outgoing {
-    /// Nothing yet. `first_report` is when the first report leaves at the latest.
+    /// Returns the initial state. `first_report` is the latest time of the first report.
     pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
@@ -85,17 +86,17 @@ impl Outgoing {
             setup,
             to_all: 0,
             direct: BTreeMap::new(),
-            again: Again::default(),
+            retransmitter: Retransmitter::default(),
             soft: BTreeMap::new(),
             soft_due: None,
             soft_since: None,
-            soft_said: None,
-            data_left: None,
-            report_left: None,
+            soft_sent: None,
+            data_sent: None,
+            report_sent: None,
             report_due,
-            prompted: false,
+            report_pending: false,
             urgent_due: None,
-            urgent_left: None,
+            urgent_sent: None,
             urgent_bucket: Bucket::full(Time::ZERO, &URGENT_RATE),
             numbered,
             acks: BTreeMap::new(),
@@ -103,44 +104,44 @@ impl Outgoing {
         }
     }
 
-    /// A message leaves, at once or, if it is soft state, with the next datagram. Gives what was encoded.
-    pub fn say(
+    /// Sends a message, at once or, if it is soft state, with the next datagram. Returns it as encoded.
+    pub fn send(
         &mut self,
         now: Time,
         audience: Audience,
         message: &Wire,
         incoming: &mut Incoming,
         counts: &mut LinkCounts,
-        out: &mut Vec<Leaving>,
+        out: &mut Vec<Outbound>,
     ) -> Result<Frame, EncodeError> {
-        let audience = if self.setup.ride == Ride::Any { Audience::All } else { audience };
+        let audience = if self.setup.piggyback == Piggyback::Any { Audience::All } else { audience };
         let (kind, stream) = (message.kind(), (message.kind(), message.robot()));
         let soft = matches!(kind, Kind::Heartbeat | Kind::Mode | Kind::Telemetry);
         let reliability = self.setup.of(kind);
         let flags = if reliability == Reliability::Ack { Flags::ACK } else { 0 };
         let frame = codec::encode(&self.header(audience, flags), message)?;
-        if soft && self.setup.ride != Ride::Never {
+        if soft && self.setup.piggyback != Piggyback::Never {
             self.soft.insert(stream, (audience, frame.clone()));
             self.plan_soft(now);
-            self.leave_soft(now, incoming, counts, out);
+            self.send_soft(now, incoming, counts, out);
             return Ok(frame);
         }
-        // What waits of the same stream goes before it or not at all: never after.
-        if let Some(once) = self.again.supersede(now, stream) {
-            self.leave_again(once, counts, out);
+        // A pending repeat of the same stream is sent before the new message or never.
+        if let Some(datagram) = self.retransmitter.supersede(now, stream) {
+            self.send_copy(datagram, counts, out);
         }
-        let held = if reliability == Reliability::Nack { self.again.held(audience) } else { Vec::new() };
-        let plain = self.with_riders(now, audience, frame.clone(), &held, incoming);
+        let held = if reliability == Reliability::Nack { self.retransmitter.held(audience) } else { Vec::new() };
+        let plain = self.with_piggybacked(now, audience, frame.clone(), &held, incoming);
         out.push((audience, self.seal(&plain, audience, 0)));
         let repeats = if reliability == Reliability::Repeat { incoming.repeats(now, audience) } else { 0 };
         let sequence = self.header(audience, 0).sequence;
-        self.again.keep(now, stream, (audience, plain), sequence, (reliability, repeats));
+        self.retransmitter.keep(now, stream, (audience, plain), sequence, (reliability, repeats));
         self.count(audience);
         if soft {
             counts.soft += 1;
         } else {
             counts.sent += 1;
-            self.data_left = Some(now);
+            self.data_sent = Some(now);
         }
         Ok(frame)
     }
@@ -163,7 +164,7 @@ impl Outgoing {
         *next = next.wrapping_add(1);
     }
 
-    /// The datagram as it leaves: with more flags, and a tag if there is a key.
+    /// Returns the datagram as sent: with additional flags, and a tag if there is a key.
     fn seal(&self, plain: &Frame, audience: Audience, flags: u8) -> Frame {
         if self.key.is_none() && flags == 0 {
             return plain.clone();
@@ -178,8 +179,8 @@ impl Outgoing {
         bytes.into()
     }
 
-    /// The datagram with what may ride on it.
-    fn with_riders(
+    /// Returns the datagram with piggybacked blocks.
+    fn with_piggybacked(
         &mut self,
         now: Time,
         audience: Audience,
@@ -188,53 +189,53 @@ impl Outgoing {
         incoming: &mut Incoming,
     ) -> Frame {
         let all = audience == Audience::All;
-        let acks = self.setup.ride == Ride::Any && !self.acks.is_empty();
-        if self.soft.is_empty() && !(all && self.report_rides(now)) && !acks && held.is_empty() {
+        let acks = self.setup.piggyback == Piggyback::Any && !self.acks.is_empty();
+        if self.soft.is_empty() && !(all && self.may_piggyback_report(now)) && !acks && held.is_empty() {
             return frame;
         }
         let mut bytes = frame.to_vec();
         if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= MAX_PLAIN_BYTES {
             add(&mut bytes, Content::Held, |bytes| write_held(held, bytes));
         }
-        self.board(now, audience, &mut bytes, incoming);
+        self.piggyback(now, audience, &mut bytes, incoming);
         bytes.into()
     }
 
-    /// Puts all that waits, may ride and finds room on a datagram.
-    fn board(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, incoming: &mut Incoming) {
-        let any = self.setup.ride == Ride::Any;
+    /// Piggybacks all pending blocks that may share the datagram and fit into it.
+    fn piggyback(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, incoming: &mut Incoming) {
+        let any = self.setup.piggyback == Piggyback::Any;
         self.soft.retain(|_, (to, frame)| {
             let block = &frame[HEADER_BYTES..];
-            let rides = *to == audience && bytes.len() + block.len() <= MAX_PLAIN_BYTES;
-            if rides {
+            let fits = *to == audience && bytes.len() + block.len() <= MAX_PLAIN_BYTES;
+            if fits {
                 bytes.extend_from_slice(block);
             }
-            !rides
+            !fits
         });
         if self.soft.is_empty() {
             (self.soft_due, self.soft_since) = (None, None);
         }
         if any {
-            self.board_acks(bytes);
+            self.add_acks(bytes);
         }
-        if audience == Audience::All && self.report_rides(now) {
+        if audience == Audience::All && self.may_piggyback_report(now) {
             let urgent = self.urgent_due;
             self.report(now, bytes, incoming, Occasion::Regular);
-            // Where datagrams are addressed, one who is not believed yet is sent reports that go alone and no data.
+            // Where datagrams are addressed, a candidate is sent only reports that are sent alone, and no data.
             self.urgent_due = urgent.filter(|_| !any);
         }
     }
 
-    /// Puts acknowledgements on a datagram, as many as find room.
-    fn board_acks(&mut self, bytes: &mut Vec<u8>) {
+    /// Adds acknowledgements to a datagram, as many as fit.
+    fn add_acks(&mut self, bytes: &mut Vec<u8>) {
         while let Some(mut waiting) = self.acks.first_entry() {
-            let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / NAME_BYTES;
+            let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / ID_BYTES;
             if room == 0 {
                 return;
             }
             let most = waiting.get().len().min(room);
-            let names: Vec<Name> = waiting.get_mut().drain(..most).collect();
-            add(bytes, Content::Ack, |bytes| write_names(&names, bytes));
+            let ids: Vec<DatagramId> = waiting.get_mut().drain(..most).collect();
+            add(bytes, Content::Ack, |bytes| write_ids(&ids, bytes));
             if waiting.get().is_empty() {
                 waiting.remove();
             }
@@ -242,28 +243,32 @@ impl Outgoing {
         self.acks_due = None;
     }
 
-    fn leave_acks(&mut self, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+    fn send_acks(&mut self, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         while let Some((&host, _)) = self.acks.first_key_value() {
-            let audience = if self.setup.ride == Ride::Any { Audience::All } else { Audience::Host(host) };
+            let audience = if self.setup.piggyback == Piggyback::Any { Audience::All } else { Audience::Host(host) };
             let mut bytes = codec::start(&self.header(audience, 0));
             if audience == Audience::All {
-                self.board_acks(&mut bytes);
-            } else if let Some(names) = self.acks.remove(&host) {
-                add(&mut bytes, Content::Ack, |bytes| write_names(&names, bytes));
+                self.add_acks(&mut bytes);
+            } else if let Some(ids) = self.acks.remove(&host) {
+                add(&mut bytes, Content::Ack, |bytes| write_ids(&ids, bytes));
             }
-            self.leave_alone(audience, bytes, counts, out);
+            self.send_alone(audience, bytes, counts, out);
         }
         self.acks_due = None;
     }
 
-    fn report_rides(&self, now: Time) -> bool {
-        let rides = if self.prompted { PROMPTED_RIDES.min(self.setup.report_rides) } else { self.setup.report_rides };
+    fn may_piggyback_report(&self, now: Time) -> bool {
+        let age = if self.report_pending {
+            PENDING_PIGGYBACK_AGE.min(self.setup.report_piggyback_age)
+        } else {
+            self.setup.report_piggyback_age
+        };
         self.setup.reports == Reports::On
-            && self.setup.ride != Ride::Never
-            && self.report_left.is_none_or(|left| now.since(left) >= rides)
+            && self.setup.piggyback != Piggyback::Never
+            && self.report_sent.is_none_or(|sent| now.since(sent) >= age)
     }
 
-    /// Adds a report, if there is room and, where it is urgent, anybody that it would list. Gives whether it did.
+    /// Adds a report, if it fits and, if urgent, lists any host. Returns whether it did.
     fn report(&mut self, now: Time, bytes: &mut Vec<u8>, incoming: &mut Incoming, occasion: Occasion) -> bool {
         let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES);
         let Some(mut report) = incoming.report(now, room, occasion) else { return false };
@@ -276,29 +281,29 @@ impl Outgoing {
         add(bytes, report.content(), |bytes| report.write(bytes));
         self.urgent_due = None;
         if occasion == Occasion::Urgent {
-            self.urgent_left = Some(now);
+            self.urgent_sent = Some(now);
             self.urgent_bucket.take(now, &URGENT_RATE);
             return true;
         }
-        self.prompted = false;
-        (self.report_left, self.report_due) = (Some(now), Some(now + REPORT_PERIOD));
-        let held = self.again.held(Audience::All);
+        self.report_pending = false;
+        (self.report_sent, self.report_due) = (Some(now), Some(now + REPORT_PERIOD));
+        let held = self.retransmitter.held(Audience::All);
         if !held.is_empty() && bytes.len() + BLOCK_BYTES + 4 * held.len() <= MAX_PLAIN_BYTES {
             add(bytes, Content::Held, |bytes| write_held(&held, bytes));
         }
         true
     }
 
-    /// Another host waits for a report of this one, to prove itself or to believe this one.
-    pub fn prompt(&mut self, now: Time, prompt: Prompt) {
-        if prompt == Prompt::No || self.setup.reports == Reports::Off {
+    /// Makes a report pending, for which another host waits to prove its liveness or to accept this host.
+    pub fn request_report(&mut self, now: Time, urgency: Urgency) {
+        if urgency == Urgency::Regular || self.setup.reports == Reports::Off {
             return;
         }
-        self.prompted = true;
-        let eager = self.setup.report_rides == Span::ZERO;
-        if eager || prompt == Prompt::Now {
+        self.report_pending = true;
+        let eager = self.setup.report_piggyback_age == Span::ZERO;
+        if eager || urgency == Urgency::Immediate {
             let period = if eager { EAGER_PERIOD } else { URGENT_PERIOD };
-            let due = self.urgent_left.map_or(now, |left| now.max(left + period));
+            let due = self.urgent_sent.map_or(now, |sent| now.max(sent + period));
             self.urgent_due = Some(self.urgent_due.map_or(due, |before| before.min(due)));
         }
     }
@@ -306,112 +311,119 @@ impl Outgoing {
     fn plan_soft(&mut self, now: Time) {
         let modes = self.soft.keys().any(|(kind, _)| *kind == Kind::Mode);
         let period = if modes { Span::from_nanos(SOFT_PERIOD.as_nanos() / 2) } else { SOFT_PERIOD };
-        let flows = self.data_left.is_some_and(|left| now.since(left) < HOLD);
-        let wait = if flows { now + HOLD } else { now };
-        let due = self.soft_said.map_or(wait, |left| wait.max(left + period));
+        let flows = self.data_sent.is_some_and(|sent| now.since(sent) < PIGGYBACK_WAIT);
+        let wait = if flows { now + PIGGYBACK_WAIT } else { now };
+        let due = self.soft_sent.map_or(wait, |sent| wait.max(sent + period));
         self.soft_due = Some(self.soft_due.map_or(due, |before| before.min(due)));
         self.soft_since = self.soft_since.or(Some(now));
     }
 
-    fn leave_soft(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+    fn send_soft(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         while self.soft_due.is_some_and(|due| due <= now) {
             let Some((&stream, (audience, frame))) = self.soft.first_key_value() else {
                 (self.soft_due, self.soft_since) = (None, None);
                 return;
             };
             let (audience, block) = (*audience, frame[HEADER_BYTES..].to_vec());
-            self.soft_said = self.soft_since.or(Some(now));
+            self.soft_sent = self.soft_since.or(Some(now));
             self.soft.remove(&stream);
             let mut bytes = codec::start(&self.header(audience, 0));
             bytes.extend_from_slice(&block);
-            self.board(now, audience, &mut bytes, incoming);
-            self.leave_alone(audience, bytes, counts, out);
+            self.piggyback(now, audience, &mut bytes, incoming);
+            self.send_alone(audience, bytes, counts, out);
             if self.soft.is_empty() {
                 (self.soft_due, self.soft_since) = (None, None);
             }
         }
     }
 
-    fn leave_alone(&mut self, audience: Audience, bytes: Vec<u8>, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+    fn send_alone(&mut self, audience: Audience, bytes: Vec<u8>, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         out.push((audience, self.seal(&bytes.into(), audience, 0)));
         self.count(audience);
         counts.soft += 1;
     }
 
-    fn leave_again(&mut self, (audience, plain): Once, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+    fn send_copy(&mut self, (audience, plain): Untagged, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         out.push((audience, self.seal(&plain, audience, Flags::COPY)));
         counts.copies += 1;
     }
 
-    /// A datagram that wants it is to be acknowledged.
-    pub fn acknowledge(&mut self, now: Time, name: Name) {
-        let names = self.acks.entry(name.host).or_default();
-        if names.len() < MAX_NAMES {
-            names.push(name);
+    /// Notes a datagram that is to be acknowledged.
+    pub fn acknowledge(&mut self, now: Time, id: DatagramId) {
+        let ids = self.acks.entry(id.host).or_default();
+        if ids.len() < MAX_IDS {
+            ids.push(id);
         }
         self.acks_due = self.acks_due.or(Some(now + ACK_WITHIN));
     }
 
-    /// `from` acknowledges these.
-    pub fn acknowledged(&mut self, now: Time, from: HostId, names: &[Name]) {
-        self.again.acknowledged(now, from, names);
+    /// Handles acknowledgements of `from`.
+    pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
+        self.retransmitter.acknowledged(now, from, ids);
     }
 
-    /// `from` asks for these again.
-    pub fn asked(&mut self, now: Time, from: HostId, names: &[Name], counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
-        for once in self.again.asked(now, from, names) {
-            self.leave_again(once, counts, out);
+    /// Retransmits datagrams that `from` requests.
+    pub fn requested(
+        &mut self,
+        now: Time,
+        from: HostId,
+        ids: &[DatagramId],
+        counts: &mut LinkCounts,
+        out: &mut Vec<Outbound>,
+    ) {
+        for datagram in self.retransmitter.requested(now, from, ids) {
+            self.send_copy(datagram, counts, out);
         }
     }
 
-    /// Asks for datagrams that are missing.
-    pub fn ask(&mut self, names: &[Name], counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
+    /// Requests missing datagrams.
+    pub fn ask(&mut self, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         let mut bytes = codec::start(&self.header(Audience::All, 0));
-        add(&mut bytes, Content::Nack, |bytes| write_names(names, bytes));
-        self.leave_alone(Audience::All, bytes, counts, out);
+        add(&mut bytes, Content::Nack, |bytes| write_ids(ids, bytes));
+        self.send_alone(Audience::All, bytes, counts, out);
     }
 
-    /// When anything is next due.
+    /// Time of the next action.
     pub fn due(&self) -> Option<Time> {
-        let dues = [self.again.due(), self.soft_due, self.acks_due, self.report_due, self.urgent_due];
+        let dues = [self.retransmitter.due(), self.soft_due, self.acks_due, self.report_due, self.urgent_due];
         let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);
         Some(first).filter(|due| *due < Time::MAX)
     }
 
-    /// Does what is due.
-    pub fn wake(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Leaving>) {
-        while let Some(once) = self.again.next(now, counts) {
-            self.leave_again(once, counts, out);
+    /// Performs the actions that are due.
+    pub fn wake(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
+        while let Some(datagram) = self.retransmitter.next(now, counts) {
+            self.send_copy(datagram, counts, out);
         }
-        self.leave_soft(now, incoming, counts, out);
+        self.send_soft(now, incoming, counts, out);
         if self.acks_due.is_some_and(|due| due <= now) {
-            self.leave_acks(counts, out);
+            self.send_acks(counts, out);
         }
-        // A regular report lists those who wait as well.
+        // A regular report also lists the hosts that wait for an urgent one.
         if self.report_due.is_some_and(|due| due <= now) {
-            self.leave_report(now, Occasion::Regular, incoming, counts, out);
+            self.send_report(now, Occasion::Regular, incoming, counts, out);
         }
         if self.urgent_due.is_some_and(|due| due <= now) {
             self.urgent_due = None;
-            let eager = self.setup.report_rides == Span::ZERO;
+            let eager = self.setup.report_piggyback_age == Span::ZERO;
             if eager || self.urgent_bucket.left(now, &URGENT_RATE) > 0 {
-                self.leave_report(now, Occasion::Urgent, incoming, counts, out);
+                self.send_report(now, Occasion::Urgent, incoming, counts, out);
             }
         }
     }
 
-    /// A report leaves alone, unless it is urgent and would list nobody.
-    fn leave_report(
+    /// Sends a report alone, unless it is urgent and would list no host.
+    fn send_report(
         &mut self,
         now: Time,
         occasion: Occasion,
         incoming: &mut Incoming,
         counts: &mut LinkCounts,
-        out: &mut Vec<Leaving>,
+        out: &mut Vec<Outbound>,
     ) {
         let mut bytes = codec::start(&self.header(Audience::All, 0));
         if self.report(now, &mut bytes, incoming, occasion) {
-            self.leave_alone(Audience::All, bytes, counts, out);
+            self.send_alone(Audience::All, bytes, counts, out);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The routing table of one host: for a message, whether it has takers here, and which link it leaves on.
+//! Routing table of one host: whether a message is delivered on this host, and on which link it is sent.
 //!
 //! The table is data, made from the deployment; nothing here knows a deployment mode.
 
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Condition, KINDS, Kind, Wire};
 
-/// The hosts that a frame is for.
+/// Receivers of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Audience {
     /// Every other host on the link.
@@ -16,32 +16,32 @@ pub enum Audience {
     Host(HostId),
 }
 
-/// The way of one message.
+/// Route of one message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Route {
-    /// It has takers on this host.
+    /// It is delivered on this host.
     pub local: bool,
-    /// It leaves on this link, for these hosts.
+    /// It is sent on this link, to these hosts.
     pub leaves: Option<(LinkId, Audience)>,
 }
 
-/// The hosts of a team and what each may say: the same on all of them.
+/// The hosts of a team and the messages that each may publish: the same on all of them.
 #[derive(Clone, Debug)]
 pub struct Publishers {
     /// By host: its name.
     pub names: Vec<String>,
-    /// By robot: the host that runs its agent, which says `Latent`, `MotorCommand` and `Heartbeat`.
+    /// By robot: the host that runs its agent, which publishes `Latent`, `MotorCommand` and `Heartbeat`.
     pub agents: Vec<HostId>,
-    /// By robot: the host that its motors hang on, which tells how it does.
+    /// By robot: the host that drives its motors, which reports its health.
     pub actuators: Vec<HostId>,
-    /// By robot: the host that measures it, which says `Reading`.
+    /// By robot: the host that measures it, which publishes `Reading`.
     pub localizers: Vec<HostId>,
-    /// The host of the state server, which says `Mode`.
+    /// The host of the state server, which publishes `Mode`.
     pub server: HostId,
 }
 
 impl Publishers {
-    /// Whether `sender` may say this.
+    /// Whether `sender` may publish this message.
     pub fn permit(&self, sender: HostId, message: &Wire) -> bool {
         let of = |hosts: &[HostId]| hosts.get(message.robot().index()) == Some(&sender);
         match message {
@@ -55,13 +55,13 @@ impl Publishers {
             Wire::Status(status) => status.host == sender && self.knows(sender),
             Wire::Observe(observe) => observe.by == sender && sender.is_operator(),
             Wire::Telemetry(telemetry) => {
-                telemetry.host == sender && telemetry.robots.iter().all(|told| self.owns(sender, told))
+                telemetry.host == sender && telemetry.robots.iter().all(|told| self.may_report(sender, told))
             }
         }
     }
 
-    /// Whether what is told of a robot is for this host to tell.
-    fn owns(&self, host: HostId, told: &Condition) -> bool {
+    /// Whether this host may publish this condition of a robot.
+    fn may_report(&self, host: HostId, told: &Condition) -> bool {
         let of = |hosts: &[HostId]| hosts.get(told.robot.index()) == Some(&host);
         let decided = told.phase.is_none() && told.seen.is_none() || of(&self.agents);
         let moved = told.health.is_none() && told.battery.is_none() || of(&self.actuators);
@@ -72,7 +72,7 @@ impl Publishers {
         usize::from(host.0) < self.names.len()
     }
 
-    /// A host as people know it.
+    /// Name of a host, for people.
     pub fn name(&self, host: HostId) -> String {
         match self.names.get(usize::from(host.0)) {
             Some(name) => format!("'{name}' (host {})", host.0),
@@ -82,25 +82,25 @@ impl Publishers {
     }
 }
 
-/// The ways of all messages that this host publishes or receives.
+/// Routes of all messages that this host publishes or receives.
 #[derive(Clone, Debug)]
 pub struct Router {
     robots: usize,
-    /// The robots that have ways of their own here, in order.
+    /// Robots that have their own routes on this host, in order.
     mine: Vec<RobotId>,
-    /// By kind: the ways of those robots, and last that of all others.
+    /// By kind: the routes of those robots, and last that of all others.
     routes: Vec<Route>,
-    /// The hosts that may say what; none where everyone may say everything.
+    /// Hosts that may publish each message; none if there is no restriction.
     publishers: Option<Arc<Publishers>>,
 }
 
 impl Router {
-    /// A table for `robots` robots, filled in by `route`.
+    /// Returns a table for `robots` robots, filled in by `route`.
     pub fn new(robots: usize, route: impl FnMut(Kind, RobotId) -> Route) -> Router {
         Router::of(robots, RobotId::team(robots).collect(), route)
     }
 
-    /// A table for `robots` robots, filled in by `route`, which tells none of them from the others that is not `mine`.
+    /// Returns a table for `robots` robots, filled in by `route`, which must not distinguish robots outside `mine`.
     pub fn of(robots: usize, mut mine: Vec<RobotId>, mut route: impl FnMut(Kind, RobotId) -> Route) -> Router {
         mine.sort();
         mine.dedup();
@@ -115,23 +115,23 @@ impl Router {
         Router { robots, mine, routes, publishers: None }
     }
 
-    /// The same table, which also knows who may say what.
+    /// Returns the table with the hosts that may publish each message.
     pub fn with_publishers(self, publishers: Arc<Publishers>) -> Router {
         Router { publishers: Some(publishers), ..self }
     }
 
-    /// How many hosts the team has; none where that is not known.
+    /// Number of hosts in the team; none if unknown.
     pub fn hosts(&self) -> Option<u16> {
         self.publishers.as_ref().and_then(|publishers| u16::try_from(publishers.names.len()).ok())
     }
 
-    /// The name of a sender that may not say this; none if it may.
+    /// Returns the name of a sender that may not publish this message; none if it may.
     pub fn forbids(&self, sender: HostId, message: &Wire) -> Option<String> {
         let publishers = self.publishers.as_ref()?;
         (!publishers.permit(sender, message)).then(|| publishers.name(sender))
     }
 
-    /// The way of a message of this kind about this robot; none if there is no such robot.
+    /// Returns the route of a message of this kind about this robot; an empty one if there is no such robot.
     pub fn route(&self, kind: Kind, robot: RobotId) -> Route {
         if robot.index() >= self.robots {
             return Route::default();
@@ -150,7 +150,7 @@ mod tests {
     use crate::messages::wire::{Heartbeat, MotorCommand, Phase, Round, Status, Stop};
     use crate::time::Span;
 
-    /// Robot 0 is decided on host 0, robot 1 on host 1; the bodies and the state server are on host 2.
+    /// Robot 0 has its agent on host 0, robot 1 on host 1; the bodies and the state server are on host 2.
     fn publishers() -> Publishers {
         Publishers {
             names: ["a", "b", "c"].map(str::to_owned).to_vec(),

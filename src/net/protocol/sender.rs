@@ -1,6 +1,6 @@
-//! State of one sender on one link: its incarnation, what has come, when, and what it said of us.
+//! State of one sender on one link: its incarnation, its datagrams with their times, and its reports about this host.
 //!
-//! Every field is of a fixed size, or bounded by the size of the team. What follows from it is decided in `incoming`.
+//! Every field is of a fixed size, or bounded by the size of the team. `incoming` decides on its basis.
 
 use std::collections::BTreeMap;
 
@@ -8,95 +8,95 @@ use serde::Serialize;
 
 use super::bucket::{Bucket, Rate};
 use super::candidates::Candidate;
+use super::lateness::Lateness;
 use super::limits::{LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE};
 use super::offset::Offsets;
-use super::order::Order;
 use super::report::Stamp;
 use super::window::{LOSS_SPAN, Window};
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// How much a new gap between arrivals weighs in their mean (as RFC 3550, section 6.4.1, weighs jitter).
+/// Weight of a new interarrival time in the mean (as RFC 3550, section 6.4.1, weighs jitter).
 const WEIGHT: f64 = 1.0 / 16.0;
-/// How long a report asks for repeats: in a team of 200 the next one of the same host may take so long.
-const ASKS_FOR: Span = Span::from_millis(4000);
-/// How long repeats go on after a report without loss.
+/// Time for which a report of loss causes repeats: in a team of 200 the next report of the same host may take so long.
+const REPEATS_FOR: Span = Span::from_millis(4000);
+/// Time for which repeats go on after a report without loss.
 const STOPS_AFTER: Span = Span::from_millis(2000);
 
-/// The datagrams of a sender to all, or those to this host.
+/// Sequence space of a sender: its datagrams to all hosts, or those to this host.
 #[derive(Clone, Debug, Default)]
-pub struct Lane {
-    /// Which have been here.
+pub struct SequenceSpace {
+    /// Replay window.
     pub window: Window,
     /// The newest sequence number of each stream: a kind about a robot.
     pub newest: BTreeMap<(Kind, RobotId), u32>,
 }
 
-/// One sender: an incarnation of a host that is believed.
+/// An accepted incarnation of a host.
 #[derive(Clone, Debug)]
 pub struct Sender {
-    /// When this incarnation was taken up.
+    /// Time at which it was accepted.
     pub since: Time,
-    /// When it last showed that it was alive.
+    /// Time at which it last proved its liveness.
     pub proved: Time,
-    /// When its last report was admitted.
+    /// Time at which its last report was admitted.
     pub reported: Time,
-    /// Its datagrams to all and, second, to this host.
-    pub lanes: [Lane; 2],
-    /// Which of its datagrams have been held back.
-    pub order: Order,
-    /// Budget of its datagrams.
+    /// Its datagrams to all hosts and, second, to this host.
+    pub spaces: [SequenceSpace; 2],
+    /// Detection of its late datagrams.
+    pub lateness: Lateness,
+    /// Rate limit of its datagrams.
     pub bucket: Bucket,
-    /// Its newest stamp, and when it came.
+    /// Its newest stamp, and the time of arrival.
     pub stamp: Option<(Stamp, Time)>,
-    /// How its stamps lie.
+    /// Offset of its stamps.
     pub offsets: Offsets,
-    /// When a report of ours last listed it.
+    /// Time at which a report of this host last listed it.
     pub listed: Option<Time>,
-    /// The loss that it was told then.
-    pub told: u8,
-    /// Whether it has asked for proof that this host is alive.
-    pub wants: bool,
-    /// How many of our newest 64 datagrams it has lost by its own account.
-    pub told_lost: u8,
-    /// Until when that asks for a repeat, and for a second one.
-    pub asks: [Time; 2],
-    /// The incarnation that it has followed.
-    pub former: Option<u32>,
-    /// How many datagrams of a second live host under this id.
-    pub twins: u64,
+    /// Its loss as stated in that report.
+    pub loss_sent: u8,
+    /// Whether it has asked for a proof that this host is alive.
+    pub challenged: bool,
+    /// Number of this host's newest 64 datagrams that it has lost, by its own report.
+    pub reported_lost: u8,
+    /// Times until which that causes a repeat, and a second one.
+    pub repeat_until: [Time; 2],
+    /// Incarnation that it has replaced.
+    pub predecessor: Option<u32>,
+    /// Number of datagrams of a second live host with this id.
+    pub duplicate_ids: u64,
     heard: Option<Time>,
     spacing_s: f64,
     jitter_s: f64,
 }
 
 impl Sender {
-    /// A sender that is taken up now.
+    /// Returns the state of a sender that is accepted now.
     pub fn new(now: Time, rate: Option<&Rate>) -> Sender {
         Sender {
             since: now,
             proved: now,
             reported: now,
-            lanes: [Lane::default(), Lane::default()],
-            order: Order::default(),
+            spaces: [SequenceSpace::default(), SequenceSpace::default()],
+            lateness: Lateness::default(),
             bucket: Bucket::full(now, rate.unwrap_or(&super::reliability::RATE)),
             stamp: None,
             offsets: Offsets::default(),
             listed: None,
-            told: 0,
-            wants: false,
-            told_lost: 0,
-            asks: [Time::ZERO; 2],
-            former: None,
-            twins: 0,
+            loss_sent: 0,
+            challenged: false,
+            reported_lost: 0,
+            repeat_until: [Time::ZERO; 2],
+            predecessor: None,
+            duplicate_ids: 0,
             heard: None,
             spacing_s: 0.0,
             jitter_s: 0.0,
         }
     }
 
-    /// A report of it was admitted that was written at `stamp`.
+    /// Notes an admitted report written at `stamp`.
     pub fn stamped(&mut self, now: Time, stamp: Stamp) {
         self.reported = now;
         if self.stamp.is_none_or(|(before, _)| stamp.ahead_us(before) > 0) {
@@ -104,15 +104,15 @@ impl Sender {
         }
     }
 
-    /// It reports that so many of our newest 64 datagrams were lost.
-    pub fn told_of_loss(&mut self, now: Time, lost: u8) {
-        self.told_lost = lost.min(LOSS_SPAN as u8);
-        for (asks, bar) in self.asks.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
-            *asks = if lost >= bar { now + ASKS_FOR } else { (*asks).min(now + STOPS_AFTER) };
+    /// Notes its report that so many of this host's newest 64 datagrams were lost.
+    pub fn note_reported_loss(&mut self, now: Time, lost: u8) {
+        self.reported_lost = lost.min(LOSS_SPAN as u8);
+        for (until, bar) in self.repeat_until.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
+            *until = if lost >= bar { now + REPEATS_FOR } else { (*until).min(now + STOPS_AFTER) };
         }
     }
 
-    /// A datagram of this sender has come.
+    /// Notes the arrival of a datagram.
     pub fn heard(&mut self, now: Time) {
         if let Some(before) = self.heard.replace(now) {
             let gap = now.since(before).as_secs();
@@ -124,47 +124,47 @@ impl Sender {
         }
     }
 
-    /// How long ago anything came; none if never.
+    /// Time since its last datagram; none if there was none.
     pub fn age(&self, now: Time) -> Option<Span> {
         self.heard.map(|heard| now.since(heard))
     }
 
-    /// How many of its newest 64 datagrams were lost.
+    /// Number of its newest 64 datagrams that were lost.
     pub fn lost(&self) -> u8 {
-        self.lanes.iter().map(|lane| lane.window.lost()).max().unwrap_or(0)
+        self.spaces.iter().map(|space| space.window.lost()).max().unwrap_or(0)
     }
 
-    /// All that is known of it; `proven` says whether it is believed now.
-    pub fn peer(&self, now: Time, link: LinkId, (host, epoch): (HostId, u32), proven: bool) -> Peer {
+    /// Returns its summary; `accepted` says whether it is accepted now.
+    pub fn peer(&self, now: Time, link: LinkId, (host, incarnation): (HostId, u32), accepted: bool) -> Peer {
         let (passed, missing) = self
-            .lanes
+            .spaces
             .iter()
-            .map(|lane| lane.window.missing())
-            .fold((0, 0), |sum, lane| (sum.0 + lane.0, sum.1 + lane.1));
+            .map(|space| space.window.missing())
+            .fold((0, 0), |sum, space| (sum.0 + space.0, sum.1 + space.1));
         let offset = self.offsets.estimate(now);
         Peer {
             link: link.0,
             host: host.0,
-            epoch,
-            proven,
+            incarnation,
+            accepted,
             age_s: self.age(now).map(Span::as_secs),
             spacing_s: self.spacing_s,
             jitter_s: self.jitter_s,
             loss: f64::from(self.lost()) / f64::from(LOSS_SPAN),
             passed,
             missing,
-            told_loss: f64::from(self.told_lost) / f64::from(LOSS_SPAN),
+            reported_loss: f64::from(self.reported_lost) / f64::from(LOSS_SPAN),
             uncertainty_s: offset.map(|offset| offset.uncertainty_s),
             round_trip_s: offset.map(|offset| offset.round_trip_s),
-            twins: self.twins,
+            duplicate_ids: self.duplicate_ids,
         }
     }
 }
 
 impl Peer {
-    /// State of an incarnation that has not shown yet that it is alive.
+    /// Returns the summary of an incarnation that has not proved its liveness yet.
     pub fn candidate(now: Time, link: LinkId, host: HostId, candidate: &Candidate) -> Peer {
-        let unknown = Sender::new(now, None).peer(now, link, (host, candidate.epoch), false);
+        let unknown = Sender::new(now, None).peer(now, link, (host, candidate.incarnation), false);
         Peer { age_s: Some(now.since(candidate.at).as_secs()), ..unknown }
     }
 }
@@ -177,27 +177,31 @@ pub struct Peer {
     /// The other host.
     pub host: u16,
     /// Its incarnation.
-    pub epoch: u32,
-    /// Whether it has shown that it is alive; without, nothing of it is let in.
-    pub proven: bool,
-    /// How long ago anything of it came \[s\].
+    #[serde(rename = "epoch")]
+    pub incarnation: u32,
+    /// Whether it has proved its liveness; otherwise nothing from it is accepted.
+    #[serde(rename = "proven")]
+    pub accepted: bool,
+    /// Time since its last datagram \[s\].
     pub age_s: Option<f64>,
-    /// The mean time between two arrivals \[s\].
+    /// Mean interarrival time \[s\].
     pub spacing_s: f64,
-    /// The mean deviation from that \[s\].
+    /// Mean deviation from it \[s\].
     pub jitter_s: f64,
-    /// The share of its newest 64 datagrams whose first transmission was lost.
+    /// Share of its newest 64 datagrams whose first transmission was lost.
     pub loss: f64,
-    /// How many of its datagrams should have come.
+    /// Number of its datagrams that should have arrived.
     pub passed: u64,
-    /// How many of those never came, not even as a copy.
+    /// Number of those that never arrived, not even as a retransmission.
     pub missing: u64,
-    /// The share of our newest 64 datagrams that it has lost, by its own account.
-    pub told_loss: f64,
-    /// How well the way from there is known \[s\]: half of the way there and back, and drift since it was measured.
+    /// Share of this host's newest 64 datagrams that it has lost, by its own report.
+    #[serde(rename = "told_loss")]
+    pub reported_loss: f64,
+    /// Error bound of the one-way delay from it \[s\]: half of the round trip, and drift since it was measured.
     pub uncertainty_s: Option<f64>,
-    /// There and back \[s\]; half of it is about the latency of the link.
+    /// Round trip \[s\]; half of it approximates the latency of the link.
     pub round_trip_s: Option<f64>,
-    /// How many datagrams came from a second live host under its id.
-    pub twins: u64,
+    /// Number of datagrams from a second live host with its id.
+    #[serde(rename = "twins")]
+    pub duplicate_ids: u64,
 }

@@ -1,5 +1,5 @@
-//! The senders that are believed on one link, in bounded tables: hosts of the team, and guests. Guests are operators,
-//! and hosts that the deployment does not know; they make room for each other and never take the place of a host.
+//! Accepted senders of one link, in bounded tables: hosts of the team, and guests. Guests are operators and hosts that
+//! the deployment does not know; they replace each other and never a host.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::IterMut;
@@ -10,86 +10,86 @@ use super::sender::Sender;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// The most hosts of the team that are believed on a link.
+/// Most hosts of the team that are accepted on a link.
 pub const MAX_SENDERS: usize = 1024;
-/// The most guests that are believed beside them: more operators than ever act at once, and few enough to be searched
-/// whenever one is taken up.
+/// Most guests that are accepted beside them: more operators than ever act at once, and few enough to search whenever
+/// one is accepted.
 pub const MAX_GUESTS: usize = 128;
-/// How long a host is remembered in silence, once there are too many.
+/// Silence after which a host is removed, once the table is full.
 const FORGET: Span = Span::from_millis(20_000);
 
 /// A sender: a host and its incarnation.
-pub type Id = (HostId, u32);
+pub type SenderId = (HostId, u32);
 
-/// All senders that are believed, by host and incarnation.
+/// All accepted senders, by host and incarnation.
 #[derive(Clone, Debug)]
 pub struct Senders {
-    all: BTreeMap<Id, Sender>,
+    all: BTreeMap<SenderId, Sender>,
     first_guest: HostId,
     forgot: Time,
 }
 
-/// All incarnations of the hosts from one to another.
-fn ids(from: HostId, to: HostId) -> RangeInclusive<Id> {
+/// Range of all incarnations of the hosts from one to another.
+fn ids(from: HostId, to: HostId) -> RangeInclusive<SenderId> {
     (from, 0)..=(to, u32::MAX)
 }
 
 impl Senders {
-    /// None yet. Hosts of the team have numbers below `first_guest`.
+    /// Returns an empty table. Hosts of the team have numbers below `first_guest`.
     pub fn new(first_guest: HostId) -> Senders {
         Senders { all: BTreeMap::new(), first_guest, forgot: Time::ZERO }
     }
 
-    /// One sender.
-    pub fn get(&self, id: Id) -> Option<&Sender> {
+    /// Returns one sender.
+    pub fn get(&self, id: SenderId) -> Option<&Sender> {
         self.all.get(&id)
     }
 
-    /// One sender, to change it.
-    pub fn get_mut(&mut self, id: Id) -> Option<&mut Sender> {
+    /// Returns one sender, mutable.
+    pub fn get_mut(&mut self, id: SenderId) -> Option<&mut Sender> {
         self.all.get_mut(&id)
     }
 
-    /// All senders, to change them.
-    pub fn iter_mut(&mut self) -> IterMut<'_, Id, Sender> {
+    /// Returns all senders, mutable.
+    pub fn iter_mut(&mut self) -> IterMut<'_, SenderId, Sender> {
         self.all.iter_mut()
     }
 
-    /// All senders, in order.
-    pub fn iter(&self) -> impl Iterator<Item = (Id, &Sender)> {
+    /// Returns all senders, in order.
+    pub fn iter(&self) -> impl Iterator<Item = (SenderId, &Sender)> {
         self.all.iter().map(|(id, sender)| (*id, sender))
     }
 
-    /// Whether any incarnation of this host is believed.
+    /// Whether any incarnation of this host is accepted.
     pub fn knows(&self, host: HostId) -> bool {
         self.all.range(ids(host, host)).next().is_some()
     }
 
-    /// The incarnation of this host that is believed, if it is another one than this. An operator's is no rival.
-    pub fn rival(&self, (host, epoch): Id) -> Option<Id> {
+    /// Returns the accepted incarnation of this host, if it is another one. Incarnations of an operator do not compete.
+    pub fn other_incarnation(&self, (host, incarnation): SenderId) -> Option<SenderId> {
         let mut all = self.all.range(ids(host, host)).map(|(id, _)| *id);
-        all.find(|id| id.1 != epoch).filter(|_| !host.is_operator())
+        all.find(|id| id.1 != incarnation).filter(|_| !host.is_operator())
     }
 
-    /// Takes a sender up.
-    pub fn insert(&mut self, id: Id, sender: Sender) {
+    /// Adds a sender.
+    pub fn insert(&mut self, id: SenderId, sender: Sender) {
         self.all.insert(id, sender);
     }
 
-    /// Believes a sender no more.
-    pub fn remove(&mut self, id: Id) {
+    /// Removes a sender.
+    pub fn remove(&mut self, id: SenderId) {
         self.all.remove(&id);
     }
 
-    /// Makes room for a new sender. Of too many guests the one leaves that has been silent longest, and of several the
-    /// one that was taken up first: a guest that lives is believed again with its next datagram. Gives whether there is
-    /// room.
+    /// Makes room for a new sender; returns whether there is room. If there are too many guests, the one that has been
+    /// silent longest leaves; of several, the one that was accepted first. A guest that is alive is accepted again with
+    /// its next datagram.
     pub fn make_room(&mut self, now: Time, host: HostId) -> bool {
         let guests = || ids(self.first_guest, HostId(u16::MAX));
         let count = self.all.range(guests()).count();
         if host >= self.first_guest {
             let silent =
-                |(_, sender): &(&Id, &Sender)| (sender.age(now).unwrap_or(Span::ZERO), now.since(sender.since));
+                |(_, sender): &(&SenderId, &Sender)| (sender.age(now).unwrap_or(Span::ZERO), now.since(sender.since));
             let leaves = self.all.range(guests()).max_by_key(silent).map(|(id, _)| *id);
             if let Some(id) = leaves.filter(|_| count >= MAX_GUESTS) {
                 self.remove(id);
@@ -97,7 +97,7 @@ impl Senders {
             return true;
         }
         let full = |senders: &Senders| senders.all.len() - count >= MAX_SENDERS;
-        // Not for every datagram: one who makes up senders must not make this host search.
+        // Not for every datagram: forged senders must not cause a search each.
         if full(self) && now.since(self.forgot) >= FORGET {
             self.forgot = now;
             let (first_guest, silent) =
@@ -107,9 +107,9 @@ impl Senders {
         !full(self)
     }
 
-    /// How many times a message to these hosts is to be repeated, by what they report.
+    /// Returns the number of repeats of a message to these hosts, by their reported loss.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
-        let asked = |sender: &Sender| sender.asks.iter().filter(|until| **until > now).count() as u8;
+        let asked = |sender: &Sender| sender.repeat_until.iter().filter(|until| **until > now).count() as u8;
         let asking = match audience {
             Audience::Host(host) => ids(host, host),
             Audience::All => ids(HostId(0), HostId(u16::MAX)),
@@ -126,7 +126,7 @@ mod tests {
         Time::ZERO + Span::from_millis(ms)
     }
 
-    fn take_up(senders: &mut Senders, ms: u64, id: Id) -> bool {
+    fn take_up(senders: &mut Senders, ms: u64, id: SenderId) -> bool {
         let room = senders.make_room(at(ms), id.0);
         if room {
             let mut sender = Sender::new(at(ms), None);

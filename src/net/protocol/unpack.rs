@@ -1,17 +1,17 @@
-//! Reading of message bodies: the part of MessagePack that they are written in, and nothing else of it.
+//! Decoder of message bodies: the subset of MessagePack that the encoder uses.
 //!
 //! Numbers are unsigned, of any width; structs and tuples are arrays of at most 15 elements; lists are arrays of any
-//! length; floats are bytes (`messages::floats`). A body that is written in any other way is refused. A general reader
-//! takes several times the code, which every datagram would have to pass.
+//! length; floats are bytes (`messages::floats`). A body in any other form is refused. A general decoder has several
+//! times the code, through which every datagram would pass.
 
 use std::fmt;
 
 use serde::de::{self, DeserializeSeed, Deserializer, SeqAccess, Visitor};
 
-/// What is left of a body.
+/// Rest of a body.
 pub struct Reader<'de>(pub &'de [u8]);
 
-/// The bytes are not what was to be read. Who sends them is not told why, so there is no more to say.
+/// Error of decoding. The sender gets no reply, so it carries no reason.
 #[derive(Debug)]
 pub struct Unreadable;
 
@@ -62,7 +62,7 @@ impl<'de> Reader<'de> {
         self.take(1).map(|byte| byte[0])
     }
 
-    /// An unsigned number of `1 << log` bytes, the greatest byte first.
+    /// Reads an unsigned big-endian number of `1 << log` bytes.
     fn plain(&mut self, log: u8) -> Result<u64, Unreadable> {
         Ok(self.take(1 << log)?.iter().fold(0, |sum, byte| sum << 8 | u64::from(*byte)))
     }
@@ -85,7 +85,7 @@ impl<'de> Reader<'de> {
         self.take(usize::try_from(length).map_err(|_| Unreadable)?)
     }
 
-    /// How many elements follow, in an array of any length or (`short`) of at most 15.
+    /// Reads the length of an array of any length or (`short`) of at most 15.
     #[inline(never)]
     fn array(&mut self, short: bool) -> Result<usize, Unreadable> {
         match self.marker()? {
@@ -105,7 +105,7 @@ impl<'de> Reader<'de> {
     }
 }
 
-/// The elements of an array that are not read yet.
+/// Elements of an array that are not read yet.
 struct Elements<'r, 'de> {
     reader: &'r mut Reader<'de>,
     left: usize,
@@ -123,7 +123,7 @@ impl<'de> SeqAccess<'de> for Elements<'_, 'de> {
     }
 
     fn size_hint(&self) -> Option<usize> {
-        // An element takes a byte at the least: a length that is made up reserves no memory.
+        // An element takes at least a byte, so a forged length reserves no memory.
         Some(self.left.min(self.reader.0.len()))
     }
 }
@@ -210,7 +210,7 @@ mod tests {
 
     use super::*;
 
-    /// What the bytes hold, if they are it and nothing more.
+    /// Decodes bytes that hold the value and nothing more.
     fn read<T: for<'a> Deserialize<'a>>(bytes: &[u8]) -> Option<T> {
         let mut reader = Reader(bytes);
         T::deserialize(&mut reader).ok().filter(|_| reader.0.is_empty())

@@ -1,71 +1,71 @@
-//! Which datagrams of one sender have been here: the replay window, and how many were lost. No time, no bytes.
+//! Replay window of one sequence space, and its loss. No time, no bytes.
 
-/// How far back a datagram may lie and still be told new or not.
+/// Size of the replay window \[datagrams\].
 pub const WINDOW: u32 = 1024;
 const WORDS: usize = WINDOW as usize / 64;
-/// Over how many datagrams loss is measured: the newest.
+/// Newest datagrams over which loss is measured.
 pub const LOSS_SPAN: u32 = 64;
 
-/// Where a datagram stands among those that were here.
+/// Position of a datagram in the window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
-    /// It has not been here.
+pub enum Position {
+    /// It has not arrived before.
     New,
-    /// It has been here.
+    /// It has arrived before.
     Seen,
     /// It is older than the window.
     Behind,
 }
 
-/// The window of one sequence of numbers.
+/// Replay window of one sequence space.
 #[derive(Clone, Debug, Default)]
 pub struct Window {
     newest: Option<u32>,
-    /// By sequence number, modulo its length.
+    /// Arrivals by sequence number, modulo the size of the window.
     seen: [u64; WORDS],
-    /// The newest `LOSS_SPAN`, the lowest bit the newest: set where the first transmission itself arrived.
+    /// The newest `LOSS_SPAN`, the lowest bit the newest: set where the first transmission arrived.
     originals: u64,
-    /// How many numbers have passed, and how many of them were here.
+    /// Count of numbers that have passed, and of those that arrived.
     passed: u64,
-    here: u64,
+    arrived: u64,
 }
 
 impl Window {
-    /// A window that begins at `first`: everything before it is behind.
+    /// Returns a window that begins at `first`: everything before it is behind.
     pub fn starting(first: u32) -> Window {
         let mut window = Window { newest: Some(first.wrapping_sub(1)), ..Window::default() };
         window.seen = [u64::MAX; WORDS];
         window
     }
 
-    /// Takes a datagram up; `copy` says that it is not the first transmission.
-    pub fn place(&mut self, sequence: u32, copy: bool) -> Place {
+    /// Records a datagram; `copy` says that it is a retransmission.
+    pub fn record(&mut self, sequence: u32, copy: bool) -> Position {
         let Some(newest) = self.newest else {
             *self = Window::starting(sequence);
-            return self.place(sequence, copy);
+            return self.record(sequence, copy);
         };
         // Serial number arithmetic (RFC 1982): half of the numbers are ahead, half behind.
         let ahead = sequence.wrapping_sub(newest);
-        let place = if ahead != 0 && ahead <= u32::MAX / 2 {
+        let position = if ahead != 0 && ahead <= u32::MAX / 2 {
             self.advance(newest, ahead);
-            Place::New
+            Position::New
         } else {
             let behind = newest.wrapping_sub(sequence);
             if behind >= WINDOW {
-                return Place::Behind;
+                return Position::Behind;
             }
             if self.has(sequence) {
-                // The first transmission, overtaken by its copy, was not lost.
+                // The first transmission was overtaken by its retransmission, not lost.
                 self.mark_original(behind, copy);
-                return Place::Seen;
+                return Position::Seen;
             }
-            Place::New
+            Position::New
         };
         let newest = self.newest.expect("there is one by now");
         self.seen[word(sequence)] |= bit(sequence);
         self.mark_original(newest.wrapping_sub(sequence), copy);
-        self.here += 1;
-        place
+        self.arrived += 1;
+        position
     }
 
     fn mark_original(&mut self, behind: u32, copy: bool) {
@@ -92,20 +92,20 @@ impl Window {
         self.seen[word(sequence)] & bit(sequence) != 0
     }
 
-    /// Whether this one lies within the window and has not been here.
+    /// Whether this one lies within the window and has not arrived.
     pub fn misses(&self, sequence: u32) -> bool {
         self.newest.is_some_and(|newest| newest.wrapping_sub(sequence) < WINDOW) && !self.has(sequence)
     }
 
-    /// How many of the newest `LOSS_SPAN` first transmissions did not arrive.
+    /// Number of the newest `LOSS_SPAN` first transmissions that did not arrive.
     pub fn lost(&self) -> u8 {
         let span = self.passed.min(u64::from(LOSS_SPAN)) as u32;
         (span - self.originals.count_ones().min(span)) as u8
     }
 
-    /// How many datagrams have passed, and how many of them never came, not even as a copy.
+    /// Number of datagrams that have passed, and number of those that never arrived, not even as a retransmission.
     pub fn missing(&self) -> (u64, u64) {
-        (self.passed, self.passed.saturating_sub(self.here))
+        (self.passed, self.passed.saturating_sub(self.arrived))
     }
 }
 
@@ -124,25 +124,25 @@ mod tests {
     #[test]
     fn each_is_new_once_in_whatever_order_and_across_a_wrap() {
         let mut window = Window::default();
-        assert_eq!(window.place(u32::MAX - 1, false), Place::New);
-        assert_eq!(window.place(1, false), Place::New);
-        assert_eq!(window.place(u32::MAX, false), Place::New);
-        assert_eq!(window.place(u32::MAX, false), Place::Seen);
+        assert_eq!(window.record(u32::MAX - 1, false), Position::New);
+        assert_eq!(window.record(1, false), Position::New);
+        assert_eq!(window.record(u32::MAX, false), Position::New);
+        assert_eq!(window.record(u32::MAX, false), Position::Seen);
         assert_eq!(window.lost(), 1);
-        assert_eq!(window.place(0, true), Place::New);
+        assert_eq!(window.record(0, true), Position::New);
         assert_eq!((window.lost(), window.missing()), (1, (4, 0)), "a copy repairs and the loss remains known");
-        assert_eq!(window.place(0, false), Place::Seen);
+        assert_eq!(window.record(0, false), Position::Seen);
         assert_eq!(window.lost(), 0, "it was late, not lost");
-        assert_eq!(window.place(1 + WINDOW, false), Place::New);
-        assert_eq!(window.place(1, false), Place::Behind);
-        assert_eq!(window.place(2, false), Place::New);
+        assert_eq!(window.record(1 + WINDOW, false), Position::New);
+        assert_eq!(window.record(1, false), Position::Behind);
+        assert_eq!(window.record(2, false), Position::New);
     }
 
     #[test]
     fn a_window_that_begins_somewhere_takes_nothing_from_before() {
         let mut window = Window::starting(500);
-        assert_eq!(window.place(499, false), Place::Seen);
-        assert_eq!(window.place(500, false), Place::New);
+        assert_eq!(window.record(499, false), Position::Seen);
+        assert_eq!(window.record(500, false), Position::New);
         assert_eq!(window.missing(), (1, 0));
     }
 }

@@ -1,4 +1,4 @@
-//! The network interfaces of this machine, and the one that a link is to use. Asks the kernel and nothing else.
+//! Network interfaces of this machine, and the choice of one for a link. Asks the kernel and nothing else.
 
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
@@ -8,7 +8,7 @@ use nix::net::if_::{InterfaceFlags, if_nametoindex};
 
 /// The name of the loopback interface.
 pub const LOOPBACK: &str = "lo";
-/// The interface name that stands for the only one that could be meant.
+/// Interface name that stands for the only suitable one.
 pub const AUTO: &str = "auto";
 
 /// A network interface.
@@ -16,11 +16,11 @@ pub const AUTO: &str = "auto";
 pub struct Interface {
     /// Its name.
     pub name: String,
-    /// The kernel's number of it.
+    /// Its index in the kernel.
     pub index: u32,
     /// Whether it is up and has a carrier.
     pub up: bool,
-    /// Whether it never leaves this machine.
+    /// Whether it is a loopback interface.
     pub loopback: bool,
     /// Its IPv4 addresses.
     pub v4: Vec<Ipv4Addr>,
@@ -28,49 +28,49 @@ pub struct Interface {
     pub v6: Vec<Ipv6Addr>,
 }
 
-/// Why a link has no interface.
+/// Reason for which a link has no interface.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InterfaceError {
-    /// The kernel does not tell.
+    /// The kernel does not list them.
     #[error("cannot list the network interfaces: {0}")]
     Unknown(String),
-    /// There is none of that name.
+    /// There is none of this name.
     #[error("there is no network interface '{name}'; there are: {known}")]
     Missing {
-        /// What was asked for.
+        /// Configured name.
         name: String,
-        /// What there is.
+        /// Existing interfaces.
         known: String,
     },
     /// It is down.
     #[error("the network interface '{name}' is down; there are: {known}")]
     Down {
-        /// What was asked for.
+        /// Configured name.
         name: String,
-        /// What there is.
+        /// Existing interfaces.
         known: String,
     },
-    /// It has no address of the group's family.
+    /// It has no address of the required family.
     #[error("the network interface '{name}' has no {family} address; there are: {known}")]
     Address {
-        /// What was asked for.
+        /// Configured name.
         name: String,
         /// IPv4 or IPv6.
         family: &'static str,
-        /// What there is.
+        /// Existing interfaces.
         known: String,
     },
-    /// Several could be meant, or none.
+    /// `auto` matches several interfaces, or none.
     #[error("'auto' finds {found} interfaces that are up and no loopback; name one of: {known}")]
     Ambiguous {
-        /// How many.
+        /// Number of matches.
         found: usize,
-        /// What there is.
+        /// Existing interfaces.
         known: String,
     },
 }
 
-/// All interfaces, by name.
+/// Returns all interfaces, by name.
 pub fn interfaces() -> Result<Vec<Interface>, InterfaceError> {
     let mut all: BTreeMap<String, Interface> = BTreeMap::new();
     for address in getifaddrs().map_err(|errno| InterfaceError::Unknown(errno.to_string()))? {
@@ -96,7 +96,7 @@ pub fn interfaces() -> Result<Vec<Interface>, InterfaceError> {
     Ok(all.into_values().collect())
 }
 
-/// What there is, as an error says it.
+/// Formats the interfaces for an error.
 fn known(all: &[Interface]) -> String {
     let one = |interface: &Interface| {
         let addresses = interface.v4.iter().map(|v4| IpAddr::V4(*v4)).chain(interface.v6.iter().map(|v6| (*v6).into()));
@@ -109,7 +109,7 @@ fn known(all: &[Interface]) -> String {
     all.iter().map(one).collect::<Vec<_>>().join(", ")
 }
 
-/// The interface of that name, up and with an address of the family.
+/// Returns the interface of this name, if it is up and has an address of the family.
 pub fn find(all: &[Interface], name: &str, v6: bool) -> Result<Interface, InterfaceError> {
     let fits = |interface: &&Interface| {
         let addresses = if v6 { interface.v6.len() } else { interface.v4.len() };

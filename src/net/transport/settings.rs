@@ -1,4 +1,4 @@
-//! What a transport takes from a team file: the fields of a link that are its own, and what one host finds in them.
+//! Settings of a transport: the fields of a link that belong to it, and their values for one host.
 
 use std::collections::BTreeMap;
 
@@ -6,72 +6,72 @@ use crate::config::ConfigError;
 use crate::config::fields::{Takes, Value};
 use crate::messages::ids::HostId;
 
-/// A field of `[link.NAME]` that a transport reads. Transports that have one of the same name share it.
+/// A field of `[link.NAME]` that a transport reads. Transports with a field of the same name share it.
 #[derive(Clone, Copy, Debug)]
 pub struct Field {
     /// Its name.
     pub name: &'static str,
-    /// What it takes.
+    /// Values that it takes.
     pub takes: Takes,
-    /// What it is where nobody says, as it would be written, for the link at this place of the deployment.
+    /// Default as it would be written, for the link with this index in the deployment.
     pub default: Option<fn(usize) -> String>,
-    /// Whether it is a table with a value for each host of the team, by its name.
+    /// Whether it is a table with a value for each host of the team, by the host's name.
     pub by_host: bool,
 }
 
 impl Field {
-    /// A field with one value, which has no default.
+    /// Returns a field with one value and no default.
     pub const fn new(name: &'static str, takes: Takes) -> Field {
         Field { name, takes, default: None, by_host: false }
     }
 
-    /// Whether both take the same, as those of one name must.
+    /// Whether both take the same values, as fields of one name must.
     pub fn agrees(&self, other: &Field) -> bool {
         (self.name, self.by_host, self.takes) == (other.name, other.by_host, other.takes)
     }
 }
 
-/// A value, and how errors name its field: with the line, the flag or the variable that set it.
+/// A value, and the name of its field for errors: with the line, the flag or the variable that set it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Said {
+pub struct FieldValue {
     /// The value.
     pub value: Value,
-    /// The name for errors.
+    /// Name of its field for errors.
     pub place: String,
 }
 
-/// What a team file says of one link, as one host of the team sees it.
+/// Settings of one link for one host of the team.
 #[derive(Clone, Debug)]
-pub struct Given<'a> {
+pub struct LinkSettings<'a> {
     /// The link's name.
     pub link: &'a str,
     /// The host.
     pub host: HostId,
-    /// The names of all hosts, by number.
+    /// Names of all hosts, by number.
     pub hosts: Vec<&'a str>,
-    /// The values of the transport's fields; of a table by host as `peers.robot-0`. Those that nobody has set and that
-    /// have no default are left out.
-    pub values: BTreeMap<String, Said>,
+    /// Values of the transport's fields; those of a table by host as `peers.robot-0`. Fields that are not set and have
+    /// no default are left out.
+    pub values: BTreeMap<String, FieldValue>,
 }
 
-impl Given<'_> {
-    /// The value of a field, if it has one.
+impl LinkSettings<'_> {
+    /// Returns the value of a field, if it has one.
     pub fn find(&self, field: &str) -> Option<&Value> {
-        self.values.get(field).map(|said| &said.value)
+        self.values.get(field).map(|field| &field.value)
     }
 
-    /// The value of a field that has to be there; the error says that it is missing, and `advice`.
+    /// Returns the value of a required field; the error says that it is missing, and `advice`.
     pub fn need(&self, field: &str, advice: impl FnOnce() -> String) -> Result<&Value, ConfigError> {
         self.find(field).ok_or_else(|| self.wrong(field, format!("missing{}", advice())))
     }
 
-    /// The error of a field.
+    /// Returns an error about a field.
     pub fn wrong(&self, field: &str, why: impl Into<String>) -> ConfigError {
-        let place = self.values.get(field).map(|said| said.place.clone());
+        let place = self.values.get(field).map(|field| field.place.clone());
         ConfigError::field(place.unwrap_or_else(|| format!("link.{}.{field}", self.link)), why)
     }
 
-    /// The name of this host.
+    /// Name of this host.
     pub fn host_name(&self) -> &str {
         self.hosts[usize::from(self.host.0)]
     }

@@ -90,16 +90,16 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
     let post = carries.filter(|at| places[*at].is_some());
     let post = post.map(|at| LinkId(u16::try_from(at).expect("links are counted in u16")));
     let operator = || -> Result<Operator> {
-        let fresh = links::Fresh::draw()?;
+        let identity = links::ProcessIdentity::draw()?;
         let mut transports = Vec::new();
         for (at, place) in places.iter().enumerate() {
             let Some(place) = place else { continue };
-            let open = place.way.open(fresh.operator, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
+            let open = place.endpoint.open(identity.operator, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
             transports.push((LinkId(u16::try_from(at).expect("links are counted in u16")), open));
         }
         Ok(Operator {
-            me: fresh.operator_of(team.number),
-            seed: fresh.seed,
+            me: identity.operator_of(team.number),
+            seed: identity.seed,
             robots: team.deployment.robots,
             publishers: Routes::of(&team.deployment).publishers(),
             key: key.clone(),
@@ -164,13 +164,13 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
         }
         _ => "it has not answered yet".to_owned(),
     };
-    let (loss, told, age_ms) = (peer.loss * 100.0, peer.told_loss * 100.0, age_s * 1e3);
+    let (loss, told, age_ms) = (peer.loss * 100.0, peer.reported_loss * 100.0, age_s * 1e3);
     let said = format!("heard {age_ms:.0} ms ago, loss {loss:.0} % of its, {told:.0} % of ours; {clock}");
-    if peer.twins > 0 {
+    if peer.duplicate_ids > 0 {
         let advice = "two hosts have its name: stop one of them".to_owned();
         return (Status::Fail, what, format!("a second live host speaks as it; {said}"), advice);
     }
-    if !peer.proven {
+    if !peer.accepted {
         let advice = "does it hear this machine? run doctor there, too".to_owned();
         return (Status::Warn, what, format!("heard, but it has not shown that it hears us; {said}"), advice);
     }

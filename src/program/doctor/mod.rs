@@ -104,7 +104,7 @@ fn teams(args: &Args, file: &TeamFile) -> Result<Vec<Team>> {
         return Ok(vec![args.team.for_host(file, host)?]);
     }
     let teams: Vec<Team> = file.hosts().map(|host| args.team.for_host(file, host)).collect::<Result<_>>()?;
-    let leaves = |team: &Team| team.links.iter().flatten().any(|place| !place.way.stays_here());
+    let leaves = |team: &Team| team.links.iter().flatten().any(|place| !place.endpoint.is_local());
     if teams.iter().any(leaves) {
         let names: Vec<&str> = file.deployment().hosts.iter().map(|host| host.name.as_str()).collect();
         let why = "--host: the team has several machines; say which host this one is, or --robot N; there are";
@@ -156,7 +156,7 @@ fn check_link(host: HostId, link: &str, place: &Place) -> Vec<Found> {
         };
         (status, format!("link {link}, {what}"), found, advice)
     };
-    place.way.examine(host, link, &mtu).into_iter().map(found).collect()
+    place.endpoint.check(host, link, &mtu).into_iter().map(found).collect()
 }
 
 /// The largest packet of an interface \[bytes\].

@@ -1,7 +1,7 @@
-//! `murmurate launch`: every process of a team on this machine, from the first episode to the table of results.
+//! `murmurate launch`: runs every process of a team on this machine and prints the table of results.
 //!
-//! Each process is this program's `host`. It tells what happens as JSON lines on its stdout (`report::event`); its
-//! stderr is passed on with its name before each line.
+//! Each process is this program's `host`. It prints events as JSON lines on its stdout (`report::event`); its stderr is
+//! passed on, with the process's name before each line.
 
 mod supervisor;
 
@@ -25,7 +25,7 @@ use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::output::{colour, log_lines_dropped, print, talk};
 use crate::program::team;
-use supervisor::{Answer, Heard, Limits, Outcome, Process, Supervisor};
+use supervisor::{Limits, Outcome, Output, Process, Response, Supervisor};
 
 /// Flags of `murmurate launch`.
 #[derive(clap::Args)]
@@ -35,25 +35,25 @@ use supervisor::{Answer, Heard, Limits, Outcome, Process, Supervisor};
 pub struct Args {
     #[command(flatten)]
     team: team::TeamArgs,
-    /// Prints one JSON object in place of the table
+    /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
-    /// Says nothing on stderr but errors, and does not pass on what the processes say
+    /// Prints only errors and warnings on stderr, without the logs of the processes
     #[arg(long)]
     quiet: bool,
 }
 
-/// The colours of names, by process: all but red, which looks like an error.
+/// Colours of process names; red is left out, because it looks like an error.
 const COLOURS: [u8; 10] = [36, 32, 33, 35, 34, 96, 92, 93, 95, 94];
 
-/// Starts the team, waits for it, and prints what came of it.
+/// Starts the team, waits for it, and prints the results.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let file = args.team.read(registry)?;
     let teams: Vec<Team> = file.hosts().map(|host| args.team.for_host(&file, host)).collect::<Result<_>>()?;
     let policy = checked(&teams, registry)?;
     let program = std::env::current_exe().context("cannot find this program to start it again")?;
     let processes = file.deployment().hosts.iter().map(|host| {
-        let (program, mut flags) = (program.clone(), again(&args.team));
+        let (program, mut flags) = (program.clone(), team_arguments(&args.team));
         flags.extend(["--host".into(), host.name.clone().into(), "--json".into()]);
         let command = move || {
             let mut command = Command::new(&program);
@@ -64,17 +64,17 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     });
     let supervisor = Supervisor::new(processes.collect(), Limits::default());
     let stopper = supervisor.stopper();
-    let asked = Arc::new(AtomicBool::new(false));
-    let told = Arc::clone(&asked);
+    let interrupted = Arc::new(AtomicBool::new(false));
+    let signal = Arc::clone(&interrupted);
     ctrlc::set_handler(move || {
-        told.store(true, Ordering::Relaxed);
+        signal.store(true, Ordering::Relaxed);
         stopper.stop();
     })
     .context("cannot listen for Ctrl-C")?;
 
     let names: Vec<String> = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
     let mut results = Results::new(&names, teams[0].episodes, args.quiet);
-    let outcome = supervisor.run(|at, heard| results.hear(at, &heard));
+    let outcome = supervisor.run(|at, output| results.handle(at, &output));
     if let Outcome::Refused(why) = outcome {
         return Err(BadInput(why).into());
     }
@@ -82,8 +82,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let began = results.began;
     let wall_s = began.elapsed().as_secs_f64();
     let finished = results.episodes.len() == first.episodes as usize;
-    // An interrupt before all processes have ended is one, whatever results there are.
-    let asked = asked.load(Ordering::Relaxed);
+    // An interrupt before all processes have ended counts, even if all results are there.
+    let interrupted = interrupted.load(Ordering::Relaxed);
     let run = Run {
         mode: first.deployment.mode.clone(),
         scenario: first.scenario.clone(),
@@ -92,7 +92,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         judged: first.deployment.judged(),
         seed: first.seed,
         wall_s,
-        interrupted: !finished || asked,
+        faults: Vec::new(),
+        interrupted: !finished || interrupted,
     };
     let summary = Summary::of_team(run, results.report(wall_s), Counts::Team, results.unwritten());
     print(&if args.json {
@@ -104,14 +105,14 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         Outcome::Failed(why) => Err(anyhow!(why)),
         Outcome::Done if !finished => {
             let (got, all) = (results.episodes.len(), first.episodes);
-            Err(anyhow!("every process has ended, but {got} of {all} episodes have a result; see what they said"))
+            Err(anyhow!("every process has ended, but {got} of {all} episodes have a result; see their logs"))
         }
-        _ => Ok(if asked { Ended::Interrupted } else { Ended::Done }),
+        _ => Ok(if interrupted { Ended::Interrupted } else { Ended::Done }),
     }
 }
 
-/// The team file and its flags, for another process of this program.
-fn again(team: &team::TeamArgs) -> Vec<OsString> {
+/// Returns the arguments that name the team file and its flags, for another process of this program.
+fn team_arguments(team: &team::TeamArgs) -> Vec<OsString> {
     let mut all: Vec<OsString> = vec![team.file.clone().into()];
     all.extend(team.set.iter().flat_map(|given| ["--set".into(), given.into()]));
     all.extend(team.interface.iter().flat_map(|name| ["--interface".into(), name.into()]));
@@ -119,7 +120,7 @@ fn again(team: &team::TeamArgs) -> Vec<OsString> {
     all
 }
 
-/// Checks every host's key and policy before anything is started; gives the policy's name.
+/// Checks every host's key and policy before any process starts; returns the policy's name.
 fn checked(teams: &[Team], registry: &Registry) -> Result<String> {
     let mut names: Vec<String> = Vec::new();
     let mut seen: Vec<&Team> = Vec::new();
@@ -135,7 +136,7 @@ fn checked(teams: &[Team], registry: &Registry) -> Result<String> {
     Ok(names.join(", "))
 }
 
-/// What was heard so far.
+/// Results received so far.
 struct Results {
     names: Vec<String>,
     width: usize,
@@ -145,9 +146,9 @@ struct Results {
     began: Instant,
     ready: usize,
     episodes: BTreeMap<u32, Episode>,
-    /// By process: what its life that runs has counted so far, or the last one had.
+    /// Counts of each process's current or last incarnation.
     counted: Vec<Counted>,
-    /// The counts of earlier lives.
+    /// Counts of earlier incarnations.
     past: Vec<Counted>,
 }
 
@@ -167,11 +168,11 @@ impl Results {
         }
     }
 
-    fn hear(&mut self, at: usize, heard: &Heard<'_>) -> Answer {
-        match *heard {
-            Heard::Log(line) => self.pass_on(at, line),
-            Heard::Note(note) => talk(&format!("warning: the process '{}' {note}", self.names[at])),
-            Heard::Data(line) => match HostEvent::from_line(line) {
+    fn handle(&mut self, at: usize, output: &Output<'_>) -> Response {
+        match *output {
+            Output::Log(line) => self.pass_on(at, line),
+            Output::Note(note) => talk(&format!("warning: the process '{}' {note}", self.names[at])),
+            Output::Data(line) => match HostEvent::from_line(line) {
                 Some(HostEvent::Ready { .. }) => {
                     self.past.push(std::mem::take(&mut self.counted[at]));
                     self.ready();
@@ -180,25 +181,25 @@ impl Results {
                 Some(HostEvent::Counted(counted)) => self.counted[at] = counted,
                 Some(HostEvent::Finished(counted)) => {
                     self.counted[at] = counted;
-                    return Answer::Done;
+                    return Response::Done;
                 }
                 None => self.pass_on(at, line),
             },
         }
-        Answer::On
+        Response::Continue
     }
 
-    /// The clock of the results starts when the team is complete.
+    /// Counts a process as ready. The clock of the results starts when all are.
     fn ready(&mut self) {
         self.ready += 1;
         if self.ready == self.names.len() {
             self.began = Instant::now();
-            self.say(&format!("{} processes run; Ctrl-C stops them and prints what there is", self.ready));
+            self.info(&format!("{} processes run; Ctrl-C stops them and prints the results so far", self.ready));
         }
     }
 
     fn episode(&mut self, episode: Episode) {
-        // A host that was started again may tell one twice; the first is what happened.
+        // A restarted host may report an episode twice; the first report counts.
         if self.episodes.contains_key(&episode.episode) {
             return;
         }
@@ -206,10 +207,10 @@ impl Results {
         let verdict = serde_json::to_value(episode.verdict).expect("a verdict is JSON");
         let verdict = verdict.as_str().unwrap_or_default();
         let makespan = episode.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
-        self.say(&format!("episode {} of {}: {verdict}{makespan}", episode.episode + 1, self.wanted));
+        self.info(&format!("episode {} of {}: {verdict}{makespan}", episode.episode + 1, self.wanted));
     }
 
-    fn say(&self, text: &str) {
+    fn info(&self, text: &str) {
         if !self.quiet {
             talk(text);
         }
@@ -218,16 +219,16 @@ impl Results {
     fn pass_on(&self, at: usize, line: &str) {
         let name = format!("{:1$}", self.names[at], self.width);
         let name = if self.coloured { format!("\x1b[{}m{name}\x1b[0m", COLOURS[at % COLOURS.len()]) } else { name };
-        self.say(&format!("{name} | {line}"));
+        self.info(&format!("{name} | {line}"));
     }
 
-    fn lives(&self) -> impl Iterator<Item = &Counted> + Clone {
+    fn incarnations(&self) -> impl Iterator<Item = &Counted> + Clone {
         self.past.iter().chain(&self.counted)
     }
 
     fn unwritten(&self) -> Unwritten {
         let own = Unwritten { log_lines: log_lines_dropped(), ..Unwritten::default() };
-        self.lives().map(|counted| counted.unwritten).chain([own]).sum()
+        self.incarnations().map(|counted| counted.unwritten).chain([own]).sum()
     }
 
     fn report(&self, wall_s: f64) -> TrialReport {
@@ -237,6 +238,6 @@ impl Results {
             finished: self.episodes.len() == self.wanted as usize,
             ..TrialReport::default()
         };
-        report.counted(self.lives())
+        report.counted(self.incarnations())
     }
 }

@@ -1,6 +1,7 @@
-//! Processes that belong together: started, listened to, restarted within bounds, and stopped together.
+//! Supervisor of a group of processes: starts them, reads their output, restarts them within limits, and stops them
+//! together.
 //!
-//! What they are and what their lines mean is not known here; the command is handed in.
+//! The caller gives the commands and interprets the lines.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
@@ -13,76 +14,76 @@ use std::time::{Duration, Instant};
 use nix::sys::signal::{Signal, killpg};
 use nix::unistd::Pid;
 
-/// How often the processes are looked at when they say nothing.
+/// Interval at which processes are checked while they print nothing.
 const TICK: Duration = Duration::from_millis(50);
 
-/// How long after a process has gone its pipes may stay open, held by a process of its own.
+/// Longest time that pipes may stay open after their process has ended, held by one of its children.
 const PIPES: Duration = Duration::from_secs(1);
 
-/// The longest line that is passed on whole \[bytes\].
+/// Maximum length of a line that is passed on whole \[bytes\].
 const LINE: u64 = 1 << 16;
 
-/// Lines that may wait; processes that talk faster wait, too.
+/// Capacity of the queue of lines; processes that print faster wait.
 const QUEUE: usize = 1024;
 
-/// The exit code of a process that has refused its flags or files: it would do so again.
+/// Exit code of a process that has refused its flags or files; a restart would not help.
 const REFUSED: i32 = 2;
 
-/// How patient the supervisor is.
+/// Limits of restarts and of waiting times.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// How often a process is started again within the window.
+    /// Maximum number of restarts of a process within the window.
     pub restarts: usize,
-    /// The window.
+    /// Window in which restarts are counted.
     pub window: Duration,
-    /// How long the others may take once the first has finished.
-    pub farewell: Duration,
-    /// How long a process may take to stop when it is asked to.
+    /// Longest time for the others to end once the first has finished.
+    pub finish: Duration,
+    /// Longest time for a process to stop after a request.
     pub stop: Duration,
 }
 
 impl Default for Limits {
     fn default() -> Limits {
         let s = Duration::from_secs;
-        Limits { restarts: 3, window: s(60), farewell: s(10), stop: s(5) }
+        Limits { restarts: 3, window: s(60), finish: s(10), stop: s(5) }
     }
 }
 
-/// A process to be.
+/// Process to start.
 pub struct Process {
     /// Its name.
     pub name: String,
-    /// Its command, made anew for every start.
+    /// Builds its command, anew for every start.
     pub command: Box<dyn Fn() -> Command>,
 }
 
-/// What is heard while the processes run.
-pub enum Heard<'a> {
+/// Output of a process, or a note on it.
+pub enum Output<'a> {
     /// A line of a process's stdout.
     Data(&'a str),
     /// A line of a process's stderr.
     Log(&'a str),
-    /// What the supervisor has done about a process.
+    /// An action of the supervisor on a process.
     Note(&'a str),
 }
 
-/// What the listener makes of it.
+/// Response of the caller to an output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Answer {
-    /// Go on.
-    On,
+pub enum Response {
+    /// Continue.
+    Continue,
     /// The work is done: all processes are expected to end by themselves now.
     Done,
 }
 
-/// How it ended.
+/// Outcome of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// All processes ended by themselves and well.
+    /// All processes ended by themselves with exit code 0.
     Done,
-    /// Somebody asked for it.
+    /// A stop was requested.
     Interrupted,
-    /// A process has refused its flags or files; its last words.
+    /// A process has refused its flags or files; its last line on stderr.
     Refused(String),
     /// A process has failed, or had to be stopped; which, and how.
     Failed(String),
@@ -94,36 +95,36 @@ enum Event {
     Stop,
 }
 
-/// Asks the supervisor to stop; asked a second time, it kills.
+/// Handle that asks the supervisor to stop; after a second request it kills the processes.
 #[derive(Clone)]
 pub struct Stopper(SyncSender<Event>);
 
 impl Stopper {
-    /// Asks.
+    /// Sends a request to stop.
     pub fn stop(&self) {
-        // Nobody listens any more when all has ended, and then there is nothing to stop.
+        // The receiver is gone once all processes have ended; then there is nothing to stop.
         let _ = self.0.send(Event::Stop);
     }
 }
 
-/// What runs, and what has run, under one name.
+/// State of one named process.
 struct Slot {
     process: Process,
     child: Option<Child>,
-    /// How often it was started.
+    /// Number of starts.
     start: u32,
     open_pipes: u8,
     gone: Option<(ExitStatus, Instant)>,
     crashes: VecDeque<Instant>,
-    last_words: String,
+    last_line: String,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Phase {
     Running,
-    /// The work is done, or somebody has ended well, before whom nobody should.
-    Farewell(Instant, Why),
-    /// All were asked to stop.
+    /// The work is done, or a process has ended before it was; the others should end, too.
+    Finishing(Instant, Why),
+    /// All processes were asked to stop.
     Stopping(Instant),
     Killed,
 }
@@ -134,7 +135,7 @@ enum Why {
     Ended(String),
 }
 
-/// The supervisor.
+/// Supervisor of a group of processes.
 pub struct Supervisor {
     limits: Limits,
     slots: Vec<Slot>,
@@ -146,7 +147,7 @@ pub struct Supervisor {
 }
 
 impl Supervisor {
-    /// A supervisor of these processes; nothing is started yet.
+    /// Creates a supervisor of these processes; nothing is started yet.
     pub fn new(processes: Vec<Process>, limits: Limits) -> Supervisor {
         let (sender, events) = sync_channel(QUEUE);
         let slot = |process| Slot {
@@ -156,20 +157,20 @@ impl Supervisor {
             open_pipes: 0,
             gone: None,
             crashes: VecDeque::new(),
-            last_words: String::new(),
+            last_line: String::new(),
         };
         let slots = processes.into_iter().map(slot).collect();
         let (phase, outcome, notes) = (Phase::Running, Outcome::Done, Vec::new());
         Supervisor { limits, slots, phase, outcome, notes, events, sender }
     }
 
-    /// What stops it from another thread.
+    /// Returns a handle that stops it from another thread.
     pub fn stopper(&self) -> Stopper {
         Stopper(self.sender.clone())
     }
 
-    /// Starts the processes and returns when all have ended. `listen` hears everything, with the number of the process.
-    pub fn run(mut self, mut listen: impl FnMut(usize, Heard<'_>) -> Answer) -> Outcome {
+    /// Starts the processes and returns when all have ended. `handle` gets every output with the index of its process.
+    pub fn run(mut self, mut handle: impl FnMut(usize, Output<'_>) -> Response) -> Outcome {
         for at in 0..self.slots.len() {
             if self.phase == Phase::Running {
                 self.start(at);
@@ -179,12 +180,12 @@ impl Supervisor {
             match self.events.recv_timeout(TICK) {
                 Ok(Event::Line { at, data, text }) => {
                     if !data {
-                        self.slots[at].last_words.clone_from(&text);
+                        self.slots[at].last_line.clone_from(&text);
                     }
-                    let heard = if data { Heard::Data(&text) } else { Heard::Log(&text) };
-                    let answer = listen(at, heard);
-                    if answer == Answer::Done && matches!(self.phase, Phase::Running | Phase::Farewell(..)) {
-                        self.phase = Phase::Farewell(Instant::now(), Why::Done);
+                    let output = if data { Output::Data(&text) } else { Output::Log(&text) };
+                    let response = handle(at, output);
+                    if response == Response::Done && matches!(self.phase, Phase::Running | Phase::Finishing(..)) {
+                        self.phase = Phase::Finishing(Instant::now(), Why::Done);
                     }
                 }
                 Ok(Event::Closed { at, start }) if self.slots[at].start == start => self.slots[at].open_pipes -= 1,
@@ -194,9 +195,9 @@ impl Supervisor {
                 Err(RecvTimeoutError::Disconnected) => unreachable!("a sender is kept"),
             }
             self.reap();
-            self.hurry();
+            self.enforce_limits();
             for (at, note) in std::mem::take(&mut self.notes) {
-                listen(at, Heard::Note(&note));
+                handle(at, Output::Note(&note));
             }
         }
         self.outcome.clone()
@@ -206,7 +207,7 @@ impl Supervisor {
         let slot = &mut self.slots[at];
         let mut command = (slot.process.command)();
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // Ctrl-C on the terminal comes here only, and is passed on once.
+        // A process group of its own: Ctrl-C on the terminal reaches this program only, which passes it on once.
         command.process_group(0);
         slot.start += 1;
         match command.spawn() {
@@ -217,7 +218,7 @@ impl Supervisor {
                 ];
                 for (data, pipe) in pipes {
                     let (sender, start) = (self.sender.clone(), slot.start);
-                    thread::spawn(move || listen_to(pipe, at, data, start, &sender));
+                    thread::spawn(move || read_lines(pipe, at, data, start, &sender));
                 }
                 (slot.open_pipes, slot.gone, slot.child) = (2, None, Some(child));
             }
@@ -228,7 +229,7 @@ impl Supervisor {
         }
     }
 
-    /// Finds out who has ended, once all that it said was heard.
+    /// Handles processes that have ended, once all their output was read.
     fn reap(&mut self) {
         for at in 0..self.slots.len() {
             let slot = &mut self.slots[at];
@@ -255,15 +256,15 @@ impl Supervisor {
         }
         if status.success() {
             if self.phase == Phase::Running {
-                self.phase = Phase::Farewell(Instant::now(), Why::Ended(name));
+                self.phase = Phase::Finishing(Instant::now(), Why::Ended(name));
             }
             return;
         }
         let how = how(status);
-        let words = if slot.last_words.is_empty() { String::new() } else { format!(": {}", slot.last_words) };
+        let words = if slot.last_line.is_empty() { String::new() } else { format!(": {}", slot.last_line) };
         if status.code() == Some(REFUSED) {
-            let said = slot.last_words.trim_start_matches("error: ");
-            let why = if said.is_empty() { "it has refused its flags or files" } else { said };
+            let line = slot.last_line.trim_start_matches("error: ");
+            let why = if line.is_empty() { "it has refused its flags or files" } else { line };
             let refused = Outcome::Refused(format!("the process '{name}': {why}"));
             return self.fail(refused);
         }
@@ -285,7 +286,7 @@ impl Supervisor {
     }
 
     fn fail(&mut self, outcome: Outcome) {
-        // The first to fail is the cause; what falls after it is not.
+        // The first failure is the cause; later ones follow from it.
         if self.outcome == Outcome::Done {
             self.outcome = outcome;
         }
@@ -310,13 +311,13 @@ impl Supervisor {
         }
     }
 
-    /// Stops those that take too long.
-    fn hurry(&mut self) {
+    /// Stops processes that exceed a time limit.
+    fn enforce_limits(&mut self) {
         match &self.phase {
-            Phase::Farewell(since, why) if since.elapsed() > self.limits.farewell => {
+            Phase::Finishing(since, why) if since.elapsed() > self.limits.finish => {
                 let slots = self.slots.iter().filter(|slot| slot.child.is_some());
                 let late: Vec<&str> = slots.map(|slot| slot.process.name.as_str()).collect();
-                let s = self.limits.farewell.as_secs_f64();
+                let s = self.limits.finish.as_secs_f64();
                 let why = match why {
                     Why::Done => format!("still running {s} s after the team has finished: {}", late.join(", ")),
                     Why::Ended(name) => format!("the process '{name}' has ended before the team has finished"),
@@ -334,7 +335,7 @@ impl Supervisor {
         }
     }
 
-    /// Kills what is left, and says whom.
+    /// Kills the remaining processes; returns their names.
     fn kill(&mut self, why: &str) -> Vec<String> {
         self.phase = Phase::Killed;
         let mut killed = Vec::new();
@@ -348,15 +349,15 @@ impl Supervisor {
     }
 }
 
-/// A supervisor that goes, by a panic say, leaves nobody behind.
+/// Kills the remaining processes, for example after a panic.
 impl Drop for Supervisor {
     fn drop(&mut self) {
         self.slots.iter_mut().filter_map(|slot| slot.child.as_mut()).for_each(kill);
     }
 }
 
-/// Passes on the lines of a pipe until it is closed; what is no UTF-8 is replaced, what is too long is cut in pieces.
-fn listen_to(pipe: impl Read, at: usize, data: bool, start: u32, sender: &SyncSender<Event>) {
+/// Passes on the lines of a pipe until it is closed. Invalid UTF-8 is replaced; lines that are too long are split.
+fn read_lines(pipe: impl Read, at: usize, data: bool, start: u32, sender: &SyncSender<Event>) {
     let mut reader = BufReader::new(pipe);
     let mut line = Vec::new();
     while let Ok(1..) = reader.by_ref().take(LINE).read_until(b'\n', &mut line) {
@@ -366,13 +367,13 @@ fn listen_to(pipe: impl Read, at: usize, data: bool, start: u32, sender: &SyncSe
             return;
         }
     }
-    // Nobody listens any more when all has ended.
+    // The receiver is gone once all processes have ended.
     let _ = sender.send(Event::Closed { at, start });
 }
 
 fn ask_to_stop(child: &mut Child) {
     signal(child, Signal::SIGTERM);
-    // One that is halted must go on to hear it.
+    // A halted process handles the signal once it continues.
     signal(child, Signal::SIGCONT);
 }
 
@@ -380,8 +381,8 @@ fn kill(child: &mut Child) {
     signal(child, Signal::SIGKILL);
 }
 
-/// Sends a signal to a process and all that it has started. It is not yet waited for, so its number is still its own;
-/// if it has ended in this moment, the signal goes nowhere.
+/// Sends a signal to a process and all that it has started. It was not waited for yet, so its id is not reused; if it
+/// has just ended, the signal has no effect.
 fn signal(child: &Child, signal: Signal) {
     let group = Pid::from_raw(i32::try_from(child.id()).expect("process numbers are small"));
     let _ = killpg(group, signal);
@@ -409,23 +410,23 @@ mod tests {
         Process { name: name.to_owned(), command: Box::new(command) }
     }
 
-    /// Waits until it is told to stop, and then ends well.
+    /// Script that waits for SIGTERM and then exits with code 0.
     const PATIENT: &str = "trap 'echo stopped; exit 0' TERM; echo ready; tail -f /dev/null & wait";
-    /// Does not want to be told.
+    /// Script that ignores SIGTERM.
     const STUBBORN: &str = "trap '' TERM; echo ready; tail -f /dev/null & wait; wait; wait";
 
-    /// Runs them; gives how it ended and what was heard, a letter for its kind before each line.
+    /// Runs the processes; returns the outcome and the output, each line after its process and kind.
     fn run(processes: Vec<Process>, limits: Limits, stop_at: &str) -> (Outcome, Vec<String>) {
         let names: Vec<String> = processes.iter().map(|process| process.name.clone()).collect();
         let supervisor = Supervisor::new(processes, limits);
         let stopper = supervisor.stopper();
         let mut all = Vec::new();
         let mut ready = 0;
-        let outcome = supervisor.run(|at, heard| {
-            let (kind, line) = match heard {
-                Heard::Data(line) => ("out", line),
-                Heard::Log(line) => ("err", line),
-                Heard::Note(line) => ("note", line),
+        let outcome = supervisor.run(|at, output| {
+            let (kind, line) = match output {
+                Output::Data(line) => ("out", line),
+                Output::Log(line) => ("err", line),
+                Output::Note(line) => ("note", line),
             };
             all.push(format!("{} {kind}: {line}", names[at]));
             ready += usize::from(line == "ready");
@@ -433,18 +434,18 @@ mod tests {
                 ready = 0;
                 stopper.stop();
             }
-            if line == "done" { Answer::Done } else { Answer::On }
+            if line == "done" { Response::Done } else { Response::Continue }
         });
         (outcome, all)
     }
 
     fn short() -> Limits {
         let ms = Duration::from_millis;
-        Limits { farewell: ms(200), stop: ms(200), ..Limits::default() }
+        Limits { finish: ms(200), stop: ms(200), ..Limits::default() }
     }
 
     #[test]
-    fn processes_that_end_well_are_done_and_all_that_they_said_was_heard() {
+    fn processes_that_exit_with_0_are_done_and_all_their_output_is_passed_on() {
         let script = "echo one; echo two >&2; printf three";
         let (outcome, mut heard) = run(vec![shell("a", script), shell("b", "exit 0")], Limits::default(), "");
         heard.sort();
@@ -453,7 +454,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crash_is_started_again_three_times_and_then_stops_all() {
+    fn a_crashed_process_is_restarted_three_times_and_then_all_are_stopped() {
         let (outcome, heard) = run(vec![shell("a", PATIENT), shell("b", "echo boom >&2; exit 7")], short(), "");
         let why = "the process 'b' has failed 4 times in 60 s (exit code 7): boom";
         assert_eq!(outcome, Outcome::Failed(why.to_owned()));
@@ -463,7 +464,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_that_was_killed_comes_back_and_the_team_ends_well() {
+    fn a_killed_process_is_restarted_and_the_run_is_done() {
         let folder = tempfile::TempDir::new().expect("a temporary folder");
         let mark = folder.path().join("mark");
         let script = format!("test -e {0} && echo done && exit 0; touch {0}; kill -9 $$", mark.display());
@@ -474,14 +475,14 @@ mod tests {
     }
 
     #[test]
-    fn a_request_to_stop_reaches_all() {
+    fn a_request_to_stop_reaches_all_processes() {
         let (outcome, heard) = run(vec![shell("a", PATIENT), shell("b", PATIENT)], Limits::default(), "all ready");
         assert_eq!(outcome, Outcome::Interrupted);
         assert_eq!(heard.iter().filter(|line| line.ends_with("out: stopped")).count(), 2, "{heard:?}");
     }
 
     #[test]
-    fn one_that_does_not_stop_is_killed_and_named() {
+    fn a_process_that_does_not_stop_is_killed_and_named() {
         let (outcome, heard) = run(vec![shell("b", STUBBORN)], short(), "all ready");
         assert_eq!(outcome, Outcome::Failed("killed, because it has not stopped in 0.2 s: b".to_owned()));
         assert!(heard.contains(&"b note: has not stopped in 0.2 s; killed".to_owned()), "{heard:?}");
@@ -492,17 +493,17 @@ mod tests {
         let processes = vec![shell("a", "trap 'echo stopped' TERM; echo ready; tail -f /dev/null & wait; wait")];
         let supervisor = Supervisor::new(processes, Limits { stop: Duration::from_secs(600), ..Limits::default() });
         let stopper = supervisor.stopper();
-        let outcome = supervisor.run(|_, heard| {
-            if matches!(heard, Heard::Data("ready" | "stopped")) {
+        let outcome = supervisor.run(|_, output| {
+            if matches!(output, Output::Data("ready" | "stopped")) {
                 stopper.stop();
             }
-            Answer::On
+            Response::Continue
         });
         assert_eq!(outcome, Outcome::Interrupted);
     }
 
     #[test]
-    fn one_that_stays_after_the_end_is_stopped_and_named() {
+    fn a_process_that_runs_on_after_the_end_is_stopped_and_named() {
         let (outcome, _) = run(vec![shell("a", "echo done"), shell("b", PATIENT)], short(), "");
         assert_eq!(outcome, Outcome::Failed("still running 0.2 s after the team has finished: b".to_owned()));
         let (outcome, _) = run(vec![shell("a", "exit 0"), shell("b", PATIENT)], short(), "");
@@ -510,7 +511,7 @@ mod tests {
     }
 
     #[test]
-    fn one_that_refuses_its_flags_is_not_started_again() {
+    fn a_process_that_refuses_its_flags_is_not_restarted() {
         let script = "echo 'error: link infra has no interface' >&2; exit 2";
         let (outcome, heard) = run(vec![shell("a", script), shell("b", PATIENT)], short(), "");
         assert_eq!(outcome, Outcome::Refused("the process 'a': link infra has no interface".to_owned()));
@@ -518,7 +519,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_is_not_there_stops_the_others() {
+    fn a_missing_program_stops_the_other_processes() {
         let missing = Process { name: "b".to_owned(), command: Box::new(|| Command::new("/nowhere/at/all")) };
         let (outcome, _) = run(vec![shell("a", PATIENT), missing], short(), "");
         let Outcome::Failed(why) = outcome else { panic!("{outcome:?}") };
@@ -526,7 +527,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_without_end_and_without_sense_do_no_harm() {
+    fn endless_lines_are_split_and_invalid_utf8_is_replaced() {
         let script = "head -c 200000 /dev/zero | tr '\\0' x; printf '\\377\\376\\n'";
         let (outcome, heard) = run(vec![shell("a", script)], Limits::default(), "");
         assert_eq!((outcome, heard.len()), (Outcome::Done, 4));

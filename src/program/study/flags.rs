@@ -22,8 +22,9 @@ use crate::program::policy;
 /// Flags of every study.
 #[derive(clap::Args)]
 pub struct Shared {
-    /// Policies to compare, by their names or as policy files; may be given several times. 'NAME@HANDLING' gives one
-    /// policy a handling of its own [default: shipped, or orca where the scenario has none]
+    /// Policies to compare, each a name in the registry (shipped, published, orca, or one of your own crate) or a
+    /// policy file (safetensors); may be given several times. 'NAME@HANDLING' gives one policy a handling of its own
+    /// [default: shipped, or orca for a scenario without a shipped policy]
     #[arg(long = "policy", value_name = "NAME|FILE[@HANDLING]")]
     policies: Vec<String>,
     /// Handling of policies: 'default' (newest message held, mean actions) or 'as-published' (buffer cleared every
@@ -39,13 +40,13 @@ pub struct Shared {
     /// Width of the scenario's bottleneck [m] [default: the scenario's own]
     #[arg(long)]
     gap_m: Option<f32>,
-    /// Episodes of a trial, each with a layout of its own
+    /// Number of episodes of a trial, each with its own layout
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     layouts: u32,
-    /// Layouts from a file, the first --layouts of it; without it the scenario draws them from the seed
+    /// File with layouts, of which the first --layouts are used; without it the scenario draws them from the seed
     #[arg(long, value_name = "FILE.json")]
     episodes_file: Option<PathBuf>,
-    /// Trials in every column: the same layouts with other random numbers
+    /// Number of trials in every column: the same layouts with other random numbers
     #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     repeats: u32,
     #[command(flatten)]
@@ -55,7 +56,7 @@ pub struct Shared {
 /// Flags of `murmurate study modes`.
 #[derive(clap::Args)]
 pub struct Modes {
-    /// Only these columns, separated by commas
+    /// Columns of the table, separated by commas [default: all]
     #[arg(long, value_delimiter = ',', value_parser = PossibleValuesParser::new(columns::MODES))]
     columns: Vec<String>,
     #[command(flatten)]

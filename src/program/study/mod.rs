@@ -34,7 +34,7 @@ pub enum Args {
     Delay(Box<flags::Delay>),
     /// Success over the communication radius (mode onboard-adhoc)
     Range(Box<flags::Range>),
-    /// Which addressing and which reliability carry a team's messages, at which rates
+    /// Delivery of a team's messages by addressing, reliability and message rate
     Network(Box<network::Args>),
 }
 

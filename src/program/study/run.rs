@@ -12,10 +12,10 @@ use crate::program::output::talk;
 /// Flags of all studies.
 #[derive(clap::Args)]
 pub struct Run {
-    /// The root of all randomness
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
-    /// Number of threads [default: one per core]; the results do not depend on it
+    /// Number of threads; the results do not depend on it [default: one per core]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub jobs: Option<u16>,
     /// Folder for report, figures and rows. Finished work is kept there, and the same command continues it

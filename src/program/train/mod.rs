@@ -3,18 +3,19 @@
 
 mod curve;
 mod folder;
+mod plan;
 
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::config::unquoted;
 use crate::registry::Registry;
-use crate::study::network::conditions;
-use crate::train::config::{Config, PRESETS};
+use crate::train::config::PRESETS;
 use crate::train::evaluate::{Scores, quick_evaluation};
-use crate::train::trainer::{Plan, Trainer};
+use crate::train::expectation;
+use crate::train::reward::has_reward;
+use crate::train::trainer::Trainer;
 use anyhow::{Context, Result};
 use clap::builder::PossibleValuesParser;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -22,8 +23,7 @@ use serde::Serialize;
 
 use crate::program::BadInput;
 use crate::program::Ended;
-use crate::program::output::{print, read_bytes, read_text, talk};
-use crate::program::study;
+use crate::program::output::{print, talk};
 use curve::{Curve, Row};
 use folder::Folder;
 
@@ -35,8 +35,6 @@ const EVALUATE_EVERY: f64 = 0.05;
 const EPISODES: u32 = 128;
 /// Name of the default preset.
 const PRESET: &str = "robust";
-/// Number of senders on the medium of --radio if the configuration has no team size: the paper's team.
-const TEAM: usize = 5;
 
 /// Flags of `murmurate train`.
 #[derive(clap::Args)]
@@ -52,9 +50,12 @@ pub struct Args {
         value_parser = PossibleValuesParser::new(PRESETS.iter().map(|(name, _)| *name))
     )]
     preset: Option<String>,
-    /// A configuration of your own; every training writes its own as OUT/config.toml to start from
+    /// A configuration of your own; --print-config prints one to start from
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
+    /// Size of the team; a preset's groups scale with it [default: the scenario's own]
+    #[arg(long, conflicts_with_all = ["config", "resume"])]
+    robots: Option<usize>,
     /// Trains with the delay and loss of a medium instead of the configuration's: a preset (paper, wifi, wifi-n,
     /// wifi-slow) or a radio file, such as 'study network --fit' writes
     #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "resume")]
@@ -70,8 +71,11 @@ pub struct Args {
     #[arg(long)]
     seed: Option<u64>,
     /// Folder for all output: policy.safetensors, checkpoint.bin, curve.csv, curve.svg, config.toml
-    #[arg(long, value_name = "FOLDER")]
-    out: PathBuf,
+    #[arg(long, value_name = "FOLDER", required_unless_present = "print_config")]
+    out: Option<PathBuf>,
+    /// Prints the configuration as TOML, for the scenario's team, and trains nothing
+    #[arg(long, conflicts_with_all = ["out", "budget", "from", "resume", "json"])]
+    print_config: bool,
     /// Starts with the weights of another training, to continue it with another configuration
     #[arg(long, value_name = "CHECKPOINT.bin", conflicts_with = "resume")]
     from: Option<PathBuf>,
@@ -133,16 +137,21 @@ struct Report<'a> {
 
 /// Runs the command until the training is complete or interrupted.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    if args.print_config {
+        print(plan::config_text(args, registry)?.trim_end())?;
+        return Ok(Ended::Done);
+    }
     let budget = Budget::of(args)?;
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let threads = args.threads.map_or(cores, usize::from);
-    let mut folder = Folder::open(&args.out, args.resume)?;
+    let out = args.out.as_deref().expect("the parser requires it unless the configuration is printed");
+    let mut folder = Folder::open(out, args.resume)?;
     let (mut trainer, mut curve) = if args.resume {
-        let trainer = resume(args, &folder, registry)?;
+        let trainer = plan::resume(args, &folder, registry)?;
         let curve = folder.curve(trainer.iterations())?;
         (trainer, curve)
     } else {
-        let trainer = begin(args, registry)?;
+        let trainer = plan::begin(args, registry)?;
         folder.write_config(&trainer.plan().config)?;
         (trainer, Curve::default())
     };
@@ -151,6 +160,10 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
 
     tracing::info!("training; Ctrl-C saves everything");
+    if !args.quiet && !trainer.uses_scenario_reward() && has_reward(&**trainer.scenario()) {
+        let name = &trainer.plan().scenario;
+        talk(&format!("note: the reward of scenario '{name}' itself has weight 0 (reward.scenario) and is not used"));
+    }
     if !args.resume {
         folder.save(&trainer, &curve)?;
     }
@@ -224,65 +237,23 @@ fn print_report(
     Ok(())
 }
 
-fn plan(args: &Args) -> Result<Plan> {
-    let preset = args.preset.as_deref().unwrap_or(PRESET);
-    let (mut config, preset) = match &args.config {
-        Some(path) => {
-            let text = read_text(path, "training configuration")?;
-            let config = Config::from_toml(&text);
-            let wrong = |e| BadInput(format!("the training configuration '{}': {e}", path.display()));
-            (config.map_err(wrong)?, "a configuration of the user's")
-        }
-        None => (Config::preset(preset).expect("the parser accepts presets only"), preset),
-    };
-    if let Some(radio) = &args.radio {
-        let medium = study::medium("--radio", radio)?;
-        conditions::apply(&medium, config.robots.unwrap_or(TEAM), &mut config.conditions)
-            .ok_or_else(|| BadInput(format!("--radio: none of a team's messages arrives on '{radio}'")))?;
-    }
-    let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
-    Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
-}
-
-/// Starts a new training.
-fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
-    let plan = plan(args)?;
-    let mut trainer = Trainer::new(plan, registry).map_err(|e| match &args.config {
-        Some(path) => BadInput(format!("the training configuration '{}': {e}", path.display())),
-        None => BadInput(e.to_string()),
-    })?;
-    if let Some(path) = &args.from {
-        let wrong = |why: String| BadInput(format!("cannot begin with '{}': {why}", path.display()));
-        let bytes = read_bytes(path, "policy file")?;
-        trainer.initialize_from(&bytes).map_err(|e| wrong(e.to_string()))?;
-    }
-    Ok(trainer)
-}
-
-/// Resumes the training in the folder; refused if it does not match the flags.
-fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
-    let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
-    let bytes = std::fs::read(folder.checkpoint())
-        .map_err(|e| wrong(format!("{e}; leave out --resume to start a training")))?;
-    let trainer = Trainer::resume(&bytes, registry).map_err(|e| wrong(unquoted(&e.to_string())))?;
-    let theirs = trainer.plan();
-    let ours = plan(args)?;
-    let other = |what: &str, theirs: &str, ours: &str| {
-        Err(wrong(format!("it is of another training: {what} is {theirs} there and {ours} here")))
-    };
-    if theirs.scenario != ours.scenario {
-        other("the scenario", &theirs.scenario, &ours.scenario)?;
-    }
-    if args.seed.is_some_and(|seed| seed != theirs.seed) {
-        other("the seed", &theirs.seed.to_string(), &ours.seed.to_string())?;
-    }
-    if args.preset.is_some() && theirs.preset != ours.preset {
-        other("the preset", &theirs.preset, &ours.preset)?;
-    }
-    if (args.preset.is_some() || args.config.is_some()) && theirs.config != ours.config {
-        return Err(wrong("its configuration differs; see config.toml beside it".to_owned()).into());
-    }
-    Ok(trainer)
+/// Describes what trainings of other lengths have reached, unless this one has reached as much.
+fn expectation(report: &Report, decisions_per_s: f64) -> Option<String> {
+    let measured = expectation::measured(report.preset)?;
+    let success = report.evaluation?.with_default_draw("perfect")?.success;
+    let better = measured.iter().find(|known| known.decisions > report.decisions && known.success > success)?;
+    let known: Vec<String> = measured
+        .iter()
+        .map(|known| format!("{:.0} % after {:.1} M", 100.0 * known.success, known.decisions as f64 / 1e6))
+        .collect();
+    Some(format!(
+        "{:.2} M decisions; on '{}' trainings with this preset reached {}; {:.1} M take about {:.0} minutes here",
+        report.decisions as f64 / 1e6,
+        expectation::SCENARIO,
+        known.join(", "),
+        better.decisions as f64 / 1e6,
+        better.decisions as f64 / decisions_per_s / 60.0,
+    ))
 }
 
 fn bar(quiet: bool) -> ProgressBar {
@@ -311,6 +282,7 @@ fn table(report: &Report) -> String {
             100.0 * score.success
         ));
     }
+    lines.extend(expectation(report, report.decisions as f64 / report.wall_s.max(1e-9)));
     lines.push(format!("policy {}", report.policy));
     lines.join("\n")
 }

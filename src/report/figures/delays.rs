@@ -6,24 +6,24 @@ use plotters::style::text_anchor::{HPos, VPos};
 use super::{Area, Drawn, FigureError, GREY, TEXT, WIDTH, colour, dashes, style, svg};
 use crate::report::listening::Listening;
 
-/// What the robots of one column heard.
+/// Message delays of one column.
 #[derive(Clone, Debug)]
 pub struct Heard<'a> {
-    /// The column's name.
+    /// Name of the column.
     pub name: &'a str,
-    /// What they heard.
+    /// Deliveries and delays of its messages.
     pub listening: &'a Listening,
 }
 
 const HEIGHT: u32 = 560;
-/// Pixels of the title.
+/// Height of the title \[pixels\].
 const HEAD: i32 = 52;
-/// The marks of the paper's network study \[s\].
+/// Delays at which the paper's network study reports shares \[s\].
 const MARKS_S: [f64; 2] = [0.02, 0.05];
-/// Where the axis begins and ends \[s\].
+/// Ends of the delay axis \[s\].
 const ENDS_S: (f64, f64) = (1e-4, 1.0);
 
-/// Draws both, for the columns in which messages cross a link.
+/// Draws both panels, for the columns in which messages cross a link.
 pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
     let crossing: Vec<(usize, &Heard)> =
         columns.iter().enumerate().filter(|(_, column)| column.listening.due > 0).collect();
@@ -79,7 +79,7 @@ fn panel(
     for (at, column) in columns {
         let points = line(column.listening).into_iter().filter(|(edge, _)| *edge <= ENDS_S.1);
         let points: Vec<(f64, f64)> = points.map(|(edge, share)| (1000.0 * edge, share)).collect();
-        // Lines may lie on each other: the later ones are thinner, so that the earlier ones are seen.
+        // Lines may coincide: later ones are thinner, so that earlier ones remain visible.
         let width = 7 - (*at as u32).min(5);
         chart.draw_series([PathElement::new(points, colour(*at).stroke_width(width))])?;
     }

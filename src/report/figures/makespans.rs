@@ -1,4 +1,4 @@
-//! Densities of makespans, one row a column, with the median dashed against the baseline's.
+//! Densities of makespans, one row per column, with dashed medians of the row and of the baseline.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -9,21 +9,21 @@ use crate::report::statistics::quantile;
 /// Makespans of one column.
 #[derive(Clone, Debug)]
 pub struct Makespans {
-    /// Its name.
+    /// Name of the column.
     pub name: String,
-    /// Of the successes \[s\].
+    /// Makespans of the successes \[s\].
     pub values_s: Vec<f64>,
-    /// Out of so many episodes.
+    /// Number of episodes.
     pub episodes: usize,
 }
 
-/// Pixels of a row, and of what is above and below all of them.
+/// Height of a row, and of the space above and below all rows \[pixels\].
 const ROW: u32 = 92;
 const FRAME: u32 = 90;
 /// Points of a density.
 const POINTS: usize = 240;
 
-/// The density of the values at `x`: a Gaussian kernel with Silverman's bandwidth (Density Estimation, 1986, eq. 3.31).
+/// Density of the values at `x`: a Gaussian kernel with Silverman's bandwidth (Density Estimation, 1986, eq. 3.31).
 fn density(values: &[f64], bandwidth: f64, x: f64) -> f64 {
     let kernel = |value: &f64| (-0.5 * ((x - value) / bandwidth).powi(2)).exp();
     let sum: f64 = values.iter().map(kernel).sum();
@@ -36,11 +36,11 @@ fn bandwidth(values: &[f64]) -> f64 {
     let deviation = (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n).sqrt();
     let quartiles = quantile(values, 0.75).zip(quantile(values, 0.25)).map_or(0.0, |(high, low)| (high - low) / 1.34);
     let spread = if quartiles > 0.0 { deviation.min(quartiles) } else { deviation };
-    // Makespans lie on the grid of the World's steps.
+    // At least one step of the World, of which makespans are multiples.
     (0.9 * spread * n.powf(-0.2)).max(0.05)
 }
 
-/// Draws them; the row called `baseline` is the one that the others are measured against.
+/// Draws the densities. The median of the row `baseline` is shown in all rows.
 pub fn makespans(title: &str, rows: &[Makespans], baseline: &str) -> Result<String, FigureError> {
     let height = FRAME + 40 + ROW * rows.len() as u32;
     let last = rows.iter().flat_map(|row| &row.values_s).copied().fold(10.0, f64::max) * 1.08;
@@ -85,8 +85,8 @@ pub fn makespans(title: &str, rows: &[Makespans], baseline: &str) -> Result<Stri
             let share = 100.0 * row.values_s.len() as f64 / row.episodes.max(1) as f64;
             let named = style(TEXT, BLACK, HPos::Left, VPos::Top);
             chart.draw_series([Text::new(row.name.clone(), (0.1, foot + 0.92), named)])?;
-            let told = style(TEXT - 3, GREY, HPos::Left, VPos::Top);
-            chart.draw_series([Text::new(format!("{second}, {share:.1} %"), (0.1, foot + 0.62), told)])?;
+            let small = style(TEXT - 3, GREY, HPos::Left, VPos::Top);
+            chart.draw_series([Text::new(format!("{second}, {share:.1} %"), (0.1, foot + 0.62), small)])?;
         }
         if let Some(reference) = reference {
             let pieces = dashes((reference, 0.0), (reference, count), 14 * rows.len());

@@ -1,5 +1,5 @@
-//! Figures as SVG: axes with units, readable at half their size, in colours that colour-blind readers tell apart. What
-//! is drawn is handed in as plain data; nothing here knows a study.
+//! Figures as SVG: axes with units, readable at half their size, in colours that colour-blind readers can distinguish.
+//! Callers pass plain data; nothing here depends on a study.
 
 mod delays;
 mod makespans;
@@ -20,20 +20,20 @@ use plotters::prelude::*;
 use plotters::style::TextStyle;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-/// A figure.
+/// Figure of a report.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Figure {
-    /// Its file's name, without an ending.
+    /// File name without extension.
     pub name: String,
-    /// What it shows, in a few words.
+    /// Title.
     pub title: String,
-    /// How to read it.
+    /// Caption, which says how to read it.
     pub caption: String,
-    /// The picture.
+    /// The drawing.
     pub svg: String,
 }
 
-/// A figure cannot be drawn.
+/// Error: a figure cannot be drawn.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot draw a figure: {0}")]
 pub struct FigureError(String);
@@ -44,7 +44,7 @@ impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for Figur
     }
 }
 
-/// Colours that colour-blind readers tell apart (Okabe and Ito): blue, vermilion, green, orange, purple, sky, black.
+/// Colours for colour-blind readers, too (Okabe and Ito): blue, vermilion, green, orange, purple, sky, black.
 const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -54,18 +54,18 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(86, 180, 233),
     RGBColor(0, 0, 0),
 ];
-/// What is of less account: rules and limits.
+/// Colour of less important elements: rules and limits.
 const GREY: RGBColor = RGBColor(110, 110, 110);
-/// Width of every figure, and height of its text \[pixels\]: at half the size it is still read.
+/// Width of every figure, and height of its text \[pixels\]: still readable at half the size.
 const WIDTH: u32 = 1200;
 const TEXT: u32 = 21;
-/// Panels beside each other.
+/// Number of panels per row.
 const PANELS: usize = 4;
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), FigureError>;
 
-/// Draws on a white ground of that height \[pixels\]: it is read in light and dark surroundings.
+/// Draws on a white background of this height \[pixels\], which is readable on light and dark pages.
 fn svg(height: u32, draw: impl FnOnce(&Area) -> Drawn) -> Result<String, FigureError> {
     let mut text = String::new();
     {
@@ -74,7 +74,7 @@ fn svg(height: u32, draw: impl FnOnce(&Area) -> Drawn) -> Result<String, FigureE
         draw(&area)?;
         area.present()?;
     }
-    // It grows with the page that it stands in.
+    // It scales with the page that contains it.
     Ok(text.replacen("<svg width=", &format!("<svg style=\"max-width:{WIDTH}px;height:auto\" width="), 1))
 }
 
@@ -86,14 +86,14 @@ fn colour(at: usize) -> RGBColor {
     COLOURS[at % COLOURS.len()]
 }
 
-/// The pieces of a dashed line between two points, of about a share `dash` of its length.
+/// Returns the pieces of a dashed line between two points.
 fn dashes(from: (f64, f64), to: (f64, f64), pieces: usize) -> impl Iterator<Item = Vec<(f64, f64)>> {
     let at = move |t: f64| (from.0 + (to.0 - from.0) * t, from.1 + (to.1 - from.1) * t);
     let step = 1.0 / pieces as f64;
     (0..pieces).map(move |piece| vec![at(step * piece as f64), at(step * (piece as f64 + 0.55))])
 }
 
-/// A mark of a shape that goes with a colour, so that colour is not all that tells.
+/// Draws a mark whose shape goes with its colour, so that marks differ in more than colour.
 fn mark(area: &Area, (x, y): (i32, i32), at: usize, colour: RGBColor) -> Drawn {
     let filled = colour.filled();
     match at % 4 {
@@ -105,7 +105,7 @@ fn mark(area: &Area, (x, y): (i32, i32), at: usize, colour: RGBColor) -> Drawn {
     Ok(())
 }
 
-/// The areas of so many panels, `PANELS` a row, each `height` pixels high, below a head of `head` pixels.
+/// Returns the areas of `count` panels, `PANELS` per row, each `height` pixels high, below a head of `head` pixels.
 fn panels<'a>(area: &Area<'a>, count: usize, (head, height): (u32, u32)) -> Vec<Area<'a>> {
     let width = WIDTH / PANELS as u32;
     let panel = |at: usize| {
@@ -116,7 +116,7 @@ fn panels<'a>(area: &Area<'a>, count: usize, (head, height): (u32, u32)) -> Vec<
     (0..count).map(panel).collect()
 }
 
-/// How many rows so many panels fill.
+/// Returns the number of rows that this many panels fill.
 fn rows(panels: usize) -> u32 {
     u32::try_from(panels.div_ceil(PANELS)).expect("a figure has few panels")
 }

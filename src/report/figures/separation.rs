@@ -1,4 +1,4 @@
-//! How near robots come to each other, against how far they are from the origin: one panel a column.
+//! Distance of robots to each other over their distance from the origin, one panel per column.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -6,13 +6,13 @@ use plotters::style::text_anchor::{HPos, VPos};
 use super::{Area, COLOURS, Drawn, FigureError, TEXT, dashes, panels, rows, style, svg};
 use crate::report::grid::Grid;
 
-/// Pixels of the title and of a panel.
+/// Heights of the title and of a panel \[pixels\].
 const HEAD: u32 = 52;
 const PANEL: u32 = 330;
-/// A bin with fewer counts says too little.
+/// Smallest number of counts in a bin that is drawn.
 const LEAST: u64 = 40;
 
-/// Draws d_min over d_origin for each column, by name; nearer than `limit_m` two robots have collided \[m\].
+/// Draws d_min over d_origin for each column, by name; two robots closer than `limit_m` \[m\] have collided.
 pub fn separation(title: &str, columns: &[(&str, &Grid)], limit_m: f32) -> Result<String, FigureError> {
     let count = columns.len() + 1;
     svg(HEAD + PANEL * rows(count), |area| {

@@ -1,4 +1,4 @@
-//! Success by column: one row a column, one mark an entrant with its interval, and what the paper reports.
+//! Success by column: one row per column, one mark with its interval per entrant, and the paper's figures.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -10,27 +10,27 @@ use super::{Drawn, FigureError, TEXT, colour, mark, style, svg};
 pub struct Share {
     /// The share.
     pub rate: f64,
-    /// Its interval.
+    /// Ends of its interval.
     pub ci95: [f64; 2],
 }
 
-/// One column.
+/// Shares of one column.
 #[derive(Clone, Debug)]
 pub struct Group {
-    /// Its name.
+    /// Name of the column.
     pub name: String,
-    /// By entrant; `None` where there is none.
+    /// Shares by entrant; `None` where there is none.
     pub shares: Vec<Option<Share>>,
-    /// What the paper reports, where it is known.
+    /// Share that the paper reports, where it is known.
     pub paper: Option<f64>,
 }
 
-/// Pixels of a row and of what is around all of them.
+/// Height of a row, and of the space above and below all rows \[pixels\].
 const ROW: u32 = 74;
 const HEAD: u32 = 52;
 const FOOT: u32 = 72;
 
-/// Draws them; `entrants` by name.
+/// Draws the shares; `entrants` are names.
 pub fn success(title: &str, entrants: &[String], groups: &[Group]) -> Result<String, FigureError> {
     let legend = 32 * (entrants.len() as u32 + 1);
     let count = groups.len() as f64;
@@ -46,8 +46,8 @@ pub fn success(title: &str, entrants: &[String], groups: &[Group]) -> Result<Str
         }
         let y = (HEAD + legend - 20) as i32;
         cross(area, (260, y))?;
-        let told = "the paper's robots (Table I), where the figure is known";
-        area.draw(&Text::new(told, (280, y), style(TEXT - 1, BLACK, HPos::Left, VPos::Center)))?;
+        let label = "the paper's robots (Table I), where the figure is known";
+        area.draw(&Text::new(label, (280, y), style(TEXT - 1, BLACK, HPos::Left, VPos::Center)))?;
         let mut chart = ChartBuilder::on(area)
             .margin_top(HEAD + legend)
             .margin_left(240)

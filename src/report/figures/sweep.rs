@@ -1,4 +1,4 @@
-//! Something over the steps of a sweep: panels of lines with intervals over named places.
+//! Values over the steps of a sweep: panels of lines with intervals, over named places of the x axis.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -8,11 +8,11 @@ use super::{Area, Drawn, FigureError, TEXT, WIDTH, colour, mark, style, svg};
 /// One panel.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    /// What it shows.
+    /// Its title.
     pub title: String,
-    /// What is along y, with its unit.
+    /// Label of the y axis, with its unit.
     pub y: String,
-    /// Where y begins and ends; without, as its points do.
+    /// Ends of the y axis; `None` fits them to the points.
     pub ends: Option<(f64, f64)>,
     /// Its lines.
     pub lines: Vec<Line>,
@@ -23,7 +23,7 @@ pub struct Panel {
 pub struct Line {
     /// Its name.
     pub name: String,
-    /// A point a place; `None` where there is nothing.
+    /// One point per place; `None` where there is none.
     pub points: Vec<Option<Point>>,
 }
 
@@ -32,19 +32,19 @@ pub struct Line {
 pub struct Point {
     /// The value.
     pub value: f64,
-    /// From where to where it may lie.
+    /// Ends of its interval.
     pub within: [f64; 2],
 }
 
 impl Point {
-    /// A value that is nowhere else.
+    /// Returns a value with an empty interval.
     pub fn exactly(value: f64) -> Point {
         Point { value, within: [value; 2] }
     }
 }
 
 impl Panel {
-    /// A panel of these lines.
+    /// Creates a panel of these lines.
     pub fn new(title: &str, y: &str, ends: Option<(f64, f64)>, lines: Vec<Line>) -> Panel {
         Panel { title: title.to_owned(), y: y.to_owned(), ends, lines }
     }
@@ -53,7 +53,7 @@ impl Panel {
 const PANEL: u32 = 480;
 const HEAD: u32 = 52;
 
-/// Draws them, two panels a row, over `places`, which are `x`.
+/// Draws the panels, two per row, over `places`; `x` is the label of their axis.
 pub fn sweep(title: &str, x: &str, places: &[String], panels: &[Panel]) -> Result<String, FigureError> {
     let rows = panels.len().div_ceil(2) as u32;
     let names: Vec<&str> = panels.first().map_or(Vec::new(), |p| p.lines.iter().map(|l| l.name.as_str()).collect());
@@ -111,7 +111,7 @@ fn draw(area: &Area, x: &str, places: &[String], panel: &Panel) -> Drawn {
         area.draw(&Text::new(name.clone(), (x, foot - base.1 + 8), text))?;
     }
     for (at, line) in panel.lines.iter().enumerate() {
-        // Beside each other, so that intervals do not hide each other.
+        // Side by side, so that intervals do not cover each other.
         let aside = 0.06 * (at as f64 - (panel.lines.len() as f64 - 1.0) / 2.0);
         let there = line.points.iter().enumerate().filter_map(|(place, point)| Some((place as f64 + aside, (*point)?)));
         let there: Vec<(f64, Point)> = there.collect();

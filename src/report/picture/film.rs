@@ -9,14 +9,14 @@ use crate::time::Span;
 
 /// The page, with `{title}` and `{data}` to be filled in.
 const PLAYER: &str = include_str!("player.html");
-/// Ages are told in so many steps up to the window, one letter each.
+/// Number of age steps up to the window, one letter each.
 const LETTERS: u64 = 24;
-/// Larger files are made of fewer frames \[bytes of data\].
+/// Size above which frames are left out \[bytes of data\].
 const ROOM: usize = 260_000;
-/// Which share of the frames is left, one after the other until there is room; of the last it is one a second.
+/// Strides between the frames that are kept, tried in turn until the data fits; the last keeps one frame a second.
 const STRIDES: [usize; 4] = [2, 4, 10, 20];
 
-/// The episode as a page: it plays by itself, with a slider, a speed and keys, and loads nothing.
+/// Returns the episode as a page that plays it, with a slider, a speed and keys. It loads no other file.
 pub fn film(scene: &Scene) -> String {
     let mut data = json(scene, 1);
     for stride in STRIDES {
@@ -27,7 +27,7 @@ pub fn film(scene: &Scene) -> String {
     PLAYER.replacen("{title}", &escaped(&scene.stage.title), 1).replacen("{look}", LOOK, 1).replacen("{data}", &data, 1)
 }
 
-/// Millimetres.
+/// Converts metres to millimetres.
 fn mm(metres: f32) -> i64 {
     (f64::from(metres) * 1000.0).round() as i64
 }
@@ -40,7 +40,7 @@ fn ms(span: Span) -> u64 {
     (span.as_secs() * 1000.0).round() as u64
 }
 
-/// All numbers in whole millimetres and milliseconds, of every `stride`th frame and the last.
+/// Returns the data of every `stride`th frame and the last, in whole millimetres and milliseconds.
 fn json(scene: &Scene, stride: usize) -> String {
     let stage = &scene.stage;
     let last = scene.frames.len() - 1;
@@ -72,11 +72,11 @@ fn json(scene: &Scene, stride: usize) -> String {
         "verdict": scene.ending.text,
         "rings": rings,
     });
-    // What ends a script would end it in a string, too.
+    // A closing script tag would end the script even in a string.
     data.to_string().replace('<', "\\u003c")
 }
 
-/// The first number and then by how much each is more than the one before.
+/// Returns the first number and then the differences between successive numbers.
 fn differences(numbers: impl Iterator<Item = i64>) -> Vec<i64> {
     let mut before = 0;
     numbers.map(|number| number - std::mem::replace(&mut before, number)).collect()
@@ -89,8 +89,8 @@ fn path(frames: &[&Frame], robot: usize) -> [Vec<i64>; 2] {
     ]
 }
 
-/// A pair, the first frame in which one hears the other, and from there a letter a frame: how old the newest message
-/// is, in capitals if only one of them hears the other, and a dot if none does.
+/// Returns a pair, the first frame in which one hears the other, and from there one letter per frame: the age step of
+/// the message, as a capital if only one of them hears the other, and a dot if none does.
 fn link(frames: &[&Frame], (one, other): (usize, usize), window: Span) -> Value {
     let letter = |frame: &&Frame| match frame.links.iter().find(|link| (link.one, link.other) == (one, other)) {
         None => '.',

@@ -1,4 +1,4 @@
-//! One episode to look at: as an animation and as a still. Data in, text out; nothing is loaded when it is shown.
+//! Pictures of one episode: two animations and a still, as text from plain data. They load no other file.
 
 mod film;
 mod moving;

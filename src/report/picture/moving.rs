@@ -1,4 +1,4 @@
-//! An episode as an SVG file that moves by itself, without a script; where nothing is to move it is the still.
+//! An episode as an animated SVG file, without a script. Viewers that prefer reduced motion show the still.
 
 use std::fmt::Write as _;
 
@@ -8,24 +8,24 @@ use super::still::{self, drawn, path};
 use crate::messages::geometry::Vec2;
 use crate::time::Span;
 
-/// How long the end is shown before it begins again \[s\].
+/// Time for which the end is shown before the animation repeats \[s\].
 const REST_S: f64 = 2.5;
-/// Between two samples at the least \[s\]; in between, everything goes in straight lines.
+/// Shortest time between two samples \[s\]; positions in between are interpolated linearly.
 const LEAST_S: f64 = 0.1;
-/// About what all samples may take \[bytes\].
+/// Approximate size limit of all samples \[bytes\].
 const ROOM: usize = 190_000;
-/// About what one sample of a robot and one of a pair takes \[bytes\].
+/// Approximate sizes of one sample of a robot and one of a pair \[bytes\].
 const ROBOT: usize = 24;
 const PAIR: usize = 36;
-/// The clock shows so many numbers at the most.
+/// Maximum number of values that the clock shows.
 const READINGS: f64 = 130.0;
 
-/// The episode as sampled for an animation.
+/// Episode, sampled for an animation.
 struct Reel<'a> {
     scene: &'a Scene<'a>,
-    /// Of one round, the rest at its end included \[s\].
+    /// Duration of one round, including the time at its end \[s\].
     lasts_s: f64,
-    /// Evenly over one round: between which frames, and how far from one to the next.
+    /// Samples, evenly over one round: two frames and a fraction of the way between them.
     samples: Vec<(&'a Frame, &'a Frame, f32)>,
 }
 
@@ -45,12 +45,12 @@ impl<'a> Reel<'a> {
         Reel { scene, lasts_s, samples: (0..=count).map(sample).collect() }
     }
 
-    /// Where a robot is in each sample.
+    /// Returns a robot's position in each sample.
     fn positions(&self, robot: usize) -> impl Iterator<Item = Vec2> + '_ {
         self.samples.iter().map(move |(from, to, share)| from.at[robot] + (to.at[robot] - from.at[robot]) * *share)
     }
 
-    /// One attribute that follows these values, evenly over a round.
+    /// Animates an attribute through these values, evenly over a round.
     fn follows(&self, attribute: &str, discrete: bool, values: &[String]) -> String {
         if values.iter().all(|value| *value == values[0]) {
             return format!("<set attributeName=\"{attribute}\" to=\"{}\"/>", values[0]);
@@ -59,7 +59,7 @@ impl<'a> Reel<'a> {
         format!("<animate attributeName=\"{attribute}\"{mode} values=\"{values}\" {}/>", self.round())
     }
 
-    /// One attribute that changes at these times \[s\].
+    /// Animates an attribute that takes these values at these times \[s\].
     fn changes(&self, attribute: &str, values: &[(&str, f64)]) -> String {
         let keys: Vec<String> =
             values.iter().map(|(_, at)| format!("{:.4}", (at / self.lasts_s).clamp(0.0, 1.0))).collect();
@@ -73,7 +73,7 @@ impl<'a> Reel<'a> {
         format!("dur=\"{:.3}s\" repeatCount=\"indefinite\"", self.lasts_s)
     }
 
-    /// What is shown from this time on, to the end of a round.
+    /// Animates an element to be visible from this time to the end of a round.
     fn shown_from(&self, at: Span) -> String {
         if at == Span::ZERO {
             return String::new();
@@ -82,7 +82,7 @@ impl<'a> Reel<'a> {
     }
 }
 
-/// The episode as an SVG file.
+/// Returns the episode as an SVG file.
 pub fn moving(scene: &Scene) -> String {
     let view = View::new(&scene.stage);
     let reel = Reel::new(scene);
@@ -92,7 +92,7 @@ pub fn moving(scene: &Scene) -> String {
     for robot in 0..scene.robots() {
         text += &trail(&reel, &view, robot);
     }
-    // Many lines are thinner.
+    // Lines of a large team are thinner.
     let (width, opacity) = if scene.robots() > COLOURS { ("1.3", ".6") } else { ("2.5", "1") };
     let _ = writeln!(text, "<g stroke-width=\"{width}\" opacity=\"{opacity}\">");
     for pair in scene.pairs() {
@@ -117,7 +117,7 @@ pub fn moving(scene: &Scene) -> String {
     sheet(&view, scene, style, &text, &legends)
 }
 
-/// What links mean, and goals.
+/// Returns the legend of links and goals.
 fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     let line = |(at, strong): (usize, &&str)| {
         format!("<path class=\"link\" d=\"M{} 0h26\" stroke-width=\"3\" stroke-opacity=\"{strong}\"/>", 28 * at)
@@ -128,7 +128,7 @@ fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     [goal_mark(scene), (lines, 138.0, heard), (dashed, 30.0, "one way".to_owned())]
 }
 
-/// The goals, each of which is drawn through once its robot has arrived.
+/// Draws the goals, whose dashed circles become solid once their robots have arrived.
 fn aims(reel: &Reel, view: &View) -> String {
     let arrivals = reel.scene.arrivals();
     goals(view, reel.scene, false, |robot| {
@@ -137,7 +137,7 @@ fn aims(reel: &Reel, view: &View) -> String {
     })
 }
 
-/// The way up to now: all of it, of which a growing dash is seen.
+/// Draws a robot's path up to the present: the whole path, of which a growing dash is visible.
 fn trail(reel: &Reel, view: &View, robot: usize) -> String {
     let mut gone = vec![0.0f32];
     for pair in reel.scene.frames.windows(2) {
@@ -179,7 +179,7 @@ fn link(reel: &Reel, view: &View, (one, other): (usize, usize)) -> String {
     format!("<path class=\"link\" d=\"{}\">{moves}{strengths}{dashes}</path>\n", lines[0])
 }
 
-/// How strong a link with a message of this age is, as an index.
+/// Returns the index in `AGES` of a link with a message of this age.
 fn level(age: Span, window: Span) -> usize {
     let levels = AGES.len() as u64;
     (age.as_nanos() * levels / window.as_nanos().max(1)).min(levels - 1) as usize
@@ -205,7 +205,7 @@ fn disc(reel: &Reel, view: &View, robot: usize) -> String {
     format!("<g class=\"c{}\" transform=\"translate({})\">{disc}{number}{moves}</g>\n", robot % COLOURS, places[0])
 }
 
-/// The time, as one text for each number that it shows.
+/// Draws the clock, as one text element per value.
 fn clock(reel: &Reel, view: &View) -> String {
     let length_s = reel.scene.length().as_secs();
     let step_s =

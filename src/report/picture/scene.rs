@@ -1,4 +1,4 @@
-//! What a picture of an episode shows, from the steps of a trial.
+//! Content of a picture of an episode, from the steps of a trial.
 
 use crate::messages::geometry::{Task, Vec2};
 use crate::messages::ids::RobotId;
@@ -9,54 +9,54 @@ use crate::scenario::judge::{Judge, JudgedRobot, Verdict};
 use crate::scenario::{Arena, Rules};
 use crate::time::{Span, Time};
 
-/// Two frames are at least this far apart: what moves as slowly as a robot needs no more.
+/// Shortest time between two frames, which is enough for the speed of robots.
 const FRAME: Span = Span::from_millis(48);
-/// Where robots were just before the first step of an episode is shown if none has jumped since \[m\].
+/// Largest move from the step before an episode to its first step, for the step before to be shown, too \[m\].
 const JUMP_M: f32 = 0.1;
-/// How much longer than the robots' radius the radius of a ring about a failure is.
+/// Radius of a ring around a failure, as a multiple of the robots' radius.
 const WIDER: f32 = 1.45;
 
-/// So many robots are named that have not arrived.
+/// Maximum number of late robots that are named.
 const NAMED: usize = 8;
 
-/// What an episode happens on, and how it is judged.
+/// Texts, arena, rules and tasks of an episode's picture.
 #[derive(Clone, Debug)]
 pub struct Stage<'a> {
-    /// What it is a picture of, in a few words.
+    /// Title.
     pub title: String,
-    /// The same more exactly: what it takes to see it again.
+    /// Caption, which has what is needed to reproduce the episode.
     pub caption: String,
-    /// The ground and what stands on it.
+    /// Ground and obstacles.
     pub arena: &'a Arena,
-    /// How the episode is judged.
+    /// Rules by which the episode is judged.
     pub rules: Rules,
     /// Radius of the robots' hulls \[m\].
     pub radius_m: f32,
-    /// From this age on messages all look equally old.
+    /// Age from which messages all look equally old.
     pub window: Span,
     /// Start and goal of every robot.
     pub tasks: &'a [Task],
 }
 
-/// An episode as a picture shows it.
+/// Content of a picture of an episode.
 #[derive(Clone, Debug)]
 pub struct Scene<'a> {
-    /// Where it happens.
+    /// Texts, arena, rules and tasks.
     pub stage: Stage<'a>,
-    /// From the beginning to the end of judging; at least one.
+    /// Frames from the start to the verdict; at least one.
     pub frames: Vec<Frame>,
-    /// How it ended.
+    /// Verdict, in words and places.
     pub ending: Ending,
 }
 
 /// The team at one instant.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// Since the episode began.
+    /// Time since the episode began.
     pub time: Span,
     /// Positions by robot \[m\], world frame.
     pub at: Vec<Vec2>,
-    /// Which pairs hear each other, in their order.
+    /// Pairs of which at least one hears the other, sorted.
     pub links: Vec<Link>,
 }
 
@@ -73,21 +73,21 @@ pub struct Link {
     pub mutual: bool,
 }
 
-/// How an episode ended.
+/// Verdict of an episode, in words and places.
 #[derive(Clone, Debug)]
 pub struct Ending {
     /// Whether it succeeded.
     pub success: bool,
     /// The verdict in words.
     pub text: String,
-    /// Where it failed.
+    /// Marks of the places where it failed.
     pub rings: Vec<Ring>,
 }
 
-/// A place to look at.
+/// Mark around a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ring {
-    /// From when on, since the episode began.
+    /// Time from which it is shown, since the episode began.
     pub from: Span,
     /// Its centre \[m\], world frame.
     pub at: Vec2,
@@ -102,14 +102,14 @@ enum Contact {
 }
 
 impl<'a> Scene<'a> {
-    /// The episode of this result, from the steps of its trial.
+    /// Creates the scene of the episode with this result, from the steps of its trial.
     ///
-    /// An episode without a step (it was given up before it began) shows the robots at their starts.
+    /// An episode without a step (it was aborted before it began) shows the robots at their starts.
     pub fn new(stage: Stage<'a>, episode: &Episode, steps: &[Step]) -> Scene<'a> {
         let (before, steps) = running(episode.episode, steps);
         let began = match (before, steps) {
             (Some(before), _) => time(before),
-            // Without a step before it the first one is taken to be as long as the second.
+            // Without a step before it, the first one is assumed to be as long as the second.
             (None, [first, second, ..]) => {
                 let step = time(second).since(time(first));
                 Time::ZERO + time(first).since(Time::ZERO + step)
@@ -149,17 +149,17 @@ impl<'a> Scene<'a> {
         Scene { stage, frames, ending }
     }
 
-    /// How many robots there are.
+    /// Returns the number of robots.
     pub fn robots(&self) -> usize {
         self.stage.tasks.len()
     }
 
-    /// How long the episode took.
+    /// Returns the duration of the episode.
     pub fn length(&self) -> Span {
         self.frames.last().map_or(Span::ZERO, |frame| frame.time)
     }
 
-    /// When each robot has first come near enough to its goal.
+    /// Returns the time of each robot's first arrival at its goal.
     pub fn arrivals(&self) -> Vec<Option<Span>> {
         let arrived = |(robot, task): (usize, &Task)| {
             let near = |frame: &&Frame| (task.goal - frame.at[robot]).norm() <= self.stage.rules.arrival_m;
@@ -168,7 +168,7 @@ impl<'a> Scene<'a> {
         self.stage.tasks.iter().enumerate().map(arrived).collect()
     }
 
-    /// The pairs that hear each other at some time, in their order.
+    /// Returns the pairs of which one hears the other at some time, sorted.
     pub fn pairs(&self) -> Vec<(usize, usize)> {
         let mut pairs: Vec<_> =
             self.frames.iter().flat_map(|frame| &frame.links).map(|link| (link.one, link.other)).collect();
@@ -178,8 +178,8 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// The last stretch of steps in which the episode runs, and the one before it if no robot has been moved between: an
-/// episode that a host has left is run again.
+/// Returns the last stretch of steps in which the episode runs, and the step before it if no robot was moved between.
+/// There are several stretches if a host has left, because the episode is then run again.
 fn running(episode: u32, steps: &[Step]) -> (Option<&Step>, &[Step]) {
     let runs = |step: &Step| step.episode == episode && step.phase == Phase::Running;
     let end = steps.iter().rposition(runs).map_or(0, |last| last + 1);
@@ -195,7 +195,7 @@ fn running(episode: u32, steps: &[Step]) -> (Option<&Step>, &[Step]) {
     (before, stretch)
 }
 
-/// When a step was seen as a whole.
+/// Returns the time of the latest sample of a step.
 fn time(step: &Step) -> Time {
     step.samples.iter().map(|sample| sample.time).max().unwrap_or(Time::ZERO)
 }
@@ -204,7 +204,7 @@ fn frame(time: Span, step: &Step) -> Frame {
     Frame { time, at: step.samples.iter().map(|sample| sample.motion.position).collect(), links: links(&step.hearing) }
 }
 
-/// Who hears whom, by pair.
+/// Returns one link per pair of robots of which one hears the other.
 fn links(hearing: &[Hearing]) -> Vec<Link> {
     let pair = |one: RobotId, other: RobotId| (one.index().min(other.index()), one.index().max(other.index()));
     let mut links: Vec<Link> = Vec::new();
@@ -219,7 +219,7 @@ fn links(hearing: &[Hearing]) -> Vec<Link> {
     links
 }
 
-/// What the judge would fail an episode for at this instant.
+/// Returns the contact for which the judge would fail an episode at this instant.
 fn touching(stage: &Stage, after: Span, seen: &[JudgedRobot]) -> Option<Contact> {
     if let Some(robot) = seen.iter().position(|robot| robot.contacts.wall) {
         return Some(Contact::Wall(after, robot, seen[robot].position));
@@ -231,7 +231,7 @@ fn touching(stage: &Stage, after: Span, seen: &[JudgedRobot]) -> Option<Contact>
     (apart(nearest) < stage.rules.separation_m).then(|| Contact::Robots(after, nearest, middle, apart(nearest)))
 }
 
-/// How an episode ended, in words and in places.
+/// Returns the verdict of an episode, in words and places.
 fn ending(stage: &Stage, episode: &Episode, contact: Option<Contact>, arrived: &[bool], last: &Frame) -> Ending {
     let late: Vec<usize> = (0..arrived.len()).filter(|robot| !arrived[*robot]).collect();
     let mut names = late.iter().take(NAMED).map(usize::to_string).collect::<Vec<_>>().join(", ");
@@ -255,10 +255,10 @@ fn ending(stage: &Stage, episode: &Episode, contact: Option<Contact>, arrived: &
         (Verdict::RobotCollision, _) => ("Failure: two robots have collided".to_owned(), Vec::new()),
         (Verdict::Timeout, _) => {
             let rings = late.iter().flat_map(|robot| ring(last.time, last.at[*robot], 0.0)).collect();
-            (format!("Failure: time is up, and not at their goals are: {names}"), rings)
+            (format!("Failure: timeout; not at their goals: {names}"), rings)
         }
         (Verdict::Unseen, _) => ("A robot was out of sight for too long".to_owned(), Vec::new()),
-        (Verdict::Aborted, _) => (format!("Given up after {:.2} s", last.time.as_secs()), Vec::new()),
+        (Verdict::Aborted, _) => (format!("Aborted after {:.2} s", last.time.as_secs()), Vec::new()),
     };
     Ending { success: episode.verdict == Verdict::Success, text, rings }
 }
@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn an_episode_begins_where_the_robots_were_and_ends_with_its_judging() {
+    fn an_episode_begins_at_the_robots_positions_and_ends_with_its_verdict() {
         let passage = crate::scenario::build("passage", &crate::scenario::Settings::of(2)).unwrap();
         let task = |x| Task { start: Vec2::new(x, 0.0), goal: Vec2::new(x + 0.5, 0.0) };
         let tasks = [task(0.0), task(1.0)];

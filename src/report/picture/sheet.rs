@@ -1,49 +1,49 @@
-//! What both SVG pictures share: the sheet, the ground with its walls and goals, the legend, and where points lie.
+//! Parts of both SVG pictures: the sheet, the ground with its walls and goals, the legend, and the projection.
 
 use std::fmt::Write as _;
 
 use super::scene::{Scene, Stage};
 use crate::messages::geometry::Vec2;
 
-/// Colours of light and dark surroundings, of robots (Okabe and Ito, told apart by colour-blind readers, too) and of
-/// links by age; the page has it as well.
+/// Style sheet: colours of light and dark schemes, of robots (Okabe and Ito, for colour-blind readers, too) and of
+/// links by age. The page uses it, too.
 pub const LOOK: &str = include_str!("look.css");
-/// How many colours robots have; after that they begin again, and numbers tell.
+/// Number of robot colours, which then repeat; numbers distinguish the robots.
 pub const COLOURS: usize = 8;
-/// How strong links are by age, from the newest message to the oldest: `LOOK` has the same.
+/// Opacities of links by age, from the newest message to the oldest, as in `LOOK`.
 pub const AGES: [&str; 5] = ["1", ".7", ".46", ".28", ".16"];
 
-/// What is around the ground, above it and below it \[pixels\].
+/// Margins beside the ground, above it and below it \[pixels\].
 const MARGIN: f32 = 24.0;
 const HEAD: f32 = 88.0;
 const FOOT: f32 = 88.0;
-/// The ground is no larger than this \[pixels\].
+/// Largest size of the ground \[pixels\].
 const LARGEST: Vec2 = Vec2::new(1000.0, 640.0);
-/// The sheet is no narrower than its words \[pixels\].
+/// Smallest width of the sheet, for its text \[pixels\].
 const NARROWEST: f32 = 860.0;
 
-/// A letter is about this wide \[pixels\]; fonts differ.
+/// Approximate width of a letter \[pixels\]; fonts differ.
 const LETTER: f32 = 9.8;
 
-/// Text that stands for itself in XML.
+/// Escapes text for XML.
 pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// A number of pixels, to a tenth.
+/// Formats a number of pixels, to a tenth.
 pub fn px(number: f32) -> String {
     let text = format!("{number:.1}");
     let text = text.strip_suffix(".0").unwrap_or(&text);
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-/// Half of the ground \[m\]: centres stay within the arena, hulls reach beyond it.
+/// Returns half the size of the ground \[m\]: centres stay within the arena, hulls reach beyond it.
 fn half(stage: &Stage) -> Vec2 {
     stage.arena.half_extent + Vec2::repeat(stage.radius_m)
 }
 
-/// The blocks of the arena, as lower left and upper right corners \[m\]. What ends where the arena ends is drawn to the
-/// end of the ground: nobody can get behind it.
+/// Returns the blocks of the arena, as lower left and upper right corners \[m\]. A block at the edge of the arena is
+/// drawn to the edge of the ground, because no robot can get behind it.
 pub fn walls(stage: &Stage) -> Vec<[Vec2; 2]> {
     let (inner, outer) = (stage.arena.half_extent, half(stage));
     let to = |at: f32, inner: f32, outer: f32| if at.abs() >= inner - 1e-3 { outer.copysign(at) } else { at };
@@ -51,9 +51,9 @@ pub fn walls(stage: &Stage) -> Vec<[Vec2; 2]> {
     stage.arena.keep_outs.iter().map(|block| [corner(block.min), corner(block.max)]).collect()
 }
 
-/// How points of the world come onto the sheet.
+/// Projection of the world onto the sheet.
 pub struct View {
-    /// Pixels of a metre.
+    /// Pixels per metre.
     pub scale: f32,
     /// Size of the sheet \[pixels\].
     pub size: Vec2,
@@ -63,7 +63,7 @@ pub struct View {
 }
 
 impl View {
-    /// Of an arena: one that is deeper than it is wide is turned by a quarter to the right.
+    /// Creates the view of an arena. One that is deeper than wide is turned clockwise by a right angle.
     pub fn new(stage: &Stage) -> View {
         let half = half(stage);
         let turned = half.y > half.x;
@@ -75,7 +75,7 @@ impl View {
         View { scale, size, half, turned, corner: Vec2::new((width - drawn.x) / 2.0, HEAD) }
     }
 
-    /// Where a point of the world is on the sheet \[pixels\].
+    /// Returns the place of a point of the world on the sheet \[pixels\].
     pub fn at(&self, point: Vec2) -> Vec2 {
         let along = if self.turned {
             Vec2::new(self.half.y + point.y, self.half.x + point.x)
@@ -85,7 +85,7 @@ impl View {
         self.corner + along * self.scale
     }
 
-    /// A rectangle with two opposite corners.
+    /// Draws a rectangle with these opposite corners.
     fn rectangle(&self, class: &str, [one, other]: [Vec2; 2], round: f32) -> String {
         let (a, b) = (self.at(one), self.at(other));
         let (low, high) = (a.inf(&b), a.sup(&b));
@@ -93,26 +93,26 @@ impl View {
         format!("<rect class=\"{class}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" rx=\"{round}\"/>\n")
     }
 
-    /// Ground and walls.
+    /// Draws ground and walls.
     pub fn ground(&self, stage: &Stage) -> String {
         let walls = walls(stage).into_iter().map(|wall| self.rectangle("wall", wall, 3.0));
         self.rectangle("ground", [-self.half, self.half], 6.0) + &walls.collect::<String>()
     }
 
-    /// A circle about a point of the world; the rest of its attributes as they are given.
+    /// Draws a circle around a point of the world; `rest` are further attributes.
     pub fn circle(&self, class: &str, at: Vec2, radius_m: f32, rest: &str) -> String {
         let at = self.at(at);
         let [x, y, r] = [at.x, at.y, radius_m * self.scale].map(px);
         format!("<circle class=\"{class}\" cx=\"{x}\" cy=\"{y}\" r=\"{r}\"{rest}/>")
     }
 
-    /// Size of the numbers on robots \[pixels\].
+    /// Returns the size of the number on a robot \[pixels\].
     pub fn number(&self, stage: &Stage, robot: usize) -> f32 {
         stage.radius_m * self.scale * if robot < 10 { 1.05 } else { 0.9 }
     }
 }
 
-/// The whole file: its head, what is drawn, and what it means. `more` is further style.
+/// Returns the whole file: head, drawing and legend. `more` is further style.
 pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) -> String {
     let [w, h] = [view.size.x, view.size.y].map(px);
     let stage = &scene.stage;
@@ -131,7 +131,7 @@ pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) 
     text
 }
 
-/// The verdict, above the ground.
+/// Draws the verdict, above the ground.
 pub fn verdict(scene: &Scene, rest: &str) -> String {
     let colour = if scene.ending.success { "good" } else { "bad" };
     let (y, text) = (px(HEAD - 24.0), escaped(&scene.ending.text));
@@ -139,7 +139,7 @@ pub fn verdict(scene: &Scene, rest: &str) -> String {
     format!("<text x=\"{MARGIN}\" y=\"{y}\" {style}>{text}{rest}</text>\n")
 }
 
-/// The legend under the ground: marks, each drawn right of the point (0, 0) and so many pixels wide, with a meaning.
+/// Draws the legend under the ground: marks, each drawn right of the point (0, 0), with width \[pixels\] and meaning.
 pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     let (mut x, y) = (MARGIN, px(view.size.y - FOOT + 27.0));
     let mut text = String::new();
@@ -154,8 +154,8 @@ pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     text
 }
 
-/// The goals, with the numbers of their robots unless these stay at them for good; `more` is what is in the circle of
-/// each.
+/// Draws the goals, with the numbers of their robots; with `stay`, a goal that its robot covers at the end has none.
+/// `more` returns the content of a goal's circle.
 pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> String) -> String {
     let (mut text, stage) = (String::new(), &scene.stage);
     for (robot, task) in stage.tasks.iter().enumerate() {
@@ -172,7 +172,7 @@ pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> Str
     text
 }
 
-/// The legend's mark for goals.
+/// Returns the legend's mark for goals.
 pub fn goal_mark(scene: &Scene) -> (String, f32, String) {
     let mark = "<circle class=\"goal c7\" cx=\"10\" r=\"9\" stroke-width=\"2\" stroke-dasharray=\"5 4\"/>".to_owned();
     (mark, 20.0, format!("goal, to within {} m", scene.stage.rules.arrival_m))

@@ -6,22 +6,22 @@ use super::scene::{Frame, Scene};
 use super::sheet::{COLOURS, View, goal_mark, goals, legend, px, sheet, verdict};
 use crate::time::Span;
 
-/// A robot is drawn at about so many moments.
+/// Approximate number of moments at which a robot is drawn.
 const MOMENTS: u64 = 7;
-/// What may lie between two moments \[ms\].
+/// Possible times between two moments \[ms\].
 const BETWEEN_MS: [u64; 8] = [250, 500, 1000, 2000, 5000, 10_000, 30_000, 60_000];
-/// How much of its colour a robot has at the start and just before the end.
+/// Opacity of a robot at the first moment and at the last before the end.
 const FAINT: f32 = 0.10;
 const STRONG: f32 = 0.55;
 
-/// The episode as an SVG file.
+/// Returns the episode as an SVG file.
 pub fn still(scene: &Scene) -> String {
     let view = View::new(&scene.stage);
     let drawn = drawn(scene, &view) + &verdict(scene, "");
     sheet(&view, scene, "", &drawn, &legend(&view, &marks(scene)))
 }
 
-/// What starts, goals and robots in between look like.
+/// Returns the legend of starts, goals and robots in between.
 pub fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     let every = format!("every {} s, stronger with time", between(scene.length()).as_secs());
     let dot = |x: u32, opacity: f32| format!("<circle class=\"dot c7\" cx=\"{x}\" r=\"9\" opacity=\"{opacity}\"/>");
@@ -30,7 +30,7 @@ pub fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     [(start, 20.0, "start".to_owned()), goal_mark(scene), (dots, 40.0, every)]
 }
 
-/// Everything on the ground; an animation shows it where nothing is to move.
+/// Draws everything on the ground. The animation contains it for viewers that prefer reduced motion.
 pub fn drawn(scene: &Scene, view: &View) -> String {
     let stage = &scene.stage;
     let last = &scene.frames[scene.frames.len() - 1];
@@ -52,7 +52,7 @@ pub fn drawn(scene: &Scene, view: &View) -> String {
         for (index, moment) in moments.iter().enumerate() {
             let opacity = FAINT + (STRONG - FAINT) * (index + 1) as f32 / moments.len() as f32;
             let rest = format!(" opacity=\"{opacity:.2}\"");
-            // Who waits at the goal is not drawn there again and again.
+            // A robot that waits at its goal is drawn there once.
             if (moment.at[robot] - last.at[robot]).norm() > stage.radius_m * 0.5 {
                 text += &view.circle("dot", moment.at[robot], stage.radius_m, &rest);
             }
@@ -72,7 +72,7 @@ pub fn drawn(scene: &Scene, view: &View) -> String {
     text
 }
 
-/// A robot's whole way.
+/// Draws a robot's whole path.
 pub fn path(scene: &Scene, view: &View, robot: usize) -> String {
     let mut points: Vec<String> = Vec::new();
     for frame in &scene.frames {
@@ -85,7 +85,7 @@ pub fn path(scene: &Scene, view: &View, robot: usize) -> String {
     format!("<polyline class=\"trail\" stroke-width=\"2.5\" opacity=\".65\" points=\"{}\"/>", points.join(" "))
 }
 
-/// What lies between two moments of an episode of this length.
+/// Returns the time between two moments of an episode of this length.
 fn between(length: Span) -> Span {
     let fits = |ms: &&u64| length.as_nanos() / (**ms * 1_000_000) <= MOMENTS;
     Span::from_millis(*BETWEEN_MS.iter().find(fits).unwrap_or(&BETWEEN_MS[BETWEEN_MS.len() - 1]))

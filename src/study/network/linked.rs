@@ -45,7 +45,7 @@ impl Linked {
     /// Returns a station of a team with a key.
     pub fn new(station: u16, setup: Setup, features: usize, seed: &Seed) -> Linked {
         let mut stream = seed.stream(&format!("link/{station}"));
-        let me = Identity { host: HostId(station), team: 1, epoch: 1 };
+        let me = Identity { host: HostId(station), team: 1, incarnation: 1 };
         let state = LinkState::new(me, LINK, Some(Key::new(KEY)), setup, &mut stream);
         Linked { station, features, state, stream, leaving: Vec::new() }
     }
@@ -67,7 +67,7 @@ impl Endpoint for Linked {
     fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Output<Frame>>) {
         let latent = traffic::message(self.station, 0, sequence, now.since(Time::ZERO), self.features);
         self.state
-            .say(now, Audience::All, &Wire::Latent(latent), &mut self.leaving)
+            .send(now, Audience::All, &Wire::Latent(latent), &mut self.leaving)
             .expect("a checked sweep has messages that fit");
         self.leave(out);
     }

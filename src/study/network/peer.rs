@@ -124,7 +124,7 @@ impl Core for Peer {
 
     fn handle(&mut self, now: Time, latent: Latent, _: &mut Vec<Wire>) {
         let Some(newest) = self.newest.get_mut(latent.robot.index()) else { return };
-        if latent.round.epoch != self.task.number {
+        if latent.round.term != self.task.number {
             return;
         }
         let published = self.begin + traffic::stamp(&latent);

@@ -20,7 +20,7 @@ pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: us
     let (ms, us) = ((us / 1000) as f32, (us % 1000) as f32);
     Latent {
         robot: RobotId(station),
-        round: Round { epoch: case, episode: sequence },
+        round: Round { term: case, episode: sequence },
         phase: Phase::Running,
         motion: Motion { position: Vec2::new(ms, us), velocity: Vec2::zeros() },
         features: Features((0..features).map(|at| own + at as f32).collect()),

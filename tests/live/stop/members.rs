@@ -1,4 +1,4 @@
-//! Members of the team that nobody expects: many operators at once, clocks that are wrong, and one that lies.
+//! Unusual members of the team: many operators at once, wrong clocks, and a malicious member.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -40,7 +40,7 @@ use crate::stop::team::{Case, OPERATOR, Running};
 const TEAM: u16 = 1;
 const LIBRARY: &str = "/usr/lib/x86_64-linux-gnu/faketime/libfaketime.so.1";
 
-/// The variables that set the clock of one process; none, saying so, where that cannot be had.
+/// Returns the variables that set the clock of one process; none, with a notice, if that is not possible.
 fn clock(when: &str) -> Option<Vec<(String, String)>> {
     if !Path::new(LIBRARY).exists() {
         report("skipped: clocks are set by Debian's package 'faketime', which is not there");
@@ -54,14 +54,14 @@ fn case() -> Option<Running> {
     Case { mode: "offboard", file: "offboard", unicast: false, relayed: false }.start()
 }
 
-/// A member of the team on the link of the stop, on a thread of its own, in the namespace of the operator.
+/// Member of the team on the link of the stop, on its own thread, in the namespace of the operator.
 struct Member {
     over: Arc<AtomicBool>,
     thread: JoinHandle<()>,
 }
 
 impl Member {
-    /// Starts it under this number. It says what `says` gives, as often as `period`, and tells `hears`.
+    /// Starts it under this id. It sends the messages of `says` once per `period`, and passes received ones to `hears`.
     fn start(
         team: &Running,
         host: HostId,
@@ -97,12 +97,12 @@ fn speak(
 ) {
     let deployment = Deployment::preset("offboard", 5).expect("it is a preset");
     let group = "239.255.77.1:7700".parse().expect("an address");
-    let open = multicast::way(group, "loopback", 4 << 20).open(host, Filter::All).expect("it can be opened");
-    let setup = Setup { report_rides: Span::ZERO, ..Setup::multicast(Reliabilities::new()) };
+    let open = multicast::endpoint(group, "loopback", 4 << 20).open(host, Filter::All).expect("it can be opened");
+    let setup = Setup { report_piggyback_age: Span::ZERO, ..Setup::multicast(Reliabilities::new()) };
     let mut bytes = [0; 32];
     getrandom::fill(&mut bytes).expect("there are random numbers");
     let operator = Operator {
-        me: Identity { host, team: TEAM, epoch: u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) },
+        me: Identity { host, team: TEAM, incarnation: u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) },
         seed: Seed::of_bytes(bytes),
         robots: deployment.robots,
         publishers: Routes::of(&deployment).publishers(),
@@ -120,7 +120,7 @@ fn speak(
                     hears(message);
                 }
             });
-            // A turn at least so often, whatever arrives.
+            // The loop turns at least this often, whatever arrives.
             let clock = clock.clone();
             tick(&clock, period);
             network
@@ -140,9 +140,9 @@ fn tick(clock: &murmurate::runtime::clock::Clock, period: Span) {
     clock.call(clock.now() + period, Box::new(move || tick(&again, period)));
 }
 
-/// The lies of a member: the largest numbers, and what is others' to say.
+/// Returns false messages of a member: the largest numbers, and messages that belong to other hosts.
 fn lies(turn: u64, stops: bool) -> Vec<Wire> {
-    let far = Round { epoch: 1 << 30, episode: u32::MAX };
+    let far = Round { term: 1 << 30, episode: u32::MAX };
     let (robot, number) = (RobotId((turn % 5) as u16), 1 << 52);
     let task = Task { start: Vec2::zeros(), goal: Vec2::new(1.0, 1.0) };
     let mut all = vec![
@@ -173,11 +173,11 @@ fn lies(turn: u64, stops: bool) -> Vec<Wire> {
 }
 
 #[test]
-fn a_member_that_lies_is_named_by_every_host_and_the_stop_works_and_can_be_taken_back() {
+fn a_malicious_member_is_named_by_every_host_and_stop_and_re_arm_work() {
     let _beside = beside();
     let Some(team) = case() else { return };
     team.driven();
-    // Eight thousand messages a second: seven kinds of lies, 1143 times.
+    // Eight thousand messages a second: seven false messages, 1143 times.
     let stops = Arc::new(AtomicBool::new(false));
     let lying = Arc::clone(&stops);
     let said = Arc::new(AtomicU64::new(0));
@@ -215,11 +215,11 @@ fn a_member_that_lies_is_named_by_every_host_and_the_stop_works_and_can_be_taken
     report(&format!("{} lies: every host has named the liar, and the team goes on", said.load(Ordering::Relaxed)));
 }
 
-/// The lies of a robot's own host, one step after the other: numbers and epochs as far ahead as they are believed, and
+/// False messages of a robot's own host, one step after the other: numbers and terms as far ahead as they are accepted, and
 /// that all hosts leave.
 fn lies_of_a_robot(turn: u64) -> Vec<Wire> {
     let latch = [Latch::held, Latch::clear][(turn % 2) as usize]((1 << 32) + 1000 * turn);
-    let round = Round { epoch: (1 << 20) + 15 * (turn as u32 % (1 << 20)), episode: u32::MAX };
+    let round = Round { term: (1 << 20) + 15 * (turn as u32 % (1 << 20)), episode: u32::MAX };
     let following = |robot| Following { robot: RobotId(robot), controller: Some(latch), body: Some(latch) };
     let mut all = vec![
         Wire::Heartbeat(Heartbeat { robot: RobotId(4), round, phase: Phase::Running, latch }),
@@ -233,7 +233,7 @@ fn lies_of_a_robot(turn: u64) -> Vec<Wire> {
 }
 
 #[test]
-fn a_captured_robot_that_lies_keeps_nobody_from_stopping_re_arming_and_going_on() {
+fn a_captured_robot_prevents_neither_stop_nor_re_arm_nor_resume() {
     let _beside = beside();
     let Some(mut team) = case() else { return };
     team.driven();
@@ -241,7 +241,7 @@ fn a_captured_robot_that_lies_keeps_nobody_from_stopping_re_arming_and_going_on(
     team.crew.ended("agent-4");
     let liar = Member::start(&team, HostId(4), Span::from_millis(1), lies_of_a_robot, |_| {});
     team.crew.pass(Duration::from_secs(3));
-    // Nobody has heard of robot 4 what is to be heard; all others stand.
+    // Robot 4 has not confirmed; all others stand still.
     let (output, _) = team.operator(&["stop"]);
     assert_eq!(output.status.code(), Some(1), "{}", text(&output.stdout));
     let said: serde_json::Value = serde_json::from_str(&text(&output.stdout)).expect("one JSON object");
@@ -259,13 +259,13 @@ fn a_captured_robot_that_lies_keeps_nobody_from_stopping_re_arming_and_going_on(
     report("a captured robot has lied for 4 s: the stop works, is taken back, and the team goes on");
 }
 
-/// The counts of refused incarnations of all hosts, once each has told them again.
+/// Returns the counts of refused incarnations of all hosts, once each has reported them again.
 fn refusals(team: &Running) -> u64 {
     let mut by_host: BTreeMap<String, u64> = BTreeMap::new();
     team.crew.until("all hosts tell their counts", |heard| {
         if let Said::Event(HostEvent::Counted(counted)) = &heard.said {
             let links = &counted.links;
-            by_host.insert(heard.host.clone(), links.twin + links.crowd + links.replay + links.rate);
+            by_host.insert(heard.host.clone(), links.duplicate_id + links.crowd + links.replay + links.rate);
         }
         (by_host.len() == 6).then_some(())
     });
@@ -273,11 +273,11 @@ fn refusals(team: &Running) -> u64 {
 }
 
 #[test]
-fn operators_act_in_turn_and_ten_at_once_whatever_their_clocks_say() {
+fn operators_act_in_turn_and_ten_at_once_with_any_clocks() {
     let _beside = beside();
     let (Some(team), Some(_)) = (case(), clock("+0")) else { return };
     team.driven();
-    // One operator for as long as it lasts, which asks ten times a second and is to be answered.
+    // One operator for the whole time, which sends ten requests a second and must be answered.
     let (tell, answers) = sync_channel(1 << 16);
     let asks = |_| vec![Wire::Stop(Stop::ask(HostId::operator(9)))];
     let hears = move |message: &Wire| {
@@ -322,7 +322,7 @@ fn longest_gap(answers: &Receiver<Instant>) -> Duration {
 }
 
 #[test]
-fn a_robot_that_restarts_is_heard_again_within_a_second_whatever_its_clock_says() {
+fn a_restarted_robot_is_accepted_within_a_second_with_any_clock() {
     let _alone = alone();
     let (Some(mut team), Some(_)) = (case(), clock("+0")) else { return };
     team.driven();

@@ -1,8 +1,8 @@
-//! The emergency stop as an operator has it: `stop`, `stop --rearm` and `resume` against teams of real processes, each
-//! host a network namespace, frames lost, the operator on a machine that has only the link of the stop; and what
-//! members that lie, relays that hold commands back and wrong clocks do to it.
+//! The emergency stop: `stop`, `stop --rearm` and `resume` against teams of real processes. Each host has a network
+//! namespace, frames are lost, and the operator's machine has only the link of the stop. Also with malicious members,
+//! relays that delay commands, and wrong clocks.
 //!
-//! `MURMURATE_STOPS=20` stops each team so often; 'just full-stop' runs what takes long.
+//! `MURMURATE_STOPS=20` stops each team 20 times; 'just full-stop' includes the long tests.
 
 mod members;
 mod relay;
@@ -12,7 +12,7 @@ use crate::alone;
 use crate::crew::report;
 use team::{CONFIRMED_S, Case, STANDS, Stopped, WORST_S};
 
-/// Whether everything is to run; says so where not.
+/// Whether the long tests run; prints a notice if not.
 fn in_full(what: &str) -> bool {
     let full = std::env::var_os("MURMURATE_STOPS").is_some();
     if !full {
@@ -25,7 +25,7 @@ fn stops() -> usize {
     std::env::var("MURMURATE_STOPS").map_or(2, |often| often.parse().expect("MURMURATE_STOPS is a number"))
 }
 
-/// Stops a team so often; how many stops there were, and how many of them were late.
+/// Stops a team many times; returns the number of stops and of late ones.
 fn stops_in_time(case: &Case) -> Option<(usize, usize)> {
     let _alone = alone();
     let mut team = case.start()?;
@@ -83,6 +83,6 @@ fn a_stop_of_every_team_file_is_confirmed_and_holds_until_a_resume() {
         }
     }
     report(&format!("{late} of {all} stops were late"));
-    // Of 200 stops 198 have to be in time.
+    // Of 200 stops 198 must be in time.
     assert!(late * 100 <= all, "{late} of {all} stops were late");
 }

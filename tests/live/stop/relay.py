@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""A relay between two networks that has no key: passes all frames on, or holds motor commands back.
+"""A relay between two networks, without the key: passes all frames on, or delays motor commands.
 
 Run with the names of its two interfaces and the version of the wire; told what to do by lines on standard input:
   pass         everything goes on at once
   hold         motor commands from the first interface are kept; all else goes on
-  hold-bare    the same, but those with a link report on board go on
+  hold-bare    the same, but those with a piggybacked link report go on
   release MS   what was kept for longer than so many milliseconds goes on now; the answer is how many frames that are
   jitter MS    every frame is delayed by a random time of up to so many milliseconds
 Each command is answered by a line with the number of frames that are kept."""
@@ -15,7 +15,7 @@ VERSION = int(sys.argv[3])
 
 
 def blocks(frame):
-    """What the blocks of a datagram of the team hold; nothing of any other frame."""
+    """Contents of the blocks of a datagram of the team; empty for any other frame."""
     if frame[12:14] != b"\x08\x00" or frame[23] != 17:
         return []
     udp = 14 + 4 * (frame[14] & 15)

@@ -1,4 +1,4 @@
-//! A relay without the key between the robots and their motors: what it holds back and releases later drives nobody.
+//! A relay without the key between robots and their motors: commands that it delays drive no robot.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Stdio};
@@ -12,7 +12,7 @@ use crate::crew::{Said, report};
 use crate::stop::in_full;
 use crate::stop::team::{Case, Running};
 
-/// The relay's process.
+/// Process of the relay.
 struct Relay {
     child: Child,
     tell: ChildStdin,
@@ -37,7 +37,7 @@ impl Relay {
         line.trim().to_owned()
     }
 
-    /// Gives a command; how many frames are kept after it.
+    /// Sends a command; returns the number of frames that the relay holds after it.
     fn tell(&mut self, command: &str) -> usize {
         writeln!(self.tell, "{command}").expect("it listens");
         self.answer().parse().expect("a number")
@@ -57,8 +57,8 @@ fn relayed() -> Option<(Running, Relay)> {
     Some((team, relay))
 }
 
-/// Commands are held back while the team runs, a stop comes between, and they are released after so long: while it is
-/// stopped, or while it is held.
+/// Delays commands while the team runs, stops the team, and releases them after this time: while it is stopped, or
+/// while it is held.
 fn released_after(team: &mut Running, relay: &mut Relay, held: Duration, rearmed: bool) {
     team.driven();
     relay.tell("hold");
@@ -82,7 +82,7 @@ fn released_after(team: &mut Running, relay: &mut Relay, held: Duration, rearmed
     ));
 }
 
-/// Without any stop, and beside commands that go on because a report is on board: what is older is refused.
+/// Delays commands without a stop, while those with a piggybacked report pass: the older ones are refused.
 fn released_beside_reports(team: &mut Running, relay: &mut Relay) {
     team.driven();
     let before = late(team);
@@ -90,7 +90,7 @@ fn released_beside_reports(team: &mut Running, relay: &mut Relay) {
     team.crew.pass(Duration::from_millis(1500));
     let released = relay.tell("release 500") as u64;
     assert!(released >= 20, "{released} commands were held back");
-    // Counts are told once a second.
+    // Counts are reported once a second.
     late(team);
     late(team);
     let refused = late(team) - before;
@@ -99,7 +99,7 @@ fn released_beside_reports(team: &mut Running, relay: &mut Relay) {
     report(&format!("{released} commands, released after 0.5 s beside reports: all refused"));
 }
 
-/// Commands that were held back before a stop are released after the resume, beside newer ones: all are refused.
+/// Delays commands before a stop and releases them after the resume, beside newer ones: all are refused.
 fn released_after_a_resume(team: &mut Running, relay: &mut Relay) {
     team.driven();
     relay.tell("hold");
@@ -118,7 +118,7 @@ fn released_after_a_resume(team: &mut Running, relay: &mut Relay) {
     report(&format!("{released} commands of before a stop, released after the resume: all refused"));
 }
 
-/// How many datagrams the World's host has refused as late.
+/// Returns the number of datagrams that the World's host has refused as late.
 fn late(team: &Running) -> u64 {
     team.crew.until("the World's host tells its counts", |heard| match &heard.said {
         Said::Event(HostEvent::Counted(counted)) if heard.host == "world" => Some(counted.links.late),
@@ -127,7 +127,7 @@ fn late(team: &Running) -> u64 {
 }
 
 #[test]
-fn commands_that_a_relay_holds_back_drive_nobody_and_jitter_loses_nothing() {
+fn commands_that_a_relay_delays_drive_no_robot_and_jitter_loses_nothing() {
     let _beside = beside();
     let Some((mut team, mut relay)) = relayed() else { return };
     team.driven();
@@ -142,7 +142,7 @@ fn commands_that_a_relay_holds_back_drive_nobody_and_jitter_loses_nothing() {
 }
 
 #[test]
-fn commands_that_a_relay_holds_back_for_minutes_drive_nobody() {
+fn commands_that_a_relay_delays_for_minutes_drive_no_robot() {
     if !in_full("holding back for minutes") {
         return;
     }

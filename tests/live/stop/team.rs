@@ -15,22 +15,22 @@ use murmurate::deploy::Deployment;
 use murmurate::messages::wire::Kind;
 use nix::sys::signal::Signal;
 
-/// How many frames of a hundred each receiver loses.
+/// Share of frames that each receiver loses \[%\].
 const LOSS_PERCENT: u32 = 20;
-/// How long the motors may take to stand, from the start of the operator's process, and robots to confirm it.
+/// Longest times from the start of the operator's process until the motors stand still, and until robots confirm.
 pub const STANDS: Duration = Duration::from_millis(200);
 pub const CONFIRMED_S: f64 = 0.5;
 pub const WORST_S: f64 = 1.0;
-/// A step of the World, and how late its line may be.
+/// A step of the World, with the allowed lateness of its line.
 pub const STEP: Duration = Duration::from_millis(60);
-/// How long nobody may move after a re-arm.
+/// Time after a re-arm for which no robot may move.
 const HELD: Duration = Duration::from_millis(1500);
 pub const OPERATOR: &str = "operator";
 
-/// By host: variables of the environment that its processes are started with.
+/// Environment variables of started processes, by host.
 pub type Clocks = Rc<RefCell<BTreeMap<String, Vec<(String, String)>>>>;
 
-/// A team of one of the files in `teams/`, with a key and interfaces of its own.
+/// Team of one of the files in `teams/`, with its own key and interfaces.
 pub struct Case {
     pub mode: &'static str,
     pub file: &'static str,
@@ -39,24 +39,24 @@ pub struct Case {
     pub relayed: bool,
 }
 
-/// A team that runs.
+/// Running team.
 pub struct Running {
     pub lab: Lab,
     pub crew: Crew,
     pub file: String,
     pub sets: Vec<String>,
-    /// The host of the state server.
+    /// Name of the state server's host.
     pub server: String,
-    /// Variables that set the clock of a host that is started.
+    /// Variables that set the clocks of hosts at their start.
     pub clocks: Clocks,
     _folder: tempfile::TempDir,
 }
 
-/// The outcome of one stop.
+/// Result of one stop.
 pub struct Stopped {
-    /// When the motors stood, from the start of the operator's process.
+    /// Time from the start of the operator's process until the motors stood still.
     pub stood: Duration,
-    /// When everyone had confirmed, by the operator's own clock \[s\].
+    /// Time until all robots had confirmed, by the operator's clock \[s\].
     pub took_s: f64,
 }
 
@@ -94,7 +94,7 @@ impl Case {
         }
         let source = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("teams/{}.toml", self.file));
         let source = std::fs::read_to_string(source).expect("it is there");
-        // Interfaces of single hosts are those of real machines.
+        // Fields of single hosts name the interfaces of real machines.
         let source = source.split("\n# The PC is cabled").next().expect("there is a beginning");
         let (folder, file) = folder(&source.replace("key_file = \"team.key\"\n", ""));
         let server = deployment.hosts.iter().find(|host| host.state_server).expect("there is one").name.clone();
@@ -131,7 +131,7 @@ fn words(file: &str, sets: &[String]) -> Vec<String> {
 }
 
 impl Running {
-    /// A command of the operator.
+    /// Returns a command of the operator.
     pub fn command(&self, words_of: &[&str]) -> Command {
         let mut command = self.lab.command(OPERATOR, env!("CARGO_BIN_EXE_murmurate"));
         let key = Path::new(&self.file).with_file_name("team.key");
@@ -140,7 +140,7 @@ impl Running {
         command
     }
 
-    /// Runs a command of the operator; what it printed, and when it was started.
+    /// Runs a command of the operator; returns its output and the time of its start.
     pub fn operator(&self, words: &[&str]) -> (Output, Instant) {
         let mut command = self.command(words);
         let began = Instant::now();
@@ -154,7 +154,7 @@ impl Running {
         (serde_json::from_str(&out).expect("one JSON object"), began)
     }
 
-    /// Waits until every robot was driven since.
+    /// Waits until every robot was driven at least once from now on.
     pub fn driven(&self) {
         let mut waiting = vec![0, 1, 2, 3, 4];
         self.crew.row("all robots are driven", |row, _| {
@@ -163,11 +163,11 @@ impl Running {
         });
     }
 
-    /// Stops the team; when it stood and when it had confirmed.
+    /// Stops the team; returns when it stood still and when it had confirmed.
     pub fn stop(&self) -> Stopped {
         let (said, began) = self.succeeds(&["stop"]);
         let deadline = Instant::now() + STEP;
-        // The first step of the World after which nobody is driven any more.
+        // The first step of the World after which no robot is driven any more.
         let mut stood = None;
         self.crew.until("the World steps on", |heard: &Heard| {
             if let Said::Row(row) = &heard.said
@@ -182,7 +182,7 @@ impl Running {
         Stopped { stood: stood.saturating_duration_since(began), took_s }
     }
 
-    /// Nobody is driven for a while.
+    /// Checks that no robot is driven for a while.
     pub fn nobody_moves(&self, what: &str) {
         let deadline = Instant::now() + HELD;
         self.crew.until("time goes by", |heard: &Heard| {
@@ -193,7 +193,7 @@ impl Running {
         });
     }
 
-    /// One stop, re-arm and resume; every second time the state server is killed and started again while the team is
+    /// Runs one stop, re-arm and resume; every second time the state server is killed and restarted while the team is
     /// held.
     pub fn cycle(&mut self, number: usize) -> Stopped {
         let kill = number % 2 == 1;
@@ -212,7 +212,7 @@ impl Running {
         }
         self.nobody_moves("after the re-arm");
         let deadline = Instant::now() + Duration::from_secs(15);
-        // A state server that was started afresh has to hear everyone first, and refuses until then, by name.
+        // A restarted state server must receive every robot first, and until then refuses with the missing ones.
         loop {
             let (output, _) = self.operator(&["resume"]);
             if output.status.code() == Some(0) {

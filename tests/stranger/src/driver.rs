@@ -1,4 +1,4 @@
-//! The driver `datagrams`: a robot that takes its velocity as datagrams of two numbers. Such a robot is in `source.rs`.
+//! The driver `datagrams`, for robots that take their velocity as datagrams of two numbers. `source.rs` has one.
 
 use std::net::{SocketAddr, UdpSocket};
 
@@ -11,15 +11,15 @@ use murmurate::messages::local::Drive;
 use murmurate::time::Time;
 use serde::Deserialize;
 
-/// Its line in a registry.
+/// Entry in a registry.
 pub const DATAGRAMS: Entry =
     Entry { name: "datagrams", about: "robots that take their velocity as datagrams of two numbers", make };
 
-/// What a deployment says of it.
+/// Settings in a deployment.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
-    /// Where the robot listens.
+    /// Address at which the robot listens.
     robot: SocketAddr,
 }
 
@@ -28,7 +28,7 @@ fn make(settings: &Settings, _: RobotId) -> Result<Made, ConfigError> {
     Ok(Made { driver: Box::new(|| Box::new(Datagrams)), worker: Some(Box::new(Sender { robot })) })
 }
 
-/// The part on the control thread: pure.
+/// Driver on the control thread, without I/O.
 struct Datagrams;
 
 impl Driver for Datagrams {
@@ -46,7 +46,7 @@ impl Driver for Datagrams {
     }
 }
 
-/// The part on a thread of its own: it does the I/O.
+/// Worker on its own thread, which does the I/O.
 struct Sender {
     robot: SocketAddr,
 }
@@ -55,7 +55,7 @@ impl Worker for Sender {
     fn run(self: Box<Self>, mut port: Port) {
         let socket = UdpSocket::bind("127.0.0.1:0").expect("a machine has a loopback interface");
         while let Some(packet) = port.wait() {
-            // What is lost on the way, the next one makes good.
+            // The next datagram replaces a lost one.
             let _ = socket.send_to(&packet, self.robot);
         }
     }

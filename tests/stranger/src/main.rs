@@ -1,4 +1,4 @@
-//! Murmurate's program with a scenario, a policy, a plant, a driver and a source more. Start from a copy of this crate.
+//! Murmurate's program with an additional scenario, policy, plant, driver and source. Start from a copy of this crate.
 
 mod driver;
 mod plant;

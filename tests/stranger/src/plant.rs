@@ -1,5 +1,5 @@
 //! The plant `glide`: points that follow their commands with a lag, pass through each other, and stop at the edge. The
-//! judge sees how near they come all the same.
+//! judge still measures their distances.
 
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::random::Seed;
@@ -7,7 +7,7 @@ use murmurate::scenario::Arena;
 use murmurate::time::Span;
 use murmurate::world::{Entry, Physics, Plant, PlantState};
 
-/// Its line in a registry.
+/// Entry in a registry.
 pub const GLIDE: Entry = Entry {
     name: "glide",
     about: "points that follow their commands with a lag",
@@ -20,7 +20,7 @@ const PERIOD: Span = Span::from_millis(50);
 
 struct Glide {
     half_extent: Vec2,
-    /// The share of a change of velocity that is made in one step.
+    /// Share of a change of velocity that one step makes.
     gain: f32,
     commands: Vec<Vec2>,
     states: Vec<PlantState>,

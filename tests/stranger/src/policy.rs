@@ -1,5 +1,5 @@
-//! The policy `give-way`: straight to the goal, slower the nearer someone is ahead. Robots say how far they still have
-//! to go, and whoever is nearer to its goal goes first.
+//! The policy `give-way`: straight to the goal, slower the nearer a robot ahead is. Robots broadcast their distances to
+//! their goals, and the one nearer to its goal goes first.
 
 use murmurate::messages::geometry::Vec2;
 use murmurate::policy::{Entry, Interface, Model, Neighbour, Policy};
@@ -7,7 +7,7 @@ use murmurate::random::Stream;
 use murmurate::scenario::Observation;
 use murmurate::time::Span;
 
-/// Its line in a registry.
+/// Entry in a registry.
 pub const GIVE_WAY: Entry = Entry {
     name: "give-way",
     about: "straight to the goal, and whoever is nearer to it goes first",
@@ -22,7 +22,7 @@ const INTERFACE: Interface = Interface {
     hold: Span::from_millis(200),
 };
 
-/// Someone nearer than this is in the way \[m\].
+/// Distance below which another robot is in the way \[m\].
 const NEAR_M: f32 = 0.9;
 
 struct GiveWay;

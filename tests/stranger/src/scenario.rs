@@ -1,4 +1,4 @@
-//! The scenario `round`: robots stand on a circle with one free place, and each goes on to the next.
+//! The scenario `round`: robots stand on a circle with one free place, and each moves to the next place.
 
 use std::f32::consts::TAU;
 use std::sync::Arc;
@@ -6,13 +6,13 @@ use std::sync::Arc;
 use murmurate::messages::geometry::{Motion, Task, Vec2};
 use murmurate::messages::local::Contacts;
 use murmurate::random::{Rng, Seed};
-use murmurate::scenario::{Arena, Entry, Frame, Rules, Scenario, ScenarioError, Settings, Stage};
+use murmurate::scenario::{Arena, Entry, Frame, Rules, Scenario, ScenarioError, Settings, Stage, TeamSizes};
 use murmurate::time::Span;
 
-/// Its line in a registry.
+/// Entry in a registry.
 pub const ROUND: Entry = Entry { name: "round", about: "robots on a circle go on to the next place", build };
 
-/// How far places lie from the middle \[m\].
+/// Distance of the places from the centre \[m\].
 const RADIUS_M: f32 = 1.5;
 
 #[derive(Debug)]
@@ -22,10 +22,7 @@ struct Round {
 }
 
 fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
-    let robots = settings.robots.unwrap_or(5);
-    if !(1..=8).contains(&robots) {
-        return Err(ScenarioError::Robots { scenario: ROUND.name, min: 1, max: 8, robots });
-    }
+    let robots = TeamSizes::new(1, 8).check(ROUND.name, settings.robots.unwrap_or(5))?;
     if let Some(gap_m) = settings.gap_m {
         return Err(ScenarioError::Gap { scenario: ROUND.name, gap_m, hint: "; it has no walls" });
     }
@@ -35,7 +32,7 @@ fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
 }
 
 impl Round {
-    /// The place that a robot has before this episode \[m\].
+    /// Returns the place of a robot before this episode \[m\].
     fn place(&self, seed: u64, episode: u32, robot: usize) -> Vec2 {
         let turned = Seed::of_run(seed).stream("round/turned").next_u32() as f32 / u32::MAX as f32;
         let angle = TAU * (turned + (robot as f32 + episode as f32) / (self.robots + 1) as f32);
@@ -65,13 +62,13 @@ impl Scenario for Round {
         Frame::World
     }
 
-    /// Speed toward the goal, one off for a contact.
-    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> f32 {
+    /// Returns the speed toward the goal, minus one for a contact.
+    fn reward(&self, task: &Task, after: &Motion, contacts: Contacts, stage: &mut Stage) -> Option<f32> {
         if self.reached(task, after.position) {
             *stage = Stage(1);
         }
         let way = (task.goal - after.position).try_normalize(1e-6).unwrap_or_default();
-        way.dot(&after.velocity) - if contacts.robot || contacts.wall { 1.0 } else { 0.0 }
+        Some(way.dot(&after.velocity) - if contacts.robot || contacts.wall { 1.0 } else { 0.0 })
     }
 
     fn finished(&self, stage: Stage) -> bool {

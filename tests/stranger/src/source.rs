@@ -1,5 +1,5 @@
 //! The source `bench`: a robot on a test bench, which takes its velocity as datagrams of two numbers (`driver.rs`) and
-//! says where it would be. It begins where the deployment says.
+//! reports the position that it would have. The deployment gives its start.
 
 use std::net::{SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
@@ -13,19 +13,19 @@ use murmurate::messages::wire::Reading;
 use murmurate::time::{Span, Time};
 use serde::Deserialize;
 
-/// Its line in a registry.
+/// Entry in a registry.
 pub const BENCH: Entry = Entry { name: "bench", about: "a robot on a test bench, driven by datagrams", make };
 
-/// A robot that hears nothing for so long stands.
+/// Time without a datagram after which the robot stops.
 const PATIENCE: Duration = Duration::from_millis(500);
 
-/// What a deployment says of it.
+/// Settings in a deployment.
 #[derive(Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Config {
-    /// Where the robot listens.
+    /// Address at which the robot listens.
     listens: SocketAddr,
-    /// Where it begins \[m\].
+    /// Start position \[m\].
     begins: [f32; 2],
 }
 
@@ -37,7 +37,7 @@ fn make(settings: &Settings, robots: &[RobotId]) -> Result<Made, ConfigError> {
     Ok(Made { source: Box::new(move || Box::new(Bench { robot })), worker: Box::new(Robot { config }) })
 }
 
-/// The part on the control thread: pure.
+/// Source on the control thread, without I/O.
 struct Bench {
     robot: RobotId,
 }
@@ -60,7 +60,7 @@ impl Source for Bench {
     }
 }
 
-/// The part on a thread of its own: the bench itself.
+/// Worker on its own thread, which simulates the bench.
 struct Robot {
     config: Config,
 }
@@ -69,10 +69,10 @@ impl Worker for Robot {
     fn run(self: Box<Self>, port: Port) {
         let socket = UdpSocket::bind(self.config.listens).expect("nobody else has the robot's port");
         socket.set_read_timeout(Some(Duration::from_millis(20))).expect("a socket can wait");
-        let (began, mouth) = (Instant::now(), port.mouth());
+        let (began, sender) = (Instant::now(), port.sender());
         let (mut position, mut velocity) = (Vec2::from(self.config.begins), Vec2::zeros());
         let (mut heard, mut before) = (began, began);
-        while !mouth.is_closed() {
+        while !sender.is_closed() {
             let mut bytes = [0; 8];
             let came = matches!(socket.recv(&mut bytes), Ok(8));
             let now = Instant::now();
@@ -87,7 +87,7 @@ impl Worker for Robot {
             }
             let stamp = Span::from_secs(now.duration_since(began).as_secs_f64()).as_nanos().to_le_bytes();
             let numbers = [position.x, position.y, velocity.x, velocity.y].map(f32::to_le_bytes);
-            mouth.say([&stamp[..], &numbers.concat()].concat().into());
+            sender.send([&stamp[..], &numbers.concat()].concat().into());
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Datagrams read from a socket, one or many with one call. What they say never matters here.
+//! Reads datagrams from a socket, one or many with one call. Does not interpret them.
 
 use std::array;
 use std::io;
@@ -11,14 +11,14 @@ use nix::sys::socket::{MsgFlags, MultiHeaders, SockaddrStorage, recvmmsg};
 
 use crate::net::protocol::codec::MAX_FRAME_BYTES;
 
-/// Datagrams that one call reads at most.
+/// Most datagrams that one call reads.
 const MANY: usize = 32;
-/// Datagrams that the first call reads at most: mostly there are no more, and each place is made ready for each call.
+/// Most datagrams that the first call reads: usually there are no more, and each buffer is prepared for each call.
 const FEW: usize = 2;
-/// Room for one datagram: one byte more than the longest, so that a longer one is known by its length.
+/// Buffer size for one datagram: one byte more than the longest, so that a longer one is recognized by its length.
 const ROOM: usize = MAX_FRAME_BYTES + 1;
 
-/// Buffers to read into.
+/// Receive buffers.
 #[derive(Debug)]
 pub(super) struct Batch {
     bytes: Box<[u8]>,
@@ -26,7 +26,7 @@ pub(super) struct Batch {
 }
 
 impl Batch {
-    /// Room for as many as one call reads.
+    /// Returns buffers for as many datagrams as one call reads.
     pub(super) fn new() -> Batch {
         Batch { bytes: vec![0; MANY * ROOM].into_boxed_slice(), headers: MultiHeaders::preallocate(MANY, None) }
     }
@@ -38,7 +38,7 @@ impl Batch {
         Ok(())
     }
 
-    /// Reads datagrams until none is left or `limit` are read, or a few more; how many.
+    /// Reads datagrams until none is left or about `limit` are read; returns their number.
     pub(super) fn many(
         &mut self,
         socket: &UdpSocket,
@@ -48,7 +48,7 @@ impl Batch {
         let mut read = self.some::<FEW>(socket, &mut take)?;
         let mut full = read == FEW;
         while full && read < limit {
-            // An error is met again by the next read, or has passed.
+            // The next read returns an error that persists.
             let count = self.some::<MANY>(socket, &mut take).unwrap_or(0);
             read += count;
             full = count == MANY;
@@ -56,7 +56,7 @@ impl Batch {
         Ok(read)
     }
 
-    /// Reads up to `MOST` datagrams with one call; how many.
+    /// Reads up to `MOST` datagrams with one call; returns their number.
     fn some<const MOST: usize>(
         &mut self,
         socket: &UdpSocket,

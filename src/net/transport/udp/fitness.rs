@@ -1,25 +1,25 @@
-//! Whether this machine is fit for the sockets of a link: its interface, the size of packets, the address, the buffer.
+//! Checks of this machine for the sockets of a link: interface, packet size, address, receive buffer.
 
 use super::open::OpenError;
-use super::socket::{SocketConfig, Whom};
+use super::socket::{Addressing, SocketConfig};
 use super::{Filter, Udp};
 use crate::messages::ids::HostId;
 use crate::net::protocol::codec::MAX_FRAME_BYTES;
 use crate::net::transport::interface;
 use crate::net::transport::{Finding, Fitness};
 
-/// What is found of the sockets of this host on the link of this name, for a person.
-pub(super) fn examine(
+/// Checks the sockets of this host on the link of this name; returns the findings.
+pub(super) fn check(
     config: &SocketConfig,
     (host, link): (HostId, &str),
     mtu: &dyn Fn(&str) -> Option<usize>,
 ) -> Vec<Finding> {
     let mut all = Vec::new();
     let mut add = |fitness, what, found: String, advice: String| all.push(Finding { fitness, what, found, advice });
-    let address = match &config.whom {
-        Whom::Group(group) => Some(*group),
-        Whom::Each { listen, .. } => Some(*listen),
-        Whom::FromAnywhere { .. } => None,
+    let address = match &config.addressing {
+        Addressing::Multicast(group) => Some(*group),
+        Addressing::Unicast { listen, .. } => Some(*listen),
+        Addressing::Guest { .. } => None,
     };
     let v6 = address.is_some_and(|address| address.is_ipv6());
     let found = interface::interfaces().and_then(|all| interface::find(&all, &config.interface, v6));
@@ -45,15 +45,15 @@ pub(super) fn examine(
         ),
         None => add(Fitness::Warn, "MTU", "unknown".to_owned(), format!("see that it is {needed} bytes or more")),
     }
-    let (what, said) = match &config.whom {
-        Whom::Group(group) => ("group", format!("{group} joined")),
-        Whom::Each { listen, .. } => ("address", format!("{listen} free")),
-        Whom::FromAnywhere { .. } => ("address", "any".to_owned()),
+    let (what, said) = match &config.addressing {
+        Addressing::Multicast(group) => ("group", format!("{group} joined")),
+        Addressing::Unicast { listen, .. } => ("address", format!("{listen} free")),
+        Addressing::Guest { .. } => ("address", "any".to_owned()),
     };
     match Udp::open(host, config, Filter::All) {
         Ok(udp) => {
             add(Fitness::Ok, what, said, String::new());
-            // The kernel doubles what it is asked for, to keep its own books in, and tells the double.
+            // The kernel doubles the requested size for its own bookkeeping and reports the double.
             let (granted, wanted) = (udp.granted_bytes() / 2, config.receive_buffer_bytes);
             if granted >= wanted {
                 add(Fitness::Ok, "receive buffer", format!("{granted} bytes"), String::new());

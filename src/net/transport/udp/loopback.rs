@@ -1,19 +1,19 @@
-//! Decides whether the kernel hands what a process sends to a group to the other processes of its machine, too. To do
-//! it for nobody costs a robot a tenth of what it takes to send.
+//! Multicast loopback: whether the kernel also delivers a group's datagrams to the other processes of the machine. To
+//! do so for no receiver costs a robot a tenth of its sending.
 
 use crate::time::{Span, Time};
 
-/// How long a process of this machine counts as there after it was heard. With a key each says something at least four
-/// times a second.
-const STAYS: Span = Span::from_millis(1000);
-/// How often a datagram is handed over in any case, so that a process that has just started hears of this one. Two that
-/// hear each other keep the loop on.
+/// Time for which another process of this machine counts as present after a datagram from it. With a key each sends at
+/// least four times a second.
+const PRESENT: Span = Span::from_millis(1000);
+/// Interval at which a datagram is looped in any case, so that a process that has just started receives one. Two
+/// processes that receive each other's datagrams keep the loop on.
 const PROBE: Span = Span::from_millis(1000);
 
-/// The loop of one socket, which begins switched on.
+/// Loopback state of one socket; it is on at first.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Loopback {
-    /// Whether the interface has nothing but this machine.
+    /// Whether the socket is on the loopback interface.
     always: bool,
     on: bool,
     heard: Option<Time>,
@@ -21,17 +21,17 @@ pub(super) struct Loopback {
 }
 
 impl Loopback {
-    /// The loop of a socket on the loopback interface (`always`) or on any other.
+    /// Returns the state for a socket on the loopback interface (`always`) or on any other.
     pub(super) fn new(always: bool) -> Loopback {
         Loopback { always, on: true, heard: None, probed: None }
     }
 
-    /// Another process of this machine was heard.
+    /// Notes a datagram of another process of this machine.
     pub(super) fn heard(&mut self, now: Time) {
         self.heard = Some(now);
     }
 
-    /// A datagram leaves now: what the loop is to be switched to first, if that is a change.
+    /// Returns the setting to switch to before a datagram is sent now, if that is a change.
     pub(super) fn switch(&mut self, now: Time) -> Option<bool> {
         if self.always {
             return None;
@@ -40,9 +40,9 @@ impl Loopback {
         if probe {
             self.probed = Some(now);
         }
-        // Who has just started has not been answered yet.
+        // A process that has just started has not been answered yet.
         let heard = *self.heard.get_or_insert(now);
-        let on = probe || now.since(heard) < STAYS;
+        let on = probe || now.since(heard) < PRESENT;
         (std::mem::replace(&mut self.on, on) != on).then_some(on)
     }
 }

@@ -1,5 +1,5 @@
-//! UDP: the sockets of one link of one host, open. `socket.rs` has them as data, `multicast.rs` and `unicast.rs` are
-//! the transports that are made of them. What frames mean, and who may send them, never matters here.
+//! UDP: the open sockets of one link of one host. `socket.rs` has their configuration, `multicast.rs` and `unicast.rs`
+//! are the transports made of them. Nothing here interprets frames or decides who may send them.
 
 mod batch;
 mod filter;
@@ -27,34 +27,35 @@ use crate::net::protocol::router::Audience;
 use crate::net::transport::udp::batch::Batch;
 use crate::net::transport::udp::guests::Guests;
 use crate::net::transport::udp::loopback::Loopback;
-use crate::net::transport::udp::open::{OpenError, guest, listener, speaker};
-use crate::net::transport::udp::socket::{SocketConfig, Whom};
+use crate::net::transport::udp::open::{OpenError, guest_socket, receiving_socket, sending_socket};
+use crate::net::transport::udp::socket::{Addressing, SocketConfig};
 use crate::net::transport::{Counts, Filter, In, Transmit, Transport};
 use crate::time::{Span, Time};
 
 /// Datagrams that are read before the other actors have their turn: a quarter of a millisecond of work.
 const READ_AT_ONCE: usize = 128;
-/// A link that rings again within this time is busy. Longer than a turn takes, and than another link's flood holds this
-/// one up: what is read once a ring falls behind for ever where more than one arrives between two rings.
+/// Interval of readiness events below which a link is busy. It is longer than a turn of the driver and than the delay
+/// by another link's flood. A link read once per event would otherwise fall behind for ever when more than one datagram
+/// arrives between two events.
 const BUSY: Span = Span::from_millis(10);
-/// How long a flooded link is left alone after each reading. With `READ_AT_ONCE` it bounds what a flood costs: 128 000
-/// datagrams a second, in 1000 turns. What the kernel has no room for until then is lost.
+/// Pause of a flooded link after each read. With `READ_AT_ONCE` it bounds the cost of a flood: 128 000 datagrams a
+/// second, in 1000 turns. Datagrams for which the kernel has no room meanwhile are lost.
 pub const REST: Span = Span::from_millis(1);
-/// Datagrams within `REST` from which a link is flooded: four times what the fastest team says.
+/// Datagrams within `REST` from which a link is flooded: four times what the fastest team sends.
 const FLOOD: usize = 20;
-/// Datagrams of one reading below which a flood is over.
+/// Datagrams of one read below which a flood is over.
 const EBB: usize = 10;
 
-/// The sockets of one link on one host.
+/// Sockets of one link on one host.
 #[derive(Debug)]
 struct Udp {
-    /// Hears what the others send.
-    ears: Rc<UdpSocket>,
+    /// Receives; on a unicast link it also sends.
+    socket: Rc<UdpSocket>,
     to: To,
-    /// How much the kernel keeps \[bytes\].
+    /// Receive buffer that the kernel has granted \[bytes\].
     granted: usize,
     batch: Batch,
-    /// When it was last looked whether something has arrived.
+    /// Time of the last read.
     looked: Time,
     flood: Flood,
     unsent: u64,
@@ -62,12 +63,12 @@ struct Udp {
 
 #[derive(Debug)]
 enum To {
-    /// Through a socket of its own, so that its port tells this process's frames from those of others on the same
-    /// machine.
-    Group { mouth: UdpSocket, own: SocketAddr, loopback: Loopback },
+    /// Sends through a socket of its own, whose port distinguishes this process's frames from those of other processes
+    /// on the same machine.
+    Group { tx: UdpSocket, own: SocketAddr, loopback: Loopback },
     Peers {
         peers: BTreeMap<HostId, SocketAddr>,
-        /// None where this process is a guest itself: it is answered, and answers nobody else.
+        /// None if this process is a guest itself: hosts answer it, and it answers no other guest.
         guests: Option<Guests>,
     },
 }
@@ -75,32 +76,32 @@ enum To {
 impl Udp {
     /// Opens the sockets of a link for this host.
     pub(super) fn open(host: HostId, config: &SocketConfig, filter: Filter) -> Result<Udp, OpenError> {
-        let (address, peers) = match &config.whom {
-            Whom::Group(group) if !group.ip().is_multicast() => return Err(OpenError::NoGroup(*group)),
-            Whom::Group(group) => (*group, None),
-            Whom::Each { listen, peers } => (*listen, Some(peers)),
-            Whom::FromAnywhere { peers } => return Udp::open_guest((host, peers), config, filter),
+        let (address, peers) = match &config.addressing {
+            Addressing::Multicast(group) if !group.ip().is_multicast() => return Err(OpenError::NoGroup(*group)),
+            Addressing::Multicast(group) => (*group, None),
+            Addressing::Unicast { listen, peers } => (*listen, Some(peers)),
+            Addressing::Guest { peers } => return Udp::open_guest((host, peers), config, filter),
         };
         let interface = interface::find(&interface::interfaces()?, &config.interface, address.is_ipv6())?;
         let failed = |what: String| {
             let interface = interface.name.clone();
             move |error| OpenError::Socket { what, interface, error }
         };
-        let ears = listener(address, &interface, config.receive_buffer_bytes)
+        let socket = receiving_socket(address, &interface, config.receive_buffer_bytes)
             .map_err(failed(format!("listen to {address}")))?;
         let (own, to) = match peers {
             Some(peers) => (None, To::peers(host, peers, Some(Guests::default()))),
             None => {
-                let mouth = speaker(address, &interface).map_err(failed(format!("send to {address}")))?;
-                let own = mouth.local_addr().map_err(failed("learn the own port".to_owned()))?;
-                (Some(own), To::Group { mouth, own, loopback: Loopback::new(interface.loopback) })
+                let tx = sending_socket(address, &interface).map_err(failed(format!("send to {address}")))?;
+                let own = tx.local_addr().map_err(failed("learn the own port".to_owned()))?;
+                (Some(own), To::Group { tx, own, loopback: Loopback::new(interface.loopback) })
             }
         };
-        filter::attach(filter, &ears, own);
-        Udp::new(ears, to, config).map_err(failed("ask for the size of the buffer".to_owned()))
+        filter::attach(filter, &socket, own);
+        Udp::new(socket, to, config).map_err(failed("ask for the size of the buffer".to_owned()))
     }
 
-    /// Opens the socket of a host that is in no file: at whatever address the machine has, to all hosts of the link.
+    /// Opens the socket of a host that is in no file: at any address of the machine, to all hosts of the link.
     fn open_guest(
         (host, peers): (HostId, &BTreeMap<HostId, SocketAddr>),
         config: &SocketConfig,
@@ -112,14 +113,14 @@ impl Udp {
             error,
         };
         let v6 = peers.values().any(SocketAddr::is_ipv6);
-        let ears = guest(v6, config.receive_buffer_bytes).map_err(failed)?;
-        filter::attach(filter, &ears, None);
-        Udp::new(ears, To::peers(host, peers, None), config).map_err(failed)
+        let socket = guest_socket(v6, config.receive_buffer_bytes).map_err(failed)?;
+        filter::attach(filter, &socket, None);
+        Udp::new(socket, To::peers(host, peers, None), config).map_err(failed)
     }
 
-    fn new(ears: Socket, to: To, config: &SocketConfig) -> io::Result<Udp> {
-        let granted = ears.recv_buffer_size()?;
-        // The kernel doubles what it is asked for, to keep its own books in, and halves nothing when it tells.
+    fn new(socket: Socket, to: To, config: &SocketConfig) -> io::Result<Udp> {
+        let granted = socket.recv_buffer_size()?;
+        // The kernel doubles the requested size for its own bookkeeping and reports the double.
         if granted < 2 * config.receive_buffer_bytes {
             tracing::warn!(
                 interface = config.interface,
@@ -128,31 +129,31 @@ impl Udp {
             );
         }
         tracing::info!(interface = config.interface, receive_buffer_bytes = granted, "the sockets of a link are open");
-        let (ears, batch) = (Rc::new(UdpSocket::from(ears)), Batch::new());
-        Ok(Udp { ears, to, granted, batch, looked: Time::ZERO, flood: Flood::default(), unsent: 0 })
+        let (socket, batch) = (Rc::new(UdpSocket::from(socket)), Batch::new());
+        Ok(Udp { socket, to, granted, batch, looked: Time::ZERO, flood: Flood::default(), unsent: 0 })
     }
 
-    /// How much the kernel keeps of what has arrived and is not read \[bytes\].
+    /// Receive buffer that the kernel has granted \[bytes\].
     fn granted_bytes(&self) -> usize {
         self.granted
     }
 
     fn transmit(&mut self, now: Time, transmit: &Transmit) {
-        if let Err(error) = self.to.transmit(now, &self.ears, transmit) {
+        if let Err(error) = self.to.transmit(now, &self.socket, transmit) {
             self.unsent += 1;
-            // A link that is down must not fill the log: the first, the second, the fourth, and so on.
+            // Log the first failure, the second, the fourth and so on: a link that is down must not fill the log.
             if self.unsent.is_power_of_two() {
-                tracing::warn!(unsent = self.unsent, "a frame did not get out: {error}");
+                tracing::warn!(unsent = self.unsent, "a frame could not be sent: {error}");
             }
         }
     }
 }
 
-/// Whether more arrives than is worth a wake-up for each.
+/// Detection of a flood: more datagrams than are worth a wake-up each.
 #[derive(Clone, Copy, Debug, Default)]
 struct Flood {
     on: bool,
-    /// How many were read since.
+    /// Datagrams read since then.
     count: usize,
     since: Time,
 }
@@ -177,31 +178,36 @@ impl To {
         To::Peers { peers: others.collect(), guests }
     }
 
-    fn transmit(&mut self, now: Time, ears: &UdpSocket, Transmit { audience, frame, .. }: &Transmit) -> io::Result<()> {
+    fn transmit(
+        &mut self,
+        now: Time,
+        socket: &UdpSocket,
+        Transmit { audience, frame, .. }: &Transmit,
+    ) -> io::Result<()> {
         match (self, audience) {
-            (To::Group { mouth, own, loopback }, _) => {
+            (To::Group { tx, own, loopback }, _) => {
                 if let Some(on) = loopback.switch(now) {
-                    let mouth = SockRef::from(&*mouth);
-                    if own.is_ipv4() { mouth.set_multicast_loop_v4(on) } else { mouth.set_multicast_loop_v6(on) }?;
+                    let tx = SockRef::from(&*tx);
+                    if own.is_ipv4() { tx.set_multicast_loop_v4(on) } else { tx.set_multicast_loop_v6(on) }?;
                 }
-                mouth.send(frame).map(drop)
+                tx.send(frame).map(drop)
             }
             (To::Peers { peers, guests }, Audience::Host(host)) => {
                 let at = peers.get(host).copied().or_else(|| guests.as_ref()?.find(now, *host));
                 let at =
                     at.ok_or_else(|| io::Error::new(io::ErrorKind::AddrNotAvailable, "the host has no address"))?;
-                ears.send_to(frame, at).map(drop)
+                socket.send_to(frame, at).map(drop)
             }
             (To::Peers { peers, guests }, Audience::All) => {
-                // One that cannot be reached keeps nobody else from hearing.
+                // An unreachable peer does not prevent sending to the others.
                 let mut all = Ok(());
-                for at in peers.values().copied().chain(guests.iter_mut().flat_map(|guests| guests.proven(now))) {
-                    all = all.and(ears.send_to(frame, at).map(drop));
+                for at in peers.values().copied().chain(guests.iter_mut().flat_map(|guests| guests.accepted(now))) {
+                    all = all.and(socket.send_to(frame, at).map(drop));
                 }
-                // What has to be echoed is in a report, and nothing else is for one that is not believed yet.
+                // Candidates need only the echoes in reports.
                 if matches!(codec::first(frame), Ok(Content::Report | Content::NumberedReport)) {
-                    for at in guests.iter_mut().flat_map(|guests| guests.unproven(now)) {
-                        all = all.and(ears.send_to(frame, at).map(drop));
+                    for at in guests.iter_mut().flat_map(|guests| guests.candidates(now)) {
+                        all = all.and(socket.send_to(frame, at).map(drop));
                     }
                 }
                 all
@@ -209,8 +215,8 @@ impl To {
         }
     }
 
-    /// Whether what comes from there is for this process; an echo is not, where the kernel's filter has let it through.
-    fn hears(&mut self, now: Time, from: SocketAddr) -> bool {
+    /// Whether a datagram from this address is for this process. An echo that the kernel's filter has passed is not.
+    fn accepts(&mut self, now: Time, from: SocketAddr) -> bool {
         if let To::Group { own, loopback, .. } = self
             && own.ip() == from.ip()
         {
@@ -223,7 +229,7 @@ impl To {
     }
 
     fn admit(&mut self, now: Time, guest: Guest) {
-        // The address in the file stands, and a group is heard by everyone.
+        // An address in the file takes precedence, and every host receives what is sent to a group.
         if let To::Peers { peers, guests: Some(guests) } = self
             && !peers.contains_key(&guest.host)
         {
@@ -233,36 +239,35 @@ impl To {
 }
 
 impl Transport for Udp {
-    fn bell(&self) -> Rc<dyn AsFd> {
-        Rc::clone(&self.ears) as Rc<dyn AsFd>
+    fn descriptor(&self) -> Rc<dyn AsFd> {
+        Rc::clone(&self.socket) as Rc<dyn AsFd>
     }
 
-    /// To ask the kernel in vain costs as
-    /// much as to read, so a quiet link is read once a ring, and only a busy one until nothing is left or it is the
-    /// others' turn.
+    /// A read of an empty socket costs as much as one that succeeds. So a quiet link is read once per readiness event,
+    /// and only a busy one until it is empty or it is the others' turn.
     fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
         let busy = now.since(self.looked) < BUSY || self.flood.on;
         self.looked = now;
         let to = &mut self.to;
         let take = |from: SocketAddr, frame: &[u8]| {
-            if to.hears(now, from) {
+            if to.accepts(now, from) {
                 take(Some(from), frame);
             }
         };
         let read = if busy {
-            self.batch.many(&self.ears, READ_AT_ONCE, take)
+            self.batch.many(&self.socket, READ_AT_ONCE, take)
         } else {
-            self.batch.one(&self.ears, take).map(|()| 1)
+            self.batch.one(&self.socket, take).map(|()| 1)
         };
         match read {
             Ok(count) => self.flood.read(now, count),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => self.flood.read(now, 0),
-            // What a former datagram has met on its way (a closed port, a lost route) says nothing of the next.
-            Err(error) => tracing::debug!("an error has arrived in place of a frame: {error}"),
+            // An error about an earlier datagram (a closed port, a lost route) says nothing of the next one.
+            Err(error) => tracing::debug!("an error in place of a frame: {error}"),
         }
     }
 
-    fn rests_until(&self) -> Option<Time> {
+    fn paused_until(&self) -> Option<Time> {
         self.flood.on.then(|| self.looked + REST)
     }
 
@@ -292,8 +297,8 @@ mod tests {
     const FILTER: Filter = Filter::Team { number: TEAM, tagged: true };
 
     fn multicast(group: &str) -> SocketConfig {
-        let whom = Whom::Group(group.parse().unwrap());
-        SocketConfig { whom, interface: "lo".to_owned(), receive_buffer_bytes: 1 << 16 }
+        let addressing = Addressing::Multicast(group.parse().unwrap());
+        SocketConfig { addressing, interface: "lo".to_owned(), receive_buffer_bytes: 1 << 16 }
     }
 
     fn at(port: u16) -> SocketAddr {
@@ -301,8 +306,8 @@ mod tests {
     }
 
     fn unicast(listen: SocketAddr, ports: &[(HostId, SocketAddr)]) -> SocketConfig {
-        let whom = Whom::Each { listen, peers: ports.iter().copied().collect() };
-        SocketConfig { whom, ..multicast("239.0.0.1:1") }
+        let addressing = Addressing::Unicast { listen, peers: ports.iter().copied().collect() };
+        SocketConfig { addressing, ..multicast("239.0.0.1:1") }
     }
 
     type Arrived = Vec<(SocketAddr, Vec<u8>)>;
@@ -361,9 +366,9 @@ mod tests {
             return tracing::warn!("skipped: no way for multicast of IPv6 on the loopback interface here");
         }
         assert_eq!([hear(&mut one), hear(&mut two)], [vec![], vec![frame(40, 1)]]);
-        let To::Group { mouth, .. } = &one.to else { panic!("it is a group") };
-        mouth.send(&frame(40, 2)).unwrap();
-        assert!(one.ears.recv_from(&mut [0; 64]).is_err(), "the kernel does not wake a process for its own echo");
+        let To::Group { tx, .. } = &one.to else { panic!("it is a group") };
+        tx.send(&frame(40, 2)).unwrap();
+        assert!(one.socket.recv_from(&mut [0; 64]).is_err(), "the kernel does not wake a process for its own echo");
     }
 
     #[test]
@@ -388,7 +393,7 @@ mod tests {
         };
         let read = |udp: &Udp| {
             let mut buffer = [0; 2048];
-            std::iter::from_fn(|| udp.ears.recv(&mut buffer).ok()).collect::<Vec<usize>>()
+            std::iter::from_fn(|| udp.socket.recv(&mut buffer).ok()).collect::<Vec<usize>>()
         };
         let keyed = open(FILTER);
         send();
@@ -421,8 +426,8 @@ mod tests {
         let open = |(host, listen)| Udp::open(host, &unicast(listen, &ports), FILTER).unwrap();
         let [mut one, mut two] = ports.map(open);
         let operator = HostId::operator(5);
-        let whom = Whom::FromAnywhere { peers: ports.into() };
-        let guest = SocketConfig { whom, ..unicast(ports[0].1, &ports) };
+        let addressing = Addressing::Guest { peers: ports.into() };
+        let guest = SocketConfig { addressing, ..unicast(ports[0].1, &ports) };
         let mut guest = Udp::open(operator, &guest, FILTER).unwrap();
         say(&mut guest, Audience::All, &frame(40, 1));
         assert_eq!(hear(&mut two), [frame(40, 1)]);
@@ -433,20 +438,20 @@ mod tests {
         let admit = |one: &mut Udp, host, standing| {
             one.handle(Time::ZERO, In::Admit(Guest { host, at: from, standing }));
         };
-        admit(&mut one, operator, Standing::Unproven);
+        admit(&mut one, operator, Standing::Candidate);
         say(&mut one, Audience::All, &frame(40, 2));
-        assert!(hear(&mut guest).is_empty(), "it is not believed yet");
+        assert!(hear(&mut guest).is_empty(), "it is not accepted yet");
         let mut report: Vec<u8> = frame(HEADER_BYTES, 0).to_vec();
         codec::add(&mut report, Content::Report, |bytes| bytes.extend_from_slice(&[1; 6]));
         report.extend_from_slice(&[0; TAG_BYTES]);
         say(&mut one, Audience::All, &report);
-        assert_eq!(hear(&mut guest), [report], "but hears what it needs for that");
-        admit(&mut one, operator, Standing::Proven);
+        assert_eq!(hear(&mut guest), [report], "but accepts what it needs for that");
+        admit(&mut one, operator, Standing::Accepted);
         say(&mut one, Audience::All, &frame(40, 3));
         say(&mut one, Audience::Host(operator), &frame(40, 4));
         assert_eq!(hear(&mut guest), [frame(40, 3), frame(40, 4)]);
         // A peer stays where the file has it.
-        admit(&mut one, HostId(2), Standing::Proven);
+        admit(&mut one, HostId(2), Standing::Accepted);
         say(&mut one, Audience::Host(HostId(2)), &frame(40, 5));
         assert!(hear(&mut guest).is_empty());
     }
@@ -465,18 +470,18 @@ mod tests {
         let mut out = Vec::new();
         send(40);
         read(&mut one, us(0), &mut out);
-        assert_eq!((out.len(), one.rests_until()), (1, None), "a quiet link is read once a ring");
+        assert_eq!((out.len(), one.paused_until()), (1, None), "a quiet link is read once a ring");
         read(&mut one, us(10), &mut out);
-        assert_eq!((out.len(), one.rests_until()), (40, Some(us(1010))));
+        assert_eq!((out.len(), one.paused_until()), (40, Some(us(1010))));
         send(30);
         read(&mut one, us(1010), &mut out);
-        assert_eq!((out.len(), one.rests_until()), (70, Some(us(2010))), "it goes on");
+        assert_eq!((out.len(), one.paused_until()), (70, Some(us(2010))), "it goes on");
         send(2);
         read(&mut one, us(2010), &mut out);
-        assert_eq!((out.len(), one.rests_until()), (72, None), "it is over");
+        assert_eq!((out.len(), one.paused_until()), (72, None), "it is over");
         send(19);
         (0..19).for_each(|n| read(&mut one, us(10_000 + 200 * n), &mut out));
-        assert_eq!((out.len(), one.rests_until()), (91, None), "5000 a second are no flood");
+        assert_eq!((out.len(), one.paused_until()), (91, None), "5000 a second are no flood");
     }
 
     #[test]

@@ -1,15 +1,15 @@
-//! Multicast: to a group that all hosts of a link listen to.
+//! Multicast: sends to a group that all hosts of a link join.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 
-use super::socket::{INTERFACE, RECEIVE_BUFFER, SocketConfig, Whom, bound};
+use super::socket::{Addressing, INTERFACE, RECEIVE_BUFFER, SocketConfig, bound};
 use crate::config::ConfigError;
 use crate::config::fields::{Takes, Value};
 use crate::net::transport::interface::LOOPBACK;
-use crate::net::transport::{Entry, Field, Given, Way};
+use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 
-/// The port of the default groups.
+/// Port of the default groups.
 const PORT: u16 = 7700;
 
 /// The transport.
@@ -20,29 +20,29 @@ pub const ENTRY: Entry = Entry {
     read,
 };
 
-/// The group of a link that names none: one for each link.
+/// Returns the default group of a link: one for each link.
 fn default_group(at: usize) -> String {
     let last = u8::try_from(at % 254).expect("it is below 254") + 1;
     SocketAddr::new(IpAddr::from([239, 255, 77, last]), PORT).to_string()
 }
 
-fn read(given: &Given) -> Result<Arc<dyn Way>, ConfigError> {
-    let (interface, receive_buffer_bytes) = bound(given)?;
-    let group = given.find("group").map(Value::address).expect("it has a default");
+fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
+    let (interface, receive_buffer_bytes) = bound(settings)?;
+    let group = settings.find("group").map(Value::address).expect("it has a default");
     if !group.ip().is_multicast() {
         let why = format!("{} is no multicast group, such as 239.255.77.1 or ff02::4d75", group.ip());
-        return Err(given.wrong("group", why));
+        return Err(settings.wrong("group", why));
     }
     if group.is_ipv6() && interface == LOOPBACK {
         let why = format!("an IPv6 group never arrives on '{LOOPBACK}'; take an IPv4 group there");
-        return Err(given.wrong("group", why));
+        return Err(settings.wrong("group", why));
     }
-    Ok(Arc::new(SocketConfig { whom: Whom::Group(group), interface, receive_buffer_bytes }))
+    Ok(Arc::new(SocketConfig { addressing: Addressing::Multicast(group), interface, receive_buffer_bytes }))
 }
 
-/// The way onto a link by this group on this interface, where no team file says it. The kernel is asked to keep so many
-/// bytes of what has arrived.
-pub fn way(group: SocketAddr, interface: &str, receive_buffer_bytes: usize) -> Arc<dyn Way> {
+/// Returns an endpoint in this group on this interface, without a team file. The kernel is asked for a receive buffer
+/// of this size.
+pub fn endpoint(group: SocketAddr, interface: &str, receive_buffer_bytes: usize) -> Arc<dyn Endpoint> {
     let interface = interface.to_owned();
-    Arc::new(SocketConfig { whom: Whom::Group(group), interface, receive_buffer_bytes })
+    Arc::new(SocketConfig { addressing: Addressing::Multicast(group), interface, receive_buffer_bytes })
 }

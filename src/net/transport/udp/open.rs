@@ -1,4 +1,4 @@
-//! Sockets of UDP as links want them: bound, pinned to an interface, joined to a group. Asks the kernel, and nothing
+//! Opens UDP sockets for links: bound, restricted to an interface, joined to a group. Calls the kernel and nothing
 //! else.
 
 use std::io;
@@ -9,23 +9,23 @@ use socket2::{Domain, Protocol, Socket, Type};
 use crate::net::transport;
 use crate::net::transport::interface::{Interface, InterfaceError};
 
-/// Why a socket cannot be opened.
+/// Reason for which a socket cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// Its interface cannot be used.
     #[error(transparent)]
     Interface(#[from] InterfaceError),
-    /// The address is no multicast group.
+    /// The address is not a multicast group.
     #[error("{0} is no multicast group; choose one of 239.0.0.0/8 or ff02::/16")]
     NoGroup(SocketAddr),
     /// The kernel refuses.
     #[error("cannot {what} on '{interface}': {error}")]
     Socket {
-        /// What was tried.
+        /// Attempted operation.
         what: String,
-        /// The interface.
+        /// Interface.
         interface: String,
-        /// What the kernel says.
+        /// Error of the kernel.
         error: io::Error,
     },
 }
@@ -34,14 +34,14 @@ impl From<OpenError> for transport::OpenError {
     fn from(error: OpenError) -> transport::OpenError {
         let why = error.to_string();
         match error {
-            // It may come up yet; a wrong name stays wrong.
+            // The interface may come up later; a wrong name stays wrong.
             OpenError::Interface(InterfaceError::Down { .. }) => transport::OpenError::NotNow(why),
             _ => transport::OpenError::Wrong(why),
         }
     }
 }
 
-/// A group of IPv6 is a group of one interface.
+/// Adds the interface to an IPv6 group, which is valid on one interface only.
 pub(super) fn scoped(group: SocketAddr, interface: &Interface) -> SocketAddr {
     match group {
         SocketAddr::V6(v6) => SocketAddrV6::new(*v6.ip(), v6.port(), 0, interface.index).into(),
@@ -58,7 +58,7 @@ fn socket(of: SocketAddr) -> io::Result<Socket> {
     Ok(socket)
 }
 
-/// Keeps a socket to one interface, where the kernel lets a program do that.
+/// Restricts a socket to one interface, where the kernel lets a program do so.
 fn pin(socket: &Socket, interface: &Interface) -> io::Result<()> {
     match socket.bind_device(Some(interface.name.as_bytes())) {
         Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Ok(()),
@@ -70,8 +70,8 @@ fn first_v4(interface: &Interface) -> Ipv4Addr {
     interface.v4.first().copied().unwrap_or(Ipv4Addr::UNSPECIFIED)
 }
 
-/// A socket that receives what is sent to the link at `address`: a group, or an address of this host.
-pub(super) fn listener(address: SocketAddr, interface: &Interface, buffer_bytes: usize) -> io::Result<Socket> {
+/// Opens a socket that receives datagrams to `address`: a group, or an address of this host.
+pub(super) fn receiving_socket(address: SocketAddr, interface: &Interface, buffer_bytes: usize) -> io::Result<Socket> {
     let socket = socket(address)?;
     pin(&socket, interface)?;
     socket.set_recv_buffer_size(buffer_bytes)?;
@@ -79,7 +79,7 @@ pub(super) fn listener(address: SocketAddr, interface: &Interface, buffer_bytes:
         socket.bind(&address.into())?;
         return Ok(socket);
     }
-    // Every process of the machine hears a group; all of them have to say so.
+    // Every process of the machine that joins a group has to request address reuse.
     socket.set_reuse_address(true)?;
     socket.set_reuse_port(true)?;
     socket.bind(&scoped(address, interface).into())?;
@@ -96,8 +96,9 @@ pub(super) fn listener(address: SocketAddr, interface: &Interface, buffer_bytes:
     Ok(socket)
 }
 
-/// A socket that sends to the group. Connected, so that the kernel looks the way up once and not for each datagram.
-pub(super) fn speaker(group: SocketAddr, interface: &Interface) -> io::Result<UdpSocket> {
+/// Opens a socket that sends to the group. Connected, so that the kernel looks up the route once and not for each
+/// datagram.
+pub(super) fn sending_socket(group: SocketAddr, interface: &Interface) -> io::Result<UdpSocket> {
     let socket = socket(group)?;
     pin(&socket, interface)?;
     match group {
@@ -121,8 +122,9 @@ pub(super) fn speaker(group: SocketAddr, interface: &Interface) -> io::Result<Ud
     Ok(socket.into())
 }
 
-/// A socket that sends and receives, at a port that the kernel chooses, on whatever interface leads to the others.
-pub(super) fn guest(v6: bool, buffer_bytes: usize) -> io::Result<Socket> {
+/// Opens a socket that sends and receives, at a port that the kernel chooses, on any interface with a route to the
+/// peers.
+pub(super) fn guest_socket(v6: bool, buffer_bytes: usize) -> io::Result<Socket> {
     let any: IpAddr = if v6 { Ipv6Addr::UNSPECIFIED.into() } else { Ipv4Addr::UNSPECIFIED.into() };
     let any = SocketAddr::from((any, 0));
     let socket = socket(any)?;

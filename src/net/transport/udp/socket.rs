@@ -1,4 +1,4 @@
-//! How the sockets of a host on a link of UDP are set up, as data, and what of that others have to know.
+//! Configuration of a host's UDP sockets on a link, as data, and its properties as an endpoint.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -10,115 +10,117 @@ use crate::config::fields::{Takes, Value};
 use crate::messages::ids::HostId;
 use crate::net::protocol::reliability::{Reliabilities, Setup};
 use crate::net::transport::interface::{self, LOOPBACK};
-use crate::net::transport::{Claim, Field, Filter, Finding, Given, OpenError, Transport, Way};
+use crate::net::transport::{Claim, Endpoint, Field, Filter, Finding, LinkSettings, OpenError, Transport};
 
-/// The network interface that both transports are bound to.
+/// Field for the network interface of both transports.
 pub(super) const INTERFACE: Field = Field::new("interface", Takes::Interface);
 
-/// What the kernel is asked to keep of what has arrived \[bytes\].
+/// Field for the receive buffer that is requested from the kernel \[bytes\].
 pub(super) const RECEIVE_BUFFER: Field = Field {
     default: Some(|_| (4 << 20).to_string()),
     ..Field::new("receive_buffer_bytes", Takes::Whole(4096, 1 << 30))
 };
 
-/// The values of these two.
-pub(super) fn bound(given: &Given) -> Result<(String, usize), ConfigError> {
+/// Reads both fields.
+pub(super) fn bound(settings: &LinkSettings) -> Result<(String, usize), ConfigError> {
     let advice = || {
-        let (link, host) = (given.link, given.host_name());
+        let (link, host) = (settings.link, settings.host_name());
         format!(", so link '{link}' cannot be set up on host '{host}'; name the network interface, such as \"wlan0\"")
     };
-    let interface = given.need("interface", advice)?.text().to_owned();
-    let bytes = given.find("receive_buffer_bytes").map(Value::whole).expect("it has a default");
+    let interface = settings.need("interface", advice)?.text().to_owned();
+    let bytes = settings.find("receive_buffer_bytes").map(Value::whole).expect("it has a default");
     Ok((interface, usize::try_from(bytes).expect("its range is smaller")))
 }
 
-/// The sockets of a host on a link.
+/// Sockets of a host on a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SocketConfig {
-    /// Who is talked to, and where.
-    pub whom: Whom,
+    /// Addresses of the link.
+    pub addressing: Addressing,
     /// The network interface, by name.
     pub interface: String,
-    /// What the socket's receive buffer is asked to hold \[bytes\].
+    /// Requested receive buffer of the socket \[bytes\].
     pub receive_buffer_bytes: usize,
 }
 
-/// Who is talked to, and where.
+/// Addresses of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Whom {
-    /// Everyone who listens to a group.
-    Group(SocketAddr),
-    /// Each host by itself.
-    Each {
-        /// Where this host listens.
+pub enum Addressing {
+    /// A multicast group.
+    Multicast(SocketAddr),
+    /// Unicast to each host.
+    Unicast {
+        /// Address of this host.
         listen: SocketAddr,
-        /// Where the others listen.
+        /// Addresses of the other hosts.
         peers: BTreeMap<HostId, SocketAddr>,
     },
-    /// Each host by itself, from whatever address the machine has: a guest speaks from a port of its own, on whatever
-    /// interface leads there, and is answered there.
-    FromAnywhere {
-        /// Where all hosts of the link listen.
+    /// Unicast to each host, from any address of the machine: a guest sends from a port of its own, on the interface
+    /// with a route to the host, and is answered there.
+    Guest {
+        /// Addresses of all hosts of the link.
         peers: BTreeMap<HostId, SocketAddr>,
     },
 }
 
 impl SocketConfig {
-    fn with(&self, whom: Whom) -> Arc<dyn Way> {
-        Arc::new(SocketConfig { whom, ..self.clone() })
+    fn with(&self, addressing: Addressing) -> Arc<dyn Endpoint> {
+        Arc::new(SocketConfig { addressing, ..self.clone() })
     }
 }
 
-impl Way for SocketConfig {
+impl Endpoint for SocketConfig {
     fn open(&self, host: HostId, filter: Filter) -> Result<Box<dyn Transport>, OpenError> {
         Ok(Box::new(Udp::open(host, self, filter)?))
     }
 
-    fn for_guest(&self, beside: HostId) -> Arc<dyn Way> {
-        match &self.whom {
-            Whom::Each { listen, peers } => {
+    fn for_guest(&self, beside: HostId) -> Arc<dyn Endpoint> {
+        match &self.addressing {
+            Addressing::Unicast { listen, peers } => {
                 let peers = peers.iter().map(|(host, at)| (*host, *at)).chain([(beside, *listen)]).collect();
-                self.with(Whom::FromAnywhere { peers })
+                self.with(Addressing::Guest { peers })
             }
-            // A group is open to everyone.
+            // A guest may join a group like any host.
             _ => Arc::new(self.clone()),
         }
     }
 
     fn setup(&self, reliability: Reliabilities) -> Setup {
-        match self.whom {
-            Whom::Group(_) => Setup::multicast(reliability),
+        match self.addressing {
+            Addressing::Multicast(_) => Setup::multicast(reliability),
             _ => Setup::unicast(reliability),
         }
     }
 
-    fn stays_here(&self) -> bool {
-        match &self.whom {
-            Whom::Group(_) => self.interface == LOOPBACK,
-            Whom::Each { listen, peers } => peers.values().chain([listen]).all(|at| at.ip().is_loopback()),
-            Whom::FromAnywhere { peers } => peers.values().all(|at| at.ip().is_loopback()),
+    fn is_local(&self) -> bool {
+        match &self.addressing {
+            Addressing::Multicast(_) => self.interface == LOOPBACK,
+            Addressing::Unicast { listen, peers } => peers.values().chain([listen]).all(|at| at.ip().is_loopback()),
+            Addressing::Guest { peers } => peers.values().all(|at| at.ip().is_loopback()),
         }
     }
 
     fn claim(&self) -> Claim {
-        match &self.whom {
-            Whom::Group(group) => Claim { field: "group", what: group.to_string(), on: self.interface.clone() },
-            Whom::Each { listen, .. } => Claim { field: "peers", what: listen.to_string(), on: String::new() },
-            Whom::FromAnywhere { peers } => {
+        match &self.addressing {
+            Addressing::Multicast(group) => {
+                Claim { field: "group", what: group.to_string(), on: self.interface.clone() }
+            }
+            Addressing::Unicast { listen, .. } => Claim { field: "peers", what: listen.to_string(), on: String::new() },
+            Addressing::Guest { peers } => {
                 let all: Vec<String> = peers.values().map(SocketAddr::to_string).collect();
                 Claim { field: "peers", what: all.join(", "), on: String::new() }
             }
         }
     }
 
-    fn among(&self, hosts: &[HostId]) -> Arc<dyn Way> {
+    fn restricted_to(&self, hosts: &[HostId]) -> Arc<dyn Endpoint> {
         let those = |peers: &BTreeMap<HostId, SocketAddr>| {
             peers.iter().filter(|(host, _)| hosts.contains(host)).map(|(host, at)| (*host, *at)).collect()
         };
-        self.with(match &self.whom {
-            Whom::Group(group) => Whom::Group(*group),
-            Whom::Each { listen, peers } => Whom::Each { listen: *listen, peers: those(peers) },
-            Whom::FromAnywhere { peers } => Whom::FromAnywhere { peers: those(peers) },
+        self.with(match &self.addressing {
+            Addressing::Multicast(group) => Addressing::Multicast(*group),
+            Addressing::Unicast { listen, peers } => Addressing::Unicast { listen: *listen, peers: those(peers) },
+            Addressing::Guest { peers } => Addressing::Guest { peers: those(peers) },
         })
     }
 
@@ -126,19 +128,19 @@ impl Way for SocketConfig {
         Some(&self.interface)
     }
 
-    fn is_here(&self) -> bool {
-        // Where the kernel does not tell, opening says why.
+    fn is_available(&self) -> bool {
+        // If the kernel does not list its interfaces, opening reports the error.
         let there = |all: Vec<interface::Interface>| all.iter().any(|one| one.up && one.name == self.interface);
-        matches!(self.whom, Whom::FromAnywhere { .. }) || interface::interfaces().map_or(true, there)
+        matches!(self.addressing, Addressing::Guest { .. }) || interface::interfaces().map_or(true, there)
     }
 
-    fn everywhere(&self) -> Vec<Arc<dyn Way>> {
+    fn on_all_interfaces(&self) -> Vec<Arc<dyn Endpoint>> {
         let outward = interface::interfaces().unwrap_or_default().into_iter().filter(|one| one.up && !one.loopback);
         let by = |one: interface::Interface| SocketConfig { interface: one.name, ..self.clone() };
-        outward.map(|one| Arc::new(by(one)) as Arc<dyn Way>).collect()
+        outward.map(|one| Arc::new(by(one)) as Arc<dyn Endpoint>).collect()
     }
 
-    fn examine(&self, host: HostId, link: &str, mtu: &dyn Fn(&str) -> Option<usize>) -> Vec<Finding> {
-        fitness::examine(self, (host, link), mtu)
+    fn check(&self, host: HostId, link: &str, mtu: &dyn Fn(&str) -> Option<usize>) -> Vec<Finding> {
+        fitness::check(self, (host, link), mtu)
     }
 }

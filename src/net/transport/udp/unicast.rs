@@ -1,14 +1,14 @@
-//! Unicast: to each host of a link by itself, at the address that the team file has for it.
+//! Unicast: sends to each host of a link at its address in the team file.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use super::socket::{INTERFACE, RECEIVE_BUFFER, SocketConfig, Whom, bound};
+use super::socket::{Addressing, INTERFACE, RECEIVE_BUFFER, SocketConfig, bound};
 use crate::config::ConfigError;
 use crate::config::fields::Takes;
 use crate::messages::ids::HostId;
-use crate::net::transport::{Entry, Field, Given, Way};
+use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 
 /// The transport.
 pub const ENTRY: Entry = Entry {
@@ -18,26 +18,28 @@ pub const ENTRY: Entry = Entry {
     read,
 };
 
-fn read(given: &Given) -> Result<Arc<dyn Way>, ConfigError> {
-    let (interface, receive_buffer_bytes) = bound(given)?;
+fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
+    let (interface, receive_buffer_bytes) = bound(settings)?;
     let mut peers: BTreeMap<HostId, SocketAddr> = BTreeMap::new();
-    for (id, name) in (0..).map(HostId).zip(&given.hosts) {
+    for (id, name) in (0..).map(HostId).zip(&settings.hosts) {
         let field = format!("peers.{name}");
         let advice = || format!("; say where host '{name}' listens, with its port");
-        let listens = given.need(&field, advice)?.address();
+        let listens = settings.need(&field, advice)?.address();
         if listens.ip().is_multicast() || listens.ip().is_unspecified() {
-            return Err(given.wrong(&field, format!("{} is no address of one host", listens.ip())));
+            return Err(settings.wrong(&field, format!("{} is no address of one host", listens.ip())));
         }
-        if let Some((HostId(twin), _)) = peers.iter().find(|(_, peer)| **peer == listens) {
-            let twin = given.hosts[usize::from(*twin)];
-            let why = format!("{listens} is where host '{twin}' listens; give each its own");
-            return Err(given.wrong(&field, why));
+        if let Some((HostId(other_host), _)) = peers.iter().find(|(_, peer)| **peer == listens) {
+            let other_host = settings.hosts[usize::from(*other_host)];
+            let why = format!("{listens} is where host '{other_host}' listens; give each its own");
+            return Err(settings.wrong(&field, why));
         }
         peers.insert(id, listens);
     }
-    let listen = peers.remove(&given.host).expect("every host has its address");
+    let listen = peers.remove(&settings.host).expect("every host has its address");
     if let Some(other) = peers.values().find(|other| other.is_ipv4() != listen.is_ipv4()) {
-        return Err(given.wrong("peers", format!("{listen} and {other} are of two families; take one, IPv4 or IPv6")));
+        return Err(
+            settings.wrong("peers", format!("{listen} and {other} are of two families; take one, IPv4 or IPv6"))
+        );
     }
-    Ok(Arc::new(SocketConfig { whom: Whom::Each { listen, peers }, interface, receive_buffer_bytes }))
+    Ok(Arc::new(SocketConfig { addressing: Addressing::Unicast { listen, peers }, interface, receive_buffer_bytes }))
 }

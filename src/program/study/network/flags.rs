@@ -19,26 +19,26 @@ pub struct Args {
     /// Medium: a preset (paper, wifi, wifi-n, wifi-slow, shaped), a radio file, or a file of shaped links
     #[arg(long, value_name = "NAME|FILE.toml", default_value = "paper")]
     pub medium: String,
-    /// Messages of all stations together [1/s], separated by commas [default: 10,20,60,100,200,300,400,500]
+    /// Message rates, of all stations together [1/s], separated by commas [default: 10,20,60,100,200,300,400,500]
     #[arg(long, value_delimiter = ',')]
     rates: Vec<f64>,
-    /// Only 'infrastructure' or only 'ad-hoc' [default: both]
+    /// Networks, separated by commas: infrastructure, ad-hoc [default: both]
     #[arg(long, value_delimiter = ',')]
     networks: Vec<String>,
-    /// Only 'unicast' or only 'multicast' [default: both]
+    /// Addressing, separated by commas: unicast, multicast [default: both]
     #[arg(long, value_delimiter = ',')]
     addressing: Vec<String>,
-    /// Only these, separated by commas: best-effort, repeat, nack (the project's own), ack (as RTPS), ack-off (RTPS
-    /// without positive acknowledgements)
+    /// Reliability modes, separated by commas: best-effort, repeat, nack (the project's own), ack (as RTPS), ack-off
+    /// (RTPS without positive acknowledgements) [default: all]
     #[arg(long, value_delimiter = ',')]
     reliability: Vec<String>,
     /// Retry limits of unicast frames, separated by commas [default: 1,3,5,7]
     #[arg(long, value_delimiter = ',')]
     pub retries: Vec<u32>,
-    /// Stations [default: 5, or the hosts of --live]
+    /// Number of stations [default: 5, or the hosts of --live]
     #[arg(long)]
     pub stations: Option<u16>,
-    /// Content of a message [bytes]
+    /// Payload of a message [bytes]
     #[arg(long, default_value_t = 152)]
     bytes: usize,
     /// History of an RTPS writer: the number of newest samples that it keeps, or 'all'

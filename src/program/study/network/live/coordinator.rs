@@ -17,7 +17,7 @@ use crate::program::sim::progress;
 use crate::program::study::network::cases::Journal;
 
 /// Requests per clock comparison, and the timeout of a response.
-const QUESTIONS: u32 = 16;
+const REQUESTS: u32 = 16;
 const PATIENCE: Duration = Duration::from_secs(20);
 /// Time between the requests to measure a case and its start.
 const LEAD: Duration = Duration::from_millis(1500);
@@ -74,7 +74,7 @@ pub fn measure(
 fn offset(connection: &mut Connection, origin: Instant) -> Result<(i64, i64)> {
     let now = || origin.elapsed().as_nanos() as i64;
     let mut best: Option<(i64, i64)> = None;
-    for _ in 0..QUESTIONS {
+    for _ in 0..REQUESTS {
         let before = now();
         connection.send(&Request::Clock)?;
         let Response::Clock(theirs) = connection.receive(Some(PATIENCE))? else {
@@ -86,7 +86,7 @@ fn offset(connection: &mut Connection, origin: Instant) -> Result<(i64, i64)> {
             best = Some((theirs as i64 - (before + way / 2), way / 2));
         }
     }
-    best.ok_or_else(|| anyhow!("nothing was asked"))
+    best.ok_or_else(|| anyhow!("no request was sent"))
 }
 
 /// Measures one case; returns the stations' results and the uncertainty of their delays \[s\].

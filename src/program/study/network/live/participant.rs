@@ -51,7 +51,7 @@ pub struct Participation {
 
 /// Measures the cases that the coordinator requests, until the study is finished. An error if the connection fails.
 pub fn participate(mut participation: Participation, name: &str, address: SocketAddr, quiet: bool) -> Result<Ended> {
-    participation.place.way = participation.place.way.among(&participation.stations);
+    participation.place.endpoint = participation.place.endpoint.restricted_to(&participation.stations);
     let origin = Instant::now();
     let mut connection = Connection::open(connect(address)?, Side::Participant, participation.key.as_ref())?;
     connection.send(&Response::Host(name.to_owned()))?;
@@ -90,7 +90,7 @@ fn measure(participation: &Participation, task: Task, begin: Time, origin: Insta
     let at = participation.stations.iter().position(|host| *host == participation.team.host);
     let station = at.and_then(|at| u16::try_from(at).ok()).context("this host runs no agent")?;
     let (me, filter) = (participation.team.host, links::filter(&participation.team));
-    let open = participation.place.way.open(me, filter).map_err(|error| anyhow!("{error}"))?;
+    let open = participation.place.endpoint.open(me, filter).map_err(|error| anyhow!("{error}"))?;
     let peer = Rc::new(RefCell::new(Peer::new(task, station, begin)));
     run_real(
         origin,
@@ -116,19 +116,19 @@ fn wire(
         Route { local: latent && !own, leaves: (latent && own).then_some((LINK, Audience::All)) }
     });
     let host = participation.team.host;
-    let fresh = links::Fresh::draw().expect("the operating system gives random bytes");
+    let identity = links::ProcessIdentity::draw().expect("the operating system gives random bytes");
     let station = Station {
-        me: network::Identity { host, team: participation.team.number, epoch: fresh.incarnation },
+        me: network::Identity { host, team: participation.team.number, incarnation: identity.incarnation },
         key: participation.key.map(Key::new),
         links: vec![Some(linked::setup(task.case.addressing, task.case.reliability))],
         router,
-        seed: fresh.seed,
+        seed: identity.seed,
         stream: format!("network/{}", host.0),
         span: info_span!("network"),
     };
     let inward = to_peer.clone();
-    let network = station.open((clock, readers), vec![(LINK, open)], move |said| {
-        if let station::Out::Deliver(Wire::Latent(latent)) = said {
+    let network = station.open((clock, readers), vec![(LINK, open)], move |out| {
+        if let station::Out::Deliver(Wire::Latent(latent)) = out {
             inward.send(latent);
         }
     });

@@ -1,60 +1,60 @@
-//! Choice of the hosts in the next report: reports have a budget of bytes, so they take turns. Decides; sends nothing.
+//! Schedule of report entries: reports have a budget of bytes, so hosts take turns. Sends nothing.
 //!
-//! First candidates, which wait for an echo to prove themselves; then hosts that asked this one for proof; then those
-//! whose proof is getting old, to ask them; then those of which more or less is lost than was told; then the others,
-//! the one that was listed longest ago first.
+//! Order of priority: candidates, which wait for an echo to prove their liveness; hosts that asked this one for a
+//! proof; hosts whose proof gets old, to ask them for one; hosts whose loss has changed since it was last reported; the
+//! others, those listed longest ago first.
 
 use super::bucket::{Bucket, Rate};
 use super::candidates::{Candidate, Candidates};
-use super::limits::{FRESH, LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE, PROOF_HOLDS};
+use super::limits::{FRESH, LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE, PROOF_VALIDITY};
 use super::report::Entry;
 use super::sender::Sender;
 use super::senders::Senders;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// Budget of the entries of reports in the long run \[bytes/s\]: with headers, tags and heartbeats a host stays
-/// below 1.5 kB/s of soft state.
+/// Sustained budget of the entries of reports \[bytes/s\]: with headers, tags and heartbeats a host stays below 1.5
+/// kB/s of soft state.
 const ENTRY_BYTES_PER_S: f64 = 900.0;
-/// Budget of the entries at once \[bytes\]: a team of 200 joins without waiting for the long run.
+/// Burst budget of the entries \[bytes\]: a team of 200 joins without waiting for the sustained rate.
 const ENTRY_BYTES_AT_ONCE: f64 = 2400.0;
-/// Operators that an urgent report lists whatever the budget: more than ten of them act at once hardly ever.
+/// Operators that an urgent report lists whatever the budget: more than ten of them hardly ever act at once.
 const URGENT_ENTRIES: usize = 8;
-/// After half of its time a proof is asked for, as often as this at most; a loss is told again no sooner.
-const AGAIN: Span = Span::from_millis(400);
-/// A change of loss that is worth telling before its turn, of 64.
+/// Smallest interval between two entries about a host that ask for a proof or report a changed loss.
+const MIN_INTERVAL: Span = Span::from_millis(400);
+/// Change of loss that is reported before its turn, of 64.
 const LOSS_STEP: u8 = 4;
 
-/// Why a report leaves.
+/// Reason for sending a report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Occasion {
-    /// It was time.
+    /// It is time for the next one.
     Regular,
-    /// Another host must hear from this one at once: it lists those that wait and no others.
+    /// Another host needs it at once: it lists the hosts that wait and no others.
     Urgent,
 }
 
-/// The turns and the budget of one link's reports.
+/// Turns and budget of the entries of one link's reports.
 #[derive(Clone, Debug)]
-pub struct Telling {
+pub struct ReportSchedule {
     me: HostId,
     rate: Rate,
     budget: Bucket,
-    /// Whether candidates have the odd place of this report.
+    /// Whether candidates have the odd place of the next report.
     odd: bool,
-    /// Whether hosts have to prove that they are alive.
-    guarded: bool,
+    /// Whether hosts have to prove their liveness.
+    authenticated: bool,
 }
 
-impl Telling {
-    /// A full budget for entries of so many bytes.
-    pub fn new(me: HostId, guarded: bool, entry_bytes: usize) -> Telling {
+impl ReportSchedule {
+    /// Returns a full budget for entries of this size.
+    pub fn new(me: HostId, authenticated: bool, entry_bytes: usize) -> ReportSchedule {
         let size = entry_bytes as f64;
         let rate = Rate { per_s: ENTRY_BYTES_PER_S / size, burst: ENTRY_BYTES_AT_ONCE / size };
-        Telling { me, rate, budget: Bucket::full(Time::ZERO, &rate), odd: false, guarded }
+        ReportSchedule { me, rate, budget: Bucket::full(Time::ZERO, &rate), odd: false, authenticated }
     }
 
-    /// The entries of a report that leaves now, at most `places`. `uptime` is how long this process has run.
+    /// Returns the entries of a report that is sent now, at most `places`. `uptime` is that of this process.
     pub fn entries(
         &mut self,
         (now, uptime): (Time, Span),
@@ -77,7 +77,7 @@ impl Telling {
         let mut entries = Vec::new();
         let room = self.budget.left(now, &self.rate).min(places);
         self.odd = !self.odd;
-        // Recordings must not keep those who are believed from being listed, nor the other way round.
+        // Recordings must not displace accepted hosts, nor these the candidates.
         let share = (room + usize::from(self.odd)) / 2;
         let mut share = share.max(room.saturating_sub(others.len()));
         for (host, candidate) in waiting {
@@ -104,37 +104,37 @@ impl Telling {
     }
 
     fn of_candidate(&self, now: Time, uptime: Span, host: HostId, candidate: Candidate) -> Entry {
-        let rival = host == self.me && !host.is_operator();
-        let held = if rival { uptime } else { now.since(candidate.at) };
-        Entry { host, echo: candidate.stamp, held, lost: 0, asks: !rival, direct: None }
+        let own_id = host == self.me && !host.is_operator();
+        let held = if own_id { uptime } else { now.since(candidate.at) };
+        Entry { host, echo: candidate.stamp, held, lost: 0, challenge: !own_id, direct: None }
     }
 
     fn of_sender(&self, now: Time, host: HostId, sender: &mut Sender) -> Entry {
         let (echo, at) = sender.stamp.expect("one without a stamp is not listed");
         let lost = sender.lost();
-        (sender.listed, sender.told, sender.wants) = (Some(now), lost, false);
-        Entry { host, echo, held: now.since(at), lost, asks: self.asks(now, sender), direct: None }
+        (sender.listed, sender.loss_sent, sender.challenged) = (Some(now), lost, false);
+        Entry { host, echo, held: now.since(at), lost, challenge: self.challenges(now, sender), direct: None }
     }
 
-    /// Whether a sender is asked for proof.
-    fn asks(&self, now: Time, sender: &Sender) -> bool {
-        self.guarded && now.since(sender.proved) > Span::from_nanos(PROOF_HOLDS.as_nanos() / 2)
+    /// Whether to ask a sender for a proof: after half of the validity of its last one.
+    fn challenges(&self, now: Time, sender: &Sender) -> bool {
+        self.authenticated && now.since(sender.proved) > Span::from_nanos(PROOF_VALIDITY.as_nanos() / 2)
     }
 
     fn class(&self, now: Time, sender: &Sender) -> u8 {
         let Some(listed) = sender.listed else { return 0 };
-        if sender.wants {
+        if sender.challenged {
             return 0;
         }
-        if now.since(listed) < AGAIN {
+        if now.since(listed) < MIN_INTERVAL {
             return 3;
         }
-        if self.asks(now, sender) {
+        if self.challenges(now, sender) {
             return 1;
         }
-        let (lost, told) = (sender.lost(), sender.told);
-        let crosses = |bar: u8| (lost >= bar) != (told >= bar);
-        let changed = crosses(LOSS_TO_REPEAT) || crosses(LOSS_TO_REPEAT_TWICE) || lost.abs_diff(told) >= LOSS_STEP;
+        let (lost, reported) = (sender.lost(), sender.loss_sent);
+        let crosses = |bar: u8| (lost >= bar) != (reported >= bar);
+        let changed = crosses(LOSS_TO_REPEAT) || crosses(LOSS_TO_REPEAT_TWICE) || lost.abs_diff(reported) >= LOSS_STEP;
         if changed { 2 } else { 3 }
     }
 }

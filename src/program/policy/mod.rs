@@ -1,4 +1,6 @@
-//! Loading of a policy, by its name or from its file.
+//! Policies: loading by name or from a file, and the command `murmurate policy`.
+
+mod check;
 
 use std::path::Path;
 
@@ -6,9 +8,23 @@ use crate::policy::{Draw, Model};
 use crate::registry::Registry;
 use crate::scenario::Scenario;
 use anyhow::Result;
+use clap::Subcommand;
 
-use crate::program::BadInput;
 use crate::program::output::read_bytes;
+use crate::program::{BadInput, Ended};
+
+/// Subcommands of `murmurate policy`.
+#[derive(Subcommand)]
+pub enum Args {
+    /// Says what a policy file is and whether this program can run it; exits with 2 if it cannot
+    Check(check::Args),
+}
+
+/// Runs the command.
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    let Args::Check(args) = args;
+    check::run(args, registry)
+}
 
 /// A loaded policy.
 pub struct Loaded {

@@ -1,0 +1,187 @@
+//! Retransmission of the newest datagram of each stream, until it is out of date. Decides when; seals and sends
+//! nothing.
+//!
+//! A newer message of a stream replaces the older one, so nothing fresh ever waits behind something old.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::codec::Frame;
+use super::counts::LinkCounts;
+use super::limits::FRESH;
+use super::reliability::Reliability;
+use super::report::{DatagramId, MAX_HELD};
+use super::router::Audience;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::wire::Kind;
+use crate::time::{Span, Time};
+
+/// Delay of a repeat, unless the next message of its stream is sent before.
+pub const REPEAT_AFTER: Span = Span::from_millis(4);
+/// First retransmission timeout for an acknowledgement; each further one is twice as long as the one before.
+pub const RETRY_AFTER: Span = Span::from_millis(5);
+/// Most retransmissions of a message without an acknowledgement.
+pub const RETRIES: u8 = 5;
+/// Interval within which two requests for one datagram are answered once.
+const REQUEST_INTERVAL: Span = Span::from_millis(2);
+
+/// A stream: a kind about a robot.
+pub type StreamId = (Kind, RobotId);
+/// A datagram to retransmit: its receivers, and its bytes without a tag.
+pub type Untagged = (Audience, Frame);
+
+/// Newest datagram of a stream, kept for retransmission.
+#[derive(Clone, Debug)]
+struct Kept {
+    audience: Audience,
+    sequence: u32,
+    plain: Frame,
+    reliability: Reliability,
+    sent_at: Time,
+    due: Option<Time>,
+    /// Number of retransmissions so far, and the most allowed.
+    count: u8,
+    limit: u8,
+    /// Index of the offer that last contained it.
+    offered: u64,
+    acked: BTreeSet<HostId>,
+}
+
+/// All datagrams that may be retransmitted.
+#[derive(Clone, Debug, Default)]
+pub struct Retransmitter {
+    kept: BTreeMap<StreamId, Kept>,
+    dues: BTreeSet<(Time, StreamId)>,
+    /// Hosts that have acknowledged anything, and the time of the last acknowledgement.
+    ackers: BTreeMap<HostId, Time>,
+    /// Number of offers so far.
+    offers: u64,
+}
+
+impl Retransmitter {
+    /// Removes the datagram that a newer message of its stream replaces. Returns it if a repeat is pending: that is
+    /// sent first or never.
+    pub fn supersede(&mut self, now: Time, stream: StreamId) -> Option<Untagged> {
+        let kept = self.kept.get(&stream)?;
+        let before = kept.reliability == Reliability::Repeat && kept.due.is_some() && kept.sent_at < now;
+        let datagram = before.then(|| (kept.audience, kept.plain.clone()));
+        self.forget(stream);
+        datagram
+    }
+
+    fn forget(&mut self, stream: StreamId) {
+        if let Some(due) = self.kept.remove(&stream).and_then(|kept| kept.due) {
+            self.dues.remove(&(due, stream));
+        }
+    }
+
+    /// Keeps a datagram that was sent with a message of this stream; `repeats` is the number of repeats that receivers
+    /// need.
+    pub fn keep(
+        &mut self,
+        now: Time,
+        stream: StreamId,
+        (audience, plain): Untagged,
+        sequence: u32,
+        (reliability, repeats): (Reliability, u8),
+    ) {
+        let (after, limit) = match reliability {
+            Reliability::BestEffort => return,
+            Reliability::Repeat if repeats == 0 => return,
+            Reliability::Repeat => (Some(REPEAT_AFTER), repeats),
+            Reliability::Nack => (None, u8::MAX),
+            Reliability::Ack => (Some(RETRY_AFTER), RETRIES),
+        };
+        let due = after.map(|after| now + after);
+        let (sent_at, count, acked, offered) = (now, 0, BTreeSet::new(), 0);
+        let kept = Kept { audience, sequence, plain, reliability, sent_at, due, count, limit, offered, acked };
+        self.kept.insert(stream, kept);
+        self.dues.extend(due.map(|due| (due, stream)));
+    }
+
+    /// Returns the kept datagram of a stream for retransmission, and schedules the next one.
+    fn retransmit(&mut self, now: Time, stream: StreamId) -> Option<Untagged> {
+        let kept = self.kept.get_mut(&stream)?;
+        if let Some(due) = kept.due.take() {
+            self.dues.remove(&(due, stream));
+        }
+        kept.count = kept.count.saturating_add(1);
+        kept.sent_at = now;
+        let datagram = (kept.audience, kept.plain.clone());
+        match kept.reliability {
+            Reliability::Repeat if kept.count >= kept.limit => self.forget(stream),
+            Reliability::Repeat => kept.due = Some(now + REPEAT_AFTER),
+            // Wait for the answer to the last retransmission as well.
+            Reliability::Ack => kept.due = Some(now + RETRY_AFTER * (1 << kept.count.min(RETRIES))),
+            Reliability::BestEffort | Reliability::Nack => {}
+        }
+        self.dues.extend(self.kept.get(&stream).and_then(|kept| kept.due).map(|due| (due, stream)));
+        Some(datagram)
+    }
+
+    /// Handles acknowledgements of `from`. A multicast datagram is done once all hosts that have acknowledged anything
+    /// lately have acknowledged it.
+    pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
+        self.ackers.insert(from, now);
+        self.ackers.retain(|_, at| now.since(*at) < FRESH);
+        for id in ids {
+            let Some(stream) = self.find(from, id, Reliability::Ack) else { continue };
+            let kept = self.kept.get_mut(&stream).expect("it was found");
+            kept.acked.insert(from);
+            if kept.audience != Audience::All || self.ackers.keys().all(|host| kept.acked.contains(host)) {
+                self.forget(stream);
+            }
+        }
+    }
+
+    /// Returns the stream of the datagram that `from` names: numbers count datagrams to all hosts, or to `from` alone.
+    fn find(&self, from: HostId, id: &DatagramId, reliability: Reliability) -> Option<StreamId> {
+        let audience = if id.direct { Audience::Host(from) } else { Audience::All };
+        let named = |kept: &Kept| kept.sequence == id.sequence && kept.audience == audience;
+        let found = self.kept.iter().find(|(_, kept)| kept.reliability == reliability && named(kept));
+        found.map(|(stream, _)| *stream)
+    }
+
+    /// Returns the datagrams that `from` requests, without those that newer state has replaced.
+    pub fn requested(&mut self, now: Time, from: HostId, ids: &[DatagramId]) -> Vec<Untagged> {
+        let mut answer = |id: &DatagramId| {
+            let stream = self.find(from, id, Reliability::Nack)?;
+            let kept = &self.kept[&stream];
+            let rested = kept.count == 0 || now.since(kept.sent_at) >= REQUEST_INTERVAL;
+            if rested { self.retransmit(now, stream) } else { None }
+        };
+        ids.iter().filter_map(&mut answer).collect()
+    }
+
+    /// Returns the numbers that receivers may request. Of the streams with `Nack` those that were offered longest ago
+    /// come first, so that they take turns.
+    pub fn held(&mut self, audience: Audience) -> Vec<u32> {
+        let repaired = |kept: &&mut Kept| kept.reliability == Reliability::Nack && kept.audience == audience;
+        let mut all: Vec<&mut Kept> = self.kept.values_mut().filter(repaired).collect();
+        if all.len() > MAX_HELD {
+            all.sort_by_key(|kept| kept.offered);
+            all.truncate(MAX_HELD);
+        }
+        self.offers += 1;
+        for kept in &mut all {
+            kept.offered = self.offers;
+        }
+        all.iter().map(|kept| kept.sequence).collect()
+    }
+
+    /// Time of the next retransmission.
+    pub fn due(&self) -> Option<Time> {
+        self.dues.first().map(|(due, _)| *due)
+    }
+
+    /// Returns the next datagram that is due; one that has been retransmitted often enough is given up.
+    pub fn next(&mut self, now: Time, counts: &mut LinkCounts) -> Option<Untagged> {
+        while let Some(&(_, stream)) = self.dues.first().filter(|(due, _)| *due <= now) {
+            if self.kept[&stream].count < self.kept[&stream].limit {
+                return self.retransmit(now, stream);
+            }
+            self.forget(stream);
+            counts.lapsed += 1;
+        }
+        None
+    }
+}

@@ -1,0 +1,72 @@
+//! Probes: inputs and outputs that the exporter of a policy stored in its file, so that a network that computes
+//! something else is refused when it is loaded. Two networks of equal shapes can differ, for example by their
+//! activation.
+
+use std::sync::Arc;
+
+use super::gnn::{Gnn, Network};
+use super::weights::{Probe, WeightsError};
+use super::{Draw, Neighbour, Policy};
+use crate::messages::geometry::{Motion, Vec2};
+use crate::scenario::Observation;
+use crate::time::Span;
+
+/// Largest differences between a probe and what a network computes. Each difference is divided by the stored number if
+/// that is above 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Difference {
+    /// Largest difference of a latent's feature.
+    pub latent: f32,
+    /// Largest difference of an output.
+    pub output: f32,
+}
+
+impl Probe {
+    /// Largest difference that is accepted: sums of 32-bit floats in another order differ by less.
+    pub const TOLERANCE: f32 = 1e-4;
+
+    /// Compares a network with the stored numbers.
+    pub fn compare(&self, network: &Arc<Network>) -> Difference {
+        let at = |floats: &[f32], robot: usize| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
+        let robots = self.position.len() / 2;
+        let motion = |robot| Motion { position: at(&self.position, robot), velocity: at(&self.velocity, robot) };
+        let own: Vec<Observation> =
+            (0..robots).map(|robot| Observation { motion: motion(robot), goal: at(&self.goal, robot) }).collect();
+        let mut gnn = Gnn::new(Arc::clone(network), Draw::Mean);
+        let mut latents = vec![vec![0.0; network.interface().features]; robots];
+        for (own, latent) in own.iter().zip(&mut latents) {
+            gnn.encode(own, latent);
+        }
+        let mut outputs = Vec::new();
+        for robot in 0..robots {
+            let others = (0..robots).filter(|other| *other != robot);
+            let neighbours: Vec<Neighbour> = others
+                .map(|other| Neighbour {
+                    motion: motion(other),
+                    features: &latents[other],
+                    age: Span::from_secs(f64::from(self.age_s[robot * robots + other])),
+                })
+                .collect();
+            outputs.extend(gnn.outputs(&own[robot], &latents[robot], &neighbours));
+        }
+        Difference { latent: largest(&latents.concat(), &self.latent), output: largest(&outputs, &self.output) }
+    }
+
+    /// Refuses a network that computes other numbers.
+    pub fn check(&self, network: &Arc<Network>) -> Result<Difference, WeightsError> {
+        let difference = self.compare(network);
+        for (what, difference) in [("latents", difference.latent), ("outputs", difference.output)] {
+            // Also refuses NaN.
+            if !(difference <= Probe::TOLERANCE) {
+                return Err(WeightsError::Probe { what, difference, tolerance: Probe::TOLERANCE });
+            }
+        }
+        Ok(difference)
+    }
+}
+
+/// The largest difference of two rows of numbers, relative to stored numbers above 1; NaN if one is.
+fn largest(found: &[f32], stored: &[f32]) -> f32 {
+    let off = |(found, stored): (&f32, &f32)| (found - stored).abs() / stored.abs().max(1.0);
+    found.iter().zip(stored).map(off).fold(0.0, |most, off| if off <= most { most } else { off })
+}

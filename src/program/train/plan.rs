@@ -1,0 +1,99 @@
+//! The plan of a training: from the flags, for a new training or for one that is resumed.
+
+use anyhow::{Context, Result};
+
+use super::folder::Folder;
+use super::{Args, PRESET};
+use crate::config::unquoted;
+use crate::program::BadInput;
+use crate::program::output::{read_bytes, read_text};
+use crate::program::study;
+use crate::registry::Registry;
+use crate::scenario::Settings;
+use crate::study::network::conditions;
+use crate::train::config::Config;
+use crate::train::trainer::{Plan, Trainer};
+
+/// The configuration that the flags describe, as TOML with a heading.
+pub fn config_text(args: &Args, registry: &Registry) -> Result<String> {
+    let Plan { scenario, preset, config, .. } = plan(args, registry)?;
+    // Errors show now and not when the training starts.
+    Trainer::new(
+        Plan { scenario: scenario.clone(), preset: preset.clone(), config: config.clone(), seed: 0 },
+        registry,
+    )
+    .map_err(|e| BadInput(e.to_string()))?;
+    let text = toml::to_string(&config).context("a configuration is TOML")?;
+    Ok(format!(
+        "# Training of '{scenario}', from preset '{preset}'. Fields: docs/training.md. Use: murmurate train {scenario} \
+         --config FILE.toml\n{text}"
+    ))
+}
+
+/// The plan that the flags describe. The groups of a preset scale to the team.
+fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
+    let preset = args.preset.as_deref().unwrap_or(PRESET);
+    let (mut config, preset) = match &args.config {
+        Some(path) => {
+            let text = read_text(path, "training configuration")?;
+            let config = Config::from_toml(&text);
+            let wrong = |e| BadInput(format!("the training configuration '{}': {e}", path.display()));
+            (config.map_err(wrong)?, "a configuration of the user's")
+        }
+        None => {
+            let config = Config::preset(preset).expect("the parser accepts presets only");
+            let config = Config { robots: args.robots, ..config };
+            (config.scaled_for(&args.scenario, registry).map_err(|e| BadInput(format!("--robots: {e}")))?, preset)
+        }
+    };
+    if let Some(radio) = &args.radio {
+        let medium = study::medium("--radio", radio)?;
+        let settings = Settings { robots: config.robots, gap_m: None };
+        let scenario = registry.scenario(&args.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
+        conditions::apply(&medium, scenario.robots(), &mut config.conditions)
+            .ok_or_else(|| BadInput(format!("--radio: none of a team's messages arrives on '{radio}'")))?;
+    }
+    let (scenario, preset) = (args.scenario.clone(), preset.to_owned());
+    Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
+}
+
+/// Starts a new training.
+pub fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
+    let plan = plan(args, registry)?;
+    let mut trainer = Trainer::new(plan, registry).map_err(|e| match &args.config {
+        Some(path) => BadInput(format!("the training configuration '{}': {e}", path.display())),
+        None => BadInput(e.to_string()),
+    })?;
+    if let Some(path) = &args.from {
+        let wrong = |why: String| BadInput(format!("cannot begin with '{}': {why}", path.display()));
+        let bytes = read_bytes(path, "policy file")?;
+        trainer.initialize_from(&bytes).map_err(|e| wrong(e.to_string()))?;
+    }
+    Ok(trainer)
+}
+
+/// Resumes the training in the folder; refused if it does not match the flags.
+pub fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
+    let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
+    let bytes = std::fs::read(folder.checkpoint())
+        .map_err(|e| wrong(format!("{e}; leave out --resume to start a training")))?;
+    let trainer = Trainer::resume(&bytes, registry).map_err(|e| wrong(unquoted(&e.to_string())))?;
+    let theirs = trainer.plan();
+    let ours = plan(args, registry)?;
+    let other = |what: &str, theirs: &str, ours: &str| {
+        Err(wrong(format!("it is of another training: {what} is {theirs} there and {ours} here")))
+    };
+    if theirs.scenario != ours.scenario {
+        other("the scenario", &theirs.scenario, &ours.scenario)?;
+    }
+    if args.seed.is_some_and(|seed| seed != theirs.seed) {
+        other("the seed", &theirs.seed.to_string(), &ours.seed.to_string())?;
+    }
+    if args.preset.is_some() && theirs.preset != ours.preset {
+        other("the preset", &theirs.preset, &ours.preset)?;
+    }
+    if (args.preset.is_some() || args.config.is_some()) && theirs.config != ours.config {
+        return Err(wrong("its configuration differs; see config.toml beside it".to_owned()).into());
+    }
+    Ok(trainer)
+}

@@ -1,0 +1,58 @@
+//! Comparison of several policies on the same episodes.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Serialize;
+
+use super::summary::Summary;
+use super::trial::TrialReport;
+use crate::scenario::judge::Verdict;
+
+/// Results of several policies with the same seeds, so that each runs the same episodes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// The summary of each policy.
+    pub policies: Vec<Summary>,
+    /// Number of episodes in which this policy alone succeeded, by policy.
+    pub alone_successful: Vec<usize>,
+}
+
+impl Comparison {
+    /// Compares policies by their summaries and trials.
+    pub fn of(results: Vec<(Summary, Vec<TrialReport>)>) -> Comparison {
+        let mut successful: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
+        for (policy, (_, trials)) in results.iter().enumerate() {
+            for episode in trials.iter().flat_map(|trial| &trial.episodes) {
+                if episode.verdict == Verdict::Success {
+                    successful.entry((episode.repeat, episode.episode)).or_default().push(policy);
+                }
+            }
+        }
+        let mut alone_successful = vec![0; results.len()];
+        for policies in successful.values() {
+            if let [policy] = policies[..] {
+                alone_successful[policy] += 1;
+            }
+        }
+        Comparison { policies: results.into_iter().map(|(summary, _)| summary).collect(), alone_successful }
+    }
+}
+
+impl fmt::Display for Comparison {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for summary in &self.policies {
+            writeln!(f, "{summary}\n")?;
+        }
+        let width = self.policies.iter().map(|summary| summary.policy.len()).max().unwrap_or(0).max("policy".len());
+        write!(f, "{:<width$}  {:>8}  {:>10}  {:>9}  failures", "policy", "success", "makespan", "it alone")?;
+        for (summary, alone) in self.policies.iter().zip(&self.alone_successful) {
+            let outcomes = &summary.outcomes;
+            let makespan = outcomes.makespan_median_s.map_or("-".to_owned(), |median| format!("{median:.2} s"));
+            let (policy, success) = (&summary.policy, format!("{:.1} %", 100.0 * outcomes.success_rate));
+            let failures = outcomes.failures();
+            write!(f, "\n{policy:<width$}  {success:>8}  {makespan:>10}  {alone:>9}  {failures}")?;
+        }
+        write!(f, "\nThe episodes are the same; 'it alone': episodes in which no other of these policies succeeded.")
+    }
+}
