@@ -77,7 +77,7 @@ impl Physics {
             traction_m_s2: 6.0,
             // Assumed: mecanum wheels skid over a tenth of the distance and more. Most of it is constant, and feedback
             // control corrects it; this is the part that varies. It was 0.05 and was changed once after results were
-            // seen (docs/world.md).
+            // seen (docs/evidence/world-fit.md).
             slip: 0.02,
             // Assumed: about the time in which a wheel passes over all of its rollers at 0.6 m/s.
             slip_s: 0.5,

@@ -2,6 +2,8 @@
 
 #[cfg(feature = "train")]
 mod keys;
+#[cfg(feature = "train")]
+mod pages;
 #[cfg(feature = "sim")]
 mod pictures;
 mod policies;

@@ -3,7 +3,7 @@
     pip install numpy safetensors
     python export.py
 
-The weights are noise. `export` is what docs/export-from-pytorch.md shows.
+The weights are noise. `export` is what docs/bring-your-policy.md shows.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-//! Policy files written by Python, as `docs/export-from-pytorch.md` shows, load and answer as they did there.
+//! Policy files written by Python, as `docs/bring-your-policy.md` shows, load and answer as they did there.
 //!
 //! `tests/data/export.py` generated the files and the expected outputs.
 
@@ -117,7 +117,7 @@ fn a_file_from_python_whose_weights_were_changed_is_refused() {
 
 #[test]
 fn the_page_on_export_shows_the_script_that_made_these_files() {
-    let (page, script) = (text("docs/export-from-pytorch.md"), text("tests/data/export.py"));
+    let (page, script) = (text("docs/bring-your-policy.md"), text("tests/data/export.py"));
     let blocks: Vec<&str> = page.split("```python\n").skip(1).filter_map(|rest| rest.split("```").next()).collect();
     assert!(blocks.len() >= 2, "the page shows the export and a manifest");
     for block in blocks {

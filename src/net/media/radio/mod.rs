@@ -183,7 +183,7 @@ impl Radio {
             },
             // Fitted to two figures of the paper's network study, with five robots. At 200 messages/s, 44 % arrived
             // within 20 ms by reliable unicast with 7 retries. At 60 messages/s, 84 % arrived by best-effort multicast;
-            // the rest were lost (`docs/network-study.md` has the fit and its residual).
+            // the rest were lost (`docs/evidence/network-fit.md` has the fit).
             "paper" => Radio { rate: rate("ofdm-18"), noise_loss: 0.085, background: 0.6, ..Radio::default() },
             _ => return None,
         })
