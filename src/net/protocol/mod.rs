@@ -1,5 +1,6 @@
 //! Protocol of hosts: encoding, authentication, retransmission and routing. All pure.
 
+pub mod acks;
 pub mod bucket;
 pub mod candidates;
 pub mod codec;

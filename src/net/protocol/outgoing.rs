@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 
+use super::acks::Acks;
 use super::bucket::{Bucket, Rate};
 use super::codec::TAG_BYTES;
 use super::codec::{self, BLOCK_BYTES, Content, EncodeError, FLAGS_AT, Flags, Frame, HEADER_BYTES, Header};
@@ -11,7 +12,7 @@ use super::counts::LinkCounts;
 use super::incoming::{Incoming, Urgency};
 use super::key::Key;
 use super::reliability::{Piggyback, Reliability, Reports, Setup};
-use super::report::{DatagramId, ID_BYTES, MAX_IDS, write_held, write_ids};
+use super::report::{DatagramId, write_held, write_ids};
 use super::report_schedule::Occasion;
 use super::retransmit::{Retransmitter, StreamId, Untagged};
 use super::router::Audience;
@@ -35,8 +36,6 @@ const URGENT_PERIOD: Span = Span::from_millis(20);
 const URGENT_RATE: Rate = Rate { per_s: 4.0, burst: 25.0 };
 /// Interval of urgent reports from an operator, which a whole team has to accept soon.
 const EAGER_PERIOD: Span = Span::from_millis(5);
-/// Time for which acknowledgements are collected.
-const ACK_WITHIN: Span = Span::from_millis(2);
 
 /// A sealed datagram for a transport.
 pub type Outbound = (Audience, Frame);
@@ -70,8 +69,7 @@ pub struct Outgoing {
     urgent_bucket: Bucket,
     /// Whether report entries have the number of the next datagram to their host alone.
     numbered: bool,
-    acks: BTreeMap<HostId, Vec<DatagramId>>,
-    acks_due: Option<Time>,
+    acks: Acks,
 }
 
 impl Outgoing {
@@ -99,8 +97,7 @@ impl Outgoing {
             urgent_sent: None,
             urgent_bucket: Bucket::full(Time::ZERO, &URGENT_RATE),
             numbered,
-            acks: BTreeMap::new(),
-            acks_due: None,
+            acks: Acks::default(),
         }
     }
 
@@ -216,7 +213,7 @@ impl Outgoing {
             (self.soft_due, self.soft_since) = (None, None);
         }
         if any {
-            self.add_acks(bytes);
+            self.acks.add_to(bytes);
         }
         if audience == Audience::All && self.may_piggyback_report(now) {
             let urgent = self.urgent_due;
@@ -226,35 +223,16 @@ impl Outgoing {
         }
     }
 
-    /// Adds acknowledgements to a datagram, as many as fit.
-    fn add_acks(&mut self, bytes: &mut Vec<u8>) {
-        while let Some(mut waiting) = self.acks.first_entry() {
-            let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / ID_BYTES;
-            if room == 0 {
-                return;
-            }
-            let most = waiting.get().len().min(room);
-            let ids: Vec<DatagramId> = waiting.get_mut().drain(..most).collect();
-            add(bytes, Content::Ack, |bytes| write_ids(&ids, bytes));
-            if waiting.get().is_empty() {
-                waiting.remove();
-            }
-        }
-        self.acks_due = None;
-    }
-
     fn send_acks(&mut self, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
-        while let Some((&host, _)) = self.acks.first_key_value() {
+        while let Some(host) = self.acks.first_host() {
             let audience = if self.setup.piggyback == Piggyback::Any { Audience::All } else { Audience::Host(host) };
             let mut bytes = codec::start(&self.header(audience, 0));
-            if audience == Audience::All {
-                self.add_acks(&mut bytes);
-            } else if let Some(ids) = self.acks.remove(&host) {
-                add(&mut bytes, Content::Ack, |bytes| write_ids(&ids, bytes));
+            match audience {
+                Audience::All => self.acks.add_to(&mut bytes),
+                Audience::Host(host) => self.acks.add_for(host, &mut bytes),
             }
             self.send_alone(audience, bytes, counts, out);
         }
-        self.acks_due = None;
     }
 
     fn may_piggyback_report(&self, now: Time) -> bool {
@@ -350,11 +328,7 @@ impl Outgoing {
 
     /// Notes a datagram that is to be acknowledged.
     pub fn acknowledge(&mut self, now: Time, id: DatagramId) {
-        let ids = self.acks.entry(id.host).or_default();
-        if ids.len() < MAX_IDS {
-            ids.push(id);
-        }
-        self.acks_due = self.acks_due.or(Some(now + ACK_WITHIN));
+        self.acks.note(now, id);
     }
 
     /// Handles acknowledgements of `from`.
@@ -385,7 +359,7 @@ impl Outgoing {
 
     /// Time of the next action.
     pub fn due(&self) -> Option<Time> {
-        let dues = [self.retransmitter.due(), self.soft_due, self.acks_due, self.report_due, self.urgent_due];
+        let dues = [self.retransmitter.due(), self.soft_due, self.acks.due(), self.report_due, self.urgent_due];
         let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);
         Some(first).filter(|due| *due < Time::MAX)
     }
@@ -396,7 +370,7 @@ impl Outgoing {
             self.send_copy(datagram, counts, out);
         }
         self.send_soft(now, incoming, counts, out);
-        if self.acks_due.is_some_and(|due| due <= now) {
+        if self.acks.due().is_some_and(|due| due <= now) {
             self.send_acks(counts, out);
         }
         // A regular report also lists the hosts that wait for an urgent one.
