@@ -162,7 +162,6 @@ impl Sandbox {
         fs::copy(weights, sandbox.at("weights.safetensors")).expect("a policy file");
         sandbox.write("my-room.toml", "noise_loss = 0.05\n");
         sandbox.write("small.toml", &small_training());
-        sandbox.write("mine.toml", &small_training());
         for block in page.blocks() {
             if let Some(file) = block.file() {
                 sandbox.write(file, &block.text);
@@ -252,10 +251,10 @@ impl Args {
                 one.with("--seconds", "1").quiet()
             }
             ("study", _) => self.with("--layouts", "1").with("--repeats", "1").quiet(),
+            ("train", _) if self.has("--print-config") => self,
             ("train", _) => {
-                let own =
-                    if self.has("--config") { self } else { self.without("--preset").with("--config", "small.toml") };
-                own.without("--minutes").with("--steps", "160").quiet()
+                let small = self.without("--preset").without("--robots").with("--config", "small.toml");
+                small.without("--minutes").with("--steps", "160").quiet()
             }
             ("key", _) => {
                 let mut args = self;
@@ -269,7 +268,7 @@ impl Args {
 
 /// Checks that the help of a subcommand has all flags of a command.
 fn check_flags(args: &Args) -> Result<(), String> {
-    let depth = if ["study", "config", "key"].contains(&args.0[0].as_str()) { 2 } else { 1 };
+    let depth = if ["study", "config", "key", "policy"].contains(&args.0[0].as_str()) { 2 } else { 1 };
     let words = args.0.iter().take(depth).filter(|arg| !arg.starts_with('-'));
     let names: Vec<&str> = words.map(String::as_str).chain(["--help"]).collect();
     let output = run(&names);
@@ -304,9 +303,11 @@ fn check(sandbox: &Sandbox, command: &str, done: &Mutex<BTreeSet<String>>) -> Re
         }
         return sandbox.run(&checked).map(|_| ());
     }
-    // What bounds take away.
-    if args.0[0] == "train" {
-        check_flags(&args)?;
+    if args.0[0] == "train" && args.has("--out") {
+        // Its own configuration, which is too large to be trained here.
+        let own = args.clone().without("--out").without("--minutes").without("--steps").without("--from");
+        let own = own.0.into_iter().filter(|arg| arg != "--resume").chain(["--print-config".to_owned()]);
+        sandbox.run(&own.collect::<Vec<_>>())?;
     }
     let writes = into.is_some() || args.has("--out");
     let bounded = args.bounded();
