@@ -244,7 +244,9 @@ impl Args {
                 let large = self.value("--robots").is_some_and(|robots| robots.len() > 2);
                 let few = if large { self.with("--robots", "20") } else { self };
                 let first = if few.has("--episode") { few.with("--episode", "0") } else { few };
-                first.with("--episodes", "1").with("--repeats", "1").quiet()
+                // A plan may name the second episode.
+                let episodes = if first.has("--faults") { "2" } else { "1" };
+                first.with("--episodes", episodes).with("--repeats", "1").quiet()
             }
             ("study", Some("network")) => {
                 let one = self.with("--rates", "60").with("--retries", "1").with("--teams", "none");
@@ -377,7 +379,7 @@ fn team_files_and_fault_plans_of_the_pages_are_valid() {
             let args = if line("team =") {
                 "config check shown.toml"
             } else if line("fault =") {
-                "sim --mode onboard-adhoc --faults shown.toml --episodes 1 --repeats 1 --quiet"
+                "sim --mode onboard-adhoc --faults shown.toml --episodes 2 --repeats 1 --quiet"
             } else {
                 continue;
             };
