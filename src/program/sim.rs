@@ -51,8 +51,8 @@ pub struct Args {
     #[arg(long, default_value = "passage")]
     scenario: String,
     /// Policy of the robots: a name in the registry (shipped, published, orca, or one of your own crate) or a policy
-    /// file (safetensors). Given several times, it compares the policies on the same episodes [default: shipped, or orca
-    /// for a scenario without a shipped policy]
+    /// file (safetensors). Given several times, it compares the policies on the same episodes [default: shipped, or
+    /// orca for a scenario without a shipped policy]
     #[arg(long, value_name = "NAME|FILE")]
     policy: Vec<PathBuf>,
     /// Action of a trained policy: the mean of its distribution or a sample from it [default: as its file says]
