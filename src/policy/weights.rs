@@ -2,8 +2,8 @@
 //!
 //! Tensors are `encoder.N.weight` \[out, in\] and `encoder.N.bias` \[out\], likewise `message` and `update`, with N
 //! counting 0, 2, 4, ... as in a PyTorch `Sequential` with its ReLUs. The published file calls the latter two
-//! `gnn` and `post` and has no manifest. Tensors `probe.*` are a [`Probe`]. No file is opened here: the caller passes its
-//! bytes.
+//! `gnn` and `post` and has no manifest. Tensors `probe.*` are a [`Probe`]. No file is opened here: the caller passes
+//! its bytes.
 
 use std::collections::BTreeMap;
 

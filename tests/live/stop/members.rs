@@ -215,8 +215,8 @@ fn a_malicious_member_is_named_by_every_host_and_stop_and_re_arm_work() {
     report(&format!("{} lies: every host has named the liar, and the team goes on", said.load(Ordering::Relaxed)));
 }
 
-/// False messages of a robot's own host, one step after the other: numbers and terms as far ahead as they are accepted, and
-/// that all hosts leave.
+/// False messages of a robot's own host, one step after the other: numbers and terms as far ahead as they are accepted,
+/// and that all hosts leave.
 fn lies_of_a_robot(turn: u64) -> Vec<Wire> {
     let latch = [Latch::held, Latch::clear][(turn % 2) as usize]((1 << 32) + 1000 * turn);
     let round = Round { term: (1 << 20) + 15 * (turn as u32 % (1 << 20)), episode: u32::MAX };
