@@ -302,13 +302,13 @@ impl FaultPlan {
     /// Each fault in words, for a report.
     pub fn describe(&self) -> Vec<String> {
         let when = |episode: Option<u32>, at: Time| match episode {
-            Some(episode) => format!("episode {episode} at {:.1} s", at.as_secs()),
-            None => format!("at {:.1} s", at.as_secs()),
+            Some(episode) => format!("{:.1} s into episode {episode}", at.as_secs()),
+            None => format!("at {:.1} s of the trial", at.as_secs()),
         };
         let actor = |fault: &ActorFault| {
             let whose = if fault.role == Role::StateServer { String::new() } else { format!(" of {}", fault.robot) };
             let (role, kind) = (word(&fault.role), word(&fault.kind));
-            format!("{role}{whose}: {kind} {} for {:.1} s", when(fault.episode, fault.at), fault.lasts.as_secs())
+            format!("{role}{whose}: {kind} {}, for {:.1} s", when(fault.episode, fault.at), fault.lasts.as_secs())
         };
         let link = |fault: &LinkFault| {
             let share = 100.0 * fault.share;
@@ -318,7 +318,7 @@ impl FaultPlan {
             } else {
                 format!("for {:.1} s", fault.until.since(fault.from).as_secs())
             };
-            format!("link {}: {kind} of {share:.0} % {begins} {ends}", fault.link)
+            format!("link {}: {kind} of {share:.0} % of frames {begins}, {ends}", fault.link)
         };
         self.actors.iter().map(actor).chain(self.links.iter().map(link)).collect()
     }

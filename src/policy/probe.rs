@@ -56,8 +56,7 @@ impl Probe {
     pub fn check(&self, network: &Arc<Network>) -> Result<Difference, WeightsError> {
         let difference = self.compare(network);
         for (what, difference) in [("latents", difference.latent), ("outputs", difference.output)] {
-            // Also refuses NaN.
-            if !(difference <= Probe::TOLERANCE) {
+            if difference.is_nan() || difference > Probe::TOLERANCE {
                 return Err(WeightsError::Probe { what, difference, tolerance: Probe::TOLERANCE });
             }
         }
@@ -68,5 +67,9 @@ impl Probe {
 /// The largest difference of two rows of numbers, relative to stored numbers above 1; NaN if one is.
 fn largest(found: &[f32], stored: &[f32]) -> f32 {
     let off = |(found, stored): (&f32, &f32)| (found - stored).abs() / stored.abs().max(1.0);
-    found.iter().zip(stored).map(off).fold(0.0, |most, off| if off <= most { most } else { off })
+    found
+        .iter()
+        .zip(stored)
+        .map(off)
+        .fold(0.0, |most: f32, off: f32| if most.is_nan() || off <= most { most } else { off })
 }

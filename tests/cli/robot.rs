@@ -7,7 +7,7 @@ use crate::program::{refuses, run, text};
 use tempfile::TempDir;
 
 /// Commands of every build.
-const ALWAYS: [&str; 6] = ["host", "doctor", "stop", "resume", "key", "config"];
+const ALWAYS: [&str; 7] = ["policy", "host", "doctor", "stop", "resume", "key", "config"];
 /// Commands that depend on a feature, and whether this build has it.
 const WITH: [(&str, bool); 7] = [
     ("sim", cfg!(feature = "sim")),

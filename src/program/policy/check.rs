@@ -97,7 +97,6 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
 
 fn table(facts: &Facts) -> String {
     let manifest = facts.manifest;
-    let widths = |widths: &[usize]| widths.iter().map(usize::to_string).collect::<Vec<_>>().join("-");
     let architecture = match manifest.architecture {
         Architecture::Published => "published layers",
         Architecture::Full => "full, equation (1) of the paper",
@@ -133,16 +132,7 @@ fn table(facts: &Facts) -> String {
     let rows = [
         ("scenario", manifest.scenario.clone()),
         ("architecture", format!("{architecture}; activation relu, aggregation sum")),
-        (
-            "networks",
-            format!(
-                "encoder {}, message {}, update {}: {} parameters",
-                widths(&manifest.encoder),
-                widths(&manifest.message),
-                widths(&manifest.update),
-                facts.parameters
-            ),
-        ),
+        ("networks", networks(facts)),
         ("observation", format!("{}; policy frame", list(observation.collect()))),
         ("edge", list(edge.collect())),
         (
@@ -168,4 +158,12 @@ fn table(facts: &Facts) -> String {
     ];
     let rows = rows.map(|(name, value)| format!("  {name:<14} {value}"));
     format!("{}: this program can run it\n{}", facts.file, rows.join("\n"))
+}
+
+/// The widths of the three networks, and their number of parameters.
+fn networks(facts: &Facts) -> String {
+    let widths = |widths: &[usize]| widths.iter().map(usize::to_string).collect::<Vec<_>>().join("-");
+    let Manifest { encoder, message, update, .. } = facts.manifest;
+    let [encoder, message, update] = [encoder, message, update].map(|network| widths(network));
+    format!("encoder {encoder}, message {message}, update {update}: {} parameters", facts.parameters)
 }

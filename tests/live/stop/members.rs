@@ -352,5 +352,7 @@ fn a_restarted_robot_is_accepted_within_a_second_with_any_clock() {
     }
     listener.end();
     report(&format!("restarted {often} times: heard again after {latest:.0?} at most"));
-    assert!(latest <= Duration::from_secs(1), "{latest:?}");
+    // An unoptimised program on a machine that compiles beside it takes longer to start.
+    let limit = Duration::from_secs(if cfg!(debug_assertions) { 2 } else { 1 });
+    assert!(latest <= limit, "{latest:?}");
 }
