@@ -203,7 +203,7 @@ fn doctor_reports_problems_and_remedies() {
     let said = text(&output.stdout);
     assert!(said.contains("ok   key: fingerprint") && said.contains("ok   policy: shipped"), "{said}");
     let missing = said.lines().find(|line| line.contains("wlan99")).expect("a line about it");
-    assert!(missing.starts_with("fail link infra, interface") && missing.contains("lo (127.0.0.1"), "{missing}");
+    assert!(missing.starts_with("fail link infra: interface") && missing.contains("lo (127.0.0.1"), "{missing}");
     assert!(missing.contains("link.infra.interface"), "{missing}");
     let args = ["doctor", &file, "--interface", "lo", "--json", "--listen", "0"];
     let fit = run(&args);

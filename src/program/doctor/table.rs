@@ -92,17 +92,17 @@ impl Line<'_> {
         };
         let links = match &self.links[..] {
             [] => String::new(),
-            [link] => format!("link {link}, "),
-            links => format!("links {}, ", links.join(", ")),
+            [link] => format!("link {link}: "),
+            links => format!("links {}: ", links.join(", ")),
         };
         let team: Vec<&str> = self.items.iter().filter_map(|item| item.strip_prefix("host ")).collect();
         let items = match &team[..] {
             hosts if hosts.len() == self.items.len() && hosts.len() > 1 => format!("hosts {}", hosts.join(", ")),
             _ => self.items.join(", "),
         };
-        let found = if self.found.is_empty() { "fine" } else { self.found };
+        let found = if self.found.is_empty() { String::new() } else { format!(": {}", self.found) };
         let advice = if self.advice.is_empty() { String::new() } else { format!(" \u{2014} {}", self.advice) };
-        format!("{status} {host}{links}{items}: {found}{advice}")
+        format!("{status} {host}{links}{items}{found}{advice}")
     }
 }
 
@@ -152,8 +152,8 @@ mod tests {
             lines,
             [
                 "warn key: none",
-                "ok   links one, two, MTU, group: fine",
-                "warn links one, two, hosts a, b: not heard",
+                "ok   links one, two: MTU, group",
+                "warn links one, two: hosts a, b: not heard",
                 "fail b: policy: there is none",
             ]
         );
