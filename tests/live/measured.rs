@@ -1,7 +1,7 @@
 //! The network study between five network namespaces on one bridge. With each sender shaped by `tc tbf` and each
 //! receiver losing by nftables it is compared with the emulation of the same; without, it is interrupted, continued,
 //! and a radio is fitted to it. Needs root, `ip`, `tc` and `nft`; skips with a notice where it cannot run.
-use crate::alone;
+use crate::{alone, beside};
 use std::fs;
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::process::{Child, Command, Output, Stdio};
@@ -192,7 +192,8 @@ fn a_measurement_between_namespaces_agrees_with_its_emulation() {
 
 #[test]
 fn a_measurement_continues_after_an_interruption_and_a_radio_is_fitted_to_it() {
-    let _alone = alone();
+    // No time is judged here.
+    let _beside = beside();
     let Some(lab) = Lab::build(Links::Plain) else { return };
     let team = Team::new();
     let (out, fitted) = (team.path("out"), team.path("room.toml"));
