@@ -8,7 +8,9 @@ use crate::actors::recorder::Steps;
 use crate::program::bad;
 use crate::program::output::talk;
 use crate::program::whole_file::WholeFile;
+use crate::report::episode::Episode;
 use crate::report::picture::{Scene, Stage, film, moving, still};
+use crate::scenario::judge::Verdict;
 use crate::time::Span;
 use crate::trial::{Trial, TrialReport};
 
@@ -21,9 +23,36 @@ pub struct Flags {
     /// File for a still picture of one episode
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
-    /// Index of the episode that --animate and --svg show, in the first repeat, from 0 [default: 0]
-    #[arg(long, value_name = "N")]
-    episode: Option<u32>,
+    /// Episode of the first repeat that --animate and --svg show: its index from 0, or 'failed' for the first one that
+    /// did not succeed [default: 0]
+    #[arg(long, value_name = "N|failed", value_parser = Shown::parse)]
+    episode: Option<Shown>,
+}
+
+/// Choice of the episode that pictures show.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Shown {
+    /// The one of this index, from 0.
+    Index(u32),
+    /// The first one that did not succeed.
+    Failed,
+}
+
+impl Shown {
+    fn parse(text: &str) -> Result<Shown, String> {
+        match text {
+            "failed" => Ok(Shown::Failed),
+            text => text.parse().map(Shown::Index).map_err(|_| "neither an index nor 'failed'".to_owned()),
+        }
+    }
+
+    fn is(self, episode: &Episode) -> bool {
+        episode.repeat == 0
+            && match self {
+                Shown::Index(index) => episode.episode == index,
+                Shown::Failed => episode.verdict != Verdict::Success,
+            }
+    }
 }
 
 /// Function that draws an episode.
@@ -32,7 +61,7 @@ type Draw = fn(&Scene) -> String;
 /// The pictures of a run, with their files open.
 pub struct Pictures {
     files: Vec<(WholeFile, Draw)>,
-    episode: u32,
+    shown: Shown,
 }
 
 impl Pictures {
@@ -55,14 +84,14 @@ impl Pictures {
             Some(_) if found.is_empty() => {
                 return bad("--episode: there is nothing to draw; add --animate or --svg".to_owned());
             }
-            Some(episode) if episode >= episodes => {
+            Some(Shown::Index(episode)) if episode >= episodes => {
                 return bad(format!("--episode: there is no episode {episode}; there are {episodes}, from 0"));
             }
             _ => {}
         }
         let open = |(path, draw): (&PathBuf, Draw)| Ok((WholeFile::create(path)?, draw));
         let files = found.into_iter().map(open).collect::<Result<Vec<_>>>()?;
-        Ok(Pictures { files, episode: args.episode.unwrap_or(0) })
+        Ok(Pictures { files, shown: args.episode.unwrap_or(Shown::Index(0)) })
     }
 
     /// Whether there are any.
@@ -80,16 +109,16 @@ impl Pictures {
         if self.files.is_empty() {
             return Ok(());
         }
-        let result = |report: &TrialReport| {
-            let found = report.episodes.iter().find(|episode| (episode.repeat, episode.episode) == (0, self.episode));
-            found.copied()
-        };
+        let result = |report: &TrialReport| report.episodes.iter().find(|episode| self.shown.is(episode)).copied();
         let found = reports.iter().find_map(|report| result(report).map(|episode| (report, episode)));
         let Some((report, episode)) = found else {
-            talk(&format!("episode {} was interrupted: there is no picture of it", self.episode));
+            talk(&match self.shown {
+                Shown::Index(index) => format!("episode {index} was interrupted: there is no picture of it"),
+                Shown::Failed => "no episode of repeat 0 failed: there is no picture".to_owned(),
+            });
             return Ok(());
         };
-        let scene = Scene::new(stage(trial, policy, self.episode), &episode, &report.steps);
+        let scene = Scene::new(stage(trial, policy, episode.episode), &episode, &report.steps);
         for (mut file, draw) in self.files {
             file.writer().write_all(draw(&scene).as_bytes()).context("cannot write the picture")?;
             file.keep()?;

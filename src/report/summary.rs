@@ -12,6 +12,7 @@ use super::trial::TrialReport;
 use crate::net::media::radio::RadioCounts;
 use crate::net::protocol::link::LinkCounts;
 use crate::safety::guard::SafetyCounts;
+use crate::scenario::judge::Verdict;
 use crate::time::Span;
 
 /// Whose counts a summary has.
@@ -50,6 +51,8 @@ pub struct Summary {
     pub virtual_s: f64,
     /// Wall-clock time of the run \[s\].
     pub wall_s: f64,
+    /// Episodes that did not succeed.
+    pub failed: Vec<FailedEpisode>,
     /// Injected faults, in words.
     pub faults: Vec<String>,
     /// Messages published.
@@ -75,6 +78,17 @@ pub struct Summary {
     pub seed: u64,
     /// Whether the run was ended before its time.
     pub interrupted: bool,
+}
+
+/// An episode that did not succeed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct FailedEpisode {
+    /// The repeat, from 0.
+    pub repeat: u32,
+    /// The episode in it, from 0.
+    pub episode: u32,
+    /// Its verdict.
+    pub verdict: Verdict,
 }
 
 /// Former names of fields of [`Outcomes`], so that scripts that read them go on working.
@@ -110,12 +124,18 @@ pub struct Run {
 
 /// Most faults that a table lists; JSON has all.
 const LISTED_FAULTS: usize = 4;
+/// Most failed episodes that a table lists; JSON has all.
+const LISTED_FAILURES: usize = 6;
 
 impl Summary {
     /// Sums up the trials of a run, in the order of their repeats.
     pub fn of(run: Run, trials: &[TrialReport]) -> Summary {
         let episodes: Vec<Episode> = trials.iter().flat_map(|trial| &trial.episodes).copied().collect();
         let outcomes = Outcomes::of(&episodes);
+        let failures = episodes.iter().filter(|episode| episode.verdict != Verdict::Success);
+        let failed =
+            failures.map(|&Episode { repeat, episode, verdict, .. }| FailedEpisode { repeat, episode, verdict });
+        let failed = failed.collect();
         let totals = || trials.iter().map(|trial| trial.totals);
         let mut trace = Xxh3::new();
         totals().for_each(|totals| trace.update(&totals.trace.to_le_bytes()));
@@ -135,6 +155,7 @@ impl Summary {
             counts: Counts::Team,
             virtual_s: trials.iter().map(|trial| trial.simulated.as_secs()).sum(),
             wall_s,
+            failed,
             faults,
             messages: totals().map(|totals| totals.messages).sum(),
             refused: trials.iter().map(|trial| trial.refused).sum(),
@@ -154,6 +175,22 @@ impl Summary {
     pub fn of_team(run: Run, report: TrialReport, counts: Counts, unwritten: Unwritten) -> Summary {
         // Real time does not repeat itself: there is no trace to compare.
         Summary { counts, unwritten, trace_hash: None, ..Summary::of(run, &[report]) }
+    }
+}
+
+impl Summary {
+    /// The first failed episodes in words, such as "episode 3 of repeat 0, episode 1 of repeat 2".
+    fn failed_episodes(&self) -> String {
+        let several = self.failed.iter().any(|failed| failed.repeat > 0);
+        let words = |failed: &FailedEpisode| {
+            let of = if several { format!(" of repeat {}", failed.repeat) } else { String::new() };
+            format!("episode {}{of}", failed.episode)
+        };
+        let listed = self.failed.iter().take(LISTED_FAILURES).map(words).collect::<Vec<_>>().join(", ");
+        match self.failed.len().checked_sub(LISTED_FAILURES) {
+            Some(more) if more > 0 => format!("{listed} and {more} more"),
+            _ => listed,
+        }
     }
 }
 
@@ -185,6 +222,9 @@ impl fmt::Display for Summary {
             _ => writeln!(f, "  makespan            -   no episode succeeded")?,
         }
         writeln!(f, "  failures     {:>8}   {}", episodes - successes, self.outcomes.failures())?;
+        if !self.failed.is_empty() {
+            writeln!(f, "  {:<12} {:>8}   {}", "", "in", self.failed_episodes())?;
+        }
         for (index, fault) in self.faults.iter().take(LISTED_FAULTS).enumerate() {
             let head = if index == 0 { self.faults.len().to_string() } else { String::new() };
             let name = if index == 0 { "faults" } else { "" };

@@ -143,3 +143,30 @@ fn impossible_pictures_are_refused_before_the_run() {
     refuses(&["sim", "--animate", "one.svg", "--svg", "one.svg"], &["--svg", "--animate", "its own"]);
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left behind");
 }
+
+#[test]
+fn the_first_failed_episode_is_listed_and_can_be_shown() {
+    let folder = TempDir::new().expect("a temporary folder");
+    let plan = folder.path().join("crash.toml");
+    let crash =
+        "[[actor]]\nactor = \"controller\"\nrobot = 2\nfault = \"crash\"\nepisode = 1\nat_s = 2.0\nfor_s = 3.0\n";
+    std::fs::write(&plan, crash).expect("a temporary file");
+    let plan = plan.to_str().expect("the path is text");
+    let run_of = ["--mode", "offboard", "--episodes", "3", "--faults", plan];
+    let (failed, json) = drawn(folder.path(), "--svg", "failed.svg", &[&run_of[..], &["--episode", "failed"]].concat());
+    let (second, _) = drawn(folder.path(), "--svg", "second.svg", &[&run_of[..], &["--episode", "1"]].concat());
+    assert_eq!(failed, second);
+    let json: serde_json::Value = serde_json::from_str(&json).expect("one JSON object");
+    let expected = serde_json::json!([{"repeat": 0, "episode": 1, "verdict": "aborted"}]);
+    assert_eq!(json["failed"], expected);
+    let output = run(&[&["sim", "--repeats", "1"], &run_of[..]].concat());
+    let table = text(&output.stdout);
+    assert!(table.contains("1 aborted") && table.contains("in   episode 1\n"), "{table}");
+    assert!(table.contains("controller of robot 2: crash 2.0 s into episode 1, for 3.0 s"), "{table}");
+    let picture = folder.path().join("none.svg");
+    let none = ["sim", "--episodes", "1", "--repeats", "1", "--episode", "failed", "--svg"];
+    let output = run(&[&none[..], &[picture.to_str().expect("the path is text")]].concat());
+    assert!(output.status.success() && text(&output.stderr).contains("no episode of repeat 0 failed"));
+    assert!(!picture.exists());
+    refuses(&["sim", "--svg", "a.svg", "--episode", "last"], &["--episode", "last", "failed"]);
+}
