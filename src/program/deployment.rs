@@ -81,3 +81,17 @@ pub fn with_radio(deployment: Deployment, given: &str) -> Result<Deployment> {
     }
     Ok(deployment)
 }
+
+/// Delay \[ms\] and loss, of all messages or of those between robots, and radio of links, in words; `None` if ideal.
+pub fn conditions(delay_ms: f64, loss: f64, all: bool, radio: &str) -> Option<String> {
+    let of = if all { "all messages" } else { "messages between robots" };
+    let parts = [
+        (delay_ms > 0.0).then(|| format!("delay {delay_ms} ms")),
+        (loss > 0.0).then(|| format!("loss {:.0} %", 100.0 * loss)),
+    ];
+    let impaired: Vec<String> = parts.into_iter().flatten().collect();
+    let impaired = (!impaired.is_empty()).then(|| format!("{} of {of}", impaired.join(", ")));
+    let radio = (radio != "none").then(|| format!("radio {radio}"));
+    let words: Vec<String> = impaired.into_iter().chain(radio).collect();
+    (!words.is_empty()).then(|| words.join("; "))
+}

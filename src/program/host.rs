@@ -146,6 +146,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             judged: team.deployment.judged(),
             seed: team.seed,
             wall_s: began.elapsed().as_secs_f64(),
+            network: None,
             faults: Vec::new(),
             interrupted,
         };

@@ -221,6 +221,7 @@ fn summary(args: &Args, trial: &Trial, policy: &str, reports: &[TrialReport], to
         judged: trial.deployment.judged(),
         seed: args.seed,
         wall_s: took.as_secs_f64(),
+        network: deployment::conditions(args.delay_ms, args.loss, args.impair.as_deref() == Some("all"), &args.radio),
         faults: trial.faults.describe(),
         // A Ctrl-C that comes after the last episode has interrupted nothing.
         interrupted: reports.len() < args.repeats as usize || reports.iter().any(|report| !report.finished),

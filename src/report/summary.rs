@@ -53,6 +53,8 @@ pub struct Summary {
     pub wall_s: f64,
     /// Episodes that did not succeed.
     pub failed: Vec<FailedEpisode>,
+    /// Delay, loss and radio of emulated links, in words; `None` if they are ideal or not emulated.
+    pub network: Option<String>,
     /// Injected faults, in words.
     pub faults: Vec<String>,
     /// Messages published.
@@ -116,6 +118,8 @@ pub struct Run {
     pub seed: u64,
     /// How long it took \[s\].
     pub wall_s: f64,
+    /// Delay, loss and radio of emulated links, in words; `None` if they are ideal or not emulated.
+    pub network: Option<String>,
     /// Injected faults, in words.
     pub faults: Vec<String>,
     /// Whether it was ended before its time.
@@ -139,7 +143,7 @@ impl Summary {
         let totals = || trials.iter().map(|trial| trial.totals);
         let mut trace = Xxh3::new();
         totals().for_each(|totals| trace.update(&totals.trace.to_le_bytes()));
-        let Run { mode, scenario, policy, robots, judged, seed, wall_s, faults, interrupted } = run;
+        let Run { mode, scenario, policy, robots, judged, seed, wall_s, network, faults, interrupted } = run;
         Summary {
             mode,
             scenario,
@@ -156,6 +160,7 @@ impl Summary {
             virtual_s: trials.iter().map(|trial| trial.simulated.as_secs()).sum(),
             wall_s,
             failed,
+            network,
             faults,
             messages: totals().map(|totals| totals.messages).sum(),
             refused: trials.iter().map(|trial| trial.refused).sum(),
@@ -224,6 +229,9 @@ impl fmt::Display for Summary {
         writeln!(f, "  failures     {:>8}   {}", episodes - successes, self.outcomes.failures())?;
         if !self.failed.is_empty() {
             writeln!(f, "  {:<12} {:>8}   {}", "", "in", self.failed_episodes())?;
+        }
+        if let Some(network) = &self.network {
+            writeln!(f, "  network      {:>8}   {network}", "")?;
         }
         for (index, fault) in self.faults.iter().take(LISTED_FAULTS).enumerate() {
             let head = if index == 0 { self.faults.len().to_string() } else { String::new() };

@@ -92,6 +92,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         judged: first.deployment.judged(),
         seed: first.seed,
         wall_s,
+        network: None,
         faults: Vec::new(),
         interrupted: !finished || interrupted,
     };
