@@ -413,6 +413,10 @@ fn every_link_of_the_pages_leads_to_a_file_and_a_heading() {
         let targets = prose.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(target, _)| target);
         for target in targets.filter(|target| !target.contains("://")) {
             links += 1;
+            // A package of a registry does not contain other packages.
+            if target.contains("tests/stranger") && !root().join("tests/stranger").exists() {
+                continue;
+            }
             let of = format!("{}: ({target})", page.name);
             let (file, anchor) = target.split_once('#').unwrap_or((target, ""));
             let here = root().join(&page.name);
