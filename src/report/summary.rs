@@ -184,6 +184,22 @@ impl Summary {
 }
 
 impl Summary {
+    /// Writes the lines about the network's conditions and injected faults.
+    fn write_imposed(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(network) = &self.network {
+            writeln!(f, "  network      {:>8}   {network}", "")?;
+        }
+        for (index, fault) in self.faults.iter().take(LISTED_FAULTS).enumerate() {
+            let head = if index == 0 { self.faults.len().to_string() } else { String::new() };
+            let name = if index == 0 { "faults" } else { "" };
+            writeln!(f, "  {name:<12} {head:>8}   {fault}")?;
+        }
+        if let Some(more) = self.faults.len().checked_sub(LISTED_FAULTS).filter(|more| *more > 0) {
+            writeln!(f, "  {:<12} {:>8}   and {more} more; --json has them all", "", "")?;
+        }
+        Ok(())
+    }
+
     /// The first failed episodes in words, such as "episode 3 of repeat 0, episode 1 of repeat 2".
     fn failed_episodes(&self) -> String {
         let several = self.failed.iter().any(|failed| failed.repeat > 0);
@@ -230,17 +246,7 @@ impl fmt::Display for Summary {
         if !self.failed.is_empty() {
             writeln!(f, "  {:<12} {:>8}   {}", "", "in", self.failed_episodes())?;
         }
-        if let Some(network) = &self.network {
-            writeln!(f, "  network      {:>8}   {network}", "")?;
-        }
-        for (index, fault) in self.faults.iter().take(LISTED_FAULTS).enumerate() {
-            let head = if index == 0 { self.faults.len().to_string() } else { String::new() };
-            let name = if index == 0 { "faults" } else { "" };
-            writeln!(f, "  {name:<12} {head:>8}   {fault}")?;
-        }
-        if let Some(more) = self.faults.len().checked_sub(LISTED_FAULTS).filter(|more| *more > 0) {
-            writeln!(f, "  {:<12} {:>8}   and {more} more; --json has them all", "", "")?;
-        }
+        self.write_imposed(f)?;
         if self.judged == Judged::Readings {
             writeln!(f, "  judged       readings   what touched between two readings of a robot was not seen")?;
         }

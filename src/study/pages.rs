@@ -223,7 +223,7 @@ pub fn page(study: &Study, results: &Results, figures: &[Figure]) -> String {
     }
     parts.push(Part::Text(
         "Success with its 95 % Wilson interval; median makespan of the successes with its quartiles; 'paper': Table \
-         I of Blumenkamp et al., ICRA 2022, on real robots, where the figure is known. Failures by what came first: \
+         I of Blumenkamp et al., ICRA 2022, on real robots. Failures by what came first: \
          robot collisions (nearer to each other than the rules allow), wall collisions, timeouts, aborted and unseen \
          episodes. 'within 50 ms': messages between robots that arrived within 50 ms, of all expected deliveries."
             .to_owned(),

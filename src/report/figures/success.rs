@@ -21,7 +21,7 @@ pub struct Group {
     pub name: String,
     /// Shares by entrant; `None` where there is none.
     pub shares: Vec<Option<Share>>,
-    /// Share that the paper reports, where it is known.
+    /// Share that the paper reports, for columns of its Table I.
     pub paper: Option<f64>,
 }
 
@@ -46,7 +46,7 @@ pub fn success(title: &str, entrants: &[String], groups: &[Group]) -> Result<Str
         }
         let y = (HEAD + legend - 20) as i32;
         cross(area, (260, y))?;
-        let label = "the paper's robots (Table I), where the figure is known";
+        let label = "the paper's robots (Table I)";
         area.draw(&Text::new(label, (280, y), style(TEXT - 1, BLACK, HPos::Left, VPos::Center)))?;
         let mut chart = ChartBuilder::on(area)
             .margin_top(HEAD + legend)
