@@ -97,10 +97,7 @@ fn every_column_of_the_table_has_its_row() {
         assert_eq!(row["makespan_median_s"].is_f64(), rate > 0.0, "{row}");
         let crosses = !matches!(row["name"].as_str(), Some("sim" | "centralized"));
         assert_eq!(row["delivered"].is_f64(), crosses, "{row}");
-        assert_eq!(
-            row["paper_success_rate"].is_f64(),
-            matches!(row["name"].as_str(), Some("centralized" | "offboard"))
-        );
+        assert!(row["paper_success_rate"].is_f64() && row["paper_makespan_median_s"].is_f64(), "{row}");
     }
     assert_eq!((&rows[0]["policy"], &rows[0]["handling"]), (&"shipped".into(), &"default".into()));
     assert_eq!((&rows[1]["policy"], &rows[1]["handling"]), (&"orca".into(), &"as-published".into()));
