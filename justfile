@@ -46,6 +46,6 @@ robot:
 full-network:
     bash netpeer/compare.sh
 
-# Exactly what the gate runs (about 20 minutes on 2 cores)
+# Exactly what the gate runs (about 16 minutes on 2 cores)
 ci:
     bash .ci/run
