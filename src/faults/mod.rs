@@ -5,10 +5,7 @@
 
 mod file;
 
-use std::cell::{OnceCell, RefCell};
 use std::collections::BTreeMap;
-use std::fmt;
-use std::rc::Rc;
 
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
@@ -129,15 +126,11 @@ impl LinkFault {
         }
     }
 
-    /// Whether a frame sent at `now` is subject to this fault, if its episode, where it has one, began at `began`;
-    /// `share` is drawn by the caller.
-    pub fn hits(&self, now: Time, began: impl FnOnce(u32) -> Option<Time>, kind: Kind, ends: (HostId, HostId)) -> bool {
-        let origin = match self.episode {
-            None => Time::ZERO,
-            Some(episode) => match began(episode) {
-                Some(began) => began,
-                None => return false,
-            },
+    /// Whether a frame sent at `now` is subject to this fault. `began` has the start times of episodes. The caller
+    /// draws `share`.
+    pub fn hits(&self, now: Time, began: &BTreeMap<u32, Time>, kind: Kind, ends: (HostId, HostId)) -> bool {
+        let Some(origin) = self.episode.map_or(Some(Time::ZERO), |episode| began.get(&episode).copied()) else {
+            return false;
         };
         let elapsed = Time::ZERO + now.since(origin);
         let divides = self.hosts.contains(&ends.0) != self.hosts.contains(&ends.1);
@@ -170,50 +163,6 @@ pub struct FaultPlan {
 /// The name of an enum's variant, as in a plan's file.
 fn word(value: &impl Serialize) -> String {
     serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
-}
-
-/// Start times of a trial's episodes, as far as they have begun: written where the state server begins them, read by
-/// what injects faults. Only one-process simulations have faults, and these run on one thread.
-#[derive(Clone, Default)]
-pub struct EpisodeStarts {
-    starts: Rc<RefCell<BTreeMap<u32, Time>>>,
-    /// Is called at the start of each episode.
-    listener: Rc<OnceCell<Listener>>,
-}
-
-/// A function of an episode and the time at which it starts.
-type Listener = Box<dyn Fn(u32, Time)>;
-
-impl fmt::Debug for EpisodeStarts {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("EpisodeStarts").field(&self.starts).finish()
-    }
-}
-
-impl EpisodeStarts {
-    /// Sets the function that is called at the start of each episode.
-    ///
-    /// # Panics
-    /// If there is one already.
-    pub fn listen(&self, listener: impl Fn(u32, Time) + 'static) {
-        assert!(self.listener.set(Box::new(listener)).is_ok(), "a trial injects its faults in one place");
-    }
-
-    /// Notes that an episode starts at `now`, unless it has started before.
-    pub fn note(&self, episode: u32, now: Time) {
-        if self.starts.borrow().contains_key(&episode) {
-            return;
-        }
-        self.starts.borrow_mut().insert(episode, now);
-        if let Some(listener) = self.listener.get() {
-            listener(episode, now);
-        }
-    }
-
-    /// The start of an episode; `None` before it.
-    pub fn of(&self, episode: u32) -> Option<Time> {
-        self.starts.borrow().get(&episode).copied()
-    }
 }
 
 /// Roles and kinds of faults in a drawn plan.

@@ -130,11 +130,11 @@ pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
     let (host, robots) = (graph.routes.server_host(), plan.deployment.robots);
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let make = move |incarnation| StateServer::new(config.clone(), robots, incarnation);
-    let (starts, now) = (graph.starts.clone(), clock.clone());
+    let episodes = graph.episodes.clone();
     start(clock, &graph.server, info_span!("state server"), make, move |out| match out {
         state_server::Out::Mode(mode) => {
             if mode.phase == Phase::Running {
-                starts.note(mode.round.episode, now.now());
+                episodes.runs(mode.round.episode);
             }
             network.send(network::In::Publish(Wire::Mode(mode)));
         }

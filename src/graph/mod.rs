@@ -5,6 +5,7 @@ mod bodies;
 mod delivery;
 pub mod devices;
 pub mod host;
+mod injection;
 pub mod operator;
 pub mod process;
 pub mod sockets;
@@ -23,7 +24,7 @@ use crate::actors::recorder::{self, Recorder};
 use crate::actors::status;
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::estimation;
-use crate::faults::{ActorFault, FaultPlan};
+use crate::faults::FaultPlan;
 use crate::graph::attachment::Attachment;
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
 use crate::graph::process::{Graph, Process, ProcessEvent};
@@ -101,18 +102,7 @@ pub fn wire(clock: &Clock, plan: Plan, output: impl FnMut(recorder::Out) + 'stat
     wire_hosts(clock, plan, &graph, &process);
     wire_links(clock, plan, &graph);
     wire_recorder(clock, plan, &graph, output);
-    for fault in plan.faults.actors.iter().filter(|fault| fault.episode.is_none()) {
-        inject(clock, &graph, fault, fault.at);
-    }
-    // Weak, because the graph holds the listener.
-    let (later, weak) = (clock.clone(), Rc::downgrade(&graph));
-    let timed: Vec<ActorFault> = plan.faults.actors.iter().filter(|fault| fault.episode.is_some()).cloned().collect();
-    graph.starts.listen(move |episode, now| {
-        let Some(graph) = weak.upgrade() else { return };
-        for fault in timed.iter().filter(|fault| fault.episode == Some(episode)) {
-            inject(&later, &graph, fault, now + fault.at.since(Time::ZERO));
-        }
-    });
+    injection::schedule(clock, plan, &graph);
     if let Some(until) = plan.until {
         let record = graph.record();
         clock.call(until, Box::new(move || record(recorder::In::Closing)));
@@ -122,12 +112,6 @@ pub fn wire(clock: &Clock, plan: Plan, output: impl FnMut(recorder::Out) + 'stat
         clock.call(at, Box::new(move || network.send(network::In::Publish(Wire::Stop(stop)))));
     }
     graph
-}
-
-/// Injects a fault at that time.
-fn inject(clock: &Clock, graph: &Rc<Graph>, fault: &ActorFault, at: Time) {
-    let (fault, graph) = (fault.clone(), Rc::clone(graph));
-    clock.call(at, Box::new(move || graph.inject(fault)));
 }
 
 /// Starts the actors of the hosts that run here.
@@ -349,11 +333,11 @@ fn wire_links(clock: &Clock, plan: &Plan, graph: &Graph) {
         let id = LinkId(u16::try_from(index).expect("links are counted in u16"));
         let routes = graph.routes.clone();
         let (impairment, faults) = (link.impairment(), plan.faults.of_link(&link.name));
-        let (seed, name, starts) = (plan.seed, link.name.clone(), graph.starts.clone());
+        let (seed, name) = (plan.seed, link.name.clone());
         let (radio, range_m, robots_of) = (link.radio.clone(), link.range_m, Rc::clone(&robots_of));
         let make = move |incarnation| {
             let stream = seed.stream(&format!("link/{name}/{incarnation}"));
-            let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream).with_starts(starts.clone());
+            let emulator = LinkEmulator::new(impairment.clone(), faults.clone(), stream);
             let air = || seed.child(&format!("link/{name}/radio/{incarnation}"));
             let radio_link = radio.clone().map(|radio| RadioLink::new(radio, &robots_of, &air()));
             let reach = range_m.map(|range_m| Reach::new(range_m, &robots_of));

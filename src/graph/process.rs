@@ -1,11 +1,12 @@
 //! The part of a deployment that runs in this process, and the mailboxes of all actors. `graph` connects them.
 
+use std::cell::{Cell, OnceCell};
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
 use crate::actors::{agent, body, cache, controller, localizer, network, recorder, state_server, status, world};
 use crate::deploy::{Deployment, Link, Routes};
-use crate::faults::{ActorFault, EpisodeStarts, Role};
+use crate::faults::{ActorFault, Role};
 use crate::graph::Plan;
 use crate::graph::devices::Devices;
 use crate::messages::ids::{HostId, RobotId};
@@ -109,8 +110,33 @@ pub struct Graph {
     pub(super) transports: Rc<[Mailbox<transport::In>]>,
     /// None in a process without a Recorder.
     pub(super) recorder: Option<Mailbox<recorder::In>>,
-    /// Start times of episodes, for faults that are timed from them.
-    pub(super) starts: EpisodeStarts,
+    /// Notice of each episode that begins, for faults that are timed from it.
+    pub(super) episodes: EpisodeNotice,
+}
+
+/// Function of an episode that begins.
+type EpisodeListener = Box<dyn Fn(u32)>;
+
+/// Notice of each episode that begins, for one listener.
+#[derive(Clone, Default)]
+pub(super) struct EpisodeNotice {
+    listener: Rc<OnceCell<EpisodeListener>>,
+    newest: Rc<Cell<Option<u32>>>,
+}
+
+impl EpisodeNotice {
+    /// Notes that an episode runs; the first time, the listener is called.
+    pub(super) fn runs(&self, episode: u32) {
+        if self.newest.get() < Some(episode) {
+            self.newest.set(Some(episode));
+            self.listener.get().into_iter().for_each(|listener| listener(episode));
+        }
+    }
+
+    /// Sets the listener.
+    pub(super) fn listen(&self, listener: impl Fn(u32) + 'static) {
+        assert!(self.listener.set(Box::new(listener)).is_ok(), "a plan is scheduled once");
+    }
 }
 
 impl Graph {
@@ -143,7 +169,7 @@ impl Graph {
             networks: deployment.hosts.iter().map(|host| Mailbox::new(format!("network of {}", host.name))).collect(),
             transports: links.map(Mailbox::new).collect(),
             recorder: process.records.then(|| Mailbox::new("recorder")),
-            starts: EpisodeStarts::default(),
+            episodes: EpisodeNotice::default(),
             routes,
         }
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::gnn::{Gnn, Network};
 use super::manifest::Architecture;
 use super::weights::{self, WeightsError};
-use super::{Draw, Interface, Policy, orca, shipped};
+use super::{Draw, Interface, Policy, orca, probe, shipped};
 use crate::messages::wire::MAX_FEATURES;
 use crate::scenario::Arena;
 use crate::time::Span;
@@ -82,15 +82,12 @@ impl Model {
 
     /// Reads a policy file from `bytes` for the scenario of this name; actions are drawn as the file says.
     pub fn from_file(bytes: &[u8], scenario: &str) -> Result<Model, ModelError> {
-        let mut file = weights::read(bytes)?;
+        let file = weights::read(bytes)?;
         if file.manifest.scenario != scenario {
             return Err(ModelError::Scenario { theirs: file.manifest.scenario, ours: scenario.to_owned() });
         }
-        let (draw, probe) = (file.manifest.draw, file.probe.take());
-        let network = Arc::new(Network::new(file));
-        if let Some(probe) = probe {
-            probe.check(&network)?;
-        }
+        let draw = file.manifest.draw;
+        let (network, _) = probe::network(file)?;
         Ok(Model::Gnn(network, draw))
     }
 

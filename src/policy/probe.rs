@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use super::gnn::{Gnn, Network};
-use super::weights::{Probe, WeightsError};
+use super::weights::{PolicyFile, Probe, WeightsError};
 use super::{Draw, Neighbour, Policy};
 use crate::messages::geometry::{Motion, Vec2};
 use crate::scenario::Observation;
@@ -15,6 +15,8 @@ use crate::time::Span;
 /// that is above 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
+    /// Number of robots in the probe.
+    pub robots: usize,
     /// Largest difference of a latent's feature.
     pub latent: f32,
     /// Largest difference of an output.
@@ -49,10 +51,10 @@ impl Probe {
                 .collect();
             outputs.extend(gnn.outputs(&own[robot], &latents[robot], &neighbours));
         }
-        Difference { latent: largest(&latents.concat(), &self.latent), output: largest(&outputs, &self.output) }
+        Difference { robots, latent: largest(&latents.concat(), &self.latent), output: largest(&outputs, &self.output) }
     }
 
-    /// Refuses a network that computes other numbers.
+    /// Refuses a network that computes other numbers than those stored.
     pub fn check(&self, network: &Arc<Network>) -> Result<Difference, WeightsError> {
         let difference = self.compare(network);
         for (what, difference) in [("latents", difference.latent), ("outputs", difference.output)] {
@@ -62,6 +64,17 @@ impl Probe {
         }
         Ok(difference)
     }
+}
+
+/// Makes the network of a checked file and compares it with the file's probe, if there is one.
+///
+/// # Errors
+/// If the network computes other numbers.
+pub fn network(mut file: PolicyFile) -> Result<(Arc<Network>, Option<Difference>), WeightsError> {
+    let probe = file.probe.take();
+    let network = Arc::new(Network::new(file));
+    let difference = probe.map(|probe| probe.check(&network)).transpose()?;
+    Ok((network, difference))
 }
 
 /// The largest difference of two rows of numbers, relative to stored numbers above 1; NaN if one is.

@@ -15,14 +15,14 @@ use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::Span;
 
-/// Whose counts a summary has.
+/// Hosts that the counts of a summary cover.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Counts {
-    /// Those of all hosts.
+    /// All hosts.
     Team,
-    /// Those of the one host that prints it: its messages, what was not delivered to it, and its robots' safety. What
-    /// the other hosts have counted is not known there.
+    /// The host that prints it: its messages, what was not delivered to it, and its robots' safety. The counts of other
+    /// hosts are not known there.
     Host,
 }
 
@@ -37,15 +37,15 @@ pub struct Summary {
     pub policy: String,
     /// The size of the team.
     pub robots: usize,
-    /// What came of the episodes.
+    /// Counts and statistics of the episodes.
     #[serde(flatten)]
     pub outcomes: Outcomes,
     /// Former names of `robot_collisions`, `wall_collisions` and `aborted`, for one version.
     #[serde(flatten)]
     former: FormerNames,
-    /// What their verdicts were found from.
+    /// Data from which verdicts were found.
     pub judged: Judged,
-    /// Whose counts these are.
+    /// Hosts that these counts cover.
     pub counts: Counts,
     /// Simulated time of all trials together \[s\].
     pub virtual_s: f64,
@@ -101,7 +101,7 @@ struct FormerNames {
     aborts: usize,
 }
 
-/// What a run was, beside its results.
+/// Properties of a run, beside its results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
     /// The deployment.
@@ -112,7 +112,7 @@ pub struct Run {
     pub policy: String,
     /// The size of the team.
     pub robots: usize,
-    /// What verdicts are found from.
+    /// Data from which verdicts are found.
     pub judged: Judged,
     /// The seed.
     pub seed: u64,
@@ -181,9 +181,7 @@ impl Summary {
         // Real time does not repeat itself: there is no trace to compare.
         Summary { counts, unwritten, trace_hash: None, ..Summary::of(run, &[report]) }
     }
-}
 
-impl Summary {
     /// Writes the lines about the network's conditions and injected faults.
     fn write_imposed(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(network) = &self.network {

@@ -398,7 +398,7 @@ fn a_replay_of_an_operator_from_another_address_does_not_divert_its_answers() {
     for frame in said.iter().chain([&fresh.to_vec()]) {
         rig.arrive_from(0, frame, elsewhere);
     }
-    assert_eq!(rig.admitted[0].len(), 1, "a recording of one that is accepted admits nobody");
+    assert_eq!(rig.admitted[0].len(), 1, "a recording of an accepted guest admits no second one");
 
     // Once the operator is forgotten, its recordings first make it a candidate, and soon have no effect.
     rig.restart(2, config(9, 2, 1, None, setup));

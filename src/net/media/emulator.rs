@@ -3,9 +3,11 @@
 //! Delay is fixed, loss independent for each receiver, faults come from the plan. Frames that have come through a
 //! radio channel (`radio`) pass through here afterwards. Pure: time and randomness are handed in.
 
+use std::collections::BTreeMap;
+
 use rand::RngExt;
 
-use crate::faults::{EpisodeStarts, LinkFault, LinkFaultKind};
+use crate::faults::{LinkFault, LinkFaultKind};
 use crate::messages::ids::HostId;
 use crate::messages::wire::Kind;
 use crate::net::protocol::codec::{Frame, HEADER_BYTES};
@@ -28,19 +30,20 @@ pub struct Impairment {
 pub struct LinkEmulator {
     impairment: Impairment,
     faults: Vec<LinkFault>,
-    starts: EpisodeStarts,
+    /// Start times of episodes, for faults that are timed from them.
+    began: BTreeMap<u32, Time>,
     stream: Stream,
 }
 
 impl LinkEmulator {
     /// Returns an emulator with the faults planned for its link; it draws from `stream` alone.
     pub fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> LinkEmulator {
-        LinkEmulator { impairment, faults, starts: EpisodeStarts::default(), stream }
+        LinkEmulator { impairment, faults, began: BTreeMap::new(), stream }
     }
 
-    /// Sets the start times of episodes, for faults that are timed from them.
-    pub fn with_starts(self, starts: EpisodeStarts) -> LinkEmulator {
-        LinkEmulator { starts, ..self }
+    /// Notes that an episode begins, for faults that are timed from its start.
+    pub fn begin(&mut self, now: Time, episode: u32) {
+        self.began.entry(episode).or_insert(now);
     }
 
     /// Carries one frame from one host to one receiver: puts each copy that arrives, with its time of arrival, into
@@ -62,9 +65,7 @@ impl LinkEmulator {
         }
         let first = arrivals.len();
         arrivals.push((at, frame.clone()));
-        for fault in
-            self.faults.iter().filter(|fault| fault.hits(now, |episode| self.starts.of(episode), kind, (from, to)))
-        {
+        for fault in self.faults.iter().filter(|fault| fault.hits(now, &self.began, kind, (from, to))) {
             if fault.share < 1.0 && !self.stream.random_bool(fault.share) {
                 continue;
             }

@@ -108,6 +108,7 @@ impl Core for Ether {
                 self.radio.iter_mut().for_each(|radio| radio.locate(&truth));
                 self.reach.iter_mut().for_each(|reach| reach.locate(&truth));
             }
+            In::EpisodeBegins(episode) => self.emulator.begin(now, episode),
             In::Admit(_) => unreachable!("an ether has no socket"),
         }
     }

@@ -87,6 +87,8 @@ pub enum In {
     Transmit(Transmit),
     /// True positions of the robots, from a simulated World: for an emulated link with a limited range.
     Truth(Truth),
+    /// An episode that begins: for an emulated link with faults that are timed from its start.
+    EpisodeBegins(u32),
     /// A host whose address is in no file, to be sent to for a while; only unicast links use it.
     Admit(Guest),
 }

@@ -1,5 +1,5 @@
-//! The part of `doctor` that needs others: whether what is sent comes back, and who is heard. Two operators of this
-//! process, on every link of the host, talk to each other and hear whoever else is there.
+//! Checks of `doctor` that need other hosts: loopback of the own datagrams, and reception from each host. Two operators
+//! of this process, on every link of the host, exchange reports and receive those of all others.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -21,26 +21,26 @@ use crate::runtime::real::run_real;
 use crate::time::{Span, Time};
 use anyhow::{Result, anyhow};
 
-use super::{Found, Status};
+use super::{Found, Status, Subject};
 use crate::live::links;
 use crate::program::key;
 
-/// A loss that is worth a word: where `repeat` begins (docs/wire.md).
+/// Loss from which a warning is given: that at which `repeat` begins to repeat (docs/wire.md).
 const LOSSY: f64 = 2.0 / 64.0;
 
-/// What one operator has heard.
+/// State received by one operator.
 #[derive(Default)]
-struct Ears {
+struct Received {
     peers: BTreeMap<(u16, u16), Peer>,
     counts: LinkCounts,
-    /// The number of the operator that answers.
+    /// Id of the operator that answers.
     echo: u16,
-    /// What is known of each robot, from whichever host knows it.
+    /// Condition of each robot, from all hosts that report it.
     robots: BTreeMap<RobotId, Condition>,
 }
 
-impl Ears {
-    /// Joins what one host knows of a robot with what others have told.
+impl Received {
+    /// Merges a host's report on a robot with those of other hosts.
     fn learn(&mut self, told: &Condition) {
         let known = self.robots.entry(told.robot).or_insert(*told);
         known.phase = told.phase.or(known.phase);
@@ -50,7 +50,7 @@ impl Ears {
     }
 }
 
-/// Listens for so long on the links of `teams`, which are the hosts of this machine, to `all` hosts.
+/// Listens for `seconds` on the links of `teams`, the hosts of this machine, to `all` hosts.
 pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> {
     let first = &teams[0];
     let place = |at: usize| teams.iter().find_map(|team| Some(team.links[at].as_ref()?.for_guest(team.host)));
@@ -61,29 +61,31 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> 
     }
     let setups = links::of_operator(&first.deployment, places.iter().map(Option::as_ref));
     let mut found = Vec::new();
-    let ears = hear(first, &places, &setups, seconds)?;
+    let received = hear(first, &places, &setups, seconds)?;
     for (at, name) in names.iter().enumerate().filter(|(at, _)| places[*at].is_some()) {
         let link = u16::try_from(at).expect("links are counted in u16");
         // Operators of an addressed link do not hear each other.
         let open = setups[at].as_ref().is_some_and(|setup| !setup.is_addressed());
-        found.extend(open.then(|| loop_back(name, ears.peers.get(&(link, ears.echo)))));
+        found.extend(open.then(|| loop_back(name, received.peers.get(&(link, received.echo)))));
         for (number, host) in first.deployment.hosts.iter().enumerate() {
             let uses = all.iter().any(|team| usize::from(team.host.0) == number && team.links[at].is_some());
-            let peer = ears.peers.get(&(link, u16::try_from(number).expect("hosts are counted in u16")));
+            let peer = received.peers.get(&(link, u16::try_from(number).expect("hosts are counted in u16")));
             if uses || peer.is_some() {
                 found.push(about(name, &host.name, peer));
             }
         }
     }
-    found.extend(refusals(&ears.counts));
+    found.extend(refusals(&received.counts));
     // Where nobody is heard, that is said of the hosts.
-    if !ears.robots.is_empty() {
-        found.extend(RobotId::team(first.deployment.robots).map(|robot| about_robot(robot, ears.robots.get(&robot))));
+    if !received.robots.is_empty() {
+        found.extend(
+            RobotId::team(first.deployment.robots).map(|robot| about_robot(robot, received.robots.get(&robot))),
+        );
     }
     Ok(found)
 }
 
-fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds: f64) -> Result<Ears> {
+fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds: f64) -> Result<Received> {
     let key = team.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
     // What observers say goes where the stop goes.
     let carries = team.deployment.links.iter().position(|link| link.carries.contains(&Kind::Stop));
@@ -110,12 +112,12 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
     };
     let (listener, echo) = (operator()?, operator()?);
     let (answers, observer) = (echo.me.host.0, listener.me.host);
-    let ears = Rc::new(RefCell::new(Ears::default()));
+    let received = Rc::new(RefCell::new(Received::default()));
     let until = Time::ZERO + Span::from_secs(seconds);
     run_real(
         Instant::now(),
         |clock, readers| {
-            let heard = Rc::clone(&ears);
+            let heard = Rc::clone(&received);
             let listener = wire((clock, readers), listener, move |said| match said {
                 ProcessEvent::Peers(peers) => {
                     heard.borrow_mut().peers = peers.iter().map(|p| ((p.link, p.host), p.clone())).collect();
@@ -136,11 +138,11 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
         },
         |_, now| now >= until,
     );
-    Ok(Ears { echo: answers, ..ears.take() })
+    Ok(Received { echo: answers, ..received.take() })
 }
 
 fn loop_back(link: &str, echo: Option<&Peer>) -> Found {
-    let what = format!("link {link}, loop-back");
+    let what = Subject::Link { link: link.to_owned(), item: "loop-back".to_owned() };
     match echo.map(|peer| (peer.round_trip_s, peer.age_s)) {
         Some((Some(round_trip_s), _)) => {
             (Status::Ok, what, format!("there and back in {:.2} ms", round_trip_s * 1e3), String::new())
@@ -156,7 +158,7 @@ fn loop_back(link: &str, echo: Option<&Peer>) -> Found {
 }
 
 fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
-    let what = format!("link {link}, host {host}");
+    let what = Subject::Peer { link: link.to_owned(), host: host.to_owned() };
     let Some((peer, age_s)) = peer.and_then(|peer| Some((peer, peer.age_s?))) else {
         let advice = "is it started, on this network, with this group and this key? run doctor there, too";
         return (Status::Warn, what, "not heard".to_owned(), advice.to_owned());
@@ -175,7 +177,7 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
     }
     if !peer.accepted {
         let advice = "does it hear this machine? run doctor there, too".to_owned();
-        return (Status::Warn, what, format!("heard, but it has not shown that it hears us; {said}"), advice);
+        return (Status::Warn, what, format!("heard, but it has not shown that it hreceived us; {said}"), advice);
     }
     if peer.loss >= LOSSY {
         let advice = "look at the radio, or choose reliability = { latent = \"repeat\" }".to_owned();
@@ -184,9 +186,9 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
     (Status::Ok, what, said, String::new())
 }
 
-/// A robot, as its hosts tell of it; what nobody tells is unknown.
+/// Condition of a robot as its hosts report it; fields without a report are unknown.
 fn about_robot(robot: RobotId, known: Option<&Condition>) -> Found {
-    let what = format!("robot {}", robot.0);
+    let what = Subject::General(format!("robot {}", robot.0));
     let Some(known) = known else {
         let advice = "are the hosts of its agent and of its motors running?".to_owned();
         return (Status::Warn, what, "nothing is known of it".to_owned(), advice);
@@ -226,7 +228,7 @@ fn phase_name(phase: Phase) -> &'static str {
     }
 }
 
-/// What was refused, where that says what is wrong.
+/// Refused datagrams, by causes that point to a mistake.
 fn refusals(counts: &LinkCounts) -> Vec<Found> {
     let all = [
         (counts.auth, "with another key or none", "compare the fingerprints that doctor shows on every host"),
@@ -235,7 +237,7 @@ fn refusals(counts: &LinkCounts) -> Vec<Found> {
     ];
     let found = |(count, what, advice): (u64, &str, &str)| {
         let said = format!("{count} datagrams {what}");
-        (Status::Warn, "refused".to_owned(), said, advice.to_owned())
+        (Status::Warn, Subject::General("refused".to_owned()), said, advice.to_owned())
     };
     all.into_iter().filter(|(count, ..)| *count > 0).map(found).collect()
 }

@@ -1,11 +1,12 @@
-//! `murmurate doctor`: whether this machine is fit to be one host of a team; one line a check, and what to do.
+//! The command `murmurate doctor`: checks of whether this machine is fit to be a host of a team, with advice.
 //!
-//! First what can be seen without the rest of the team, then who is heard. What it sends for that are link reports
-//! under names of its own: a robot that runs is not disturbed.
+//! Local checks come first, then reception from other hosts. For these it sends link reports under ids of its own, so a
+//! running robot is not disturbed.
 
 mod listen;
 mod table;
 
+use std::fmt;
 use std::path::Path;
 
 use crate::deploy::team::{Team, TeamFile};
@@ -13,7 +14,7 @@ use crate::messages::ids::HostId;
 use crate::net::transport::{Finding, Fitness, Place};
 use crate::registry::Registry;
 use anyhow::{Context, Result};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use crate::program::BadInput;
 use crate::program::Ended;
@@ -29,7 +30,7 @@ pub struct Args {
     team: team::TeamArgs,
     #[command(flatten)]
     which: team::Which,
-    /// How long to listen who is there, once all else is sound; 0 sends nothing and listens to nobody
+    /// Time to listen for other hosts once all else is sound [s]; 0 sends nothing and skips this check
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     listen: f64,
     /// Prints one JSON object
@@ -37,7 +38,7 @@ pub struct Args {
     json: bool,
 }
 
-/// What came of a check.
+/// Result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Status {
@@ -49,19 +50,46 @@ enum Status {
 /// A check.
 #[derive(Debug, Serialize)]
 struct Check {
-    /// What came of it.
+    /// Its result.
     status: Status,
-    /// The host that it is about.
+    /// Host that it is for; "here" for the machine.
     host: String,
-    /// What was checked.
-    what: String,
-    /// What was found.
+    /// Its subject.
+    what: Subject,
+    /// The finding.
     found: String,
-    /// What to do about it; empty if nothing.
+    /// Advice; empty if there is nothing to do.
     advice: String,
 }
 
-/// Checks, and prints what was found.
+/// Subject of a check, as text `key`, `link infra, MTU` or `link infra, host world`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Subject {
+    /// The machine, the team or a robot.
+    General(String),
+    /// An item of a link.
+    Link { link: String, item: String },
+    /// Another host on a link.
+    Peer { link: String, host: String },
+}
+
+impl fmt::Display for Subject {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Subject::General(what) => f.write_str(what),
+            Subject::Link { link, item } => write!(f, "link {link}, {item}"),
+            Subject::Peer { link, host } => write!(f, "link {link}, host {host}"),
+        }
+    }
+}
+
+impl Serialize for Subject {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+/// Runs the checks and prints the findings.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let file = args.team.read(registry)?;
     if !(0.0..=3600.0).contains(&args.listen) {
@@ -95,8 +123,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     } else {
         let hosts: Vec<&str> =
             teams.iter().map(|team| &*team.deployment.hosts[usize::from(team.host.0)].name).collect();
-        let lines = table::lines(&checks, hosts.len());
-        lines.iter().try_for_each(|line| print(line))?;
+        let lines = table::lines(&checks);
+        lines.iter().try_for_each(|line| print(&line.text(hosts.len())))?;
         print(&table::verdict(&lines, &hosts))?;
     }
     Ok(if unfit { Ended::Unfit } else { Ended::Done })
@@ -117,11 +145,12 @@ fn teams(args: &Args, file: &TeamFile) -> Result<Vec<Team>> {
     Ok(teams)
 }
 
-/// Status, what was checked, what was found, what to do.
-type Found = (Status, String, String, String);
+/// Result of a check, its subject, the finding and advice.
+type Found = (Status, Subject, String, String);
 
 fn check_key(team: &Team) -> Found {
-    let found = |status, found: String, advice: &str| (status, "key".to_owned(), found, advice.to_owned());
+    let found =
+        |status, found: String, advice: &str| (status, Subject::General("key".to_owned()), found, advice.to_owned());
     match &team.key_file {
         None => found(
             Status::Warn,
@@ -141,7 +170,7 @@ fn check_key(team: &Team) -> Found {
 }
 
 fn check_policy(team: &Team, registry: &Registry) -> Found {
-    let found = |status, found: String| (status, "policy".to_owned(), found, String::new());
+    let found = |status, found: String| (status, Subject::General("policy".to_owned()), found, String::new());
     match team::policy(team, registry) {
         Ok(policy) => match policy.assumed {
             Some(assumed) => found(Status::Warn, assumed),
@@ -158,7 +187,7 @@ fn check_link(host: HostId, link: &str, place: &Place) -> Vec<Found> {
             Fitness::Warn => Status::Warn,
             Fitness::Fail => Status::Fail,
         };
-        (status, format!("link {link}, {what}"), found, advice)
+        (status, Subject::Link { link: link.to_owned(), item: what.to_owned() }, found, advice)
     };
     place.endpoint.check(host, link, &mtu).into_iter().map(found).collect()
 }

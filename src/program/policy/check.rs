@@ -1,14 +1,13 @@
 //! The command `murmurate policy check`: what a policy file is, and whether this program can run it.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use serde::Serialize;
 
 use crate::policy::Draw;
-use crate::policy::gnn::Network;
 use crate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
+use crate::policy::probe::{self, Difference};
 use crate::policy::weights::{self, Probe};
 use crate::program::output::{print, read_bytes, talk};
 use crate::program::{BadInput, Ended};
@@ -54,22 +53,15 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let name = args.file.display().to_string();
     let refuse = |why: String| BadInput(format!("the policy file '{name}': {why}"));
     let bytes = read_bytes(&args.file, "policy file")?;
-    let mut file = weights::read(&bytes).map_err(|error| refuse(error.to_string()))?;
+    let file = weights::read(&bytes).map_err(|error| refuse(error.to_string()))?;
     let layers = file.networks.iter().flat_map(|network| network.layers());
     let parameters = layers.map(|layer| (layer.inputs() + 1) * layer.outputs()).sum();
-    let probe = file.probe.take();
-    let network = Arc::new(Network::new(file));
-    let probe = probe
-        .map(|probe| {
-            let difference = probe.check(&network)?;
-            Ok(ProbeFacts {
-                robots: probe.position.len() / 2,
-                latent_difference: difference.latent,
-                output_difference: difference.output,
-            })
-        })
-        .transpose()
-        .map_err(|error: weights::WeightsError| refuse(error.to_string()))?;
+    let (network, difference) = probe::network(file).map_err(|error| refuse(error.to_string()))?;
+    let probe = difference.map(|Difference { robots, latent, output }| ProbeFacts {
+        robots,
+        latent_difference: latent,
+        output_difference: output,
+    });
     let manifest = network.manifest();
     let known: Vec<&str> = registry.scenarios().iter().map(|entry| entry.name).collect();
     let foreign = (!known.contains(&&*manifest.scenario)).then(|| {

@@ -1,0 +1,36 @@
+//! Injection of planned faults: at times of the trial, and at times since an episode began.
+
+use std::rc::Rc;
+
+use super::Plan;
+use super::process::Graph;
+use crate::faults::ActorFault;
+use crate::net::transport;
+use crate::runtime::clock::Clock;
+use crate::time::Time;
+
+/// Schedules all faults of a plan. Faults of links that are timed by the trial are known to the links themselves.
+pub(super) fn schedule(clock: &Clock, plan: &Rc<Plan>, graph: &Rc<Graph>) {
+    for fault in plan.faults.actors.iter().filter(|fault| fault.episode.is_none()) {
+        inject(clock, graph, fault, fault.at);
+    }
+    // Weak, because the graph holds the listener.
+    let (later, plan, weak) = (clock.clone(), Rc::clone(plan), Rc::downgrade(graph));
+    let began = move |episode| {
+        let Some(graph) = weak.upgrade() else { return };
+        for fault in plan.faults.actors.iter().filter(|fault| fault.episode == Some(episode)) {
+            inject(&later, &graph, fault, later.now() + fault.at.since(Time::ZERO));
+        }
+        for (link, transport) in plan.deployment.links.iter().zip(&*graph.transports) {
+            if plan.faults.of_link(&link.name).iter().any(|fault| fault.episode == Some(episode)) {
+                transport.send(transport::In::EpisodeBegins(episode));
+            }
+        }
+    };
+    graph.episodes.listen(began);
+}
+
+fn inject(clock: &Clock, graph: &Rc<Graph>, fault: &ActorFault, at: Time) {
+    let (fault, graph) = (fault.clone(), Rc::clone(graph));
+    clock.call(at, Box::new(move || graph.inject(fault)));
+}
