@@ -8,7 +8,8 @@
 //! everywhere.
 //!
 //! # Modules in their order
-//! Each module may use those before it, never those after: `time`, `random`, `config`, `messages`, `actor`, `cells`;
+//! Each module may use those before it, never those after: `time`, `random`, `config`, `messages`, `actor`, `cells`,
+//! `chassis`;
 //! `hearing`, `faults`; `scenario`, `policy`, `world`, `safety`; `edge`, `drivers`, `estimation`, `localization`;
 //! `net::protocol`, `net::transport`, `registry`, `net::media`; `report`; then [`actors`], and beside them [`train`],
 //! which uses no actor; `deploy`; `runtime`, which runs actors; `graph`, which connects them; `trial`; `live`, `study`;
@@ -23,6 +24,7 @@
 pub mod actor;
 pub mod actors;
 pub mod cells;
+pub mod chassis;
 pub mod config;
 pub mod deploy;
 pub mod drivers;

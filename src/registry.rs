@@ -239,7 +239,8 @@ impl Registry {
     pub fn driver(&self, settings: &Settings, robot: RobotId) -> Result<drivers::Parts, ConfigError> {
         let entry =
             find(&self.drivers, &settings.name).map_err(|e| ConfigError::field("driver.name", e.to_string()))?;
-        (entry.make)(settings, robot).map_err(|error| error.within("driver"))
+        let settings = settings.for_robot(robot).map_err(|error| error.within("driver"))?;
+        (entry.make)(&settings, robot).map_err(|error| error.within("driver"))
     }
 
     /// Makes the source of some robots with these settings, likewise.

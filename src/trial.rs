@@ -72,6 +72,8 @@ pub struct Trial {
     pub handling: Handling,
     /// Estimator from readings to a robot's state.
     pub estimator: estimation::Entry,
+    /// Known delay of the source of readings; `None` for the latency of the simulated sensor.
+    pub sensor_delay: Option<Span>,
     /// Limit that Controllers put on the policy's output; `Trial::clamp` sets it together with the matching physics.
     pub clamp: Clamp,
     /// Conditions in which robots are stopped or slowed, whatever the policy's output.
@@ -168,6 +170,7 @@ impl Trial {
             range: None,
             handling: Handling::Hold,
             estimator: estimation::REGISTRY[0],
+            sensor_delay: None,
             clamp: Clamp::Training,
             safety: Safety::emulated(),
             stops: Vec::new(),
@@ -183,9 +186,9 @@ impl Trial {
         let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
         let trial = Trial::with_registry(registry, team.deployment.clone(), scenario, model);
         let SimulationSettings { physics, clamp, handling } = team.simulated;
-        let estimator = team.estimator;
+        let (estimator, sensor_delay) = (team.estimator, team.sensor_delay);
         let (seed, safety) = (team.seed, team.safety);
-        let trial = Trial { physics, handling, estimator, seed, safety, layouts, ..trial }.clamp(clamp);
+        let trial = Trial { physics, handling, estimator, sensor_delay, seed, safety, layouts, ..trial }.clamp(clamp);
         trial.check()?;
         Ok(trial)
     }
@@ -351,6 +354,7 @@ impl Trial {
             hold: interface.hold,
             handling: self.handling,
             estimator: self.estimator,
+            sensor_delay: self.sensor_delay.unwrap_or(self.physics.sensor.latency),
             clamp: self.clamp,
             safety: self.safety,
             stops: self.stops.clone(),

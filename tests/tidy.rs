@@ -53,13 +53,14 @@ fn sources(folder: &str) -> Vec<Source> {
 }
 
 /// Rooms of the library, each after those that it may use.
-const ROOMS: [&str; 30] = [
+const ROOMS: [&str; 31] = [
     "time",
     "random",
     "config",
     "messages",
     "actor",
     "cells",
+    "chassis",
     "hearing",
     "faults",
     "scenario",

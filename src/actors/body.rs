@@ -5,8 +5,9 @@
 //! emergency stop by itself, so a command that is delivered after a stop moves no robot. Nothing bypasses it.
 
 use crate::actor::Core;
-use crate::drivers::{self, Driver};
-use crate::messages::geometry::{Pose, Vec2};
+use crate::chassis::Chassis;
+use crate::drivers::{self, Command, Driver};
+use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::Drive;
@@ -16,12 +17,16 @@ use crate::time::{Span, Time};
 /// Shortest period at which a Body corrects a state server that lacks a stop.
 const CORRECTION_PERIOD: Span = Span::from_millis(200);
 
+/// Shortest interval between two commands to a driver of which the second only follows a new heading: trackers of 100 Hz
+/// and more would flood a robot.
+const FOLLOW_PERIOD: Span = Span::from_millis(20);
+
 /// Input of a Body.
 #[derive(Clone, Debug)]
 pub enum In {
     /// Velocity for its motors.
     MotorCommand(MotorCommand),
-    /// Measured pose, for a driver that needs the heading.
+    /// Measured pose of a robot that is not simulated.
     Reading(Reading),
     /// Packet from its driver's worker.
     Packet(Box<[u8]>),
@@ -42,6 +47,8 @@ pub enum Out {
     Drive(Drive),
     /// Packet for its driver's worker.
     Send(Box<[u8]>),
+    /// Pose and velocity that the robot has measured itself, for the source of its host.
+    Odometry(Reading),
     /// Condition of the robot and charge of its battery \[%\], for the host's Status.
     Condition(Health, Option<u8>),
     /// Latch that the Body follows, for the host's Status.
@@ -57,8 +64,11 @@ pub struct Body {
     host: HostId,
     driver: Box<dyn Driver>,
     outputs: Vec<drivers::Out>,
-    /// Last measured pose.
-    pose: Option<Pose>,
+    chassis: Chassis,
+    /// Last measured heading \[rad\], and its arrival time.
+    heading: Option<(Time, f32)>,
+    /// Command in force of a robot that is not simulated, and the time at which the driver last got it.
+    driven: Option<(Drive, Time)>,
     /// Number of packets from the driver's worker that were not understood.
     refused: u64,
     /// Expiry of the command in force.
@@ -71,14 +81,16 @@ pub struct Body {
 }
 
 impl Body {
-    /// Makes a body at rest with this driver.
-    pub fn new((host, robot): (HostId, RobotId), driver: Box<dyn Driver>) -> Body {
+    /// Makes a body at rest with this driver and chassis.
+    pub fn new((host, robot): (HostId, RobotId), driver: Box<dyn Driver>, chassis: Chassis) -> Body {
         Body {
             robot,
             host,
             driver,
             outputs: Vec::new(),
-            pose: None,
+            chassis,
+            heading: None,
+            driven: None,
             refused: 0,
             expires: None,
             latch: LatchFollower::default(),
@@ -108,8 +120,31 @@ impl Body {
     }
 
     fn drive(&mut self, now: Time, drive: Drive, out: &mut Vec<Out>) {
-        self.driver.drive(now, &drive, self.pose.as_ref(), &mut self.outputs);
+        let heading = self.heading.filter(|(arrived, _)| now.since(*arrived) <= self.chassis.heading_age);
+        let body = self.chassis.twist(drive.velocity, heading.map(|(_, heading)| heading));
+        // Only a robot that moves by a measured heading is driven again before its next command.
+        let moves = drive.velocity != Vec2::zeros() && heading.is_some();
+        self.driven = moves.then_some((drive, now));
+        self.driver.drive(now, &Command { drive, body }, &mut self.outputs);
         self.forward(out);
+    }
+
+    /// Takes a measured heading; a robot that moves is driven by it at once.
+    fn measured(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
+        if let Some(heading) = reading.pose.heading {
+            self.heading = Some((now, heading));
+            match self.driven {
+                Some((drive, at)) if now.since(at) >= FOLLOW_PERIOD => self.drive(now, drive, out),
+                _ => {}
+            }
+        }
+    }
+
+    /// Time at which the heading of a robot that moves is too old.
+    fn heading_lapses(&self) -> Option<Time> {
+        let (arrived, _) = self.heading?;
+        // The first instant at which it is older.
+        self.driven.map(|_| arrived + self.chassis.heading_age + Span::from_nanos(1))
     }
 
     fn forward(&mut self, out: &mut Vec<Out>) {
@@ -117,6 +152,7 @@ impl Body {
             match output {
                 drivers::Out::Drive(drive) => out.push(Out::Drive(drive)),
                 drivers::Out::Send(packet) => out.push(Out::Send(packet)),
+                drivers::Out::Odometry(reading) => out.push(Out::Odometry(reading)),
                 drivers::Out::Condition(health, battery) => out.push(Out::Condition(health, battery)),
                 drivers::Out::Refused(why) => {
                     self.refused += 1;
@@ -153,7 +189,7 @@ impl Core for Body {
     fn handle(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
         match input {
             In::MotorCommand(command) => self.obey(now, &command, out),
-            In::Reading(reading) => self.pose = Some(reading.pose),
+            In::Reading(reading) => self.measured(now, &reading, out),
             In::WorkerEnded => {
                 tracing::error!("the driver of {} has ended: the robot cannot move; restart the host", self.robot);
                 out.push(Out::Condition(Health::Silent, None));
@@ -183,12 +219,23 @@ impl Core for Body {
     }
 
     fn wake_at(&self) -> Option<Time> {
-        self.expires
+        [self.expires, self.heading_lapses(), self.driver.wake_at()].into_iter().flatten().min()
     }
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         if self.expires.is_some_and(|expires| expires <= now) {
             self.stand(now, out);
+        }
+        match self.driven {
+            // The driver learns that there is no heading any more.
+            Some((drive, _)) if self.heading_lapses().is_some_and(|lapses| lapses <= now) => {
+                self.drive(now, drive, out)
+            }
+            _ => {}
+        }
+        if self.driver.wake_at().is_some_and(|at| at <= now) {
+            self.driver.wake(now, &mut self.outputs);
+            self.forward(out);
         }
     }
 }
@@ -199,7 +246,7 @@ mod tests {
     use crate::drivers::simulated::Simulated;
 
     fn body() -> Body {
-        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Simulated));
+        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Simulated), Chassis::default());
         body.handle(Time::ZERO, In::Latch(Latch::default()), &mut Vec::new());
         body
     }
@@ -238,7 +285,7 @@ mod tests {
 
     #[test]
     fn a_fresh_body_moves_nothing_before_the_state_server_is_heard() {
-        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Simulated));
+        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Simulated), Chassis::default());
         assert_eq!(driven(&mut body, 0), 0.0);
         handle(&mut body, 10, In::Latch(Latch::default()));
         assert_eq!(driven(&mut body, 20), 1.0);
@@ -255,6 +302,51 @@ mod tests {
         assert!(!told(&handle(&mut body, 200, In::Latch(Latch::default()))), "not with every instruction");
         assert!(told(&handle(&mut body, 300, In::Latch(Latch::default()))));
         assert!(!told(&handle(&mut body, 600, In::Latch(Latch::held(2)))), "it knows");
+    }
+
+    /// Speed ahead of the last command to the driver; none while the robot has no heading.
+    #[derive(Default)]
+    struct Log(std::rc::Rc<std::cell::RefCell<Vec<Option<f32>>>>);
+
+    impl Driver for Log {
+        fn limits(&self) -> drivers::Limits {
+            drivers::Limits { speed_m_s: f32::INFINITY }
+        }
+
+        fn drive(&mut self, _: Time, command: &Command, _: &mut Vec<drivers::Out>) {
+            self.0.borrow_mut().push(command.body.map(|body| body.forward));
+        }
+
+        fn receive(&mut self, _: Time, _: &[u8], _: &mut Vec<drivers::Out>) {}
+    }
+
+    #[test]
+    fn a_robot_is_driven_by_its_newest_heading_and_stands_without_one() {
+        let driver = Log::default();
+        let driven = std::rc::Rc::clone(&driver.0);
+        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(driver), Chassis::default());
+        handle(&mut body, 0, In::Latch(Latch::default()));
+        let towards = |heading| {
+            let mut reading = Reading::of_point(RobotId(0), 1, crate::messages::geometry::Motion::default());
+            reading.pose.heading = Some(heading);
+            In::Reading(reading)
+        };
+        handle(&mut body, 0, command(1.0));
+        assert_eq!(driven.take(), [None], "there is no heading yet");
+        handle(&mut body, 10, towards(0.0));
+        handle(&mut body, 50, command(1.0));
+        handle(&mut body, 60, towards(std::f32::consts::PI));
+        assert_eq!(driven.take(), [Some(1.0)], "not twice within 20 ms");
+        handle(&mut body, 70, towards(std::f32::consts::PI));
+        assert_eq!(driven.take(), [Some(-1.0)], "at once, in the other direction");
+        let lapse = body.wake_at().expect("a heading does not count for ever");
+        assert_eq!(lapse, Time::ZERO + Span::from_millis(170) + Span::from_nanos(1));
+        body.wake(lapse, &mut Vec::new());
+        assert_eq!(driven.take(), [None]);
+        let expiry = Time::ZERO + Span::from_millis(250);
+        assert_eq!(body.wake_at(), Some(expiry));
+        body.wake(expiry, &mut Vec::new());
+        assert_eq!((driven.take(), body.wake_at()), (vec![Some(0.0)], None));
     }
 
     #[test]

@@ -43,6 +43,8 @@ pub struct Config {
     pub handling: Handling,
     /// Estimator from readings to the robot's state.
     pub estimator: estimation::Entry,
+    /// Known delay of the source of its readings.
+    pub sensor_delay: Span,
     /// Largest age of the own reading at which the robot acts. Beyond it the Cache sends no percept.
     pub own_age: Span,
 }
@@ -71,7 +73,8 @@ pub struct Cache {
 impl Cache {
     /// Makes an empty cache that draws random ranges from `stream`.
     pub fn new(config: Config, stream: Stream) -> Cache {
-        let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)());
+        let settings = estimation::Settings { delay: config.sensor_delay };
+        let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)(&settings));
         Cache { config, stream, next, own: None, estimator, latents: BTreeMap::new() }
     }
 
@@ -164,6 +167,7 @@ mod tests {
             hold: Span::from_millis(80),
             handling,
             estimator: estimation::REGISTRY[0],
+            sensor_delay: Span::ZERO,
             own_age: Span::from_millis(100),
         };
         Cache::new(config, Seed::of_run(0).stream("cache"))

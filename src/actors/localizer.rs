@@ -1,6 +1,9 @@
 //! Localizer: publishes the readings of some robots from their source. It runs where they are measured.
 
+use std::rc::Rc;
+
 use crate::actor::Core;
+use crate::chassis::Chassis;
 use crate::localization::{self, Source};
 use crate::messages::local::Sample;
 use crate::messages::wire::Reading;
@@ -13,35 +16,48 @@ pub enum In {
     Sample(Sample),
     /// Packet from the source's worker.
     Packet(Box<[u8]>),
+    /// Pose and velocity that a robot of this host has measured itself.
+    Odometry(Reading),
 }
 
 /// Localizer of one source.
 pub struct Localizer {
     source: Box<dyn Source>,
+    /// Chassis of each robot that is not simulated, by its number.
+    chassis: Rc<[Chassis]>,
     /// Number of packets that were not understood.
     refused: u64,
     outputs: Vec<localization::Out>,
 }
 
 impl Localizer {
-    /// Makes a localizer without a measurement.
-    pub fn new(source: Box<dyn Source>) -> Localizer {
-        Localizer { source, refused: 0, outputs: Vec::new() }
+    /// Makes a localizer without a measurement. Its source measures the centres of robots; what is published are the
+    /// points that their policies command.
+    pub fn new(source: Box<dyn Source>, chassis: Rc<[Chassis]>) -> Localizer {
+        Localizer { source, chassis, refused: 0, outputs: Vec::new() }
     }
 
     fn forward(&mut self, out: &mut Vec<Reading>) {
         for output in self.outputs.drain(..) {
             match output {
-                localization::Out::Reading(reading) => out.push(reading),
-                localization::Out::Refused(why) => {
-                    self.refused += 1;
-                    // Log the counts 1, 2, 4, 8, ...: a broken tracker may send nothing else.
-                    if self.refused.is_power_of_two() {
-                        tracing::warn!(refused = self.refused, "output of the source is refused: {why}");
-                    }
-                }
+                localization::Out::Reading(reading) => match self.chassis.get(reading.robot.index()) {
+                    None => out.push(reading),
+                    Some(chassis) => match chassis.point(reading) {
+                        Some(reading) => out.push(reading),
+                        None => refuse(&mut self.refused, "it has no heading, which a differential drive needs"),
+                    },
+                },
+                localization::Out::Refused(why) => refuse(&mut self.refused, why),
             }
         }
+    }
+}
+
+/// Counts an output that is refused, and logs the counts 1, 2, 4, 8, ...: a broken tracker may send nothing else.
+fn refuse(refused: &mut u64, why: &str) {
+    *refused += 1;
+    if refused.is_power_of_two() {
+        tracing::warn!(refused, "output of the source is refused: {why}");
     }
 }
 
@@ -53,6 +69,7 @@ impl Core for Localizer {
         let input = match &input {
             In::Sample(sample) => localization::In::Sample(sample),
             In::Packet(packet) => localization::In::Packet(packet),
+            In::Odometry(reading) => localization::In::Odometry(reading),
         };
         self.source.take(now, input, &mut self.outputs);
         self.forward(out);

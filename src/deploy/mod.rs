@@ -16,6 +16,7 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
+use crate::chassis::{self, Chassis};
 use crate::config::{self, ConfigError};
 use crate::edge::Settings;
 use crate::faults::Targets;
@@ -138,6 +139,12 @@ pub struct Deployment {
     /// Plant of the simulated robots.
     #[serde(default = "kinematic")]
     pub plant: String,
+    /// Chassis of the robots that are not simulated; `bodies` has those of single robots.
+    #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
+    pub body: chassis::Settings,
+    /// Chassis of robots that differ from `body`, by their number.
+    #[serde(default, skip_serializing_if = "chassis::ByRobot::is_empty")]
+    pub bodies: chassis::ByRobot,
     /// The processes.
     #[serde(rename = "host")]
     pub hosts: Vec<Host>,
@@ -210,6 +217,7 @@ impl Deployment {
             return wrong("host.agents", format!("host '{}' has an agent without robots", host.name));
         }
         self.hosts.iter().try_for_each(Host::check_devices)?;
+        self.check_bodies()?;
         let servers = self.hosts.iter().filter(|host| host.state_server).count();
         if servers != 1 {
             return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));
@@ -226,6 +234,30 @@ impl Deployment {
             let why = format!("'{}' has real robots, which only 'murmurate host' drives and measures", host.name);
             Err(ConfigError::field("host.actuates and host.localizes", why))
         })
+    }
+
+    /// Chassis of a robot of a checked deployment.
+    pub fn chassis(&self, robot: RobotId) -> Chassis {
+        let own = self.bodies.get(&robot.0.to_string());
+        let settings = own.map_or_else(|| self.body.clone(), |own| own.or(&self.body));
+        settings.chassis().expect("a checked deployment has sound chassis")
+    }
+
+    /// Checks the chassis of all robots.
+    fn check_bodies(&self) -> Result<(), ConfigError> {
+        let team = |number: &String| number.parse::<usize>().is_ok_and(|robot| robot < self.robots);
+        if let Some(number) = self.bodies.keys().find(|number| !team(number)) {
+            let why = format!("there is no robot {number}; the team has 0 to {}", self.robots - 1);
+            return Err(ConfigError::field("bodies", why));
+        }
+        self.bodies.iter().try_for_each(|(number, own)| {
+            own.or(&self.body).chassis().map(drop).map_err(|error| error.within(&format!("bodies.{number}")))
+        })?;
+        // Where every robot differs, what they have in common need not be complete.
+        match self.bodies.len() == self.robots {
+            true => Ok(()),
+            false => self.body.chassis().map(drop).map_err(|error| error.within("body")),
+        }
     }
 
     /// Checks that names of hosts and links are unique and not empty.

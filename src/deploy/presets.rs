@@ -71,6 +71,8 @@ impl Deployment {
             robots,
             placement: if training { Placement::Exact } else { Placement::Drive },
             stepping: if training { Stepping::Lockstep } else { Stepping::Seeded },
+            body: Default::default(),
+            bodies: Default::default(),
             plant: kinematic(),
             hosts,
             links,

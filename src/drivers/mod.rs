@@ -8,10 +8,10 @@ pub mod simulated;
 
 use crate::config::ConfigError;
 use crate::edge::{Packet, Settings, Worker};
-use crate::messages::geometry::Pose;
 use crate::messages::ids::RobotId;
-use crate::messages::local::Drive;
+use crate::messages::local::{BodyTwist, Drive};
 use crate::messages::telemetry::Health;
+use crate::messages::wire::Reading;
 use crate::time::Time;
 
 /// Output of a driver.
@@ -21,6 +21,9 @@ pub enum Out {
     Drive(Drive),
     /// Packet for its worker.
     Send(Packet),
+    /// Pose and velocity that the robot has measured itself, in a frame of its own that drifts: odometry. The host's
+    /// source may use it.
+    Odometry(Reading),
     /// Condition of the robot, and charge of its battery \[%\] if known.
     Condition(Health, Option<u8>),
     /// Packet of the worker that was not understood, with the reason.
@@ -34,17 +37,35 @@ pub struct Limits {
     pub speed_m_s: f32,
 }
 
+/// Command for a driver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Command {
+    /// Velocity of the robot in the world frame, and the time until which it holds.
+    pub drive: Drive,
+    /// The same as a motion in the robot's own frame, within the limits of its chassis. None while its heading is unknown
+    /// or too old: a driver that needs it stops the robot.
+    pub body: Option<BodyTwist>,
+}
+
 /// Driver of one robot.
 pub trait Driver {
     /// The robot's limits. A Body keeps to them.
     fn limits(&self) -> Limits;
 
-    /// Drives the robot at a velocity of the world frame until a given time. `pose` is the last measured one; a driver
-    /// of wheels uses it to turn the velocity into the robot's own frame.
-    fn drive(&mut self, now: Time, drive: &Drive, pose: Option<&Pose>, out: &mut Vec<Out>);
+    /// Drives the robot. While it moves, the newest command comes again with each reading, in the robot's own frame by
+    /// its newest heading.
+    fn drive(&mut self, now: Time, command: &Command, out: &mut Vec<Out>);
 
     /// Takes a packet of the worker.
     fn receive(&mut self, now: Time, packet: &[u8], out: &mut Vec<Out>);
+
+    /// Time of its next wake-up; none if it needs none.
+    fn wake_at(&self) -> Option<Time> {
+        None
+    }
+
+    /// Does what is due at `now`.
+    fn wake(&mut self, _now: Time, _out: &mut Vec<Out>) {}
 }
 
 /// Parts of a driver made from settings: a constructor of the pure part, called at each start of its actor, and the

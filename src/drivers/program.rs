@@ -1,19 +1,17 @@
 //! Driver that runs a program of the user's, in any language, with one JSON object per line.
 //!
-//! The program reads `{"robot": 0, "vx": 0.1, "vy": 0.0, "ahead": 0.1, "left": 0.0, "for_s": 0.2}`: the velocity in the
-//! world frame \[m/s\], the same in the robot's own frame (null while its heading is unknown), and its validity \[s\].
-//! After that, and at the end of its input, the robot must stand. It may write `{"health": "ready" or "faulty",
+//! The program reads `{"robot": 0, "vx": 0.1, "vy": 0.0, "ahead": 0.1, "left": 0.0, "yaw_rate": 0.0, "for_s": 0.2}`: the
+//! velocity in the world frame \[m/s\]; the same in the robot's own frame \[m/s\], with its yaw rate \[rad/s\] (null while
+//! its heading is unknown or too old); and its validity \[s\]. After that, and at the end of its input, the robot must stand. It may write `{"health": "ready" or "faulty",
 //! "battery": 87}` at any time.
 
 use serde::{Deserialize, Serialize};
 
-use super::{Driver, Limits, Out, Parts};
+use super::{Command, Driver, Limits, Out, Parts};
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
-use crate::messages::geometry::Pose;
 use crate::messages::ids::RobotId;
-use crate::messages::local::Drive;
 use crate::messages::telemetry::Health;
 use crate::time::Time;
 
@@ -43,6 +41,7 @@ struct Line {
     vy: f32,
     ahead: Option<f32>,
     left: Option<f32>,
+    yaw_rate: Option<f32>,
     for_s: f64,
 }
 
@@ -87,14 +86,15 @@ impl Driver for Lines {
         self.limits
     }
 
-    fn drive(&mut self, now: Time, drive: &Drive, pose: Option<&Pose>, out: &mut Vec<Out>) {
-        let body = pose.and_then(|pose| pose.into_body(drive.velocity));
+    fn drive(&mut self, now: Time, command: &Command, out: &mut Vec<Out>) {
+        let Command { drive, body } = command;
         let line = Line {
             robot: self.robot.0,
             vx: drive.velocity.x,
             vy: drive.velocity.y,
-            ahead: body.map(|v| v.x),
-            left: body.map(|v| v.y),
+            ahead: body.map(|body| body.forward),
+            left: body.map(|body| body.left),
+            yaw_rate: body.map(|body| body.yaw_rate),
             for_s: drive.until.since(now).as_secs(),
         };
         let mut bytes = serde_json::to_vec(&line).expect("plain numbers are JSON");

@@ -1,8 +1,6 @@
 //! Driver of simulated robots, whose commands go to their World.
 
-use super::{Driver, Limits, Out};
-use crate::messages::geometry::Pose;
-use crate::messages::local::Drive;
+use super::{Command, Driver, Limits, Out};
 use crate::time::Time;
 
 /// Passes commands on to the World.
@@ -13,8 +11,8 @@ impl Driver for Simulated {
         Limits { speed_m_s: f32::INFINITY }
     }
 
-    fn drive(&mut self, _: Time, drive: &Drive, _: Option<&Pose>, out: &mut Vec<Out>) {
-        out.push(Out::Drive(*drive));
+    fn drive(&mut self, _: Time, command: &Command, out: &mut Vec<Out>) {
+        out.push(Out::Drive(command.drive));
     }
 
     fn receive(&mut self, _: Time, _: &[u8], out: &mut Vec<Out>) {

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::config::{ConfigError, unquoted};
+use crate::messages::ids::RobotId;
 
 /// Settings of a driver or a source: its name, and a table that only it interprets.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -14,10 +15,54 @@ pub struct Settings {
     pub table: toml::Table,
 }
 
+/// Name of the table with settings of single robots.
+const BY_ROBOT: &str = "robot";
+
 impl Settings {
+    /// Settings for one robot: those of its table `robot.N`, and all others for what it leaves out.
+    pub fn for_robot(&self, robot: RobotId) -> Result<Settings, ConfigError> {
+        let mut merged = self.clone();
+        let wrong = |why: &str| Err(ConfigError::field(BY_ROBOT, why.to_owned()));
+        match merged.table.remove(BY_ROBOT) {
+            None => {}
+            Some(toml::Value::Table(robots)) => {
+                if robots.keys().any(|number| number.parse::<u16>().is_err()) {
+                    return wrong("a table in it has no robot's number; write robot.0 = { ... }");
+                }
+                match robots.get(&robot.0.to_string()) {
+                    None => {}
+                    Some(toml::Value::Table(own)) => merged.table.extend(own.clone()),
+                    Some(_) => return wrong("an entry is no table; write robot.0 = { ... }"),
+                }
+            }
+            Some(_) => return wrong("it is no table; write robot.0 = { ... }"),
+        }
+        Ok(merged)
+    }
+
     /// Reads the table as a type of the driver or source. An error says what is wrong and quotes no value.
     pub fn read<T: for<'a> Deserialize<'a>>(&self) -> Result<T, ConfigError> {
         let wrong = |error: toml::de::Error| ConfigError::field(&self.name, unquoted(error.message()));
         toml::Value::Table(self.table.clone()).try_into().map_err(wrong)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings(text: &str) -> Settings {
+        Settings { name: "arm".to_owned(), table: text.parse().expect("it is TOML") }
+    }
+
+    #[test]
+    fn a_robot_has_its_own_settings_over_those_of_all() {
+        let all = settings("rate = 5\nrobot.1 = { address = \"10.0.0.2\", rate = 7 }");
+        assert_eq!(all.for_robot(RobotId(1)).unwrap(), settings("rate = 7\naddress = \"10.0.0.2\""));
+        assert_eq!(all.for_robot(RobotId(0)).unwrap(), settings("rate = 5"));
+        for wrong in ["robot = 1", "robot.one = {}", "robot.1 = 3"] {
+            let error = settings(wrong).for_robot(RobotId(1)).unwrap_err().to_string();
+            assert!(error.contains("robot"), "{error}");
+        }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! The transit time of the reading is unknown and counts as zero.
 
-use super::Estimator;
+use super::{Estimator, Settings};
 use crate::messages::geometry::Motion;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
@@ -14,7 +14,7 @@ const LONGEST: Span = Span::from_millis(200);
 struct ConstantVelocity(Option<(Time, Motion)>);
 
 /// Makes one without readings.
-pub fn make() -> Box<dyn Estimator> {
+pub fn make(_: &Settings) -> Box<dyn Estimator> {
     Box::<ConstantVelocity>::default()
 }
 
@@ -38,7 +38,7 @@ mod tests {
 
     #[test]
     fn a_robot_goes_on_as_it_moved_and_not_for_ever() {
-        let mut estimator = make();
+        let mut estimator = make(&Settings::default());
         let at_ms = |ms: u64| Time::ZERO + Span::from_millis(ms);
         assert_eq!(estimator.at(at_ms(0)), None);
         let motion = Motion { position: Vec2::new(1.0, 2.0), velocity: Vec2::new(0.5, -1.0) };

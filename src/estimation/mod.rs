@@ -4,11 +4,20 @@
 //! An estimator is pure. It uses arrival times on this host only, because a sensor's clock is compared with no other.
 
 pub mod constant_velocity;
+pub mod kalman;
 pub mod none;
 
 use crate::messages::geometry::Motion;
 use crate::messages::wire::Reading;
-use crate::time::Time;
+use crate::time::{Span, Time};
+
+/// Settings of an estimator.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Settings {
+    /// Time from a measurement to its arrival that is known and constant: a property of the source. Arrival times and
+    /// stamps alone do not show it.
+    pub delay: Span,
+}
 
 /// Estimator of one robot. Its Cache limits the age of readings.
 pub trait Estimator: std::fmt::Debug {
@@ -27,7 +36,7 @@ pub struct Entry {
     /// Description in one line.
     pub about: &'static str,
     /// Makes one without readings.
-    pub make: fn() -> Box<dyn Estimator>,
+    pub make: fn(&Settings) -> Box<dyn Estimator>,
 }
 
 impl PartialEq for Entry {
@@ -43,5 +52,10 @@ pub const REGISTRY: &[Entry] = &[
         name: "constant-velocity",
         about: "the last reading, moved on by its velocity since it arrived",
         make: constant_velocity::make,
+    },
+    Entry {
+        name: "kalman",
+        about: "a filter of constant velocity, from the time of measurement to the tick; ignores outliers",
+        make: kalman::make,
     },
 ];

@@ -1,6 +1,6 @@
 //! No estimation: the last reading is the estimate, as in the published system.
 
-use super::Estimator;
+use super::{Estimator, Settings};
 use crate::messages::geometry::Motion;
 use crate::messages::wire::Reading;
 use crate::time::Time;
@@ -9,7 +9,7 @@ use crate::time::Time;
 struct Last(Option<Motion>);
 
 /// Makes one without readings.
-pub fn make() -> Box<dyn Estimator> {
+pub fn make(_: &Settings) -> Box<dyn Estimator> {
     Box::<Last>::default()
 }
 

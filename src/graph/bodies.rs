@@ -11,7 +11,7 @@ use crate::actors::body::{self, Body};
 use crate::actors::localizer::{self, Localizer};
 use crate::actors::world::{self, PersistentPlant, World};
 use crate::actors::{network, recorder, status};
-use crate::drivers::Driver;
+use crate::chassis::Chassis;
 use crate::drivers::simulated::Simulated;
 use crate::edge::Gate;
 use crate::localization;
@@ -23,22 +23,24 @@ use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 
 /// Starts the Body of one robot, with the driver of its process or the simulated one.
-pub(super) fn wire_body(clock: &Clock, graph: &Graph, robot: RobotId, process: &Process) {
+pub(super) fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId, process: &Process) {
     let host = graph.routes.actuator_host(robot);
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
     let device = process.devices.drivers.get(&robot).cloned();
     let gate: Option<Rc<RefCell<Gate>>> = device.as_ref().and_then(|device| device.gate.clone());
-    let make = move |_| {
-        let driver: Box<dyn Driver> = match &device {
-            Some(device) => (device.make)(),
-            None => Box::new(Simulated),
-        };
-        Body::new((host, robot), driver)
+    let source = process.devices.source.as_ref().map(|_| graph.source.clone());
+    let chassis = plan.deployment.chassis(robot);
+    let make = move |_| match &device {
+        Some(device) => Body::new((host, robot), (device.make)(), chassis),
+        None => Body::new((host, robot), Box::new(Simulated), Chassis::default()),
     };
     start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
         body::Out::Send(packet) => gate.iter().for_each(|gate| gate.borrow_mut().send(packet.clone())),
+        body::Out::Odometry(reading) => {
+            source.iter().for_each(|source| source.send(localizer::In::Odometry(reading.clone())));
+        }
         body::Out::Condition(health, battery) => status.send(status::In::Condition(robot, health, battery)),
         body::Out::Follows(latch) => status.send(status::In::Body(robot, latch)),
         body::Out::Stop(stop) => network.send(network::In::Publish(Wire::Stop(stop))),
@@ -51,7 +53,7 @@ pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: Robo
     let (sensor, seed) = (plan.physics.sensor, plan.seed);
     let make = move |incarnation| {
         let stream = seed.stream(&format!("body/{}/sensor/{incarnation}", robot.0));
-        Localizer::new(Box::new(localization::simulated::Simulated::new(sensor, stream)))
+        Localizer::new(Box::new(localization::simulated::Simulated::new(sensor, stream)), Rc::new([]))
     };
     let mailbox = &graph.sensors[robot.index()];
     start(clock, mailbox, info_span!("localizer", robot = robot.0), make, move |reading| {
@@ -60,11 +62,13 @@ pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: Robo
 }
 
 /// Starts the Localizer of a source of this process.
-pub(super) fn wire_source(clock: &Clock, graph: &Graph, process: &Process, mailbox: &Mailbox<localizer::In>) {
+pub(super) fn wire_source(clock: &Clock, plan: &Plan, graph: &Graph, process: &Process) {
     let (Some(host), Some(device)) = (process.only, process.devices.source.clone()) else { return };
     let network = graph.network_of(host);
-    let make = move |_| Localizer::new((device.make)());
-    start(clock, mailbox, info_span!("localizer"), make, move |reading| {
+    let team = RobotId::team(plan.deployment.robots);
+    let chassis: Rc<[Chassis]> = team.map(|robot| plan.deployment.chassis(robot)).collect();
+    let make = move |_| Localizer::new((device.make)(), Rc::clone(&chassis));
+    start(clock, &graph.source, info_span!("localizer"), make, move |reading| {
         network.send(network::In::Publish(Wire::Reading(reading)));
     });
 }

@@ -18,7 +18,6 @@ use crate::net::transport::Transport;
 use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
-use crate::runtime::shell::Mailbox;
 
 /// Identity, links and devices of a host.
 pub struct Host {
@@ -63,7 +62,7 @@ pub fn wire(
     };
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
-    wire_gates((clock, readers), &graph, &process);
+    wire_gates((clock, readers), plan, &graph, &process);
     sockets::wire_all((clock, readers), host.transports, &graph.transports, &graph.network_of(host.id));
     if process.records {
         wire_recorder(clock, plan, &graph, output);
@@ -72,7 +71,7 @@ pub fn wire(
 }
 
 /// Connects workers with their Bodies and Localizer.
-fn wire_gates((clock, readers): (&Clock, &mut Readers), graph: &Graph, process: &Process) {
+fn wire_gates((clock, readers): (&Clock, &mut Readers), plan: &Plan, graph: &Graph, process: &Process) {
     for (robot, device) in &process.devices.drivers {
         let Some(gate) = device.gate.clone() else { continue };
         let (event_fd, body) = (gate.borrow().event_fd(), graph.bodies[robot.index()].clone());
@@ -85,8 +84,8 @@ fn wire_gates((clock, readers): (&Clock, &mut Readers), graph: &Graph, process: 
         });
     }
     if let Some(gate) = process.devices.source.as_ref().and_then(|device| device.gate.clone()) {
-        let (event_fd, localizer) = (gate.borrow().event_fd(), Mailbox::new("localizer"));
-        wire_source(clock, graph, process, &localizer);
+        let (event_fd, localizer) = (gate.borrow().event_fd(), graph.source.clone());
+        wire_source(clock, plan, graph, process);
         let ended = Cell::new(false);
         readers.watch(Rc::new(event_fd), move || {
             let state = gate.borrow_mut().take(|packet| localizer.send(localizer::In::Packet(packet)));

@@ -74,6 +74,8 @@ pub struct Plan {
     pub handling: Handling,
     /// Estimator from readings to a robot's state.
     pub estimator: estimation::Entry,
+    /// Known delay of the sources of readings.
+    pub sensor_delay: Span,
     /// Limit that Controllers put on the policies' output.
     pub clamp: Clamp,
     /// Conditions in which robots are stopped or slowed.
@@ -122,7 +124,7 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
             wire_robot(clock, plan, graph, robot, process);
         }
         if here(graph.routes.actuator_host(robot)) {
-            bodies::wire_body(clock, graph, robot, process);
+            bodies::wire_body(clock, plan, graph, robot, process);
         }
         if graph.routes.world_host(robot).is_some_and(here) {
             bodies::wire_sensor(clock, plan, graph, robot);
@@ -187,6 +189,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
         hold: plan.hold,
         handling: plan.handling,
         estimator: plan.estimator,
+        sensor_delay: plan.sensor_delay,
         own_age: Span::from_secs(plan.safety.own_state_s),
     };
     let make = move |incarnation| Cache::new(config, seed.stream(&format!("cache/{id}/range/{incarnation}")));
@@ -216,7 +219,8 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
         guard: guard::Config {
             safety: plan.safety,
             half_extent: plan.scenario.arena().half_extent,
-            limit_m_s: interface.limit_m_s,
+            // No more than the chassis carries out, so that the guard judges the velocity that is driven.
+            limit_m_s: interface.limit_m_s.min(plan.deployment.chassis(robot).speed_m_s),
             clamp: plan.clamp,
             period: interface.period,
         },

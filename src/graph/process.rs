@@ -101,6 +101,8 @@ pub struct Graph {
     pub(super) bodies: Rc<[Mailbox<body::In>]>,
     /// By robot: the localizers of simulated robots.
     pub(super) sensors: Rc<[Mailbox<localizer::In>]>,
+    /// The localizer of this process's source.
+    pub(super) source: Mailbox<localizer::In>,
     /// By robot; the robots of one World share a mailbox.
     pub(super) worlds: Vec<Mailbox<world::In>>,
     pub(super) server: Mailbox<state_server::In>,
@@ -163,6 +165,7 @@ impl Graph {
             controllers: team().map(named("controller")).map(Mailbox::new).collect(),
             bodies: team().map(named("body")).map(Mailbox::new).collect(),
             sensors: team().map(named("localizer")).map(Mailbox::new).collect(),
+            source: Mailbox::new("localizer"),
             worlds,
             server: Mailbox::new("state server"),
             statuses: deployment.hosts.iter().map(|host| Mailbox::new(format!("status of {}", host.name))).collect(),
@@ -207,6 +210,7 @@ impl Graph {
             .chain(of(&self.statuses))
             .chain(of(&self.networks))
             .chain(of(&self.transports))
+            .chain(of(std::slice::from_ref(&self.source)))
             .chain(of(std::slice::from_ref(&self.server)))
             .chain(of(self.recorder.as_slice()))
             .collect();

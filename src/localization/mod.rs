@@ -2,6 +2,7 @@
 //!
 //! A source is pure: it turns its worker's packets, or the samples of a World, into readings.
 
+pub mod odometry;
 pub mod program;
 pub mod simulated;
 
@@ -19,6 +20,8 @@ pub enum In<'a> {
     Sample(&'a Sample),
     /// Packet from its worker.
     Packet(&'a [u8]),
+    /// Pose and velocity that a robot of this host has measured itself, in a frame of its own that drifts.
+    Odometry(&'a Reading),
 }
 
 /// Output of a source.
@@ -65,4 +68,7 @@ pub struct Entry {
 }
 
 /// All sources of readings of real robots.
-pub const REGISTRY: &[Entry] = &[Entry { name: "program", about: program::ABOUT, make: program::make }];
+pub const REGISTRY: &[Entry] = &[
+    Entry { name: "odometry", about: odometry::ABOUT, make: odometry::make },
+    Entry { name: "program", about: program::ABOUT, make: program::make },
+];

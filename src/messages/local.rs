@@ -92,6 +92,17 @@ pub struct Drive {
     pub until: Time,
 }
 
+/// Motion of a robot in its own frame (REP-103).
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct BodyTwist {
+    /// Speed ahead \[m/s\].
+    pub forward: f32,
+    /// Speed to the left \[m/s\].
+    pub left: f32,
+    /// Yaw rate \[rad/s\], counter-clockwise.
+    pub yaw_rate: f32,
+}
+
 /// Contacts of a robot in the last step of its world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Contacts {

@@ -88,6 +88,16 @@ pub struct Training {
     pub configuration: serde_json::Value,
 }
 
+impl Training {
+    /// Size of the largest team of the training, if its configuration says so in the format of this program.
+    pub fn largest_team(&self) -> Option<usize> {
+        let stages = self.configuration.get("curriculum")?.as_array()?;
+        let groups = stages.iter().filter_map(|stage| stage.get("groups")?.as_array()).flatten();
+        let sizes = groups.filter_map(|group| group.as_array()).flatten().filter_map(serde_json::Value::as_u64);
+        usize::try_from(sizes.max()?).ok()
+    }
+}
+
 /// Action distribution that the last layer's outputs parametrize.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -158,6 +158,11 @@ impl Model {
         self.network()?.assumed()
     }
 
+    /// Size of the largest team that its training had; none where that is unknown.
+    pub fn largest_team(&self) -> Option<usize> {
+        self.network()?.manifest().training.as_ref()?.largest_team()
+    }
+
     fn network(&self) -> Option<&Network> {
         match self {
             Model::Gnn(network, _) => Some(network),

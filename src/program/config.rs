@@ -63,7 +63,7 @@ fn check(args: &Check, registry: &Registry) -> Result<Ended> {
         }
         if policies.insert(team.policy.clone()) {
             let loaded = team::policy(&team, registry)?;
-            loaded.assumed.iter().for_each(|assumed| talk(&format!("warning: {assumed}")));
+            loaded.warnings.iter().for_each(|warning| talk(&format!("warning: {warning}")));
         }
     }
     if seen.len() > 1 || (keys.len() > 1 && keys.contains(&None)) {

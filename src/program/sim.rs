@@ -310,9 +310,9 @@ fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Tri
     if let Some(plant) = &args.plant {
         deployment.plant.clone_from(plant);
     }
-    let policy::Loaded { model, name: policy, assumed } = policy::load(registry, policy, args.action, &*scenario)?;
-    if let Some(assumed) = assumed.filter(|_| !args.quiet) {
-        talk(&format!("warning: {assumed}"));
+    let policy::Loaded { model, name: policy, warnings } = policy::load(registry, policy, args.action, &*scenario)?;
+    for warning in warnings.iter().filter(|_| !args.quiet) {
+        talk(&format!("warning: {warning}"));
     }
     let mut trial = Trial::with_registry(registry, deployment, Arc::clone(&scenario), model);
     trial = trial.seed(args.seed).episodes(args.episodes);

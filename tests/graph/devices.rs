@@ -4,12 +4,14 @@ use std::os::fd::AsFd;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use murmurate::drivers;
+use murmurate::chassis::Chassis;
+use murmurate::drivers::{self, Command};
 use murmurate::edge::{self, Gate, Settings, Worker};
+use murmurate::estimation;
 use murmurate::localization::{self, In};
-use murmurate::messages::geometry::{Motion, Pose, Vec2};
+use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::RobotId;
-use murmurate::messages::local::Drive;
+use murmurate::messages::local::{BodyTwist, Drive};
 use murmurate::messages::telemetry::Health;
 use murmurate::messages::wire::Reading;
 use murmurate::registry::Registry;
@@ -21,6 +23,7 @@ const ROBOT: RobotId = RobotId(3);
 /// Returns valid settings of each driver and source of this crate.
 fn settings(name: &str) -> Settings {
     match name {
+        "odometry" => Settings { name: name.to_owned(), table: toml::Table::new() },
         "program" => program("while read line; do :; done"),
         _ => panic!("'{name}' is new: say here what it can be made with"),
     }
@@ -73,7 +76,7 @@ fn every_driver_stands_survives_noise_and_ends_with_its_host() {
         let parts = driver(&settings(entry.name)).expect("its settings are sound");
         let (mut driver, mut out) = ((parts.driver)(), Vec::new());
         assert!(driver.limits().speed_m_s > 0.0, "{}", entry.name);
-        driver.drive(Time::ZERO, &drive(0.0), None, &mut out);
+        driver.drive(Time::ZERO, &Command { drive: drive(0.0), body: Some(BodyTwist::default()) }, &mut out);
         assert!(!out.is_empty(), "{}: to stand is an order, too", entry.name);
         for noise in [&b""[..], b"\n", b"{}", &[0xff; 5000], b"{\"health\": 7}"] {
             driver.receive(Time::ZERO, noise, &mut out);
@@ -109,7 +112,7 @@ fn every_source_refuses_invalid_packets() {
 #[test]
 fn every_estimator_starts_without_an_estimate_and_keeps_a_resting_robot_in_place() {
     for entry in Registry::builtin().estimators() {
-        let mut estimator = (entry.make)();
+        let mut estimator = (entry.make)(&estimation::Settings::default());
         assert_eq!(estimator.at(Time::ZERO), None, "{}", entry.name);
         let motion = Motion::at_rest(Vec2::new(1.5, -2.0));
         estimator.take(Time::ZERO, &Reading::of_point(ROBOT, 1, motion));
@@ -136,8 +139,8 @@ fn a_program_drives_a_robot_and_reports_its_status() {
     let parts = driver(&with(program(script), "speed_m_s", 0.5)).expect("it is sound");
     let (mut driver, mut out) = ((parts.driver)(), Vec::new());
     assert_eq!(driver.limits().speed_m_s, 0.5);
-    let north = Pose { position: Vec2::zeros(), heading: Some(std::f32::consts::FRAC_PI_2) };
-    driver.drive(Time::ZERO, &drive(0.25), Some(&north), &mut out);
+    let body = Chassis::default().twist(Vec2::new(0.25, 0.0), Some(std::f32::consts::FRAC_PI_2));
+    driver.drive(Time::ZERO, &Command { drive: drive(0.25), body }, &mut out);
     let Some(drivers::Out::Send(line)) = out.pop() else { panic!("it sends a line to its program") };
     let (mut gate, worker) = employ(parts.worker.expect("a program is a worker"));
     gate.send(line);

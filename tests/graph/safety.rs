@@ -95,6 +95,7 @@ fn a_reading_that_is_repeated_for_ever_is_no_estimate() {
         hold,
         handling,
         estimator: REGISTRY[0],
+        sensor_delay: Span::ZERO,
         own_age: ms(100),
     };
     let mut cache = Cache::new(config, Seed::of_run(0).stream("cache"));

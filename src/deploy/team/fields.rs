@@ -20,13 +20,13 @@ const RELIABILITIES: [&str; 4] = {
 };
 
 /// Names of the simulated sensors.
-const SENSORS: [&str; 2] = {
-    let [(a, _), (b, _)] = Sensor::NAMED;
-    [a, b]
+const SENSORS: [&str; 3] = {
+    let [(a, _), (b, _), (c, _)] = Sensor::NAMED;
+    [a, b, c]
 };
 
 /// Fields of the whole team, in the order in which they are shown.
-const TEAM: [Field; 16] = [
+const TEAM: [Field; 17] = [
     ("team", FieldType::Whole(0, 65_535), None),
     ("key_file", FieldType::Text, None),
     ("mode", FieldType::Choice(&MODES), None),
@@ -43,6 +43,7 @@ const TEAM: [Field; 16] = [
     ("clamp", FieldType::Choice(&["training", "deployed"]), Some("training")),
     ("handling", FieldType::Choice(&["hold", "as-published"]), Some("hold")),
     ("estimator", FieldType::Text, Some("none")),
+    ("sensor_delay_s", FieldType::Number(0.0, 2.0), None),
 ];
 
 /// Fields of the team that a robot or a host may override, besides its links.

@@ -31,6 +31,7 @@ use crate::net::transport::Place;
 use crate::registry::Registry;
 use crate::safety::Safety;
 use crate::scenario::{Scenario, Settings};
+use crate::time::Span;
 use crate::world::{Clamp, ContactRule, Overrides, Physics, Sensor};
 
 /// Configuration of one host of a team.
@@ -56,6 +57,8 @@ pub struct Team {
     pub simulated: SimulationSettings,
     /// Estimator of the states of the host's robots.
     pub estimator: estimation::Entry,
+    /// Known delay of the source of readings; `None` for the latency of the simulated sensor.
+    pub sensor_delay: Option<Span>,
     /// Conditions in which robots are stopped or slowed.
     pub safety: Safety,
     /// The host's places, by link; `None` for a link on which it neither sends nor receives.
@@ -199,6 +202,7 @@ impl TeamFile {
             seed: whole("seed"),
             simulated: self.simulated(&scopes, &*scenario)?,
             estimator: self.estimator(&scopes)?,
+            sensor_delay: find("sensor_delay_s").map(|entry| Span::from_secs(entry.value.number())),
             safety: self.safety,
             links,
         })

@@ -51,6 +51,7 @@ impl TeamFile {
                 "policy" => self.scenario().ok().map(|scenario| self.registry.default_policy(&*scenario).to_owned()),
                 "plant" => Some(self.deployment.plant.clone()),
                 "lag_s" | "contacts" | "wall_radius_m" | "sensor" => self.plant_default(key),
+                "sensor_delay_s" => Some("the latency of the simulated sensor".to_owned()),
                 _ => None,
             };
             show(key.to_owned(), default);

@@ -172,10 +172,8 @@ fn check_key(team: &Team) -> Found {
 fn check_policy(team: &Team, registry: &Registry) -> Found {
     let found = |status, found: String| (status, Subject::General("policy".to_owned()), found, String::new());
     match team::policy(team, registry) {
-        Ok(policy) => match policy.assumed {
-            Some(assumed) => found(Status::Warn, assumed),
-            None => found(Status::Ok, policy.name),
-        },
+        Ok(policy) if policy.warnings.is_empty() => found(Status::Ok, policy.name),
+        Ok(policy) => found(Status::Warn, policy.warnings.join("; ")),
         Err(error) => found(Status::Fail, error.to_string()),
     }
 }

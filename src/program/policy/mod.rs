@@ -32,8 +32,8 @@ pub struct Loaded {
     pub model: Model,
     /// Its name in reports.
     pub name: String,
-    /// Warning about defaults that stand for fields missing from its file.
-    pub assumed: Option<String>,
+    /// Warnings: defaults that stand for fields missing from its file, and a team larger than any of its training.
+    pub warnings: Vec<String>,
 }
 
 /// Loads a policy by a name in the registry or from a file; without `named`, the scenario's default. `draw` overrides
@@ -55,6 +55,11 @@ pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scena
             || BadInput(format!("--action: the policy '{name}' has no action distribution; leave the flag out"));
         model = model.with_draw(draw).ok_or_else(nothing)?;
     }
-    let assumed = model.assumed().map(|assumed| format!("{place}: {assumed}"));
-    Ok(Loaded { model, name, assumed })
+    let robots = scenario.robots();
+    let larger = model.largest_team().filter(|largest| robots > *largest).map(|largest| {
+        format!("it was trained in teams of at most {largest} robots, and the team has {robots}: train it for these")
+    });
+    let warnings = model.assumed().map(str::to_owned).into_iter().chain(larger);
+    let warnings = warnings.map(|warning| format!("{place}: {warning}")).collect();
+    Ok(Loaded { model, name, warnings })
 }

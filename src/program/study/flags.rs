@@ -207,8 +207,8 @@ impl Shared {
         scenario: &dyn Scenario,
     ) -> Result<PolicyUnderTest> {
         let loaded = policy::load(registry, Some(Path::new(policy)), None, scenario)?;
-        if let Some(assumed) = loaded.assumed.filter(|_| !self.run.quiet) {
-            talk(&format!("warning: {assumed}"));
+        for warning in loaded.warnings.iter().filter(|_| !self.run.quiet) {
+            talk(&format!("warning: {warning}"));
         }
         let digest = loaded.model.digest().to_owned();
         // A policy without action distribution is the same under every handling.

@@ -3,11 +3,9 @@
 use std::net::{SocketAddr, UdpSocket};
 
 use murmurate::config::ConfigError;
-use murmurate::drivers::{Driver, Entry, Limits, Out, Parts};
+use murmurate::drivers::{Command, Driver, Entry, Limits, Out, Parts};
 use murmurate::edge::{Port, Settings, Worker};
-use murmurate::messages::geometry::Pose;
 use murmurate::messages::ids::RobotId;
-use murmurate::messages::local::Drive;
 use murmurate::time::Time;
 use serde::Deserialize;
 
@@ -36,8 +34,8 @@ impl Driver for Datagrams {
         Limits { speed_m_s: 1.5 }
     }
 
-    fn drive(&mut self, _: Time, drive: &Drive, _: Option<&Pose>, out: &mut Vec<Out>) {
-        let numbers = drive.velocity.to_array().map(f32::to_le_bytes);
+    fn drive(&mut self, _: Time, command: &Command, out: &mut Vec<Out>) {
+        let numbers = command.drive.velocity.to_array().map(f32::to_le_bytes);
         out.push(Out::Send(numbers.concat().into()));
     }
 

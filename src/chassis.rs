@@ -1,0 +1,352 @@
+//! Chassis: the way a robot moves. It turns a velocity of the world frame into a motion of the robot in its own frame.
+//!
+//! A policy commands the velocity of a point. A *holonomic* chassis moves its centre at any velocity. A *differential*
+//! one cannot move sideways, so a point ahead of its axle is commanded and reported. With `d` metres between them, the
+//! velocity `v` of the point and the heading `h`, the robot drives forward at `v . h` and turns at `(h x v) / d`
+//! (feedback linearisation, as in Siciliano et al., Robotics, 2009, section 11.6.1).
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::config::ConfigError;
+use crate::messages::geometry::{Pose, Vec2};
+use crate::messages::local::BodyTwist;
+use crate::messages::wire::Reading;
+use crate::time::Span;
+
+/// Gain of the yaw rate that holds a heading \[1/s\]: an error of 0.1 rad is reduced to a third in half a second.
+const HEADING_GAIN: f32 = 2.0;
+
+/// Kind of a chassis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DriveKind {
+    /// Moves in every direction: mecanum or omnidirectional wheels, or a drone.
+    Holonomic,
+    /// Two driven wheels on one axle.
+    Differential,
+}
+
+/// Heading of a holonomic robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum HeadingMode {
+    /// Held at `heading_rad`.
+    Hold,
+    /// Left as it is.
+    Free,
+}
+
+/// Settings of a robot's chassis, in a deployment. What is left out is taken from the settings of all robots, and then
+/// from [`Chassis::default`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Kind of the chassis.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drive: Option<DriveKind>,
+    /// Distance of the commanded point ahead of the axle of a differential drive \[m\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub point_ahead_m: Option<f32>,
+    /// Heading of a holonomic robot.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub heading: Option<HeadingMode>,
+    /// Heading that is held \[rad\], counter-clockwise from the x axis.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub heading_rad: Option<f32>,
+    /// Largest speed of the centre \[m/s\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed_m_s: Option<f32>,
+    /// Largest yaw rate \[rad/s\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub yaw_rate_rad_s: Option<f32>,
+    /// Largest speed of a wheel of a differential drive along the ground \[m/s\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wheel_speed_m_s: Option<f32>,
+    /// Distance between the wheels of a differential drive \[m\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub track_m: Option<f32>,
+    /// Age of a heading from which the robot stands \[s\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub heading_age_s: Option<f64>,
+}
+
+/// The way a robot moves, and its limits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Chassis {
+    /// Kind of the chassis.
+    pub drive: DriveKind,
+    /// Distance of the commanded point ahead of the centre \[m\]; 0 for a holonomic one.
+    pub point_ahead_m: f32,
+    /// Heading that a holonomic robot holds \[rad\]; none if it is left as it is.
+    pub held_rad: Option<f32>,
+    /// Largest speed of the centre \[m/s\].
+    pub speed_m_s: f32,
+    /// Largest yaw rate \[rad/s\].
+    pub yaw_rate_rad_s: f32,
+    /// Largest speed of a wheel \[m/s\], with the distance between the wheels \[m\].
+    pub wheels: Option<(f32, f32)>,
+    /// Age of a heading from which the robot stands.
+    pub heading_age: Span,
+}
+
+impl Default for Chassis {
+    /// A holonomic chassis without limits of its own. A heading counts for 100 ms.
+    fn default() -> Chassis {
+        Chassis {
+            drive: DriveKind::Holonomic,
+            point_ahead_m: 0.0,
+            held_rad: None,
+            speed_m_s: f32::INFINITY,
+            yaw_rate_rad_s: f32::INFINITY,
+            wheels: None,
+            heading_age: Span::from_millis(100),
+        }
+    }
+}
+
+impl Settings {
+    /// Whether nothing is set.
+    pub fn is_empty(&self) -> bool {
+        *self == Settings::default()
+    }
+
+    /// These settings, with what is left out from those of all robots.
+    pub fn or(&self, all: &Settings) -> Settings {
+        Settings {
+            drive: self.drive.or(all.drive),
+            point_ahead_m: self.point_ahead_m.or(all.point_ahead_m),
+            heading: self.heading.or(all.heading),
+            heading_rad: self.heading_rad.or(all.heading_rad),
+            speed_m_s: self.speed_m_s.or(all.speed_m_s),
+            yaw_rate_rad_s: self.yaw_rate_rad_s.or(all.yaw_rate_rad_s),
+            wheel_speed_m_s: self.wheel_speed_m_s.or(all.wheel_speed_m_s),
+            track_m: self.track_m.or(all.track_m),
+            heading_age_s: self.heading_age_s.or(all.heading_age_s),
+        }
+    }
+
+    /// The chassis with these settings. An error names the wrong one.
+    pub fn chassis(&self) -> Result<Chassis, ConfigError> {
+        let wrong = |field: &str, why: &str| Err(ConfigError::field(field, why.to_owned()));
+        for (field, value) in [
+            ("point_ahead_m", self.point_ahead_m),
+            ("speed_m_s", self.speed_m_s),
+            ("yaw_rate_rad_s", self.yaw_rate_rad_s),
+            ("wheel_speed_m_s", self.wheel_speed_m_s),
+            ("track_m", self.track_m),
+        ] {
+            if value.is_some_and(|value| value.is_nan() || value <= 0.0) {
+                return wrong(field, "it is not above zero");
+            }
+        }
+        if self.heading_age_s.is_some_and(|age| !(0.001..=10.0).contains(&age)) {
+            return wrong("heading_age_s", "it is not 0.001 to 10 s");
+        }
+        if self.heading_rad.is_some_and(|heading| !(-7.0..=7.0).contains(&heading)) {
+            return wrong("heading_rad", "it is not an angle in radians, -7 to 7");
+        }
+        let drive = self.drive.unwrap_or(DriveKind::Holonomic);
+        let [of_wheels, of_heading] = [
+            [("point_ahead_m", self.point_ahead_m.is_some()), ("wheel_speed_m_s", self.wheel_speed_m_s.is_some())],
+            [("heading", self.heading.is_some()), ("heading_rad", self.heading_rad.is_some())],
+        ];
+        let (foreign, other) = match drive {
+            DriveKind::Holonomic => {
+                (of_wheels, "of a differential drive; write drive = \"differential\", or leave it out")
+            }
+            DriveKind::Differential => {
+                (of_heading, "of a holonomic drive; a differential one turns to where it drives")
+            }
+        };
+        if let Some((field, _)) = foreign.iter().find(|(_, given)| *given) {
+            return wrong(field, &format!("it is a setting {other}"));
+        }
+        let default = Chassis::default();
+        let point_ahead_m = match (drive, self.point_ahead_m) {
+            (DriveKind::Holonomic, _) => 0.0,
+            (DriveKind::Differential, Some(ahead)) => ahead,
+            (DriveKind::Differential, None) => {
+                return wrong(
+                    "point_ahead_m",
+                    "missing: a differential drive is commanded by a point ahead of its axle",
+                );
+            }
+        };
+        let wheels = match (self.wheel_speed_m_s, self.track_m) {
+            (Some(speed), Some(track)) => Some((speed, track)),
+            (None, None) => None,
+            (Some(_), None) => {
+                return wrong("track_m", "missing: wheel_speed_m_s needs the distance between the wheels");
+            }
+            (None, Some(_)) => return wrong("wheel_speed_m_s", "missing: track_m is for limits of the wheels' speeds"),
+        };
+        let held = drive == DriveKind::Holonomic && self.heading.unwrap_or(HeadingMode::Free) == HeadingMode::Hold;
+        Ok(Chassis {
+            drive,
+            point_ahead_m,
+            held_rad: held.then(|| self.heading_rad.unwrap_or(0.0)),
+            speed_m_s: self.speed_m_s.unwrap_or(default.speed_m_s),
+            yaw_rate_rad_s: self.yaw_rate_rad_s.unwrap_or(default.yaw_rate_rad_s),
+            wheels,
+            heading_age: self.heading_age_s.map_or(default.heading_age, Span::from_secs),
+        })
+    }
+}
+
+impl Chassis {
+    /// Motion of the robot in its own frame for a velocity of the commanded point in the world frame \[m/s\]. None if
+    /// the velocity is not zero and the heading is unknown: the robot has to stand.
+    pub fn twist(&self, velocity: Vec2, heading: Option<f32>) -> Option<BodyTwist> {
+        if velocity == Vec2::zeros() {
+            return Some(BodyTwist::default());
+        }
+        let heading = heading?;
+        let own = Pose { position: Vec2::zeros(), heading: Some(heading) }.into_body(velocity)?;
+        Some(self.limit(match self.drive {
+            DriveKind::Holonomic => {
+                let turn = |held: f32| HEADING_GAIN * wrapped(held - heading);
+                BodyTwist { forward: own.x, left: own.y, yaw_rate: self.held_rad.map_or(0.0, turn) }
+            }
+            DriveKind::Differential => BodyTwist { forward: own.x, left: 0.0, yaw_rate: own.y / self.point_ahead_m },
+        }))
+    }
+
+    /// Reduces a motion to the limits. A differential drive keeps its curve: both parts are reduced alike.
+    fn limit(&self, twist: BodyTwist) -> BodyTwist {
+        let BodyTwist { forward, left, yaw_rate } = twist;
+        match self.drive {
+            DriveKind::Holonomic => {
+                let speed = Vec2::new(forward, left).cap_magnitude(self.speed_m_s);
+                let yaw_rate = yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s);
+                BodyTwist { forward: speed.x, left: speed.y, yaw_rate }
+            }
+            DriveKind::Differential => {
+                let share = |value: f32, most: f32| if value.abs() > most { most / value.abs() } else { 1.0 };
+                let of_wheels = self
+                    .wheels
+                    .map_or(1.0, |(most, track_m)| share(forward.abs() + yaw_rate.abs() * track_m / 2.0, most));
+                let all = share(forward, self.speed_m_s).min(share(yaw_rate, self.yaw_rate_rad_s)).min(of_wheels);
+                BodyTwist { forward: forward * all, left: 0.0, yaw_rate: yaw_rate * all }
+            }
+        }
+    }
+
+    /// Reading of the commanded point, from one of the robot's centre. None if it needs a heading that is not measured.
+    pub fn point(&self, centre: Reading) -> Option<Reading> {
+        if self.point_ahead_m == 0.0 {
+            return Some(centre);
+        }
+        let ahead = self.ahead(centre.pose.heading?);
+        let turning = Vec2::new(-ahead.y, ahead.x) * centre.twist.yaw_rate.unwrap_or(0.0);
+        let mut reading = centre;
+        reading.pose.position += ahead;
+        reading.twist.velocity += turning;
+        Some(reading)
+    }
+
+    /// Position of the robot's centre \[m\], from a reading of the commanded point.
+    pub fn centre(&self, reading: &Reading) -> Vec2 {
+        match reading.pose.heading {
+            Some(heading) if self.point_ahead_m > 0.0 => reading.pose.position - self.ahead(heading),
+            _ => reading.pose.position,
+        }
+    }
+
+    /// Vector from the centre to the commanded point \[m\], world frame.
+    fn ahead(&self, heading: f32) -> Vec2 {
+        let (sin, cos) = libm::sincosf(heading);
+        Vec2::new(cos, sin) * self.point_ahead_m
+    }
+}
+
+/// Angle within -pi and pi \[rad\].
+pub fn wrapped(angle: f32) -> f32 {
+    let (sin, cos) = libm::sincosf(angle);
+    libm::atan2f(sin, cos)
+}
+
+/// Settings of each robot that differs from the others, by its number as in a TOML table.
+pub type ByRobot = BTreeMap<String, Settings>;
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::FRAC_PI_2;
+
+    use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::messages::ids::RobotId;
+
+    fn differential() -> Settings {
+        Settings { drive: Some(DriveKind::Differential), point_ahead_m: Some(0.1), ..Settings::default() }
+    }
+
+    /// Moves a pose for a millisecond.
+    fn moved(pose: Pose, twist: BodyTwist) -> Pose {
+        let heading = pose.heading.unwrap();
+        let (sin, cos) = heading.sin_cos();
+        let velocity = Vec2::new(cos * twist.forward - sin * twist.left, sin * twist.forward + cos * twist.left);
+        Pose { position: pose.position + velocity * 1e-3, heading: Some(wrapped(heading + twist.yaw_rate * 1e-3)) }
+    }
+
+    fn reading(pose: Pose) -> Reading {
+        let mut reading = Reading::of_point(RobotId(0), 1, Motion::at_rest(pose.position));
+        reading.pose = pose;
+        reading
+    }
+
+    #[test]
+    fn the_point_ahead_of_a_differential_drive_moves_as_commanded_in_every_direction() {
+        let chassis = differential().chassis().unwrap();
+        for direction in [0.0_f32, 0.7, FRAC_PI_2, 3.0, -2.0] {
+            let wanted = Vec2::new(direction.cos(), direction.sin()) * 0.2;
+            let mut pose = Pose { position: Vec2::zeros(), heading: Some(0.0) };
+            for _ in 0..100 {
+                let before = chassis.point(reading(pose)).unwrap();
+                pose = moved(pose, chassis.twist(wanted, pose.heading).unwrap());
+                let after = chassis.point(reading(pose)).unwrap();
+                let velocity = (after.pose.position - before.pose.position) / 1e-3;
+                assert!((velocity - wanted).norm() < 2e-3, "{velocity} for {wanted}");
+                assert!((chassis.centre(&after) - pose.position).norm() < 1e-6);
+            }
+        }
+    }
+
+    #[test]
+    fn limits_keep_the_curve_of_a_differential_drive_and_the_direction_of_a_holonomic_one() {
+        let settings = Settings { wheel_speed_m_s: Some(0.3), track_m: Some(0.2), ..differential() };
+        let twist = settings.chassis().unwrap().twist(Vec2::new(0.3, 0.4), Some(0.0)).unwrap();
+        assert!((twist.forward.abs() + twist.yaw_rate.abs() * 0.1 - 0.3).abs() < 1e-6, "{twist:?}");
+        assert!((twist.yaw_rate / twist.forward - 4.0 / 0.3).abs() < 1e-4, "{twist:?}");
+        let slow = Settings { speed_m_s: Some(0.5), ..Settings::default() }.chassis().unwrap();
+        let twist = slow.twist(Vec2::new(3.0, 4.0), Some(FRAC_PI_2)).unwrap();
+        assert!((twist.forward - 0.4).abs() < 1e-6 && (twist.left + 0.3).abs() < 1e-6, "{twist:?}");
+    }
+
+    #[test]
+    fn without_a_heading_a_robot_stands_and_a_held_one_is_turned_back_by_the_shorter_way() {
+        let free = Chassis::default();
+        assert_eq!(free.twist(Vec2::x(), None), None);
+        assert_eq!(free.twist(Vec2::zeros(), None), Some(BodyTwist::default()), "to stand needs no heading");
+        let held = Settings { heading: Some(HeadingMode::Hold), heading_rad: Some(3.0), ..Settings::default() };
+        let twist = held.chassis().unwrap().twist(Vec2::x(), Some(-3.0)).unwrap();
+        assert!(twist.yaw_rate < 0.0 && twist.yaw_rate > -1.0, "{twist:?}");
+        assert_eq!(differential().chassis().unwrap().point(Reading::of_point(RobotId(0), 1, Motion::default())), None);
+    }
+
+    #[test]
+    fn settings_that_do_not_fit_together_are_refused_by_name() {
+        let refused = |settings: Settings| settings.chassis().unwrap_err().to_string();
+        let of_drive = |drive| Settings { drive: Some(drive), ..Settings::default() };
+        assert!(refused(of_drive(DriveKind::Differential)).contains("point_ahead_m"));
+        assert!(refused(Settings { point_ahead_m: Some(0.1), ..Settings::default() }).contains("differential"));
+        assert!(refused(Settings { heading_rad: Some(0.1), ..differential() }).contains("heading_rad"));
+        assert!(refused(Settings { wheel_speed_m_s: Some(0.3), ..differential() }).contains("track_m"));
+        assert!(refused(Settings { speed_m_s: Some(-1.0), ..Settings::default() }).contains("speed_m_s"));
+        assert!(refused(Settings { heading_age_s: Some(60.0), ..Settings::default() }).contains("heading_age_s"));
+        let all = Settings { speed_m_s: Some(0.3), ..differential() };
+        let one = Settings { speed_m_s: Some(0.2), ..Settings::default() }.or(&all).chassis().unwrap();
+        assert_eq!((one.drive, one.speed_m_s), (DriveKind::Differential, 0.2));
+    }
+}

@@ -1,0 +1,261 @@
+//! Estimator that follows a robot with a Kalman filter of constant velocity, and moves its state on to the tick.
+//!
+//! The state along each axis is position and velocity, driven by white acceleration (Bar-Shalom et al., Estimation with
+//! Applications to Tracking and Navigation, 2001, section 6.2.2). Both axes share one covariance. A reading counts at the
+//! time at which it was measured: its stamp, put on this host's clock by the least transit time seen so far, less the
+//! source's known delay. A velocity is used where its standard deviation is known; elsewhere the filter finds it from
+//! positions. A reading far off the prediction is an outlier, unless the next one confirms it.
+
+use super::{Estimator, Settings};
+use crate::messages::geometry::{Motion, Vec2};
+use crate::messages::wire::Reading;
+use crate::time::{Span, Time};
+
+/// Longest prediction from the last measurement, so that a silent source moves no robot through a wall.
+const LONGEST: Span = Span::from_millis(500);
+
+/// Standard deviation of the acceleration between two readings \[m/s²\]: what robots of such teams can do.
+const ACCELERATION: f64 = 1.0;
+
+/// Standard deviation of a position that does not say its own \[m\], and the least that is assumed: an exact sensor
+/// must not make the covariance singular.
+const POSITION: f64 = 0.01;
+const LEAST_POSITION: f64 = 1e-4;
+const LEAST_VELOCITY: f64 = 1e-3;
+
+/// Standard deviation of the velocity of a robot that was measured once, without it \[m/s\].
+const UNKNOWN_VELOCITY: f64 = 1.0;
+
+/// Distance from the prediction, in standard deviations along an axis, beyond which a position is an outlier.
+const GATE: f64 = 6.0;
+
+/// Largest drift of a sensor's clock against this host's: 100 ppm, twice what quartz clocks state.
+const CLOCK_DRIFT: f64 = 1e-4;
+
+/// Change of the clocks' offset from which the sensor counts as restarted \[s\].
+const RESTARTED: f64 = 1.0;
+
+/// Position and velocity along both axes, with the covariance that they share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct State {
+    /// Time of measurement \[s\], on this host's clock.
+    at: f64,
+    position: [f64; 2],
+    velocity: [f64; 2],
+    /// Variance of the position, covariance, variance of the velocity.
+    covariance: [f64; 3],
+}
+
+/// Estimator of one robot.
+#[derive(Debug)]
+struct Kalman {
+    /// Known delay of the source \[s\].
+    delay: f64,
+    state: Option<State>,
+    /// Arrival time of the last reading, and the least difference seen between arrival and stamp \[s\].
+    offset: Option<(f64, f64)>,
+    /// Last reading that was an outlier: its time and position.
+    outlier: Option<[f64; 3]>,
+}
+
+/// Makes one without readings.
+pub fn make(settings: &Settings) -> Box<dyn Estimator> {
+    Box::new(Kalman { delay: settings.delay.as_secs(), state: None, offset: None, outlier: None })
+}
+
+fn axes(vector: Vec2) -> [f64; 2] {
+    [f64::from(vector.x), f64::from(vector.y)]
+}
+
+fn squared(number: f64) -> f64 {
+    number * number
+}
+
+impl State {
+    /// State after a first measurement.
+    fn first(at: f64, reading: &Reading) -> State {
+        let (position_m, velocity_m_s) = deviations(reading);
+        let velocity = velocity_m_s.map_or([0.0; 2], |_| axes(reading.twist.velocity));
+        let covariance = [squared(position_m), 0.0, squared(velocity_m_s.unwrap_or(UNKNOWN_VELOCITY))];
+        State { at, position: axes(reading.pose.position), velocity, covariance }
+    }
+
+    /// The state as predicted for a later time.
+    fn predicted(&self, at: f64) -> State {
+        let t = (at - self.at).max(0.0);
+        let [pp, pv, vv] = self.covariance;
+        let power = squared(ACCELERATION);
+        let position = [0, 1].map(|axis| self.position[axis] + t * self.velocity[axis]);
+        let covariance = [
+            pp + t * (2.0 * pv + t * vv) + power * t * t * t * t / 4.0,
+            pv + t * vv + power * t * t * t / 2.0,
+            vv + power * t * t,
+        ];
+        State { at: self.at.max(at), position, covariance, ..*self }
+    }
+
+    /// Corrects one of both quantities by a measurement with this variance: 0 the position, 1 the velocity.
+    fn correct(&mut self, quantity: usize, measured: [f64; 2], variance: f64) {
+        let [pp, pv, vv] = self.covariance;
+        let (own, gains) = match quantity {
+            0 => (self.position, [pp / (pp + variance), pv / (pp + variance)]),
+            _ => (self.velocity, [pv / (vv + variance), vv / (vv + variance)]),
+        };
+        for axis in 0..2 {
+            let off = measured[axis] - own[axis];
+            self.position[axis] += gains[0] * off;
+            self.velocity[axis] += gains[1] * off;
+        }
+        self.covariance = match quantity {
+            0 => [(1.0 - gains[0]) * pp, (1.0 - gains[0]) * pv, vv - gains[1] * pv],
+            _ => [pp - gains[0] * pv, (1.0 - gains[1]) * pv, (1.0 - gains[1]) * vv],
+        };
+    }
+}
+
+/// Standard deviations of a reading's position \[m\] and velocity \[m/s\]; none for an unknown velocity.
+fn deviations(reading: &Reading) -> (f64, Option<f64>) {
+    let position_m = reading.deviation.position_m.map_or(POSITION, f64::from).max(LEAST_POSITION);
+    (position_m, reading.deviation.velocity_m_s.map(|deviation| f64::from(deviation).max(LEAST_VELOCITY)))
+}
+
+impl Kalman {
+    /// Time at which a reading was measured \[s\], on this host's clock.
+    fn measured_at(&mut self, now: f64, stamp_ns: u64) -> f64 {
+        let stamp = stamp_ns as f64 * 1e-9;
+        let difference = now - stamp;
+        let offset = match self.offset {
+            // The least difference may grow with the drift of both clocks.
+            Some((last, least)) if (difference - least).abs() < RESTARTED => {
+                difference.min(least + CLOCK_DRIFT * (now - last))
+            }
+            _ => difference,
+        };
+        self.offset = Some((now, offset));
+        stamp + offset - self.delay
+    }
+
+    /// Whether a position is an outlier that no reading has confirmed. Keeps it for the next one.
+    fn is_outlier(&mut self, state: &State, reading: &Reading) -> bool {
+        let (position_m, _) = deviations(reading);
+        let measured = axes(reading.pose.position);
+        let far = |from: [f64; 2], variance: f64| {
+            (0..2).any(|axis| squared(measured[axis] - from[axis]) > squared(GATE) * variance)
+        };
+        let inside = !far(state.position, state.covariance[0] + squared(position_m));
+        let before = self.outlier.take().filter(|_| !inside);
+        let confirmed = before.is_some_and(|[at, x, y]| {
+            let moved = squared(UNKNOWN_VELOCITY * (state.at - at).max(0.0));
+            !far([x, y], 2.0 * squared(position_m) + moved)
+        });
+        if !inside && !confirmed {
+            self.outlier = Some([state.at, measured[0], measured[1]]);
+        }
+        if confirmed {
+            self.state = None;
+        }
+        !inside && !confirmed
+    }
+}
+
+impl Estimator for Kalman {
+    fn take(&mut self, now: Time, reading: &Reading) {
+        let at = self.measured_at(now.as_secs(), reading.stamp_ns);
+        let predicted = self.state.map(|state| state.predicted(at));
+        if predicted.is_some_and(|state| self.is_outlier(&state, reading)) {
+            return;
+        }
+        let (position_m, velocity_m_s) = deviations(reading);
+        self.state = Some(match (self.state, predicted) {
+            (Some(_), Some(mut state)) => {
+                state.correct(0, axes(reading.pose.position), squared(position_m));
+                if let Some(velocity_m_s) = velocity_m_s {
+                    state.correct(1, axes(reading.twist.velocity), squared(velocity_m_s));
+                }
+                state
+            }
+            _ => State::first(at, reading),
+        });
+    }
+
+    fn at(&self, now: Time) -> Option<Motion> {
+        let state = self.state?;
+        let longest = LONGEST.as_secs() + self.delay;
+        let [x, y] = state.predicted(now.as_secs().min(state.at + longest)).position;
+        let [vx, vy] = state.velocity;
+        Some(Motion { position: Vec2::new(x as f32, y as f32), velocity: Vec2::new(vx as f32, vy as f32) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Deviation;
+    use crate::messages::ids::RobotId;
+    use crate::random::{Seed, normals};
+
+    fn at_ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    fn reading(stamp_ms: u64, x: f64, position_m: Option<f32>) -> Reading {
+        let motion = Motion { position: Vec2::new(x as f32, 1.0), velocity: Vec2::zeros() };
+        let deviation = Deviation { position_m, ..Deviation::default() };
+        Reading { deviation, ..Reading::of_point(RobotId(0), stamp_ms * 1_000_000, motion) }
+    }
+
+    fn x_at(kalman: &dyn Estimator, ms: u64) -> f64 {
+        f64::from(kalman.at(at_ms(ms)).unwrap().position.x)
+    }
+
+    #[test]
+    fn a_known_delay_is_made_up_for_and_a_velocity_found_from_positions() {
+        let mut kalman = make(&Settings { delay: Span::from_millis(100) });
+        // At 0.5 m/s, every 100 ms, each reading 100 ms late and by up to 40 ms later than that; stamps of another clock.
+        for step in 0..50_u64 {
+            let measured_ms = 100 * step;
+            let late_ms = 100 + [0, 40, 10, 25][step as usize % 4];
+            kalman.take(
+                at_ms(measured_ms + late_ms),
+                &reading(7_000_000 + measured_ms, 0.0005 * measured_ms as f64, None),
+            );
+        }
+        assert!((x_at(&*kalman, 5050) - 0.0005 * 5050.0).abs() < 2e-3, "{}", x_at(&*kalman, 5050));
+        let velocity = kalman.at(at_ms(5050)).unwrap().velocity;
+        assert!((velocity - Vec2::new(0.5, 0.0)).norm() < 5e-3, "{velocity}");
+        let halted = x_at(&*kalman, 60_000);
+        assert!(halted < 0.0005 * 4900.0 + 0.5 * 0.61, "a silent source moves it no further: {halted}");
+    }
+
+    #[test]
+    fn one_reading_far_off_is_ignored_and_two_that_agree_count() {
+        let mut kalman = make(&Settings::default());
+        (0..20).for_each(|step| kalman.take(at_ms(50 * step), &reading(50 * step, 1.0, Some(0.01))));
+        kalman.take(at_ms(1000), &reading(1000, 3.0, Some(0.01)));
+        assert!((x_at(&*kalman, 1000) - 1.0).abs() < 0.02, "an outlier");
+        kalman.take(at_ms(1050), &reading(1050, 1.0, Some(0.01)));
+        assert!((x_at(&*kalman, 1050) - 1.0).abs() < 0.02);
+        // A robot that is put elsewhere.
+        kalman.take(at_ms(1100), &reading(1100, -2.0, Some(0.01)));
+        kalman.take(at_ms(1150), &reading(1150, -2.0, Some(0.01)));
+        assert!((x_at(&*kalman, 1150) + 2.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn noise_is_smoothed_and_an_exact_sensor_is_followed() {
+        let mut stream = Seed::of_run(3).stream("noise");
+        let (mut kalman, mut squares) = (make(&Settings::default()), [0.0; 2]);
+        for step in 0..2000_u64 {
+            let [noise, _] = normals(&mut stream);
+            kalman.take(at_ms(10 * step), &reading(10 * step, 0.02 * noise, Some(0.02)));
+            if step > 100 {
+                squares[0] += squared(0.02 * noise);
+                squares[1] += squared(x_at(&*kalman, 10 * step));
+            }
+        }
+        assert!(squares[1] < 0.5 * squares[0], "{squares:?}");
+        let mut kalman = make(&Settings::default());
+        (0..20).for_each(|step| kalman.take(at_ms(50 * step), &reading(50 * step, 0.001 * step as f64, Some(0.0))));
+        assert!((x_at(&*kalman, 950) - 0.019).abs() < 1e-5);
+    }
+}

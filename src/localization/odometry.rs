@@ -1,0 +1,142 @@
+//! Source of robots that measure their own motion: odometry of their drivers, put into the team's frame by hand.
+//!
+//! Odometry drifts, so this is for tests and for short runs. It is also for robots whose odometry is corrected on board,
+//! such as those that localize themselves on a map.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+
+use super::{In, Out, Parts, Source};
+use crate::config::ConfigError;
+use crate::edge::{Port, Settings, Worker};
+use crate::messages::geometry::Vec2;
+use crate::messages::ids::RobotId;
+use crate::messages::wire::{Reading, Wire};
+use crate::time::Time;
+
+/// Description in one line.
+pub const ABOUT: &str = "the robots' own odometry, from their drivers on the same host";
+
+/// Settings of one robot in the team file. The frame of its odometry is the pose of the robot when it was switched on,
+/// or when the odometry was last reset.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Config {
+    /// Origin of the robot's odometry in the team's frame \[m\].
+    #[serde(default)]
+    origin_m: [f32; 2],
+    /// Rotation from the odometry's frame to the team's \[rad\], counter-clockwise.
+    #[serde(default)]
+    yaw_rad: f32,
+}
+
+/// Pose of an odometry's frame in the team's frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Alignment {
+    /// Its origin \[m\].
+    pub origin: Vec2,
+    /// Its rotation \[rad\], counter-clockwise.
+    pub yaw_rad: f32,
+}
+
+impl Alignment {
+    /// Turns a vector into the team's frame.
+    fn turned(&self, vector: Vec2) -> Vec2 {
+        let (sin, cos) = libm::sincosf(self.yaw_rad);
+        Vec2::new(cos * vector.x - sin * vector.y, sin * vector.x + cos * vector.y)
+    }
+
+    /// Puts a reading into the team's frame.
+    pub fn apply(&self, odometry: &Reading) -> Reading {
+        let mut reading = odometry.clone();
+        reading.pose.position = self.origin + self.turned(odometry.pose.position);
+        reading.pose.heading = odometry.pose.heading.map(|heading| crate::chassis::wrapped(heading + self.yaw_rad));
+        reading.twist.velocity = self.turned(odometry.twist.velocity);
+        reading
+    }
+}
+
+/// Source without a worker of its own: its input comes from the drivers.
+struct Odometry {
+    robots: BTreeMap<RobotId, Alignment>,
+    /// Stamp of the last reading of each robot \[ns\].
+    stamps: BTreeMap<RobotId, u64>,
+}
+
+/// Makes the source.
+pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
+    let mut team = BTreeMap::new();
+    for robot in robots {
+        let config: Config = settings.for_robot(*robot)?.read()?;
+        let [x, y] = config.origin_m;
+        if ![x, y, config.yaw_rad].iter().all(|number| number.is_finite()) {
+            return Err(ConfigError::field("origin_m and yaw_rad", "a number is not finite".to_owned()));
+        }
+        team.insert(*robot, Alignment { origin: Vec2::new(x, y), yaw_rad: config.yaw_rad });
+    }
+    let source = move || Box::new(Odometry { robots: team.clone(), stamps: BTreeMap::new() }) as Box<dyn Source>;
+    Ok(Parts { source: Box::new(source), worker: Box::new(Idle) })
+}
+
+impl Source for Odometry {
+    fn take(&mut self, _: Time, input: In, out: &mut Vec<Out>) {
+        let odometry = match input {
+            In::Odometry(odometry) => odometry,
+            In::Packet(_) => return out.push(Out::Refused("odometry comes from drivers, not from a worker")),
+            In::Sample(_) => return,
+        };
+        let Some(alignment) = self.robots.get(&odometry.robot) else {
+            return out.push(Out::Refused("a driver has odometry of a robot that this source does not localize"));
+        };
+        // A robot that repeats its last measurement has not measured again.
+        if self.stamps.insert(odometry.robot, odometry.stamp_ns) == Some(odometry.stamp_ns) {
+            return;
+        }
+        let reading = alignment.apply(odometry);
+        let sound = Wire::Reading(reading.clone()).check().is_ok();
+        out.push(if sound { Out::Reading(reading) } else { Out::Refused("its numbers are out of range") });
+    }
+}
+
+/// Worker that does nothing until its host ends.
+struct Idle;
+
+impl Worker for Idle {
+    fn run(self: Box<Self>, mut port: Port) {
+        while port.wait().is_some() {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::FRAC_PI_2;
+
+    use super::*;
+    use crate::messages::geometry::Motion;
+
+    fn odometry(robot: u16, stamp_ns: u64, x: f32) -> Reading {
+        let motion = Motion { position: Vec2::new(x, 0.0), velocity: Vec2::new(0.5, 0.0) };
+        let mut reading = Reading::of_point(RobotId(robot), stamp_ns, motion);
+        reading.pose.heading = Some(3.0);
+        reading
+    }
+
+    #[test]
+    fn a_robots_own_frame_is_put_where_it_was_switched_on() {
+        let table = "robot.4 = { origin_m = [1.0, 2.0], yaw_rad = 1.5707964 }".parse().unwrap();
+        let settings = Settings { name: "odometry".to_owned(), table };
+        let (mut source, mut out) = ((make(&settings, &[RobotId(4)]).unwrap().source)(), Vec::new());
+        source.take(Time::ZERO, In::Odometry(&odometry(4, 1, 3.0)), &mut out);
+        let Some(Out::Reading(reading)) = out.pop() else { panic!("{out:?}") };
+        assert!((reading.pose.position - Vec2::new(1.0, 5.0)).norm() < 1e-5);
+        assert!((reading.twist.velocity - Vec2::new(0.0, 0.5)).norm() < 1e-6);
+        let heading = reading.pose.heading.unwrap();
+        assert!((heading - (3.0 + FRAC_PI_2 - std::f32::consts::TAU)).abs() < 1e-5, "{heading}");
+        source.take(Time::ZERO, In::Odometry(&odometry(4, 1, 3.0)), &mut out);
+        assert!(out.is_empty(), "the same stamp is the same measurement");
+        source.take(Time::ZERO, In::Odometry(&odometry(5, 2, 3.0)), &mut out);
+        source.take(Time::ZERO, In::Odometry(&odometry(4, 2, f32::NAN)), &mut out);
+        assert!(matches!(&out[..], [Out::Refused(_), Out::Refused(_)]), "{out:?}");
+    }
+}
