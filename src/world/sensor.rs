@@ -32,8 +32,8 @@ impl Sensor {
 
     /// A satellite receiver with real-time kinematic corrections (RTK, fixed solution).
     ///
-    /// Position: 0.01 m + 1 ppm horizontally is stated for u-blox ZED-F9P receivers; 2 cm with a moving antenna. Velocity:
-    /// 0.05 m/s, the same data sheet. Rate: 10 Hz. Latency: 100 ms through receiver, serial line and gpsd.
+    /// Position and velocity: 0.01 m + 1 ppm and 0.05 m/s are stated for u-blox ZED-F9P receivers; 2 cm with a moving
+    /// antenna. Rate: 10 Hz. Latency: 100 ms through receiver, serial line and gpsd.
     pub const RTK: Sensor = Sensor {
         position_m: 0.02,
         velocity_m_s: 0.05,
