@@ -250,7 +250,7 @@ impl Registry {
         (entry.make)(settings, robots).map_err(|error| error.within("source"))
     }
 
-    /// The policy of that name; a name that is not here is a file's.
+    /// The policy of that name; `None` if there is none, and the name may be the path of a file.
     pub fn policy(&self, name: &str) -> Option<&policy::Entry> {
         find(&self.policies, name).ok()
     }

@@ -273,7 +273,7 @@ impl Agent {
         };
         let limit = policy.interface().limit_m_s;
         let there = match phase {
-            Phase::Running => self.scenario.reached(&task, own.position),
+            Phase::Running => self.scenario.reached(&task, farther(own.position, task.goal, percept.deviation_m)),
             _ => (task.goal - own.position).norm() <= START_M,
         };
         let known =
@@ -290,6 +290,14 @@ impl Agent {
             others: known.chain(beside).filter(near).collect(),
             progress: if there && settled { Progress::Reached } else { Progress::Underway },
         })
+    }
+}
+
+/// Position further from the goal by twice its standard deviation: a robot has arrived only where it is sure of it.
+fn farther(position: Vec2, goal: Vec2, deviation_m: f32) -> Vec2 {
+    match (position - goal).try_normalize(0.0) {
+        Some(direction) if deviation_m > 0.0 => position + direction * (2.0 * deviation_m),
+        _ => position,
     }
 }
 
@@ -389,7 +397,7 @@ mod tests {
 
     fn percept(robot: u16, x: f32, heard: Vec<NeighbourLatent>) -> In {
         let estimate = Motion { position: Vec2::new(x, -1.5), velocity: MEASURED };
-        In::Percept(Percept { robot: RobotId(robot), due: Time::ZERO, estimate, heard })
+        In::Percept(Percept { robot: RobotId(robot), due: Time::ZERO, estimate, deviation_m: 0.0, heard })
     }
 
     fn speeds(out: &[Out]) -> Vec<(u16, f32)> {

@@ -17,8 +17,8 @@ use crate::time::{Span, Time};
 /// Shortest period at which a Body corrects a state server that lacks a stop.
 const CORRECTION_PERIOD: Span = Span::from_millis(200);
 
-/// Shortest interval between two commands to a driver of which the second only follows a new heading: trackers of 100 Hz
-/// and more would flood a robot.
+/// Shortest interval between two commands to a driver of which the second only follows a new heading: trackers of
+/// 100 Hz and more would flood a robot.
 const FOLLOW_PERIOD: Span = Span::from_millis(20);
 
 /// Input of a Body.

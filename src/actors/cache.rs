@@ -93,7 +93,8 @@ impl Cache {
             age: now.since(*arrived),
         });
         let robot = self.config.robot;
-        Some(Percept { robot, due: self.next, estimate, heard: heard.collect() })
+        let deviation_m = self.estimator.deviation_m(now);
+        Some(Percept { robot, due: self.next, estimate, deviation_m, heard: heard.collect() })
     }
 }
 

@@ -100,7 +100,7 @@ impl Steps {
 /// Time without a control step after which a robot counts as hearing none of the others.
 const HEARING_TIMEOUT: Span = Span::from_millis(250);
 
-/// Recorder of one trial.
+/// Recorder of one trial: it makes the report, with a digest that is equal for equal runs.
 pub struct Recorder {
     config: Config,
     digest: Xxh3,

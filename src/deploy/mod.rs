@@ -4,6 +4,7 @@
 //! A deployment is read from and written to TOML. `presets` holds the paper's modes, `routes` the route of every
 //! message.
 
+mod bodies;
 mod judging;
 mod presets;
 mod routes;
@@ -16,7 +17,7 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-use crate::chassis::{self, Chassis};
+use crate::chassis;
 use crate::config::{self, ConfigError};
 use crate::edge::Settings;
 use crate::faults::Targets;
@@ -225,39 +226,6 @@ impl Deployment {
         self.links.iter().try_for_each(Link::check)?;
         self.links.iter().try_for_each(Link::check_radio)?;
         self.check_ways()
-    }
-
-    /// Checks that all robots are simulated, as they are in one process under virtual time.
-    pub fn check_simulated(&self) -> Result<(), ConfigError> {
-        let real = |host: &&Host| !host.actuates.is_empty() || !host.localizes.is_empty();
-        self.hosts.iter().find(real).map_or(Ok(()), |host| {
-            let why = format!("'{}' has real robots, which only 'murmurate host' drives and measures", host.name);
-            Err(ConfigError::field("host.actuates and host.localizes", why))
-        })
-    }
-
-    /// Chassis of a robot of a checked deployment.
-    pub fn chassis(&self, robot: RobotId) -> Chassis {
-        let own = self.bodies.get(&robot.0.to_string());
-        let settings = own.map_or_else(|| self.body.clone(), |own| own.or(&self.body));
-        settings.chassis().expect("a checked deployment has sound chassis")
-    }
-
-    /// Checks the chassis of all robots.
-    fn check_bodies(&self) -> Result<(), ConfigError> {
-        let team = |number: &String| number.parse::<usize>().is_ok_and(|robot| robot < self.robots);
-        if let Some(number) = self.bodies.keys().find(|number| !team(number)) {
-            let why = format!("there is no robot {number}; the team has 0 to {}", self.robots - 1);
-            return Err(ConfigError::field("bodies", why));
-        }
-        self.bodies.iter().try_for_each(|(number, own)| {
-            own.or(&self.body).chassis().map(drop).map_err(|error| error.within(&format!("bodies.{number}")))
-        })?;
-        // Where every robot differs, what they have in common need not be complete.
-        match self.bodies.len() == self.robots {
-            true => Ok(()),
-            false => self.body.chassis().map(drop).map_err(|error| error.within("body")),
-        }
     }
 
     /// Checks that names of hosts and links are unique and not empty.

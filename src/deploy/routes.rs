@@ -27,7 +27,7 @@ pub struct Routes {
     robots_of: Vec<Vec<RobotId>>,
     /// By host: number of robots whose agents it runs.
     agent_counts: Vec<usize>,
-    /// Hosts with an agent; hosts with an agent or a body; these and the state server's host.
+    /// Hosts with an agent; all hosts, which end with the team; hosts with an agent or a body, and the state server's.
     agent_hosts: Vec<HostId>,
     mode_hosts: Vec<HostId>,
     stop_hosts: Vec<HostId>,
@@ -102,7 +102,7 @@ impl Routes {
             robots_of,
             agent_counts: deployment.hosts.iter().map(|host| host.agents.iter().map(Vec::len).sum()).collect(),
             agent_hosts: hosts(&agent_host, &[]),
-            mode_hosts: hosts(&agent_host, &actuator_host),
+            mode_hosts: (0..deployment.hosts.len()).filter_map(|host| u16::try_from(host).ok()).map(HostId).collect(),
             // All hosts that move a robot, and the state server's.
             stop_hosts: hosts(&hosts(&agent_host, &actuator_host), &[server_host]),
             publishers: Arc::new(Publishers {

@@ -4,6 +4,8 @@
 //! condition. The Body handles expiry of commands and the emergency stop, for all drivers alike.
 
 pub mod program;
+pub mod robomaster;
+pub mod ros2;
 pub mod simulated;
 
 use crate::config::ConfigError;
@@ -42,8 +44,8 @@ pub struct Limits {
 pub struct Command {
     /// Velocity of the robot in the world frame, and the time until which it holds.
     pub drive: Drive,
-    /// The same as a motion in the robot's own frame, within the limits of its chassis. None while its heading is unknown
-    /// or too old: a driver that needs it stops the robot.
+    /// The same as a motion in the robot's own frame, within the limits of its chassis. None while its heading is
+    /// unknown or too old: a driver that needs it stops the robot.
     pub body: Option<BodyTwist>,
 }
 
@@ -89,4 +91,8 @@ pub struct Entry {
 }
 
 /// All drivers of real robots.
-pub const REGISTRY: &[Entry] = &[Entry { name: "program", about: program::ABOUT, make: program::make }];
+pub const REGISTRY: &[Entry] = &[
+    Entry { name: "program", about: program::ABOUT, make: program::make },
+    robomaster::ENTRY,
+    Entry { name: "ros2", about: ros2::ABOUT, make: ros2::make },
+];

@@ -1,9 +1,10 @@
 //! Driver that runs a program of the user's, in any language, with one JSON object per line.
 //!
-//! The program reads `{"robot": 0, "vx": 0.1, "vy": 0.0, "ahead": 0.1, "left": 0.0, "yaw_rate": 0.0, "for_s": 0.2}`: the
-//! velocity in the world frame \[m/s\]; the same in the robot's own frame \[m/s\], with its yaw rate \[rad/s\] (null while
-//! its heading is unknown or too old); and its validity \[s\]. After that, and at the end of its input, the robot must stand. It may write `{"health": "ready" or "faulty",
-//! "battery": 87}` at any time.
+//! The program reads `{"robot": 0, "vx": 0.1, "vy": 0.0, "ahead": 0.1, "left": 0.0, "yaw_rate": 0.0, "for_s": 0.2}`.
+//! `vx` and `vy` are the velocity in the world frame \[m/s\]. `ahead`, `left` and `yaw_rate` are the same as a motion
+//! in the robot's own frame \[m/s, rad/s\], null while its heading is unknown or old. `for_s` is the validity \[s\]:
+//! after it, and at the end of its input, the robot must stand. The program may write
+//! `{"health": "ready" or "faulty", "battery": 87}` at any time.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,10 +1,11 @@
 //! Estimator that follows a robot with a Kalman filter of constant velocity, and moves its state on to the tick.
 //!
-//! The state along each axis is position and velocity, driven by white acceleration (Bar-Shalom et al., Estimation with
-//! Applications to Tracking and Navigation, 2001, section 6.2.2). Both axes share one covariance. A reading counts at the
-//! time at which it was measured: its stamp, put on this host's clock by the least transit time seen so far, less the
-//! source's known delay. A velocity is used where its standard deviation is known; elsewhere the filter finds it from
-//! positions. A reading far off the prediction is an outlier, unless the next one confirms it.
+//! The state along each axis is position and velocity, driven by white acceleration (Bar-Shalom et al., Estimation
+//! with Applications to Tracking and Navigation, 2001, section 6.2.2). Both axes share one covariance. A reading
+//! counts at the time at which it was measured: its stamp, put on this host's clock by the least transit time seen so
+//! far, less the source's known delay. A velocity is used where its standard deviation is known; elsewhere the filter
+//! finds it from positions. A reading that no robot could have reached is an outlier, unless the next one confirms it.
+//! One that a manoeuvre explains, such as a stop at a wall, makes the filter doubt its velocity.
 
 use super::{Estimator, Settings};
 use crate::messages::geometry::{Motion, Vec2};
@@ -26,7 +27,12 @@ const LEAST_VELOCITY: f64 = 1e-3;
 /// Standard deviation of the velocity of a robot that was measured once, without it \[m/s\].
 const UNKNOWN_VELOCITY: f64 = 1.0;
 
-/// Distance from the prediction, in standard deviations along an axis, beyond which a position is an outlier.
+/// Distance from the prediction, in standard deviations along an axis, beyond which the robot counts as manoeuvring.
+const MANOEUVRE: f64 = 3.0;
+
+/// Speed beyond which a robot cannot have moved between two readings \[m/s\], and the noise that is allowed for, in
+/// standard deviations.
+const FASTEST: f64 = 3.0;
 const GATE: f64 = 6.0;
 
 /// Largest drift of a sensor's clock against this host's: 100 ppm, twice what quartz clocks state.
@@ -94,6 +100,17 @@ impl State {
         State { at: self.at.max(at), position, covariance, ..*self }
     }
 
+    /// Makes the velocity uncertain if a position is too far from the prediction over this time \[s\] for a robot that
+    /// goes on as it did.
+    fn doubt(&mut self, over: f64, measured: [f64; 2], variance: f64) {
+        let most = squared(MANOEUVRE) * (self.covariance[0] + variance);
+        if (0..2).any(|axis| squared(measured[axis] - self.position[axis]) > most) {
+            self.covariance[0] += squared(UNKNOWN_VELOCITY * over.max(0.0));
+            self.covariance[1] += squared(UNKNOWN_VELOCITY) * over.max(0.0);
+            self.covariance[2] += squared(UNKNOWN_VELOCITY);
+        }
+    }
+
     /// Corrects one of both quantities by a measurement with this variance: 0 the position, 1 the velocity.
     fn correct(&mut self, quantity: usize, measured: [f64; 2], variance: f64) {
         let [pp, pv, vv] = self.covariance;
@@ -135,55 +152,69 @@ impl Kalman {
         stamp + offset - self.delay
     }
 
-    /// Whether a position is an outlier that no reading has confirmed. Keeps it for the next one.
-    fn is_outlier(&mut self, state: &State, reading: &Reading) -> bool {
+    /// Whether a position measured at `at` is an outlier that no reading has confirmed. Keeps it for the next one, and
+    /// forgets the state if it is confirmed.
+    fn is_outlier(&mut self, at: f64, reading: &Reading) -> bool {
+        let Some(state) = self.state else { return false };
         let (position_m, _) = deviations(reading);
         let measured = axes(reading.pose.position);
-        let far = |from: [f64; 2], variance: f64| {
-            (0..2).any(|axis| squared(measured[axis] - from[axis]) > squared(GATE) * variance)
+        let reachable = |from: [f64; 2], since: f64| {
+            let most = FASTEST * (at - since).max(0.0) + GATE * position_m;
+            (0..2).map(|axis| squared(measured[axis] - from[axis])).sum::<f64>() <= squared(most)
         };
-        let inside = !far(state.position, state.covariance[0] + squared(position_m));
-        let before = self.outlier.take().filter(|_| !inside);
-        let confirmed = before.is_some_and(|[at, x, y]| {
-            let moved = squared(UNKNOWN_VELOCITY * (state.at - at).max(0.0));
-            !far([x, y], 2.0 * squared(position_m) + moved)
-        });
-        if !inside && !confirmed {
-            self.outlier = Some([state.at, measured[0], measured[1]]);
+        if reachable(state.position, state.at) {
+            self.outlier = None;
+            return false;
         }
-        if confirmed {
-            self.state = None;
+        match self.outlier.take() {
+            Some([since, x, y]) if reachable([x, y], since) => {
+                self.state = None;
+                false
+            }
+            _ => {
+                self.outlier = Some([at, measured[0], measured[1]]);
+                true
+            }
         }
-        !inside && !confirmed
+    }
+}
+
+impl Kalman {
+    /// The state as predicted for `now`, for a limited time.
+    fn state_at(&self, now: Time) -> Option<State> {
+        let state = self.state?;
+        Some(state.predicted(now.as_secs().min(state.at + LONGEST.as_secs() + self.delay)))
     }
 }
 
 impl Estimator for Kalman {
     fn take(&mut self, now: Time, reading: &Reading) {
         let at = self.measured_at(now.as_secs(), reading.stamp_ns);
-        let predicted = self.state.map(|state| state.predicted(at));
-        if predicted.is_some_and(|state| self.is_outlier(&state, reading)) {
+        if self.is_outlier(at, reading) {
             return;
         }
         let (position_m, velocity_m_s) = deviations(reading);
-        self.state = Some(match (self.state, predicted) {
-            (Some(_), Some(mut state)) => {
+        self.state = Some(match self.state {
+            Some(before) => {
+                let mut state = before.predicted(at);
+                state.doubt(at - before.at, axes(reading.pose.position), squared(position_m));
                 state.correct(0, axes(reading.pose.position), squared(position_m));
                 if let Some(velocity_m_s) = velocity_m_s {
                     state.correct(1, axes(reading.twist.velocity), squared(velocity_m_s));
                 }
                 state
             }
-            _ => State::first(at, reading),
+            None => State::first(at, reading),
         });
     }
 
     fn at(&self, now: Time) -> Option<Motion> {
-        let state = self.state?;
-        let longest = LONGEST.as_secs() + self.delay;
-        let [x, y] = state.predicted(now.as_secs().min(state.at + longest)).position;
-        let [vx, vy] = state.velocity;
+        let State { position: [x, y], velocity: [vx, vy], .. } = self.state_at(now)?;
         Some(Motion { position: Vec2::new(x as f32, y as f32), velocity: Vec2::new(vx as f32, vy as f32) })
+    }
+
+    fn deviation_m(&self, now: Time) -> f32 {
+        self.state_at(now).map_or(0.0, |state| state.covariance[0].max(0.0).sqrt() as f32)
     }
 }
 
@@ -211,7 +242,7 @@ mod tests {
     #[test]
     fn a_known_delay_is_made_up_for_and_a_velocity_found_from_positions() {
         let mut kalman = make(&Settings { delay: Span::from_millis(100) });
-        // At 0.5 m/s, every 100 ms, each reading 100 ms late and by up to 40 ms later than that; stamps of another clock.
+        // At 0.5 m/s, every 100 ms; each reading 100 ms late, and up to 40 ms later than that; stamps of another clock.
         for step in 0..50_u64 {
             let measured_ms = 100 * step;
             let late_ms = 100 + [0, 40, 10, 25][step as usize % 4];
@@ -239,6 +270,16 @@ mod tests {
         kalman.take(at_ms(1100), &reading(1100, -2.0, Some(0.01)));
         kalman.take(at_ms(1150), &reading(1150, -2.0, Some(0.01)));
         assert!((x_at(&*kalman, 1150) + 2.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn a_robot_that_stops_at_a_wall_is_not_moved_on() {
+        let mut kalman = make(&Settings::default());
+        (0..=10).for_each(|step| kalman.take(at_ms(100 * step), &reading(100 * step, 0.08 * step as f64, Some(0.01))));
+        assert!((kalman.at(at_ms(1000)).unwrap().velocity.x - 0.8).abs() < 0.1);
+        (11..=12).for_each(|step| kalman.take(at_ms(100 * step), &reading(100 * step, 0.8, Some(0.01))));
+        let motion = kalman.at(at_ms(1200)).unwrap();
+        assert!(motion.velocity.x.abs() < 0.15 && (motion.position.x - 0.8).abs() < 0.02, "{motion:?}");
     }
 
     #[test]

@@ -26,6 +26,11 @@ pub trait Estimator: std::fmt::Debug {
 
     /// Estimated position and velocity at `now`; none before the first reading.
     fn at(&self, now: Time) -> Option<Motion>;
+
+    /// Standard deviation of the estimated position along each axis \[m\]; 0 for an estimator that does not know it.
+    fn deviation_m(&self, _now: Time) -> f32 {
+        0.0
+    }
 }
 
 /// Estimator in a registry.

@@ -2,8 +2,11 @@
 //!
 //! A source is pure: it turns its worker's packets, or the samples of a World, into readings.
 
+pub mod gpsd;
+pub mod natnet;
 pub mod odometry;
 pub mod program;
+pub mod ros2;
 pub mod simulated;
 
 use crate::config::ConfigError;
@@ -69,6 +72,9 @@ pub struct Entry {
 
 /// All sources of readings of real robots.
 pub const REGISTRY: &[Entry] = &[
+    Entry { name: "gpsd", about: gpsd::ABOUT, make: gpsd::make },
+    Entry { name: "natnet", about: natnet::ABOUT, make: natnet::make },
     Entry { name: "odometry", about: odometry::ABOUT, make: odometry::make },
     Entry { name: "program", about: program::ABOUT, make: program::make },
+    Entry { name: "ros2", about: ros2::ABOUT, make: ros2::make },
 ];

@@ -1,7 +1,7 @@
 //! Source of robots that measure their own motion: odometry of their drivers, put into the team's frame by hand.
 //!
-//! Odometry drifts, so this is for tests and for short runs. It is also for robots whose odometry is corrected on board,
-//! such as those that localize themselves on a map.
+//! Odometry drifts, so this is for tests and for short runs. It is also for robots that correct it on board, such as
+//! those that localize themselves on a map.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use crate::config::ConfigError;
 use crate::edge::{Port, Settings, Worker};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::RobotId;
-use crate::messages::wire::{Reading, Wire};
+use crate::messages::wire::Reading;
 use crate::time::Time;
 
 /// Description in one line.
@@ -94,8 +94,7 @@ impl Source for Odometry {
             return;
         }
         let reading = alignment.apply(odometry);
-        let sound = Wire::Reading(reading.clone()).check().is_ok();
-        out.push(if sound { Out::Reading(reading) } else { Out::Refused("its numbers are out of range") });
+        out.push(reading.unfit().map_or(Out::Reading(reading), Out::Refused));
     }
 }
 

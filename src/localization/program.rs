@@ -13,7 +13,7 @@ use crate::edge::Settings;
 use crate::edge::child::Program;
 use crate::messages::geometry::{Deviation, Pose, Twist, Vec2};
 use crate::messages::ids::RobotId;
-use crate::messages::wire::{Reading, Wire};
+use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
 /// Description in one line.
@@ -71,8 +71,7 @@ impl Source for Lines {
             Ok(line) if !(0.0..1e10).contains(&line.stamp_s) => Out::Refused("its stamp is out of range"),
             Ok(line) => {
                 let reading = reading(&line);
-                let sound = Wire::Reading(reading.clone()).check().is_ok();
-                if sound { Out::Reading(reading) } else { Out::Refused("its numbers are out of range") }
+                reading.unfit().map_or(Out::Reading(reading), Out::Refused)
             }
         });
     }

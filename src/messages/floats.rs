@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2};
 
-/// Most floats in a latent: with them a frame fits into one datagram.
+/// Largest number of floats in a latent: with so many, its frame still fits into one datagram.
 pub const MAX_FEATURES: usize = 256;
 
 /// Message of a robot's policy to its neighbours: for a GNN the encoder's output, for ORCA the radius \[m\] and the

@@ -16,6 +16,8 @@ pub struct Percept {
     pub due: Time,
     /// Its own filtered estimate.
     pub estimate: Motion,
+    /// Standard deviation of the estimated position along each axis \[m\]; 0 if unknown.
+    pub deviation_m: f32,
     /// Its usable neighbours, by robot id.
     pub heard: Vec<NeighbourLatent>,
 }

@@ -54,6 +54,17 @@ impl Reading {
         }
     }
 
+    /// Reason why the reading is out of range; none if it may be published.
+    pub fn unfit(&self) -> Option<&'static str> {
+        match () {
+            () if !is_sound(self.pose.position) => Some("a position is not finite, or beyond 100 km"),
+            () if !self.pose.is_sound() => Some("a heading is not within -pi and pi: wrap it"),
+            () if !self.twist.is_sound() => Some("a velocity or a yaw rate is not finite, or beyond any robot's"),
+            () if !self.deviation.is_sound() => Some("a standard deviation is negative or not finite"),
+            () => None,
+        }
+    }
+
     /// Position and velocity, which policies use.
     pub fn motion(&self) -> Motion {
         Motion { position: self.pose.position, velocity: self.twist.velocity }

@@ -138,7 +138,7 @@ impl TryFrom<String> for Aggregation {
     }
 }
 
-/// The manifest of a policy file.
+/// Metadata of a policy file: how its network is built, what it observes, and how it was trained.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {

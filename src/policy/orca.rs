@@ -69,7 +69,7 @@ pub const INTERFACE: Interface = Interface {
     hold: Span::from_millis(200),
 };
 
-/// One robot's instance of scripted navigation.
+/// Scripted navigation of one robot: collision avoidance by ORCA along a path through the arena.
 #[derive(Debug)]
 pub struct Orca {
     arena: Arena,

@@ -154,6 +154,11 @@ fn log(wanted: &str) -> Result<(), String> {
 
 /// Runs the program on the flags that the process was started with: its commands with everything that the registry has.
 pub fn main(registry: &Registry) -> ExitCode {
+    // The DDS process of a ROS 2 driver or source, which only this program starts.
+    #[cfg(feature = "ros2")]
+    if std::env::args_os().nth(1).is_some_and(|word| word == crate::ros2::SUBCOMMAND) {
+        return crate::ros2::node::run();
+    }
     let cli = match parse(registry) {
         Ok(cli) => cli,
         Err(error) => return refuse(&error),

@@ -21,7 +21,7 @@ const COLUMNS: [&str; 11] = [
     "command_y_m_s",
 ];
 
-/// Writer of trajectories. No field needs quotes: they are numbers and names of phases.
+/// Writer of the robots' paths as CSV. No field is quoted: all are numbers and names of phases.
 pub struct Paths<W: Write>(W);
 
 impl<W: Write> Paths<W> {

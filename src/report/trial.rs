@@ -68,7 +68,7 @@ impl TrialReport {
         }
     }
 
-    /// Replaces the counts of the one recorder by those of the team's processes, over all their incarnations.
+    /// Replaces the counts of the host that judges by the sums over all processes of the team, restarted ones included.
     pub fn counted<'a>(self, incarnations: impl Iterator<Item = &'a Counted> + Clone) -> TrialReport {
         let sum = |of: fn(&Counted) -> u64| incarnations.clone().map(of).sum();
         let oldest = incarnations.clone().filter_map(|counted| counted.oldest_command_s).reduce(f64::max);

@@ -288,7 +288,7 @@ impl Environments {
         }
     }
 
-    /// Restores a snapshot. Returns `false` if it is not of environments with the same rows and groups.
+    /// Restores a snapshot. Returns `false`, and changes nothing, if it has another number of robots or other teams.
     pub fn restore(&mut self, snapshot: Snapshot) -> bool {
         let shape = |teams: &[Team]| teams.iter().map(|team| (team.first, team.robots)).collect::<Vec<_>>();
         let robots = self.position.len();

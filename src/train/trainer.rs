@@ -316,7 +316,7 @@ impl Trainer {
         }
     }
 
-    /// Parameters of the training that do not change.
+    /// Settings of the training, fixed at its start.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }

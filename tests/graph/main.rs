@@ -4,14 +4,18 @@ mod common;
 mod contracts;
 mod determinism;
 mod devices;
+mod estimators;
 mod faults;
+mod gpsd;
 #[cfg(feature = "study")]
 mod growth;
 mod judged;
+mod natnet;
 #[cfg(feature = "rigid")]
 mod physics;
 mod radio;
 mod reference;
+mod robomaster;
 mod safety;
 mod shell;
 mod transports;

@@ -15,6 +15,7 @@ mod namespaces;
 mod outlets;
 #[path = "../program/mod.rs"]
 mod program;
+mod robomaster;
 mod stop;
 
 use std::sync::{Condvar, Mutex, MutexGuard};

@@ -206,7 +206,7 @@ pub fn read_ids(content: Content, bytes: &[u8]) -> Result<Vec<DatagramId>, Decod
 /// Most numbers in one block of offered datagrams.
 pub const MAX_HELD: usize = 16;
 
-/// Appends the numbers of datagrams that may be requested.
+/// Appends the sequence numbers of datagrams that the sender still holds: a receiver may request them again.
 pub fn write_held(held: &[u32], bytes: &mut Vec<u8>) {
     held.iter().for_each(|sequence| bytes.extend_from_slice(&sequence.to_le_bytes()));
 }

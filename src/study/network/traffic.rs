@@ -51,7 +51,7 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Returns the schedule of one of `stations` stations, which publish `rate` messages a second together.
+    /// Returns the schedule of one of `stations` stations, which publish `rate` messages a second in total.
     pub fn new(begin: Time, station: u16, (stations, rate): (u16, f64), seed: &Seed) -> Schedule {
         let period = Span::from_secs(f64::from(stations) / rate);
         let stream = seed.stream(&format!("publish/{station}"));

@@ -105,7 +105,7 @@ pub fn medium(flag: &str, given: &str) -> Result<Medium> {
 const STATIONS: u16 = 5;
 
 impl Args {
-    /// Prints the location of the fitted radio.
+    /// Prints the path of the file with the fitted radio and the flags that use it, if there is one.
     pub fn print_location(&self) {
         if let (Some(file), false) = (&self.fit, self.run.quiet) {
             talk(&format!("radio in '{0}': use it with 'sim --radio {0}' or 'train --radio {0}'", file.display()));

@@ -1,0 +1,65 @@
+//! Robots of a deployment that are not simulated, and their chassis.
+
+use super::{Deployment, Host};
+use crate::chassis::Chassis;
+use crate::config::ConfigError;
+use crate::messages::ids::RobotId;
+
+impl Deployment {
+    /// Checks that all robots are simulated, as they are in one process under virtual time.
+    pub fn check_simulated(&self) -> Result<(), ConfigError> {
+        let real = |host: &&Host| !host.actuates.is_empty() || !host.localizes.is_empty();
+        self.hosts.iter().find(real).map_or(Ok(()), |host| {
+            let why = format!("'{}' has real robots, which only 'murmurate host' drives and measures", host.name);
+            Err(ConfigError::field("host.actuates and host.localizes", why))
+        })
+    }
+
+    /// Chassis of a robot of a checked deployment.
+    pub fn chassis(&self, robot: RobotId) -> Chassis {
+        let own = self.bodies.get(&robot.0.to_string());
+        let settings = own.map_or_else(|| self.body.clone(), |own| own.or(&self.body));
+        settings.chassis().expect("a checked deployment has sound chassis")
+    }
+
+    /// Checks the chassis of all robots.
+    pub(super) fn check_bodies(&self) -> Result<(), ConfigError> {
+        let team = |number: &String| number.parse::<usize>().is_ok_and(|robot| robot < self.robots);
+        if let Some(number) = self.bodies.keys().find(|number| !team(number)) {
+            let why = format!("there is no robot {number}; the team has 0 to {}", self.robots - 1);
+            return Err(ConfigError::field("bodies", why));
+        }
+        self.bodies.iter().try_for_each(|(number, own)| {
+            own.or(&self.body).chassis().map(drop).map_err(|error| error.within(&format!("bodies.{number}")))
+        })?;
+        // Where every robot differs, what they have in common need not be complete.
+        match self.bodies.len() == self.robots {
+            true => Ok(()),
+            false => self.body.chassis().map(drop).map_err(|error| error.within("body")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::chassis::{DriveKind, Settings};
+
+    #[test]
+    fn a_robot_that_differs_takes_the_rest_from_all_and_wrong_ones_are_refused_by_name() {
+        let mut deployment = Deployment::preset("offboard", 3).unwrap();
+        deployment.body.speed_m_s = Some(0.3);
+        let wheels = Settings { drive: Some(DriveKind::Differential), point_ahead_m: Some(0.1), ..Settings::default() };
+        deployment.bodies.insert("2".to_owned(), wheels);
+        assert_eq!(deployment.check(), Ok(()));
+        let [first, last] = [0, 2].map(|robot| deployment.chassis(RobotId(robot)));
+        assert_eq!((first.drive, first.speed_m_s), (DriveKind::Holonomic, 0.3));
+        assert_eq!((last.drive, last.speed_m_s), (DriveKind::Differential, 0.3));
+        assert_eq!(Deployment::from_toml(&deployment.to_toml()), Ok(deployment.clone()));
+        deployment.bodies.insert("3".to_owned(), Settings::default());
+        assert!(deployment.check().unwrap_err().to_string().contains("no robot 3"));
+        deployment.bodies.remove("3");
+        deployment.bodies.insert("1".to_owned(), Settings { speed_m_s: Some(0.0), ..Settings::default() });
+        assert!(deployment.check().unwrap_err().to_string().contains("bodies.1"));
+    }
+}

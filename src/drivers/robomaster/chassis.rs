@@ -1,0 +1,106 @@
+//! Velocities that the robot's chassis can follow, from those that are wanted: axes, limits and least speeds.
+
+use super::super::BodyTwist;
+use super::protocol::ChassisSpeed;
+use crate::messages::geometry::Vec2;
+
+/// Least speed that the robot follows \[m/s\]; below it turns at random (RoboMaster-SDK#11).
+const LEAST_M_S: f32 = 0.1;
+/// Least yaw rate that is sent \[degrees/s\]. The robot ignored up to 1 (RoboMaster-SDK#11).
+const LEAST_YAW_DEG_S: f32 = 1.5;
+
+/// Limits of the velocities of a chassis.
+#[derive(Clone, Copy, Debug)]
+pub struct Chassis {
+    /// Largest speed \[m/s\].
+    pub speed_m_s: f32,
+    /// Largest yaw rate \[rad/s\].
+    pub yaw_rate_rad_s: f32,
+    /// Grid of the speed along each axis \[m/s\]; zero for none.
+    pub step_m_s: f32,
+}
+
+impl Chassis {
+    /// Returns the nearest velocity that the chassis follows, in its own axes; none for standing. Each speed is rounded
+    /// to the grid, to zero below half a step. Without a grid, a speed below 0.1 m/s becomes 0 or 0.1 m/s in its
+    /// direction. A yaw rate below 1.5 degrees/s becomes 0 or 1.5. A velocity that is not finite is standing.
+    pub fn follow(&self, twist: &BodyTwist) -> Option<ChassisSpeed> {
+        let wanted = Vec2::new(twist.forward, twist.left).cap_magnitude(self.speed_m_s);
+        let yaw = twist.yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s).to_degrees();
+        if !(wanted.norm_squared() + yaw * yaw).is_finite() {
+            return None;
+        }
+        let planar = if self.step_m_s > 0.0 { self.on_grid(wanted) } else { at_least(wanted) };
+        let z = if yaw.abs() < LEAST_YAW_DEG_S / 2.0 { 0.0 } else { -yaw.signum() * yaw.abs().max(LEAST_YAW_DEG_S) };
+        let stands = planar == Vec2::zeros() && z == 0.0;
+        (!stands).then_some(ChassisSpeed { x: planar.x, y: -planar.y, z })
+    }
+
+    /// Returns the nearest velocity on the grid, or one nearer to zero if that is too fast.
+    fn on_grid(&self, wanted: Vec2) -> Vec2 {
+        let near = wanted.map(|speed| (speed / self.step_m_s).round() * self.step_m_s);
+        // The hundredth makes up for what rounding in f32 adds to a speed on the grid.
+        if near.norm() <= self.speed_m_s + 0.01 * self.step_m_s {
+            near
+        } else {
+            wanted.map(|speed| (speed / self.step_m_s + 0.01 * speed.signum()).trunc() * self.step_m_s)
+        }
+    }
+}
+
+/// Returns a velocity of at least `LEAST_M_S`, or zero.
+fn at_least(wanted: Vec2) -> Vec2 {
+    let speed = wanted.norm();
+    if speed < LEAST_M_S / 2.0 {
+        Vec2::zeros()
+    } else if speed < LEAST_M_S {
+        wanted * (LEAST_M_S / speed)
+    } else {
+        wanted
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn chassis(step_m_s: f32) -> Chassis {
+        Chassis { speed_m_s: 0.75, yaw_rate_rad_s: 2.0, step_m_s }
+    }
+
+    fn follow(step_m_s: f32, forward: f32, left: f32, yaw_rate: f32) -> Option<[f32; 3]> {
+        let speed = chassis(step_m_s).follow(&BodyTwist { forward, left, yaw_rate })?;
+        Some([speed.x, speed.y, speed.z].map(|value| (value * 1000.0).round() / 1000.0))
+    }
+
+    #[test]
+    fn left_and_counter_clockwise_become_negative() {
+        assert_eq!(follow(0.1, 0.5, 0.3, 1f32.to_radians() * 10.0), Some([0.5, -0.3, -10.0]));
+        assert_eq!(follow(0.1, -0.5, -0.3, -0.5), Some([-0.5, 0.3, 28.648]));
+    }
+
+    #[test]
+    fn small_speeds_are_rounded_along_each_axis() {
+        assert_eq!(follow(0.1, 0.049, -0.049, 0.0), None);
+        assert_eq!(follow(0.1, 0.051, 0.16, 0.0), Some([0.1, -0.2, 0.0]));
+        assert_eq!(follow(0.0, 0.03, 0.03, 0.0), None);
+        assert_eq!(follow(0.0, 0.06, 0.0, 0.0), Some([0.1, 0.0, 0.0]));
+        assert_eq!(follow(0.0, 0.3, 0.06, 0.0), Some([0.3, -0.06, 0.0]));
+        assert_eq!(follow(0.1, 0.0, 0.0, 0.7f32.to_radians()), None);
+        assert_eq!(follow(0.1, 0.0, 0.0, 0.8f32.to_radians()), Some([0.0, 0.0, -1.5]));
+    }
+
+    #[test]
+    fn no_rounding_exceeds_a_limit_and_nonsense_is_standing() {
+        for k in 0..2000 {
+            let (angle, speed) = (k as f32 * 0.1, k as f32 * 0.001);
+            let twist =
+                BodyTwist { forward: speed * libm::cosf(angle), left: speed * libm::sinf(angle), yaw_rate: angle };
+            let Some(speed) = chassis(0.1).follow(&twist) else { continue };
+            assert!(Vec2::new(speed.x, speed.y).norm() <= 0.751 && speed.z.abs() <= 114.6, "{speed:?}");
+        }
+        assert_eq!(follow(0.1, f32::NAN, 0.0, 0.0), None);
+        assert_eq!(follow(0.1, 0.5, 0.0, f32::NAN), None);
+        assert_eq!(follow(0.1, f32::INFINITY, 0.0, 0.0), None);
+    }
+}

@@ -1,0 +1,147 @@
+//! Packets between the driver's pure part and its worker, as bytes: so they can be recorded and replayed.
+
+use crate::edge::Packet;
+use crate::time::Span;
+
+/// Validity of the motion that the robot carries out. When it ends, the worker stops the robot by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hold {
+    /// As before: the line moves no wheel.
+    Keep,
+    /// No motion that has to end.
+    Standing,
+    /// So long, from the arrival of the packet.
+    For(Span),
+}
+
+/// Packet to the worker. Connections are numbered by the worker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ToWorker<'a> {
+    /// Open a new connection. The old one is closed when the new one stands.
+    Open,
+    /// Write a line.
+    Write {
+        /// Connection that it is for.
+        connection: u32,
+        /// Validity of the motion.
+        hold: Hold,
+        /// Line with its semicolon.
+        line: &'a str,
+    },
+}
+
+/// Packet from the worker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FromWorker<'a> {
+    /// A connection was opened.
+    Opened(u32),
+    /// A connection was not opened, or has ended.
+    Closed(u32),
+    /// Bytes of the control connection.
+    Control(u32, &'a [u8]),
+    /// Bytes of the event connection.
+    Event(u32, &'a [u8]),
+    /// Datagram of the push port, and its arrival \[ns\] on the worker's clock.
+    Push(u64, &'a [u8]),
+}
+
+impl ToWorker<'_> {
+    /// Returns the packet as bytes.
+    pub fn encode(&self) -> Packet {
+        match self {
+            ToWorker::Open => Box::new([b'O']),
+            ToWorker::Write { connection, hold, line } => {
+                let hold = match hold {
+                    Hold::Keep => u64::MAX,
+                    Hold::Standing => 0,
+                    // Zero would mean standing.
+                    Hold::For(span) => span.as_nanos().clamp(1, u64::MAX - 1),
+                };
+                [b"W", &connection.to_le_bytes()[..], &hold.to_le_bytes(), line.as_bytes()].concat().into()
+            }
+        }
+    }
+
+    /// Decodes a packet; none if it is not one.
+    pub fn decode(packet: &[u8]) -> Option<ToWorker<'_>> {
+        match packet {
+            [b'O'] => Some(ToWorker::Open),
+            [b'W', rest @ ..] => {
+                let (connection, rest) = rest.split_first_chunk()?;
+                let (hold, line) = rest.split_first_chunk()?;
+                let hold = match u64::from_le_bytes(*hold) {
+                    u64::MAX => Hold::Keep,
+                    0 => Hold::Standing,
+                    ns => Hold::For(Span::from_nanos(ns)),
+                };
+                let line = std::str::from_utf8(line).ok()?;
+                Some(ToWorker::Write { connection: u32::from_le_bytes(*connection), hold, line })
+            }
+            _ => None,
+        }
+    }
+}
+
+impl FromWorker<'_> {
+    /// Returns the packet as bytes.
+    pub fn encode(&self) -> Packet {
+        let numbered = |tag: u8, connection: &u32, bytes: &[u8]| {
+            Packet::from([&[tag], &connection.to_le_bytes()[..], bytes].concat())
+        };
+        match self {
+            FromWorker::Opened(connection) => numbered(b'O', connection, &[]),
+            FromWorker::Closed(connection) => numbered(b'X', connection, &[]),
+            FromWorker::Control(connection, bytes) => numbered(b'C', connection, bytes),
+            FromWorker::Event(connection, bytes) => numbered(b'E', connection, bytes),
+            FromWorker::Push(stamp, bytes) => [b"P", &stamp.to_le_bytes()[..], bytes].concat().into(),
+        }
+    }
+
+    /// Decodes a packet; none if it is not one.
+    pub fn decode(packet: &[u8]) -> Option<FromWorker<'_>> {
+        let (tag, rest) = packet.split_first()?;
+        if *tag == b'P' {
+            let (stamp, bytes) = rest.split_first_chunk()?;
+            return Some(FromWorker::Push(u64::from_le_bytes(*stamp), bytes));
+        }
+        let (connection, bytes) = rest.split_first_chunk()?;
+        let connection = u32::from_le_bytes(*connection);
+        match tag {
+            b'O' if bytes.is_empty() => Some(FromWorker::Opened(connection)),
+            b'X' if bytes.is_empty() => Some(FromWorker::Closed(connection)),
+            b'C' => Some(FromWorker::Control(connection, bytes)),
+            b'E' => Some(FromWorker::Event(connection, bytes)),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packets_are_read_back_and_cut_ones_are_refused() {
+        let line = "quit seq 7;";
+        for hold in [Hold::Keep, Hold::Standing, Hold::For(Span::from_millis(200))] {
+            let packet = ToWorker::Write { connection: 9, hold, line };
+            let bytes = packet.encode();
+            assert_eq!(ToWorker::decode(&bytes), Some(packet));
+            (0..13).for_each(|cut| assert_eq!(ToWorker::decode(&bytes[..cut]), None, "{cut}"));
+        }
+        assert_eq!(ToWorker::decode(&ToWorker::Open.encode()), Some(ToWorker::Open));
+        let bytes = b"ok;";
+        for packet in [
+            FromWorker::Opened(1),
+            FromWorker::Closed(u32::MAX),
+            FromWorker::Control(3, bytes),
+            FromWorker::Event(4, bytes),
+            FromWorker::Push(5, bytes),
+        ] {
+            let bytes = packet.encode();
+            assert_eq!(FromWorker::decode(&bytes), Some(packet));
+            (0..5).for_each(|cut| assert_eq!(FromWorker::decode(&bytes[..cut]), None, "{cut}"));
+        }
+        assert_eq!(FromWorker::decode(b"Z1234"), None);
+    }
+}

@@ -1,0 +1,424 @@
+//! Codec of the plaintext SDK of the RoboMaster EP: lines to the robot, and its answers, pushes, events and
+//! announcements.
+//!
+//! A line ends with a semicolon. Lengths in m, angles in degrees; x is forward, y is right, yaw is clockwise. Sources:
+//! the chapter "Plaintext Protocol" of DJI's guide (robomaster-dev.readthedocs.io), and, for what it leaves open
+//! (spaces, the second semicolon of a push, answers to queries), DJI's script for the robot's side,
+//! `protocal_parser.py`.
+
+use std::fmt::Write;
+use std::net::Ipv4Addr;
+
+/// TCP port of commands and answers.
+pub const CONTROL_PORT: u16 = 40923;
+/// UDP port to which the robot pushes its state.
+pub const PUSH_PORT: u16 = 40924;
+/// TCP port on which the robot reports events.
+pub const EVENT_PORT: u16 = 40925;
+/// UDP port to which a robot on a router announces its address, every 2 s until a program connects.
+pub const ANNOUNCEMENT_PORT: u16 = 40926;
+
+/// Longest answer or event \[bytes\]: eight times the longest of the lines that are used here.
+const LONGEST: usize = 512;
+/// Largest coordinate \[m\]; what a `Reading` may hold.
+const FARTHEST_M: f64 = 1e5;
+/// Largest angle \[degrees\]: ten turns. A robot reports -180 to 180.
+const LARGEST_ANGLE_DEG: f64 = 3600.0;
+
+/// Line to the robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Line {
+    /// Enters SDK mode, without which the robot does and answers nothing.
+    Enter,
+    /// Leaves SDK mode; the robot stands.
+    Quit,
+    /// Chassis and gimbal turn independently. In the robot's other modes it ignores yaw rates.
+    Free,
+    /// Pushes of position and attitude at one rate \[Hz\], and of the chassis' status at 5 Hz.
+    Pushes(u8),
+    /// Reports of hits on the armour.
+    HitEvents,
+    /// Velocity of the chassis.
+    Speed(ChassisSpeed),
+    /// All wheels stand. Speed zero instead holds a drifting heading: the robot creeps (RoboMaster-SDK#11).
+    Stand,
+    /// Query of the battery's charge \[%\].
+    Battery,
+}
+
+/// Velocity of the chassis in its own frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ChassisSpeed {
+    /// Forward \[m/s\], within +-3.5.
+    pub x: f32,
+    /// To the right \[m/s\], within +-3.5.
+    pub y: f32,
+    /// Yaw rate \[degrees/s\], clockwise, within +-600.
+    pub z: f32,
+}
+
+impl Line {
+    /// Returns the line with its semicolon and this sequence number, which the answer repeats.
+    pub fn encode(&self, seq: u32) -> String {
+        let mut line = match self {
+            // The semicolon in front ends what an earlier program left unfinished: the robot keeps it, and would refuse
+            // the command appended to it (RoboMaster-SDK#21).
+            Line::Enter => ";command".to_owned(),
+            Line::Quit => "quit".to_owned(),
+            Line::Free => "robot mode free".to_owned(),
+            Line::Pushes(hz) => {
+                format!("chassis push position on pfreq {hz} attitude on afreq {hz} status on sfreq 5")
+            }
+            Line::HitEvents => "armor event hit on".to_owned(),
+            Line::Speed(ChassisSpeed { x, y, z }) => {
+                // Adding zero makes a negative zero positive.
+                format!("chassis speed x {:.3} y {:.3} z {:.1}", x + 0.0, y + 0.0, z + 0.0)
+            }
+            Line::Stand => "chassis wheel w1 0 w2 0 w3 0 w4 0".to_owned(),
+            Line::Battery => "robot battery ?".to_owned(),
+        };
+        write!(line, " seq {seq};").expect("a string takes everything");
+        line
+    }
+}
+
+/// Error of bytes that the robot cannot have sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Malformed {
+    /// Bytes that are not ASCII text.
+    #[error("the robot's text has bytes that are not ASCII")]
+    Text,
+    /// A statement without an end.
+    #[error("the robot's statement is too long")]
+    Length,
+    /// Too few words, or words in the wrong place.
+    #[error("the robot's statement has words that are missing or out of place")]
+    Words,
+    /// A number that is missing, not finite or out of range.
+    #[error("the robot's statement has a wrong number")]
+    Number,
+}
+
+impl Malformed {
+    /// Returns the reason, for a driver's output.
+    pub fn reason(self) -> &'static str {
+        match self {
+            Malformed::Text => "the robot's text has bytes that are not ASCII",
+            Malformed::Length => "the robot's statement is too long",
+            Malformed::Words => "the robot's statement has words that are missing or out of place",
+            Malformed::Number => "the robot's statement has a wrong number",
+        }
+    }
+}
+
+/// Splitter of a stream into statements, which end with a semicolon.
+#[derive(Clone, Debug, Default)]
+pub struct Splitter {
+    rest: Vec<u8>,
+    /// Whether the rest was too long; everything up to the next semicolon is dropped.
+    overflowed: bool,
+}
+
+impl Splitter {
+    /// Takes bytes of the stream and passes on each statement that they complete, without semicolon. Empty ones are
+    /// skipped.
+    pub fn take(&mut self, bytes: &[u8], mut each: impl FnMut(Result<&str, Malformed>)) {
+        for &byte in bytes {
+            if byte != b';' {
+                if self.rest.len() < LONGEST {
+                    self.rest.push(byte);
+                } else {
+                    self.overflowed = true;
+                }
+                continue;
+            }
+            if std::mem::take(&mut self.overflowed) {
+                each(Err(Malformed::Length));
+            } else {
+                match text(&self.rest) {
+                    Ok("") => {}
+                    statement => each(statement),
+                }
+            }
+            self.rest.clear();
+        }
+    }
+}
+
+/// Answer to a line.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Answer<'a> {
+    /// Result: `ok`, an error, or values.
+    pub result: &'a str,
+    /// Sequence number of the line; none if the robot does not repeat it.
+    pub seq: Option<u32>,
+}
+
+/// Decodes a statement of the control connection.
+pub fn decode_answer(statement: &str) -> Result<Answer<'_>, Malformed> {
+    let Some((result, seq)) = statement.rsplit_once("seq ") else {
+        return Ok(Answer { result: statement.trim(), seq: None });
+    };
+    let seq = seq.trim().parse().map_err(|_| Malformed::Number)?;
+    let result = result.trim();
+    if result.is_empty() { Err(Malformed::Words) } else { Ok(Answer { result, seq: Some(seq) }) }
+}
+
+impl Answer<'_> {
+    /// Whether the line was carried out. A robot in SDK mode says so when it is asked to enter it.
+    pub fn is_ok(&self) -> bool {
+        self.result == "ok" || self.result == "Already in SDK mode"
+    }
+
+    /// Returns the charge of the battery \[%\] if the answer is one.
+    pub fn percent(&self) -> Option<u8> {
+        self.result.parse().ok().filter(|percent| *percent <= 100)
+    }
+}
+
+/// State of the chassis in one datagram; none where it is not in there.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Push {
+    /// Position since power-on \[m\]: forward and to the right of the pose at that time.
+    pub position: Option<[f64; 2]>,
+    /// Pitch, roll and yaw \[degrees\], yaw clockwise.
+    pub attitude: Option<[f64; 3]>,
+    /// Whether the robot lies on its side or back.
+    pub rolled_over: Option<bool>,
+}
+
+/// Number of flags in a status: static, uphill, downhill, on slope, picked up, slips, hit along x, y, z, rolled over,
+/// static on a slope.
+const FLAGS: usize = 11;
+/// Index of "rolled over" among the flags.
+const ROLLED_OVER: usize = 9;
+
+/// Decodes a datagram of the push port, which names several values after one prefix:
+/// `chassis push position 1.000 2.000 ; attitude 0.100 0.200 30.000 ;;`. Pushes of other modules are skipped.
+pub fn decode_push(datagram: &[u8]) -> Result<Push, Malformed> {
+    let mut push = Push::default();
+    let mut module = None;
+    for part in text(datagram)?.split(';') {
+        let mut words: Vec<&str> = part.split_ascii_whitespace().collect();
+        if let [name, "push", ..] = words[..] {
+            module = Some(name);
+            words.drain(..2);
+        }
+        match (module, &words[..]) {
+            (_, []) => {}
+            (None, _) => return Err(Malformed::Words),
+            (Some("chassis"), ["position", values @ ..]) => push.position = Some(numbers(values, FARTHEST_M)?),
+            (Some("chassis"), ["attitude", values @ ..]) => push.attitude = Some(numbers(values, LARGEST_ANGLE_DEG)?),
+            (Some("chassis"), ["status", values @ ..]) => {
+                let flags: [f64; FLAGS] = numbers(values, 1.0)?;
+                push.rolled_over = Some(flags[ROLLED_OVER] > 0.5);
+            }
+            (Some("chassis"), _) => return Err(Malformed::Words),
+            (Some(_), _) => {}
+        }
+    }
+    if module.is_none() { Err(Malformed::Words) } else { Ok(push) }
+}
+
+/// Kind of a hit on the armour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hit {
+    /// By a gel bead.
+    Bead,
+    /// By a collision.
+    Collision,
+    /// By a hand.
+    Hand,
+}
+
+/// Decodes a statement of the event connection: the plate that was hit, 1 to 6 (rear, front, left and right of the
+/// chassis, left and right of the gimbal). None for an event that is not a hit.
+pub fn decode_hit(statement: &str) -> Result<Option<(u8, Hit)>, Malformed> {
+    let words: Vec<&str> = statement.split_ascii_whitespace().collect();
+    match words[..] {
+        ["armor", "event", "hit", plate, kind] => {
+            let plate = plate.parse().ok().filter(|plate| (1..=6).contains(plate)).ok_or(Malformed::Number)?;
+            let kind = match kind {
+                "0" => Hit::Bead,
+                "1" => Hit::Collision,
+                "2" => Hit::Hand,
+                _ => return Err(Malformed::Number),
+            };
+            Ok(Some((plate, kind)))
+        }
+        [_, "event", ..] => Ok(None),
+        _ => Err(Malformed::Words),
+    }
+}
+
+/// Decodes a datagram of the announcement port: `robot ip 192.168.1.103`, with or without a semicolon.
+pub fn decode_announcement(datagram: &[u8]) -> Result<Ipv4Addr, Malformed> {
+    let text = text(datagram)?;
+    let address = text.strip_prefix("robot ip ").ok_or(Malformed::Words)?;
+    address.trim_end_matches([';', ' ']).parse().map_err(|_| Malformed::Number)
+}
+
+/// Returns the bytes as text without outer white space.
+fn text(bytes: &[u8]) -> Result<&str, Malformed> {
+    if bytes.len() > LONGEST {
+        return Err(Malformed::Length);
+    }
+    match std::str::from_utf8(bytes) {
+        Ok(text) if text.is_ascii() => Ok(text.trim()),
+        _ => Err(Malformed::Text),
+    }
+}
+
+/// Returns exactly `N` numbers of at most this size.
+fn numbers<const N: usize>(words: &[&str], most: f64) -> Result<[f64; N], Malformed> {
+    let words: [&str; N] = words.try_into().map_err(|_| Malformed::Words)?;
+    let mut numbers = [0.0; N];
+    for (number, word) in numbers.iter_mut().zip(words) {
+        *number = word.parse().ok().filter(|value: &f64| value.abs() <= most).ok_or(Malformed::Number)?;
+    }
+    Ok(numbers)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PUSH: &[u8] =
+        b"chassis push position 1.000 -2.500 ; attitude 0.100 -0.200 30.000 ; status 1 0 0 0 0 0 0 0 0 1 0 ;;";
+
+    #[test]
+    fn lines_are_as_in_the_guide() {
+        let speed = Line::Speed(ChassisSpeed { x: 0.5, y: -0.0, z: -12.34 });
+        for (line, text) in [
+            (Line::Enter, ";command seq 7;"),
+            (Line::Quit, "quit seq 7;"),
+            (Line::Free, "robot mode free seq 7;"),
+            (Line::Pushes(50), "chassis push position on pfreq 50 attitude on afreq 50 status on sfreq 5 seq 7;"),
+            (Line::HitEvents, "armor event hit on seq 7;"),
+            (speed, "chassis speed x 0.500 y 0.000 z -12.3 seq 7;"),
+            (Line::Stand, "chassis wheel w1 0 w2 0 w3 0 w4 0 seq 7;"),
+            (Line::Battery, "robot battery ? seq 7;"),
+        ] {
+            assert_eq!(line.encode(7), text);
+        }
+    }
+
+    #[test]
+    fn answers_are_read_with_and_without_a_number_and_however_they_are_cut() {
+        let stream =
+            b"ok;ok seq 3;87  seq 4; ;Already in SDK mode seq 5;\xff;command format error: command parse error;";
+        for cut in 0..=stream.len() {
+            let (mut splitter, mut heard) = (Splitter::default(), Vec::new());
+            for part in [&stream[..cut], &stream[cut..]] {
+                splitter.take(part, |statement| {
+                    let answer = statement.and_then(decode_answer);
+                    heard.push(answer.map(|answer| (answer.is_ok(), answer.percent(), answer.seq)));
+                });
+            }
+            let expected = [
+                Ok((true, None, None)),
+                Ok((true, None, Some(3))),
+                Ok((false, Some(87), Some(4))),
+                Ok((true, None, Some(5))),
+                Err(Malformed::Text),
+                Ok((false, None, None)),
+            ];
+            assert_eq!(heard, expected, "cut at {cut}");
+        }
+    }
+
+    #[test]
+    fn a_statement_without_an_end_takes_no_memory_and_the_next_is_read() {
+        let (mut splitter, mut heard) = (Splitter::default(), Vec::new());
+        (0..1000).for_each(|_| splitter.take(&[b'x'; 100], |_| panic!("no end yet")));
+        assert!(splitter.rest.len() <= LONGEST);
+        splitter.take(b";ok;", |statement| heard.push(statement.map(str::to_owned)));
+        assert_eq!(heard, [Err(Malformed::Length), Ok("ok".to_owned())]);
+    }
+
+    #[test]
+    fn pushes_are_read_together_and_alone() {
+        let push = decode_push(PUSH).unwrap();
+        assert_eq!(push.position, Some([1.0, -2.5]));
+        assert_eq!(push.attitude, Some([0.1, -0.2, 30.0]));
+        assert_eq!(push.rolled_over, Some(true));
+        let alone = decode_push(b"chassis push attitude 0.1 1 3;").unwrap();
+        assert_eq!(alone, Push { attitude: Some([0.1, 1.0, 3.0]), ..Push::default() });
+        assert_eq!(decode_push(b"gimbal push attitude 20 10;"), Ok(Push::default()));
+        for (wrong, why) in [
+            (&b"chassis push position nan 1;"[..], Malformed::Number),
+            (b"chassis push position inf 1;", Malformed::Number),
+            (b"chassis push position 1e9 1;", Malformed::Number),
+            (b"chassis push position 1;", Malformed::Words),
+            (b"chassis push speed 1 1;", Malformed::Words),
+            (b"position 1 1;", Malformed::Words),
+            (b"", Malformed::Words),
+            (b"chassis push position 1 \xff;", Malformed::Text),
+            (&[b' '; 600], Malformed::Length),
+        ] {
+            assert_eq!(decode_push(wrong), Err(why), "{}", wrong.escape_ascii());
+        }
+    }
+
+    #[test]
+    fn events_and_announcements_are_read() {
+        assert_eq!(decode_hit("armor event hit 2 1"), Ok(Some((2, Hit::Collision))));
+        assert_eq!(decode_hit("sound event applause 2"), Ok(None));
+        assert_eq!(decode_hit("armor event hit 7 1"), Err(Malformed::Number));
+        assert_eq!(decode_hit("ok"), Err(Malformed::Words));
+        let address = Ok(Ipv4Addr::new(192, 168, 0, 115));
+        assert_eq!(decode_announcement(b"robot ip 192.168.0.115"), address);
+        assert_eq!(decode_announcement(b"robot ip 192.168.0.115;"), address);
+        assert_eq!(decode_announcement(b"robot ip 192.168.0"), Err(Malformed::Number));
+        assert_eq!(decode_announcement(b"robot"), Err(Malformed::Words));
+    }
+
+    /// Feeds bytes to all decoders. None may panic, and numbers stay within their ranges.
+    fn decode_all(bytes: &[u8]) {
+        if let Ok(push) = decode_push(bytes) {
+            assert!(push.position.is_none_or(|p| p.iter().all(|value| value.abs() <= FARTHEST_M)));
+            assert!(push.attitude.is_none_or(|a| a.iter().all(|value| value.abs() <= LARGEST_ANGLE_DEG)));
+        }
+        let _ = decode_announcement(bytes);
+        Splitter::default().take(bytes, |statement| {
+            let _ = statement.map(|statement| (decode_answer(statement).is_ok(), decode_hit(statement).is_ok()));
+        });
+    }
+
+    #[test]
+    fn nothing_panics_on_cut_or_changed_bytes() {
+        let samples: [&[u8]; 6] = [
+            PUSH,
+            b"ok seq 12;",
+            b"87  seq 4;",
+            b"armor event hit 2 1 ;;",
+            b"robot ip 192.168.0.115",
+            b"command format error: seq parse error;",
+        ];
+        for sample in samples {
+            (0..=sample.len()).for_each(|cut| decode_all(&sample[..cut]));
+        }
+        // A xorshift generator (Marsaglia 2003) with a fixed seed.
+        let mut state = 0x9E37_79B9_7F4A_7C15_u64;
+        let mut below = |limit: usize| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state % limit as u64) as usize
+        };
+        for _ in 0..200_000 {
+            let mut bytes = samples[below(samples.len())].to_vec();
+            for _ in 0..=below(4) {
+                let at = below(bytes.len());
+                match below(4) {
+                    0 => bytes[at] ^= 1 << below(8),
+                    1 => bytes[at] = b" ;.-0123456789eE\xffNn"[below(19)],
+                    2 => bytes.insert(at, b"; 9-"[below(4)]),
+                    _ if bytes.len() > 1 => drop(bytes.remove(at)),
+                    _ => {}
+                }
+            }
+            decode_all(&bytes);
+        }
+    }
+}

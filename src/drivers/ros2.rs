@@ -1,0 +1,584 @@
+//! Driver of robots that take `geometry_msgs/Twist` or `TwistStamped` and report `nav_msgs/Odometry`.
+//!
+//! Pure: the DDS process and its supervisor are in `ros2`. Silence of the odometry is a fault, and the robot is told to
+//! stand. Zeros are repeated at full rate until the odometry says that the robot stands, then five times a second.
+
+use std::collections::BTreeMap;
+
+use crate::config::ConfigError;
+use crate::edge::Settings;
+use crate::messages::geometry::Vec2;
+use crate::messages::ids::RobotId;
+use crate::messages::telemetry::Health;
+use crate::messages::wire::MAX_VALIDITY;
+use crate::time::{Span, Time};
+use serde::Deserialize;
+
+use crate::drivers::{Command, Driver, Limits, Out, Parts};
+use crate::messages::local::BodyTwist;
+use crate::ros2::packet::{
+    self, Drive, FromNode, Plan, PoseSample, Read, Reader, Sample, ToNode, TopicState, Writer, Written,
+};
+use crate::ros2::reading::{self, Axes, Novelty, Stamps};
+use crate::ros2::settings;
+use crate::ros2::supervisor::Supervisor;
+
+/// Description in one line.
+pub const ABOUT: &str = "a ROS 2 robot: Twist or TwistStamped out, Odometry in";
+
+/// Period of zeros until the robot stands, and after that.
+const ZEROS: [Span; 2] = [Span::from_millis(20), Span::from_millis(200)];
+/// Time of fast zeros to a robot without odometry; it is longer than the watchdogs of known bases, 0.5 s.
+const BLIND: Span = Span::from_millis(1000);
+/// Time after which a robot that was never heard is looked for elsewhere: discovery takes 1.3 s, 5.7 s at worst.
+const DISCOVERY: Span = Span::from_millis(6000);
+/// Validity of a zero \[ms\], longer than the longest period of zeros.
+const ZERO_FOR_MS: u32 = 300;
+/// Largest speed \[m/s\] and yaw rate \[rad/s\] of a robot that stands: noise of wheel encoders is below a tenth of it.
+const STANDS: (f64, f64) = (0.01, 0.02);
+
+/// Form of the stamp of commands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum StampForm {
+    /// Zero, which ros2_control takes for "now": clocks need not agree.
+    #[default]
+    Zero,
+    /// The clock of this machine.
+    Now,
+}
+
+/// Settings in the team file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Config {
+    /// Namespace of the robot, such as `/r1`; empty for none.
+    namespace: String,
+    /// DDS domain, `ROS_DOMAIN_ID` of the robot.
+    #[serde(default)]
+    domain: u16,
+    /// Name or address of the interface for multicast and announced addresses; none: all. Its ports for data accept
+    /// from every interface, so it is no fence.
+    interface: Option<String>,
+    /// Whether commands are `TwistStamped`.
+    #[serde(default)]
+    stamped: bool,
+    /// Stamp of stamped commands.
+    #[serde(default)]
+    stamp: StampForm,
+    /// Axes of commands and odometry.
+    #[serde(default)]
+    axes: Axes,
+    /// Topic of commands.
+    #[serde(default = "cmd_vel")]
+    cmd_vel: String,
+    /// Topic of `nav_msgs/Odometry`; empty for a robot without.
+    #[serde(default = "odom")]
+    odom: String,
+    /// Topic of `sensor_msgs/BatteryState`, if any.
+    battery: Option<String>,
+    /// Silence of the odometry that is a fault \[s\].
+    #[serde(default = "silence_s")]
+    silence_s: f64,
+    /// Largest speed \[m/s\].
+    speed_m_s: f32,
+    /// Largest yaw rate \[rad/s\].
+    #[serde(default = "yaw_rate_rad_s")]
+    yaw_rate_rad_s: f32,
+    /// Memory of each DDS process \[MiB\].
+    #[serde(default = "settings::memory_mib")]
+    memory_mib: u32,
+    /// Whether there is a warm spare of the DDS process.
+    #[serde(default = "settings::yes")]
+    spare: bool,
+}
+
+fn cmd_vel() -> String {
+    "cmd_vel".to_owned()
+}
+
+fn odom() -> String {
+    "odom".to_owned()
+}
+
+/// Three messages of odometry at 10 Hz.
+fn silence_s() -> f64 {
+    0.3
+}
+
+/// About the most of small differential drives: 1.82 rad/s on a TurtleBot3 Waffle Pi, 1.9 on a Create 3.
+fn yaw_rate_rad_s() -> f32 {
+    1.5
+}
+
+/// Makes the driver and its worker.
+pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
+    settings::check_built()?;
+    let config: Config = settings.read()?;
+    let plan = plan(&config, robot)?;
+    let (spare, checked) = (config.spare, config.clone());
+    Ok(Parts {
+        driver: Box::new(move || Box::new(Ros2::new(robot, &checked))),
+        worker: Some(Box::new(Supervisor { plan, spare, program: None })),
+    })
+}
+
+/// Checks the settings and derives the topics.
+fn plan(config: &Config, robot: RobotId) -> Result<Plan, ConfigError> {
+    settings::check_participant(config.domain, config.interface.as_deref(), config.memory_mib)?;
+    settings::check_namespace(&config.namespace)?;
+    for (field, value) in [("speed_m_s", config.speed_m_s), ("yaw_rate_rad_s", config.yaw_rate_rad_s)] {
+        if !(value > 0.0 && value.is_finite()) {
+            let reason = format!("{value} is not above zero; take it from the data sheet of the robot");
+            return Err(ConfigError::field(field, reason));
+        }
+    }
+    if !(0.05..=5.0).contains(&config.silence_s) {
+        let reason = format!("{} is not from 0.05 to 5 s; take three periods of the odometry", config.silence_s);
+        return Err(ConfigError::field("silence_s", reason));
+    }
+    let kind = match (config.stamped, config.stamp) {
+        (false, _) => Written::Twist,
+        (true, StampForm::Zero) => Written::TwistUnstamped,
+        (true, StampForm::Now) => Written::TwistStamped,
+    };
+    let full = |field, topic: &str| settings::full_topic(field, &config.namespace, topic);
+    let writers = vec![Writer { topic: full("cmd_vel", &config.cmd_vel)?, kind }];
+    let mut readers = Vec::new();
+    if !config.odom.is_empty() {
+        readers.push(Reader { topic: full("odom", &config.odom)?, kind: Read::Odometry });
+    }
+    if let Some(battery) = &config.battery {
+        readers.push(Reader { topic: full("battery", battery)?, kind: Read::Battery });
+    }
+    let (domain, interface, memory_mib) = (config.domain, config.interface.clone(), config.memory_mib);
+    Ok(Plan { name: robot.to_string(), domain, interface, memory_mib, writers, readers })
+}
+
+/// Driver of one robot.
+struct Ros2 {
+    robot: RobotId,
+    limits: Limits,
+    yaw_rate_rad_s: f32,
+    axes: Axes,
+    /// Limit on the silence of odometry; none for a robot without.
+    silence: Option<Span>,
+    /// Arrival of the last new odometry.
+    heard: Option<Time>,
+    /// Whether its silence has been dealt with.
+    silent: bool,
+    stamps: Stamps,
+    /// Whether odometry says that the robot stands since zeros are sent.
+    stood: bool,
+    /// Time since which zeros are sent, and time of the next; none while it moves, and before the first command.
+    standing: Option<(Time, Time)>,
+    /// Time of the first packet, until the first odometry or the warning that there is none.
+    waits: Option<Time>,
+    /// States of topics, by name.
+    topics: BTreeMap<String, TopicState>,
+    /// Number of problems of topics so far.
+    problems: u64,
+    battery: Option<u8>,
+    /// Condition as last reported.
+    told: Option<(Health, Option<u8>)>,
+}
+
+impl Ros2 {
+    fn new(robot: RobotId, config: &Config) -> Ros2 {
+        Ros2 {
+            robot,
+            limits: Limits { speed_m_s: config.speed_m_s },
+            yaw_rate_rad_s: config.yaw_rate_rad_s,
+            axes: config.axes,
+            silence: (!config.odom.is_empty()).then(|| Span::from_secs(config.silence_s)),
+            heard: None,
+            silent: false,
+            stamps: Stamps::default(),
+            stood: false,
+            standing: None,
+            waits: None,
+            topics: BTreeMap::new(),
+            problems: 0,
+            battery: None,
+            told: None,
+        }
+    }
+
+    /// Whether the robot's odometry is silent.
+    fn is_silent(&self, now: Time) -> bool {
+        self.silence.is_some_and(|most| self.heard.is_none_or(|heard| now.since(heard) >= most))
+    }
+
+    fn health(&self, now: Time) -> Health {
+        let obeyed = self.topics.values().any(|state| state.written && state.peers > 0);
+        let refused = self.topics.values().any(|state| state.peers == 0 && state.problem.is_some());
+        match (self.silence, self.heard) {
+            _ if refused => Health::Faulty,
+            (Some(_), None) => Health::Silent,
+            (Some(_), Some(_)) if self.is_silent(now) => Health::Faulty,
+            (Some(_), Some(_)) if obeyed => Health::Ready,
+            (None, _) if obeyed => Health::Ready,
+            // It reports, and takes no commands yet.
+            _ => Health::Silent,
+        }
+    }
+
+    /// Reports the condition if it has changed.
+    fn tell(&mut self, now: Time, out: &mut Vec<Out>) {
+        let condition = (self.health(now), self.battery);
+        if self.told != Some(condition) {
+            self.told = Some(condition);
+            out.push(Out::Condition(condition.0, condition.1));
+        }
+    }
+
+    fn send(&self, twist: BodyTwist, for_ms: u32, out: &mut Vec<Out>) {
+        let sign = self.axes.sign();
+        let [x, left, yaw] = [twist.forward, twist.left, twist.yaw_rate].map(f64::from);
+        // Plus zero, since minus zero is odd to read in a log of the robot.
+        let drive = Drive { topic: 0, x, y: sign * left + 0.0, yaw: sign * yaw + 0.0, for_ms };
+        out.push(Out::Send(packet::encode(&ToNode::Drive(drive)).into()));
+    }
+
+    /// Sends a zero if one is due.
+    fn stand(&mut self, now: Time, out: &mut Vec<Out>) {
+        if self.standing.is_none() {
+            self.stood = false;
+        }
+        let (since, next) = self.standing.unwrap_or((now, now));
+        if now < next {
+            return;
+        }
+        let calm = self.stood || (self.silence.is_none() && now.since(since) >= BLIND);
+        let period = if calm { ZEROS[1] } else { ZEROS[0] };
+        self.standing = Some((since, now + period));
+        self.send(BodyTwist { forward: 0.0, left: 0.0, yaw_rate: 0.0 }, ZERO_FOR_MS, out);
+    }
+
+    /// Returns a motion within the limits; none for one that is zero or not finite.
+    fn within_limits(&self, body: BodyTwist) -> Option<BodyTwist> {
+        let linear = Vec2::new(body.forward, body.left).cap_magnitude(self.limits.speed_m_s);
+        let yaw_rate = body.yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s);
+        let numbers = [linear.x, linear.y, yaw_rate];
+        let moves = numbers.iter().all(|v| v.is_finite()) && numbers.iter().any(|v| *v != 0.0);
+        moves.then_some(BodyTwist { forward: linear.x, left: linear.y, yaw_rate })
+    }
+
+    fn odometry(&mut self, now: Time, pose: PoseSample, out: &mut Vec<Out>) {
+        // A sender without stamps has zeros: then each message is new, at its arrival.
+        let stamp_ns = if pose.stamp_ns == 0 { now.as_nanos() } else { pose.stamp_ns };
+        if self.stamps.take(stamp_ns) == Novelty::Old {
+            return;
+        }
+        let pose = reading::in_rep103(self.axes, pose);
+        let Some(velocity) = reading::velocity(&pose) else {
+            return out.push(Out::Refused("the odometry has no orientation"));
+        };
+        let Some(reading) = reading::reading(self.robot, stamp_ns, &pose, velocity) else {
+            return out.push(Out::Refused("the odometry has a number out of range"));
+        };
+        if std::mem::take(&mut self.silent) {
+            tracing::info!("{}: its odometry is heard again", self.robot);
+        }
+        (self.heard, self.waits) = (Some(now), None);
+        let slow = pose.twist.is_some_and(|v| libm::hypot(v.x, v.y) < STANDS.0 && v.yaw_rate.abs() < STANDS.1);
+        if self.standing.is_some() {
+            self.stood |= slow;
+        }
+        out.push(Out::Odometry(reading));
+    }
+
+    fn topic(&mut self, state: TopicState) {
+        let known = self.topics.get(&state.topic);
+        let robot = self.robot;
+        // A problem of the participant is that of all topics, and one line.
+        let new = state
+            .problem
+            .as_ref()
+            .filter(|problem| self.topics.values().all(|known| known.problem.as_ref() != Some(*problem)));
+        let lost = known.is_some_and(|known| known.peers > 0) && state.peers == 0;
+        if new.is_some() || lost {
+            self.problems += 1;
+        }
+        // A hostile sender may change the state of a topic all the time.
+        if self.problems < 8 || self.problems.is_power_of_two() {
+            if let Some(problem) = new {
+                tracing::warn!(problems = self.problems, "{robot}: topic {}: {problem}", state.topic);
+            }
+            if lost {
+                tracing::warn!("{robot}: nobody is left on topic {}; see whether the robot's base runs", state.topic);
+            }
+        }
+        // The DDS process names the topics of its plan alone, which are three at the most.
+        self.topics.insert(state.topic.clone(), state);
+    }
+}
+
+impl Driver for Ros2 {
+    fn limits(&self) -> Limits {
+        self.limits
+    }
+
+    fn drive(&mut self, now: Time, command: &Command, out: &mut Vec<Out>) {
+        let left = command.drive.until.since(now).as_nanos().min(MAX_VALIDITY.as_nanos()) / 1_000_000;
+        let for_ms = u32::try_from(left).unwrap_or(0);
+        match command.body.and_then(|body| self.within_limits(body)) {
+            Some(body) if for_ms > 0 && !self.is_silent(now) => {
+                self.standing = None;
+                self.send(body, for_ms, out);
+            }
+            _ => self.stand(now, out),
+        }
+    }
+
+    fn receive(&mut self, now: Time, packet: &[u8], out: &mut Vec<Out>) {
+        if self.told.is_none() && self.silence.is_some() {
+            self.waits = Some(now);
+        }
+        match packet::decode_from_node(packet) {
+            Ok(FromNode::Heard(heard)) => match heard.sample {
+                Sample::Pose(pose) => self.odometry(now, pose, out),
+                Sample::Battery(charge) => self.battery = charge.map(|charge| (charge * 100.0).round() as u8),
+            },
+            Ok(FromNode::Topic(state)) => self.topic(state),
+            Ok(FromNode::Beat(_)) => {}
+            Err(error) => out.push(Out::Refused(error.reason())),
+        }
+        self.tell(now, out);
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        let zero = self.standing.map(|(_, next)| next);
+        let silent = self.heard.zip(self.silence).filter(|_| !self.silent);
+        let waits = self.waits.map(|since| since + DISCOVERY);
+        zero.into_iter().chain(silent.map(|(heard, most)| heard + most)).chain(waits).min()
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
+        if self.waits.is_some_and(|since| now >= since + DISCOVERY) {
+            self.waits = None;
+            let robot = self.robot;
+            tracing::warn!(
+                "{robot}: no odometry is heard; see `namespace`, `odom`, `interface`, and its ROS_DOMAIN_ID"
+            );
+        }
+        if !self.silent && self.heard.is_some() && self.is_silent(now) {
+            self.silent = true;
+            tracing::warn!("{}: its odometry is silent, and it is told to stand; see the robot's base", self.robot);
+            self.stand(now, out);
+        } else if self.standing.is_some() {
+            self.stand(now, out);
+        }
+        self.tell(now, out);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ros2::packet::{Heard, TwistSample};
+
+    fn config(text: &str) -> Config {
+        let text = format!("namespace = '/r1'\nspeed_m_s = 0.5\n{text}");
+        Settings { name: "ros2".to_owned(), table: text.parse().unwrap() }.read().unwrap()
+    }
+
+    fn at_ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    /// Driver with a robot that answers at given times.
+    struct Bench {
+        driver: Ros2,
+        out: Vec<Out>,
+    }
+
+    impl Bench {
+        fn new(text: &str) -> Bench {
+            let mut bench = Bench { driver: Ros2::new(RobotId(1), &config(text)), out: vec![] };
+            bench.topic(0, "/r1/cmd_vel", 1, None);
+            bench
+        }
+
+        fn topic(&mut self, ms: u64, topic: &str, peers: u32, problem: Option<&str>) {
+            let (topic, problem) = (topic.to_owned(), problem.map(str::to_owned));
+            let state = FromNode::Topic(TopicState { topic, written: true, peers, problem });
+            self.driver.receive(at_ms(ms), &packet::encode(&state), &mut self.out);
+        }
+
+        fn odometry(&mut self, ms: u64, x: f64) {
+            let twist = Some(TwistSample { x, ..TwistSample::default() });
+            let pose = PoseSample { stamp_ns: ms + 1, yaw: Some(0.0), twist, ..PoseSample::default() };
+            let heard = FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(pose) });
+            self.driver.receive(at_ms(ms), &packet::encode(&heard), &mut self.out);
+        }
+
+        fn drive(&mut self, ms: u64, body: Option<[f32; 3]>) {
+            use crate::messages::local::Drive;
+            let until = at_ms(ms + 200);
+            let drive = Drive { robot: RobotId(1), velocity: Vec2::zeros(), until };
+            let body = body.map(|[forward, left, yaw_rate]| BodyTwist { forward, left, yaw_rate });
+            self.driver.drive(at_ms(ms), &Command { drive, body }, &mut self.out);
+        }
+
+        /// Commands since the last call.
+        fn sent(&mut self) -> Vec<Drive> {
+            let drive = |out| match out {
+                Out::Send(packet) => match packet::decode_to_node(&packet) {
+                    Ok(ToNode::Drive(drive)) => Some(drive),
+                    other => panic!("{other:?}"),
+                },
+                _ => None,
+            };
+            self.out.drain(..).filter_map(drive).collect()
+        }
+
+        fn condition(&mut self) -> Option<(Health, Option<u8>)> {
+            let condition = |out| match out {
+                Out::Condition(health, battery) => Some((health, battery)),
+                _ => None,
+            };
+            self.out.drain(..).filter_map(condition).next_back()
+        }
+    }
+
+    #[test]
+    fn a_command_keeps_to_the_limits_and_to_the_axes_of_the_robot() {
+        for (axes, sign) in [("rep103", 1.0), ("ned", -1.0)] {
+            let mut bench = Bench::new(&format!("axes = '{axes}'"));
+            bench.odometry(0, 0.0);
+            bench.sent();
+            bench.drive(10, Some([3.0, 4.0, 9.0]));
+            let sent = bench.sent()[0];
+            assert!((sent.x - 0.3).abs() < 1e-6 && (sent.y - sign * 0.4).abs() < 1e-6, "{sent:?}");
+            assert_eq!((sent.yaw, sent.for_ms), (sign * 1.5, 200));
+            bench.drive(20, Some([f32::NAN, 0.0, 0.0]));
+            assert_eq!(bench.sent()[0].x, 0.0);
+        }
+    }
+
+    #[test]
+    fn zeros_are_fast_until_odometry_says_that_the_robot_stands() {
+        let mut bench = Bench::new("");
+        bench.odometry(0, 0.4);
+        bench.drive(0, Some([0.4, 0.0, 0.0]));
+        bench.sent();
+        assert_eq!(bench.driver.wake_at(), Some(at_ms(300)), "it moves: the odometry alone is awaited");
+        bench.drive(100, None);
+        let mut times = Vec::new();
+        for ms in 100..1200 {
+            match ms {
+                200 | 300 => bench.odometry(ms, 0.3),
+                400 | 600 | 800 | 1000 => bench.odometry(ms, 0.001),
+                _ => {}
+            }
+            if bench.driver.wake_at().is_some_and(|at| at <= at_ms(ms)) {
+                bench.driver.wake(at_ms(ms), &mut bench.out);
+            }
+            for zero in bench.sent() {
+                assert_eq!((zero.x, zero.y, zero.yaw, zero.for_ms), (0.0, 0.0, 0.0, 300));
+                times.push(ms);
+            }
+        }
+        assert_eq!(times[..4], [100, 120, 140, 160]);
+        assert_eq!(times[15..], [400, 600, 800, 1000]);
+    }
+
+    #[test]
+    fn silent_odometry_is_a_fault_and_the_robot_stands_until_it_is_back() {
+        let mut bench = Bench::new("");
+        assert_eq!(bench.condition(), Some((Health::Silent, None)));
+        bench.drive(0, Some([0.2, 0.0, 0.0]));
+        assert_eq!(bench.sent()[0].x, 0.0, "nothing is known of the robot");
+        bench.odometry(100, 0.0);
+        assert_eq!(bench.condition(), Some((Health::Ready, None)));
+        bench.drive(110, Some([0.2, 0.0, 0.0]));
+        assert!(bench.sent()[0].x > 0.0);
+        let before = at_ms(100);
+        assert_eq!(bench.driver.wake_at(), Some(before + Span::from_millis(300)));
+        bench.driver.wake(at_ms(400), &mut bench.out);
+        assert!(bench.out.contains(&Out::Condition(Health::Faulty, None)));
+        assert_eq!(bench.sent()[0].x, 0.0);
+        bench.drive(410, Some([0.2, 0.0, 0.0]));
+        assert!(bench.sent().iter().all(|zero| zero.x == 0.0));
+        bench.odometry(500, 0.0);
+        bench.drive(510, Some([0.2, 0.0, 0.0]));
+        assert!(bench.sent()[0].x > 0.0);
+    }
+
+    #[test]
+    fn it_never_asks_to_be_woken_in_the_past() {
+        for odom in ["", "odom = ''"] {
+            let mut bench = Bench::new(odom);
+            bench.topic(0, "/r1/cmd_vel", 0, None);
+            for ms in 0..20_000 {
+                match ms {
+                    100 | 200 | 9000 => bench.odometry(ms, 0.2),
+                    300 | 5000 => bench.drive(ms, None),
+                    9010 => bench.drive(ms, Some([0.1, 0.0, 0.0])),
+                    9100 => bench.topic(ms, "/r1/cmd_vel", 1, None),
+                    _ => {}
+                }
+                if bench.driver.wake_at().is_some_and(|at| at <= at_ms(ms)) {
+                    bench.driver.wake(at_ms(ms), &mut bench.out);
+                }
+                assert!(bench.driver.wake_at().is_none_or(|at| at > at_ms(ms)), "{ms}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_repeated_stamp_is_no_sign_of_life() {
+        let mut bench = Bench::new("");
+        bench.odometry(0, 0.0);
+        let readings = |bench: &Bench| bench.out.iter().filter(|out| matches!(out, Out::Odometry(_))).count();
+        assert_eq!(readings(&bench), 1);
+        let again = bench.driver.heard;
+        let pose =
+            PoseSample { stamp_ns: 1, yaw: Some(0.0), twist: Some(TwistSample::default()), ..Default::default() };
+        let heard = FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(pose) });
+        bench.driver.receive(at_ms(200), &packet::encode(&heard), &mut bench.out);
+        assert_eq!((readings(&bench), bench.driver.heard), (1, again));
+    }
+
+    #[test]
+    fn topics_without_a_match_and_batteries_are_part_of_the_condition() {
+        let mut bench = Bench::new("battery = 'battery_state'");
+        bench.odometry(0, 0.0);
+        assert_eq!(bench.condition(), Some((Health::Ready, None)));
+        bench.topic(10, "/r1/cmd_vel", 0, Some("QoS policy Durability"));
+        assert_eq!(bench.condition(), Some((Health::Faulty, None)));
+        bench.topic(20, "/r1/cmd_vel", 1, Some("QoS policy Durability"));
+        assert_eq!(bench.condition(), Some((Health::Ready, None)), "an observer is refused, the robot is not");
+        let heard = FromNode::Heard(Heard { topic: 1, sample: Sample::Battery(Some(0.875)) });
+        bench.driver.receive(at_ms(30), &packet::encode(&heard), &mut bench.out);
+        assert_eq!(bench.condition(), Some((Health::Ready, Some(88))));
+        bench.driver.receive(at_ms(40), b"{}", &mut bench.out);
+        assert!(matches!(bench.out[..], [Out::Refused(_)]));
+    }
+
+    #[test]
+    fn a_robot_without_odometry_gets_fast_zeros_for_a_second() {
+        let mut bench = Bench::new("odom = ''");
+        assert_eq!(bench.condition(), Some((Health::Ready, None)));
+        bench.drive(0, None);
+        let zeros = (0..2000).filter(|ms| {
+            bench.driver.wake(at_ms(*ms), &mut bench.out);
+            !bench.sent().is_empty()
+        });
+        assert_eq!(zeros.count(), 51 + 4);
+    }
+
+    #[test]
+    fn wrong_settings_are_refused_by_name() {
+        let refusal = |text: &str| plan(&config(text), RobotId(1)).unwrap_err().to_string();
+        assert!(refusal("domain = 300").starts_with("domain: "));
+        assert!(refusal("yaw_rate_rad_s = 0.0").starts_with("yaw_rate_rad_s: "));
+        assert!(refusal("silence_s = 9.0").starts_with("silence_s: "));
+        assert!(refusal("odom = 'my odom'").starts_with("odom: "));
+        let plan = plan(&config("stamped = true\nbattery = '/bat'"), RobotId(1)).unwrap();
+        assert_eq!((plan.writers[0].topic.as_str(), plan.writers[0].kind), ("/r1/cmd_vel", Written::TwistUnstamped));
+        let readers: Vec<&str> = plan.readers.iter().map(|reader| reader.topic.as_str()).collect();
+        assert_eq!(readers, ["/r1/odom", "/bat"]);
+    }
+}

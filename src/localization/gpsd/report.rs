@@ -1,0 +1,229 @@
+//! Reports of gpsd: decoder of its JSON lines (TPV, GST, ERROR), in the terms of gpsd_json(5).
+
+use serde::Deserialize;
+
+/// Reason for which a line is no report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Malformed(pub &'static str);
+
+/// Report of gpsd, as far as it is used.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Report {
+    /// Time, position and velocity.
+    Tpv(Tpv),
+    /// Statistics of pseudorange errors.
+    Gst(Gst),
+    /// gpsd refuses a request.
+    Error,
+    /// Report of another class.
+    Other,
+}
+
+/// Time, position and velocity of a receiver.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tpv {
+    /// Path of the receiver's device.
+    pub device: Option<String>,
+    /// Dimensions of the fix: 0 or 1 for none, 2, 3.
+    pub mode: u8,
+    /// Kind of fix: see [`Fix::of`].
+    pub status: Option<u8>,
+    /// Time of measurement \[ns since 1970, UTC\]; none at the start of a receiver.
+    pub time_ns: Option<u64>,
+    /// Latitude \[deg\].
+    pub latitude_deg: Option<f64>,
+    /// Longitude \[deg\].
+    pub longitude_deg: Option<f64>,
+    /// Height above the ellipsoid \[m\].
+    pub height_m: Option<f64>,
+    /// Course over ground \[deg\], clockwise from true north.
+    pub track_deg: Option<f64>,
+    /// Speed over ground \[m/s\].
+    pub speed_m_s: Option<f64>,
+}
+
+/// Statistics of pseudorange errors.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gst {
+    /// Path of the receiver's device.
+    pub device: Option<String>,
+    /// Time of measurement \[ns since 1970, UTC\].
+    pub time_ns: Option<u64>,
+    /// Standard deviation to the north \[m\].
+    pub north_m: Option<f64>,
+    /// Standard deviation to the east \[m\].
+    pub east_m: Option<f64>,
+}
+
+/// Quality of a fix, the worst first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+pub enum Fix {
+    /// Three dimensions, without corrections.
+    #[serde(rename = "3d")]
+    ThreeD,
+    /// With corrections of code: metres to decimetres.
+    #[serde(rename = "dgps")]
+    Dgps,
+    /// With corrections of the carrier's phase, ambiguities not resolved: decimetres.
+    #[serde(rename = "rtk-float")]
+    RtkFloat,
+    /// With corrections of the carrier's phase, ambiguities resolved: centimetres.
+    #[serde(rename = "rtk-fixed")]
+    RtkFixed,
+}
+
+/// Fields of all classes that are used. GST has standard deviations under the names of coordinates.
+#[derive(Deserialize)]
+struct Line {
+    class: String,
+    device: Option<String>,
+    mode: Option<u8>,
+    status: Option<u8>,
+    time: Option<String>,
+    lat: Option<f64>,
+    lon: Option<f64>,
+    #[serde(rename = "altHAE")]
+    alt_hae: Option<f64>,
+    track: Option<f64>,
+    speed: Option<f64>,
+}
+
+impl Fix {
+    /// Quality of a fix; none if there is no fix in three dimensions, or if it is not from satellites alone.
+    ///
+    /// Status, by gpsd_json(5): 0 unknown, 1 normal, 2 DGPS, 3 RTK fixed, 4 RTK float, 5 dead reckoning, 6 with dead
+    /// reckoning, 7 time alone (surveyed), 8 simulated, 9 P(Y).
+    pub fn of(tpv: &Tpv) -> Option<Fix> {
+        if tpv.mode < 3 {
+            return None;
+        }
+        match tpv.status.unwrap_or(0) {
+            0 | 1 | 9 => Some(Fix::ThreeD),
+            2 => Some(Fix::Dgps),
+            4 => Some(Fix::RtkFloat),
+            3 => Some(Fix::RtkFixed),
+            _ => None,
+        }
+    }
+}
+
+/// Decodes a line. Classes that are not used are not looked into.
+pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
+    #[derive(Deserialize)]
+    struct Class {
+        class: String,
+    }
+    const NO_REPORT: Malformed = Malformed("a line of gpsd is no report");
+    let Class { class } = serde_json::from_slice(line).map_err(|_| NO_REPORT)?;
+    match class.as_str() {
+        "TPV" | "GST" => {}
+        "ERROR" => return Ok(Report::Error),
+        _ => return Ok(Report::Other),
+    }
+    let line: Line = serde_json::from_slice(line).map_err(|_| NO_REPORT)?;
+    let time_ns = match line.time.as_deref().map(nanoseconds) {
+        Some(None) => return Err(Malformed("the time of a gpsd report is not in ISO 8601")),
+        Some(time_ns) => time_ns,
+        None => None,
+    };
+    Ok(if line.class == "GST" {
+        Report::Gst(Gst { device: line.device, time_ns, north_m: line.lat, east_m: line.lon })
+    } else {
+        Report::Tpv(Tpv {
+            device: line.device,
+            mode: line.mode.unwrap_or(0),
+            status: line.status,
+            time_ns,
+            latitude_deg: line.lat,
+            longitude_deg: line.lon,
+            height_m: line.alt_hae,
+            track_deg: line.track,
+            speed_m_s: line.speed,
+        })
+    })
+}
+
+/// Reads "2026-11-22T12:00:00.100Z" as nanoseconds since 1970, without leap seconds.
+fn nanoseconds(text: &str) -> Option<u64> {
+    let number = |digits: &str| {
+        let all = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+        digits.parse::<u64>().ok().filter(|_| all)
+    };
+    let (date, time) = text.strip_suffix('Z')?.split_once('T')?;
+    let mut date = date.splitn(3, '-').map(number);
+    let (year, month, day) = (date.next()??, date.next()??, date.next()??);
+    let (time, fraction) = time.split_once('.').unwrap_or((time, "0"));
+    let mut time = time.splitn(3, ':').map(number);
+    let (hour, minute, second) = (time.next()??, time.next()??, time.next()??);
+    let sound = (1970..=2500).contains(&year) && (1..=12).contains(&month) && (1..=31).contains(&day);
+    if !(sound && hour < 24 && minute < 60 && second <= 60 && fraction.len() <= 9) {
+        return None;
+    }
+    let fraction_ns = number(fraction)? * 10u64.pow(9 - fraction.len() as u32);
+    let seconds = ((days(year, month, day) * 24 + hour) * 60 + minute) * 60 + second;
+    Some(seconds * 1_000_000_000 + fraction_ns)
+}
+
+/// Days from 1970-01-01 to a date of the Gregorian calendar. A year is counted from March, so that a leap day is its
+/// last.
+fn days(year: u64, month: u64, day: u64) -> u64 {
+    let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
+    // Months from March have 31, 30, 31, 30, 31 days, again and again: 153 in five.
+    let in_year = (153 * month + 2) / 5 + day - 1;
+    // 1970-01-01 is day 719468 from 0000-03-01.
+    365 * year + year / 4 - year / 100 + year / 400 + in_year - 719_468
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_those_of_the_calendar() {
+        for (text, seconds) in [
+            ("1970-01-01T00:00:00Z", 0),
+            ("2000-02-29T23:59:59.000Z", 951_868_799),
+            ("2000-03-01T00:00:00.000Z", 951_868_800),
+            ("2026-11-22T12:00:00.000Z", 1_795_348_800),
+            ("2100-03-01T00:00:00Z", 4_107_542_400),
+        ] {
+            assert_eq!(nanoseconds(text), Some(seconds * 1_000_000_000), "{text}");
+        }
+        assert_eq!(nanoseconds("1970-01-01T00:00:00.1Z"), Some(100_000_000));
+        let wrong =
+            ["", "Z", "T", "2026-11-22", "2026-13-22T12:00:00Z", "2026-11-22T12:00:00.+1Z", "2026-11-22T24:00:00Z"];
+        wrong.iter().for_each(|text| assert_eq!(nanoseconds(text), None, "{text}"));
+    }
+
+    #[test]
+    fn a_report_is_read_and_its_quality_judged_by_mode_and_status() {
+        let line = br#"{"class":"TPV","device":"/dev/pts/1","mode":3,"status":4,"time":"1970-01-01T00:00:01.000Z",
+            "lat":52.2053,"lon":0.1218,"altHAE":58.0,"track":45.5,"speed":0.5,"eph":11.4,"unknown":[1,2]}"#;
+        let Report::Tpv(tpv) = decode(line).unwrap() else { panic!("a TPV") };
+        assert_eq!((tpv.time_ns, tpv.height_m, tpv.track_deg), (Some(1_000_000_000), Some(58.0), Some(45.5)));
+        assert_eq!(Fix::of(&tpv), Some(Fix::RtkFloat));
+        for (mode, status, fix) in [
+            (3, Some(3), Some(Fix::RtkFixed)),
+            (3, None, Some(Fix::ThreeD)),
+            (2, Some(3), None),
+            (3, Some(5), None),
+            (3, Some(8), None),
+        ] {
+            assert_eq!(Fix::of(&Tpv { mode, status, ..tpv.clone() }), fix);
+        }
+        assert!(Fix::RtkFixed > Fix::RtkFloat && Fix::RtkFloat > Fix::Dgps && Fix::Dgps > Fix::ThreeD);
+    }
+
+    #[test]
+    fn what_is_no_report_is_refused_at_any_length() {
+        let line = br#"{"class":"GST","device":"a","time":"2026-11-22T12:00:00.000Z","lat":0.01,"lon":0.02}"#;
+        assert!(matches!(decode(line), Ok(Report::Gst(Gst { north_m: Some(_), east_m: Some(_), .. }))));
+        (0..line.len()).for_each(|length| assert!(decode(&line[..length]).is_err()));
+        assert_eq!(decode(br#"{"class":"SKY","lat":"not looked at"}"#), Ok(Report::Other));
+        assert_eq!(decode(br#"{"class":"ERROR","message":"Unrecognized request"}"#), Ok(Report::Error));
+        for line in [&b"{}"[..], b"null", br#"{"class":7}"#, br#"{"class":"TPV","time":"now"}"#, &[b'['; 5000]] {
+            assert!(decode(line).is_err());
+        }
+    }
+}

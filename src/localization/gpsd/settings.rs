@@ -1,0 +1,158 @@
+//! Settings of the source `gpsd` in a team file.
+
+use std::net::SocketAddr;
+
+use crate::config::ConfigError;
+use crate::edge::Settings;
+use crate::messages::geometry::Vec2;
+use serde::Deserialize;
+
+use super::geodesy::{Geodetic, LocalFrame};
+use super::report::Fix;
+
+/// Port of gpsd (registered with IANA).
+const PORT: u16 = 2947;
+
+/// Origin of a robot's heading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Heading {
+    /// Course over ground above 0.3 m/s. For robots that drive ahead only.
+    Track,
+    /// No heading.
+    None,
+}
+
+/// Table of the team file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Fields {
+    /// Address and port of gpsd.
+    address: SocketAddr,
+    /// Path of the receiver's device at gpsd; none: all of its devices.
+    device: Option<String>,
+    /// Latitude of the team's origin on WGS 84 \[deg\].
+    origin_latitude_deg: Option<f64>,
+    /// Longitude of the team's origin on WGS 84 \[deg\].
+    origin_longitude_deg: Option<f64>,
+    /// Direction of east in the team's frame \[rad\], counter-clockwise from its x axis.
+    yaw_rad: f64,
+    /// Least quality of a fix; below it there is no reading.
+    fix_least: Fix,
+    /// Largest standard deviation of a position by GST \[m\]; above it, or without GST, there is no reading.
+    deviation_most_m: Option<f64>,
+    /// Origin of the robot's heading.
+    heading: Heading,
+}
+
+impl Default for Fields {
+    fn default() -> Fields {
+        Fields {
+            address: SocketAddr::from(([127, 0, 0, 1], PORT)),
+            device: None,
+            origin_latitude_deg: None,
+            origin_longitude_deg: None,
+            yaw_rad: 0.0,
+            // Less than the distance that the guard keeps between two robots.
+            fix_least: Fix::RtkFixed,
+            deviation_most_m: None,
+            heading: Heading::Track,
+        }
+    }
+}
+
+/// Settings, checked.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Address and port of gpsd.
+    pub address: SocketAddr,
+    /// Path of the receiver's device at gpsd.
+    pub device: Option<String>,
+    /// Local frame at the team's origin.
+    pub frame: LocalFrame,
+    /// Direction of east in the team's frame \[rad\].
+    pub yaw_rad: f64,
+    /// Least quality of a fix.
+    pub fix_least: Fix,
+    /// Largest standard deviation of a position by GST \[m\].
+    pub deviation_most_m: Option<f64>,
+    /// Origin of the robot's heading.
+    pub heading: Heading,
+}
+
+impl Config {
+    /// Reads and checks the settings.
+    pub fn read(settings: &Settings) -> Result<Config, ConfigError> {
+        let fields: Fields = settings.read()?;
+        let given = |name: &str, value: Option<f64>| {
+            value.ok_or_else(|| {
+                ConfigError::field(name, "it is missing; give the same origin to all robots of the team")
+            })
+        };
+        let latitude_deg = given("origin_latitude_deg", fields.origin_latitude_deg)?;
+        let longitude_deg = given("origin_longitude_deg", fields.origin_longitude_deg)?;
+        let deviation_most_m = fields.deviation_most_m.unwrap_or(1.0);
+        let within = [
+            // At the poles there is no east.
+            ("origin_latitude_deg", latitude_deg, -89.0, 89.0, "deg"),
+            ("origin_longitude_deg", longitude_deg, -180.0, 180.0, "deg"),
+            ("yaw_rad", fields.yaw_rad, -7.0, 7.0, "rad"),
+            ("deviation_most_m", deviation_most_m, 0.001, 100.0, "m"),
+        ];
+        for (name, value, least, most, unit) in within {
+            if !(least..=most).contains(&value) {
+                return Err(ConfigError::field(name, format!("it is out of range; give {least} to {most} {unit}")));
+            }
+        }
+        if fields.address.port() == 0 {
+            return Err(ConfigError::field("address", format!("its port is 0; gpsd listens on {PORT}")));
+        }
+        Ok(Config {
+            address: fields.address,
+            device: fields.device,
+            // A height would move the origin along the vertical alone.
+            frame: LocalFrame::at(&Geodetic { latitude_deg, longitude_deg, height_m: 0.0 }),
+            yaw_rad: fields.yaw_rad,
+            fix_least: fields.fix_least,
+            deviation_most_m: fields.deviation_most_m,
+            heading: fields.heading,
+        })
+    }
+
+    /// Turns a position \[m\] from east and north into the team's frame.
+    pub fn turned(&self, east: f64, north: f64) -> Vec2 {
+        let (sin, cos) = libm::sincos(self.yaw_rad);
+        Vec2::new((cos * east - sin * north) as f32, (sin * east + cos * north) as f32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Config, String> {
+        let settings = Settings { name: "gpsd".to_owned(), table: text.parse().unwrap() };
+        Config::read(&settings).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_wrong_field_is_named() {
+        let origin = "origin_latitude_deg = 52\norigin_longitude_deg = 0.1";
+        let config = read(origin).unwrap();
+        assert_eq!((config.address.to_string().as_str(), config.fix_least), ("127.0.0.1:2947", Fix::RtkFixed));
+        for (text, part) in [
+            ("origin_latitude_deg = 52.0", "origin_longitude_deg: it is missing"),
+            ("origin_longitude_deg = 0.1", "origin_latitude_deg: it is missing"),
+            ("origin_latitude_deg = 90.5\norigin_longitude_deg = 0.1", "origin_latitude_deg: it is out of range"),
+            (&format!("{origin}\nfix_least = 'rtk'"), "gpsd: "),
+            (&format!("{origin}\naddress = 'robot'"), "gpsd: "),
+            (&format!("{origin}\naddress = '10.0.0.1:0'"), "address: "),
+            (&format!("{origin}\nyaw_rad = nan"), "yaw_rad: "),
+            (&format!("{origin}\ndeviation_most_m = 0"), "deviation_most_m: "),
+            (&format!("{origin}\ncolour = 1"), "colour"),
+        ] {
+            let error = read(text).expect_err(text);
+            assert!(error.contains(part), "{text}: {error}");
+        }
+    }
+}

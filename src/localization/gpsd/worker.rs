@@ -1,0 +1,127 @@
+//! Worker of the source `gpsd`: a TCP client that subscribes to reports and passes lines on as they are.
+
+use std::io::{self, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::thread;
+use std::time::Duration;
+
+use crate::edge::{Packet, PacketSender, Port, Worker};
+use crate::messages::ids::RobotId;
+
+/// Subscription to reports (gpsd_json(5)).
+const WATCH: &[u8] = b"?WATCH={\"enable\":true,\"json\":true};\n";
+/// Longest line \[bytes\]: gpsd's own limit is 10240. A longer one is cut, and so refused.
+const LONGEST: usize = 16_384;
+/// Longest wait for bytes: how long the end of the host goes unnoticed.
+const WAIT: Duration = Duration::from_millis(100);
+/// Longest time to connect.
+const CONNECT: Duration = Duration::from_millis(500);
+/// Waits without a byte after which the connection counts as lost: 5 s (I: receivers report each second or faster).
+const SILENT: u32 = 50;
+/// Waits before the first and the longest pause between two connections: 0.2 s and 3.2 s.
+const PAUSES: [u32; 2] = [2, 32];
+
+/// Worker of the source.
+pub struct Subscriber {
+    /// Address and port of gpsd.
+    pub address: SocketAddr,
+    /// The robot, for messages.
+    pub robot: RobotId,
+}
+
+impl Worker for Subscriber {
+    fn run(self: Box<Self>, port: Port) {
+        let sender = port.sender();
+        let [mut pause, longest] = PAUSES;
+        let mut failures = 0u32;
+        while !sender.is_closed() {
+            let mut lines = Lines::default();
+            let end = self.subscribe().and_then(|stream| self.follow(stream, &mut lines, &sender));
+            let Err(error) = end else { return };
+            if lines.passed > 0 {
+                (pause, failures) = (PAUSES[0], 0);
+            }
+            failures += 1;
+            if failures.is_power_of_two() {
+                let Subscriber { address, robot } = &*self;
+                tracing::warn!("no reports of gpsd at {address} for {robot}: {error}; does it run, with its receiver?");
+            }
+            (0..pause).take_while(|_| !sender.is_closed()).for_each(|_| thread::park_timeout(WAIT));
+            pause = (2 * pause).min(longest);
+        }
+    }
+}
+
+impl Subscriber {
+    fn subscribe(&self) -> io::Result<TcpStream> {
+        let mut stream = TcpStream::connect_timeout(&self.address, CONNECT)?;
+        stream.set_read_timeout(Some(WAIT))?;
+        stream.set_write_timeout(Some(WAIT))?;
+        stream.write_all(WATCH)?;
+        Ok(stream)
+    }
+
+    /// Passes lines on until the host ends. An error says how the connection ended.
+    fn follow(&self, mut stream: TcpStream, lines: &mut Lines, sender: &PacketSender) -> io::Result<()> {
+        let (mut buffer, mut silent) = ([0; 4096], 0);
+        while !sender.is_closed() {
+            match stream.read(&mut buffer) {
+                Ok(0) => return Err(io::Error::other("it has closed the connection")),
+                Ok(length) => {
+                    silent = 0;
+                    lines.take(&buffer[..length], |line| sender.send(line));
+                }
+                Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {
+                    silent += 1
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+            if silent >= SILENT {
+                return Err(io::Error::other("it is silent"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Lines of a stream of bytes.
+#[derive(Debug, Default)]
+struct Lines {
+    /// Line without its end.
+    begun: Vec<u8>,
+    /// Number of lines that were passed on.
+    passed: u64,
+}
+
+impl Lines {
+    /// Takes bytes and passes on the lines that they end.
+    fn take(&mut self, bytes: &[u8], mut each: impl FnMut(Packet)) {
+        for byte in bytes {
+            match byte {
+                b'\n' => {
+                    self.passed += 1;
+                    each(Packet::from(std::mem::take(&mut self.begun)));
+                }
+                b'\r' => {}
+                _ if self.begun.len() < LONGEST => self.begun.push(*byte),
+                _ => {}
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_put_together_and_a_long_one_is_cut() {
+        let (mut lines, mut all) = (Lines::default(), Vec::new());
+        for bytes in [&b"ab"[..], b"c\r\n\nd", b"e\n", &[b'x'; 20_000], b"\nf"] {
+            lines.take(bytes, |line| all.push(line.into_vec()));
+        }
+        assert_eq!(all[..3], [b"abc".to_vec(), b"".to_vec(), b"de".to_vec()]);
+        assert_eq!((all[3].len(), all.len(), lines.passed), (LONGEST, 4, 4));
+    }
+}

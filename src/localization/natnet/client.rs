@@ -1,0 +1,226 @@
+//! Requests of a NatNet client: when to ask the server for its description, for frames and for model definitions.
+//!
+//! It has no clock and no socket. The worker gives it time and datagrams, and sends its requests.
+
+use crate::time::{Span, Time};
+
+use super::frame::{self, Layout};
+use super::packet::{self, ServerInfo, Version};
+
+/// Period of a request that has no answer (I).
+const AGAIN: Span = Span::from_millis(1000);
+/// Period of KEEP_ALIVE, by which a unicast server knows its clients (README: D, the manufacturer's sample).
+const KEEP_ALIVE: Span = Span::from_millis(250);
+/// Time without a frame after which the server counts as silent (I: 20 frames at 20 Hz, the slowest camera).
+const SILENCE: Span = Span::from_millis(1000);
+/// Time with frames and without model definitions after which the server counts as not answering (I: three requests).
+const UNANSWERED: Span = Span::from_millis(3000);
+/// Period at which the source is told again of the server and of its bodies: its actor may be started anew (I).
+const REMINDER: Span = Span::from_millis(500);
+/// Bitstream that a unicast server is asked for: the newest that was read from independent servers.
+const BITSTREAM: Version = Version { major: 4, minor: 1 };
+
+/// Change of the connection that an operator should know.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// The server has described itself, or has changed.
+    Server(ServerInfo),
+    /// Frames have begun, or begun anew.
+    Frames,
+    /// There were no frames for a second.
+    Silent,
+    /// Frames arrive, and the server does not answer requests for model definitions.
+    Unanswered,
+}
+
+/// State of a client.
+#[derive(Clone, Debug)]
+pub struct Client {
+    unicast: bool,
+    server: Option<ServerInfo>,
+    layout: Layout,
+    /// Time of the last frame, or of the start.
+    heard: Time,
+    /// Time of the first frame; none if no frames arrive.
+    streaming: Option<Time>,
+    /// Whether the server was reported as not answering.
+    unanswered: bool,
+    /// Whether the server was reported as silent.
+    silent: bool,
+    /// Whether the model definitions are known.
+    named: bool,
+    /// Newest datagrams with the server's description and with model definitions.
+    newest: [Option<Box<[u8]>>; 2],
+    remind_at: Time,
+    connect_at: Time,
+    keep_alive_at: Time,
+    model_at: Time,
+}
+
+impl Client {
+    /// Makes a client that knows nothing of its server.
+    pub fn new(now: Time, unicast: bool) -> Client {
+        Client {
+            unicast,
+            server: None,
+            layout: Layout::Sized,
+            heard: now,
+            streaming: None,
+            unanswered: false,
+            silent: false,
+            named: false,
+            newest: [None, None],
+            remind_at: now + REMINDER,
+            connect_at: now,
+            keep_alive_at: now,
+            model_at: now,
+        }
+    }
+
+    /// Takes a datagram of the server.
+    pub fn take(&mut self, now: Time, datagram: &[u8]) -> Option<Event> {
+        let (message, payload) = packet::split(datagram).ok()?;
+        match message {
+            packet::FRAME => {
+                let (frame, layout) = frame::decode(payload, self.layout).ok()?;
+                self.layout = layout;
+                self.named &= !frame.models_changed;
+                (self.heard, self.silent) = (now, false);
+                self.streaming.replace(self.streaming.unwrap_or(now)).is_none().then_some(Event::Frames)
+            }
+            packet::MODEL => {
+                self.named = true;
+                self.newest[1] = Some(datagram.into());
+                None
+            }
+            packet::SERVER_INFO => {
+                let server = packet::server_info(payload).ok()?;
+                self.newest[0] = Some(datagram.into());
+                if self.server.as_ref() == Some(&server) {
+                    return None;
+                }
+                self.layout = Layout::of(server.natnet);
+                self.named = false;
+                self.server = Some(server.clone());
+                Some(Event::Server(server))
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether the server is silent.
+    pub fn is_silent(&self) -> bool {
+        self.silent
+    }
+
+    /// Finds that the server is silent or does not answer, once.
+    pub fn listen(&mut self, now: Time) -> Option<Event> {
+        if !self.silent && now.since(self.heard) >= SILENCE {
+            // It may be started anew, with other bodies.
+            (self.streaming, self.silent, self.named) = (None, true, false);
+            return Some(Event::Silent);
+        }
+        let waits = self.streaming.is_some_and(|since| now.since(since) >= UNANSWERED) && self.newest[1].is_none();
+        let first = waits && !self.unanswered;
+        self.unanswered |= waits;
+        first.then_some(Event::Unanswered)
+    }
+
+    /// Returns the datagrams that the source should be told again, if that is due.
+    pub fn reminders(&mut self, now: Time) -> Vec<Box<[u8]>> {
+        if now < self.remind_at {
+            return Vec::new();
+        }
+        self.remind_at = now + REMINDER;
+        self.newest.iter().flatten().cloned().collect()
+    }
+
+    /// Returns the requests that are due.
+    pub fn requests(&mut self, now: Time) -> Vec<Vec<u8>> {
+        let mut due = Vec::new();
+        if (self.server.is_none() || self.silent) && now >= self.connect_at {
+            self.connect_at = now + AGAIN;
+            due.push(packet::connect(BITSTREAM));
+        }
+        if (self.server.is_some() || self.streaming.is_some()) && !self.named && now >= self.model_at {
+            self.model_at = now + AGAIN;
+            due.push(packet::request(packet::REQUEST_MODEL));
+        }
+        if self.unicast && self.server.is_some() && now >= self.keep_alive_at {
+            self.keep_alive_at = now + KEEP_ALIVE;
+            due.push(packet::request(packet::KEEP_ALIVE));
+        }
+        due
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at_ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    /// Numbers of the messages that are requested at a time.
+    fn asked(client: &mut Client, ms: u64) -> Vec<u16> {
+        client.requests(at_ms(ms)).iter().map(|datagram| packet::split(datagram).unwrap().0).collect()
+    }
+
+    fn message(message: u16, payload: &[u8]) -> Vec<u8> {
+        [&message.to_le_bytes()[..], &(payload.len() as u16).to_le_bytes(), payload].concat()
+    }
+
+    /// A frame of 3.0 without bodies.
+    fn frame(models_changed: bool) -> Vec<u8> {
+        let mut payload = vec![0; 78];
+        payload[72] = if models_changed { 2 } else { 0 };
+        message(packet::FRAME, &payload)
+    }
+
+    #[test]
+    fn a_client_asks_until_it_is_answered_and_again_when_models_change() {
+        let mut client = Client::new(at_ms(0), false);
+        assert_eq!(asked(&mut client, 0), [packet::CONNECT]);
+        assert!(asked(&mut client, 500).is_empty());
+        assert_eq!(asked(&mut client, 1000), [packet::CONNECT]);
+        let info = message(packet::SERVER_INFO, &[0; 264]);
+        assert!(matches!(client.take(at_ms(1100), &info), Some(Event::Server(_))));
+        assert_eq!(client.take(at_ms(1100), &info), None, "known");
+        assert_eq!(asked(&mut client, 1100), [packet::REQUEST_MODEL]);
+        let model = message(packet::MODEL, &[0; 4]);
+        client.take(at_ms(1200), &model);
+        assert_eq!(client.reminders(at_ms(1300)), [info.clone().into(), model.into()]);
+        assert!(client.reminders(at_ms(1400)).is_empty());
+        assert!(asked(&mut client, 3000).is_empty());
+        assert_eq!(client.take(at_ms(3000), &frame(false)), Some(Event::Frames));
+        assert!(asked(&mut client, 3000).is_empty());
+        assert_eq!(client.take(at_ms(3010), &frame(true)), None);
+        assert_eq!(asked(&mut client, 3010), [packet::REQUEST_MODEL]);
+        assert!(asked(&mut client, 3500).is_empty(), "once a second");
+    }
+
+    #[test]
+    fn a_silent_server_is_reported_once_and_asked_each_second() {
+        let mut client = Client::new(at_ms(0), true);
+        client.take(at_ms(10), &message(packet::SERVER_INFO, &[0; 264]));
+        client.take(at_ms(10), &message(packet::MODEL, &[0; 4]));
+        assert_eq!(client.take(at_ms(20), &frame(false)), Some(Event::Frames));
+        assert_eq!(asked(&mut client, 20), [packet::KEEP_ALIVE]);
+        assert_eq!((asked(&mut client, 100), asked(&mut client, 270)), (vec![], vec![packet::KEEP_ALIVE]));
+        assert_eq!(client.listen(at_ms(1000)), None);
+        assert_eq!((client.listen(at_ms(1020)), client.listen(at_ms(1100))), (Some(Event::Silent), None));
+        assert_eq!(asked(&mut client, 1100), [packet::CONNECT, packet::REQUEST_MODEL, packet::KEEP_ALIVE]);
+        assert_eq!(client.take(at_ms(2000), &frame(false)), Some(Event::Frames));
+    }
+
+    #[test]
+    fn a_server_that_sends_and_does_not_answer_is_reported_once() {
+        let mut client = Client::new(at_ms(0), false);
+        for ms in (0..10_000).step_by(10) {
+            client.take(at_ms(ms), &frame(false));
+            assert_eq!(client.listen(at_ms(ms)), (ms == 3000).then_some(Event::Unanswered), "{ms}");
+        }
+        assert_eq!(asked(&mut client, 10_000), [packet::CONNECT, packet::REQUEST_MODEL]);
+    }
+}

@@ -1,0 +1,234 @@
+//! Source `natnet`: rigid bodies of a motion capture system that streams NatNet (OptiTrack), bitstreams 3.0 to 4.4.
+//!
+//! The worker passes datagrams on as they are. The pure part decodes them, finds each robot's body, turns poses into
+//! the team's frame, and takes velocities from a short window of poses.
+
+mod body;
+mod client;
+pub mod frame;
+pub mod model;
+pub mod packet;
+mod settings;
+mod worker;
+
+use crate::config::ConfigError;
+use crate::edge::Settings;
+use crate::localization::{In, Out, Parts, Source};
+use crate::messages::geometry::{self, Deviation, MAX_HEADING, Twist, Vec2};
+use crate::messages::ids::RobotId;
+use crate::messages::wire::{Reading, Wire};
+use crate::time::{Span, Time};
+
+use body::{Body, Pose, wrapped};
+use frame::{Frame, Layout, RigidBody};
+use model::Definition;
+use packet::{Malformed, Version};
+use settings::{BodyName, Config, Up};
+
+/// Description in one line.
+pub const ABOUT: &str = "motion capture that streams NatNet (OptiTrack Motive)";
+
+/// Age up to which an older frame counts as late \[s\]; an even older one is of a server that was started again (I).
+const LATE_S: f64 = 1.0;
+/// Least deviation of a position \[m\]: a mean marker error may be zero by chance (I).
+const LEAST_ERROR_M: f32 = 1e-4;
+/// Least horizontal share of a body's forward axis at which it has a heading: half, 60 degrees of tilt (I).
+const LEVEL: f64 = 0.5;
+
+/// Share of a period by which a frame may be early, so that every second one of 100 Hz is passed on at 50 Hz (I).
+const EARLY: f64 = 0.1;
+
+/// Makes the source and its worker.
+pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
+    let config = Config::read(settings, robots)?;
+    let worker = Box::new(worker::Listener { config: config.network.clone() });
+    Ok(Parts { source: Box::new(move || Box::new(NatNet::new(&config))), worker })
+}
+
+/// Robot, the name of its body, and the state of that body.
+struct Tracked {
+    robot: RobotId,
+    name: BodyName,
+    /// Streaming ID; none until model definitions have told it.
+    id: Option<i32>,
+    body: Body,
+}
+
+/// Pure part of the source.
+struct NatNet {
+    config: Config,
+    robots: Vec<Tracked>,
+    layout: Layout,
+    /// Version of the server, once it is known.
+    version: Option<Version>,
+    /// Definitions of the tracker's rigid bodies.
+    definitions: Vec<Definition>,
+    /// Number and stamp \[s\] of the last frame.
+    last: Option<(i32, f64)>,
+    /// Stamp at which readings are due again \[s\].
+    due_s: f64,
+}
+
+impl NatNet {
+    fn new(config: &Config) -> NatNet {
+        let tracked = |(robot, name): &(RobotId, BodyName)| {
+            let id = if let BodyName::Id(id) = name { Some(*id) } else { None };
+            Tracked { robot: *robot, name: name.clone(), id, body: Body::default() }
+        };
+        NatNet {
+            robots: config.bodies.iter().map(tracked).collect(),
+            config: config.clone(),
+            layout: Layout::Sized,
+            version: None,
+            definitions: Vec::new(),
+            last: None,
+            due_s: 0.0,
+        }
+    }
+
+    /// Takes a datagram. Messages of other kinds are ignored.
+    fn datagram(&mut self, datagram: &[u8], out: &mut Vec<Out>) -> Result<(), Malformed> {
+        let (message, payload) = packet::split(datagram)?;
+        match message {
+            packet::FRAME => {
+                let (frame, layout) = frame::decode(payload, self.layout)?;
+                self.layout = layout;
+                self.frame(&frame, out);
+            }
+            packet::MODEL => self.identify(model::decode(payload, self.version)?),
+            packet::SERVER_INFO => {
+                let version = packet::server_info(payload)?.natnet;
+                if self.version != Some(version) {
+                    (self.version, self.layout) = (Some(version), Layout::of(version));
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Finds the streaming ID of each robot's body by its name. The worker repeats definitions that are known.
+    fn identify(&mut self, definitions: Vec<Definition>) {
+        if definitions == self.definitions {
+            return;
+        }
+        for Tracked { robot, name, id, body } in &mut self.robots {
+            let BodyName::Name(name) = name else { continue };
+            let found = definitions.iter().find(|definition| definition.name == *name).map(|found| found.id);
+            if found.is_none() {
+                let known: Vec<&str> = definitions.iter().map(|definition| definition.name.as_str()).collect();
+                let known = known.join(", ");
+                tracing::warn!("the tracker has no rigid body '{name}' for {robot}: set `bodies`; it has: {known}");
+            }
+            if found != *id {
+                (*id, *body) = (found, Body::default());
+            }
+        }
+        self.definitions = definitions;
+    }
+
+    fn frame(&mut self, frame: &Frame, out: &mut Vec<Out>) {
+        if let Some((number, stamp_s)) = self.last {
+            if number == frame.number || stamp_s.total_cmp(&frame.stamp_s).is_eq() {
+                out.push(Out::Refused("the tracker repeats a frame or its stamp"));
+                return;
+            }
+            if frame.stamp_s < stamp_s && stamp_s - frame.stamp_s < LATE_S {
+                out.push(Out::Refused("a frame has arrived after a newer one"));
+                return;
+            }
+            if frame.stamp_s < stamp_s {
+                self.due_s = 0.0;
+                self.robots.iter_mut().for_each(|tracked| tracked.body = Body::default());
+            }
+        }
+        self.last = Some((frame.number, frame.stamp_s));
+        let is_due = frame.stamp_s + EARLY * self.config.period_s >= self.due_s;
+        if is_due {
+            // The grid of due times keeps the mean rate; after a pause it begins anew.
+            let next_s = self.due_s + self.config.period_s;
+            self.due_s = if next_s > frame.stamp_s { next_s } else { frame.stamp_s + self.config.period_s };
+        }
+        for at in 0..self.robots.len() {
+            match self.follow(at, frame) {
+                Ok(Some(reading)) if is_due => out.push(checked(reading)),
+                Ok(_) => {}
+                Err(why) => out.push(Out::Refused(why)),
+            }
+        }
+    }
+
+    /// Takes the pose of one robot's body. Returns a reading if the body is tracked and its velocity known.
+    fn follow(&mut self, at: usize, frame: &Frame) -> Result<Option<Reading>, &'static str> {
+        let (before, rest) = self.robots.split_at_mut(at);
+        let Some((Tracked { robot, id: Some(id), body, .. }, after)) = rest.split_first_mut() else { return Ok(None) };
+        let Some(rigid) = frame.bodies.iter().find(|rigid| rigid.id == *id && rigid.tracked) else { return Ok(None) };
+        let others = before.iter().chain(&*after).filter_map(|other| other.body.newest());
+        let pose = self.config.alignment.pose(frame.stamp_s, rigid);
+        body.take(pose, &self.config.limits, others)?;
+        Ok(body.rates(&self.config.limits).map(|rates| {
+            let error_m = (rigid.error_m > 0.0).then(|| rigid.error_m.max(LEAST_ERROR_M));
+            let vector = |[x, y]: [f64; 2]| Vec2::new(x as f32, y as f32);
+            let heading = pose.heading.map(|heading| (heading as f32).clamp(-MAX_HEADING, MAX_HEADING));
+            Reading {
+                robot: *robot,
+                stamp_ns: Span::from_secs(frame.stamp_s).as_nanos(),
+                pose: geometry::Pose { position: vector(pose.position), heading },
+                twist: Twist { velocity: vector(rates.velocity), yaw_rate: rates.yaw_rate.map(|rate| rate as f32) },
+                deviation: Deviation {
+                    position_m: error_m,
+                    velocity_m_s: error_m.map(|error_m| error_m * std::f32::consts::SQRT_2 / rates.span_s as f32),
+                    ..Deviation::default()
+                },
+            }
+        }))
+    }
+}
+
+fn checked(reading: Reading) -> Out {
+    let reading = Wire::Reading(reading);
+    match (reading.check(), reading) {
+        (Ok(()), Wire::Reading(reading)) => Out::Reading(reading),
+        _ => Out::Refused("the pose of a rigid body is out of range"),
+    }
+}
+
+impl Source for NatNet {
+    fn take(&mut self, _: Time, input: In, out: &mut Vec<Out>) {
+        let In::Packet(datagram) = input else { return };
+        if let Err(Malformed(why)) = self.datagram(datagram, out) {
+            out.push(Out::Refused(why));
+        }
+    }
+}
+
+/// Place of the tracker's frame in the team's, with the z axis up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alignment {
+    up: Up,
+    yaw_rad: f64,
+    origin_m: [f64; 2],
+}
+
+impl Alignment {
+    /// Turns a pose into the team's frame. The heading is that of the body's x axis.
+    fn pose(&self, stamp_s: f64, rigid: &RigidBody) -> Pose {
+        let raised = |[x, y, z]: [f64; 3]| match self.up {
+            Up::Y => [x, -z, y],
+            Up::Z => [x, y, z],
+        };
+        let [x, y, _] = raised(rigid.position);
+        let [i, j, k, w] = rigid.rotation;
+        let [i, j, k] = raised([i, j, k]);
+        let (sin, cos) = libm::sincos(self.yaw_rad);
+        let [origin_x, origin_y] = self.origin_m;
+        // The body's x axis, projected on the floor.
+        let (ahead, left) = (1.0 - 2.0 * (j * j + k * k), 2.0 * (i * j + w * k));
+        let level = libm::hypot(ahead, left) >= LEVEL;
+        Pose {
+            stamp_s,
+            position: [origin_x + cos * x - sin * y, origin_y + sin * x + cos * y],
+            heading: level.then(|| wrapped(libm::atan2(left, ahead) + self.yaw_rad)),
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! Datagrams of NatNet: header, requests of a client, description of the server, and a reader of little-endian fields.
+//!
+//! Layouts and numbers as in the manufacturer's sample client for direct depacketization (README: D).
+
+/// Client asks for the server's description; in unicast it also subscribes to frames.
+pub const CONNECT: u16 = 0;
+/// Server's description.
+pub const SERVER_INFO: u16 = 1;
+/// Client asks for model definitions.
+pub const REQUEST_MODEL: u16 = 4;
+/// Model definitions.
+pub const MODEL: u16 = 5;
+/// Frame of motion capture data.
+pub const FRAME: u16 = 7;
+/// Client of a unicast server is still there.
+pub const KEEP_ALIVE: u16 = 10;
+
+/// Bytes of a header: message number and length of the payload.
+const HEADER: usize = 4;
+/// Bytes of the name that a server or client begins its description with.
+const NAME: usize = 256;
+/// Bytes of a client's payload of CONNECT: name, two versions, and five of options.
+const CONNECT_LENGTH: usize = 270;
+/// Place of the requested bitstream in that payload (README: D).
+const BITSTREAM: usize = 265;
+
+/// Reason for which bytes are no message of NatNet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Malformed(pub &'static str);
+
+/// The bytes end within a field.
+const TRUNCATED: Malformed = Malformed("a NatNet packet ends too early");
+
+/// Version of an application or of the bitstream: major and minor number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Version {
+    /// Major number.
+    pub major: u8,
+    /// Minor number.
+    pub minor: u8,
+}
+
+impl std::fmt::Display for Version {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}.{}", self.major, self.minor)
+    }
+}
+
+/// Description of a server.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ServerInfo {
+    /// Name of the application.
+    pub name: String,
+    /// Its version.
+    pub version: Version,
+    /// Version of its NatNet. In unicast it may send an older bitstream on request.
+    pub natnet: Version,
+    /// Whether it sends frames by multicast; none if it does not say.
+    pub multicast: Option<bool>,
+}
+
+/// Reader of little-endian fields. Every method refuses bytes that end too early, and none panics.
+#[derive(Clone, Copy, Debug)]
+pub struct Reader<'a> {
+    rest: &'a [u8],
+}
+
+impl<'a> Reader<'a> {
+    /// Starts at the first byte.
+    pub fn new(bytes: &'a [u8]) -> Reader<'a> {
+        Reader { rest: bytes }
+    }
+
+    /// Number of bytes that are left.
+    pub fn left(&self) -> usize {
+        self.rest.len()
+    }
+
+    /// Takes the next bytes.
+    pub fn bytes(&mut self, count: usize) -> Result<&'a [u8], Malformed> {
+        let (taken, rest) = self.rest.split_at_checked(count).ok_or(TRUNCATED)?;
+        self.rest = rest;
+        Ok(taken)
+    }
+
+    /// Skips elements of a fixed size \[bytes\].
+    pub fn skip(&mut self, count: usize, size: usize) -> Result<(), Malformed> {
+        self.bytes(count.checked_mul(size).ok_or(TRUNCATED)?).map(|_| ())
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], Malformed> {
+        let (taken, rest) = self.rest.split_first_chunk().ok_or(TRUNCATED)?;
+        self.rest = rest;
+        Ok(*taken)
+    }
+
+    /// Reads an i16.
+    pub fn i16(&mut self) -> Result<i16, Malformed> {
+        self.array().map(i16::from_le_bytes)
+    }
+
+    /// Reads an i32.
+    pub fn i32(&mut self) -> Result<i32, Malformed> {
+        self.array().map(i32::from_le_bytes)
+    }
+
+    /// Reads an i32 that counts something.
+    pub fn count(&mut self) -> Result<usize, Malformed> {
+        usize::try_from(self.i32()?).map_err(|_| Malformed("a count in a NatNet packet is negative"))
+    }
+
+    /// Reads an f32.
+    pub fn f32(&mut self) -> Result<f32, Malformed> {
+        self.array().map(f32::from_le_bytes)
+    }
+
+    /// Reads an f64.
+    pub fn f64(&mut self) -> Result<f64, Malformed> {
+        self.array().map(f64::from_le_bytes)
+    }
+
+    /// Reads some f32 and widens them.
+    pub fn vector<const N: usize>(&mut self) -> Result<[f64; N], Malformed> {
+        let mut vector = [0.0; N];
+        for number in &mut vector {
+            *number = f64::from(self.f32()?);
+        }
+        Ok(vector)
+    }
+
+    /// Reads a text that ends with a zero byte, without it.
+    pub fn text(&mut self) -> Result<&'a [u8], Malformed> {
+        let end = self.rest.iter().position(|byte| *byte == 0).ok_or(TRUNCATED)?;
+        let text = self.bytes(end)?;
+        self.skip(1, 1)?;
+        Ok(text)
+    }
+}
+
+/// Splits a datagram into message number and payload. Bytes after the payload are ignored.
+pub fn split(datagram: &[u8]) -> Result<(u16, &[u8]), Malformed> {
+    let mut reader = Reader::new(datagram);
+    let message = u16::from_le_bytes(reader.array()?);
+    let length = usize::from(u16::from_le_bytes(reader.array()?));
+    Ok((message, reader.bytes(length)?))
+}
+
+/// Reads the payload of a server's description.
+pub fn server_info(payload: &[u8]) -> Result<ServerInfo, Malformed> {
+    let mut reader = Reader::new(payload);
+    let name = reader.bytes(NAME)?.split(|byte| *byte == 0).next().unwrap_or_default();
+    let [version, natnet] = [reader.array::<4>()?, reader.array()?].map(|[major, minor, ..]| Version { major, minor });
+    // Since 3.0: frequency of its clock (u64), data port (u16), whether it sends by multicast (u8), group.
+    let connection = reader.skip(1, 10).and_then(|()| reader.array::<1>());
+    let name = String::from_utf8_lossy(name).into_owned();
+    Ok(ServerInfo { name, version, natnet, multicast: connection.ok().map(|[byte]| byte != 0) })
+}
+
+/// Makes a request without a payload.
+pub fn request(message: u16) -> Vec<u8> {
+    let mut datagram = message.to_le_bytes().to_vec();
+    datagram.extend(0u16.to_le_bytes());
+    datagram
+}
+
+/// Makes a CONNECT that asks for a bitstream. A server honours it in unicast only.
+pub fn connect(bitstream: Version) -> Vec<u8> {
+    let mut datagram = CONNECT.to_le_bytes().to_vec();
+    datagram.extend((CONNECT_LENGTH as u16).to_le_bytes());
+    datagram.resize(HEADER + CONNECT_LENGTH, 0);
+    let name = b"Murmurate";
+    datagram[HEADER..HEADER + name.len()].copy_from_slice(name);
+    let at = HEADER + BITSTREAM;
+    datagram[at..at + 2].copy_from_slice(&[bitstream.major, bitstream.minor]);
+    datagram
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_connect_names_the_bitstream_where_servers_look_for_it() {
+        let datagram = connect(Version { major: 4, minor: 1 });
+        let (message, payload) = split(&datagram).unwrap();
+        assert_eq!((message, payload.len()), (CONNECT, 270));
+        assert_eq!((payload[264], &payload[265..269]), (0, &[4, 1, 0, 0][..]));
+    }
+
+    #[test]
+    fn a_description_is_read_with_and_without_its_connection() {
+        let mut payload = vec![0; 279];
+        payload[..6].copy_from_slice(b"Motive");
+        payload[256..264].copy_from_slice(&[3, 1, 0, 0, 4, 1, 0, 0]);
+        payload[274] = 1;
+        let info = server_info(&payload).unwrap();
+        assert_eq!((info.name.as_str(), info.version.to_string()), ("Motive", "3.1".to_owned()));
+        assert_eq!((info.natnet, info.multicast), (Version { major: 4, minor: 1 }, Some(true)));
+        assert_eq!(server_info(&payload[..264]).unwrap().multicast, None);
+        (0..264).for_each(|length| assert!(server_info(&payload[..length]).is_err()));
+    }
+}

@@ -1,0 +1,269 @@
+//! Settings of the source `natnet` in a team file.
+
+use std::net::Ipv4Addr;
+
+use crate::config::ConfigError;
+use crate::edge::Settings;
+use crate::messages::ids::RobotId;
+use serde::Deserialize;
+
+use super::Alignment;
+use super::body::Limits;
+
+/// Multicast group of Motive by default (README: D).
+const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 42, 99);
+/// Port of frames by default (README: D).
+const DATA_PORT: u16 = 1511;
+/// Port of commands by default (README: D).
+const COMMAND_PORT: u16 = 1510;
+
+/// Axis that points up in the tracker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Up {
+    /// The y axis: (x, y, z) of the tracker is (x, -z, y) of the team.
+    Y,
+    /// The z axis.
+    Z,
+}
+
+/// Transmission of frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Transmission {
+    /// To a group, whoever listens.
+    Multicast,
+    /// To each client that asks for it.
+    Unicast,
+}
+
+/// Name of a rigid body in the tracker.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum BodyName {
+    /// Its name, which model definitions turn into its streaming ID.
+    Name(String),
+    /// Its streaming ID.
+    Id(i32),
+}
+
+/// Addresses of the server and of its frames.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Network {
+    /// Address of the server. Datagrams of others are ignored.
+    pub server: Ipv4Addr,
+    /// Name of the interface on which frames arrive; none: that of the way to the server.
+    pub interface: Option<String>,
+    /// Transmission of frames.
+    pub transmission: Transmission,
+    /// Multicast group.
+    pub group: Ipv4Addr,
+    /// Port of frames, for multicast.
+    pub data_port: u16,
+    /// Port of commands at the server.
+    pub command_port: u16,
+}
+
+/// Table of the team file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Fields {
+    /// IPv4 address of the computer that runs the tracker's server.
+    server: Option<Ipv4Addr>,
+    /// Name of this machine's interface to the tracker, for multicast; none: that of the way to the server.
+    interface: Option<String>,
+    /// How the server sends frames, as in its streaming settings.
+    transmission: Transmission,
+    /// Multicast group of frames.
+    group: Ipv4Addr,
+    /// UDP port of frames.
+    data_port: u16,
+    /// UDP port of commands.
+    command_port: u16,
+    /// Axis that points up, as in the server's streaming settings.
+    up: Up,
+    /// Direction of the tracker's x axis in the team's frame \[rad\], counter-clockwise.
+    yaw_rad: f64,
+    /// Position of the tracker's origin in the team's frame \[m\].
+    origin_m: [f64; 2],
+    /// Rigid body of each robot: its name or its streaming ID. A robot that is not named has the body `robot-N`.
+    bodies: toml::Table,
+    /// Largest speed of a robot \[m/s\]. A body that is faster has jumped, and is refused.
+    speed_most_m_s: f64,
+    /// Time for which a body has to stay at a new place before it is accepted there \[s\].
+    settle_s: f64,
+    /// Window of the velocity \[s\]: mean velocity over it, so half of it late.
+    velocity_window_s: f64,
+    /// Highest rate of readings of a robot \[Hz\].
+    rate_hz: f64,
+}
+
+impl Default for Fields {
+    fn default() -> Fields {
+        Fields {
+            server: None,
+            interface: None,
+            transmission: Transmission::Multicast,
+            group: GROUP,
+            data_port: DATA_PORT,
+            command_port: COMMAND_PORT,
+            up: Up::Y,
+            yaw_rad: 0.0,
+            origin_m: [0.0; 2],
+            bodies: toml::Table::new(),
+            // Twice the policies' 0.9 m/s; an EP does 3.5 m/s (README: D).
+            speed_most_m_s: 2.0,
+            settle_s: 1.0,
+            // Noise of 0.2 mm becomes 6 mm/s, 25 ms late.
+            velocity_window_s: 0.05,
+            // README: a tracker at 100 Hz is passed on at 40 to 50 Hz.
+            rate_hz: 50.0,
+        }
+    }
+}
+
+/// Settings, checked.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Addresses.
+    pub network: Network,
+    /// Place of the tracker's frame in the team's.
+    pub alignment: Alignment,
+    /// Robots in order, each with the name of its body.
+    pub bodies: Vec<(RobotId, BodyName)>,
+    /// Limits of a body's motion.
+    pub limits: Limits,
+    /// Shortest mean period of readings \[s\].
+    pub period_s: f64,
+}
+
+impl Config {
+    /// Reads and checks the settings for some robots.
+    pub fn read(settings: &Settings, robots: &[RobotId]) -> Result<Config, ConfigError> {
+        let fields: Fields = settings.read()?;
+        let server = fields.server.ok_or_else(|| {
+            ConfigError::field("server", "it is missing; give the IPv4 address of the computer that runs the tracker")
+        })?;
+        if !fields.group.is_multicast() {
+            return Err(ConfigError::field(
+                "group",
+                "it is no multicast address; give one of 224.0.0.0 to 239.255.255.255",
+            ));
+        }
+        for (name, port) in [("data_port", fields.data_port), ("command_port", fields.command_port)] {
+            if port == 0 {
+                return Err(ConfigError::field(name, "it is 0; give the port of the tracker's streaming settings"));
+            }
+        }
+        if fields.interface.as_ref().is_some_and(String::is_empty) {
+            return Err(ConfigError::field("interface", "it is empty; give the name of a network interface, or none"));
+        }
+        let [x, y] = fields.origin_m;
+        let within = [
+            ("yaw_rad", fields.yaw_rad, -7.0, 7.0, "rad"),
+            ("origin_m", x, -1e4, 1e4, "m"),
+            ("origin_m", y, -1e4, 1e4, "m"),
+            ("speed_most_m_s", fields.speed_most_m_s, 0.05, 50.0, "m/s"),
+            ("settle_s", fields.settle_s, 0.05, 60.0, "s"),
+            ("velocity_window_s", fields.velocity_window_s, 0.005, 0.5, "s"),
+            ("rate_hz", fields.rate_hz, 1.0, 1000.0, "Hz"),
+        ];
+        for (name, value, least, most, unit) in within {
+            if !(least..=most).contains(&value) {
+                return Err(ConfigError::field(name, format!("it is out of range; give {least} to {most} {unit}")));
+            }
+        }
+        Ok(Config {
+            network: Network {
+                server,
+                interface: fields.interface,
+                transmission: fields.transmission,
+                group: fields.group,
+                data_port: fields.data_port,
+                command_port: fields.command_port,
+            },
+            alignment: Alignment { up: fields.up, yaw_rad: fields.yaw_rad, origin_m: fields.origin_m },
+            bodies: bodies(&fields.bodies, robots)?,
+            limits: Limits {
+                speed_most_m_s: fields.speed_most_m_s,
+                settle_s: fields.settle_s,
+                window_s: fields.velocity_window_s,
+            },
+            period_s: 1.0 / fields.rate_hz,
+        })
+    }
+}
+
+/// Returns the robots in order, each with the name of its body.
+fn bodies(table: &toml::Table, robots: &[RobotId]) -> Result<Vec<(RobotId, BodyName)>, ConfigError> {
+    let mut all: Vec<(RobotId, BodyName)> = Vec::new();
+    for robot in robots {
+        all.push((*robot, BodyName::Name(format!("robot-{}", robot.0))));
+    }
+    all.sort_by_key(|(robot, _)| *robot);
+    for (key, value) in table {
+        let wrong = |why: &str| ConfigError::field(format!("bodies.{key}"), why);
+        let robot = key.parse().map(RobotId).map_err(|_| wrong("it is no robot; give the number of a robot"))?;
+        let place = all.iter().position(|(known, _)| *known == robot);
+        let place = place.ok_or_else(|| wrong("this source does not localize that robot; see `localizes`"))?;
+        all[place].1 = match value {
+            toml::Value::String(name) if !name.is_empty() => BodyName::Name(name.clone()),
+            toml::Value::Integer(id) => BodyName::Id(
+                i32::try_from(*id).map_err(|_| wrong("it is out of range; give the streaming ID of the rigid body"))?,
+            ),
+            _ => return Err(wrong("give the name of a rigid body, in quotes, or its streaming ID")),
+        };
+    }
+    for (at, (robot, name)) in all.iter().enumerate() {
+        if let Some((other, _)) = all[..at].iter().find(|(_, other)| other == name) {
+            let why = format!("{robot} and {other} have the same rigid body; give each its own");
+            return Err(ConfigError::field("bodies", why));
+        }
+    }
+    Ok(all)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Config, String> {
+        let settings = Settings { name: "natnet".to_owned(), table: text.parse().unwrap() };
+        Config::read(&settings, &[RobotId(3), RobotId(0)]).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_server_is_all_that_has_to_be_given() {
+        let config = read("server = '10.0.0.2'").unwrap();
+        let name = |text: &str| BodyName::Name(text.to_owned());
+        assert_eq!(config.bodies, [(RobotId(0), name("robot-0")), (RobotId(3), name("robot-3"))]);
+        let config = read("server = '10.0.0.2'\nspeed_most_m_s = 3\nbodies = { 0 = 'jackal', 3 = 8 }").unwrap();
+        assert_eq!(config.bodies, [(RobotId(0), name("jackal")), (RobotId(3), BodyName::Id(8))]);
+        assert_eq!(config.limits.speed_most_m_s, 3.0);
+    }
+
+    #[test]
+    fn a_wrong_field_is_named() {
+        for (text, part) in [
+            ("", "server: it is missing"),
+            ("server = 'tracker'", "natnet: "),
+            ("colour = 'red'", "colour"),
+            ("up = 'x'", "natnet: "),
+            ("group = '10.0.0.1'", "group: "),
+            ("data_port = 0", "data_port: "),
+            ("interface = ''", "interface: "),
+            ("rate_hz = 0.0", "rate_hz: it is out of range; give 1 to 1000 Hz"),
+            ("yaw_rad = nan", "yaw_rad: "),
+            ("origin_m = [0.0, inf]", "origin_m: "),
+            ("bodies = { 7 = 'a' }", "bodies.7: "),
+            ("bodies = { a = 7 }", "bodies.a: "),
+            ("bodies = { 0 = 1.5 }", "bodies.0: "),
+            ("bodies = { 0 = 99999999999 }", "bodies.0: "),
+            ("bodies = { 0 = 'robot-3' }", "bodies: robot 3 and robot 0"),
+        ] {
+            let text = if text.is_empty() { String::new() } else { format!("server = '127.0.0.1'\n{text}") };
+            let text = text.replacen("server = '127.0.0.1'\nserver", "server", 1);
+            let error = read(&text).expect_err(&text);
+            assert!(error.contains(part), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,308 @@
+//! Source of poses that ROS 2 nodes publish: a motion capture bridge, a localization by laser, or odometry.
+//!
+//! Pure: the DDS process and its supervisor are in `ros2`. Where messages have no velocity, it is the difference of two
+//! of them; the first gives no reading.
+
+use crate::config::ConfigError;
+use crate::edge::Settings;
+use crate::localization::{In, Out, Parts, Source};
+use crate::messages::ids::RobotId;
+use crate::time::Time;
+use serde::Deserialize;
+
+use crate::ros2::packet::{self, FromNode, Plan, PoseSample, Read, Reader, Sample, TopicState};
+use crate::ros2::reading::{self, Novelty, Stamps, Velocity};
+use crate::ros2::settings;
+use crate::ros2::supervisor::Supervisor;
+
+/// Description in one line.
+pub const ABOUT: &str = "poses from ROS 2: PoseStamped, PoseWithCovarianceStamped or Odometry";
+
+/// Place of the robot's number in the topic.
+const NUMBER: &str = "{robot}";
+/// Longest interval over which a velocity is taken \[s\]: at 1 m/s the path may have bent by then.
+const LONGEST_S: f64 = 0.5;
+/// Shortest one \[s\]: below, noise of 0.2 mm alone is a velocity of 0.1 m/s.
+const SHORTEST_S: f64 = 0.002;
+
+/// Settings in the team file.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Config {
+    /// Topic of each robot, with `{robot}` for its number.
+    #[serde(default = "topic")]
+    topic: String,
+    /// Type of its messages.
+    #[serde(default, rename = "type")]
+    kind: Kind,
+    /// DDS domain, `ROS_DOMAIN_ID` of the publisher.
+    #[serde(default)]
+    domain: u16,
+    /// Name or address of the interface; none: all.
+    interface: Option<String>,
+    /// Rotation of the messages' frame in the world \[rad\], counter-clockwise.
+    #[serde(default)]
+    yaw_rad: f64,
+    /// Origin of the messages' frame in the world \[m\].
+    #[serde(default)]
+    origin_m: [f64; 2],
+    /// Memory of each DDS process \[MiB\].
+    #[serde(default = "settings::memory_mib")]
+    memory_mib: u32,
+    /// Whether there is a warm spare of the DDS process.
+    #[serde(default = "settings::yes")]
+    spare: bool,
+}
+
+fn topic() -> String {
+    format!("/r{NUMBER}/pose")
+}
+
+/// Type of messages.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Kind {
+    /// `geometry_msgs/PoseStamped`.
+    #[default]
+    PoseStamped,
+    /// `geometry_msgs/PoseWithCovarianceStamped`.
+    PoseWithCovarianceStamped,
+    /// `nav_msgs/Odometry`.
+    Odometry,
+}
+
+/// Makes the source and its worker.
+pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
+    settings::check_built()?;
+    let config: Config = settings.read()?;
+    let plan = plan(&config, robots)?;
+    let (spare, robots) = (config.spare, robots.to_vec());
+    Ok(Parts {
+        source: Box::new(move || Box::new(Poses::new(&config, &robots))),
+        worker: Box::new(Supervisor { plan, spare, program: None }),
+    })
+}
+
+/// Checks the settings and derives the topics, one for each robot in order.
+fn plan(config: &Config, robots: &[RobotId]) -> Result<Plan, ConfigError> {
+    settings::check_participant(config.domain, config.interface.as_deref(), config.memory_mib)?;
+    if robots.len() > packet::MAX_TOPICS {
+        return Err(ConfigError::field("topic", "a source has at most 256 robots; divide them among hosts"));
+    }
+    if robots.len() > 1 && !config.topic.contains(NUMBER) {
+        let reason = format!("it is the same for all {} robots; write {NUMBER} where the number belongs", robots.len());
+        return Err(ConfigError::field("topic", reason));
+    }
+    if !config.yaw_rad.is_finite() || !config.origin_m.iter().all(|m| m.abs() <= 1e5) {
+        let reason = "yaw_rad and origin_m must be finite, and origin_m at most 100 km; measure them anew";
+        return Err(ConfigError::field("origin_m", reason));
+    }
+    let kind = match config.kind {
+        Kind::PoseStamped => Read::PoseStamped,
+        Kind::PoseWithCovarianceStamped => Read::PoseWithCovarianceStamped,
+        Kind::Odometry => Read::Odometry,
+    };
+    let reader = |robot: &RobotId| {
+        let topic = settings::full_topic("topic", "", &config.topic.replace(NUMBER, &robot.0.to_string()))?;
+        Ok(Reader { topic, kind })
+    };
+    Ok(Plan {
+        name: format!("source ros2 of {} robots", robots.len()),
+        domain: config.domain,
+        interface: config.interface.clone(),
+        memory_mib: config.memory_mib,
+        writers: Vec::new(),
+        readers: robots.iter().map(reader).collect::<Result<_, ConfigError>>()?,
+    })
+}
+
+/// Source of some robots.
+struct Poses {
+    yaw_rad: f64,
+    origin_m: [f64; 2],
+    /// Robots in the order of the plan's readers.
+    tracks: Vec<Track>,
+    /// Number of problems of topics so far, and the last: one that all robots share is one line.
+    problems: u64,
+    logged: Option<String>,
+}
+
+/// State of one robot.
+struct Track {
+    robot: RobotId,
+    stamps: Stamps,
+    /// Stamp \[ns\] and pose of the last message, aligned.
+    last: Option<(u64, PoseSample)>,
+}
+
+impl Poses {
+    fn new(config: &Config, robots: &[RobotId]) -> Poses {
+        let track = |&robot: &RobotId| Track { robot, stamps: Stamps::default(), last: None };
+        let tracks = robots.iter().map(track).collect();
+        Poses { yaw_rad: config.yaw_rad, origin_m: config.origin_m, tracks, problems: 0, logged: None }
+    }
+
+    /// Returns a pose in the world frame.
+    fn aligned(&self, mut pose: PoseSample) -> PoseSample {
+        let (x, y) = reading::rotated(self.yaw_rad, pose.x, pose.y);
+        (pose.x, pose.y) = (x + self.origin_m[0], y + self.origin_m[1]);
+        pose.yaw = pose.yaw.map(|yaw| reading::wrapped(yaw + self.yaw_rad));
+        pose
+    }
+
+    fn pose(&mut self, now: Time, topic: usize, pose: PoseSample, out: &mut Vec<Out>) {
+        let pose = self.aligned(pose);
+        let Some(track) = self.tracks.get_mut(topic) else {
+            return out.push(Out::Refused("its robot is not of this source"));
+        };
+        let stamp_ns = if pose.stamp_ns == 0 { now.as_nanos() } else { pose.stamp_ns };
+        match track.stamps.take(stamp_ns) {
+            Novelty::Old => return,
+            Novelty::Anew => track.last = None,
+            Novelty::New => {}
+        }
+        let last = track.last;
+        let Some(velocity) = reading::velocity(&pose).or_else(|| difference(last?, (stamp_ns, &pose))) else {
+            // Too close to the one before it: that one stays, and the next has its chance.
+            if last.is_none_or(|(before, _)| seconds(before, stamp_ns) >= SHORTEST_S) {
+                track.last = Some((stamp_ns, pose));
+            }
+            return;
+        };
+        track.last = Some((stamp_ns, pose));
+        out.push(match reading::reading(track.robot, stamp_ns, &pose, velocity) {
+            Some(reading) => Out::Reading(reading),
+            None => Out::Refused("a pose has a number out of range"),
+        });
+    }
+
+    fn topic(&mut self, state: &TopicState) {
+        let Some(problem) = state.problem.as_deref().filter(|problem| self.logged.as_deref() != Some(*problem)) else {
+            return;
+        };
+        self.problems += 1;
+        // A hostile sender may change the problem all the time.
+        if self.problems < 8 || self.problems.is_power_of_two() {
+            tracing::warn!(problems = self.problems, "source ros2: topic {}: {problem}", state.topic);
+        }
+        self.logged = Some(problem.to_owned());
+    }
+}
+
+fn seconds(before: u64, after: u64) -> f64 {
+    after.saturating_sub(before) as f64 * 1e-9
+}
+
+/// Velocity between two poses; none if they are too close in time or too far apart.
+fn difference((before, from): (u64, PoseSample), (after, to): (u64, &PoseSample)) -> Option<Velocity> {
+    let dt = seconds(before, after);
+    (SHORTEST_S..=LONGEST_S).contains(&dt).then(|| Velocity {
+        x: (to.x - from.x) / dt,
+        y: (to.y - from.y) / dt,
+        yaw_rate: to.yaw.zip(from.yaw).map(|(to, from)| reading::wrapped(to - from) / dt),
+    })
+}
+
+impl Source for Poses {
+    fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
+        let In::Packet(packet) = input else { return };
+        match packet::decode_from_node(packet) {
+            Ok(FromNode::Heard(heard)) => match heard.sample {
+                Sample::Pose(pose) => self.pose(now, usize::from(heard.topic), pose, out),
+                Sample::Battery(_) => out.push(Out::Refused("a source takes poses, not batteries")),
+            },
+            Ok(FromNode::Topic(state)) => self.topic(&state),
+            Ok(FromNode::Beat(_)) => {}
+            Err(error) => out.push(Out::Refused(error.reason())),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::wire::Reading;
+    use crate::ros2::packet::{Heard, TwistSample};
+    use crate::time::Span;
+
+    fn config(text: &str) -> Config {
+        Settings { name: "ros2".to_owned(), table: text.parse().unwrap() }.read().unwrap()
+    }
+
+    fn take(source: &mut Poses, ms: u64, topic: u16, pose: PoseSample) -> Vec<Out> {
+        let line = packet::encode(&FromNode::Heard(Heard { topic, sample: Sample::Pose(pose) }));
+        let mut out = Vec::new();
+        source.take(Time::ZERO + Span::from_millis(ms), In::Packet(&line), &mut out);
+        out
+    }
+
+    fn at(ms: u64, x: f64) -> PoseSample {
+        PoseSample { stamp_ns: ms * 1_000_000, x, yaw: Some(3.1 + x), ..PoseSample::default() }
+    }
+
+    fn reading(out: &[Out]) -> &Reading {
+        match out {
+            [Out::Reading(reading)] => reading,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn velocity_is_the_difference_where_messages_have_none() {
+        let mut source = Poses::new(&config(""), &[RobotId(4), RobotId(7)]);
+        assert_eq!(take(&mut source, 10, 1, at(10, 0.0)), [], "the first alone has no velocity");
+        let out = take(&mut source, 20, 1, at(20, 0.01));
+        let told = reading(&out);
+        assert_eq!((told.robot, told.stamp_ns), (RobotId(7), 20_000_000));
+        assert!((told.twist.velocity.x - 1.0).abs() < 1e-5 && (told.twist.yaw_rate.unwrap() - 1.0).abs() < 1e-5);
+        assert_eq!(take(&mut source, 30, 1, at(20, 0.01)), [], "a repeated stamp");
+        assert_eq!(take(&mut source, 31, 1, at(21, 0.02)), [], "too close to the one before it");
+        assert!((reading(&take(&mut source, 40, 1, at(30, 0.02))).twist.velocity.x - 1.0).abs() < 1e-5);
+        assert_eq!(take(&mut source, 900, 1, at(900, 0.02)), [], "after a gap");
+        assert_eq!(reading(&take(&mut source, 910, 1, at(910, 0.02))).twist.velocity.x, 0.0);
+        assert!(matches!(take(&mut source, 910, 2, at(910, 0.02))[..], [Out::Refused(_)]));
+    }
+
+    #[test]
+    fn a_heading_that_passes_pi_gives_no_turn_of_its_own() {
+        let mut source = Poses::new(&config(""), &[RobotId(0)]);
+        take(&mut source, 0, 0, PoseSample { yaw: Some(3.0), ..at(10, 0.0) });
+        let out = take(&mut source, 10, 0, PoseSample { yaw: Some(-3.0), ..at(20, 0.0) });
+        let rate = reading(&out).twist.yaw_rate.unwrap();
+        assert!((rate - 28.318_53).abs() < 1e-3, "{rate}");
+    }
+
+    #[test]
+    fn poses_and_velocities_are_turned_into_the_world() {
+        let mut source = Poses::new(&config("yaw_rad = 1.5707963267948966\norigin_m = [10.0, 20.0]"), &[RobotId(0)]);
+        let twist = Some(TwistSample { x: 0.5, y: 0.0, yaw_rate: 0.1, ..TwistSample::default() });
+        let pose = PoseSample { stamp_ns: 1, x: 1.0, y: 2.0, yaw: Some(0.0), twist, ..PoseSample::default() };
+        let out = take(&mut source, 0, 0, pose);
+        let told = reading(&out);
+        let off = told.pose.position - crate::messages::geometry::Vec2::new(8.0, 21.0);
+        assert!(off.norm() < 1e-5, "{told:?}");
+        assert!((told.twist.velocity.y - 0.5).abs() < 1e-6 && told.twist.velocity.x.abs() < 1e-6, "{told:?}");
+        assert!((told.pose.heading.unwrap() - std::f32::consts::FRAC_PI_2).abs() < 1e-6);
+        assert_eq!(told.twist.yaw_rate, Some(0.1));
+    }
+
+    #[test]
+    fn a_sender_without_stamps_is_timed_by_arrival() {
+        let mut source = Poses::new(&config(""), &[RobotId(0)]);
+        let pose = |x| PoseSample { stamp_ns: 0, x, ..PoseSample::default() };
+        take(&mut source, 100, 0, pose(0.0));
+        let out = take(&mut source, 110, 0, pose(0.005));
+        assert!((reading(&out).twist.velocity.x - 0.5).abs() < 1e-5);
+    }
+
+    #[test]
+    fn topics_are_those_of_the_robots_and_wrong_settings_are_refused() {
+        let robots = [RobotId(0), RobotId(12)];
+        let topics = plan(&config("type = 'odometry'"), &robots).unwrap().readers;
+        assert_eq!((topics[1].topic.as_str(), topics[1].kind), ("/r12/pose", Read::Odometry));
+        let refusal = |text: &str| plan(&config(text), &robots).unwrap_err().to_string();
+        assert!(refusal("topic = '/pose'").starts_with("topic: it is the same"));
+        assert!(refusal("yaw_rad = inf").starts_with("origin_m: "));
+        assert!(refusal("domain = 233").starts_with("domain: "));
+    }
+}

@@ -1,0 +1,24 @@
+//! ROS 2 without ROS: messages, packets, and a DDS process with a warm spare.
+//!
+//! `drivers::ros2` and `localization::ros2` use it. DDS itself is in `dds` alone, behind the feature `ros2`.
+
+#[cfg(feature = "ros2")]
+mod dds;
+pub mod messages;
+#[cfg(feature = "ros2")]
+pub mod node;
+pub mod observe;
+pub mod packet;
+pub mod pair;
+pub mod reading;
+pub mod sample;
+pub mod settings;
+pub mod supervisor;
+
+/// Name of the hidden subcommand that runs a DDS process.
+pub const SUBCOMMAND: &str = "ros2-node";
+/// Exit code of a DDS process that has reported why it cannot work.
+pub const REFUSED: u8 = 3;
+/// Reason for which a program without the feature refuses a driver or source.
+pub const NOT_BUILT: &str =
+    "this program is built without ROS 2; build it by `cargo install murmurate --features ros2`";

@@ -1,0 +1,385 @@
+//! The program `ros2-node`: the DDS process of a host. Packets come on stdin, one a line, and leave on stdout.
+//!
+//! DDS has no authentication, and forged packets can take all memory: so it runs in a process of its own, with a limit.
+//! It publishes zeros when a command lapses, when its host is silent, and when its input ends; then it exits.
+
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::net::IpAddr;
+use std::process::ExitCode;
+use std::sync::mpsc::{self, Receiver, SyncSender, TryRecvError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use nix::sys::resource::{Resource, setrlimit};
+
+use super::dds::Dds;
+use super::packet::{self, FromNode, Heard, LONGEST, Plan, Role, Sample, ToNode, TopicState, Vitals};
+use super::{REFUSED, SUBCOMMAND};
+
+/// Period of heartbeats.
+const BEAT: Duration = Duration::from_millis(50);
+/// Silence of the host after which commands are not trusted.
+const SILENCE: Duration = Duration::from_millis(150);
+/// Period of zeros at first, for `URGENT`, and later.
+const ZEROS: [Duration; 2] = [Duration::from_millis(20), Duration::from_millis(200)];
+/// Time of fast zeros.
+const URGENT: Duration = Duration::from_millis(1000);
+/// Time of zeros after the end of the input. The host waits a second.
+const FAREWELL: Duration = Duration::from_millis(300);
+/// Time that DDS has to sign off; then the process ends without it.
+const SIGN_OFF: Duration = Duration::from_millis(200);
+/// Period at which a spare reports what it hears.
+const SPARE_REPORT: Duration = Duration::from_millis(200);
+/// Packets that wait for a reader of stdout; further ones are dropped. So a halted host delays no zeros.
+const ROOM: usize = 64;
+
+/// Runs until the input ends. The result is an error if DDS cannot be opened.
+pub fn run() -> ExitCode {
+    let mut stdin = BufReader::new(io::stdin());
+    let mut line = Vec::new();
+    let Ok(ToNode::Open(plan)) = read_line(&mut stdin, &mut line).and_then(|()| decode(&line)) else {
+        eprintln!("{SUBCOMMAND} is started by a host, which sends it a plan; there is nothing to do here by hand");
+        return ExitCode::from(2);
+    };
+    if let Err(error) = limit_memory(plan.memory_mib) {
+        eprintln!("{}: the memory of the DDS process cannot be limited: {error}; it does not start", plan.name);
+        return ExitCode::FAILURE;
+    }
+    // A panic in a thread of DDS would leave a process that beats and hears nothing.
+    let report = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        report(panic);
+        std::process::abort();
+    }));
+    let say = Speaker::start();
+    let dds = networks(plan.interface.as_deref()).and_then(|networks| Dds::open(&plan, &networks));
+    match dds {
+        Ok(dds) => Node::new(plan, dds, say).run(stdin),
+        Err(problem) => {
+            say.refuse(&plan, &problem);
+            ExitCode::from(REFUSED)
+        }
+    }
+}
+
+fn decode(line: &[u8]) -> io::Result<ToNode> {
+    packet::decode_to_node(line).map_err(io::Error::other)
+}
+
+/// Reads a line of at most `LONGEST` bytes; an end of the input is an error.
+fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<()> {
+    line.clear();
+    let most = u64::try_from(LONGEST + 1).expect("a small number");
+    match input.by_ref().take(most).read_until(b'\n', line)? {
+        0 => Err(io::ErrorKind::UnexpectedEof.into()),
+        _ => Ok(()),
+    }
+}
+
+/// Limits the address space to what it is now and `mib` \[MiB\] more.
+fn limit_memory(mib: u32) -> io::Result<()> {
+    let now_kib = memory_kib("VmSize:").unwrap_or(0);
+    let bytes = (now_kib + u64::from(mib) * 1024) * 1024;
+    setrlimit(Resource::RLIMIT_AS, bytes, bytes)?;
+    // No core files: an abort at the limit is an ordinary end.
+    setrlimit(Resource::RLIMIT_CORE, 0, 0)?;
+    Ok(())
+}
+
+/// One line of `/proc/self/status` \[KiB\].
+fn memory_kib(field: &str) -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    status.lines().find_map(|line| line.strip_prefix(field))?.split_whitespace().next()?.parse().ok()
+}
+
+/// Addresses of an interface, given by name or address; none given: no restriction.
+fn networks(interface: Option<&str>) -> Result<Vec<IpAddr>, String> {
+    let Some(interface) = interface else { return Ok(Vec::new()) };
+    let all = nix::ifaddrs::getifaddrs().map_err(|error| format!("the interfaces cannot be listed: {error}"))?;
+    let address: Option<IpAddr> = interface.parse().ok();
+    let mut found = Vec::new();
+    for entry in all {
+        let Some(v4) = entry.address.and_then(|address| address.as_sockaddr_in().map(|v4| IpAddr::V4(v4.ip()))) else {
+            continue;
+        };
+        if entry.interface_name == interface || address == Some(v4) {
+            found.push(v4);
+        }
+    }
+    if found.is_empty() {
+        return Err(format!("interface '{interface}' has no IPv4 address here; `ip -4 address` lists those that have"));
+    }
+    Ok(found)
+}
+
+/// Sender of packets to the host, on a thread of its own.
+struct Speaker {
+    lines: SyncSender<Vec<u8>>,
+    written: thread::JoinHandle<()>,
+}
+
+impl Speaker {
+    fn start() -> Speaker {
+        let (lines, queue) = mpsc::sync_channel::<Vec<u8>>(ROOM);
+        let written = thread::spawn(move || {
+            let mut stdout = io::stdout();
+            for line in queue {
+                if stdout.write_all(&line).and_then(|()| stdout.flush()).is_err() {
+                    return;
+                }
+            }
+        });
+        Speaker { lines, written }
+    }
+
+    fn say(&self, packet: &FromNode) {
+        // Without room the host is halted, and packets of now are old when it goes on.
+        let _ = self.lines.try_send(packet::encode(packet));
+    }
+
+    /// Reports the same problem for all topics, and returns when the host has it.
+    fn refuse(self, plan: &Plan, problem: &str) {
+        let topics = plan.writers.iter().map(|writer| (&writer.topic, true));
+        for (topic, written) in topics.chain(plan.readers.iter().map(|reader| (&reader.topic, false))) {
+            let problem = Some(problem.chars().take(300).collect());
+            self.say(&FromNode::Topic(TopicState { topic: topic.clone(), written, peers: 0, problem }));
+        }
+        drop(self.lines);
+        let _ = self.written.join();
+    }
+}
+
+/// Watch on the commands of one topic.
+#[derive(Clone, Copy, Debug, Default)]
+struct Motor {
+    /// Expiry of the last command; none: there was none.
+    until: Option<Instant>,
+    /// Time since which it is stopped here, and time of the next zero.
+    stopped: Option<(Instant, Instant)>,
+}
+
+impl Motor {
+    /// Notes a command that is published.
+    fn command(&mut self, until: Instant) {
+        *self = Motor { until: Some(until), stopped: None };
+    }
+
+    /// Whether a zero is due, as the command has lapsed or is not trusted.
+    fn zero_due(&mut self, now: Instant, trusted: bool) -> bool {
+        if self.until.is_none_or(|until| trusted && now < until) {
+            return false;
+        }
+        let (since, next) = *self.stopped.get_or_insert((now, now));
+        if now < next {
+            return false;
+        }
+        let period = if now.duration_since(since) < URGENT { ZEROS[0] } else { ZEROS[1] };
+        self.stopped = Some((since, now + period));
+        true
+    }
+
+    /// Time at which `zero_due` has to be asked.
+    fn wake_at(&self) -> Option<Instant> {
+        self.stopped.map(|(_, next)| next).or(self.until)
+    }
+}
+
+/// State of the program once DDS is open.
+struct Node {
+    dds: Dds,
+    say: Speaker,
+    role: Role,
+    motors: Vec<Motor>,
+    /// Topics with commands.
+    commands: Vec<bool>,
+    /// States as last reported.
+    reported: Vec<TopicState>,
+    /// Time of the next report of each reader, for a spare.
+    report_at: Vec<Instant>,
+    /// Last packet of the host.
+    host: Instant,
+}
+
+impl Node {
+    fn new(plan: Plan, dds: Dds, say: Speaker) -> Node {
+        let now = Instant::now();
+        Node {
+            dds,
+            say,
+            role: Role::Spare,
+            motors: vec![Motor::default(); plan.writers.len()],
+            commands: plan.writers.iter().map(|writer| writer.kind.is_command()).collect(),
+            reported: Vec::new(),
+            report_at: vec![now; plan.readers.len()],
+            host: now,
+        }
+    }
+
+    fn run(mut self, stdin: BufReader<io::Stdin>) -> ExitCode {
+        let packets = self.listen(stdin);
+        let mut beat_at = Instant::now();
+        let mut ends: Option<Instant> = None;
+        loop {
+            let now = Instant::now();
+            if ends.is_none() && !self.obey(now, &packets) {
+                ends = Some(now + FAREWELL);
+            }
+            self.hear(now);
+            let moved = self.stand(now, ends.is_none() && now.duration_since(self.host) <= SILENCE);
+            if ends.is_some_and(|end| now >= end || !moved) {
+                return self.close();
+            }
+            if now >= beat_at {
+                beat_at = now + BEAT;
+                self.beat();
+            }
+            let wakes = self.motors.iter().filter_map(Motor::wake_at).filter(|at| *at > now);
+            let wake =
+                wakes.chain([self.host + SILENCE].into_iter().filter(|at| *at > now)).fold(beat_at, Instant::min);
+            self.dds.wait(wake.saturating_duration_since(Instant::now()));
+        }
+    }
+
+    /// Starts to read packets of the host.
+    fn listen(&self, mut stdin: BufReader<io::Stdin>) -> Receiver<ToNode> {
+        let (tx, packets) = mpsc::sync_channel(ROOM);
+        let waker = self.dds.waker();
+        thread::spawn(move || {
+            let mut line = Vec::new();
+            while read_line(&mut stdin, &mut line).is_ok() {
+                // The host is trusted; a line cut short at its end is the only one that is not understood.
+                if let Ok(packet) = decode(&line) {
+                    if tx.send(packet).is_err() {
+                        return;
+                    }
+                    let _ = waker.wake();
+                }
+            }
+            drop(tx);
+            let _ = waker.wake();
+        });
+        packets
+    }
+
+    /// Takes the host's packets; of the commands for a topic only the newest counts. False at the end of the input.
+    fn obey(&mut self, now: Instant, packets: &Receiver<ToNode>) -> bool {
+        let mut newest = vec![None; self.motors.len()];
+        let open = loop {
+            match packets.try_recv() {
+                Ok(ToNode::Beat(role)) => {
+                    if role == Role::Active && self.role == Role::Spare {
+                        // All topics are reported anew: the host had those of another process.
+                        self.reported.clear();
+                    }
+                    self.role = role;
+                }
+                Ok(ToNode::Drive(drive)) => {
+                    if let Some(slot) = newest.get_mut(usize::from(drive.topic)) {
+                        *slot = Some(drive);
+                    }
+                }
+                Ok(ToNode::Publish(publish)) if self.role == Role::Active => {
+                    self.dds.publish(usize::from(publish.topic), &publish.message);
+                }
+                Ok(ToNode::Publish(_) | ToNode::Open(_)) => {}
+                Err(TryRecvError::Empty) => break true,
+                Err(TryRecvError::Disconnected) => break false,
+            }
+            self.host = now;
+        };
+        for (topic, drive) in newest.into_iter().enumerate() {
+            if let Some(drive) = drive.filter(|_| self.role == Role::Active && self.commands[topic]) {
+                self.dds.drive(topic, [drive.x, drive.y, drive.yaw]);
+                self.motors[topic].command(now + Duration::from_millis(u64::from(drive.for_ms)));
+            }
+        }
+        open
+    }
+
+    /// Reports what was heard; a spare reports a few messages of each topic.
+    fn hear(&mut self, now: Instant) {
+        let Node { dds, say, role, report_at, .. } = self;
+        dds.take(|topic, sample: Sample| {
+            if *role == Role::Active || now >= report_at[topic] {
+                report_at[topic] = now + SPARE_REPORT;
+                let topic = u16::try_from(topic).expect("a plan has at most 256 topics");
+                say.say(&FromNode::Heard(Heard { topic, sample }));
+            }
+        });
+    }
+
+    /// Publishes the zeros that are due. Returns whether this process has ever moved a robot.
+    fn stand(&mut self, now: Instant, trusted: bool) -> bool {
+        for (topic, motor) in self.motors.iter_mut().enumerate() {
+            if self.role == Role::Active && motor.zero_due(now, trusted) {
+                self.dds.drive(topic, [0.0; 3]);
+            }
+        }
+        self.role == Role::Active && self.motors.iter().any(|motor| motor.until.is_some())
+    }
+
+    fn beat(&mut self) {
+        let resident = memory_kib("VmRSS:").unwrap_or(0) / 1024;
+        for (index, state) in self.dds.states().enumerate() {
+            match self.reported.get_mut(index) {
+                Some(reported) if reported == state => continue,
+                Some(reported) => *reported = state.clone(),
+                None => self.reported.push(state.clone()),
+            }
+            self.say.say(&FromNode::Topic(state.clone()));
+        }
+        let resident_mib = u32::try_from(resident).unwrap_or(u32::MAX);
+        self.say.say(&FromNode::Beat(Vitals { resident_mib, matched: self.dds.is_matched() }));
+    }
+
+    /// Signs off from DDS, but not for longer than `SIGN_OFF`.
+    fn close(self) -> ExitCode {
+        let (done, closed) = mpsc::channel();
+        let dds = self.dds;
+        thread::spawn(move || {
+            dds.close();
+            let _ = done.send(());
+        });
+        let _ = closed.recv_timeout(SIGN_OFF);
+        ExitCode::SUCCESS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_that_lapses_is_followed_by_zeros_fast_at_first() {
+        let start = Instant::now();
+        let at = |ms: u64| start + Duration::from_millis(ms);
+        let mut motor = Motor::default();
+        assert!(!motor.zero_due(at(0), false), "it has moved nothing");
+        motor.command(at(200));
+        let zeros: Vec<u64> = (0..3000).filter(|ms| motor.zero_due(at(*ms), true)).collect();
+        assert_eq!(zeros[..3], [200, 220, 240]);
+        assert_eq!(zeros.iter().filter(|ms| **ms < 1200).count(), 50);
+        assert_eq!(zeros[50..53], [1200, 1400, 1600]);
+        motor.command(at(3200));
+        assert!(!motor.zero_due(at(3000), true));
+        assert!(motor.zero_due(at(3001), false), "the host is silent");
+    }
+
+    #[test]
+    fn interfaces_are_found_by_name_and_by_address() {
+        assert_eq!(networks(None), Ok(vec![]));
+        let loopback: IpAddr = "127.0.0.1".parse().unwrap();
+        assert_eq!(networks(Some("127.0.0.1")), Ok(vec![loopback]));
+        assert_eq!(networks(Some("lo")), Ok(vec![loopback]));
+        assert!(networks(Some("no-such")).unwrap_err().contains("'no-such' has no IPv4 address"));
+    }
+
+    #[test]
+    fn lines_are_read_up_to_their_longest() {
+        let mut input: &[u8] = b"one\ntwo";
+        let mut line = Vec::new();
+        assert!(read_line(&mut input, &mut line).is_ok() && line == b"one\n");
+        assert!(read_line(&mut input, &mut line).is_ok() && line == b"two");
+        assert!(read_line(&mut input, &mut line).is_err());
+    }
+}

@@ -1,0 +1,173 @@
+//! The team as standard messages, for people who work with `rviz2` and `rosbag2`. Pure.
+//!
+//! Each robot's estimate is `nav_msgs/Odometry` on `<prefix>/robot_<id>/odom` in the frame `map`. The team's state and
+//! latents are `std_msgs/Float32MultiArray`, one row for each robot by id. Nothing here reaches a robot.
+
+use crate::config::ConfigError;
+use crate::messages::geometry::Motion;
+use crate::messages::ids::RobotId;
+use crate::messages::wire::Reading;
+
+use super::messages::check_topic;
+use super::packet::{self, MAX_FLOATS, Outgoing, Plan, PoseSample, Publish, ToNode, TwistSample, Writer, Written};
+
+/// Columns of the team's state: id, x, y \[m\], velocity along x and y \[m/s\].
+pub const STATE_COLUMNS: u32 = 5;
+
+/// Topics of a team.
+#[derive(Clone, Debug)]
+pub struct Observation {
+    robots: Vec<RobotId>,
+    plan: Plan,
+}
+
+impl Observation {
+    /// Topics for these robots under a prefix such as `/team`.
+    ///
+    /// # Errors
+    ///
+    /// The prefix is no ROS name, or there are more robots than a process has topics.
+    pub fn new(prefix: &str, robots: &[RobotId], plan: Plan) -> Result<Observation, ConfigError> {
+        check_topic(prefix).map_err(|why| ConfigError::field("prefix", format!("'{prefix}': {why}")))?;
+        if robots.len() + 2 > packet::MAX_TOPICS {
+            let reason = format!("{} robots are too many; observe at most 254 from one host", robots.len());
+            return Err(ConfigError::field("robots", reason));
+        }
+        let mut robots = robots.to_vec();
+        robots.sort_unstable();
+        let floats = |name: &str| Writer { topic: format!("{prefix}/{name}"), kind: Written::Floats };
+        let pose = |robot: &RobotId| format!("{prefix}/robot_{}/odom", robot.0);
+        let poses = robots.iter().map(|robot| Writer { topic: pose(robot), kind: Written::Odometry });
+        let writers = [floats("state"), floats("latents")].into_iter().chain(poses).collect();
+        let plan = Plan { writers, readers: Vec::new(), ..plan };
+        Ok(Observation { robots, plan })
+    }
+
+    /// Plan for the supervisor.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Packet of a robot's reading; none for a robot of another team.
+    pub fn pose(&self, reading: &Reading) -> Option<Vec<u8>> {
+        let index = self.robots.binary_search(&reading.robot).ok()?;
+        let heading = reading.pose.heading.map(f64::from);
+        let velocity = reading.twist.velocity;
+        // The twist of an Odometry is in the frame of the robot; without a heading that frame is unknown.
+        let twist = heading.map(|heading| {
+            let (x, y) = super::reading::rotated(-heading, f64::from(velocity.x), f64::from(velocity.y));
+            let deviation = &reading.deviation;
+            TwistSample {
+                x,
+                y,
+                yaw_rate: f64::from(reading.twist.yaw_rate.unwrap_or(0.0)),
+                velocity_m_s: deviation.velocity_m_s.map(f64::from),
+                yaw_rate_rad_s: deviation.yaw_rate_rad_s.map(f64::from),
+            }
+        });
+        let pose = PoseSample {
+            // Zero: the process stamps it with the clock of this machine, as the sensor's clock means nothing to ROS.
+            stamp_ns: 0,
+            x: f64::from(reading.pose.position.x),
+            y: f64::from(reading.pose.position.y),
+            yaw: heading,
+            position_m: reading.deviation.position_m.map(f64::from),
+            heading_rad: reading.deviation.heading_rad.map(f64::from),
+            twist,
+        };
+        publish(2 + index, Outgoing::Pose(pose))
+    }
+
+    /// Packet of the team's state: robots in the order given, which should be by id.
+    pub fn state(&self, team: &[(RobotId, Motion)]) -> Option<Vec<u8>> {
+        let row = |(robot, motion): &(RobotId, Motion)| {
+            let (at, velocity) = (motion.position, motion.velocity);
+            [f32::from(robot.0), at.x, at.y, velocity.x, velocity.y]
+        };
+        self.rows(0, STATE_COLUMNS, team.iter().flat_map(row).collect())
+    }
+
+    /// Packet of the team's latents: rows of id and features. Rows of unequal length are filled up with zeros.
+    pub fn latents(&self, team: &[(RobotId, &[f32])]) -> Option<Vec<u8>> {
+        let most = team.iter().map(|(_, features)| features.len()).max()?;
+        let mut data = Vec::with_capacity(team.len() * (most + 1));
+        for (robot, features) in team {
+            data.push(f32::from(robot.0));
+            data.extend_from_slice(features);
+            data.resize(data.len() + most - features.len(), 0.0);
+        }
+        self.rows(1, u32::try_from(most + 1).ok()?, data)
+    }
+
+    /// Packet of an array; none if it is too large, or has a number that is not finite.
+    fn rows(&self, topic: usize, columns: u32, data: Vec<f32>) -> Option<Vec<u8>> {
+        let fits = data.len() <= MAX_FLOATS && data.iter().all(|value| value.is_finite());
+        fits.then(|| publish(topic, Outgoing::Floats(columns, data)))?
+    }
+}
+
+fn publish(topic: usize, message: Outgoing) -> Option<Vec<u8>> {
+    let topic = u16::try_from(topic).ok()?;
+    Some(packet::encode(&ToNode::Publish(Publish { topic, message })))
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::messages::geometry::Vec2;
+
+    use super::*;
+
+    fn observation() -> Observation {
+        let plan = Plan {
+            name: "team".to_owned(),
+            domain: 0,
+            interface: None,
+            memory_mib: 192,
+            writers: Vec::new(),
+            readers: Vec::new(),
+        };
+        Observation::new("/team", &[RobotId(7), RobotId(2)], plan).unwrap()
+    }
+
+    fn published(line: Option<Vec<u8>>) -> Publish {
+        match packet::decode_to_node(&line.unwrap()) {
+            Ok(ToNode::Publish(publish)) => publish,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn each_robot_has_its_topic_and_the_team_has_two() {
+        let topics = observation().plan().writers.iter().map(|writer| writer.topic.clone()).collect::<Vec<_>>();
+        assert_eq!(topics, ["/team/state", "/team/latents", "/team/robot_2/odom", "/team/robot_7/odom"]);
+        let wrong = Observation::new("team", &[], observation().plan).unwrap_err();
+        assert!(wrong.to_string().starts_with("prefix: "));
+    }
+
+    #[test]
+    fn a_velocity_is_turned_into_the_frame_of_the_robot() {
+        let motion = Motion { position: Vec2::new(1.0, 2.0), velocity: Vec2::new(0.0, 0.5) };
+        let mut reading = Reading::of_point(RobotId(7), 1, motion);
+        let Publish { topic, message: Outgoing::Pose(pose) } = published(observation().pose(&reading)) else {
+            panic!()
+        };
+        assert_eq!((topic, pose.x, pose.y, pose.yaw, pose.twist), (3, 1.0, 2.0, None, None));
+        reading.pose.heading = Some(std::f32::consts::FRAC_PI_2);
+        let Publish { message: Outgoing::Pose(pose), .. } = published(observation().pose(&reading)) else { panic!() };
+        let twist = pose.twist.unwrap();
+        assert!((twist.x - 0.5).abs() < 1e-6 && twist.y.abs() < 1e-6, "{twist:?}");
+        assert_eq!(observation().pose(&Reading { robot: RobotId(3), ..reading }), None);
+    }
+
+    #[test]
+    fn arrays_have_a_row_for_each_robot() {
+        let motion = Motion { position: Vec2::new(1.0, 2.0), velocity: Vec2::new(3.0, 4.0) };
+        let state = published(observation().state(&[(RobotId(2), motion)]));
+        assert_eq!(state.message, Outgoing::Floats(5, vec![2.0, 1.0, 2.0, 3.0, 4.0]));
+        let latents = published(observation().latents(&[(RobotId(2), &[0.5, 0.25]), (RobotId(7), &[1.0])]));
+        assert_eq!(latents, Publish { topic: 1, message: Outgoing::Floats(3, vec![2.0, 0.5, 0.25, 7.0, 1.0, 0.0]) });
+        assert_eq!(observation().latents(&[]), None);
+        assert_eq!(observation().latents(&[(RobotId(2), &[f32::NAN])]), None);
+        assert_eq!(observation().latents(&[(RobotId(2), &[0.0; 600])]), None);
+    }
+}

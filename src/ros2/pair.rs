@@ -1,0 +1,536 @@
+//! Pair of DDS processes: an active one and a warm spare. Pure; the supervisor carries out its actions.
+//!
+//! The spare is discovered and silent. It takes over at once when the active process ends, is halted, takes too much
+//! memory, or no longer hears what the spare hears. The other is then killed and replaced, with backoff.
+
+use crate::time::{Span, Time};
+
+use super::packet::{self, Drive, FromNode, Plan, Role, ToNode, Vitals};
+
+/// Number of a process, which no later one has again.
+pub type Id = u32;
+
+/// Packet as a line.
+pub type Line = Box<[u8]>;
+
+/// Period of heartbeats, both ways.
+pub const BEAT: Span = Span::from_millis(50);
+/// Silence after which a process is taken for halted: two heartbeats lost and half a period of jitter.
+pub const SILENCE: Span = Span::from_millis(150);
+/// The same for a process without a spare that is alive: a busy machine delays both, and a restart takes a second.
+const SILENCE_ALONE: Span = Span::from_millis(600);
+/// Longest start of a process, discovery not counted. A busy machine of two cores takes 0.3 s.
+const START: Span = Span::from_millis(5000);
+/// Gap between two ticks that shows that this process itself was halted: the others are not judged by it.
+const OWN_HALT: Span = Span::from_millis(250);
+/// Time for which the spare has to be better connected before it takes over.
+const WORSE: Span = Span::from_millis(1000);
+/// Largest age of a message that counts as heard now. A spare reports five a second.
+const HEARD_NOW: Span = Span::from_millis(450);
+/// Time without any message after which the spare is replaced: forged packets can leave DDS deaf for good.
+const DEAF: Span = Span::from_millis(3000);
+/// Longest such time, reached by doubling while the robots are off.
+const DEAF_MOST: Span = Span::from_millis(24_000);
+/// First and longest delay of a restart, doubled at each quick end.
+const BACKOFF: [Span; 2] = [Span::from_millis(100), Span::from_millis(2000)];
+/// Life after which the end of a process is not a quick one.
+const LIVED: Span = Span::from_millis(10_000);
+
+/// Input of a pair.
+#[derive(Clone, Copy, Debug)]
+pub enum Event<'a> {
+    /// Line of a process.
+    Line(Id, &'a [u8]),
+    /// A process has ended.
+    Ended(Id),
+    /// Packet of the driver or source for the active process.
+    Packet(&'a [u8]),
+}
+
+/// Output of a pair.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Start a process with this number.
+    Start(Id),
+    /// Kill a process.
+    Kill(Id),
+    /// Write a line to a process.
+    Send(Id, Line),
+    /// Pass a line on to the driver or source.
+    Pass(Line),
+}
+
+/// Pair of DDS processes, or one without a spare.
+#[derive(Debug)]
+pub struct Pair {
+    plan: Plan,
+    slots: Vec<Slot>,
+    /// Index of the active slot.
+    active: usize,
+    /// Newest command of each writer, with its expiry.
+    newest: Vec<Option<(Time, Drive)>>,
+    beat_at: Time,
+    ticked: Time,
+    next: Id,
+    /// Time since which the spare is better connected.
+    worse: Option<Time>,
+    /// Last time at which any process was connected, and patience until the next replacement for want of it.
+    linked: Time,
+    patience: Span,
+}
+
+/// Place of a process.
+#[derive(Debug, Default)]
+struct Slot {
+    process: Option<Process>,
+    start_at: Time,
+    quick_ends: u32,
+}
+
+/// One process.
+#[derive(Debug)]
+struct Process {
+    id: Id,
+    started: Time,
+    /// Time of its last line; none: it is still starting.
+    heard: Option<Time>,
+    vitals: Vitals,
+    /// Last message of each reader.
+    topics: Vec<Option<Time>>,
+}
+
+impl Process {
+    fn is_live(&self, now: Time) -> bool {
+        self.heard.is_some_and(|heard| now.since(heard) <= SILENCE)
+    }
+
+    fn hears(&self, now: Time, topic: usize) -> bool {
+        self.topics[topic].is_some_and(|at| now.since(at) <= HEARD_NOW)
+    }
+}
+
+impl Pair {
+    /// Makes a pair that starts its processes at the first tick.
+    pub fn new(now: Time, plan: Plan, spare: bool) -> Pair {
+        let slots = if spare { vec![Slot::default(), Slot::default()] } else { vec![Slot::default()] };
+        let newest = vec![None; plan.writers.len()];
+        Pair {
+            plan,
+            slots,
+            active: 0,
+            newest,
+            beat_at: now,
+            ticked: now,
+            next: 0,
+            worse: None,
+            linked: now,
+            patience: DEAF,
+        }
+    }
+
+    /// Number of the active process, if it runs.
+    pub fn active(&self) -> Option<Id> {
+        self.slots[self.active].process.as_ref().map(|process| process.id)
+    }
+
+    /// Takes an event. `tick` must follow.
+    pub fn handle(&mut self, now: Time, event: Event, out: &mut Vec<Action>) {
+        match event {
+            Event::Line(id, line) => self.heard(now, id, line, out),
+            Event::Ended(id) => {
+                if let Some(index) = self.index(id) {
+                    self.end(now, index, out);
+                }
+            }
+            Event::Packet(line) => {
+                if let Ok(ToNode::Drive(drive)) = packet::decode_to_node(line)
+                    && let Some(newest) = self.newest.get_mut(usize::from(drive.topic))
+                {
+                    *newest = Some((now + Span::from_millis(u64::from(drive.for_ms)), drive));
+                }
+                if let Some(id) = self.active() {
+                    out.push(Action::Send(id, line.into()));
+                }
+            }
+        }
+    }
+
+    /// Does what is due. It has to be called after each event, and no later than `wake_at`.
+    pub fn tick(&mut self, now: Time, out: &mut Vec<Action>) {
+        if now.since(self.ticked) > OWN_HALT {
+            for process in self.slots.iter_mut().filter_map(|slot| slot.process.as_mut()) {
+                process.heard = process.heard.map(|_| now);
+                process.started = now;
+            }
+            self.linked = now;
+        }
+        self.ticked = now;
+        self.judge(now, out);
+        self.elect(now, out);
+        self.start(now, out);
+        if now >= self.beat_at {
+            self.beat_at = now + BEAT;
+            self.replace_deaf(now, out);
+            for (index, slot) in self.slots.iter().enumerate() {
+                let role = if index == self.active { Role::Active } else { Role::Spare };
+                if let Some(process) = &slot.process {
+                    out.push(Action::Send(process.id, packet::encode(&ToNode::Beat(role)).into()));
+                }
+            }
+        }
+    }
+
+    /// Time of the next `tick`.
+    pub fn wake_at(&self) -> Time {
+        let due = |slot: &Slot| match &slot.process {
+            None => Some(slot.start_at),
+            Some(process) => process.heard.map(|heard| heard + SILENCE + Span::from_nanos(1)),
+        };
+        let dues = self.slots.iter().filter_map(due).filter(|due| *due > self.ticked);
+        dues.fold(self.beat_at, Time::min)
+    }
+
+    fn index(&self, id: Id) -> Option<usize> {
+        self.slots.iter().position(|slot| slot.process.as_ref().is_some_and(|process| process.id == id))
+    }
+
+    fn heard(&mut self, now: Time, id: Id, line: &[u8], out: &mut Vec<Action>) {
+        let Some(index) = self.index(id) else { return };
+        let Some(process) = &mut self.slots[index].process else { return };
+        process.heard = Some(now);
+        let pass = match packet::decode_from_node(line) {
+            Ok(FromNode::Beat(vitals)) => {
+                process.vitals = vitals;
+                false
+            }
+            Ok(FromNode::Heard(heard)) => {
+                if let Some(topic) = process.topics.get_mut(usize::from(heard.topic)) {
+                    *topic = Some(now);
+                }
+                true
+            }
+            // The driver or source counts and refuses what is not understood.
+            Ok(FromNode::Topic(_)) | Err(_) => true,
+        };
+        if pass && index == self.active {
+            out.push(Action::Pass(line.into()));
+        }
+    }
+
+    /// Ends processes that are halted or too large.
+    fn judge(&mut self, now: Time, out: &mut Vec<Action>) {
+        for index in 0..self.slots.len() {
+            let Some(process) = &self.slots[index].process else { continue };
+            let other = self.other(index).filter(|other| other.is_live(now));
+            let silence = now.since(process.heard.unwrap_or(process.started));
+            let patience = match (process.heard, other) {
+                (None, _) => START,
+                (Some(_), Some(_)) => SILENCE,
+                (Some(_), None) => SILENCE_ALONE,
+            };
+            let size = process.vitals.resident_mib;
+            let halted = silence > patience;
+            let relief = other.is_some_and(|other| other.vitals.resident_mib < size && self.is_linked(now, other));
+            let large = size > self.plan.memory_mib / 2 && relief;
+            if halted || large {
+                let name = &self.plan.name;
+                if halted {
+                    tracing::warn!("{name}: a DDS process is silent for {silence} and is replaced");
+                } else {
+                    tracing::warn!(
+                        "{name}: a DDS process takes {size} MiB and is replaced; see who sends on its ports"
+                    );
+                }
+                out.push(Action::Kill(process.id));
+                self.end(now, index, out);
+            }
+        }
+    }
+
+    fn other(&self, index: usize) -> Option<&Process> {
+        self.slots.iter().enumerate().find(|(other, _)| *other != index)?.1.process.as_ref()
+    }
+
+    /// Forgets a process that has ended or is killed, and plans the next.
+    fn end(&mut self, now: Time, index: usize, out: &mut Vec<Action>) {
+        let slot = &mut self.slots[index];
+        let Some(process) = slot.process.take() else { return };
+        slot.quick_ends = if now.since(process.started) < LIVED { (slot.quick_ends + 1).min(16) } else { 0 };
+        let doubled = BACKOFF[0] * (1 << slot.quick_ends.saturating_sub(1));
+        slot.start_at = if slot.quick_ends == 0 { now } else { now + doubled.min(BACKOFF[1]) };
+        self.elect(now, out);
+    }
+
+    /// Makes the other process active if it alone is live.
+    fn elect(&mut self, now: Time, out: &mut Vec<Action>) {
+        let live = |slot: &Slot| slot.process.as_ref().is_some_and(|process| process.is_live(now));
+        if live(&self.slots[self.active]) {
+            return;
+        }
+        if let Some(index) = self.slots.iter().position(live) {
+            self.take_over(now, index, out);
+        }
+    }
+
+    /// Makes a process active: it gets the newest commands, or zeros for those that have lapsed.
+    fn take_over(&mut self, now: Time, index: usize, out: &mut Vec<Action>) {
+        self.active = index;
+        self.worse = None;
+        let Some(id) = self.active() else { return };
+        out.push(Action::Send(id, packet::encode(&ToNode::Beat(Role::Active)).into()));
+        for (until, drive) in self.newest.iter().flatten() {
+            let left = until.since(now).as_nanos() / 1_000_000;
+            let stand = Drive { x: 0.0, y: 0.0, yaw: 0.0, for_ms: 0, ..*drive };
+            let drive = match u32::try_from(left) {
+                Ok(for_ms) if for_ms > 0 => Drive { for_ms, ..*drive },
+                _ => stand,
+            };
+            out.push(Action::Send(id, packet::encode(&ToNode::Drive(drive)).into()));
+        }
+    }
+
+    fn start(&mut self, now: Time, out: &mut Vec<Action>) {
+        for slot in &mut self.slots {
+            if slot.process.is_some() || slot.start_at > now {
+                continue;
+            }
+            let id = self.next;
+            self.next += 1;
+            let vitals = Vitals { resident_mib: 0, matched: false };
+            let topics = vec![None; self.plan.readers.len()];
+            slot.process = Some(Process { id, started: now, heard: None, vitals, topics });
+            out.push(Action::Start(id));
+            out.push(Action::Send(id, packet::encode(&ToNode::Open(self.plan.clone())).into()));
+        }
+    }
+
+    /// Lets a spare take over that is better connected; replaces the spare while nothing is heard at all.
+    fn replace_deaf(&mut self, now: Time, out: &mut Vec<Action>) {
+        if self.slots.iter().filter_map(|slot| slot.process.as_ref()).any(|process| self.is_linked(now, process)) {
+            (self.linked, self.patience) = (now, DEAF);
+        }
+        let spare = if self.slots.len() == 2 { 1 - self.active } else { self.active };
+        if self.is_worse(now) {
+            let since = *self.worse.get_or_insert(now);
+            if now.since(since) > WORSE {
+                tracing::warn!("{}: the spare DDS process hears more, and takes over", self.plan.name);
+                let worse = self.active;
+                self.take_over(now, spare, out);
+                self.kill(now, worse, out);
+            }
+            return;
+        }
+        self.worse = None;
+        let old = self.slots[spare].process.as_ref().is_some_and(|process| now.since(process.started) > self.patience);
+        if old && now.since(self.linked) > self.patience {
+            self.patience = (self.patience * 2).min(DEAF_MOST);
+            self.kill(now, spare, out);
+        }
+    }
+
+    fn kill(&mut self, now: Time, index: usize, out: &mut Vec<Action>) {
+        out.extend(self.slots[index].process.as_ref().map(|process| Action::Kill(process.id)));
+        self.end(now, index, out);
+        self.slots[index].start_at = now;
+    }
+
+    /// Whether a process hears anything that it should, and is heard.
+    fn is_linked(&self, now: Time, process: &Process) -> bool {
+        let commands = self.plan.writers.iter().any(|writer| writer.kind.is_command());
+        let hears = process.topics.is_empty() || (0..process.topics.len()).any(|topic| process.hears(now, topic));
+        hears && (!commands || process.vitals.matched)
+    }
+
+    /// Whether the spare hears a topic that the active process does not hear, or alone has a subscriber.
+    fn is_worse(&self, now: Time) -> bool {
+        let Some(active) = &self.slots[self.active].process else { return false };
+        let Some(spare) = self.other(self.active).filter(|spare| spare.is_live(now)) else { return false };
+        let deaf = |topic| !active.hears(now, topic) && spare.hears(now, topic);
+        (0..active.topics.len()).any(deaf) || (spare.vitals.matched && !active.vitals.matched)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ros2::packet::{Heard, Read, Reader, Sample, Writer, Written};
+
+    fn at_ms(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    fn plan() -> Plan {
+        Plan {
+            name: "robot 1".to_owned(),
+            domain: 0,
+            interface: None,
+            memory_mib: 200,
+            writers: vec![Writer { topic: "/r1/cmd_vel".to_owned(), kind: Written::Twist }],
+            readers: vec![Reader { topic: "/r1/odom".to_owned(), kind: Read::Odometry }],
+        }
+    }
+
+    /// Pair with processes that answer, on a clock of 10 ms.
+    struct Bench {
+        pair: Pair,
+        ms: u64,
+        /// Living processes: number, memory, whether it hears.
+        alive: Vec<(Id, u32, bool)>,
+        halted: Vec<Id>,
+        /// Commands that the processes got: time, process, forward speed.
+        driven: Vec<(u64, Id, f64)>,
+        passed: usize,
+    }
+
+    impl Bench {
+        fn new(spare: bool) -> Bench {
+            let pair = Pair::new(Time::ZERO, plan(), spare);
+            Bench { pair, ms: 0, alive: vec![], halted: vec![], driven: vec![], passed: 0 }
+        }
+
+        fn event(&mut self, event: Event) {
+            let mut out = Vec::new();
+            self.pair.handle(at_ms(self.ms), event, &mut out);
+            self.pair.tick(at_ms(self.ms), &mut out);
+            self.apply(out);
+        }
+
+        fn apply(&mut self, actions: Vec<Action>) {
+            for action in actions {
+                match action {
+                    Action::Start(id) => self.alive.push((id, 12, true)),
+                    Action::Kill(id) => self.alive.retain(|(other, ..)| *other != id),
+                    Action::Send(id, line) => {
+                        if let Ok(ToNode::Drive(drive)) = packet::decode_to_node(&line) {
+                            self.driven.push((self.ms, id, drive.x));
+                        }
+                    }
+                    Action::Pass(_) => self.passed += 1,
+                }
+            }
+        }
+
+        /// Runs for some time; each process beats every 50 ms and hears odometry.
+        fn run(&mut self, ms: u64) {
+            for _ in 0..ms / 10 {
+                self.ms += 10;
+                for (id, resident_mib, hears) in self.alive.clone() {
+                    if self.halted.contains(&id) || !self.ms.is_multiple_of(50) {
+                        continue;
+                    }
+                    let beat = FromNode::Beat(Vitals { resident_mib, matched: true });
+                    self.event(Event::Line(id, &packet::encode(&beat)));
+                    if hears {
+                        let heard = FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(Default::default()) });
+                        self.event(Event::Line(id, &packet::encode(&heard)));
+                    }
+                }
+                let mut out = Vec::new();
+                self.pair.tick(at_ms(self.ms), &mut out);
+                self.apply(out);
+            }
+        }
+
+        fn command(&mut self, x: f64) {
+            let drive = ToNode::Drive(Drive { topic: 0, x, y: 0.0, yaw: 0.0, for_ms: 200 });
+            self.event(Event::Packet(&packet::encode(&drive)));
+        }
+    }
+
+    #[test]
+    fn a_halted_process_is_relieved_by_the_spare_with_the_newest_command() {
+        let mut bench = Bench::new(true);
+        bench.run(2000);
+        bench.command(0.3);
+        assert_eq!(bench.driven, [(2000, 0, 0.3)]);
+        bench.halted.push(0);
+        bench.run(150);
+        assert_eq!(bench.driven[1..], []);
+        bench.run(20);
+        assert_eq!(bench.driven[1..], [(2160, 1, 0.3)]);
+        bench.command(0.2);
+        assert_eq!(bench.driven[2], (2170, 1, 0.2));
+        bench.run(500);
+        assert_eq!(bench.alive.iter().map(|(id, ..)| *id).collect::<Vec<_>>(), [1, 2], "the halted one is replaced");
+    }
+
+    #[test]
+    fn after_an_end_the_spare_stands_if_the_command_has_lapsed() {
+        let mut bench = Bench::new(true);
+        bench.run(1000);
+        bench.command(0.3);
+        bench.run(250);
+        bench.alive.remove(0);
+        bench.event(Event::Ended(0));
+        assert_eq!(bench.driven[1..], [(1250, 1, 0.0)]);
+    }
+
+    #[test]
+    fn quick_ends_are_followed_by_ever_later_starts() {
+        let mut bench = Bench::new(false);
+        let mut starts = Vec::new();
+        for _ in 0..12_000 {
+            bench.run(10);
+            if let Some((id, ..)) = bench.alive.pop() {
+                starts.push(bench.ms);
+                bench.event(Event::Ended(id));
+            }
+        }
+        let gaps: Vec<u64> = starts.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert_eq!(gaps[..7], [100, 200, 400, 800, 1600, 2000, 2000]);
+    }
+
+    #[test]
+    fn a_large_process_is_replaced_while_the_other_is_small() {
+        let mut bench = Bench::new(true);
+        bench.run(1000);
+        bench.alive[0].1 = 150;
+        bench.run(200);
+        assert_eq!(bench.pair.active(), Some(1));
+        assert_eq!(bench.alive.iter().map(|(id, ..)| *id).collect::<Vec<_>>(), [1, 2]);
+        bench.alive[1].2 = false;
+        bench.run(500);
+        bench.alive[0].1 = 150;
+        bench.run(1000);
+        assert_eq!(bench.pair.active(), Some(1), "none that hears nothing takes over");
+    }
+
+    #[test]
+    fn a_spare_that_hears_more_takes_over_and_a_deaf_pair_gets_a_new_spare() {
+        let mut bench = Bench::new(true);
+        bench.run(1000);
+        bench.alive[0].2 = false;
+        bench.run(2000);
+        assert_eq!((bench.pair.active(), bench.alive.len()), (Some(1), 2));
+        bench.alive.iter_mut().for_each(|process| process.2 = false);
+        // A new process hears.
+        bench.run(6000);
+        assert!(bench.pair.active() > Some(2), "{:?}", bench.pair.active());
+        let active = bench.pair.active();
+        bench.run(20_000);
+        assert_eq!(bench.pair.active(), active, "no change without need");
+    }
+
+    #[test]
+    fn a_host_that_was_halted_itself_kills_no_process() {
+        let mut bench = Bench::new(true);
+        bench.run(1000);
+        bench.ms += 5000;
+        bench.run(1000);
+        assert_eq!(bench.alive.iter().map(|(id, ..)| *id).collect::<Vec<_>>(), [0, 1]);
+        assert!(bench.passed > 30);
+    }
+
+    #[test]
+    fn lines_of_the_spare_are_not_passed_on() {
+        let mut bench = Bench::new(true);
+        bench.run(1000);
+        let spare = 1 - bench.pair.active().unwrap();
+        let before = bench.passed;
+        let heard = FromNode::Heard(Heard { topic: 0, sample: Sample::Pose(Default::default()) });
+        bench.event(Event::Line(spare, &packet::encode(&heard)));
+        bench.event(Event::Line(99, &packet::encode(&heard)));
+        bench.event(Event::Line(1 - spare, b"not a packet"));
+        assert_eq!(bench.passed, before + 1, "what is not understood is refused further on");
+    }
+}

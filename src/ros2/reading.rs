@@ -1,0 +1,161 @@
+//! Readings from poses of ROS messages. Pure.
+
+use crate::messages::geometry::{Deviation, Pose, Twist, Vec2};
+use crate::messages::ids::RobotId;
+use crate::messages::wire::{Reading, Wire};
+use serde::Deserialize;
+
+use super::packet::PoseSample;
+
+/// Axes of a robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Axes {
+    /// x forward, y left, yaw counter-clockwise (REP-103).
+    #[default]
+    Rep103,
+    /// x forward, y right, yaw clockwise, as on a RoboMaster behind a CAN bridge.
+    Ned,
+}
+
+impl Axes {
+    /// Factor of y and yaw.
+    pub fn sign(self) -> f64 {
+        match self {
+            Axes::Rep103 => 1.0,
+            Axes::Ned => -1.0,
+        }
+    }
+}
+
+/// Velocity of a robot in the frame of its pose, axes as in REP-103.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Velocity {
+    /// Along x \[m/s\].
+    pub x: f64,
+    /// Along y \[m/s\].
+    pub y: f64,
+    /// Yaw rate \[rad/s\]; none if it is not measured.
+    pub yaw_rate: Option<f64>,
+}
+
+/// Rotates a vector by an angle \[rad\].
+pub fn rotated(angle: f64, x: f64, y: f64) -> (f64, f64) {
+    let (sin, cos) = libm::sincos(angle);
+    (cos * x - sin * y, sin * x + cos * y)
+}
+
+/// Maps an angle \[rad\] into -pi to pi.
+pub fn wrapped(angle: f64) -> f64 {
+    libm::remainder(angle, 2.0 * std::f64::consts::PI)
+}
+
+/// Returns a pose with the axes of REP-103.
+pub fn in_rep103(axes: Axes, mut pose: PoseSample) -> PoseSample {
+    let sign = axes.sign();
+    pose.y *= sign;
+    pose.yaw = pose.yaw.map(|yaw| sign * yaw);
+    if let Some(twist) = &mut pose.twist {
+        twist.y *= sign;
+        twist.yaw_rate *= sign;
+    }
+    pose
+}
+
+/// Velocity in the frame of the pose, from a twist in the frame of the robot; none without a twist or a yaw.
+pub fn velocity(pose: &PoseSample) -> Option<Velocity> {
+    let twist = pose.twist?;
+    let (x, y) = rotated(pose.yaw?, twist.x, twist.y);
+    Some(Velocity { x, y, yaw_rate: Some(twist.yaw_rate) })
+}
+
+/// Reading of a pose and a velocity in the same frame; none if a number is too large for it.
+pub fn reading(robot: RobotId, stamp_ns: u64, pose: &PoseSample, velocity: Velocity) -> Option<Reading> {
+    let twist = pose.twist.unwrap_or_default();
+    let single = |value: Option<f64>| value.map(|value| value as f32);
+    let reading = Reading {
+        robot,
+        stamp_ns,
+        pose: Pose {
+            position: Vec2::new(pose.x as f32, pose.y as f32),
+            heading: pose.yaw.map(|yaw| wrapped(yaw) as f32),
+        },
+        twist: Twist { velocity: Vec2::new(velocity.x as f32, velocity.y as f32), yaw_rate: single(velocity.yaw_rate) },
+        deviation: Deviation {
+            position_m: single(pose.position_m),
+            heading_rad: single(pose.heading_rad),
+            velocity_m_s: single(twist.velocity_m_s),
+            yaw_rate_rad_s: single(twist.yaw_rate_rad_s),
+        },
+    };
+    Wire::Reading(reading.clone()).check().is_ok().then_some(reading)
+}
+
+/// Stamps of one sender: they tell a new message from a repeated one, and no more.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Stamps {
+    newest: Option<u64>,
+}
+
+/// Step back \[ns\] that is taken for a clock that was set anew, not for a late message.
+const CLOCK_SET_NS: u64 = 1_000_000_000;
+
+/// Novelty of a stamp.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Novelty {
+    /// It is newer than all before.
+    New,
+    /// It is new after the sender's clock was set back: nothing is compared with what was before.
+    Anew,
+    /// It is repeated, or late.
+    Old,
+}
+
+impl Stamps {
+    /// Takes a stamp \[ns\].
+    pub fn take(&mut self, stamp_ns: u64) -> Novelty {
+        let novelty = match self.newest {
+            None => Novelty::Anew,
+            Some(newest) if stamp_ns > newest => Novelty::New,
+            Some(newest) if newest - stamp_ns > CLOCK_SET_NS => Novelty::Anew,
+            Some(_) => return Novelty::Old,
+        };
+        self.newest = Some(stamp_ns);
+        novelty
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ros2::packet::TwistSample;
+
+    #[test]
+    fn a_robot_that_points_north_and_goes_ahead_goes_north() {
+        let twist = Some(TwistSample { x: 0.5, y: 0.1, yaw_rate: 0.2, ..TwistSample::default() });
+        let north = PoseSample { yaw: Some(std::f64::consts::FRAC_PI_2), twist, ..PoseSample::default() };
+        let v = velocity(&north).unwrap();
+        assert!((v.x + 0.1).abs() < 1e-12 && (v.y - 0.5).abs() < 1e-12, "{v:?}");
+        assert_eq!(velocity(&PoseSample { yaw: None, ..north }), None);
+        // The same robot in other axes: clockwise by a quarter turn is south, and right is the other side.
+        let south = velocity(&in_rep103(Axes::Ned, north)).unwrap();
+        assert!((south.x + 0.1).abs() < 1e-12 && (south.y + 0.5).abs() < 1e-12, "{south:?}");
+        assert_eq!(south.yaw_rate, Some(-0.2));
+    }
+
+    #[test]
+    fn stamps_tell_new_from_repeated_and_follow_a_clock_that_is_set_back() {
+        let mut stamps = Stamps::default();
+        let taken = [5_000_000_000, 5_000_000_001, 5_000_000_001, 4_500_000_000, 7, 8].map(|stamp| stamps.take(stamp));
+        assert_eq!(taken, [Novelty::Anew, Novelty::New, Novelty::Old, Novelty::Old, Novelty::Anew, Novelty::New]);
+    }
+
+    #[test]
+    fn numbers_that_no_reading_holds_are_refused() {
+        let far = PoseSample { x: 1e9, ..PoseSample::default() };
+        assert_eq!(reading(RobotId(1), 1, &far, Velocity::default()), None);
+        let turned = PoseSample { yaw: Some(7.0), ..PoseSample::default() };
+        let heading = reading(RobotId(1), 1, &turned, Velocity::default()).unwrap().pose.heading.unwrap();
+        assert!((heading - 0.716_814_7).abs() < 1e-6, "{heading}");
+    }
+}

@@ -1,0 +1,253 @@
+//! Content of messages that a host takes and gives, with its conversion from and to ROS messages. Pure.
+
+use serde::{Deserialize, Serialize};
+
+use super::messages::{
+    BatteryState, Covariance, Header, Odometry, Pose, PoseStamped, PoseWithCovarianceStamped, Stamp,
+    TwistWithCovariance,
+};
+
+/// Content of a message that was received.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sample {
+    /// Pose, perhaps with a velocity.
+    Pose(PoseSample),
+    /// Charge of a battery from 0 to 1; none if it is not measured.
+    Battery(Option<f32>),
+}
+
+/// Pose of a robot in the frame of its message, axes as sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseSample {
+    /// Stamp \[ns\] on the sender's clock; zero: not stamped.
+    pub stamp_ns: u64,
+    /// Position along x \[m\].
+    pub x: f64,
+    /// Position along y \[m\].
+    pub y: f64,
+    /// Rotation about z \[rad\]; none if the orientation is not given.
+    pub yaw: Option<f64>,
+    /// Standard deviation of the position \[m\].
+    pub position_m: Option<f64>,
+    /// Standard deviation of the yaw \[rad\].
+    pub heading_rad: Option<f64>,
+    /// Velocity, where the message has one.
+    pub twist: Option<TwistSample>,
+}
+
+/// Velocity of a robot in its own frame, axes as sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TwistSample {
+    /// Along x \[m/s\].
+    pub x: f64,
+    /// Along y \[m/s\].
+    pub y: f64,
+    /// About z \[rad/s\].
+    pub yaw_rate: f64,
+    /// Standard deviation of the linear velocity \[m/s\].
+    pub velocity_m_s: Option<f64>,
+    /// Standard deviation of the yaw rate \[rad/s\].
+    pub yaw_rate_rad_s: Option<f64>,
+}
+
+impl Sample {
+    /// Whether all numbers are in range.
+    pub fn is_sound(&self) -> bool {
+        match self {
+            Sample::Pose(pose) => pose.is_sound(),
+            Sample::Battery(charge) => charge.is_none_or(|charge| (0.0..=1.0).contains(&charge)),
+        }
+    }
+}
+
+impl PoseSample {
+    /// Whether all numbers are finite and deviations are not negative.
+    pub fn is_sound(&self) -> bool {
+        let deviation = |deviation: Option<f64>| deviation.is_none_or(|d| d.is_finite() && d >= 0.0);
+        let twist = self.twist.is_none_or(|twist| {
+            let numbers = [twist.x, twist.y, twist.yaw_rate].iter().all(|v| v.is_finite());
+            numbers && deviation(twist.velocity_m_s) && deviation(twist.yaw_rate_rad_s)
+        });
+        let numbers = [self.x, self.y, self.yaw.unwrap_or(0.0)].iter().all(|v| v.is_finite());
+        numbers && twist && deviation(self.position_m) && deviation(self.heading_rad)
+    }
+}
+
+impl PoseSample {
+    /// Message of this pose in the frame `frame`, of the robot whose own frame is `child`. An unknown yaw is sent as
+    /// zero.
+    pub fn to_odometry(&self, frame: &str, child: &str) -> Odometry {
+        let (sin, cos) = libm::sincos(self.yaw.unwrap_or(0.0) / 2.0);
+        let sec = i32::try_from(self.stamp_ns / 1_000_000_000).unwrap_or(i32::MAX);
+        let nanosec = u32::try_from(self.stamp_ns % 1_000_000_000).expect("less than 1e9");
+        let mut odometry = Odometry {
+            header: Header { stamp: Stamp { sec, nanosec }, frame_id: frame.to_owned() },
+            child_frame_id: child.to_owned(),
+            ..Odometry::default()
+        };
+        let pose = &mut odometry.pose;
+        (pose.pose.position.x, pose.pose.position.y) = (self.x, self.y);
+        (pose.pose.orientation.z, pose.pose.orientation.w) = (sin, cos);
+        spread(&mut pose.covariance, self.position_m, self.heading_rad);
+        if let Some(sample) = self.twist {
+            let twist = &mut odometry.twist;
+            (twist.twist.linear.x, twist.twist.linear.y) = (sample.x, sample.y);
+            twist.twist.angular.z = sample.yaw_rate;
+            spread(&mut twist.covariance, sample.velocity_m_s, sample.yaw_rate_rad_s);
+        }
+        odometry
+    }
+}
+
+/// Sets the variances of the plane and of yaw where they are known.
+fn spread(covariance: &mut Covariance, plane: Option<f64>, yaw: Option<f64>) {
+    let square = |deviation: Option<f64>| deviation.map_or(0.0, |d| d * d);
+    (covariance[0][0], covariance[1][1], covariance[5][5]) = (square(plane), square(plane), square(yaw));
+}
+
+/// Message that a sample is made of.
+pub trait IntoSample {
+    /// Its content; the error says what is wrong with it.
+    fn sample(&self) -> Result<Sample, &'static str>;
+}
+
+impl IntoSample for Odometry {
+    fn sample(&self) -> Result<Sample, &'static str> {
+        let pose = pose(self.header.stamp, &self.pose.pose, Some(&self.pose.covariance))?;
+        Ok(Sample::Pose(PoseSample { twist: Some(twist(&self.twist)?), ..pose }))
+    }
+}
+
+impl IntoSample for PoseStamped {
+    fn sample(&self) -> Result<Sample, &'static str> {
+        pose(self.header.stamp, &self.pose, None).map(Sample::Pose)
+    }
+}
+
+impl IntoSample for PoseWithCovarianceStamped {
+    fn sample(&self) -> Result<Sample, &'static str> {
+        pose(self.header.stamp, &self.pose.pose, Some(&self.pose.covariance)).map(Sample::Pose)
+    }
+}
+
+impl IntoSample for BatteryState {
+    fn sample(&self) -> Result<Sample, &'static str> {
+        // Some drivers report a full battery as slightly more than 1.
+        match self.percentage {
+            charge if charge.is_nan() => Ok(Sample::Battery(None)),
+            charge if (0.0..=1.05).contains(&charge) => Ok(Sample::Battery(Some(charge.min(1.0)))),
+            _ => Err("its percentage is not from 0 to 1, which sensor_msgs/BatteryState demands"),
+        }
+    }
+}
+
+fn pose(stamp: Stamp, pose: &Pose, covariance: Option<&Covariance>) -> Result<PoseSample, &'static str> {
+    let sec = u64::try_from(stamp.sec).map_err(|_| "its stamp is negative; set the clock of its sender")?;
+    if stamp.nanosec >= 1_000_000_000 {
+        return Err("its stamp has a second or more of nanoseconds; correct its sender");
+    }
+    if !(pose.position.x.is_finite() && pose.position.y.is_finite()) {
+        return Err("its position is not finite; see whether the sender is localized");
+    }
+    let deviations = covariance.map(deviations).unwrap_or_default();
+    Ok(PoseSample {
+        stamp_ns: sec * 1_000_000_000 + u64::from(stamp.nanosec),
+        x: pose.position.x,
+        y: pose.position.y,
+        yaw: yaw(pose)?,
+        position_m: deviations.0,
+        heading_rad: deviations.1,
+        twist: None,
+    })
+}
+
+/// Rotation about z of a unit quaternion; none for one of zeros, which is an orientation that was not set.
+fn yaw(pose: &Pose) -> Result<Option<f64>, &'static str> {
+    let q = pose.orientation;
+    if [q.x, q.y, q.z, q.w] == [0.0; 4] {
+        return Ok(None);
+    }
+    let square = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w;
+    // Senders that round to f32 are within 1e-6; beyond 10 % it is no orientation.
+    if !(0.9..=1.1).contains(&square) {
+        return Err("its orientation is not a unit quaternion; correct its sender");
+    }
+    Ok(Some(libm::atan2(2.0 * (q.w * q.z + q.x * q.y), square - 2.0 * (q.y * q.y + q.z * q.z))))
+}
+
+fn twist(twist: &TwistWithCovariance) -> Result<TwistSample, &'static str> {
+    let (linear, angular) = (twist.twist.linear, twist.twist.angular);
+    if !(linear.x.is_finite() && linear.y.is_finite() && angular.z.is_finite()) {
+        return Err("its twist is not finite; correct its sender");
+    }
+    let (velocity_m_s, yaw_rate_rad_s) = deviations(&twist.covariance);
+    Ok(TwistSample { x: linear.x, y: linear.y, yaw_rate: angular.z, velocity_m_s, yaw_rate_rad_s })
+}
+
+/// Standard deviations of the plane (the larger of both axes) and of yaw. A variance of zero or less means "unknown".
+fn deviations(covariance: &Covariance) -> (Option<f64>, Option<f64>) {
+    let root = |variance: f64| (variance.is_finite() && variance > 0.0).then(|| variance.sqrt());
+    (root(covariance[0][0].max(covariance[1][1])), root(covariance[5][5]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::messages::{PoseWithCovariance, Quaternion, Twist, Vector3};
+    use super::*;
+
+    fn odometry() -> Odometry {
+        let half = 0.35_f64;
+        let mut pose = PoseWithCovariance::default();
+        (pose.pose.position.x, pose.pose.position.y) = (1.5, -2.5);
+        pose.pose.orientation = Quaternion { x: 0.0, y: 0.0, z: half.sin(), w: half.cos() };
+        (pose.covariance[0][0], pose.covariance[1][1], pose.covariance[5][5]) = (0.01, 0.04, 0.25);
+        let linear = Vector3 { x: 0.3, y: 0.1, z: 0.0 };
+        let angular = Vector3 { z: -0.5, ..Vector3::default() };
+        Odometry {
+            header: Header { stamp: Stamp { sec: 12, nanosec: 34 }, frame_id: "r1/odom".to_owned() },
+            child_frame_id: "r1/base_link".to_owned(),
+            pose,
+            twist: TwistWithCovariance { twist: Twist { linear, angular }, covariance: [[0.0; 6]; 6] },
+        }
+    }
+
+    #[test]
+    fn each_field_of_odometry_is_taken_and_given_back() {
+        let Ok(Sample::Pose(pose)) = odometry().sample() else { panic!("it is a pose") };
+        assert_eq!((pose.stamp_ns, pose.x, pose.y), (12_000_000_034, 1.5, -2.5));
+        assert!((pose.yaw.unwrap() - 0.7).abs() < 1e-12);
+        assert_eq!((pose.position_m, pose.heading_rad), (Some(0.2), Some(0.5)));
+        let twist = pose.twist.unwrap();
+        assert_eq!((twist.x, twist.y, twist.yaw_rate), (0.3, 0.1, -0.5));
+        assert_eq!((twist.velocity_m_s, twist.yaw_rate_rad_s), (None, None), "a variance of zero is unknown");
+        let Ok(Sample::Pose(again)) = pose.to_odometry("map", "r1/base_link").sample() else { panic!("a pose") };
+        assert!((again.yaw.unwrap() - 0.7).abs() < 1e-12);
+        assert_eq!(PoseSample { yaw: pose.yaw, ..again }, pose);
+    }
+
+    #[test]
+    fn messages_that_are_no_measurement_are_refused() {
+        let refused = |change: &dyn Fn(&mut Odometry)| {
+            let mut odometry = odometry();
+            change(&mut odometry);
+            odometry.sample().is_err()
+        };
+        assert!(refused(&|o| o.pose.pose.position.x = f64::NAN));
+        assert!(refused(&|o| o.pose.pose.orientation.w = 3.0));
+        assert!(refused(&|o| o.pose.pose.orientation.z = f64::NAN));
+        assert!(refused(&|o| o.twist.twist.angular.z = f64::INFINITY));
+        assert!(refused(&|o| o.header.stamp.sec = -1));
+        assert!(refused(&|o| o.header.stamp.nanosec = 1_000_000_000));
+        assert!(!refused(&|o| o.pose.covariance[0][0] = f64::NAN));
+        let mut unset = odometry();
+        unset.pose.pose.orientation = Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 0.0 };
+        assert!(matches!(unset.sample(), Ok(Sample::Pose(PoseSample { yaw: None, .. }))));
+        let battery = |percentage| BatteryState { percentage, ..BatteryState::default() }.sample();
+        assert_eq!(battery(0.87), Ok(Sample::Battery(Some(0.87))));
+        assert_eq!(battery(f32::NAN), Ok(Sample::Battery(None)));
+        assert!(battery(87.0).is_err());
+    }
+}

@@ -1,0 +1,80 @@
+//! Checks and defaults that the settings of driver and source share.
+
+use crate::config::ConfigError;
+
+use super::messages::check_topic;
+
+/// Largest domain whose ports are below 65536 (RTPS 2.5, 9.6.2.3).
+const MAX_DOMAIN: u16 = 232;
+/// Least and most memory of a DDS process \[MiB\]: it takes 12 MiB when it runs, and more of address space.
+const MEMORY_MIB: std::ops::RangeInclusive<u32> = 64..=4096;
+
+/// Default memory of a DDS process \[MiB\].
+pub fn memory_mib() -> u32 {
+    192
+}
+
+/// The default of switches that are on.
+pub fn yes() -> bool {
+    true
+}
+
+/// Refuses a driver or source in a program that is built without the feature.
+pub fn check_built() -> Result<(), ConfigError> {
+    if cfg!(feature = "ros2") { Ok(()) } else { Err(ConfigError::field("name", super::NOT_BUILT)) }
+}
+
+/// Checks the settings of the participant.
+pub fn check_participant(domain: u16, interface: Option<&str>, memory_mib: u32) -> Result<(), ConfigError> {
+    if domain > MAX_DOMAIN {
+        let reason = format!("{domain} is not a DDS domain; it is ROS_DOMAIN_ID of the robots, from 0 to {MAX_DOMAIN}");
+        return Err(ConfigError::field("domain", reason));
+    }
+    if interface.is_some_and(|name| name.is_empty() || name.len() > 45) {
+        let reason = "it is no interface; name one, such as \"wlan0\", or its address, or leave it out for all";
+        return Err(ConfigError::field("interface", reason));
+    }
+    if !MEMORY_MIB.contains(&memory_mib) {
+        let reason = format!("{memory_mib} is not from 64 to 4096 MiB; leave it out for {}", self::memory_mib());
+        return Err(ConfigError::field("memory_mib", reason));
+    }
+    Ok(())
+}
+
+/// Full name of a topic: as it is if it begins with a slash, else within the namespace.
+pub fn full_topic(field: &str, namespace: &str, topic: &str) -> Result<String, ConfigError> {
+    let full = if topic.starts_with('/') { topic.to_owned() } else { format!("{namespace}/{topic}") };
+    check_topic(&full).map_err(|why| ConfigError::field(field, format!("topic '{full}': {why}")))?;
+    Ok(full)
+}
+
+/// Checks a namespace, which is empty for robots without one.
+pub fn check_namespace(namespace: &str) -> Result<(), ConfigError> {
+    if namespace.is_empty() {
+        return Ok(());
+    }
+    check_topic(namespace).map_err(|why| ConfigError::field("namespace", format!("'{namespace}': {why}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_that_no_participant_has_are_refused_by_name() {
+        assert!(check_participant(0, None, 192).is_ok() && check_participant(232, Some("wlan0"), 64).is_ok());
+        let wrong = |domain, interface, memory| check_participant(domain, interface, memory).unwrap_err().to_string();
+        assert!(wrong(233, None, 192).starts_with("domain: "));
+        assert!(wrong(0, Some(""), 192).starts_with("interface: "));
+        assert!(wrong(0, None, 63).starts_with("memory_mib: "));
+    }
+
+    #[test]
+    fn topics_are_within_the_namespace_unless_they_begin_with_a_slash() {
+        assert_eq!(full_topic("odom", "/r1", "odom").unwrap(), "/r1/odom");
+        assert_eq!(full_topic("odom", "/r1", "/tracker/r1").unwrap(), "/tracker/r1");
+        assert_eq!(full_topic("odom", "", "odom").unwrap(), "/odom");
+        assert!(full_topic("odom", "/r1", "").unwrap_err().to_string().starts_with("odom: topic '/r1/'"));
+        assert!(check_namespace("").is_ok() && check_namespace("/r1").is_ok() && check_namespace("r1").is_err());
+    }
+}

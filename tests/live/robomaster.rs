@@ -1,0 +1,180 @@
+//! The worker of the driver `robomaster` against the fake EP, over sockets of the loopback interface.
+
+#[path = "../peers/fake_ep.rs"]
+#[allow(dead_code)]
+mod fake_ep;
+
+use std::net::Ipv4Addr;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
+
+use fake_ep::{Options, Peer, clock_s};
+use murmurate::drivers::robomaster::ENTRY;
+use murmurate::drivers::{Command, Driver, Out};
+use murmurate::edge::{self, Gate, Settings};
+use murmurate::messages::geometry::Vec2;
+use murmurate::messages::ids::RobotId;
+use murmurate::messages::local::{BodyTwist, Drive};
+use murmurate::messages::telemetry::Health;
+use murmurate::time::{Span, Time};
+use nix::poll::{PollTimeout, poll};
+
+/// A robot on a thread of its own, with what it has printed.
+struct Fake {
+    reports: Arc<Mutex<Vec<serde_json::Value>>>,
+    ends: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Fake {
+    fn start(address: Ipv4Addr, battery: u8) -> Fake {
+        let (reports, ends) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(false)));
+        let (into, end) = (Arc::clone(&reports), Arc::clone(&ends));
+        let mut peer = Peer::new(address, Options { battery, ..Options::default() }, false).expect("free ports");
+        let thread = thread::spawn(move || {
+            while !end.load(Ordering::Relaxed) {
+                peer.step(|line| into.lock().unwrap().push(serde_json::from_str(line).expect("JSON")));
+            }
+        });
+        Fake { reports, ends, thread: Some(thread) }
+    }
+
+    /// Time of the first report since `from_s` in which the robot stands; none if it moves on.
+    fn stood_at(&self, from_s: f64) -> Option<f64> {
+        let reports = self.reports.lock().unwrap();
+        let stood = |line: &&serde_json::Value| line["t"].as_f64().unwrap() >= from_s && line["vx"] == 0.0;
+        reports.iter().find(stood).map(|line| line["t"].as_f64().unwrap())
+    }
+
+    fn last(&self) -> serde_json::Value {
+        self.reports.lock().unwrap().last().unwrap().clone()
+    }
+}
+
+impl Drop for Fake {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+/// A driver with its worker.
+struct Host {
+    gate: Gate,
+    driver: Box<dyn Driver>,
+    worker: JoinHandle<()>,
+    began_s: f64,
+    twist: BodyTwist,
+    due_s: f64,
+    outs: Vec<Out>,
+}
+
+impl Host {
+    fn start(address: Ipv4Addr) -> Host {
+        let table = format!("connection = 'usb'\naddress = '{address}'\nbattery_period_s = 1.0").parse().unwrap();
+        let parts = (ENTRY.make)(&Settings { name: "robomaster".to_owned(), table }, RobotId(0)).unwrap();
+        let (gate, port) = edge::channel().unwrap();
+        let worker = parts.worker.expect("it has one");
+        let worker = thread::spawn(move || worker.run(port));
+        let (driver, twist) = ((parts.driver)(), BodyTwist::default());
+        Host { gate, driver, worker, began_s: clock_s(), twist, due_s: 0.0, outs: Vec::new() }
+    }
+
+    fn step(&mut self) {
+        let (mut packets, mut out) = (Vec::new(), Vec::new());
+        self.gate.take(|packet| packets.push(packet));
+        let now = Time::ZERO + Span::from_secs(clock_s() - self.began_s);
+        packets.iter().for_each(|packet| self.driver.receive(now, packet, &mut out));
+        if self.driver.wake_at().is_some_and(|at| at <= now) {
+            self.driver.wake(now, &mut out);
+        }
+        if clock_s() >= self.due_s {
+            self.due_s = clock_s() + 0.02;
+            let drive = Drive { robot: RobotId(0), velocity: Vec2::zeros(), until: now + Span::from_millis(200) };
+            self.driver.drive(now, &Command { drive, body: Some(self.twist) }, &mut out);
+        }
+        for out in out {
+            if let Out::Send(packet) = out { self.gate.send(packet) } else { self.outs.push(out) }
+        }
+    }
+
+    fn is_ready(&self) -> bool {
+        let condition = |out: &&Out| matches!(out, Out::Condition(..));
+        matches!(self.outs.iter().rfind(condition), Some(Out::Condition(Health::Ready, _)))
+    }
+
+    fn end(self) -> f64 {
+        let at = clock_s();
+        drop(self.gate);
+        self.worker.join().expect("it ends without a panic");
+        clock_s() - at
+    }
+}
+
+/// Runs hosts for some seconds, or until it is enough.
+fn run(hosts: &mut [Host], seconds: f64, enough: impl Fn(&[Host]) -> bool) {
+    let until = clock_s() + seconds;
+    while clock_s() < until && !enough(hosts) {
+        hosts.iter_mut().for_each(Host::step);
+        let _ = poll(&mut [], PollTimeout::from(1u8));
+    }
+}
+
+fn ready(hosts: &mut [Host]) {
+    run(hosts, 10.0, |hosts| hosts.iter().all(Host::is_ready));
+    assert!(hosts.iter().all(Host::is_ready), "the robots are not ready within 10 s");
+}
+
+#[test]
+fn the_end_of_the_host_is_told_and_a_hanging_control_thread_stops_the_robot() {
+    let address = Ipv4Addr::new(127, 0, 40, 2);
+    let fake = Fake::start(address, 50);
+    let mut hosts = [Host::start(address)];
+    ready(&mut hosts);
+    hosts[0].twist.forward = 0.5;
+    run(&mut hosts, 0.3, |_| false);
+    assert_eq!(fake.last()["vx"], 0.5);
+    let hangs_s = clock_s();
+    let _ = poll(&mut [], PollTimeout::from(400u16));
+    let stopped = fake.stood_at(hangs_s).expect("the worker has stopped it") - hangs_s;
+    assert!(stopped < 0.3, "after {stopped} s; its command was valid for 0.2 s");
+    run(&mut hosts, 0.3, |_| false);
+    assert_eq!(fake.last()["vx"], 0.5, "the control thread is back");
+    let [host] = hosts;
+    let (ends_s, took) = (clock_s(), host.end());
+    assert!(took < 1.0, "a worker has a second: {took} s");
+    let _ = poll(&mut [], PollTimeout::from(100u8));
+    assert!(fake.stood_at(ends_s).is_some());
+    let quits = fake.reports.lock().unwrap().iter().any(|line| line["why"] == "quit");
+    assert!(quits, "it has left SDK mode");
+}
+
+#[test]
+fn pushes_of_several_robots_to_one_port_are_never_crossed() {
+    let addresses = [3, 4, 5].map(|k| Ipv4Addr::new(127, 0, 40, k));
+    let fakes: Vec<Fake> = addresses.iter().zip([30, 40, 50]).map(|(at, battery)| Fake::start(*at, battery)).collect();
+    let mut hosts = addresses.map(Host::start);
+    ready(&mut hosts);
+    hosts.iter_mut().zip([0.2, 0.4, 0.6]).for_each(|(host, speed)| host.twist.forward = speed);
+    run(&mut hosts, 1.0, |_| false);
+    hosts.iter_mut().for_each(|host| host.twist.forward = 0.0);
+    run(&mut hosts, 0.6, |_| false);
+    for ((host, fake), battery) in hosts.into_iter().zip(&fakes).zip([30, 40, 50]) {
+        let at = fake.last()["x"].as_f64().unwrap();
+        let mut readings = host.outs.iter().filter_map(|out| if let Out::Odometry(r) = out { Some(r) } else { None });
+        let last = f64::from(readings.next_back().unwrap().pose.position.x);
+        assert!(at > 0.1 && (last - at).abs() < 0.002, "{last} m instead of {at} m");
+        assert!(host.outs.contains(&Out::Condition(Health::Ready, Some(battery))));
+        host.end();
+    }
+}
+
+#[test]
+fn a_robot_that_is_not_there_is_silent_and_its_worker_ends() {
+    let mut hosts = [Host::start(Ipv4Addr::new(127, 0, 40, 9))];
+    run(&mut hosts, 0.5, |_| false);
+    assert_eq!(hosts[0].outs, [Out::Condition(Health::Silent, None)]);
+    let [host] = hosts;
+    assert!(host.end() < 1.0);
+}
