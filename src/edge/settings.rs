@@ -19,23 +19,23 @@ pub struct Settings {
 const BY_ROBOT: &str = "robot";
 
 impl Settings {
-    /// Settings for one robot: those of its table `robot.N`, and all others for what it leaves out.
+    /// Settings for one robot: those of its table `robot.N`, and all others for what it leaves out. A `robot` that is
+    /// no table of numbers is a setting of the driver's own.
     pub fn for_robot(&self, robot: RobotId) -> Result<Settings, ConfigError> {
+        let by_number = |robots: &toml::Table| robots.keys().all(|number| number.parse::<u16>().is_ok());
+        let Some(robots) = self.table.get(BY_ROBOT).and_then(toml::Value::as_table).filter(|robots| by_number(robots))
+        else {
+            return Ok(self.clone());
+        };
         let mut merged = self.clone();
-        let wrong = |why: &str| Err(ConfigError::field(BY_ROBOT, why.to_owned()));
-        match merged.table.remove(BY_ROBOT) {
+        merged.table.remove(BY_ROBOT);
+        match robots.get(&robot.0.to_string()) {
             None => {}
-            Some(toml::Value::Table(robots)) => {
-                if robots.keys().any(|number| number.parse::<u16>().is_err()) {
-                    return wrong("a table in it has no robot's number; write robot.0 = { ... }");
-                }
-                match robots.get(&robot.0.to_string()) {
-                    None => {}
-                    Some(toml::Value::Table(own)) => merged.table.extend(own.clone()),
-                    Some(_) => return wrong("an entry is no table; write robot.0 = { ... }"),
-                }
+            Some(toml::Value::Table(own)) => merged.table.extend(own.clone()),
+            Some(_) => {
+                let why = format!("it is no table; write robot.{} = {{ ... }}", robot.0);
+                return Err(ConfigError::field(BY_ROBOT, why));
             }
-            Some(_) => return wrong("it is no table; write robot.0 = { ... }"),
         }
         Ok(merged)
     }
@@ -60,9 +60,9 @@ mod tests {
         let all = settings("rate = 5\nrobot.1 = { address = \"10.0.0.2\", rate = 7 }");
         assert_eq!(all.for_robot(RobotId(1)).unwrap(), settings("rate = 7\naddress = \"10.0.0.2\""));
         assert_eq!(all.for_robot(RobotId(0)).unwrap(), settings("rate = 5"));
-        for wrong in ["robot = 1", "robot.one = {}", "robot.1 = 3"] {
-            let error = settings(wrong).for_robot(RobotId(1)).unwrap_err().to_string();
-            assert!(error.contains("robot"), "{error}");
-        }
+        let own = settings("robot = \"127.0.0.1:7\"");
+        assert_eq!(own.for_robot(RobotId(1)).unwrap(), own, "a setting of the driver's own");
+        let error = settings("robot.1 = 3").for_robot(RobotId(1)).unwrap_err().to_string();
+        assert!(error.contains("robot.1"), "{error}");
     }
 }
