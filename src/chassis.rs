@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::config::ConfigError;
-use crate::messages::geometry::{Pose, Vec2};
+use crate::messages::geometry::{Pose, Vec2, wrapped};
 use crate::messages::local::BodyTwist;
 use crate::messages::wire::Reading;
 use crate::time::Span;
@@ -206,7 +206,7 @@ impl Chassis {
         let own = Pose { position: Vec2::zeros(), heading: Some(heading) }.into_body(velocity)?;
         Some(self.limit(match self.drive {
             DriveKind::Holonomic => {
-                let turn = |held: f32| HEADING_GAIN * wrapped(held - heading);
+                let turn = |held: f32| HEADING_GAIN * wrapped(f64::from(held - heading)) as f32;
                 BodyTwist { forward: own.x, left: own.y, yaw_rate: self.held_rad.map_or(0.0, turn) }
             }
             DriveKind::Differential => BodyTwist { forward: own.x, left: 0.0, yaw_rate: own.y / self.point_ahead_m },
@@ -261,12 +261,6 @@ impl Chassis {
     }
 }
 
-/// Angle within -pi and pi \[rad\].
-pub fn wrapped(angle: f32) -> f32 {
-    let (sin, cos) = libm::sincosf(angle);
-    libm::atan2f(sin, cos)
-}
-
 /// Settings of each robot that differs from the others, by its number as in a TOML table.
 pub type ByRobot = BTreeMap<String, Settings>;
 
@@ -287,7 +281,10 @@ mod tests {
         let heading = pose.heading.unwrap();
         let (sin, cos) = heading.sin_cos();
         let velocity = Vec2::new(cos * twist.forward - sin * twist.left, sin * twist.forward + cos * twist.left);
-        Pose { position: pose.position + velocity * 1e-3, heading: Some(wrapped(heading + twist.yaw_rate * 1e-3)) }
+        Pose {
+            position: pose.position + velocity * 1e-3,
+            heading: Some(wrapped(f64::from(heading + twist.yaw_rate * 1e-3)) as f32),
+        }
     }
 
     fn reading(pose: Pose) -> Reading {

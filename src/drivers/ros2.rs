@@ -306,7 +306,10 @@ impl Ros2 {
                 tracing::warn!(problems = self.problems, "{robot}: topic {}: {problem}", state.topic);
             }
             if lost {
-                tracing::warn!("{robot}: nobody is left on topic {}; see whether the robot's base runs", state.topic);
+                tracing::warn!(
+                    "{robot}: topic {} has no subscriber or publisher left; see whether the robot's base runs",
+                    state.topic
+                );
             }
         }
         // The DDS process names the topics of its plan alone, which are three at the most.

@@ -10,7 +10,7 @@ use serde::Deserialize;
 use super::{In, Out, Parts, Source};
 use crate::config::ConfigError;
 use crate::edge::{Port, Settings, Worker};
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Vec2, wrapped};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use crate::time::Time;
@@ -51,7 +51,7 @@ impl Alignment {
     pub fn apply(&self, odometry: &Reading) -> Reading {
         let mut reading = odometry.clone();
         reading.pose.position = self.origin + self.turned(odometry.pose.position);
-        reading.pose.heading = odometry.pose.heading.map(|heading| crate::chassis::wrapped(heading + self.yaw_rad));
+        reading.pose.heading = odometry.pose.heading.map(|heading| wrapped(f64::from(heading + self.yaw_rad)) as f32);
         reading.twist.velocity = self.turned(odometry.twist.velocity);
         reading
     }

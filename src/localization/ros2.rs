@@ -6,6 +6,7 @@
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::localization::{In, Out, Parts, Source};
+use crate::messages::geometry::wrapped;
 use crate::messages::ids::RobotId;
 use crate::time::Time;
 use serde::Deserialize;
@@ -146,7 +147,7 @@ impl Poses {
     fn aligned(&self, mut pose: PoseSample) -> PoseSample {
         let (x, y) = reading::rotated(self.yaw_rad, pose.x, pose.y);
         (pose.x, pose.y) = (x + self.origin_m[0], y + self.origin_m[1]);
-        pose.yaw = pose.yaw.map(|yaw| reading::wrapped(yaw + self.yaw_rad));
+        pose.yaw = pose.yaw.map(|yaw| wrapped(yaw + self.yaw_rad));
         pose
     }
 
@@ -199,7 +200,7 @@ fn difference((before, from): (u64, PoseSample), (after, to): (u64, &PoseSample)
     (SHORTEST_S..=LONGEST_S).contains(&dt).then(|| Velocity {
         x: (to.x - from.x) / dt,
         y: (to.y - from.y) / dt,
-        yaw_rate: to.yaw.zip(from.yaw).map(|(to, from)| reading::wrapped(to - from) / dt),
+        yaw_rate: to.yaw.zip(from.yaw).map(|(to, from)| wrapped(to - from) / dt),
     })
 }
 

@@ -319,6 +319,11 @@ pub const MAX_HEADING: f32 = std::f32::consts::PI;
 /// Largest coordinate \[m\] and velocity \[m/s\] that is valid: arithmetic in f32 stays finite with it.
 pub const MAX_SIZE: f32 = 1e5;
 
+/// Returns the same angle \[rad\] within -pi and pi; also as a 32-bit float it is within `MAX_HEADING`.
+pub fn wrapped(angle: f64) -> f64 {
+    libm::remainder(angle, std::f64::consts::TAU)
+}
+
 /// Whether both coordinates are finite and at most `MAX_SIZE`.
 pub fn is_sound(v: Vec2) -> bool {
     v.x.abs() <= MAX_SIZE && v.y.abs() <= MAX_SIZE
@@ -332,6 +337,7 @@ pub fn is_finite(v: Vec2) -> bool {
 #[cfg(test)]
 mod tests {
     use std::f32::consts::FRAC_PI_2;
+    use std::f64::consts::{PI, TAU};
 
     use super::*;
 
@@ -343,6 +349,16 @@ mod tests {
         let left = north.into_body(Vec2::new(-2.0, 0.0)).unwrap();
         assert!((left - Vec2::new(0.0, 2.0)).norm() < 1e-6, "{left}");
         assert_eq!(Pose { heading: None, ..north }.into_body(Vec2::zeros()), None);
+    }
+
+    #[test]
+    fn an_angle_is_wrapped_to_one_that_a_pose_may_have() {
+        for (angle, same) in [(0.5, 0.5), (4.0, 4.0 - TAU), (-4.0, TAU - 4.0), (40.0, 40.0 - 6.0 * TAU)] {
+            assert!((wrapped(angle) - same).abs() < 1e-9, "{angle}");
+        }
+        for turns in -5..5 {
+            assert!((wrapped(PI + TAU * f64::from(turns)) as f32).abs() <= MAX_HEADING, "{turns}");
+        }
     }
 
     #[test]

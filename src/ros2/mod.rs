@@ -20,5 +20,4 @@ pub const SUBCOMMAND: &str = "ros2-node";
 /// Exit code of a DDS process that has reported why it cannot work.
 pub const REFUSED: u8 = 3;
 /// Reason for which a program without the feature refuses a driver or source.
-pub const NOT_BUILT: &str =
-    "this program is built without ROS 2; build it by `cargo install murmurate --features ros2`";
+pub const NOT_BUILT: &str = "this program is built without ROS 2; build it by `cargo install --path . --features ros2`";

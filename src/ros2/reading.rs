@@ -1,8 +1,8 @@
 //! Readings from poses of ROS messages. Pure.
 
-use crate::messages::geometry::{Deviation, Pose, Twist, Vec2};
+use crate::messages::geometry::{Deviation, Pose, Twist, Vec2, wrapped};
 use crate::messages::ids::RobotId;
-use crate::messages::wire::{Reading, Wire};
+use crate::messages::wire::Reading;
 use serde::Deserialize;
 
 use super::packet::PoseSample;
@@ -45,11 +45,6 @@ pub fn rotated(angle: f64, x: f64, y: f64) -> (f64, f64) {
     (cos * x - sin * y, sin * x + cos * y)
 }
 
-/// Maps an angle \[rad\] into -pi to pi.
-pub fn wrapped(angle: f64) -> f64 {
-    libm::remainder(angle, 2.0 * std::f64::consts::PI)
-}
-
 /// Returns a pose with the axes of REP-103.
 pub fn in_rep103(axes: Axes, mut pose: PoseSample) -> PoseSample {
     let sign = axes.sign();
@@ -88,7 +83,7 @@ pub fn reading(robot: RobotId, stamp_ns: u64, pose: &PoseSample, velocity: Veloc
             yaw_rate_rad_s: single(twist.yaw_rate_rad_s),
         },
     };
-    Wire::Reading(reading.clone()).check().is_ok().then_some(reading)
+    reading.unfit().is_none().then_some(reading)
 }
 
 /// Stamps of one sender: they tell a new message from a repeated one, and no more.

@@ -58,7 +58,8 @@ fn error_m(estimator: &str, sensor: Sensor) -> f64 {
     (squares / f64::from(ticks)).sqrt()
 }
 
-/// What age adds to the error of a source: the error less that of the same source without delay, read at every step.
+/// Share of age in the error of a source \[m\]: without the error of the same source that is prompt and read at every
+/// step.
 fn due_to_age(estimator: &str, sensor: Sensor) -> f64 {
     let prompt = Sensor { latency: Span::ZERO, period: STEP, ..sensor };
     (error_m(estimator, sensor).powi(2) - error_m("none", prompt).powi(2)).max(0.0).sqrt()

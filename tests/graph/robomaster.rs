@@ -1,7 +1,7 @@
 //! The driver `robomaster` against the fake EP, both without I/O, in simulated time: each run is the same every time.
 
 #[path = "../peers/fake_ep.rs"]
-#[allow(dead_code)]
+#[allow(dead_code)] // Each program of tests uses its part.
 mod fake_ep;
 
 use std::collections::VecDeque;
@@ -71,7 +71,7 @@ impl Bench {
         Time::ZERO + Span::from_millis(self.now_ms)
     }
 
-    /// What the worker and the Body do with the driver's output.
+    /// Carries out the driver's output, as its worker and the Body do.
     fn take(&mut self, out: Vec<Out>) {
         for out in out {
             match out {

@@ -1,7 +1,7 @@
 //! The worker of the driver `robomaster` against the fake EP, over sockets of the loopback interface.
 
 #[path = "../peers/fake_ep.rs"]
-#[allow(dead_code)]
+#[allow(dead_code)] // Each program of tests uses its part.
 mod fake_ep;
 
 use std::net::Ipv4Addr;

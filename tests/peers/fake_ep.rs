@@ -42,7 +42,7 @@ pub enum Output {
     Answer(u32, String),
     /// Datagram for the push port of every host that was ever connected.
     Push(String),
-    /// What the robot does, as a JSON line.
+    /// Motion of the robot, as a JSON line.
     Report(String),
 }
 
@@ -84,7 +84,7 @@ pub struct Robot {
     rates: [Rate; 3],
     ticks: u64,
     now: f64,
-    /// What it has to send and print.
+    /// Output to send and to print.
     pub out: Vec<Output>,
 }
 
@@ -522,7 +522,7 @@ impl Peer {
 }
 
 /// Runs a robot with the address and the options of the command line.
-#[allow(dead_code)]
+#[allow(dead_code)] // Tests that include this file have no need of it.
 fn main() {
     let mut arguments = std::env::args().skip(1);
     let (mut address, mut options) = (Ipv4Addr::new(127, 0, 0, 2), Options::default());

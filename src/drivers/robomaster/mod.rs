@@ -34,7 +34,7 @@ const DIRECT: Ipv4Addr = Ipv4Addr::new(192, 168, 2, 1);
 const USB: Ipv4Addr = Ipv4Addr::new(192, 168, 42, 2);
 /// Largest speed along an axis that the robot takes \[m/s\] (DJI's guide, "chassis speed").
 const FASTEST_M_S: f32 = 3.5;
-/// Largest speed with an arm \[m/s\] (README of the real robots, section 2, from DJI's pages).
+/// Largest speed with an arm \[m/s\] (DJI's guide).
 const FASTEST_WITH_ARM_M_S: f32 = 0.8;
 /// Largest yaw rate that the robot takes \[rad/s\]: 600 degrees/s (DJI's guide, "chassis speed").
 const FASTEST_YAW_RAD_S: f32 = 600.0 * std::f32::consts::PI / 180.0;

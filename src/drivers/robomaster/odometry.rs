@@ -1,12 +1,10 @@
 //! Odometry of the robot, from its pushes: positions and headings since power-on, and velocities by differences.
 
-use std::collections::VecDeque;
-use std::f64::consts::PI;
-
 use super::protocol::Push;
-use crate::messages::geometry::{Deviation, Pose, Twist, Vec2};
+use crate::messages::geometry::{Deviation, Pose, Twist, Vec2, wrapped};
 use crate::messages::ids::RobotId;
-use crate::messages::wire::{Reading, Wire};
+use crate::messages::wire::Reading;
+use std::collections::VecDeque;
 
 /// Time over which velocities are taken \[ns\]: five pushes at 50 Hz. The robot pushes no velocity, and arrivals jitter
 /// by some milliseconds.
@@ -70,8 +68,8 @@ impl Odometry {
         if let Some([_, _, yaw_deg]) = push.attitude {
             let heading = -yaw_deg.to_radians();
             let heading = match self.headings.newest() {
-                Some((_, [before])) => before + wrap(heading - before),
-                None => wrap(heading),
+                Some((_, [before])) => before + wrapped(heading - before),
+                None => wrapped(heading),
             };
             self.headings.push(stamp_ns, [heading]);
         }
@@ -85,7 +83,7 @@ impl Odometry {
             stamp_ns,
             pose: Pose {
                 position: Vec2::new(forward as f32, -right as f32),
-                heading: fresh.map(|(_, [heading])| wrap(heading) as f32),
+                heading: fresh.map(|(_, [heading])| wrapped(heading) as f32),
             },
             twist: Twist { velocity: Vec2::new(vx as f32, vy as f32), yaw_rate },
             deviation: Deviation::default(),
@@ -95,12 +93,7 @@ impl Odometry {
 
 /// Whether the reading's numbers are in the range of messages.
 pub fn is_sound(reading: &Reading) -> bool {
-    Wire::Reading(reading.clone()).check().is_ok()
-}
-
-/// Returns the angle \[rad\] within -pi and pi.
-fn wrap(angle: f64) -> f64 {
-    angle - 2.0 * PI * (angle / (2.0 * PI)).round()
+    reading.unfit().is_none()
 }
 
 #[cfg(test)]

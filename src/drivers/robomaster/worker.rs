@@ -97,7 +97,7 @@ struct Links {
     stop_at: Option<Instant>,
     /// Whether the control thread has let a motion expire.
     hangs: bool,
-    /// What was last logged about the connection, so that each change is logged once.
+    /// Last log entry about the connection, so that each change is logged once.
     logged: String,
     /// Robot that announced itself at another address.
     announced: Option<Ipv4Addr>,

@@ -1,10 +1,10 @@
 //! Source `gpsd`: a robot's own satellite receiver, read from gpsd.
 //!
 //! The worker passes gpsd's lines on as they are. The pure part judges each fix by its mode and status, and its error
-//! by GST. `eph` is not used: it said 11.4 m where GST said 0.01 m (README: R). Below `fix_least` there is no reading,
+//! by GST. `eph` is not used: it said 11.4 m where GST said 0.01 m (measured). Below `fix_least` there is no reading,
 //! so the guard stops the robot.
 //!
-//! A receiver at 10 Hz needs `own_state_s` of at least 0.25 s (README: R).
+//! A receiver at 10 Hz needs `own_state_s` of at least 0.25 s (measured gaps of up to 0.12 s).
 
 pub mod geodesy;
 pub mod report;
@@ -16,9 +16,9 @@ use std::f64::consts::FRAC_PI_2;
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::localization::{In, Out, Parts, Source};
-use crate::messages::geometry::{Deviation, MAX_HEADING, MAX_SIZE, Pose, Twist, Vec2};
+use crate::messages::geometry::{Deviation, MAX_SIZE, Pose, Twist, Vec2, wrapped};
 use crate::messages::ids::RobotId;
-use crate::messages::wire::{Reading, Wire};
+use crate::messages::wire::Reading;
 use crate::time::Time;
 
 use geodesy::Geodetic;
@@ -28,11 +28,11 @@ use settings::{Config, Heading};
 /// Description in one line.
 pub const ABOUT: &str = "the robot's own satellite receiver, by gpsd";
 
-/// Least speed at which the course over ground is a heading \[m/s\] (README: D).
+/// Least speed at which the course over ground is a heading \[m/s\]: below, its noise is larger than a turn.
 const LEAST_SPEED_M_S: f64 = 0.3;
-/// Age up to which an older report counts as late \[ns\]; an even older one is of a clock that was set back (I).
+/// Age up to which an older report counts as late \[ns\]; an even older one is of a clock that was set back.
 const LATE_NS: u64 = 1_000_000_000;
-/// Longest time between a fix and the GST that tells its error \[ns\] (I: receivers send GST each second or faster).
+/// Longest time between a fix and the GST that tells its error \[ns\] (receivers send GST each second or faster).
 const STATISTICS_NS: u64 = 2_000_000_000;
 
 /// Makes the source and its worker, for one robot.
@@ -83,7 +83,7 @@ impl Gpsd {
         if fix < self.config.fix_least {
             return Err(Malformed("the receiver's fix is worse than fix_least; see its corrections and its sky"));
         }
-        // It is missing in the first reports of a receiver (README: R).
+        // It is missing in the first reports of a receiver.
         let Some(time_ns) = tpv.time_ns else { return Ok(None) };
         if self.last_ns.is_some_and(|last_ns| time_ns <= last_ns && last_ns - time_ns < LATE_NS) {
             // gpsd sends a fix more than once as sentences complete it.
@@ -113,7 +113,10 @@ impl Gpsd {
         Ok(Some(Reading {
             robot: self.robot,
             stamp_ns: time_ns,
-            pose: Pose { position: self.config.turned(east, north), heading: course.filter(|_| moving).map(wrapped) },
+            pose: Pose {
+                position: self.config.turned(east, north),
+                heading: course.filter(|_| moving).map(|course| wrapped(course) as f32),
+            },
             twist: Twist { velocity, yaw_rate: None },
             deviation: Deviation { position_m: deviation_m.map(|error_m| error_m as f32), ..Deviation::default() },
         }))
@@ -139,18 +142,8 @@ fn velocity(speed_m_s: f64, course: Option<f64>) -> Result<Vec2, Malformed> {
     }
 }
 
-/// The same angle \[rad\] within -pi and pi.
-fn wrapped(angle: f64) -> f32 {
-    let turned = libm::remainder(angle, std::f64::consts::TAU) as f32;
-    turned.clamp(-MAX_HEADING, MAX_HEADING)
-}
-
 fn checked(reading: Reading) -> Out {
-    let reading = Wire::Reading(reading);
-    match (reading.check(), reading) {
-        (Ok(()), Wire::Reading(reading)) => Out::Reading(reading),
-        _ => Out::Refused("the numbers of a fix of gpsd are out of range"),
-    }
+    reading.unfit().map_or(Out::Reading(reading), Out::Refused)
 }
 
 impl Source for Gpsd {
@@ -272,7 +265,7 @@ mod tests {
             source.take(Time::ZERO, In::Packet(&line), &mut out);
         }
         let sound = |said: &Out| match said {
-            Out::Reading(reading) => Wire::Reading(reading.clone()).check().is_ok(),
+            Out::Reading(reading) => reading.unfit().is_none(),
             Out::Refused(_) => true,
         };
         assert!(out.iter().all(sound) && out.iter().any(|said| matches!(said, Out::Reading(_))));

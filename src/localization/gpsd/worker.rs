@@ -16,7 +16,7 @@ const LONGEST: usize = 16_384;
 const WAIT: Duration = Duration::from_millis(100);
 /// Longest time to connect.
 const CONNECT: Duration = Duration::from_millis(500);
-/// Waits without a byte after which the connection counts as lost: 5 s (I: receivers report each second or faster).
+/// Waits without a byte after which the connection counts as lost: 5 s (receivers report each second or faster).
 const SILENT: u32 = 50;
 /// Waits before the first and the longest pause between two connections: 0.2 s and 3.2 s.
 const PAUSES: [u32; 2] = [2, 32];

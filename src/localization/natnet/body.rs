@@ -5,16 +5,16 @@
 //! that appears where another one was is not: it is held until it is back at its own place, or the host is restarted.
 
 use std::collections::VecDeque;
-use std::f64::consts::{PI, TAU};
 
-/// Tracker noise and reflections that are no jump \[m\] (I: ten times the error of motion capture, 0.2 mm to 2 mm).
+use crate::messages::geometry::wrapped;
+/// Tracker noise and reflections that are no jump \[m\] (ten times the error of motion capture, 0.2 mm to 2 mm).
 const SLACK_M: f64 = 0.02;
 /// Longest time for which a body is assumed to have moved at top speed \[s\]. The guard stops a robot without readings
-/// before that (I).
+/// before that.
 const MOVING_S: f64 = 0.5;
-/// Longest gap between two frames of one motion \[s\] (I: 25 frames at 100 Hz).
+/// Longest gap between two frames of one motion \[s\] (25 frames at 100 Hz).
 const GAP_S: f64 = 0.25;
-/// Distance from the last place of another body within which a jump is an exchange \[m\] (I: two robots that are so
+/// Distance from the last place of another body within which a jump is an exchange \[m\] (two robots that are so
 /// close touch each other).
 const EXCHANGE_M: f64 = 0.2;
 /// Rounding of stamps \[s\]: a window of 50 ms has five frames at 100 Hz.
@@ -163,12 +163,6 @@ fn is_exchange(own: &Pose, pose: &Pose, mut others: impl Iterator<Item = Pose>) 
     moved_m > SLACK_M && others.any(|other| distance(&other, pose) < moved_m.min(EXCHANGE_M))
 }
 
-/// Returns the same angle \[rad\] within -pi and pi.
-pub fn wrapped(angle: f64) -> f64 {
-    let turned = angle - TAU * (angle / TAU).round();
-    turned.clamp(-PI, PI)
-}
-
 #[cfg(test)]
 mod tests {
     use std::iter::empty;
@@ -235,13 +229,5 @@ mod tests {
         let times = (5..1000).chain(1100..1200).chain(5000..5200);
         times.for_each(|frame| assert_eq!(feed(frame, [1.0, 0.0]), [false; 2], "{frame}"));
         assert_eq!(feed(5200, [0.0, 1.0]), [true; 2]);
-    }
-
-    #[test]
-    fn angles_are_wrapped_for_any_number_of_turns() {
-        for (angle, same) in [(0.5, 0.5), (4.0, 4.0 - TAU), (-4.0, TAU - 4.0), (5.0 * TAU + 1.0, 1.0)] {
-            assert!((wrapped(angle) - same).abs() < 1e-9, "{angle}");
-        }
-        assert!(wrapped(PI).abs() <= PI && wrapped(-PI).abs() <= PI && wrapped(3.0 * PI).abs() <= PI);
     }
 }

@@ -7,15 +7,15 @@ use crate::time::{Span, Time};
 use super::frame::{self, Layout};
 use super::packet::{self, ServerInfo, Version};
 
-/// Period of a request that has no answer (I).
+/// Period of a request that has no answer.
 const AGAIN: Span = Span::from_millis(1000);
-/// Period of KEEP_ALIVE, by which a unicast server knows its clients (README: D, the manufacturer's sample).
+/// Period of KEEP_ALIVE, by which a unicast server knows its clients (the manufacturer's sample).
 const KEEP_ALIVE: Span = Span::from_millis(250);
-/// Time without a frame after which the server counts as silent (I: 20 frames at 20 Hz, the slowest camera).
+/// Time without a frame after which the server counts as silent (20 frames at 20 Hz, the slowest camera).
 const SILENCE: Span = Span::from_millis(1000);
-/// Time with frames and without model definitions after which the server counts as not answering (I: three requests).
+/// Time with frames and without model definitions after which the server counts as not answering (three requests).
 const UNANSWERED: Span = Span::from_millis(3000);
-/// Period at which the source is told again of the server and of its bodies: its actor may be started anew (I).
+/// Period at which the source is told again of the server and of its bodies: its actor may be started anew.
 const REMINDER: Span = Span::from_millis(500);
 /// Bitstream that a unicast server is asked for: the newest that was read from independent servers.
 const BITSTREAM: Version = Version { major: 4, minor: 1 };

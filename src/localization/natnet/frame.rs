@@ -106,7 +106,7 @@ fn decode_as(payload: &[u8], layout: Layout) -> Result<(Frame, usize), Malformed
     }
     // Ticks of mid-exposure, of reception and of transmission.
     reader.skip(3, 8)?;
-    // Precise stamp. The manufacturer's samples disagree on whether 4.0 has it (D).
+    // Precise stamp. The manufacturer's samples disagree on whether 4.0 has it.
     if layout == Layout::Sized || reader.left() >= PRECISE_STAMP + PARAMS + END {
         reader.skip(1, PRECISE_STAMP)?;
     }

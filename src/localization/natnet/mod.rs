@@ -14,12 +14,12 @@ mod worker;
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::localization::{In, Out, Parts, Source};
-use crate::messages::geometry::{self, Deviation, MAX_HEADING, Twist, Vec2};
+use crate::messages::geometry::{self, Deviation, MAX_HEADING, Twist, Vec2, wrapped};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Reading, Wire};
 use crate::time::{Span, Time};
 
-use body::{Body, Pose, wrapped};
+use body::{Body, Pose};
 use frame::{Frame, Layout, RigidBody};
 use model::Definition;
 use packet::{Malformed, Version};
@@ -28,14 +28,14 @@ use settings::{BodyName, Config, Up};
 /// Description in one line.
 pub const ABOUT: &str = "motion capture that streams NatNet (OptiTrack Motive)";
 
-/// Age up to which an older frame counts as late \[s\]; an even older one is of a server that was started again (I).
+/// Age up to which an older frame counts as late \[s\]; an even older one is of a server that was started again.
 const LATE_S: f64 = 1.0;
-/// Least deviation of a position \[m\]: a mean marker error may be zero by chance (I).
+/// Least deviation of a position \[m\]: a mean marker error may be zero by chance.
 const LEAST_ERROR_M: f32 = 1e-4;
-/// Least horizontal share of a body's forward axis at which it has a heading: half, 60 degrees of tilt (I).
+/// Least horizontal share of a body's forward axis at which it has a heading: half, 60 degrees of tilt.
 const LEVEL: f64 = 0.5;
 
-/// Share of a period by which a frame may be early, so that every second one of 100 Hz is passed on at 50 Hz (I).
+/// Share of a period by which a frame may be early, so that every second one of 100 Hz is passed on at 50 Hz.
 const EARLY: f64 = 0.1;
 
 /// Makes the source and its worker.

@@ -1,6 +1,6 @@
 //! Datagrams of NatNet: header, requests of a client, description of the server, and a reader of little-endian fields.
 //!
-//! Layouts and numbers as in the manufacturer's sample client for direct depacketization (README: D).
+//! Layouts and numbers as in the manufacturer's sample client for direct depacketization.
 
 /// Client asks for the server's description; in unicast it also subscribes to frames.
 pub const CONNECT: u16 = 0;
@@ -21,7 +21,7 @@ const HEADER: usize = 4;
 const NAME: usize = 256;
 /// Bytes of a client's payload of CONNECT: name, two versions, and five of options.
 const CONNECT_LENGTH: usize = 270;
-/// Place of the requested bitstream in that payload (README: D).
+/// Place of the requested bitstream in that payload (the same sample).
 const BITSTREAM: usize = 265;
 
 /// Reason for which bytes are no message of NatNet.

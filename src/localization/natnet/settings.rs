@@ -10,11 +10,11 @@ use serde::Deserialize;
 use super::Alignment;
 use super::body::Limits;
 
-/// Multicast group of Motive by default (README: D).
+/// Multicast group of Motive by default (its manual).
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 42, 99);
-/// Port of frames by default (README: D).
+/// Port of frames by default (its manual).
 const DATA_PORT: u16 = 1511;
-/// Port of commands by default (README: D).
+/// Port of commands by default (its manual).
 const COMMAND_PORT: u16 = 1510;
 
 /// Axis that points up in the tracker.
@@ -31,7 +31,7 @@ pub enum Up {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Transmission {
-    /// To a group, whoever listens.
+    /// To a multicast group.
     Multicast,
     /// To each client that asks for it.
     Unicast,
@@ -110,12 +110,12 @@ impl Default for Fields {
             yaw_rad: 0.0,
             origin_m: [0.0; 2],
             bodies: toml::Table::new(),
-            // Twice the policies' 0.9 m/s; an EP does 3.5 m/s (README: D).
+            // Twice the policies' 0.9 m/s; an EP does 3.5 m/s.
             speed_most_m_s: 2.0,
             settle_s: 1.0,
             // Noise of 0.2 mm becomes 6 mm/s, 25 ms late.
             velocity_window_s: 0.05,
-            // README: a tracker at 100 Hz is passed on at 40 to 50 Hz.
+            // Twice the rate of the policies is enough of a tracker at 100 Hz and more.
             rate_hz: 50.0,
         }
     }

@@ -23,7 +23,7 @@ const WAIT_MS: u16 = 50;
 const PAUSE: u32 = 20;
 /// Oldest bitstream that is decoded.
 const OLDEST: Version = Version { major: 3, minor: 0 };
-/// Time after which the sockets to a silent server are opened anew (I).
+/// Time after which the sockets to a silent server are opened anew.
 const REOPEN: Span = Span::from_millis(5000);
 /// Most datagrams that are read at once.
 const BURST: usize = 64;
