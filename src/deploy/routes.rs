@@ -81,7 +81,9 @@ impl Routes {
                 mark(hosts, &host.simulates);
             }
             let bodies = host.simulates.iter().chain(&host.actuates).chain(&host.localizes);
-            robots_of.push(host.agents.iter().flatten().chain(bodies).copied().map(RobotId).collect());
+            // Each once: a host may run a robot's agent and its body.
+            let robots: BTreeSet<RobotId> = host.agents.iter().flatten().chain(bodies).copied().map(RobotId).collect();
+            robots_of.push(robots.into_iter().collect());
         }
         let found = |hosts: Vec<Option<HostId>>| -> Vec<HostId> {
             hosts.into_iter().map(|host| host.expect("a checked deployment has a host for everything")).collect()

@@ -251,6 +251,6 @@ fn refuse(error: &clap::Error) -> ExitCode {
         .take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more information"))
         .filter(|line| !line.is_empty())
         .collect();
-    output::talk(&format!("{} (see 'murmurate --help')", said.join(" ")));
+    output::talk(&format!("{} (see 'murmurate --help')", said.join(" ").replace(" tip: ", "; tip: ")));
     ExitCode::from(2)
 }
