@@ -4,6 +4,7 @@ use super::{Deployment, Host};
 use crate::chassis::Chassis;
 use crate::config::ConfigError;
 use crate::messages::ids::RobotId;
+use crate::world::Placement;
 
 impl Deployment {
     /// Checks that all robots are simulated, as they are in one process under virtual time.
@@ -13,6 +14,19 @@ impl Deployment {
             let why = format!("'{}' has real robots, which only 'murmurate host' drives and measures", host.name);
             Err(ConfigError::field("host.actuates and host.localizes", why))
         })
+    }
+
+    /// Checks that real robots drive to their starts: nothing can place them.
+    pub(super) fn check_placement(&self) -> Result<(), ConfigError> {
+        let real = self.hosts.iter().find(|host| !host.actuates.is_empty());
+        match real.filter(|_| self.placement == Placement::Exact) {
+            None => Ok(()),
+            Some(host) => {
+                let why =
+                    format!("'exact' places simulated robots only, and '{}' has real ones; write 'drive'", host.name);
+                Err(ConfigError::field("placement", why))
+            }
+        }
     }
 
     /// Chassis of a robot of a checked deployment.

@@ -56,7 +56,8 @@ mod tests {
         deployment.hosts[3].simulates = vec![0];
         deployment.hosts.push(Host { name: "other".to_owned(), simulates: vec![1, 2], ..Host::default() });
         assert_eq!((deployment.judged(), deployment.judge()), (Judged::Readings, world));
-        assert_eq!(Routes::of(&deployment).listeners(Kind::Reading), [0, 1, 2, 3].map(HostId));
+        // Each World has to know where the robots of the other are.
+        assert_eq!(Routes::of(&deployment).listeners(Kind::Reading), [0, 1, 2, 3, 4].map(HostId));
         deployment.links[0].carries.retain(|kind| *kind != Kind::Reading);
         let refused = deployment.check().unwrap_err().to_string();
         assert!(refused.starts_with("link.carries: Reading") && refused.contains("'world' judges"), "{refused}");

@@ -219,6 +219,7 @@ impl Deployment {
         }
         self.hosts.iter().try_for_each(Host::check_devices)?;
         self.check_bodies()?;
+        self.check_placement()?;
         let servers = self.hosts.iter().filter(|host| host.state_server).count();
         if servers != 1 {
             return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));

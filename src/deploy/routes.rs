@@ -115,11 +115,17 @@ impl Routes {
                 server: server_host,
             }),
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
-            // The driver of a real robot needs its heading; a World knows it.
+            // The driver of a real robot needs its heading; a World knows it, and has to know where other robots are.
             reading_hosts: RobotId::team(robots)
-                .map(|robot| match world_host[robot.index()] {
-                    Some(_) => hosts(&[agent_host[robot.index()]], judge.as_slice()),
-                    None => hosts(&[agent_host[robot.index()], actuator_host[robot.index()]], judge.as_slice()),
+                .map(|robot| {
+                    let agent = [agent_host[robot.index()]];
+                    let driver = match world_host[robot.index()] {
+                        Some(_) => &[][..],
+                        None => &actuator_host[robot.index()..=robot.index()],
+                    };
+                    let mut worlds: Vec<HostId> = world_host.iter().copied().flatten().collect();
+                    worlds.retain(|host| world_host[robot.index()] != Some(*host));
+                    hosts(&hosts(&agent, driver), &hosts(&worlds, judge.as_slice()))
                 })
                 .collect(),
             agent_host,
