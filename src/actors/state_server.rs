@@ -292,13 +292,9 @@ impl StateServer {
         let late: Vec<RobotId> = team.filter(is_late).map(|(robot, _)| robot).collect();
         let names: Vec<String> = late.iter().map(RobotId::to_string).collect();
         let (episode, names) = (self.round.episode, names.join(", "));
-        tracing::warn!(
-            "the reset before episode {episode} takes too long; the episode is aborted: {names} not in place"
-        );
+        tracing::warn!("the reset before episode {episode} has failed: {names} not in place");
         if late.iter().any(|robot| self.config.real.binary_search(robot).is_ok()) {
-            tracing::error!(
-                "the team is held: free or carry {names}, then 'murmurate resume' lets the next reset begin"
-            );
+            tracing::error!("the team is held: look after {names}, then run 'murmurate resume'");
             self.latched(Latch::held(self.latch.number() + 1));
         }
         self.enter(now, Phase::AbortRunning);
