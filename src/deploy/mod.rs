@@ -63,6 +63,9 @@ pub struct Host {
     /// Source of the readings of the robots that it localizes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<Settings>,
+    /// Publication of what the host hears of the team, for programs of others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub observe: Option<Settings>,
     /// Whether it runs the team's StateServer.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub state_server: bool,
