@@ -6,7 +6,7 @@ use crate::config::ConfigError;
 use crate::messages::ids::RobotId;
 
 impl Deployment {
-    /// Checks that all robots are simulated, as they are in one process under virtual time.
+    /// Checks that every robot is simulated, as one process under virtual time requires; an error names the field.
     pub fn check_simulated(&self) -> Result<(), ConfigError> {
         let real = |host: &&Host| !host.actuates.is_empty() || !host.localizes.is_empty();
         self.hosts.iter().find(real).map_or(Ok(()), |host| {
