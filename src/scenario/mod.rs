@@ -143,7 +143,8 @@ pub trait Scenario: Debug + Send + Sync {
         (task.goal - position).norm()
     }
 
-    /// Whether `stage` is the last one, after which the scenario's own reward pays for no more progress. Only tests call it.
+    /// Whether `stage` is the last one, after which the scenario's own reward pays for no more progress. Only tests
+    /// call it.
     fn finished(&self, _stage: Stage) -> bool {
         true
     }

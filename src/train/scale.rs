@@ -5,7 +5,7 @@ use crate::registry::Registry;
 use crate::scenario::{ScenarioError, Settings};
 
 impl Config {
-    /// Returns the configuration for a team of `robots`, or of the scenario's own size if that is `None`. The sizes of
+    /// Returns the configuration for a team of its `robots`, or of the scenario's own size if that is `None`. Sizes of
     /// groups keep their proportions as far as the scenario supports teams of these sizes. Otherwise the team is split
     /// in another way, or not at all.
     ///

@@ -125,8 +125,8 @@ impl LinkState {
         encoded
     }
 
-    /// Checks a received datagram. Returns its header and its bytes without the tag; `None` unless it is new. Replies
-    /// are appended to `out`.
+    /// Checks a received datagram. Returns its header and its bytes without the tag; `None` unless it is accepted and
+    /// new. Replies are appended to `out`.
     pub fn admit<'a>(
         &mut self,
         now: Time,
