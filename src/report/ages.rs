@@ -58,8 +58,8 @@ impl Ages {
         (total > 0).then(|| within as f64 / total as f64)
     }
 
-    /// Returns the first edge \[s\] up to which at least the share `q` of the ages lies; `None` if nothing was counted, or
-    /// if that share lies beyond the last edge.
+    /// Returns the first edge \[s\] up to which at least the share `q` of the ages lies; `None` if nothing was counted,
+    /// or if that share lies beyond the last edge.
     pub fn quantile_s(&self, q: f64) -> Option<f64> {
         self.cumulative().into_iter().find(|&(_, share)| share >= q).map(|(edge_s, _)| edge_s)
     }
