@@ -19,16 +19,17 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::Placement;
 
-/// Period of its decisions: one World step.
+/// Period of the StateServer's decisions: one World step.
 pub const TICK: Span = Span::from_millis(50);
-/// Period at which it repeats an unchanged instruction; for a team of several blocks, one block at a time.
+/// Period at which the StateServer repeats an unchanged instruction. In a team of several blocks of robots, each
+/// repetition is for one block.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
-/// Number of times that a new instruction is sent to all blocks before they take turns, so that loss of all of them is
-/// unlikely.
+/// Number of times that a new instruction is sent to all blocks of robots, so that loss of all of them is unlikely.
+/// Then it is sent to one block at a time.
 pub const NEW_MODE_REPEATS: u32 = 3;
 /// Silence after which a robot is missing: five heartbeats.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
-/// Longest wait for missing robots before it goes on without them.
+/// Longest wait for missing robots before the StateServer goes on without them.
 pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 /// Longest duration of a reset.
 pub const RESET_LIMIT: Span = Span::from_millis(60_000);
@@ -64,7 +65,7 @@ pub struct Config {
     pub layouts: Layouts,
     /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// Whether robots are placed at their starts or drive there.
+    /// Way of bringing robots to their starts: they are placed there, or they drive.
     pub placement: Placement,
     /// Longest duration of an episode.
     pub limit: Span,

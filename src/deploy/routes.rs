@@ -178,7 +178,7 @@ impl Routes {
         self.localizer_host[robot.index()]
     }
 
-    /// The host whose World simulates the robot; none for a real one.
+    /// The host whose World simulates the robot; `None` for a real robot.
     pub fn world_host(&self, robot: RobotId) -> Option<HostId> {
         self.world_host[robot.index()]
     }
@@ -188,7 +188,7 @@ impl Routes {
         self.server_host
     }
 
-    /// The robots of the agent that hosts `robot`, itself among them, in the order of their ids.
+    /// All robots of the agent that drives `robot`, including `robot`, in the order of their ids.
     pub fn agent_robots(&self, robot: RobotId) -> &[RobotId] {
         &self.agent_robots[robot.index()]
     }
@@ -212,7 +212,7 @@ impl Routes {
         })
     }
 
-    /// Whether the host sends a message of this kind to another, or receives one from another.
+    /// Whether `host` sends messages of this kind to other hosts or receives them from other hosts.
     pub fn exchanges(&self, host: HostId, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let (from, receivers) = (self.publisher(kind, robot), self.receivers(kind, robot));

@@ -1,4 +1,4 @@
-//! Drivers, sources and observation of one process, made from the deployment, with their workers on threads of their own.
+//! Drivers, sources and observation of one process, made from the deployment. Their workers run on threads of their own.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
