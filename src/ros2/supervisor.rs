@@ -12,6 +12,7 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use crate::config::ConfigError;
 use crate::edge::{Packet, Port, Worker};
 use crate::time::{Span, Time};
 
@@ -65,6 +66,10 @@ impl Process {
 }
 
 impl Worker for Supervisor {
+    fn check(&self) -> Result<(), ConfigError> {
+        super::settings::check_built()
+    }
+
     fn run(self: Box<Self>, mut port: Port) {
         let (tx, happened) = mpsc::sync_channel(ROOM);
         let sender = port.sender();
