@@ -140,7 +140,7 @@ pub struct Deployment {
     /// Plant of the simulated robots.
     #[serde(default = "kinematic")]
     pub plant: String,
-    /// Chassis of the robots that are not simulated; `bodies` has those of single robots.
+    /// Chassis of the robots; `bodies` has those of single robots.
     #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
     pub body: chassis::Settings,
     /// Chassis of robots that differ from `body`, by their number.
