@@ -9,7 +9,7 @@ use crate::program::BadInput;
 
 /// Flags for the drive of all robots.
 #[derive(clap::Args, Clone, Debug)]
-pub struct Flags {
+pub struct DriveFlags {
     /// Drive of the robots: 'holonomic' moves in every direction; 'differential' has two driven wheels, and a point
     /// ahead of its axle follows the policy (docs/world.md) [default: as the configuration or the deployment says, or
     /// else holonomic]
@@ -30,14 +30,14 @@ fn kind(name: String) -> DriveKind {
     if name == "differential" { DriveKind::Differential } else { DriveKind::Holonomic }
 }
 
-impl Flags {
+impl DriveFlags {
     /// Whether none is given.
     pub fn is_empty(&self) -> bool {
         self.settings().is_empty()
     }
 
     fn settings(&self) -> Settings {
-        let Flags { drive, point_ahead_m, speed_m_s, yaw_rate_rad_s } = *self;
+        let DriveFlags { drive, point_ahead_m, speed_m_s, yaw_rate_rad_s } = *self;
         Settings { drive, point_ahead_m, speed_m_s, yaw_rate_rad_s, ..Settings::default() }
     }
 
@@ -61,14 +61,14 @@ mod tests {
 
     #[test]
     fn flags_replace_settings_and_a_wrong_one_is_named() {
-        let none = Flags { drive: None, point_ahead_m: None, speed_m_s: None, yaw_rate_rad_s: None };
+        let none = DriveFlags { drive: None, point_ahead_m: None, speed_m_s: None, yaw_rate_rad_s: None };
         let file = Settings { drive: Some(DriveKind::Differential), point_ahead_m: Some(0.2), ..Settings::default() };
         assert_eq!(none.over(&file).unwrap(), file);
-        let near = Flags { point_ahead_m: Some(0.1), ..none.clone() };
+        let near = DriveFlags { point_ahead_m: Some(0.1), ..none.clone() };
         assert_eq!(near.over(&file).unwrap(), Settings { point_ahead_m: Some(0.1), ..file });
         let error = near.over(&Settings::default()).unwrap_err().to_string();
         assert!(error.starts_with("--point-ahead-m: ") && error.contains("differential"), "{error}");
-        let slow = Flags { yaw_rate_rad_s: Some(-1.0), ..none };
+        let slow = DriveFlags { yaw_rate_rad_s: Some(-1.0), ..none };
         assert!(slow.over(&Settings::default()).unwrap_err().to_string().starts_with("--yaw-rate-rad-s: "));
     }
 }

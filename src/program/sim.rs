@@ -148,7 +148,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE.csv")]
     trajectories: Option<PathBuf>,
     #[command(flatten)]
-    drive: drive::Flags,
+    drive: drive::DriveFlags,
     #[command(flatten)]
     pictures: picture::Flags,
     /// Prints one JSON object instead of the table

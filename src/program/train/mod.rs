@@ -62,7 +62,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "resume")]
     radio: Option<String>,
     #[command(flatten)]
-    drive: drive::Flags,
+    drive: drive::DriveFlags,
     /// Duration of the training [min]; schedules follow the clock, so two such runs differ slightly
     #[arg(long)]
     minutes: Option<f64>,
