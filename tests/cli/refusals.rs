@@ -316,6 +316,23 @@ fn flags_of_the_robots_take_effect_and_their_defaults_change_nothing() {
 }
 
 #[test]
+fn a_policy_that_was_trained_for_another_drive_is_named() {
+    let said = |args: &[&str]| {
+        let common = ["sim", "--episodes", "1", "--repeats", "1"];
+        let output = run(&[&common[..], args].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        text(&output.stderr)
+    };
+    let wheels = ["--drive", "differential", "--point-ahead-m", "0.1"];
+    let warned = said(&wheels);
+    let words = ["warning", "shipped", "holonomic", "robot 0", "0.1 m ahead", "--drive"];
+    assert!(words.iter().all(|word| warned.contains(word)), "{warned}");
+    assert_eq!(said(&[&wheels[..], &["--quiet"]].concat()), "");
+    assert!(!said(&[&wheels[..], &["--policy", "orca"]].concat()).contains("warning"), "it is trained for none");
+    assert!(!said(&[]).contains("warning"));
+}
+
+#[test]
 fn trajectories_are_written_completely() {
     let folder = Folder::new();
     let path = folder.file("paths.csv", "what was there before");
