@@ -47,13 +47,13 @@ pub(super) fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotI
     });
 }
 
-/// Starts the Localizer of one simulated robot.
-pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
+/// Starts the Localizer of one simulated robot of a team with these chassis.
+pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId, chassis: &Rc<[Chassis]>) {
     let network = graph.network_of(graph.routes.localizer_host(robot));
-    let (sensor, seed) = (plan.physics.sensor, plan.seed);
+    let (sensor, seed, chassis) = (plan.physics.sensor, plan.seed, Rc::clone(chassis));
     let make = move |incarnation| {
         let stream = seed.stream(&format!("body/{}/sensor/{incarnation}", robot.0));
-        Localizer::new(Box::new(localization::simulated::Simulated::new(sensor, stream)), Rc::new([]))
+        Localizer::new(Box::new(localization::simulated::Simulated::new(sensor, stream)), Rc::clone(&chassis))
     };
     let mailbox = &graph.sensors[robot.index()];
     start(clock, mailbox, info_span!("localizer", robot = robot.0), make, move |reading| {
@@ -65,8 +65,7 @@ pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: Robo
 pub(super) fn wire_source(clock: &Clock, plan: &Plan, graph: &Graph, process: &Process) {
     let (Some(host), Some(device)) = (process.only, process.devices.source.clone()) else { return };
     let network = graph.network_of(host);
-    let team = RobotId::team(plan.deployment.robots);
-    let chassis: Rc<[Chassis]> = team.map(|robot| plan.deployment.chassis(robot)).collect();
+    let chassis = plan.deployment.team_chassis();
     let make = move |_| Localizer::new((device.make)(), Rc::clone(&chassis));
     start(clock, &graph.source, info_span!("localizer"), make, move |reading| {
         network.send(network::In::Publish(Wire::Reading(reading)));
@@ -87,12 +86,18 @@ pub(super) fn wire_world(
     let others: Vec<RobotId> =
         RobotId::team(plan.deployment.robots).filter(|robot| simulated.binary_search(robot).is_err()).collect();
     // Robots are at their first starts before anything runs, as people would place them.
-    let team = simulated.iter().chain(&others);
-    let starts: Vec<Vec2> = team.map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
+    let task = |robot: &RobotId| plan.layouts.episode(0)[robot.index()];
+    let starts: Vec<Vec2> = simulated.iter().chain(&others).map(|robot| task(robot).start).collect();
     let others: Vec<(RobotId, Chassis)> =
         others.into_iter().map(|robot| (robot, plan.deployment.chassis(robot))).collect();
     let seed = plan.seed.child(&format!("world/{}", host.0));
-    let plant = (plan.plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
+    let mut plant = (plan.plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
+    for (index, robot) in simulated.iter().enumerate() {
+        let chassis = plan.deployment.chassis(*robot);
+        if chassis != Chassis::default() {
+            plant.equip(index, chassis, task(robot).heading());
+        }
+    }
     let (persistent, placement) = (Rc::new(RefCell::new(PersistentPlant::new(plant))), plan.deployment.placement);
     let place = &graph.worlds[simulated[0].index()];
     let make = move |_| World::new(Rc::clone(&persistent), placement, &simulated, &others);
