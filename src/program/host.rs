@@ -19,6 +19,7 @@ use crate::net::protocol::key::Key;
 use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::registry::Registry;
 use crate::report::event::{Counted, HostEvent, RobotSafety};
+use crate::report::hardware::RobotHardware;
 use crate::report::summary::{Counts, Run, Summary};
 use crate::report::trial::TrialReport;
 use crate::safety::guard::SafetyCounts;
@@ -81,6 +82,7 @@ struct Seen {
     messages: Cell<u64>,
     counts: Cell<LinkCounts>,
     safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
+    hardware: RefCell<BTreeMap<RobotId, RobotHardware>>,
     outlets: Outlets,
     /// Another live host has the id of this one.
     duplicate: Cell<Option<DuplicateId>>,
@@ -271,7 +273,8 @@ impl Watch {
 impl Seen {
     fn new(outlets: Outlets) -> Seen {
         let (report, over, messages, counts) = Default::default();
-        Seen { report, over, messages, counts, safety: RefCell::default(), outlets, duplicate: Cell::default() }
+        let (safety, hardware, duplicate) = Default::default();
+        Seen { report, over, messages, counts, safety, hardware, outlets, duplicate }
     }
 
     fn hear(&self, heard: ProcessEvent) {
@@ -280,6 +283,10 @@ impl Seen {
             ProcessEvent::Message(_) | ProcessEvent::Peers(_) => {}
             ProcessEvent::Counts(counts) => self.counts.set(*counts),
             ProcessEvent::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
+            ProcessEvent::Hardware(robot, hardware) => {
+                let mut all = self.hardware.borrow_mut();
+                all.entry(robot).or_insert_with(|| RobotHardware::new(robot)).note(hardware);
+            }
             ProcessEvent::Published => self.messages.set(self.messages.get() + 1),
             ProcessEvent::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
         }
@@ -311,6 +318,7 @@ impl Seen {
                 .filter(|(_, counts)| counts.reasons().next().is_some())
                 .map(robot)
                 .collect(),
+            hardware: self.hardware.borrow().values().cloned().collect(),
             unwritten: self.outlets.unwritten(),
         }
     }

@@ -233,6 +233,12 @@ fn exit_code(ended: anyhow::Result<Ended>) -> ExitCode {
     }
 }
 
+/// Name under which this program was started; a crate of someone's own has another than this one's.
+fn own_name() -> String {
+    let path = std::env::args_os().next().map(std::path::PathBuf::from);
+    path.and_then(|path| Some(path.file_name()?.to_str()?.to_owned())).unwrap_or_else(|| "murmurate".to_owned())
+}
+
 /// Help and version as they are; anything wrong as one line.
 fn refuse(error: &clap::Error) -> ExitCode {
     if !error.use_stderr() {
@@ -251,6 +257,6 @@ fn refuse(error: &clap::Error) -> ExitCode {
         .take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more information"))
         .filter(|line| !line.is_empty())
         .collect();
-    output::talk(&format!("{} (see 'murmurate --help')", said.join(" ").replace(" tip: ", "; tip: ")));
+    output::talk(&format!("{} (see '{} --help')", said.join(" ").replace(" tip: ", "; tip: "), own_name()));
     ExitCode::from(2)
 }

@@ -16,7 +16,7 @@ use murmurate::edge::{self, Gate, Settings};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::{BodyTwist, Drive};
-use murmurate::messages::telemetry::Health;
+use murmurate::messages::wire::{Hardware, Health};
 use murmurate::time::{Span, Time};
 use nix::poll::{PollTimeout, poll};
 
@@ -101,7 +101,7 @@ impl Host {
 
     fn is_ready(&self) -> bool {
         let condition = |out: &&Out| matches!(out, Out::Condition(..));
-        matches!(self.outs.iter().rfind(condition), Some(Out::Condition(Health::Ready, _)))
+        matches!(self.outs.iter().rfind(condition), Some(Out::Condition(Hardware { health: Health::Ready, .. })))
     }
 
     fn end(self) -> f64 {
@@ -165,7 +165,8 @@ fn pushes_of_several_robots_to_one_port_are_never_crossed() {
         let mut readings = host.outs.iter().filter_map(|out| if let Out::Odometry(r) = out { Some(r) } else { None });
         let last = f64::from(readings.next_back().unwrap().pose.position.x);
         assert!(at > 0.1 && (last - at).abs() < 0.002, "{last} m instead of {at} m");
-        assert!(host.outs.contains(&Out::Condition(Health::Ready, Some(battery))));
+        let ready = Hardware { battery: Some(battery), ..Hardware::of(Health::Ready) };
+        assert!(host.outs.contains(&Out::Condition(ready)));
         host.end();
     }
 }
@@ -174,7 +175,13 @@ fn pushes_of_several_robots_to_one_port_are_never_crossed() {
 fn a_robot_that_is_not_there_is_silent_and_its_worker_ends() {
     let mut hosts = [Host::start(Ipv4Addr::new(127, 0, 40, 9))];
     run(&mut hosts, 0.5, |_| false);
-    assert_eq!(hosts[0].outs, [Out::Condition(Health::Silent, None)]);
+    let reason = |out: &Out| match out {
+        Out::Condition(Hardware { health: Health::Silent, reason: Some(reason), .. }) => reason.text().to_owned(),
+        _ => panic!("{out:?}"),
+    };
+    let reasons: Vec<String> = hosts[0].outs.iter().map(reason).collect();
+    assert_eq!((reasons[0].as_str(), reasons.len()), ("no connection yet", 2));
+    assert!(reasons[1].starts_with("127.0.40.9 refuses TCP port 40923"), "{reasons:?}");
     let [host] = hosts;
     assert!(host.end() < 1.0);
 }

@@ -42,11 +42,13 @@ struct Received {
 impl Received {
     /// Merges a host's report on a robot with those of other hosts.
     fn learn(&mut self, told: &Condition) {
-        let known = self.robots.entry(told.robot).or_insert(*told);
+        let known = self.robots.entry(told.robot).or_insert_with(|| told.clone());
         known.phase = told.phase.or(known.phase);
         known.seen = told.seen.or(known.seen);
         known.health = told.health.or(known.health);
         known.battery = told.battery.or(known.battery);
+        known.temperature = told.temperature.or(known.temperature);
+        known.reason = told.reason.clone().or(known.reason.take()).filter(|_| told.health != Some(Health::Ready));
     }
 }
 
@@ -129,7 +131,8 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
                 ProcessEvent::Message(_)
                 | ProcessEvent::Published
                 | ProcessEvent::Duplicate(_)
-                | ProcessEvent::Safety(..) => {}
+                | ProcessEvent::Safety(..)
+                | ProcessEvent::Hardware(..) => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
             observe(clock, &listener, observer);
@@ -177,7 +180,7 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
     }
     if !peer.accepted {
         let advice = "does it hear this machine? run doctor there, too".to_owned();
-        return (Status::Warn, what, format!("heard, but it has not shown that it hreceived us; {said}"), advice);
+        return (Status::Warn, what, format!("heard, but it has not shown that it has received us; {said}"), advice);
     }
     if peer.loss >= LOSSY {
         let advice = "look at the radio, or choose reliability = { latent = \"repeat\" }".to_owned();
@@ -206,7 +209,9 @@ fn about_robot(robot: RobotId, known: Option<&Condition>) -> Found {
         Some(Health::Silent) => "its hardware does not answer",
     };
     let battery = known.battery.map_or(String::new(), |battery| format!(", battery {battery} %"));
-    let said = format!("{place}; {phase}; {health}{battery}");
+    let temperature = known.temperature.map_or(String::new(), |temperature| format!(", {temperature}"));
+    let reason = known.reason.as_ref().map_or(String::new(), |reason| format!(": {reason}"));
+    let said = format!("{place}; {phase}; {health}{reason}{battery}{temperature}");
     match known.health {
         Some(Health::Faulty | Health::Silent) => {
             (Status::Fail, what, said, "look at the robot: its driver says that something is wrong".to_owned())
