@@ -77,8 +77,10 @@ impl Bench {
                 Out::Send(packet) => match ToWorker::decode(&packet).expect("the driver's own packets are sound") {
                     ToWorker::Open => {
                         if self.dead {
-                            self.to_driver
-                                .push_back((self.now_ms + 400, FromWorker::Closed(self.connection, b"no route").encode().into()));
+                            self.to_driver.push_back((
+                                self.now_ms + 400,
+                                FromWorker::Closed(self.connection, b"no route").encode().into(),
+                            ));
                         } else {
                             if self.connection > 0 {
                                 self.robot.disconnected(self.now_ms as f64 * 1e-3);
