@@ -251,6 +251,23 @@ fn two_robots_of_one_address_are_refused() {
 }
 
 #[test]
+fn a_robot_that_is_not_there_is_named_with_its_address() {
+    if !has_python() {
+        return;
+    }
+    let bench = Bench::new(1, "none", "");
+    let file = read_to_string(bench.file()).expect("it is there");
+    let driver = "driver = { name = \"robomaster\", connection = \"router\", address = \"127.0.41.9\" }";
+    let lines = file.lines().map(|line| if line.starts_with("driver") { driver } else { line });
+    write(bench.file(), lines.collect::<Vec<_>>().join("\n")).expect("it can be written");
+    let output = bench.doctor(&[]);
+    let out = text(&output.stdout);
+    assert_eq!(output.status.code(), Some(1), "{out}");
+    let named = "fail robot 0, driver robomaster: does not answer: robot 0 at 127.0.41.9 refuses TCP port 40923";
+    assert_eq!(out.lines().filter(|line| line.starts_with(named)).count(), 1, "{out}");
+}
+
+#[test]
 fn the_results_of_a_host_have_its_robots_hardware() {
     if !has_python() {
         return;

@@ -107,7 +107,7 @@ fn words(robot: RobotId, verdict: &Verdict) -> (Status, String, String) {
     let fail = |said: String, advice: &str| (Status::Fail, said, advice.to_owned());
     match verdict {
         Verdict::Right(distance, off) => {
-            let (cm, degrees) = (distance * 100.0, off.to_degrees());
+            let (cm, degrees) = (distance * 100.0, off.abs().to_degrees());
             (Status::Ok, format!("went {cm:.1} cm, {degrees:.0} degrees off, and back"), String::new())
         }
         Verdict::Unseen => fail("no reading of it: it stands".to_owned(), "see its source above"),
