@@ -247,7 +247,7 @@ impl Registry {
     pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Parts, ConfigError> {
         let entry =
             find(&self.sources, &settings.name).map_err(|e| ConfigError::field("source.name", e.to_string()))?;
-        (entry.make)(settings, robots).map_err(|error| error.within("source"))
+        localization::fusion::make(settings, robots, entry.make).map_err(|error| error.within("source"))
     }
 
     /// The policy of that name; `None` if there is none, and the name may be the path of a file.

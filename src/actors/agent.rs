@@ -19,7 +19,7 @@ use crate::random::Stream;
 use crate::scenario::Scenario;
 use crate::time::{Span, Time};
 
-/// Largest distance of a robot from its start at which an episode may begin \[m\].
+/// Largest distance between a robot and its start at which the robot counts as ready for the episode \[m\].
 pub const START_M: f32 = 0.05;
 
 /// Shortest time from the start of a round until a robot can have arrived. An earlier arrival comes from a reading of
@@ -52,9 +52,9 @@ pub struct RobotPolicies {
     pub run: Box<dyn Policy>,
     /// The policy that drives the robot to its start.
     pub reset: Box<dyn Policy>,
-    /// Random stream of its actions.
+    /// Random stream from which the policy draws when it acts.
     pub actions: Stream,
-    /// Random stream of its communication ranges toward robots of the same Agent.
+    /// Random stream of the communication ranges between this robot and the others of the same Agent.
     pub ranges: Stream,
 }
 
@@ -117,7 +117,8 @@ pub struct Agent {
 }
 
 impl Agent {
-    /// Makes an agent of these robots, in the order of their ids.
+    /// Makes an agent of these robots, which must be in the order of their ids. `range` is the communication range
+    /// between them, and `max_wait` the longest wait of a joint step for late percepts.
     pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
         assert!(robots.is_sorted_by_key(|policies| policies.robot), "sums run over robots in the order of their ids");
         Agent {

@@ -31,7 +31,7 @@ pub enum In {
 pub struct Config {
     /// The robot.
     pub robot: RobotId,
-    /// Control period of its agent.
+    /// Control period of the robot's agent.
     pub period: Span,
     /// Offset of the tick within each period.
     pub phase: Span,
@@ -43,9 +43,9 @@ pub struct Config {
     pub handling: Handling,
     /// Estimator from readings to the robot's state.
     pub estimator: estimation::Entry,
-    /// Known delay of the source of its readings.
+    /// Known time from the measurement of a reading to its arrival.
     pub sensor_delay: Span,
-    /// Largest age of the own reading at which the robot acts. Beyond it the Cache sends no percept.
+    /// Largest age of the robot's newest reading at which the robot acts. Beyond it the Cache sends no percept.
     pub own_age: Span,
 }
 

@@ -52,7 +52,7 @@ pub enum Out {
 pub struct Config {
     /// The robot.
     pub robot: RobotId,
-    /// Configuration of its guard.
+    /// Configuration of the robot's guard.
     pub guard: guard::Config,
     /// Validity of a command.
     pub valid_for: Span,

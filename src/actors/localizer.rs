@@ -31,8 +31,8 @@ pub struct Localizer {
 }
 
 impl Localizer {
-    /// Makes a localizer without a measurement. Its source measures the centres of robots; what is published are the
-    /// points that their policies command.
+    /// Makes a localizer without a measurement. The source measures the centres of robots; the Localizer publishes the
+    /// points that their policies command, which `chassis` gives for each robot.
     pub fn new(source: Box<dyn Source>, chassis: Rc<[Chassis]>) -> Localizer {
         Localizer { source, chassis, refused: 0, outputs: Vec::new() }
     }

@@ -54,7 +54,7 @@ pub enum Out {
 
 /// Largest delay of a link's timer to share a wake-up with another: a tenth of the period of a report.
 const MAX_LATE: Span = Span::from_millis(25);
-/// Period at which a Network sends its counts.
+/// Period at which a Network sends the counts of its links.
 pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
 /// Configuration of a Network.
@@ -62,9 +62,10 @@ pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 pub struct Config {
     /// Identity of this host.
     pub me: Identity,
-    /// The team's key; without one, every sender is accepted.
+    /// The team's key; with `None`, every sender is accepted.
     pub key: Option<Key>,
-    /// Its links, in the order of the deployment; none where this host does not take part.
+    /// Setup of each link, in the order of the deployment; `None` for a link on which this host neither sends nor
+    /// receives.
     pub links: Vec<Option<Setup>>,
     /// Routing table.
     pub router: Router,
@@ -115,7 +116,8 @@ impl UnauthorizedPublishers {
 }
 
 impl Network {
-    /// Makes a network at the start of its incarnation. It draws the times of its requests and replies from `stream`.
+    /// Makes a network at the start of its host's incarnation. Backoffs of requests and replies are drawn from
+    /// `stream`.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
         let shared =

@@ -67,15 +67,16 @@ pub struct Config {
     pub rules: Rules,
     /// Use of each step.
     pub steps: Steps,
-    /// Number of other hosts that a message to neighbours is meant for.
+    /// Number of other hosts that should receive each message to neighbours.
     pub receivers: u64,
     /// Source of the states that are judged.
     pub judged: Judged,
-    /// Whether robots are placed at their starts instead of driving there.
+    /// Whether robots are placed at their starts (`true`) or drive there.
     pub placed: bool,
-    /// Arena with its walls.
+    /// Arena of the scenario, with its walls.
     pub arena: Arena,
-    /// Distance of a robot's centre from a wall at which it touches the wall, where readings are judged \[m\].
+    /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\]. It counts where
+    /// verdicts come from readings.
     pub wall_radius_m: f32,
 }
 

@@ -2,7 +2,8 @@
 //!
 //! It takes heartbeats and sends an instruction several times a second: reset, run, or stop. It asks nothing, and waits
 //! for no answer. While the emergency stop is engaged, and after it until a resume, it holds the team. While a host
-//! that has announced its leave is away, the team stands and waits for it. A restarted server takes the team's state
+//! that has announced its leave is away, the team stands and waits for it. After a failed reset of real robots it holds
+//! the team until a person has looked after them and resumes it. A restarted server takes the team's state
 //! from the heartbeats, gives up an episode that was running, and continues with the next.
 
 use std::collections::BTreeSet;
@@ -18,16 +19,17 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::Placement;
 
-/// Period of its decisions: one World step.
+/// Period of the StateServer's decisions: one World step.
 pub const TICK: Span = Span::from_millis(50);
-/// Period at which it repeats an unchanged instruction; for a team of several blocks, one block at a time.
+/// Period at which the StateServer repeats an unchanged instruction. In a team of several blocks of robots, each
+/// repetition is for one block.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
-/// Number of times that a new instruction is sent to all blocks before they take turns, so that loss of all of them is
-/// unlikely.
+/// Number of times that a new instruction is sent to all blocks of robots, so that loss of all of them is unlikely.
+/// Then it is sent to one block at a time.
 pub const NEW_MODE_REPEATS: u32 = 3;
 /// Silence after which a robot is missing: five heartbeats.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
-/// Longest wait for missing robots before it goes on without them.
+/// Longest wait for missing robots before the StateServer goes on without them.
 pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
 /// Longest duration of a reset.
 pub const RESET_LIMIT: Span = Span::from_millis(60_000);
@@ -63,12 +65,14 @@ pub struct Config {
     pub layouts: Layouts,
     /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// Whether robots are placed at their starts or drive there.
+    /// Way of bringing robots to their starts: they are placed there, or they drive.
     pub placement: Placement,
     /// Longest duration of an episode.
     pub limit: Span,
     /// Robots whose agents or bodies each host runs.
     pub hosts: Vec<Vec<RobotId>>,
+    /// Robots that no World simulates, in order: nothing but themselves and people can bring them to their starts.
+    pub real: Vec<RobotId>,
 }
 
 /// The state server.
@@ -279,6 +283,24 @@ impl StateServer {
         }
     }
 
+    /// Gives up a reset that takes too long. Simulated robots are then put at their next starts; a real one may be
+    /// stuck, so a person has to look after it.
+    fn fail_reset(&mut self, now: Time) {
+        let is_late = |(_, beat): &(RobotId, Option<&Heartbeat>)| {
+            beat.is_none_or(|beat| beat.round != self.round || beat.phase != Phase::FinishedResetting)
+        };
+        let team = RobotId::team(self.robots.len()).zip(self.present(now));
+        let late: Vec<RobotId> = team.filter(is_late).map(|(robot, _)| robot).collect();
+        let names: Vec<String> = late.iter().map(RobotId::to_string).collect();
+        let (episode, names) = (self.round.episode, names.join(", "));
+        tracing::warn!("the reset before episode {episode} has failed: {names} not in place");
+        if late.iter().any(|robot| self.config.real.binary_search(robot).is_ok()) {
+            tracing::error!("the team is held: look after {names}, then run 'murmurate resume'");
+            self.latched(Latch::held(self.latch.number() + 1));
+        }
+        self.enter(now, Phase::AbortRunning);
+    }
+
     /// Decides on the next phase.
     fn decide(&mut self, now: Time) {
         if self.leaves {
@@ -312,10 +334,7 @@ impl StateServer {
                 tracing::warn!("the team stands and still waits for {}", names.join(", "));
             }
             Phase::Resetting if self.all_are(now, Phase::FinishedResetting) => self.enter(now, Phase::Running),
-            Phase::Resetting if lasted >= RESET_LIMIT => {
-                tracing::warn!(episode = self.round.episode, "the reset takes too long; the episode is given up");
-                self.enter(now, Phase::AbortRunning);
-            }
+            Phase::Resetting if lasted >= RESET_LIMIT => self.fail_reset(now),
             Phase::Running if self.all_are(now, Phase::FinishedRunning) => self.begin(now, self.round.episode + 1),
             Phase::Running
                 if !everyone || lasted > self.config.limit + GRACE || self.present(now).flatten().any(gives_up) =>
@@ -408,7 +427,11 @@ mod tests {
         let layouts = Layouts::of_scenario(&*passage, 1, 2);
         let limit = Span::from_millis(25_000);
         let hosts = vec![vec![RobotId(0)], vec![RobotId(1)], vec![RobotId(0), RobotId(1)]];
-        StateServer::new(Config { layouts, repeat: 0, placement: Placement::Drive, limit, hosts }, 2, 1)
+        StateServer::new(
+            Config { layouts, repeat: 0, placement: Placement::Drive, limit, hosts, real: Vec::new() },
+            2,
+            1,
+        )
     }
 
     fn beat(server: &mut StateServer, now: Time, round: Round, phases: [Phase; 2]) {
@@ -451,11 +474,40 @@ mod tests {
     }
 
     #[test]
+    fn after_a_failed_reset_of_a_real_robot_the_team_is_held_until_a_resume() {
+        for (real, held) in [(vec![RobotId(1)], true), (vec![RobotId(0)], false), (Vec::new(), false)] {
+            let mut server = server();
+            server.config.real = real;
+            let mut at = 0;
+            let mut latest = (round(0, 0), Phase::NeedReset);
+            while latest.1 != Phase::AbortRunning {
+                at += 50;
+                let phases = [Phase::FinishedResetting, Phase::Resetting];
+                let now = server.round;
+                beat(&mut server, at_ms(at), now, if now.term == 0 { [Phase::NeedReset; 2] } else { phases });
+                latest = tick(&mut server, at_ms(at));
+                assert!(at < 70_000, "a reset does not last for ever");
+            }
+            assert_eq!(server.latch.is_held(), held, "robot 1 is late");
+            let latch = server.latch;
+            for robot in [0, 1].map(RobotId) {
+                let beat = Heartbeat { robot, round: round(1, 0), phase: Phase::NeedReset, latch };
+                server.handle(at_ms(at + 10), In::Heartbeat(beat), &mut Vec::new());
+            }
+            let after = if held { Phase::AbortRunning } else { Phase::Resetting };
+            assert_eq!(tick(&mut server, at_ms(at + 50)).1, after);
+            server.handle(at_ms(at + 60), In::Stop(Stop::resume(HostId(70), latch)), &mut Vec::new());
+            assert_eq!(tick(&mut server, at_ms(at + 100)), (round(1, 1), Phase::Resetting), "it goes on");
+        }
+    }
+
+    #[test]
     fn a_large_team_is_told_news_at_once_and_then_a_block_at_a_time() {
         let swap = build("swap", &Settings::of(150)).unwrap();
         let layouts = Layouts::of_scenario(&*swap, 1, 2);
         let limit = Span::from_millis(60_000);
-        let config = Config { layouts, repeat: 0, placement: Placement::Exact, limit, hosts: Vec::new() };
+        let config =
+            Config { layouts, repeat: 0, placement: Placement::Exact, limit, hosts: Vec::new(), real: Vec::new() };
         let mut server = StateServer::new(config, 150, 1);
         let blocks = |server: &mut StateServer, ms: u64, phase: Phase| -> Vec<u16> {
             for robot in RobotId::team(150) {

@@ -1,5 +1,8 @@
 //! World: one Plant and its clock. It steps the Plant, and sends true states to each Body and to the Recorder.
 //!
+//! Robots of the team that it does not simulate, real ones above all, stand in its Plant where their readings say, so
+//! that its own robots touch them.
+//!
 //! It enforces the validity of every command itself, in case a Body has crashed. It also repairs failed resets, as a
 //! person would: it places the robots of a simulated plant at their next starts. Some plants let two robots block each
 //! other for good.
@@ -8,12 +11,17 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use crate::actor::Core;
-use crate::messages::geometry::Vec2;
+use crate::chassis::Chassis;
+use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{Drive, Sample, Truth};
-use crate::messages::wire::{Mode, Phase, Round};
+use crate::messages::wire::{Mode, Phase, Reading, Round};
 use crate::time::{Span, Time};
 use crate::world::{Placement, Plant, PlantState};
+
+/// Age of a reading up to which a robot that the World does not simulate is moved on by its velocity; after that it
+/// stands there. It is twice the age at which a robot without readings of its own stops (`safety`).
+const MOVED_ON: Span = Span::from_millis(200);
 
 /// Input of a World.
 #[derive(Clone, Debug)]
@@ -22,6 +30,8 @@ pub enum In {
     Drive(Drive),
     /// Instruction of the state server.
     Mode(Mode),
+    /// Reading of a robot that it does not simulate.
+    Reading(Reading),
 }
 
 /// Output of a World.
@@ -58,11 +68,12 @@ pub struct World {
     period: Span,
     placement: Placement,
     bodies: Vec<Attached>,
+    others: Vec<Other>,
     next: Time,
     placed_at: Option<Time>,
 }
 
-/// One robot of the world.
+/// A robot that the World simulates.
 #[derive(Clone, Copy, Debug)]
 struct Attached {
     robot: RobotId,
@@ -70,14 +81,51 @@ struct Attached {
     until: Time,
 }
 
+/// A robot of the team that the World does not simulate.
+#[derive(Clone, Debug)]
+struct Other {
+    robot: RobotId,
+    chassis: Chassis,
+    /// Its index in the plant.
+    index: usize,
+    /// Its newest reading, with the time of arrival. Before the first it stands at its first start.
+    seen: Option<(Time, Reading)>,
+}
+
+impl Other {
+    /// State of its centre at this time, with its heading.
+    fn motion(&self, now: Time) -> Option<(Motion, f32)> {
+        let (arrived, reading) = self.seen.as_ref()?;
+        let age = now.since(*arrived);
+        let velocity = reading.twist.velocity;
+        let moved = velocity * age.min(MOVED_ON).as_secs() as f32;
+        let position = self.chassis.centre(reading) + moved;
+        let velocity = if age <= MOVED_ON { velocity } else { Vec2::zeros() };
+        Some((Motion { position, velocity }, reading.pose.heading.unwrap_or(0.0)))
+    }
+}
+
 impl World {
-    /// Makes a world of these robots, in the order of their ids; the plant holds them in the same order.
-    pub fn new(persistent: Rc<RefCell<PersistentPlant>>, placement: Placement, robots: &[RobotId]) -> World {
+    /// Makes a world that simulates `robots`, and in which `others` stand where their readings say. Both are in the
+    /// order of their ids. The plant holds the robots first, then the others, in the same order.
+    pub fn new(
+        persistent: Rc<RefCell<PersistentPlant>>,
+        placement: Placement,
+        robots: &[RobotId],
+        others: &[(RobotId, Chassis)],
+    ) -> World {
         assert!(robots.is_sorted(), "a world holds its robots in the order of their ids");
         let attach = |&robot: &RobotId| Attached { robot, command: Vec2::zeros(), until: Time::ZERO };
+        let other = |(at, &(robot, chassis)): (usize, &(RobotId, Chassis))| Other {
+            robot,
+            chassis,
+            index: robots.len() + at,
+            seen: None,
+        };
         let period = persistent.borrow().plant.period();
         let bodies = robots.iter().map(attach).collect();
-        World { persistent, period, placement, bodies, next: Time::ZERO, placed_at: None }
+        let others = others.iter().enumerate().map(other).collect();
+        World { persistent, period, placement, bodies, others, next: Time::ZERO, placed_at: None }
     }
 
     /// Whether robots are placed for this instruction.
@@ -132,6 +180,11 @@ impl Core for World {
                     (body.command, body.until) = (drive.velocity, drive.until);
                 }
             }
+            In::Reading(reading) => {
+                if let Ok(at) = self.others.binary_search_by_key(&reading.robot, |other| other.robot) {
+                    self.others[at].seen = Some((now, reading));
+                }
+            }
             In::Mode(mode) => {
                 if self.is_to_place(&mode) {
                     self.place(now, &mode, out);
@@ -154,6 +207,11 @@ impl Core for World {
                     body.command = Vec2::zeros();
                 }
                 persistent.plant.drive(index, body.command);
+            }
+            for other in &self.others {
+                if let Some((motion, heading)) = other.motion(now) {
+                    persistent.plant.carry(other.index, motion, heading);
+                }
             }
             persistent.plant.advance();
         }
@@ -180,7 +238,7 @@ mod tests {
         let starts = [Vec2::new(0.0, -1.0), Vec2::new(1.0, -1.0)];
         let physics = Physics::published(passage.arena());
         let persistent = PersistentPlant::new(kinematic::build(passage.arena(), &physics, &starts, Seed::of_run(0)));
-        World::new(Rc::new(RefCell::new(persistent)), placement, &[RobotId(0), RobotId(1)])
+        World::new(Rc::new(RefCell::new(persistent)), placement, &[RobotId(0), RobotId(1)], &[])
     }
 
     fn at_ms(ms: u64) -> Time {
@@ -219,6 +277,32 @@ mod tests {
         assert_eq!(say(1, Phase::AbortRunning), 0, "that reset has failed");
         assert_eq!(say(2, Phase::Resetting), 2, "both robots are put in place");
         assert_eq!(say(2, Phase::Resetting) + say(2, Phase::Running) + say(3, Phase::Resetting), 0, "once");
+    }
+
+    #[test]
+    fn a_robot_of_elsewhere_stands_where_it_was_measured_and_blocks_the_way() {
+        let passage = build("passage", &Settings::of(2)).unwrap();
+        let starts = [Vec2::new(0.0, -1.0), Vec2::new(1.0, -1.0)];
+        let physics = Physics::published(passage.arena());
+        let plant = PersistentPlant::new(kinematic::build(passage.arena(), &physics, &starts, Seed::of_run(0)));
+        let elsewhere = [(RobotId(0), Chassis::default())];
+        let mut world = World::new(Rc::new(RefCell::new(plant)), Placement::Drive, &[RobotId(1)], &elsewhere);
+        let wall = Motion { position: Vec2::new(0.0, -2.0), velocity: Vec2::new(0.0, 0.5) };
+        let mut see = |ms: u64| {
+            world.handle(at_ms(ms), In::Reading(Reading::of_point(RobotId(0), ms, wall)), &mut Vec::new());
+            let drive = Drive { robot: RobotId(1), velocity: Vec2::new(0.0, -1.0), until: at_ms(ms + 100) };
+            world.handle(at_ms(ms), In::Drive(drive), &mut Vec::new());
+            let samples = truth(&mut world, ms).expect("a step").samples;
+            let [only] = &samples[..] else { panic!("it tells of its own robots alone") };
+            assert_eq!(only.robot, RobotId(1));
+            (only.motion.position, only.contacts.robot)
+        };
+        let last = (1..200).map(|step| see(50 * step)).last().unwrap();
+        assert!((last.0 - starts[0]).norm() < 0.6, "its own robot began there: {last:?}");
+        assert!(last.1 && (last.0 - wall.position).norm() > 0.5, "it is blocked: {last:?}");
+        let seen = world.others[0].motion(at_ms(50 * 199 + 1000)).unwrap().0;
+        let age = MOVED_ON.as_secs() as f32;
+        assert_eq!(seen, Motion::at_rest(wall.position + wall.velocity * age), "silent, it stands");
     }
 
     #[test]

@@ -5,15 +5,29 @@ use crate::chassis::{Chassis, Settings};
 use crate::config::ConfigError;
 use crate::messages::ids::RobotId;
 use crate::safety::hardware::HardwareLimits;
+use crate::world::Placement;
 
 impl Deployment {
-    /// Checks that all robots are simulated, as they are in one process under virtual time.
+    /// Checks that every robot is simulated, as one process under virtual time requires; an error names the field.
     pub fn check_simulated(&self) -> Result<(), ConfigError> {
         let real = |host: &&Host| !host.actuates.is_empty() || !host.localizes.is_empty();
         self.hosts.iter().find(real).map_or(Ok(()), |host| {
             let why = format!("'{}' has real robots, which only 'murmurate host' drives and measures", host.name);
             Err(ConfigError::field("host.actuates and host.localizes", why))
         })
+    }
+
+    /// Checks that real robots drive to their starts: nothing can place them.
+    pub(super) fn check_placement(&self) -> Result<(), ConfigError> {
+        let real = self.hosts.iter().find(|host| !host.actuates.is_empty());
+        match real.filter(|_| self.placement == Placement::Exact) {
+            None => Ok(()),
+            Some(host) => {
+                let why =
+                    format!("'exact' places simulated robots only, and '{}' has real ones; write 'drive'", host.name);
+                Err(ConfigError::field("placement", why))
+            }
+        }
     }
 
     /// Chassis of a robot of a checked deployment.
@@ -47,6 +61,25 @@ impl Deployment {
             true => Ok(()),
             false => check(&self.body).map_err(|error| error.within("body")),
         }
+    }
+}
+
+impl Host {
+    /// Checks that there is a driver for the robots that it actuates, and a source for those that it localizes.
+    pub(super) fn check_devices(&self) -> Result<(), ConfigError> {
+        for (robots, settings, role, what) in [
+            (&self.actuates, &self.driver, "actuates", "driver"),
+            (&self.localizes, &self.source, "localizes", "source"),
+        ] {
+            if robots.is_empty() != settings.is_none() {
+                let why = match settings {
+                    None => format!("missing: '{}' {role} robots; write {what} = {{ name = ... }}", self.name),
+                    Some(_) => format!("'{}' {role} no robot; name some, or leave it out", self.name),
+                };
+                return Err(ConfigError::field(format!("host.{what}"), why));
+            }
+        }
+        Ok(())
     }
 }
 

@@ -6,7 +6,7 @@ use crate::messages::wire::Kind;
 use crate::report::episode::Judged;
 
 impl Deployment {
-    /// Source of verdicts: true states where one World has all robots, and readings elsewhere.
+    /// Source of verdicts: true states if one World simulates all robots, readings otherwise.
     pub fn judged(&self) -> Judged {
         match self.hosts.iter().any(|host| host.simulates.len() == self.robots) {
             true => Judged::Truth,
@@ -14,8 +14,8 @@ impl Deployment {
         }
     }
 
-    /// The host that judges: the one whose World has all robots, or else the state server's host, to which all readings
-    /// go. The deployment must have a state server, as `check` ensures.
+    /// The host that judges episodes: the one whose World simulates all robots, or else the host of the state server,
+    /// which then receives all readings. The deployment must have a state server, as `check` ensures.
     pub fn judge(&self) -> HostId {
         let judges = |host: &Host| match self.judged() {
             Judged::Truth => host.simulates.len() == self.robots,
@@ -25,7 +25,7 @@ impl Deployment {
         HostId(u16::try_from(found).expect("a checked deployment has few hosts"))
     }
 
-    /// The host that judges from readings and needs those of all robots; none where true states are judged.
+    /// The host that judges episodes from readings and so needs those of all robots; `None` if true states are judged.
     pub fn judge_of_readings(&self) -> Option<HostId> {
         (self.judged() == Judged::Readings).then(|| self.judge())
     }
@@ -56,7 +56,8 @@ mod tests {
         deployment.hosts[3].simulates = vec![0];
         deployment.hosts.push(Host { name: "other".to_owned(), simulates: vec![1, 2], ..Host::default() });
         assert_eq!((deployment.judged(), deployment.judge()), (Judged::Readings, world));
-        assert_eq!(Routes::of(&deployment).listeners(Kind::Reading), [0, 1, 2, 3].map(HostId));
+        // Each World has to know where the robots of the other are.
+        assert_eq!(Routes::of(&deployment).listeners(Kind::Reading), [0, 1, 2, 3, 4].map(HostId));
         deployment.links[0].carries.retain(|kind| *kind != Kind::Reading);
         let refused = deployment.check().unwrap_err().to_string();
         assert!(refused.starts_with("link.carries: Reading") && refused.contains("'world' judges"), "{refused}");

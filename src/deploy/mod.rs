@@ -39,36 +39,39 @@ pub enum Stepping {
     Seeded,
 }
 
-/// Process with the parts of the team that it runs.
+/// A process of the team, with the parts of the team that it runs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Host {
     /// Its name.
     pub name: String,
-    /// Agents that it runs, each as a list of robots. Their Caches and Controllers run there too.
+    /// Agents of this host, each as a list of robots. The Caches and Controllers of these run on this host, too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub agents: Vec<Vec<u16>>,
-    /// Robots that its World simulates; empty for no World. It also drives and measures them.
+    /// Robots that the World of this host simulates; empty for no World. The host also drives and measures them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub simulates: Vec<u16>,
-    /// Real robots whose motors are attached to it. Their Bodies run there too.
+    /// Real robots whose motors are attached to this host. Their Bodies run on it, too.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub actuates: Vec<u16>,
-    /// Real robots whose poses it measures.
+    /// Real robots whose poses this host measures.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub localizes: Vec<u16>,
-    /// Driver of the robots that it actuates.
+    /// Driver of the robots in `actuates`; `None` if that is empty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub driver: Option<Settings>,
-    /// Source of the readings of the robots that it localizes.
+    /// Source of the readings of the robots in `localizes`; `None` if that is empty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<Settings>,
-    /// Whether it runs the team's StateServer.
+    /// Publication of what the host hears of the team, for programs of others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub observe: Option<Settings>,
+    /// Whether this host runs the team's StateServer.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub state_server: bool,
 }
 
-/// Medium of a link. It determines the effects on its frames in a simulation; sockets are set in the team file.
+/// Medium of a link. It decides which simulated effects the link's frames have; the sockets are set in the team file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkMedium {
@@ -84,7 +87,7 @@ pub enum LinkMedium {
 }
 
 impl LinkMedium {
-    /// Topology of the radio channel; none where this is no radio.
+    /// Topology of the radio channel; `None` if the medium is not a radio.
     pub fn topology(self) -> Option<Topology> {
         match self {
             LinkMedium::AccessPoint => Some(Topology::Infrastructure),
@@ -103,7 +106,7 @@ pub struct Link {
     /// Its medium.
     #[serde(default)]
     pub medium: LinkMedium,
-    /// Kinds of messages that it carries.
+    /// Kinds of messages that the link carries.
     pub carries: Vec<Kind>,
     /// Delay of impaired frames \[s\].
     #[serde(default)]
@@ -117,10 +120,11 @@ pub struct Link {
     /// Reliability mode of each kind; kinds not named are best effort.
     #[serde(default, skip_serializing_if = "Reliabilities::is_empty")]
     pub reliability: Reliabilities,
-    /// Transmission range of a robot's frames \[m\]; none for unlimited. With a radio, the radio's range counts.
+    /// Transmission range of a robot's frames \[m\]; `None` for unlimited. On a link with a radio, the range of the
+    /// radio counts instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_m: Option<f32>,
-    /// Radio channel that its frames share; none for a link without contention.
+    /// Radio channel that the link's frames share; `None` for a link without contention.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radio: Option<Radio>,
 }
@@ -133,17 +137,17 @@ pub struct Deployment {
     pub mode: String,
     /// The size of the team.
     pub robots: usize,
-    /// Placement of robots at their starts.
+    /// Way of bringing robots to their starts: they are placed there, or they drive.
     pub placement: Placement,
     /// Times at which agents step.
     pub stepping: Stepping,
     /// Plant of the simulated robots.
     #[serde(default = "kinematic")]
     pub plant: String,
-    /// Chassis of the robots that are not simulated; `bodies` has those of single robots.
+    /// Chassis of all real robots, unless `bodies` has another one for a robot.
     #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
     pub body: chassis::Settings,
-    /// Chassis of robots that differ from `body`, by their number.
+    /// Chassis of single real robots that differ from `body`, by robot number.
     #[serde(default, skip_serializing_if = "chassis::ByRobot::is_empty")]
     pub bodies: chassis::ByRobot,
     /// The processes.
@@ -188,7 +192,7 @@ pub enum Impair {
 }
 
 impl Deployment {
-    /// Reads a deployment from TOML and checks it.
+    /// Reads a deployment from TOML and checks it; an error names the line or the field.
     pub fn from_toml(text: &str) -> Result<Deployment, ConfigError> {
         let deployment: Deployment = config::from_toml(text)?;
         deployment.check()?;
@@ -200,8 +204,8 @@ impl Deployment {
         toml::to_string(self).expect("a deployment is TOML")
     }
 
-    /// Checks that every robot has one agent and one body, and every message a route. The registry checks the plant's
-    /// name.
+    /// Checks that every robot has one agent and one body, and every message a route; an error names the field. The
+    /// registry checks the plant's name.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if self.robots == 0 || self.robots > usize::from(u16::MAX) {
@@ -219,6 +223,7 @@ impl Deployment {
         }
         self.hosts.iter().try_for_each(Host::check_devices)?;
         self.check_bodies()?;
+        self.check_placement()?;
         let servers = self.hosts.iter().filter(|host| host.state_server).count();
         if servers != 1 {
             return wrong("host.state_server", format!("{servers} hosts run a state server; exactly one must"));
@@ -297,8 +302,8 @@ impl Deployment {
         Targets { robots: self.robots, hosts: self.hosts.len(), links }
     }
 
-    /// Adds this radio to the links whose medium is one; each gets a channel of its own. Ad hoc links get its range;
-    /// the others go through an access point.
+    /// Puts the radio on every link whose medium is a radio, each with a channel of its own. Only ad hoc links keep the
+    /// radio's range; on the others frames go through an access point.
     pub fn with_radio(mut self, radio: &Radio) -> Deployment {
         for link in &mut self.links {
             let Some(channel) = link.medium.topology() else { continue };
@@ -308,7 +313,8 @@ impl Deployment {
         self
     }
 
-    /// Limits the transmission range of every link that carries latents \[m\].
+    /// Limits the transmission range of every link that carries latents to `range_m` \[m\]. Fails if no latent crosses
+    /// a link.
     pub fn ranged(mut self, range_m: f32) -> Result<Deployment, ImpairError> {
         let crosses = Routes::of(&self).crosses(Kind::Latent);
         let links = self.links.iter_mut().filter(|link| crosses && link.carries.contains(&Kind::Latent));
@@ -319,7 +325,8 @@ impl Deployment {
         Ok(self)
     }
 
-    /// Sets delay and loss of links; values that are not given stay.
+    /// Sets delay \[s\] and loss (0 to 1) of the links that carry messages of the kinds in `impair`, except cables.
+    /// `None` leaves a value as it is. Fails if no such message crosses a link.
     pub fn impaired(
         mut self,
         delay_s: Option<f64>,
@@ -347,25 +354,6 @@ impl Deployment {
         }
         self.check()?;
         Ok(self)
-    }
-}
-
-impl Host {
-    /// Checks that there is a driver for the robots that it actuates, and a source for those that it localizes.
-    fn check_devices(&self) -> Result<(), ConfigError> {
-        for (robots, settings, role, what) in [
-            (&self.actuates, &self.driver, "actuates", "driver"),
-            (&self.localizes, &self.source, "localizes", "source"),
-        ] {
-            if robots.is_empty() != settings.is_none() {
-                let why = match settings {
-                    None => format!("missing: '{}' {role} robots; write {what} = {{ name = ... }}", self.name),
-                    Some(_) => format!("'{}' {role} no robot; name some, or leave it out", self.name),
-                };
-                return Err(ConfigError::field(format!("host.{what}"), why));
-            }
-        }
-        Ok(())
     }
 }
 
@@ -407,7 +395,7 @@ impl Link {
         Ok(())
     }
 
-    /// Impairment of its frames.
+    /// Impairment of the link's frames: delay, loss, and the kinds of messages that they act on.
     pub fn impairment(&self) -> Impairment {
         Impairment { delay: Span::from_secs(self.delay_s), loss: self.loss, kinds: self.impairs.clone() }
     }

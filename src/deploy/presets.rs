@@ -10,7 +10,7 @@ use crate::world::Placement;
 pub const MODES: [&str; 5] = ["sim", "centralized", "offboard", "onboard-infra", "onboard-adhoc"];
 
 impl Deployment {
-    /// Returns the preset of that name for a team of `robots`; `None` if there is no such preset.
+    /// Returns the deployment of the mode with this name for a team of `robots`; `None` if there is no such mode.
     pub fn preset(mode: &str, robots: usize) -> Option<Deployment> {
         use Kind::*;
         let everyone: Vec<u16> = RobotId::team(robots).map(|robot| robot.0).collect();

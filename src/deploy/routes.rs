@@ -115,11 +115,17 @@ impl Routes {
                 server: server_host,
             }),
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
-            // The driver of a real robot needs its heading; a World knows it.
+            // The driver of a real robot needs its heading; a World knows it, and has to know where other robots are.
             reading_hosts: RobotId::team(robots)
-                .map(|robot| match world_host[robot.index()] {
-                    Some(_) => hosts(&[agent_host[robot.index()]], judge.as_slice()),
-                    None => hosts(&[agent_host[robot.index()], actuator_host[robot.index()]], judge.as_slice()),
+                .map(|robot| {
+                    let agent = [agent_host[robot.index()]];
+                    let driver = match world_host[robot.index()] {
+                        Some(_) => &[][..],
+                        None => &actuator_host[robot.index()..=robot.index()],
+                    };
+                    let mut worlds: Vec<HostId> = world_host.iter().copied().flatten().collect();
+                    worlds.retain(|host| world_host[robot.index()] != Some(*host));
+                    hosts(&hosts(&agent, driver), &hosts(&worlds, judge.as_slice()))
                 })
                 .collect(),
             agent_host,
@@ -172,7 +178,7 @@ impl Routes {
         self.localizer_host[robot.index()]
     }
 
-    /// The host whose World simulates the robot; none for a real one.
+    /// The host whose World simulates the robot; `None` for a real robot.
     pub fn world_host(&self, robot: RobotId) -> Option<HostId> {
         self.world_host[robot.index()]
     }
@@ -182,7 +188,7 @@ impl Routes {
         self.server_host
     }
 
-    /// The robots of the agent that hosts `robot`, itself among them, in the order of their ids.
+    /// All robots of the agent that drives `robot`, including `robot`, in the order of their ids.
     pub fn agent_robots(&self, robot: RobotId) -> &[RobotId] {
         &self.agent_robots[robot.index()]
     }
@@ -206,7 +212,7 @@ impl Routes {
         })
     }
 
-    /// Whether the host sends a message of this kind to another, or receives one from another.
+    /// Whether `host` sends messages of this kind to other hosts or receives them from other hosts.
     pub fn exchanges(&self, host: HostId, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let (from, receivers) = (self.publisher(kind, robot), self.receivers(kind, robot));

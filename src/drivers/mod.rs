@@ -34,7 +34,7 @@ pub enum Out {
 /// Limits of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// Largest speed \[m/s\]; infinite where the robot limits its speed itself.
+    /// Largest speed \[m/s\]; infinite if the robot limits its own speed.
     pub speed_m_s: f32,
 }
 
@@ -43,8 +43,8 @@ pub struct Limits {
 pub struct Command {
     /// Velocity of the robot in the world frame, and the time until which it holds.
     pub drive: Drive,
-    /// The same as a motion in the robot's own frame, within the limits of its chassis. None while its heading is
-    /// unknown or too old: a driver that needs it stops the robot.
+    /// The velocity of `drive` as a motion in the robot's own frame, within the limits of its chassis. `None` while the
+    /// heading is unknown or too old; a driver that needs the heading then stops the robot.
     pub body: Option<BodyTwist>,
 }
 
@@ -74,7 +74,7 @@ pub trait Driver {
 pub struct Parts {
     /// Makes a new driver.
     pub driver: Box<dyn Fn() -> Box<dyn Driver>>,
-    /// Does its I/O, if it has any.
+    /// Worker that does the driver's I/O; `None` if the driver needs none.
     pub worker: Option<Box<dyn Worker>>,
 }
 
@@ -83,9 +83,9 @@ pub struct Parts {
 pub struct Entry {
     /// Its name in a deployment.
     pub name: &'static str,
-    /// Description in one line.
+    /// Description in one line, for the help.
     pub about: &'static str,
-    /// Makes it for a robot; an error names the wrong setting.
+    /// Makes the driver of a robot from its settings; an error names the wrong setting.
     pub make: fn(&Settings, RobotId) -> Result<Parts, ConfigError>,
 }
 

@@ -70,7 +70,7 @@ struct Lines {
     limits: Limits,
 }
 
-/// Makes the driver and its worker.
+/// Makes the driver of `robot` and its worker; an error names the wrong setting.
 pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     if config.command.is_empty() {

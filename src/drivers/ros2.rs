@@ -110,7 +110,7 @@ fn yaw_rate_rad_s() -> f32 {
     1.5
 }
 
-/// Makes the driver and its worker.
+/// Makes the driver of `robot` and its worker; an error names the wrong setting.
 pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
     settings::check_built()?;
     let config: Config = settings.read()?;

@@ -123,13 +123,18 @@ pub(super) fn wire_world(
 ) {
     let (sensors, record) = (graph.sensors.clone(), graph.record());
     let ranged = ranged_ethers(plan, graph, process);
+    let others: Vec<RobotId> =
+        RobotId::team(plan.deployment.robots).filter(|robot| simulated.binary_search(robot).is_err()).collect();
     // Robots are at their first starts before anything runs, as people would place them.
-    let starts: Vec<Vec2> = simulated.iter().map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
+    let team = simulated.iter().chain(&others);
+    let starts: Vec<Vec2> = team.map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
+    let others: Vec<(RobotId, Chassis)> =
+        others.into_iter().map(|robot| (robot, plan.deployment.chassis(robot))).collect();
     let seed = plan.seed.child(&format!("world/{}", host.0));
     let plant = (plan.plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
     let (persistent, placement) = (Rc::new(RefCell::new(PersistentPlant::new(plant))), plan.deployment.placement);
     let place = &graph.worlds[simulated[0].index()];
-    let make = move |_| World::new(Rc::clone(&persistent), placement, &simulated);
+    let make = move |_| World::new(Rc::clone(&persistent), placement, &simulated, &others);
     start(clock, place, info_span!("world", host = host.0), make, move |out| match out {
         world::Out::Sample(sample) => sensors[sample.robot.index()].send(localizer::In::Sample(sample)),
         world::Out::Truth(truth) => {

@@ -60,6 +60,8 @@ pub(super) fn deliveries(
     let leads = graph.routes.server_host() == host;
     let driven: BTreeSet<RobotId> = bodies.iter().copied().collect();
     let real: BTreeSet<RobotId> = driven.iter().copied().filter(|robot| !simulated.contains(robot)).collect();
+    // Robots that the host's World simulates.
+    let own: BTreeSet<RobotId> = simulated.iter().copied().collect();
     let decided: BTreeSet<RobotId> = agents.iter().copied().collect();
     let team = Followers {
         agents: firsts.iter().map(|robot| graph.agents[robot.index()].clone()).collect(),
@@ -79,7 +81,10 @@ pub(super) fn deliveries(
                 if observed.get() {
                     team.status.send(status::In::Seen(m.robot, m.pose));
                 }
-                by_robot.0[m.robot.index()].send(cache::In::Reading(m));
+                by_robot.0[m.robot.index()].send(cache::In::Reading(m.clone()));
+            }
+            if !own.contains(&m.robot) {
+                team.world.iter().for_each(|world| world.send(world::In::Reading(m.clone())));
             }
         }
         Wire::MotorCommand(m) => by_robot.1[m.robot.index()].send(body::In::MotorCommand(m)),
@@ -126,6 +131,7 @@ pub(super) fn wire_server(clock: &Clock, plan: &Plan, graph: &Graph) {
         placement: plan.deployment.placement,
         limit: plan.scenario.rules().limit,
         hosts: (0..plan.deployment.hosts.len()).map(|host| graph.routes.robots_of(host).to_vec()).collect(),
+        real: RobotId::team(plan.deployment.robots).filter(|robot| graph.routes.world_host(*robot).is_none()).collect(),
     };
     let (host, robots) = (graph.routes.server_host(), plan.deployment.robots);
     let (network, status) = (graph.network_of(host), graph.status_of(host));

@@ -1,4 +1,4 @@
-//! Drivers and sources of one process, made from the deployment, with their workers on threads of their own.
+//! Drivers, sources and observation of one process, made from the deployment. Their workers run on threads of their own.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -13,6 +13,7 @@ use crate::edge::{self, Gate, Packet, Worker, WorkerState};
 use crate::localization::Source;
 use crate::messages::ids::RobotId;
 use crate::registry::Registry;
+use crate::ros2::observe::{self, Observation};
 use crate::runtime::real::Readers;
 
 /// Constructor of a driver or a source, with the channel to its worker.
@@ -50,6 +51,8 @@ pub struct Devices {
     pub drivers: BTreeMap<RobotId, Device<dyn Driver>>,
     /// Source of the readings of the robots that the host localizes.
     pub source: Option<Device<dyn Source>>,
+    /// Publication of what the host hears, with the channel to its worker.
+    pub observation: Option<(Rc<Observation>, Rc<RefCell<Gate>>)>,
 }
 
 /// Threads of the workers. They end once the devices are dropped.
@@ -82,8 +85,8 @@ pub enum DeviceError {
     Machine(#[from] std::io::Error),
 }
 
-/// Makes the devices of a host of a checked deployment and starts their workers.
-pub fn open(host: &Host, registry: &Registry) -> Result<(Devices, Workers), DeviceError> {
+/// Makes the devices of a host of a checked deployment and starts their workers. `robots` is the size of the team.
+pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices, Workers), DeviceError> {
     let (mut devices, mut workers) = (Devices::default(), Workers(Vec::new()));
     for &robot in &host.actuates {
         let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
@@ -98,6 +101,13 @@ pub fn open(host: &Host, registry: &Registry) -> Result<(Devices, Workers), Devi
         let parts = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
         let gate = Some(start_worker(parts.worker, "source".to_owned(), &mut workers)?);
         devices.source = Some(Device { make: Rc::from(parts.source), gate });
+    }
+    if let Some(settings) = &host.observe {
+        let team: Vec<RobotId> = RobotId::team(robots).collect();
+        let made = observe::make(settings, &team).map_err(|error| error.within("observe").within("host"));
+        let (observation, worker) = made?;
+        let gate = start_worker(Box::new(worker), "observation".to_owned(), &mut workers)?;
+        devices.observation = Some((Rc::new(observation), gate));
     }
     Ok((devices, workers))
 }

@@ -2,12 +2,14 @@
 //! `host` is made of it, and `examples/host.rs` is a whole team.
 
 pub mod links;
+mod observer;
 
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::time::Instant;
 
 use self::links::{LinkError, ProcessIdentity};
+use self::observer::Observer;
 use crate::actors::recorder::Out;
 use crate::deploy::team::Team;
 use crate::graph::Plan;
@@ -66,7 +68,7 @@ impl LiveHost {
         let transports = links::open(team, team.host)?;
         let ProcessIdentity { incarnation, seed: secret, .. } = ProcessIdentity::draw()?;
         let entry = &team.deployment.hosts[usize::from(team.host.0)];
-        let (devices, workers) = devices::open(entry, registry)?;
+        let (devices, workers) = devices::open(entry, team.deployment.robots, registry)?;
         let host = Host { id: team.host, team: team.number, incarnation, secret, key, links, devices, transports };
         Ok(LiveHost { host, workers, plan: trial.plan(), grace: grace(team) })
     }
@@ -82,7 +84,14 @@ impl LiveHost {
         begun: impl FnOnce(&mut Readers),
         done: impl FnMut(&Rc<Graph>, Time) -> bool,
     ) -> Rc<Graph> {
-        let LiveHost { host, workers, plan, .. } = self;
+        let LiveHost { mut host, workers, plan, .. } = self;
+        let observer = host.devices.observation.take().map(Observer::new);
+        let heard = move |event: ProcessEvent| {
+            if let (Some(observer), ProcessEvent::Message(message)) = (&observer, event) {
+                observer.hear(Time::ZERO + Span::from_secs(origin.elapsed().as_secs_f64()), message);
+            }
+            heard(event);
+        };
         let graph = run_real(
             origin,
             |clock, readers| {

@@ -2,6 +2,7 @@
 //!
 //! A source is pure: it turns its worker's packets, or the samples of a World, into readings.
 
+pub mod fusion;
 pub mod gpsd;
 pub mod natnet;
 pub mod odometry;

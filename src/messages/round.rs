@@ -9,7 +9,7 @@ use super::latch::second_largest;
 /// 38 days.
 pub(super) const MAX_TERM: u32 = 1 << 30;
 
-/// Number of an instruction of the state server: later epochs outrank, then later episodes.
+/// Number of an instruction of the state server: a later term outranks, then a later episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct Round {
     /// Term of the state server, as of a leader in Raft: each start begins a later one. Zero before its first message.
@@ -44,7 +44,7 @@ impl Round {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RoundFollower {
     round: Round,
-    /// Epoch of the newest round, if that overshot.
+    /// Term of the newest round, if that overshot.
     overshot: Option<u32>,
 }
 

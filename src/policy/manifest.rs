@@ -80,9 +80,9 @@ pub struct Training {
     pub preset: String,
     /// The seed of the run.
     pub seed: u64,
-    /// Number of decisions in the training data: one per robot and step.
+    /// Number of decisions in the training data: one per environment and step of the policy.
     pub decisions: u64,
-    /// Number of steps of a team's environment in the training data.
+    /// Number of steps of 50 ms of all environments in the training data.
     pub env_steps: u64,
     /// All settings of the run, in the format of the program that trained it.
     pub configuration: serde_json::Value,

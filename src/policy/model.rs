@@ -158,7 +158,7 @@ impl Model {
         self.network()?.assumed()
     }
 
-    /// Size of the largest team that its training had; none where that is unknown.
+    /// Size of the largest team in the policy's training; `None` if that is unknown.
     pub fn largest_team(&self) -> Option<usize> {
         self.network()?.manifest().training.as_ref()?.largest_team()
     }

@@ -49,7 +49,7 @@ impl Target {
         }
     }
 
-    /// Whether it is the same file as `other`, such as `/dev/stdout` and stdout.
+    /// Whether this target and `other` are the same open file, such as `/dev/stdout` and stdout.
     pub fn is_same(&self, other: impl AsFd) -> bool {
         let place = |file: &File| file.metadata().map(|about| (about.dev(), about.ino()));
         let (Target::Open(file) | Target::Pipe(_, Some(file))) = self else { return false };
@@ -101,7 +101,7 @@ impl BackgroundWriter {
         Ok(writer)
     }
 
-    /// Appends a record to the queue; it is written whole or not at all. Never waits; returns false if it was dropped.
+    /// Appends a record to the queue, to be written whole. Returns `false`, without waiting, if the record was dropped.
     pub fn push(&self, record: Vec<u8>) -> bool {
         let mut state = self.0.lock();
         let full = state.bytes + record.len() > QUEUE_BYTES || state.queue.len() >= QUEUE_RECORDS;
@@ -121,7 +121,8 @@ impl BackgroundWriter {
         self.0.lock().dropped
     }
 
-    /// Returns the error that has ended it, once. A pipe closed by its reader is not an error.
+    /// Returns the error that has ended the writer; `None` if there is none, or if it was returned before. A pipe
+    /// closed by its reader is not an error.
     pub fn failure(&self) -> Option<io::Error> {
         self.0.lock().failure.take()
     }

@@ -60,7 +60,7 @@ pub fn run(args: &Args) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Returns the deployment with this radio, a preset or a file, on its links.
+/// Returns the deployment with a radio on its links. `given` is the name of a preset or the path of a file.
 pub fn with_radio(deployment: Deployment, given: &str) -> Result<Deployment> {
     if given == "none" {
         return Ok(deployment);
@@ -82,7 +82,8 @@ pub fn with_radio(deployment: Deployment, given: &str) -> Result<Deployment> {
     Ok(deployment)
 }
 
-/// Delay \[ms\] and loss, of all messages or of those between robots, and radio of links, in words; `None` if ideal.
+/// Describes the emulated network in words; `None` if it is ideal. Delay \[ms\] and loss are of all messages, or (`all`
+/// false) of those between robots.
 pub fn conditions(delay_ms: f64, loss: f64, all: bool, radio: &str) -> Option<String> {
     let of = if all { "all messages" } else { "messages between robots" };
     let parts = [

@@ -2,15 +2,16 @@
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Returns the number of threads for `pieces` jobs: as asked for or one per core, at most one per job.
+/// Returns the number of threads for `pieces` jobs: `asked`, or one per core if that is `None`, but at most one per
+/// job.
 pub fn threads(asked: Option<u16>, pieces: usize) -> usize {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     asked.map_or(cores, usize::from).min(pieces)
 }
 
 #[cfg(feature = "study")]
-/// Runs the jobs whose result is missing from `found`, until all are done or `stop` is set. Returns the results by job;
-/// none where a job had no result or was not started. The first error stops all jobs.
+/// Runs the jobs whose result in `found` is `None`, until all are done or `stop` is set. Returns the results by job,
+/// with `None` for a job that had no result or was not started. The first error stops all jobs.
 pub fn finish<T: Send>(
     mut found: Vec<Option<T>>,
     asked: Option<u16>,
@@ -26,7 +27,7 @@ pub fn finish<T: Send>(
     Ok(found)
 }
 
-/// Runs each job once, until all are done or `stop` is set. Returns the results with their job's index, in that order.
+/// Runs each job once, until all are done or `stop` is set. Returns each finished job's index and result, by index.
 pub fn run<T: Send>(
     pieces: usize,
     threads: usize,

@@ -126,7 +126,7 @@ fn parse(digits: &[u8]) -> Option<[u8; BYTES]> {
     Some(key)
 }
 
-/// Returns 8 hexadecimal digits of a hash of the key, which reveal nothing else about it.
+/// Returns 8 hexadecimal digits of a hash of the key, which reveal nothing else about the key.
 pub fn fingerprint(key: &[u8; BYTES]) -> String {
     let mut digest = Hash::new();
     digest.update(b"murmurate team key\0");

@@ -5,7 +5,8 @@ use clap::{Arg, Command};
 
 use crate::registry::Registry;
 
-/// Adds the registry's names to the flags of a command and its subcommands.
+/// Adds the names of the registry to the values and the help of the flags that take them, in a command and its
+/// subcommands.
 pub fn add(command: Command, registry: &Registry) -> Command {
     command.mut_args(|arg| named(arg, registry)).mut_subcommands(|below| add(below, registry))
 }

@@ -32,7 +32,7 @@ pub struct Outlets {
 }
 
 impl Outlets {
-    /// Opens the outlets. A trajectory pipe may have no reader yet: its writer waits for one, this function does not.
+    /// Opens all outputs of a host. Never waits for the reader of a trajectory pipe; the writer's thread does.
     pub fn open(json: bool, trajectories: Option<&Path>) -> Result<Outlets> {
         let thread = "cannot start a thread to write";
         let stdout = Target::copy_of(io::stdout()).context("stdout is not open")?;
@@ -91,7 +91,8 @@ impl Outlets {
         Unwritten { log_lines: log_lines_dropped(), events: self.events.get(), steps: self.steps.get() }
     }
 
-    /// Returns the error that has ended stdout, such as a full disk. A pipe closed by its reader is not an error.
+    /// Returns the error that has ended stdout, such as a full disk; `None` if there is none. A pipe closed by its
+    /// reader is not an error.
     pub fn failure(&self) -> Option<anyhow::Error> {
         self.stdout.failure().map(|error| anyhow!("cannot write to stdout: {error}"))
     }

@@ -31,7 +31,7 @@ impl<W: Write> Paths<W> {
         Ok(Paths(file))
     }
 
-    /// Writes one line for each robot of a step.
+    /// Writes one CSV line for each robot of a step.
     pub fn write(&mut self, repeat: usize, step: &Step) -> Result<()> {
         for sample in &step.samples {
             let (p, v, c) = (sample.motion.position, sample.motion.velocity, sample.command);

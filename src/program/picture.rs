@@ -65,7 +65,7 @@ pub struct Pictures {
 }
 
 impl Pictures {
-    /// Opens the files, for a run of this many episodes.
+    /// Opens the files of the pictures. `episodes` is the number of episodes of the run; an error names the flag.
     pub fn open(args: &Flags, episodes: u32) -> Result<Pictures> {
         let film: (&str, Draw) = ("html", film);
         let files = [
@@ -99,12 +99,13 @@ impl Pictures {
         !self.files.is_empty()
     }
 
-    /// Returns the steps that a trial keeps: those that pictures need, or else `steps`.
+    /// Returns the steps that the trial of this repeat has to keep: those that pictures need, or else `steps`.
     pub fn steps(&self, repeat: u32, steps: Steps) -> Steps {
         if repeat == 0 && !self.files.is_empty() { Steps::WithHearing } else { steps }
     }
 
-    /// Draws the pictures and completes their files. An interrupted episode is not drawn.
+    /// Draws the pictures from the reports of all repeats, and completes their files. Says so if the episode was
+    /// interrupted, or if none failed; then nothing is drawn.
     pub fn draw(self, trial: &Trial, policy: &str, reports: &[TrialReport]) -> Result<()> {
         if self.files.is_empty() {
             return Ok(());

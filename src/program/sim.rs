@@ -165,7 +165,7 @@ fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
         .map(move |name| named(name).expect("the parser lets only these names through"))
 }
 
-/// Runs the trials of every policy and prints the results.
+/// Runs the trials of every policy and prints their results. Errors name the flag.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let named: Vec<Option<&Path>> =
         if args.policy.is_empty() { vec![None] } else { args.policy.iter().map(|policy| Some(&**policy)).collect() };

@@ -57,13 +57,13 @@ pub struct ResumeArgs {
     json: bool,
 }
 
-/// Engages the emergency stop, or re-arms.
+/// Sends the emergency stop or its re-arm, and prints which robots have confirmed.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let kind = if args.rearm { OrderKind::Rearm } else { OrderKind::Stop };
     Asked { team: &args.team, kind, json: args.json }.run(registry)
 }
 
-/// Resumes a held team.
+/// Sends the resume of a held team, and prints which robots may move.
 pub fn resume(args: &ResumeArgs, registry: &Registry) -> Result<Ended> {
     Asked { team: &args.team, kind: OrderKind::Resume, json: args.json }.run(registry)
 }

@@ -63,7 +63,8 @@ impl TeamArgs {
         &self.file
     }
 
-    /// Reads the team file, the environment and the flags; names in them are looked up in the registry.
+    /// Reads the team file, then the environment and the flags, which take precedence. Names are looked up in the
+    /// registry. An error names file and field.
     pub fn read(&self, registry: &Registry) -> Result<TeamFile> {
         let text = read_text(&self.file, "team file")?;
         let mut flags = Vec::new();
@@ -88,19 +89,19 @@ impl TeamArgs {
         TeamFile::read(registry, &text, folder, &variables, &flags).map_err(|e| self.wrong(&e))
     }
 
-    /// Returns an error of the team file, with its path.
+    /// Returns the error with the path of the team file.
     pub fn wrong(&self, error: &ConfigError) -> anyhow::Error {
         BadInput(format!("the team file '{}': {error}", self.file.display())).into()
     }
 
-    /// Returns the team, resolved for one host.
+    /// Returns the configuration of one host of the team; an error names file and field.
     pub fn for_host(&self, file: &TeamFile, host: HostId) -> Result<Team> {
         file.for_host(host).map_err(|e| self.wrong(&e))
     }
 }
 
 impl Which {
-    /// Returns the selected host, if any.
+    /// Returns the host that `--host` or `--robot` selects; `None` if neither is given. An error names the flag.
     pub fn find(&self, file: &TeamFile) -> Result<Option<HostId>> {
         let found = match (&self.host, self.robot) {
             (Some(name), _) => Some(file.host_named(name)),
@@ -119,7 +120,7 @@ pub fn leave_out_key_warning() {
     WARNED.store(true, Ordering::Relaxed);
 }
 
-/// Reads the team's key, if it has one. Prints a warning if it has none, unless this host opens no link.
+/// Reads the team's key. Returns `None` for a team without one, with a warning unless this host opens no link.
 pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
     if team.key_file.is_none() && team.links.iter().all(Option::is_none) {
         return Ok(None);
@@ -127,7 +128,7 @@ pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
     key_of(team.key_file.as_deref())
 }
 
-/// Reads this key file; without a file, prints a warning.
+/// Reads a key file. Without a file, prints a warning and returns `None`.
 pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
     if file.is_none() && !WARNED.swap(true, Ordering::Relaxed) {
         talk(

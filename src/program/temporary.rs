@@ -33,19 +33,19 @@ impl Temporary {
         Err(taken.expect("names were drawn"))
     }
 
-    /// Flushes its content to the disk (fsync).
+    /// Flushes the file's content to the disk (fsync).
     pub fn sync(&self) -> io::Result<()> {
         self.file.sync_all()
     }
 
-    /// Renames it, replacing an existing file of that name; both must be in one folder.
+    /// Renames the temporary file to `path` in the same folder, and replaces an existing file there.
     pub fn replace(mut self, path: &Path) -> io::Result<()> {
         fs::rename(&self.path, path)?;
         self.done = true;
         Ok(())
     }
 
-    /// Gives it this name; an error of kind `AlreadyExists` if there is such a file.
+    /// Gives the temporary file the name `path`; an error of kind `AlreadyExists` if there is such a file.
     pub fn add(self, path: &Path) -> io::Result<()> {
         // Linking to an existing name fails, whereas renaming would replace that file.
         fs::hard_link(&self.path, path)

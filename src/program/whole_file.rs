@@ -9,8 +9,7 @@ use anyhow::{Context, Result};
 use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 
-/// File that replaces the existing one of its name atomically, once it is complete. A pipe or a device is written to
-/// directly.
+/// File that replaces an existing file atomically, once all is written. A pipe or a device is written to directly.
 pub enum WholeFile {
     /// Temporary file in the same folder, until `keep`.
     Beside {
@@ -52,7 +51,7 @@ impl WholeFile {
         }
     }
 
-    /// Flushes the file to the disk and replaces the existing one.
+    /// Flushes the content to the disk and gives the file its final name.
     pub fn keep(self) -> Result<()> {
         if let WholeFile::Beside { path, file } = self {
             file.sync()

@@ -9,7 +9,7 @@ use super::summary::Summary;
 use super::trial::TrialReport;
 use crate::scenario::judge::Verdict;
 
-/// Results of several policies with the same seeds, so that each runs the same episodes.
+/// Results of several policies on the same episodes, which have the same seeds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
     /// The summary of each policy.
@@ -19,7 +19,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Compares policies by their summaries and trials.
+    /// Compares policies. Each entry has the summary of a policy and the reports of its trials.
     pub fn of(results: Vec<(Summary, Vec<TrialReport>)>) -> Comparison {
         let mut successful: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
         for (policy, (_, trials)) in results.iter().enumerate() {

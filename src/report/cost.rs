@@ -31,7 +31,7 @@ pub struct Cost {
     pub kinds: Vec<KindCost>,
     /// Datagrams that hosts accepted from links \[1/s\].
     pub deliveries: f64,
-    /// Airtime of the frames on all channels \[s/s\]; none without a radio.
+    /// Airtime of the frames on all channels \[s/s\]; `None` without a radio.
     pub airtime: Option<f64>,
 }
 

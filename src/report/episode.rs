@@ -27,7 +27,7 @@ pub struct Episode {
     pub verdict: Verdict,
     /// Time from the start of the episode to the last robot's arrival \[s\]; only for a success.
     pub makespan_s: Option<f64>,
-    /// Duration of the reset before it \[s\].
+    /// Duration of the reset before the episode \[s\]; 0 if robots are placed.
     pub reset_s: f64,
     /// Smallest distance between two robots' centres \[m\]; infinite if no two were seen together.
     #[serde(deserialize_with = "infinite_if_null")]

@@ -43,7 +43,7 @@ pub struct Counted {
     /// Largest age of a command that drove a robot of the team \[s\]; null where it is unknown, as on all hosts but one
     /// whose World simulates the whole team.
     pub oldest_command_s: Option<f64>,
-    /// Stops and slowdowns of this host's robots, up to their last heartbeats; robots without any are left out.
+    /// Stops and slowdowns of each robot of this host, up to its last heartbeat. Robots without any are left out.
     pub safety: Vec<RobotSafety>,
     /// Hardware of the real robots that this host drives, as far as their drivers have reported it.
     pub hardware: Vec<RobotHardware>,
@@ -96,7 +96,7 @@ impl HostEvent {
         serde_json::to_string(self).expect("an event is JSON")
     }
 
-    /// Parses a line; `None` if it is not an event.
+    /// Parses a line of JSON; `None` if it is not an event.
     pub fn from_line(line: &str) -> Option<HostEvent> {
         serde_json::from_str(line).ok()
     }

@@ -14,7 +14,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// Creates an axis with bins of about `width`, at most `most` of them.
+    /// Creates an axis from `low` to `high` with bins of about `width`, but at most `most` bins.
     pub fn new(low: f32, high: f32, width: f32, most: usize) -> Axis {
         let bins = ((high - low) / width).round() as usize;
         Axis { low, high, bins: bins.clamp(1, most) }
@@ -102,8 +102,8 @@ impl Grid {
         self.counts[y * self.x.bins + x]
     }
 
-    /// Returns the quantile `q` of y among the pairs in a bin of x, interpolated within its bin; `None` for fewer than
-    /// `least` pairs.
+    /// Returns the quantile `q` of y among the pairs in bin `x`, interpolated within a bin of y; `None` if bin `x` has
+    /// fewer than `least` pairs.
     pub fn quantile(&self, x: usize, q: f64, least: u64) -> Option<f32> {
         let total: u64 = (0..self.y.bins).map(|y| self.count(x, y)).sum();
         if total < least.max(1) {

@@ -17,7 +17,7 @@ pub struct Listening {
     pub arrived: u64,
     /// Delays from publication to arrival, over the arrivals.
     pub delay: Ages,
-    /// Control steps of robots that hear others over a link.
+    /// Control steps of robots that receive messages of others over a link.
     pub steps: u64,
     /// Messages of others that those steps used: within range, and not yet dropped or too old.
     pub heard: u64,
@@ -41,7 +41,7 @@ impl Listening {
         (self.due > 0).then(|| self.arrived as f64 / self.due as f64)
     }
 
-    /// Returns the mean number of neighbours that a control step had a message of.
+    /// Returns the mean number of neighbours whose messages a control step used; `None` without control steps.
     pub fn neighbours(&self) -> Option<f64> {
         (self.steps > 0).then(|| self.heard as f64 / self.steps as f64)
     }
@@ -50,11 +50,11 @@ impl Listening {
 /// Number of messages remembered in each queue; older ones are forgotten.
 const KEPT: usize = 64;
 
-/// Identity of a datagram: its sender, incarnation and sequence number, and whether it was addressed to one host.
+/// Identity of a datagram: sender, incarnation, sequence number, and whether it was addressed to one host.
 pub type Datagram = (HostId, u32, u32, bool);
 
-/// Follows messages between robots from publication to arrival and to the control steps that use them. Unlike a host
-/// it has one clock for all hosts.
+/// Observer that follows messages between robots from publication to arrival and to the control steps that use them. It
+/// has one clock for all hosts, which no real host has.
 #[derive(Clone, Debug)]
 pub struct Listener {
     listening: Listening,
@@ -67,7 +67,7 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Creates a listener to a team whose messages are due at this many other hosts.
+    /// Creates an observer of a team in which `hosts` other hosts should receive each message.
     pub fn new(hosts: u64) -> Listener {
         Listener { listening: Listening::default(), hosts, sent: BTreeMap::new(), had: BTreeMap::new() }
     }
@@ -97,8 +97,8 @@ impl Listener {
         self.listening.delay.add(now.since(*published));
     }
 
-    /// Records a control step of a robot at a host, with the ages of its messages since arrival. Returns the ages since
-    /// publication, which are the same for messages that crossed no link.
+    /// Records a control step of a robot at the host `at`. `heard` has the age since arrival of each message that the
+    /// robot used. Returns the ages since publication; they are equal for messages that crossed no link.
     pub fn stepped(&mut self, now: Time, at: HostId, heard: &[(RobotId, Span)]) -> Vec<(RobotId, Span)> {
         let mut ages = heard.to_vec();
         if self.hosts == 0 {

@@ -19,7 +19,7 @@ pub struct Outcomes {
     pub success_ci95: [f64; 2],
     /// Median over the successes of when the last robot arrived \[s\].
     pub makespan_median_s: Option<f64>,
-    /// Quartiles of the same \[s\].
+    /// Quartiles of the makespan over the successes \[s\]; `None` without a success.
     pub makespan_quartiles_s: Option<[f64; 2]>,
     /// Episodes that failed because two robots came too near to each other.
     pub robot_collisions: usize,
@@ -34,7 +34,7 @@ pub struct Outcomes {
 }
 
 impl Outcomes {
-    /// Counts the episodes. The share of none is zero.
+    /// Counts the episodes by verdict. The success rate of no episodes is zero.
     pub fn of(episodes: &[Episode]) -> Outcomes {
         let count = |verdict| episodes.iter().filter(|episode| episode.verdict == verdict).count();
         let makespans: Vec<f64> = episodes.iter().filter_map(|episode| episode.makespan_s).collect();

@@ -23,7 +23,7 @@ static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
 #[error("cannot draw a figure as PNG: {0}")]
 pub struct PngError(String);
 
-/// Renders a figure; returns the content of the PNG file.
+/// Renders an SVG figure; returns the content of a PNG file.
 pub fn render(svg: &str) -> Result<Vec<u8>, PngError> {
     let wrong = |what: String| PngError(what);
     let options = Options { fontdb: Arc::clone(&FONTS), font_family: "Roboto".to_owned(), ..Options::default() };

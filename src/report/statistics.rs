@@ -16,7 +16,7 @@ pub fn wilson_95(successes: usize, trials: usize) -> [f64; 2] {
     [(centre - half).max(0.0), (centre + half).min(1.0)]
 }
 
-/// Returns the quantile `q` (0 to 1) of the values, interpolated linearly; `None` if there are none.
+/// Returns the quantile `q` (0 to 1) of the values, interpolated linearly; `None` if there are no values.
 pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -46,7 +46,7 @@ pub struct Summary {
     former: FormerNames,
     /// Data from which verdicts were found.
     pub judged: Judged,
-    /// Hosts that these counts cover.
+    /// Hosts whose messages, links and safety are counted here.
     pub counts: Counts,
     /// Simulated time of all trials together \[s\].
     pub virtual_s: f64,
@@ -74,7 +74,7 @@ pub struct Summary {
     pub hardware: Vec<RobotHardware>,
     /// Output that was dropped because nothing that drives a robot waits for it to be written.
     pub unwritten: Unwritten,
-    /// The oldest command that any robot was still driven by \[s\]; null where it is not known.
+    /// Largest age of a command that still drove a robot \[s\]; null where it is not known.
     pub oldest_command_s: Option<f64>,
     /// A digest of every message and state of the run, in hexadecimal; null for a run that was interrupted or in real
     /// time.
@@ -90,7 +90,7 @@ pub struct Summary {
 pub struct FailedEpisode {
     /// The repeat, from 0.
     pub repeat: u32,
-    /// The episode in it, from 0.
+    /// Index of the episode in its repeat, from 0.
     pub episode: u32,
     /// Its verdict.
     pub verdict: Verdict,
@@ -119,7 +119,7 @@ pub struct Run {
     pub judged: Judged,
     /// The seed.
     pub seed: u64,
-    /// How long it took \[s\].
+    /// Wall-clock time of the run \[s\].
     pub wall_s: f64,
     /// Delay, loss and radio of emulated links, in words; `None` if they are ideal or not emulated.
     pub network: Option<String>,
@@ -180,7 +180,8 @@ impl Summary {
         }
     }
 
-    /// Sums up a run in real time, by what its processes tell.
+    /// Sums up a run in real time from the report of its processes. `counts` says which hosts are counted, and
+    /// `unwritten` what output was dropped.
     pub fn of_team(run: Run, report: TrialReport, counts: Counts, unwritten: Unwritten) -> Summary {
         // Real time does not repeat itself: there is no trace to compare.
         Summary { counts, unwritten, trace_hash: None, ..Summary::of(run, &[report]) }

@@ -17,9 +17,9 @@ use crate::time::{Span, Time};
 /// Messages of one kind that were published.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Said {
-    /// Messages published, whether or not they have left their host.
+    /// Messages published, including those that stayed on their host.
     pub messages: u64,
-    /// Size of their datagrams, with one message in each and without a tag \[bytes\].
+    /// Size of the messages' datagrams, as if each message had its own, without tags \[bytes\].
     pub bytes: u64,
 }
 
@@ -38,7 +38,7 @@ pub struct TrialReport {
     pub refused: u64,
     /// Messages lost in crashes.
     pub lost: u64,
-    /// Every step, if the trial keeps them.
+    /// Every step of the team; empty unless the trial keeps steps.
     pub steps: Vec<Step>,
     /// Hardware of real robots, by their ids.
     pub hardware: Vec<RobotHardware>,
@@ -105,7 +105,7 @@ pub struct Step {
     pub phase: Phase,
     /// States by robot id.
     pub samples: Vec<Sample>,
-    /// Messages that robots had while an episode runs, by receiving robot; empty unless they are kept.
+    /// Messages that robots used while an episode runs, by receiving robot; empty unless the trial keeps them.
     pub hearing: Vec<Hearing>,
 }
 
@@ -129,10 +129,10 @@ pub struct Totals {
     pub said: [Said; KINDS.len()],
     /// Time at which the last episode ended.
     pub end: Time,
-    /// Digest of every message and every true state, with its time.
+    /// Trace: digest of every message and every true state, each with its time.
     pub trace: u128,
-    /// Largest age since publication of a command that drove a robot; none if the true state of some robot was never
-    /// reported.
+    /// Largest age since publication of a command that still drove a robot; `None` if the true state of some robot was
+    /// never reported.
     pub oldest_command: Option<Span>,
     /// Counts of the Networks on all links, up to the last full second.
     pub links: LinkCounts,

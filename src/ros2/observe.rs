@@ -3,16 +3,62 @@
 //! Each robot's estimate is `nav_msgs/Odometry` on `<prefix>/robot_<id>/odom` in the frame `map`. The team's state and
 //! latents are `std_msgs/Float32MultiArray`, one row for each robot by id. Nothing here reaches a robot.
 
+use serde::Deserialize;
+
 use crate::config::ConfigError;
+use crate::edge::Settings;
 use crate::messages::geometry::Motion;
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 
 use super::messages::check_topic;
 use super::packet::{self, MAX_FLOATS, Outgoing, Plan, PoseSample, Publish, ToNode, TwistSample, Writer, Written};
+use super::settings;
+use super::supervisor::Supervisor;
 
 /// Columns of the team's state: id, x, y \[m\], velocity along x and y \[m/s\].
 pub const STATE_COLUMNS: u32 = 5;
+
+/// Settings in the team file: the table `observe` of a host.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Config {
+    /// Beginning of all topics.
+    #[serde(default = "prefix")]
+    prefix: String,
+    /// DDS domain, `ROS_DOMAIN_ID` of those who look.
+    #[serde(default)]
+    domain: u16,
+    /// Name or address of the interface; none: all.
+    interface: Option<String>,
+    /// Memory of the DDS process \[MiB\].
+    #[serde(default = "settings::memory_mib")]
+    memory_mib: u32,
+}
+
+fn prefix() -> String {
+    "/team".to_owned()
+}
+
+/// Makes the topics of a team from the settings of a host, with the worker that publishes them.
+///
+/// # Errors
+///
+/// A wrong setting, by its name; a program that is built without ROS 2.
+pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<(Observation, Supervisor), ConfigError> {
+    if settings.name != "ros2" {
+        let why = format!("'{}' is unknown; the only one is 'ros2'", settings.name);
+        return Err(ConfigError::field("name", why));
+    }
+    settings::check_built()?;
+    let Config { prefix, domain, interface, memory_mib } = settings.read()?;
+    settings::check_participant(domain, interface.as_deref(), memory_mib)?;
+    let name = "the observation of the team".to_owned();
+    let plan = Plan { name, domain, interface, memory_mib, writers: Vec::new(), readers: Vec::new() };
+    let observation = Observation::new(&prefix, robots, plan)?;
+    let worker = Supervisor { plan: observation.plan().clone(), spare: false, program: None };
+    Ok((observation, worker))
+}
 
 /// Topics of a team.
 #[derive(Clone, Debug)]

@@ -143,7 +143,8 @@ pub trait Scenario: Debug + Send + Sync {
         (task.goal - position).norm()
     }
 
-    /// Whether a robot at `stage` can receive no more of the scenario's own reward for progress.
+    /// Whether `stage` is the last one, after which the scenario's own reward pays for no more progress. Only tests
+    /// call it.
     fn finished(&self, _stage: Stage) -> bool {
         true
     }
@@ -175,7 +176,7 @@ impl TeamSizes {
         TeamSizes { least, most, multiple_of: 1 }
     }
 
-    /// The even ones of them.
+    /// The even numbers of robots among these sizes.
     pub const fn even(self) -> TeamSizes {
         TeamSizes { multiple_of: 2, ..self }
     }

@@ -11,13 +11,13 @@ use crate::hearing::CommRange;
 use crate::scenario::Scenario;
 use crate::trial::Trial;
 
-/// A column: one set of conditions.
+/// One set of conditions, a column of a study's table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Column {
     /// Name in results.
     pub name: String,
-    /// Mode of the paper; `sim` has the conditions of training, all others share one deployed world.
+    /// Mode of the paper. `sim` has the conditions of training; all other modes share one simulated world.
     pub mode: String,
     /// Communication range.
     pub range: Range,
@@ -52,7 +52,7 @@ impl Range {
     }
 }
 
-/// Baseline: the column that all others are compared with.
+/// Name of the column that all others are compared with.
 pub const BASELINE: &str = "sim";
 
 /// Columns of the paper's Table I, in its order.
@@ -74,11 +74,11 @@ pub const DELAYS_S: [f64; 5] = [0.0, 0.02, 0.05, 0.1, 0.2];
 /// Loss probabilities of the study `delay`.
 pub const LOSSES: [f64; 4] = [0.0, 0.16, 0.3, 0.56];
 
-/// Communication ranges of the study `range` \[m\]; its last column is unlimited.
+/// Communication ranges of the study `range` \[m\]. One more column has an unlimited range.
 pub const RANGES_M: [f32; 8] = [0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0];
 
 impl Column {
-    /// Returns the column of Table I of this name.
+    /// Returns the column of the paper's Table I with this name; `None` if there is none.
     pub fn of_table(name: &str) -> Option<Column> {
         let name = MODES.into_iter().find(|other| *other == name)?;
         let (mode, range) = match name {
@@ -102,7 +102,7 @@ impl Column {
         losses.iter().flat_map(|loss| delays_s.iter().map(move |delay| cell(delay, loss))).collect()
     }
 
-    /// Returns a column for each range \[m\], and one with an unlimited range.
+    /// Returns a column for each of these communication ranges \[m\], and one more with an unlimited range.
     pub fn ranges(ranges_m: &[f32]) -> Vec<Column> {
         let within = |&mean_m: &f32| {
             let range = Range::Within { mean_m, std_m: 0.0 };
@@ -112,7 +112,8 @@ impl Column {
         ranges_m.iter().map(within).chain([everyone]).collect()
     }
 
-    /// Returns delay \[s\] and loss of a column that has them instead of the radio.
+    /// Returns delay \[s\] and loss of a column that has these in place of the radio; `None` for a column with the
+    /// radio.
     pub fn impairment(&self) -> Option<(f64, f64)> {
         match self.medium {
             LinkModel::Radio => None,
@@ -120,7 +121,7 @@ impl Column {
         }
     }
 
-    /// Returns a trial of a policy in this column, of one episode.
+    /// Returns a trial of one episode of a policy under the conditions of this column.
     pub fn trial(&self, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest) -> Trial {
         let deployment = Deployment::preset(&self.mode, scenario.robots()).expect("columns name modes");
         match deployment.stepping {

@@ -18,7 +18,7 @@ use crate::world::{Clamp, Placement};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Deployed {
-    /// Plant by name; it sets the physics of the robots (`Physics::robomaster`, `docs/world.md`).
+    /// Name of the plant; the plant sets the physics of the robots (`Physics::robomaster`, `docs/world.md`).
     pub plant: String,
     /// Radio of every wireless link, a preset of `net::media::radio` (`docs/radio.md`).
     pub radio: String,
@@ -46,7 +46,7 @@ pub enum LinkModel {
     },
 }
 
-/// Returns a trial of a policy in a deployed column, of one episode.
+/// Returns a trial of one episode of a policy in any column but `sim`.
 pub fn deployed(
     mut deployment: Deployment,
     medium: LinkModel,

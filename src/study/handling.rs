@@ -9,7 +9,7 @@ use crate::world::Clamp;
 pub struct Preset {
     /// Name on the command line.
     pub name: &'static str,
-    /// Description, in one sentence.
+    /// Description in one sentence, for reports and the help.
     pub about: &'static str,
     /// Lifetime of neighbours' messages.
     pub messages: Handling,
@@ -40,7 +40,7 @@ pub const PRESETS: [Preset; 2] = [
     },
 ];
 
-/// Returns the preset of that name.
+/// Returns the preset of that name; `None` if there is none.
 pub fn preset(name: &str) -> Option<&'static Preset> {
     PRESETS.iter().find(|preset| preset.name == name)
 }

@@ -36,7 +36,7 @@ pub struct PolicyUnderTest {
     pub policy: String,
     /// Model of the policy, with mean or sampled actions as the handling says.
     pub model: Model,
-    /// Digest of its file; empty for scripted navigation.
+    /// Digest of the policy's file; empty for scripted navigation.
     pub digest: String,
     /// Its handling.
     pub handling: &'static Preset,
@@ -60,13 +60,13 @@ pub struct Study {
     pub policies: Vec<PolicyUnderTest>,
     /// Task of the team.
     pub scenario: Arc<dyn Scenario>,
-    /// Width of the scenario's bottleneck \[m\]; none for the scenario's default.
+    /// Width of the scenario's bottleneck \[m\]; `None` for the scenario's default.
     pub gap_m: Option<f32>,
     /// Starts and goals of every trial's episodes.
     pub layouts: Layouts,
     /// Trials of every policy in every column.
     pub repeats: u32,
-    /// Root of all randomness. Trials of one repeat share it over columns and policies.
+    /// Root of all randomness. Trials of one repeat have the same random numbers in all columns and for all policies.
     pub seed: u64,
     /// Command that reproduces this study.
     pub command: String,
@@ -77,15 +77,15 @@ pub struct Study {
 /// One trial of a study.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Job {
-    /// Index of its column.
+    /// Index of the trial's column.
     pub column: usize,
-    /// Index of its policy under test.
+    /// Index of the trial's policy under test.
     pub policy: usize,
-    /// Index of its repeat.
+    /// Index of the trial's repeat.
     pub repeat: u32,
 }
 
-/// Identity of a study: results of one identity are not valid for another.
+/// Properties that decide all results of a study. Results kept under one identity are not valid under another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Identity {
@@ -97,7 +97,7 @@ pub struct Identity {
     pub build: String,
     /// Scenario, team size and bottleneck width, as text.
     pub scenario: String,
-    /// Number of layouts, and their digest.
+    /// Number of layouts (starts and goals of an episode), and a digest of them.
     pub layouts: String,
     /// Trials of every policy in every column.
     pub repeats: u32,
@@ -119,7 +119,8 @@ const FIELDS: [&str; 10] =
     ["study", "scenario", "seed", "repeats", "entrants", "columns", "conditions", "layouts", "version", "build"];
 
 impl Identity {
-    /// Returns the first field in which the other identity differs: its name, and the value of each.
+    /// Returns the first field in which two identities differ, as its name, the value here and the value in `other`;
+    /// `None` if they are equal.
     pub fn difference(&self, other: &Identity) -> Option<(String, String, String)> {
         let fields = |identity: &Identity| match serde_json::to_value(identity) {
             Ok(serde_json::Value::Object(fields)) => fields,
@@ -150,7 +151,7 @@ impl Study {
         all.map(|(column, policy, repeat)| Job { column, policy, repeat }).collect()
     }
 
-    /// Builds one of its trials.
+    /// Builds the trial that `job` names.
     pub fn trial(&self, job: Job) -> Trial {
         let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
         let mut trial = column.trial(Arc::clone(&self.scenario), tested);
@@ -185,8 +186,8 @@ impl Study {
         }
     }
 
-    /// Returns the origin of a trial's record. It does not depend on other columns, other policies or the number of
-    /// repeats.
+    /// Returns the origin of the record of one trial. It does not depend on other columns, other policies or the number
+    /// of repeats.
     pub fn origin(&self, job: Job) -> Origin {
         let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
         let conditions = (
@@ -205,7 +206,8 @@ impl Study {
         format!("{} [{}]", self.layouts.len(), self.layouts_digest())
     }
 
-    /// Returns scenario, team size and, unless it is the default, bottleneck width as text.
+    /// Returns the scenario's name and the team size as text, with the width of the bottleneck unless that is the
+    /// default.
     pub fn scenario_text(&self) -> String {
         let gap = self.gap_m.map_or(String::new(), |gap_m| format!(", gap {gap_m} m"));
         format!("{}, {} robots{gap}", self.scenario.name(), self.scenario.robots())

@@ -8,7 +8,7 @@ pub const BUILD: &str = env!("SOURCE_DIGEST");
 /// The program's version.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Origin of a record. Two records of one repeat with equal origins contain the same numbers.
+/// Properties that decide the numbers of one trial's record. Two records of one repeat with equal origins are equal.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Origin {
@@ -22,7 +22,7 @@ pub struct Origin {
     pub seed: u64,
     /// Digest of the policy's file; empty for scripted navigation, and where no policy runs.
     pub policy: String,
-    /// Digest of all other conditions that determine the result.
+    /// Digest of scenario, layouts, column, world and handling.
     pub conditions: String,
 }
 

@@ -101,7 +101,7 @@ impl Record {
         }
     }
 
-    /// Whether it is a complete record of that trial of the study.
+    /// Whether this is a complete record of the trial `job` of the study.
     pub fn belongs_to(&self, study: &Study, job: Job) -> bool {
         let tested = &study.policies[job.policy];
         let traces = Traces::new(study.scenario.arena());

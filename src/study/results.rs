@@ -40,7 +40,8 @@ pub struct Row {
     pub within_50ms: Option<f64>,
     /// Mean number of neighbours with a usable message at a control step.
     pub neighbours: Option<f64>,
-    /// Median age of those messages since publication \[ms\], from the histogram.
+    /// Median age of neighbours' messages at control steps, since publication \[ms\], from the histogram; null where
+    /// none crosses a link.
     pub age_p50_ms: Option<f64>,
 }
 
@@ -60,12 +61,15 @@ pub struct Cell {
 /// Results of a study.
 #[derive(Clone, Debug)]
 pub struct Results {
-    /// By column and then by policy, without those that have no result yet.
+    /// Results by column and then by policy. A pair without any result yet is left out.
     pub cells: Vec<Cell>,
 }
 
 impl Results {
-    /// Aggregates records; panics unless they are in the order of their trials, which fixes the order of float sums.
+    /// Aggregates the records of trials.
+    ///
+    /// # Panics
+    /// Unless `records` are in the order of their trials, which fixes the order of float sums.
     pub fn of(study: &Study, records: &[(Job, Record)]) -> Results {
         assert!(records.is_sorted_by_key(|(job, _)| *job), "records must be in the order of trials");
         let pairs = (0..study.columns.len()).flat_map(|column| (0..study.policies.len()).map(move |e| (column, e)));
@@ -89,7 +93,8 @@ impl Results {
         self.cells.iter().map(|cell| &cell.row)
     }
 
-    /// Returns the largest drop of success against the baseline, over the columns of a policy \[percentage points\].
+    /// Returns the largest drop of success against the baseline, over the columns of a policy \[percentage points\];
+    /// `None` if the baseline has no result.
     pub fn largest_drop_points(cells: &[&Cell]) -> Option<f64> {
         let baseline = cells.iter().find(|cell| cell.row.name == BASELINE)?.row.outcomes.success_rate;
         cells.iter().map(|cell| 100.0 * (baseline - cell.row.outcomes.success_rate)).reduce(f64::max)

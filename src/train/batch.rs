@@ -66,7 +66,8 @@ impl Graphs {
         self.edges.extend_from_slice(&other.edges);
     }
 
-    /// Adds a source to the unfinished graph. Returns its number within the graph, and its observation to be written.
+    /// Adds a source to the unfinished graph. Returns its number within the graph, and its observation, which the
+    /// caller has to write.
     pub fn source(&mut self) -> (u16, &mut [f32]) {
         let at = self.observations.len();
         let first = self.source_start[self.source_start.len() - 1] as usize;
@@ -75,7 +76,7 @@ impl Graphs {
         (index, &mut self.observations[at..])
     }
 
-    /// Adds an edge to the unfinished graph. Returns its features to be written.
+    /// Adds an edge to the unfinished graph. Returns the edge's features, which the caller has to write.
     pub fn edge(&mut self, receiver: usize, sender: u16) -> &mut [f32] {
         self.receivers.push(u16::try_from(receiver).expect("a graph has few robots"));
         self.senders.push(sender);
@@ -102,7 +103,7 @@ pub struct Batch<T> {
     pub nodes: usize,
     /// Observations, \[sources, inputs\], row-major: the robots' current ones first.
     pub x: Vec<T>,
-    /// Index of each robot's first edge; one entry more than nodes.
+    /// Index of each robot's first edge, and last the number of edges: one entry more than `nodes`.
     pub first: Vec<u32>,
     /// Source of each edge.
     pub sender: Vec<u32>,
@@ -116,7 +117,7 @@ impl<T: Real> Batch<T> {
         self.x.len() / inputs
     }
 
-    /// Replaces the batch by the given graphs, each a sequence and an index in it.
+    /// Replaces the batch by these graphs. Each is given as a sequence of graphs and an index in that.
     pub fn gather<'a>(&mut self, which: impl Iterator<Item = (&'a Graphs, usize)> + Clone) {
         self.x.clear();
         self.first.clear();

@@ -47,8 +47,8 @@ impl Trainer {
         rmp_serde::to_vec(&state).expect("a state is plain data")
     }
 
-    /// Takes the weights from another training's checkpoint with networks of the same shape, to continue under other
-    /// conditions. The optimiser's state is not taken.
+    /// Takes the weights from the checkpoint of another training, to continue under other conditions. Its networks must
+    /// have the same shape. The optimiser starts anew.
     pub fn initialize_from(&mut self, bytes: &[u8]) -> Result<(), SetupError> {
         let state = read_state(bytes)?;
         let config = &self.plan.config;
@@ -67,7 +67,8 @@ impl Trainer {
         Ok(())
     }
 
-    /// Makes the trainer of a checkpoint; the registry provides its scenario.
+    /// Makes the trainer of a checkpoint, whose scenario is looked up in the registry. An error if the bytes are no
+    /// checkpoint of this version, or there is no such scenario.
     pub fn resume(bytes: &[u8], registry: &Registry) -> Result<Trainer, SetupError> {
         let state = read_state(bytes)?;
         let mut trainer = Trainer::new(state.plan, registry)?;

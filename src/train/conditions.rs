@@ -16,9 +16,10 @@ use crate::world::{Clamp, ContactRule, Physics};
 pub struct Episode {
     /// Whether all robots act at the same time on messages without delay and loss.
     pub lockstep: bool,
-    /// Drivetrain lag of deployed robots \[s\], with their physics and clamp; `None` for the training environment's.
+    /// Drivetrain lag of deployed robots \[s\], which then also have deployed physics and clamp; `None` for the
+    /// training environment's physics.
     pub lag_s: Option<f32>,
-    /// Distance of a robot's centre from a wall below which it touches it \[m\], for deployed robots.
+    /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\], for deployed robots.
     pub wall_radius_m: f32,
     /// Time for which a message is used \[s\].
     pub hold_s: f32,
@@ -100,7 +101,7 @@ impl Episode {
         episode
     }
 
-    /// Physical parameters of its robots.
+    /// Physical parameters of the episode's robots.
     pub fn physics(&self, arena: &Arena) -> Physics {
         match self.lag_s {
             None => Physics::published(arena),
@@ -117,7 +118,7 @@ impl Episode {
         }
     }
 
-    /// Mean delay \[s\] and mean loss probability of its messages.
+    /// Mean delay \[s\] and mean loss probability of the episode's messages.
     pub fn mean_edge(&self) -> (f32, f32) {
         let count = self.edges.len().max(1) as f32;
         let sum = self.edges.iter().fold((0.0, 0.0), |sum, edge| (sum.0 + edge.0, sum.1 + edge.1));

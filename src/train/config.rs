@@ -28,7 +28,7 @@ pub struct Config {
     pub episode_s: f32,
     /// The policy's network and interface.
     pub policy: Policy,
-    /// Widths of the critic's network; those of the policy if left out.
+    /// Widths of the critic's network; `None` for those of the policy's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub critic: Option<Critic>,
     /// Parameters of proximal policy optimisation.
@@ -120,7 +120,7 @@ pub struct Ppo {
 pub struct Reward {
     /// Factor on the sum of all terms.
     pub scale: f32,
-    /// Weight of the scenario's own reward; 0 if it has none.
+    /// Weight of the scenario's own reward; 0 if the scenario has none.
     pub scenario: f32,
     /// Reward per metre by which the remaining path becomes shorter \[1/m\].
     pub progress: f32,
@@ -150,9 +150,11 @@ pub struct Reward {
 pub struct Conditions {
     /// Probability of lock step with perfect messages.
     pub clean: f32,
-    /// Probability of deployed physics, with the two fields below; the other episodes have the training environment's.
+    /// Probability of deployed physics: a lag, and contacts that fail the episode but do not block a move. The other
+    /// episodes have the training environment's physics.
     pub deployed: f32,
-    /// Distance of a robot's centre from a wall below which it touches it \[m\], with deployed physics.
+    /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\], with deployed
+    /// physics.
     pub wall_radius_m: f32,
     /// Drivetrain lag \[s\], with deployed physics.
     pub lag_s: Range,
@@ -160,7 +162,7 @@ pub struct Conditions {
     pub delay_s: Range,
     /// Loss probability of messages.
     pub loss: Range,
-    /// Largest relative deviation of a pair of robots' delay and loss from those of the episode, 0 to 1.
+    /// Largest relative deviation of the delay and loss between two robots from those of the episode, 0 to 1.
     pub edge_spread: f32,
     /// Age up to which a message is used \[s\].
     pub hold_s: Range,
@@ -210,13 +212,13 @@ impl Reward {
 }
 
 impl Config {
-    /// The preset of this name.
+    /// Returns the preset of this name; `None` if there is none.
     pub fn preset(name: &str) -> Option<Config> {
         let (_, text) = PRESETS.iter().find(|(preset, _)| *preset == name)?;
         Some(Config::from_toml(text).expect("the committed presets are valid; a test reads them all"))
     }
 
-    /// Parses and checks a configuration.
+    /// Parses and checks a configuration in TOML; an error names the line or the field.
     pub fn from_toml(text: &str) -> Result<Config, ConfigError> {
         let config: Config = config::from_toml(text)?;
         config.check()?;
@@ -229,7 +231,7 @@ impl Config {
         self.curriculum.iter().position(|stage| progress < stage.until).unwrap_or(last)
     }
 
-    /// The manifest of a trained policy, without its origin and its hash.
+    /// Returns the manifest of a trained policy, without the training's data and without the hash.
     pub fn manifest(&self, scenario: &str) -> Manifest {
         let policy = &self.policy;
         let shape = self.actor();

@@ -23,7 +23,7 @@ const QUICK_SEED: u64 = 0x9a11_e7a1;
 /// Parameters of an evaluation.
 #[derive(Debug)]
 pub struct Evaluation<'a> {
-    /// RolloutSettings as in training, except that actions are held for one step.
+    /// Settings as in training, except that actions are held for one step.
     pub settings: &'a RolloutSettings<'a>,
     /// Weights and biases of the policy.
     pub parameters: &'a [f32],
@@ -38,8 +38,8 @@ pub struct Evaluation<'a> {
 }
 
 impl Evaluation<'_> {
-    /// Runs one episode of every layout and returns the findings in their order; `conditions` returns the conditions of
-    /// the episode of an index.
+    /// Runs one episode of every layout; returns the findings in the order of the layouts. `conditions` returns the
+    /// conditions of the episode with an index.
     pub fn run(&self, conditions: impl Fn(u32) -> Episode + Sync, threads: usize) -> Vec<Finding> {
         let firsts: Vec<u32> = (0..self.episodes).step_by(CHUNK).collect();
         let mut findings: Vec<Vec<Finding>> = firsts.iter().map(|_| Vec::new()).collect();
@@ -93,12 +93,12 @@ pub struct Score {
     pub action: &'static str,
     /// Success rate over all layouts, 0 to 1.
     pub success: f64,
-    /// Median makespan of the successes \[s\]; `None` if there are none.
+    /// Median makespan of the successes \[s\]; `None` without a success.
     pub makespan_s: Option<f64>,
 }
 
 impl Score {
-    /// Computes the score of these findings.
+    /// Computes the score of these findings; `conditions` is the name of their conditions.
     pub fn of(conditions: &'static str, draw: Draw, findings: &[Finding]) -> Score {
         let successes = findings.iter().filter(|finding| finding.verdict == Verdict::Success);
         let makespans: Vec<f64> = successes.map(|finding| finding.after.as_secs()).collect();
@@ -114,13 +114,14 @@ impl Score {
 pub struct Scores(pub Vec<Score>);
 
 impl Scores {
-    /// The score under these conditions with the draw method of the policy's file.
+    /// Returns the score under these conditions, with actions drawn as the policy's file says; `None` if there is no
+    /// such score.
     pub fn with_default_draw(&self, conditions: &str) -> Option<&Score> {
         self.0.iter().find(|score| score.conditions == conditions)
     }
 }
 
-/// Evaluates a training's current policy on layouts that, except by chance, are not among those of the training.
+/// Evaluates the current policy of a training on layouts that the training has not seen, except by chance.
 pub fn quick_evaluation(trainer: &Trainer, episodes: u32, threads: usize) -> Scores {
     let settings = trainer.settings();
     let (settings, config) = (without_repeat(&settings), settings.config);

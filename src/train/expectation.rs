@@ -11,11 +11,11 @@ pub const SCENARIO: &str = "passage";
 pub struct Measured {
     /// Number of decisions: one per environment and step of the policy.
     pub decisions: u64,
-    /// Success rate at its end with mean actions and perfect messages, 0 to 1.
+    /// Success rate at the end of the training, with mean actions and perfect messages, 0 to 1.
     pub success: f64,
 }
 
-/// Results with the preset of this name, by length; `None` if none were measured.
+/// Results of trainings with the preset of this name, by length; `None` if none were measured.
 pub fn measured(preset: &str) -> Option<&'static [Measured]> {
     MEASURED.iter().find(|(name, _)| *name == preset).map(|(_, measured)| *measured)
 }

@@ -7,8 +7,8 @@ use super::network::{Layer, Network, Space, add, resize};
 use crate::policy::mlp::Instructions;
 
 impl Network {
-    /// Adds the gradient of a loss by the parameters to `gradient`. `d_outputs` are its derivatives by the outputs of
-    /// the forward pass that `space` holds.
+    /// Adds the gradient of a loss with respect to the parameters to `gradient`. `space` holds the forward pass, and
+    /// `d_outputs` the derivatives of the loss with respect to its outputs.
     pub fn backward<T: Real>(
         &self,
         parameters: &[T],

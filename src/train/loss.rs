@@ -8,7 +8,7 @@ use super::record::HALF_LOG_TWO_PI;
 pub struct Sample<T> {
     /// The action as drawn \[m/s\], policy frame.
     pub action: [T; 2],
-    /// Its log density under the policy that drew it.
+    /// Log density of the action under the policy that drew it.
     pub log_density: T,
     /// Its advantage, normalised.
     pub advantage: T,
@@ -75,7 +75,7 @@ pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> P
     }
 }
 
-/// Computes the critic's loss, half the squared error, and its derivative by the estimate.
+/// Computes the critic's loss, half the squared error, and its derivative with respect to the estimate.
 pub fn value<T: Real>(estimate: T, target: T) -> (T, T) {
     let error = estimate - target;
     (T::of(0.5) * error * error, error)

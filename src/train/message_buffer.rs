@@ -15,7 +15,7 @@ use crate::world::kinematic::PERIOD;
 /// Number of past steps with stored estimates: enough for the longest delay plus the longest hold time, and one more.
 pub const HISTORY_STEPS: usize = 24;
 
-/// Estimates of a team over its last steps, and the newest message that each robot holds of each other.
+/// Estimates of a team over its last steps, and which message each robot holds of each other robot.
 #[derive(Clone, Debug, Default, serde::Serialize, serde::Deserialize)]
 pub struct MessageBuffer {
     robots: usize,
@@ -32,9 +32,9 @@ pub struct MessageBuffer {
 pub struct HeldMessage {
     /// Index of the sender in the team.
     pub sender: usize,
-    /// Step in which it was sent.
+    /// Step in which the message was sent.
     pub step: u32,
-    /// Time since its arrival \[s\].
+    /// Time since the message arrived \[s\].
     pub age_s: f32,
 }
 
@@ -61,8 +61,8 @@ impl MessageBuffer {
         Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) }
     }
 
-    /// Draws the arrivals of messages at robot `receiver` up to its action in `step`, and calls `each` with every
-    /// message that it uses, in the order of senders.
+    /// Draws the arrivals of messages at robot `receiver` up to its action in `step`. Calls `each` with every message
+    /// that the robot then uses, in the order of senders.
     pub fn receive(
         &mut self,
         episode: &Episode,

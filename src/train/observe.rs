@@ -20,11 +20,11 @@ pub fn own(fields: &[Field], scenario: &dyn Scenario, task: &Task, estimate: &Mo
 pub struct Privileged {
     /// Stage of the scenario's reward.
     pub stage: Stage,
-    /// Whether it has arrived.
+    /// Whether the robot has arrived.
     pub arrived: bool,
     /// Fraction of the episode's time that has passed.
     pub passed: f32,
-    /// Length of its remaining path \[m\].
+    /// Length of the robot's remaining path \[m\].
     pub to_go_m: f32,
     /// Drivetrain lag \[s\].
     pub lag_s: f32,
@@ -37,7 +37,7 @@ pub struct Privileged {
 }
 
 impl Privileged {
-    /// Writes `PRIVILEGED` floats, each scaled to the order of one.
+    /// Writes the information as `PRIVILEGED` floats, each scaled to about one.
     pub fn write(&self, to: &mut [f32]) {
         let indicator = |value: bool| if value { 1.0 } else { 0.0 };
         to.copy_from_slice(&[

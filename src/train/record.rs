@@ -21,7 +21,7 @@ pub enum EpisodeState {
 pub struct Record {
     /// Observations of the policy.
     pub actor: Graphs,
-    /// Observations of the critic; after those of the decisions, the last states and the last states of truncated
+    /// Observations of the critic: those of the decisions, then the last states, then the last states of truncated
     /// episodes.
     pub critic: Graphs,
     /// Actions as drawn \[m/s\], policy frame.
@@ -32,7 +32,7 @@ pub struct Record {
     pub reward: Vec<f32>,
     /// State of the episode after each action.
     pub state: Vec<EpisodeState>,
-    /// The critic's estimates, for each robot of all its graphs.
+    /// Estimates of the critic for each robot of all graphs in `critic`.
     pub value: Vec<f32>,
     /// Advantages of the actions.
     pub advantage: Vec<f32>,
@@ -51,9 +51,9 @@ pub struct EpisodeTotals {
     pub clean: u32,
     /// Number of episodes in which all robots arrived.
     pub arrived: u32,
-    /// Sum of their lengths \[s\].
+    /// Sum of the episodes' lengths \[s\].
     pub length_s: f32,
-    /// Sum of their returns, each the mean over robots.
+    /// Sum of the episodes' returns, each the mean over the robots.
     pub returns: f32,
 }
 

@@ -6,7 +6,7 @@ use crate::messages::local::Contacts;
 use crate::scenario::{Scenario, Stage};
 use crate::world::kinematic::PERIOD;
 
-/// One robot's step, as input to its reward.
+/// One robot's step, as input to the reward.
 #[derive(Debug)]
 pub struct RobotStep<'a> {
     /// The robot's task.
@@ -17,15 +17,15 @@ pub struct RobotStep<'a> {
     pub contacts: Contacts,
     /// The scenario's own reward of the step.
     pub scenario_reward: f32,
-    /// Whether it is at its goal.
+    /// Whether the robot is at its goal.
     pub reached: bool,
-    /// Length of the remaining path before the step \[m\]; updated to that after it.
+    /// Length of the remaining path \[m\]: before the step, and afterwards replaced by that after the step.
     pub to_go_m: &'a mut f32,
-    /// Whether it had arrived before the step; updated.
+    /// Whether the robot had arrived before the step; set if it arrives in the step.
     pub arrived: &'a mut bool,
 }
 
-/// Whether the scenario has a reward of its own.
+/// Whether `Scenario::reward` returns a reward for this scenario.
 pub fn has_reward(scenario: &dyn Scenario) -> bool {
     let tasks = scenario.tasks(0, 0);
     let reward =
@@ -66,7 +66,8 @@ pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) 
     reward * weights.scale
 }
 
-/// The penalty of a robot for coming near to others of its team, which are at `positions` \[m\].
+/// The penalty of the robot with index `robot` for being near to other robots of its team. `positions` are those of the
+/// team \[m\].
 pub fn proximity_penalty(weights: &Reward, robot: usize, positions: &[Vec2]) -> f32 {
     let mut near = 0.0;
     for (other, position) in positions.iter().enumerate() {

@@ -19,7 +19,8 @@ use crate::random;
 use crate::random::Stream;
 use crate::scenario::Scenario;
 
-/// Largest number of rows in a chunk, which are evaluated at once: their activations fit into a core's own cache.
+/// Largest number of rows in a chunk. The rows of a chunk are evaluated at once, and their activations fit into a
+/// core's own cache.
 pub const CHUNK: usize = 32;
 
 /// Settings of a rollout, the same for all chunks.
@@ -61,7 +62,8 @@ pub struct Chunk {
 }
 
 impl Chunk {
-    /// Makes rows of teams; their episodes are not started.
+    /// Makes `rows` rows of teams whose episodes are not started. `groups` has the sizes of the teams of a row; rows
+    /// take its entries in turn.
     pub fn new(
         rows: usize,
         groups: &[Vec<usize>],

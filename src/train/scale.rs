@@ -5,9 +5,9 @@ use crate::registry::Registry;
 use crate::scenario::{ScenarioError, Settings};
 
 impl Config {
-    /// Returns the configuration for the team of a scenario in the registry: that of `robots`, else the scenario's own.
-    /// The sizes of groups keep their proportions as far as the scenario supports teams of these sizes; otherwise the
-    /// team is not split.
+    /// Returns the configuration for a team of its `robots`, or of the scenario's own size if that is `None`. Sizes of
+    /// groups keep their proportions as far as the scenario supports teams of these sizes. Otherwise the team is split
+    /// in another way, or not at all.
     ///
     /// # Errors
     /// If there is no such scenario, or it does not support that number of robots.

@@ -35,13 +35,13 @@ pub struct Metrics {
     pub env_steps: u64,
     /// Stage of the curriculum, from zero.
     pub stage: usize,
-    /// Mean return of a robot in the episodes that ended; NaN if none did.
+    /// Mean return of a robot in the episodes that ended in the iteration; NaN if none ended.
     pub earned: f32,
-    /// Fraction of these episodes in which all robots arrived and touched nothing.
+    /// Fraction of the episodes that ended in which all robots arrived and touched nothing.
     pub success: f32,
-    /// Fraction of these episodes in which all robots arrived.
+    /// Fraction of the episodes that ended in which all robots arrived.
     pub arrived: f32,
-    /// Mean duration of these episodes \[s\].
+    /// Mean duration of the episodes that ended \[s\].
     pub length_s: f32,
     /// Number of epochs of the update.
     pub epochs: f32,
@@ -66,7 +66,7 @@ pub struct Metrics {
 pub struct Diverged {
     /// The iteration that failed.
     pub iteration: u64,
-    /// Number of decisions before it.
+    /// Number of decisions before the failed iteration.
     pub decisions: u64,
     /// The first quantity that was not finite.
     pub what: &'static str,
@@ -147,7 +147,8 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// Starts a training with random weights; the registry provides its scenario.
+    /// Starts a training with random weights. The scenario is looked up in the registry. An error if a stage of the
+    /// curriculum cannot be set up.
     pub fn new(plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
         let settings = Settings { robots: plan.config.robots, gap_m: None };
         let scenario = registry.scenario(&plan.scenario, &settings)?;

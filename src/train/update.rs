@@ -76,7 +76,8 @@ pub struct Workspace {
     order: Vec<(u32, u32)>,
 }
 
-/// Updates policy and critic from all records; the pair is learning rate and weight of the entropy.
+/// Updates policy and critic by the decisions of all records. The pair is the learning rate and the weight of the
+/// entropy. An error names the first value that is not finite.
 #[expect(clippy::too_many_arguments, reason = "they are unrelated; a struct of them would serve this call only")]
 pub fn update(
     settings: &RolloutSettings,
@@ -230,7 +231,8 @@ impl Shard {
 }
 
 /// Draws initial parameters from normal distributions whose variance preserves the size of activations (He et al.,
-/// arXiv 1502.01852). The last layer is near zero, so an untrained policy stands still; its bias is `bias`.
+/// arXiv 1502.01852). The last layer is near zero, so that an untrained policy stands still; `bias` is the bias of that
+/// layer.
 pub fn initial(network: &Network, seed: Seed, bias: &[f32]) -> Vec<f32> {
     let mut stream = seed.stream("train/initial");
     let mut parameters = vec![0.0; network.parameters()];

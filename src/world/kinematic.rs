@@ -3,9 +3,11 @@
 //!
 //! `step` alone defines these dynamics; the World actor and the trainer both call it.
 
+use std::collections::BTreeMap;
+
 use super::{ContactRule, Physics, Plant, PlantState};
 use crate::cells::{self, Cells};
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::Seed;
 use crate::scenario::Arena;
@@ -146,6 +148,8 @@ pub struct Kinematic {
     contacts: Vec<Contacts>,
     before: Vec<Vec2>,
     commands: Vec<Vec2>,
+    /// Robots that are moved from outside, with their states; none in most worlds.
+    carried: BTreeMap<usize, (Motion, f32)>,
     states: Vec<PlantState>,
 }
 
@@ -160,6 +164,7 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> B
         contacts: vec![Contacts::default(); positions.len()],
         before: zeros.clone(),
         commands: zeros,
+        carried: BTreeMap::new(),
         states: vec![PlantState::default(); positions.len()],
     };
     plant.update_states();
@@ -196,7 +201,18 @@ impl Plant for Kinematic {
         self.commands[robot] = velocity;
     }
 
+    fn carry(&mut self, robot: usize, motion: Motion, heading: f32) {
+        self.carried.insert(robot, (motion, heading));
+        (self.position[robot], self.velocity[robot]) = (motion.position, motion.velocity);
+        self.states[robot].heading = heading;
+        self.update_state(robot);
+    }
+
     fn advance(&mut self) {
+        // A robot that is moved from outside stands for the step, so that the others are moved around it.
+        for &robot in self.carried.keys() {
+            (self.velocity[robot], self.commands[robot]) = (Vec2::zeros(), Vec2::zeros());
+        }
         let mut team = Team {
             position: &mut self.position,
             velocity: &mut self.velocity,
@@ -204,6 +220,9 @@ impl Plant for Kinematic {
             before: &mut self.before,
         };
         step(&self.arena, &self.physics, &self.commands, &mut team);
+        for (&robot, (motion, _)) in &self.carried {
+            (self.position[robot], self.velocity[robot]) = (motion.position, motion.velocity);
+        }
         self.update_states();
     }
 

@@ -56,6 +56,15 @@ pub trait Plant {
     /// Sets a robot's commanded velocity \[m/s\], world frame, which holds until the next call.
     fn drive(&mut self, robot: usize, velocity: Vec2);
 
+    /// Sets the state of a robot that is moved from outside, such as a real one, before each step: position and
+    /// velocity of its centre \[m, m/s\] and its heading \[rad\], world frame. The others touch it there, and no
+    /// contact moves it.
+    /// A plant that does not override this places the robot there at rest.
+    fn carry(&mut self, robot: usize, motion: Motion, _heading: f32) {
+        self.drive(robot, Vec2::zeros());
+        self.place(robot, motion.position);
+    }
+
     /// Advances the world by one step.
     fn advance(&mut self);
 

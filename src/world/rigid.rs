@@ -4,13 +4,13 @@
 //! The solver is rapier in its cross-platform deterministic mode; its vector type is used in this file only.
 
 use rapier2d::prelude::{
-    ColliderBuilder, IntegrationParameters, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, Vector,
+    ColliderBuilder, IntegrationParameters, PhysicsWorld, RigidBodyBuilder, RigidBodyHandle, RigidBodyType, Vector,
 };
 
 use super::drivetrain::{Drivetrain, StepParameters};
 use super::kinematic::PERIOD;
 use super::{Physics, Plant, PlantState};
-use crate::messages::geometry::Vec2;
+use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::Seed;
 use crate::scenario::Arena;
@@ -133,10 +133,23 @@ impl Plant for Rigid {
         self.robots[robot].1.command = velocity;
     }
 
+    fn carry(&mut self, robot: usize, motion: Motion, heading: f32) {
+        let body = &mut self.world.bodies[self.robots[robot].0];
+        // A kinematic body pushes the others and is pushed by none of them.
+        body.set_body_type(RigidBodyType::KinematicVelocityBased, true);
+        body.set_translation(to_glam(motion.position), true);
+        body.set_linvel(to_glam(motion.velocity), true);
+        self.states[robot].heading = heading;
+        self.update_motion();
+    }
+
     fn advance(&mut self) {
         let force = self.physics.mass_kg / PERIOD.as_secs() as f32;
         for (handle, drivetrain) in &mut self.robots {
             let body = &mut self.world.bodies[*handle];
+            if body.is_kinematic() {
+                continue;
+            }
             let change = drivetrain.velocity_change(&self.parameters, from_glam(body.linvel()));
             body.reset_forces(false);
             // A force over the whole step instead of an impulse at its start, so that acceleration is steady.

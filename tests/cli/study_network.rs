@@ -138,7 +138,7 @@ fn a_fit_recovers_the_radio_that_generated_the_rows() {
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
     fs::write(path("truth.toml"), "noise_loss = 0.12\nbackground = 0.24\nrate = \"ofdm-12\"\n").unwrap();
     let sweep = ["--rates", "60,250", "--networks", "ad-hoc", "--reliability", "best-effort", "--retries", "1"];
-    let made = ["study", "network", "--medium", &path("truth.toml"), "--seconds", "10", "--seed", "5"];
+    let made = ["study", "network", "--medium", &path("truth.toml"), "--seconds", "5", "--seed", "5"];
     let output = run(&[&made[..], &sweep, &["--teams", "none", "--json", "--quiet"]].concat());
     assert!(output.status.success(), "{}", text(&output.stderr));
     fs::write(path("rows.json"), &output.stdout).unwrap();

@@ -227,3 +227,30 @@ fn a_plant_follows_commands_and_is_deterministic() {
         }
     }
 }
+
+#[test]
+fn a_plant_holds_a_robot_that_is_carried_and_lets_the_others_touch_it() {
+    let scenario = scenario::build("passage", &Settings::of(2)).expect("two may");
+    let (own, carried) = (Vec2::new(0.0, -2.2), Vec2::new(0.0, -1.0));
+    for entry in world::REGISTRY {
+        let physics = (entry.physics)(scenario.arena());
+        let mut plant = (entry.build)(scenario.arena(), &physics, &[own, Vec2::new(1.5, -2.5)], Seed::of_run(1));
+        let mut touched = false;
+        for step in 0..200_u16 {
+            // It comes down slowly, whatever it is told, and the other drives up into it.
+            let at = carried - Vec2::new(0.0, 0.001) * f32::from(step);
+            plant.carry(1, Motion { position: at, velocity: Vec2::new(0.0, -0.02) }, 0.5);
+            plant.drive(0, Vec2::new(0.0, 0.5));
+            plant.drive(1, Vec2::new(0.0, 1.0));
+            plant.advance();
+            let states = plant.states();
+            touched |= states[0].contacts.robot;
+            assert!((states[1].motion.position - at).norm() < 0.002, "{}: {:?}", entry.name, states[1]);
+            let apart = (states[0].motion.position - states[1].motion.position).norm();
+            assert!(apart > 0.25, "{}: {apart} m apart", entry.name);
+        }
+        assert!(touched, "{}: the contact is told", entry.name);
+        let reached = plant.states()[0].motion.position;
+        assert!(reached.y > own.y + 0.3 || (reached - own).norm() > 0.3, "{}: it has driven: {reached}", entry.name);
+    }
+}

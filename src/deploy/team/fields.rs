@@ -73,7 +73,7 @@ impl Fields {
         Fields { own }
     }
 
-    /// Names of the fields of a link that have one value.
+    /// Names of the fields of a link that have one value, not one for each host.
     pub fn of_link(&self) -> impl Iterator<Item = &'static str> {
         ["transport"].into_iter().chain(self.own.iter().filter(|field| !field.by_host).map(|field| field.name))
     }
@@ -88,8 +88,8 @@ impl Fields {
         self.own.iter().find(named).map(|field| field.takes)
     }
 
-    /// Type and default of a field; `None` if there is no such field. A transport's entry has the defaults of its own
-    /// fields.
+    /// Type and default of the field with this key; `None` if there is no such field. Defaults of a transport's own
+    /// fields are in the transport's entry.
     pub fn field(&self, key: &str) -> Option<(FieldType, Option<&'static str>)> {
         let of_team =
             |name: &str| TEAM.iter().find(|(field, ..)| *field == name).map(|(_, takes, default)| (*takes, *default));

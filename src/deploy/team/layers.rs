@@ -83,8 +83,8 @@ pub struct Layers {
 }
 
 impl Layers {
-    /// Reads the file and the flags; the environment's `MURMURATE_…` follow once the links are known. The caller reads
-    /// the tables in `whole`.
+    /// Reads the file and the flags; an error names the line, the field or the flag. The caller reads the tables in
+    /// `whole` itself, and the environment once the links are known.
     pub fn read(
         text: &str,
         flags: &[Flag],
@@ -144,13 +144,14 @@ impl Layers {
         Ok(())
     }
 
-    /// Reads the fields of the whole team from the environment.
+    /// Reads the fields of the whole team from the environment `variables`; an error names the variable.
     pub fn read_environment(&mut self, variables: &[(String, String)]) -> Result<(), ConfigError> {
         let fields: Vec<String> = team_fields().map(str::to_owned).collect();
         self.take(variables, &fields)
     }
 
-    /// Reads the fields of these links from the environment, then refuses unknown variables.
+    /// Reads `fields`, which belong to links, from the environment `variables`. Then refuses every unknown variable
+    /// that begins with `MURMURATE_`.
     pub fn read_link_environment(
         &mut self,
         variables: &[(String, String)],
@@ -193,9 +194,9 @@ impl Layers {
         ConfigError::field(place, format!("there is no such field; {}", self.fields.siblings(key)))
     }
 
-    /// Value of a field in these scopes, the narrowest first (each a prefix such as `host.pc.`, the last one empty). A
-    /// higher layer takes precedence over a narrower scope, and a default comes last. A transport's entry has the
-    /// defaults of its own fields.
+    /// Value of a field, with its origin; `None` if it is set nowhere and has no default. `scopes` are prefixes such as
+    /// `host.pc.`, the narrowest first and the empty one last. A higher layer (flag, environment, file) takes
+    /// precedence over a narrower scope. Defaults of a transport's own fields are in the transport's entry.
     pub fn find(&self, scopes: &[String], key: &str) -> Option<LayerValue> {
         let every = (key.starts_with("link.") && key.ends_with(".interface")).then_some(EVERY_INTERFACE);
         for layer in [&self.flags, &self.environment, &self.file] {
@@ -219,7 +220,8 @@ impl Layers {
             .map(|(key, entry)| (key.as_str(), entry))
     }
 
-    /// The line of a table that is read as a whole, or of a field of one, as `table.field`.
+    /// The line of a table that is read as a whole, or of its field `table.field`; `None` if the file has no such
+    /// table.
     pub fn table(&self, name: &str) -> Option<usize> {
         self.tables.get(name).copied()
     }

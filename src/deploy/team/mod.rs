@@ -44,11 +44,11 @@ pub struct Team {
     pub deployment: Deployment,
     /// The team's number on the wire.
     pub number: u16,
-    /// Path of its key; `None` for a team within one machine, without authentication.
+    /// Path of the team's key; `None` for a team on one machine, which needs no authentication.
     pub key_file: Option<PathBuf>,
-    /// Name of its scenario.
+    /// Name of the team's scenario.
     pub scenario: String,
-    /// Policy: a file or a name; `None` for the scenario's default.
+    /// Policy of the team: a file or a name; `None` for the scenario's default.
     pub policy: Option<PathBuf>,
     /// Number of episodes, one after the other with resets between.
     pub episodes: u32,
@@ -58,11 +58,12 @@ pub struct Team {
     pub simulated: SimulationSettings,
     /// Estimator of the states of the host's robots.
     pub estimator: estimation::Entry,
-    /// Known delay of the source of readings; `None` for the latency of the simulated sensor.
+    /// Known time from a measurement to the arrival of its reading; `None` for the latency of the simulated sensor.
     pub sensor_delay: Option<Span>,
     /// Conditions in which robots are stopped or slowed.
     pub safety: Safety,
-    /// The host's places, by link; `None` for a link on which it neither sends nor receives.
+    /// Place of this host on each link of the deployment; `None` for a link on which the host neither sends nor
+    /// receives.
     pub links: Vec<Option<Place>>,
 }
 
@@ -71,9 +72,9 @@ pub struct Team {
 pub struct SimulationSettings {
     /// Bodies and sensors of simulated robots, in the deployment's plant.
     pub physics: Physics,
-    /// Limit that Controllers put on the policy's output; it also sets the World's limit.
+    /// Limit of the policy's output in Controllers. It also decides whether the World limits acceleration.
     pub clamp: Clamp,
-    /// Lifetime of neighbours' messages after the agent's first step with them.
+    /// Time for which neighbours' messages are used: in one step, or until they are too old.
     pub handling: Handling,
 }
 
@@ -98,7 +99,8 @@ struct Inline {
 }
 
 impl TeamFile {
-    /// Reads a team file in `folder`. `variables` is the environment; names are looked up in the registry.
+    /// Reads a team file with the content `text` that lies in `folder`. `variables` is the environment. Errors name the
+    /// field, and the origin of its value.
     pub fn read(
         registry: &Registry,
         text: &str,
@@ -126,7 +128,7 @@ impl TeamFile {
         Ok(file)
     }
 
-    /// The registry of its names.
+    /// The registry in which the file's names are looked up.
     pub fn registry(&self) -> &Registry {
         &self.registry
     }
@@ -141,7 +143,7 @@ impl TeamFile {
         (0..self.deployment.hosts.len()).map(|index| HostId(index as u16))
     }
 
-    /// The host of that name.
+    /// The host of that name; an error lists all names.
     pub fn host_named(&self, name: &str) -> Result<HostId, ConfigError> {
         let names: Vec<&str> = self.deployment.hosts.iter().map(|host| host.name.as_str()).collect();
         let found = names.iter().position(|host| *host == name);
@@ -150,7 +152,7 @@ impl TeamFile {
         found.map(|index| HostId(index as u16)).ok_or_else(unknown)
     }
 
-    /// The host that runs the robot's agent.
+    /// The host that runs the robot's agent; an error if there is no such robot.
     pub fn host_of(&self, robot: RobotId) -> Result<HostId, ConfigError> {
         if robot.index() < self.deployment.robots {
             return Ok(Routes::of(&self.deployment).agent_host(robot));
@@ -158,12 +160,12 @@ impl TeamFile {
         Err(ConfigError::field("robot", format!("there is no {robot}; they are 0 to {}", self.deployment.robots - 1)))
     }
 
-    /// Checks the configuration of each host.
+    /// Checks the configuration of every host; an error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         self.hosts().try_for_each(|host| self.for_host(host).map(drop))
     }
 
-    /// Returns the team's configuration for this host.
+    /// Returns the team's configuration for this host; an error names the field.
     pub fn for_host(&self, host: HostId) -> Result<Team, ConfigError> {
         let scopes = self.scopes(Some(host));
         let find = |key: &str| self.layers.find(&scopes, key);

@@ -22,9 +22,10 @@ pub struct OperatorAccess {
     pub link: LinkId,
     /// The team's number on the wire.
     pub number: u16,
-    /// Path of its key; `None` for a team without one.
+    /// Path of the team's key; `None` for a team without one.
     pub key_file: Option<PathBuf>,
-    /// Places on the link: one for each interface that a host uses on it, or a single one that addresses each host.
+    /// Places of the operator on the link: one for each network interface that any host uses on it, or a single one
+    /// that addresses every host.
     pub places: Vec<Place>,
 }
 
@@ -74,7 +75,8 @@ impl TeamFile {
         Ok(Place { endpoint, reliability: reliability.collect() })
     }
 
-    /// Access of an operator to the team: on the link that carries the emergency stop, and on no other.
+    /// Returns the operator's access to the link that carries the emergency stop, the only one that an operator opens.
+    /// An error names the field, such as `carries` if no link carries `stop`.
     pub fn operator_access(&self) -> Result<OperatorAccess, ConfigError> {
         let carries = |link: &Link| link.carries.contains(&Kind::Stop);
         let at = self.deployment.links.iter().position(carries).ok_or_else(|| {

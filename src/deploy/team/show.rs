@@ -32,7 +32,7 @@ impl TeamFile {
         }
     }
 
-    /// Every value in effect, for a host or for the whole team, with its origin.
+    /// Every value in effect with its origin; for the whole team if `host` is `None`.
     pub fn values(&self, host: Option<HostId>) -> Vec<Shown> {
         let scopes = self.scopes(host);
         let mut all = Vec::new();

@@ -11,16 +11,17 @@ pub struct Battery {
     /// Charge at which the robot stops \[%\]; zero for none.
     least: u8,
     period: Span,
-    /// Charge \[%\], once it is known.
+    /// Charge \[%\]; `None` until the robot has told it.
     pub charge: Option<u8>,
     /// Time of the next question.
     pub due: Time,
-    /// Whether it is too low to move.
+    /// Whether the charge is too low to move.
     pub low: bool,
 }
 
 impl Battery {
-    /// Makes a battery of unknown charge from its least charge (0 to 1) and the period of asking \[s\].
+    /// Makes a battery of unknown charge. The robot stops at the charge `least` (0 to 1, 0 for never) and is asked
+    /// every `period_s` \[s\].
     pub fn new(least: f32, period_s: f64) -> Battery {
         let least = (least * 100.0).round() as u8;
         Battery { least, period: Span::from_secs(period_s), charge: None, due: Time::ZERO, low: false }

@@ -21,9 +21,9 @@ pub struct Chassis {
 }
 
 impl Chassis {
-    /// Returns the nearest velocity that the chassis follows, in its own axes; none for standing. Each speed is rounded
-    /// to the grid, to zero below half a step. Without a grid, a speed below 0.1 m/s becomes 0 or 0.1 m/s in its
-    /// direction. A yaw rate below 1.5 degrees/s becomes 0 or 1.5. A velocity that is not finite is standing.
+    /// Returns the nearest velocity that the chassis can follow, in the chassis' own axes; `None` to stand. Each speed
+    /// is rounded to the grid, to zero below half a step. Without a grid, a speed below 0.1 m/s becomes 0 or 0.1 m/s in
+    /// its direction. A yaw rate below 1.5 degrees/s becomes 0 or 1.5. A velocity that is not finite gives `None`.
     pub fn follow(&self, twist: &BodyTwist) -> Option<ChassisSpeed> {
         let wanted = Vec2::new(twist.forward, twist.left).cap_magnitude(self.speed_m_s);
         let yaw = twist.yaw_rate.clamp(-self.yaw_rate_rad_s, self.yaw_rate_rad_s).to_degrees();

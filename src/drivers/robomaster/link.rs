@@ -3,7 +3,7 @@
 use crate::edge::Packet;
 use crate::time::Span;
 
-/// Validity of the motion that the robot carries out. When it ends, the worker stops the robot by itself.
+/// Time for which the robot's motion is valid. After it the worker stops the robot by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hold {
     /// As before: the line moves no wheel.
@@ -62,7 +62,7 @@ impl ToWorker<'_> {
         }
     }
 
-    /// Decodes a packet; none if it is not one.
+    /// Decodes a packet to the worker; `None` if the bytes are not one.
     pub fn decode(packet: &[u8]) -> Option<ToWorker<'_>> {
         match packet {
             [b'O'] => Some(ToWorker::Open),
@@ -97,7 +97,7 @@ impl FromWorker<'_> {
         }
     }
 
-    /// Decodes a packet; none if it is not one.
+    /// Decodes a packet of the worker; `None` if the bytes are not one.
     pub fn decode(packet: &[u8]) -> Option<FromWorker<'_>> {
         let (tag, rest) = packet.split_first()?;
         if *tag == b'P' {

@@ -5,7 +5,7 @@ use super::protocol::{ChassisSpeed, Line};
 use super::times::STAND_PERIOD;
 use crate::time::{Span, Time};
 
-/// Motion of one robot, wanted and told.
+/// Motion of one robot: the newest velocity that is wanted, and the one that the robot was last told.
 #[derive(Clone, Debug)]
 pub struct Motion {
     /// Shortest time between two velocities.
@@ -43,17 +43,17 @@ impl Motion {
         !self.standing
     }
 
-    /// Whether a newer velocity waits while the robot keeps to an older one.
+    /// Whether a newer velocity waits to be sent while the robot still follows an older one.
     pub fn waits(&self) -> bool {
         self.fresh && !self.standing
     }
 
-    /// Time at which the wanted velocity expires.
+    /// Time at which the wanted velocity expires; `None` if the robot is to stand.
     pub fn expires(&self) -> Option<Time> {
         self.wanted.map(|(_, until)| until)
     }
 
-    /// Time of the next line, as soon as none is in flight; none if the robot does what is wanted.
+    /// Time of the next line, once no line is in flight; `None` if the robot already does what is wanted.
     pub fn due(&self) -> Option<Time> {
         match self.wanted {
             None => Some(self.told + STAND_PERIOD),

@@ -52,13 +52,13 @@ pub struct Odometry {
 }
 
 impl Odometry {
-    /// Makes it without values.
+    /// Makes an odometry that has received nothing yet.
     pub fn new(robot: RobotId) -> Odometry {
         Odometry { robot, positions: Track::default(), headings: Track::default() }
     }
 
-    /// Takes a push that has arrived at `stamp_ns`. Returns a reading in the frame of the robot's power-on pose if it
-    /// has a position, from the second one on.
+    /// Takes a push that has arrived at `stamp_ns`. Returns a reading in the frame of the robot's pose at power-on.
+    /// Returns `None` for the first push and for one without a position.
     pub fn take(&mut self, stamp_ns: u64, push: &Push) -> Option<Reading> {
         let newest =
             self.positions.newest().map_or(0, |(at, _)| at).max(self.headings.newest().map_or(0, |(at, _)| at));

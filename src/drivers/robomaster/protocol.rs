@@ -58,7 +58,7 @@ pub struct ChassisSpeed {
 }
 
 impl Line {
-    /// Returns the line with its semicolon and this sequence number, which the answer repeats.
+    /// Returns the line as text, with a semicolon and the sequence number `seq`, which the robot's answer repeats.
     pub fn encode(&self, seq: u32) -> String {
         let mut line = match self {
             // The semicolon in front ends what an earlier program left unfinished: the robot keeps it, and would refuse
@@ -120,8 +120,8 @@ pub struct Splitter {
 }
 
 impl Splitter {
-    /// Takes bytes of the stream and passes on each statement that they complete, without semicolon. Empty ones are
-    /// skipped.
+    /// Takes bytes of the stream, and calls `each` with every statement that they complete, without its semicolon.
+    /// Empty statements are skipped.
     pub fn take(&mut self, bytes: &[u8], mut each: impl FnMut(Result<&str, Malformed>)) {
         for &byte in bytes {
             if byte != b';' {
@@ -150,11 +150,11 @@ impl Splitter {
 pub struct Answer<'a> {
     /// Result: `ok`, an error, or values.
     pub result: &'a str,
-    /// Sequence number of the line; none if the robot does not repeat it.
+    /// Sequence number of the answered line; `None` if the robot does not repeat it.
     pub seq: Option<u32>,
 }
 
-/// Decodes a statement of the control connection.
+/// Decodes a statement of the control connection; an error if it is malformed.
 pub fn decode_answer(statement: &str) -> Result<Answer<'_>, Malformed> {
     let Some((result, seq)) = statement.rsplit_once("seq ") else {
         return Ok(Answer { result: statement.trim(), seq: None });
@@ -165,18 +165,18 @@ pub fn decode_answer(statement: &str) -> Result<Answer<'_>, Malformed> {
 }
 
 impl Answer<'_> {
-    /// Whether the line was carried out. A robot in SDK mode says so when it is asked to enter it.
+    /// Whether the robot has carried out the line. A robot in SDK mode answers so when it is asked to enter SDK mode.
     pub fn is_ok(&self) -> bool {
         self.result == "ok" || self.result == "Already in SDK mode"
     }
 
-    /// Returns the charge of the battery \[%\] if the answer is one.
+    /// Returns the charge of the battery \[%\]; `None` if the answer is not a charge.
     pub fn percent(&self) -> Option<u8> {
         self.result.parse().ok().filter(|percent| *percent <= 100)
     }
 }
 
-/// State of the chassis in one datagram; none where it is not in there.
+/// State of the chassis in one datagram; a value that the datagram lacks is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Push {
     /// Position since power-on \[m\]: forward and to the right of the pose at that time.
@@ -231,8 +231,8 @@ pub enum Hit {
     Hand,
 }
 
-/// Decodes a statement of the event connection: the plate that was hit, 1 to 6 (rear, front, left and right of the
-/// chassis, left and right of the gimbal). None for an event that is not a hit.
+/// Decodes a statement of the event connection: the plate that was hit, and the kind of hit. Plates are 1 to 6: rear,
+/// front, left and right of the chassis, left and right of the gimbal. Returns `None` for an event that is not a hit.
 pub fn decode_hit(statement: &str) -> Result<Option<(u8, Hit)>, Malformed> {
     let words: Vec<&str> = statement.split_ascii_whitespace().collect();
     match words[..] {
@@ -251,7 +251,7 @@ pub fn decode_hit(statement: &str) -> Result<Option<(u8, Hit)>, Malformed> {
     }
 }
 
-/// Decodes a datagram of the announcement port: `robot ip 192.168.1.103`, with or without a semicolon.
+/// Decodes a datagram of the announcement port, `robot ip 192.168.1.103` with or without a semicolon, to that address.
 pub fn decode_announcement(datagram: &[u8]) -> Result<Ipv4Addr, Malformed> {
     let text = text(datagram)?;
     let address = text.strip_prefix("robot ip ").ok_or(Malformed::Words)?;

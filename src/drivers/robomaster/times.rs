@@ -5,7 +5,7 @@ use crate::time::Span;
 /// Time without a push after which the robot counts as silent: a dead link has to be noticed within 300 ms. At 20 Hz,
 /// four pushes in a row are missing.
 pub const SILENCE: Span = Span::from_millis(250);
-/// Time without an answer after which it counts as silent. The line was sent up to 60 ms after the link died.
+/// Time without an answer after which the robot counts as silent. The line was sent up to 60 ms after the link died.
 pub const UNANSWERED: Span = Span::from_millis(230);
 /// Time without an answer after which the connection is given up although pushes arrive. TCP may have to send a segment
 /// again, after 200 ms at least (RFC 6298, Linux).
@@ -14,11 +14,11 @@ pub const PATIENCE: Span = Span::from_millis(600);
 pub const ENTRY_PATIENCE: Span = Span::from_millis(1500);
 /// The same for the lines that follow: the robot starts its SDK before it answers them.
 pub const SETUP_PATIENCE: Span = Span::from_millis(3000);
-/// Time from a connection to its first line. The reset of the one before ends SDK mode, and has to be first.
+/// Time from a connection to its first line. The reset of the former connection ends SDK mode and has to arrive before.
 pub const PAUSE: Span = Span::from_millis(50);
 /// Time from the end of the set-up to the first push.
 pub const FIRST_PUSH: Span = Span::from_millis(1000);
-/// Time within which the worker reports a new connection or its failure; it gives up after 0.4 s itself.
+/// Time within which the worker reports a new connection or its failure. The worker itself stops trying after 0.4 s.
 pub const OPENING: Span = Span::from_millis(2000);
 /// Time between a failure and the next connection.
 pub const RETRY: Span = Span::from_millis(200);

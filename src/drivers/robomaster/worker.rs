@@ -38,9 +38,9 @@ pub struct Tcp {
     pub robot: RobotId,
     /// Its address.
     pub address: Ipv4Addr,
-    /// Whether its events are read.
+    /// Whether the robot's event connection is read.
     pub events: bool,
-    /// Whether announcements of robots are named when it does not answer.
+    /// Whether an error names robots that announce themselves, when this robot does not answer.
     pub announcements: bool,
 }
 

@@ -27,17 +27,17 @@ impl Acks {
         self.due = self.due.or(Some(now + ACK_WITHIN));
     }
 
-    /// Whether none is pending.
+    /// Whether no acknowledgement is pending.
     pub fn is_empty(&self) -> bool {
         self.pending.is_empty()
     }
 
-    /// Time at which they are to be sent.
+    /// Time at which the pending acknowledgements are to be sent; `None` if there are none.
     pub fn due(&self) -> Option<Time> {
         self.due
     }
 
-    /// First host with datagrams to acknowledge.
+    /// First host with datagrams to acknowledge; `None` if there are none.
     pub fn first_host(&self) -> Option<HostId> {
         self.pending.first_key_value().map(|(host, _)| *host)
     }

@@ -36,7 +36,7 @@ impl Bucket {
         self.tokens as usize
     }
 
-    /// Takes one token, if there is one; returns whether there was.
+    /// Takes one token; returns `false` if there was none.
     pub fn take(&mut self, now: Time, rate: &Rate) -> bool {
         self.fill(now, rate);
         let left = self.tokens >= 1.0;

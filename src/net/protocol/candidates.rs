@@ -31,7 +31,7 @@ pub struct Candidate {
     pub stamp: Stamp,
     /// Time of arrival of that stamp.
     pub at: Time,
-    /// Number of times it was echoed.
+    /// Number of times that a report has echoed the candidate.
     pub echoed: u32,
 }
 
@@ -149,7 +149,8 @@ impl Candidates {
         self.table(host).note(now, host, Candidate { incarnation, stamp, at: now, echoed: 0 })
     }
 
-    /// Removes an incarnation that has proved its liveness. Returns its candidate.
+    /// Removes an incarnation that has proved its liveness. Returns its entry; `None` if the incarnation was not a
+    /// candidate.
     pub fn forget(&mut self, host: HostId, incarnation: u32) -> Option<Candidate> {
         let table = self.table(host);
         let all = table.by_host.get(&host)?.iter();
@@ -158,8 +159,8 @@ impl Candidates {
         known
     }
 
-    /// Returns the fresh candidates, guests and hosts alternately, so that neither delay the other. Of each, those that
-    /// were echoed least come first, then the newest.
+    /// Returns the fresh candidates, guests and hosts of the team alternately, so that neither delay the other. Within
+    /// each group, those that were echoed least come first, then the newest.
     pub fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let [mut guests, mut hosts] = [&self.guests, &self.hosts].map(|table| table.waiting(now).into_iter());
         let mut waiting = Vec::with_capacity(guests.len() + hosts.len());

@@ -49,11 +49,11 @@ pub struct Flags(pub u8);
 impl Flags {
     /// A tag follows.
     pub const TAGGED: u8 = 1;
-    /// It is for one host, and numbered in that host's sequence space.
+    /// The datagram is for one host, and numbered in that host's sequence space.
     pub const DIRECT: u8 = 2;
     /// Retransmission.
     pub const COPY: u8 = 4;
-    /// The receiver shall acknowledge it.
+    /// The receiver shall acknowledge the datagram.
     pub const ACK: u8 = 8;
 
     /// Whether this bit is set.
@@ -67,13 +67,14 @@ impl Flags {
 pub struct Header {
     /// Flags.
     pub flags: Flags,
-    /// The team that it belongs to.
+    /// Number of the sender's team.
     pub team: u16,
-    /// The host that sent it.
+    /// The host that sent the datagram.
     pub sender: HostId,
     /// The sender's incarnation; a restarted host has a new one.
     pub incarnation: u32,
-    /// Number of the datagram in its sequence space: per link and incarnation, those to all hosts or those to one.
+    /// Number of the datagram in its sequence space. Each link and incarnation has one for datagrams to all hosts, and
+    /// one for each single receiver.
     pub sequence: u32,
 }
 
@@ -251,7 +252,7 @@ fn split(bytes: &[u8]) -> Result<(Content, &[u8], &[u8]), DecodeError> {
     Ok((content, body, rest))
 }
 
-/// Returns the content of a datagram's first block, by which the emulated medium treats it.
+/// Returns the content of a datagram's first block, which decides how an emulated medium treats the datagram.
 pub fn first(datagram: &[u8]) -> Result<Content, DecodeError> {
     split(datagram.get(HEADER_BYTES..).unwrap_or_default()).map(|(content, ..)| content)
 }

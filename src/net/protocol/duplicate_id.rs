@@ -7,16 +7,16 @@ use super::report::MAX_HELD_FOR;
 use crate::messages::ids::{HostId, LinkId};
 use crate::time::{Span, Time};
 
-/// Uptime from which a process does not end for a duplicate: any member with the key can claim to be one, and a false
-/// claim must not end a team.
+/// Uptime from which a process no longer ends because of a duplicate id. Any member with the key can claim to be an
+/// earlier process, and a false claim must not end a team.
 pub const SETTLED: Span = Span::from_millis(10_000);
 /// Difference of uptime below which two are ordered by their incarnations.
 const TIE_MARGIN: Span = Span::from_millis(50);
 
-/// Another live host with this host's id, which was started before it.
+/// Another live host with the id of this one, which was started earlier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DuplicateId {
-    /// Link on which it was received.
+    /// Link on which the other host was received.
     pub link: LinkId,
     /// The id.
     pub host: HostId,
@@ -24,7 +24,7 @@ pub struct DuplicateId {
     pub incarnation: u32,
 }
 
-/// Other processes with the id of this one on one link.
+/// Other processes that use the id of this process on one link.
 #[derive(Clone, Copy, Debug)]
 pub struct DuplicateIds {
     me: (LinkId, HostId, u32),
@@ -45,7 +45,8 @@ impl DuplicateIds {
         now.since(*self.began.get_or_insert(now))
     }
 
-    /// Handles the claim of another incarnation with this id, which echoes a recent stamp, that its uptime is `theirs`.
+    /// Handles the claim of another process with this id that its uptime is `theirs`. The claim must echo a recent
+    /// stamp.
     pub fn claim(&mut self, now: Time, incarnation: u32, theirs: Span) {
         let ours = self.uptime(now);
         let (link, host, mine) = self.me;
@@ -61,7 +62,7 @@ impl DuplicateIds {
         }
     }
 
-    /// Returns the process that this one duplicates, if any.
+    /// Returns the earlier process with the same id, so that this one has to end; `None` if there is none.
     pub fn duplicate(&self) -> Option<DuplicateId> {
         self.duplicate
     }

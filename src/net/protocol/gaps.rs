@@ -12,7 +12,7 @@ use crate::time::{Span, Time};
 const MAX_GAPS: usize = 256;
 /// Requests for a missing datagram: at 30 % loss of requests and answers alike, 7 % stay missing.
 const ASKS: u32 = 4;
-/// Largest random backoff before a request, so that one receiver asks for all (RFC 5401, section 3.2).
+/// Largest random backoff before a request, so that one receiver requests for all (RFC 5401, section 3.2).
 pub const BACKOFF: Span = Span::from_millis(10);
 
 /// A missing datagram.
@@ -51,7 +51,7 @@ impl Gaps {
         self.0.is_empty()
     }
 
-    /// Whether this is a retransmission that was requested: however old, its sender still keeps it.
+    /// Whether the datagram is a retransmission that this host has requested. It is accepted however old it is.
     pub fn awaits(&self, header: &Header) -> bool {
         header.flags.has(Flags::COPY) && self.0.contains_key(&DatagramId::of(header))
     }
@@ -66,7 +66,7 @@ impl Gaps {
         }
     }
 
-    /// Time of the next request.
+    /// Time of the next request; `None` if no datagram is missing.
     pub fn due(&self) -> Option<Time> {
         self.0.values().map(|gap| gap.due).min()
     }

@@ -60,13 +60,13 @@ pub struct LocalEnd {
     pub incarnation: u32,
     /// The link.
     pub link: LinkId,
-    /// Whether senders have to prove their liveness: on a link with a key.
+    /// Whether senders have to prove their liveness, as on a link with a key.
     pub authenticated: bool,
-    /// Smallest number of a guest: one that no host of the team has.
+    /// Smallest host number of a guest; hosts of the team have smaller ones.
     pub first_guest: HostId,
-    /// Bytes of an entry in its reports.
+    /// Bytes of one entry in this host's reports.
     pub entry_bytes: usize,
-    /// Clock of its stamps.
+    /// Clock of this host's stamps.
     pub stamps: Stamps,
 }
 
@@ -295,7 +295,7 @@ impl Incoming {
         Ok(())
     }
 
-    /// Handles a report of another incarnation of this host: a live one, or a recording of a former run.
+    /// Handles a report of another process with this host's id: a live one, or a recording of a former run.
     #[cold]
     pub fn note_duplicate_id(&mut self, now: Time, header: &Header, report: &Report, counts: &mut LinkCounts) {
         self.candidates.note(now, header.sender, header.incarnation, report.stamp);
@@ -316,8 +316,8 @@ impl Incoming {
             .find(|proof| proof.age <= FRESH)
     }
 
-    /// Whether a message about `robot` is the newest of its stream, and if so records it. All kinds are state, so an
-    /// older message is useless.
+    /// Returns whether a message about `robot` is the newest of its stream, and records it if so. All kinds are state,
+    /// so older messages are useless.
     pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
         let Some(sender) = self.senders.get_mut((header.sender, header.incarnation)) else { return false };
         let newest = &mut sender.spaces[usize::from(header.flags.has(Flags::DIRECT))].newest;
@@ -352,7 +352,7 @@ impl Incoming {
         self.gaps.asked_by_others(now, ids);
     }
 
-    /// Returns the next report, in at most `room` bytes.
+    /// Returns the next report, in at most `room` bytes; `None` if there is too little room.
     pub fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
         let places = room.checked_sub(REPORT_BYTES)? / self.local.entry_bytes;
         let uptime = self.duplicate_ids.uptime(now);
@@ -361,12 +361,13 @@ impl Incoming {
         Some(Report { stamp: self.local.stamps.of(now), heard })
     }
 
-    /// Returns the number of repeats of a message to these hosts, by their reported loss.
+    /// Returns how often a message to these hosts is repeated, from the loss that they report: 0 to 2.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         self.senders.repeats(now, audience)
     }
 
-    /// Returns summaries of all other hosts; of a host without an accepted incarnation, that of the newest candidate.
+    /// Returns summaries of all other hosts. For a host without an accepted incarnation, the summary is of its newest
+    /// candidate.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let link = self.local.link;
         let accepted = self.senders.iter().map(move |(id, sender)| {

@@ -22,14 +22,15 @@ impl Key {
         Key(bytes)
     }
 
-    /// Appends the tag to a datagram; `to` is the host it is for, or none if for all.
+    /// Appends the tag to a datagram for the host `to`, or for all hosts if that is `None`.
     pub fn seal(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) {
         datagram[FLAGS_AT] |= Flags::TAGGED;
         let tag = self.tag(datagram, link, to);
         datagram.extend_from_slice(&tag.as_bytes()[..TAG_BYTES]);
     }
 
-    /// Returns the datagram without its tag, if that is valid for `link` and, for a unicast datagram, for `here`.
+    /// Returns the datagram without its tag; `None` unless the tag is valid for `link` and, in a datagram to one host,
+    /// for `here`.
     pub fn open<'a>(&self, datagram: &'a [u8], link: LinkId, here: HostId) -> Option<&'a [u8]> {
         if datagram.len() < HEADER_BYTES + TAG_BYTES || datagram.len() > MAX_FRAME_BYTES {
             return None;

@@ -23,7 +23,8 @@ pub struct Lateness {
 }
 
 impl Lateness {
-    /// Notes a report: all datagrams before these numbers, to all hosts and to this host, were sent before it.
+    /// Notes a report: datagrams with smaller numbers were sent before it. `numbers` are the next ones to all hosts and
+    /// to this host, each `None` if unknown.
     pub fn reported(&mut self, now: Time, numbers: [Option<u32>; 2]) {
         self.advance(now);
         if self.reports.back().is_none_or(|(at, _)| now.since(*at) >= MIN_SPACING) {

@@ -46,9 +46,9 @@ pub enum Standing {
 pub struct Guest {
     /// The host.
     pub host: HostId,
-    /// Address that its datagram came from.
+    /// Address from which the host's datagram came.
     pub at: SocketAddr,
-    /// Whether it is accepted.
+    /// Whether the host is accepted, or still a candidate.
     pub standing: Standing,
 }
 
@@ -69,8 +69,8 @@ pub struct LinkState {
 }
 
 impl LinkState {
-    /// Returns the state at the start of an incarnation. With a key there are always reports: they prove liveness.
-    /// Draws the start of its stamps from `stream`, which must be unpredictable on a real host.
+    /// Returns the state of a link at the start of this host's incarnation. With a key there are always reports, since
+    /// they prove liveness. Stamps start at a number drawn from `stream`, which must be unpredictable on a real host.
     pub fn new(me: Identity, id: LinkId, key: Option<Key>, mut setup: Setup, stream: &mut Stream) -> LinkState {
         if key.is_some() {
             setup.reports = Reports::On;
@@ -110,7 +110,8 @@ impl LinkState {
         self.due = [self.outgoing.due(), self.incoming.gaps.due()].into_iter().flatten().min();
     }
 
-    /// Sends a message to these hosts. Returns it as encoded.
+    /// Sends a message to these hosts: appends the datagrams that are due to `out`. Returns the encoded message; an
+    /// error if it is out of range.
     pub fn send(
         &mut self,
         now: Time,
@@ -124,7 +125,8 @@ impl LinkState {
         encoded
     }
 
-    /// Admits a datagram; returns its header and its bytes without the tag if it is accepted and new.
+    /// Checks a received datagram. Returns its header and its bytes without the tag; `None` unless it is accepted and
+    /// new. Replies are appended to `out`.
     pub fn admit<'a>(
         &mut self,
         now: Time,
@@ -232,18 +234,18 @@ impl LinkState {
         }
     }
 
-    /// Returns the process that this one duplicates: another live host with this id that was started earlier.
+    /// Returns the other live host with the id of this one if that was started earlier; `None` if there is none.
     pub fn duplicate(&self) -> Option<DuplicateId> {
         self.incoming.duplicate_ids.duplicate()
     }
 
-    /// Whether a decoded message about `robot` is the newest of its stream.
+    /// Returns whether a decoded message about `robot` is the newest of its stream, and records it if so.
     pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId) -> bool {
         self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// Returns the operator that sent the newest datagram. None if a host sent it, or if it was neither new nor of a
-    /// candidate. The transport needs its address, so that reports reach it.
+    /// Returns the operator that sent the newest datagram; `None` if a host sent it, or if the datagram was neither new
+    /// nor of a candidate. The transport needs its address, so that reports reach the operator.
     pub fn operator(&self) -> Option<(HostId, Standing)> {
         self.operator
     }
@@ -268,13 +270,13 @@ impl LinkState {
         self.counts
     }
 
-    /// Returns summaries of the other hosts; none on a link without reports.
+    /// Returns a summary of each other host; empty on a link without reports.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let told = self.reports == Reports::On;
         self.incoming.peers(now).filter(move |_| told)
     }
 
-    /// Time of the next action.
+    /// Time at which `wake` has to be called next; `None` if nothing is due.
     pub fn due(&self) -> Option<Time> {
         self.due
     }

@@ -15,7 +15,7 @@ const DRIFT: f64 = 30e-6;
 /// Offset of another host's stamps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Offset {
-    /// Its stamps minus those of this host \[s\].
+    /// The other host's stamps minus those of this host \[s\].
     pub ahead_s: f64,
     /// Bound on the error of the offset \[s\]: half of the round trip, and drift since.
     pub uncertainty_s: f64,
@@ -28,8 +28,8 @@ pub struct Offset {
 pub struct Offsets(VecDeque<(Time, f64, f64)>);
 
 impl Offsets {
-    /// Adds a measurement from an entry about this host. The report was written at `theirs` on the other clock; `here`
-    /// is the stamp of `now` on this one.
+    /// Adds a measurement from an entry about this host. The other host wrote the report at `theirs` on its clock;
+    /// `here` is `now` on this host's clock.
     pub fn measure(&mut self, now: Time, here: Stamp, theirs: Stamp, entry: &Entry) {
         let round_trip = here.ahead_us(entry.echo) as f64 * 1e-6 - entry.held.as_secs();
         // A sender that claims to have held the stamp for longer than the round trip is wrong.
@@ -50,7 +50,7 @@ impl Offsets {
         delay_s.abs() > most.as_secs() + offset.uncertainty_s
     }
 
-    /// Returns the best estimate: the one with the shortest round trip.
+    /// Returns the estimate with the smallest error bound; `None` without a measurement.
     pub fn estimate(&self, now: Time) -> Option<Offset> {
         let of = |&(at, ahead_s, round_trip_s): &(Time, f64, f64)| {
             let uncertainty_s = 0.5 * round_trip_s + DRIFT * now.since(at).as_secs() + 1e-6;

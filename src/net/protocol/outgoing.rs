@@ -101,7 +101,8 @@ impl Outgoing {
         }
     }
 
-    /// Sends a message, at once or, if it is soft state, with the next datagram. Returns it as encoded.
+    /// Sends a message: at once, or with the next datagram if it is soft state. Returns the encoded message; an error
+    /// if it is out of range.
     pub fn send(
         &mut self,
         now: Time,
@@ -357,7 +358,7 @@ impl Outgoing {
         self.send_alone(Audience::All, bytes, counts, out);
     }
 
-    /// Time of the next action.
+    /// Time at which `wake` has to be called next; `None` if nothing is due.
     pub fn due(&self) -> Option<Time> {
         let dues = [self.retransmitter.due(), self.soft_due, self.acks.due(), self.report_due, self.urgent_due];
         let first = dues.map(|due| due.unwrap_or(Time::MAX)).into_iter().fold(Time::MAX, Time::min);

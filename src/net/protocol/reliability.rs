@@ -8,7 +8,7 @@ use super::bucket::Rate;
 use crate::messages::wire::Kind;
 use crate::time::Span;
 
-/// Reliability mode. None makes a fresh message wait for an old one.
+/// Reliability mode of a kind of message. In no mode does a fresh message wait for an old one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Reliability {
@@ -68,18 +68,18 @@ pub struct Setup {
     pub piggyback: Piggyback,
     /// Whether there are link reports.
     pub reports: Reports,
-    /// Age of the last report from which the next one may be piggybacked. Zero for an operator, which is to be accepted
-    /// at once: a report goes with every datagram, the first one at time zero, and a host that waits for one is
-    /// answered at once.
+    /// Age of the last report from which the next one may be piggybacked. It is zero for an operator: each of its
+    /// datagrams has a report, so that hosts accept it at once.
     pub report_piggyback_age: Span,
-    /// Rate limit of a sender; none for no limit.
+    /// Rate limit of a sender; `None` for no limit.
     pub rate: Option<Rate>,
-    /// Number of hosts in the team: those with lower numbers. None if unknown; then every number that is not an
-    /// operator's may be a host.
+    /// Number of hosts in the team, whose numbers are below it. `None` if unknown; then every number that is not an
+    /// operator's may be a host of the team.
     pub hosts: Option<u16>,
 }
 
-/// Rate limit above what a robot sends, which is up to 5000 messages a second and soft state; a second of it at once.
+/// Rate limit of a sender on real links, with a second of it at once. A robot sends less: up to 5000 messages a second
+/// and soft state.
 pub const RATE: Rate = Rate { per_s: 8000.0, burst: 8000.0 };
 
 impl Setup {
@@ -103,12 +103,12 @@ impl Setup {
         Setup { reliability, piggyback, reports, report_piggyback_age, rate: Some(RATE), hosts: None }
     }
 
-    /// Setup of a link on which a datagram reaches the host it is addressed to.
+    /// Setup of a link on which a datagram reaches only the host to which it is addressed.
     pub fn unicast(reliability: Reliabilities) -> Setup {
         Setup { piggyback: Piggyback::SameAudience, ..Setup::multicast(reliability) }
     }
 
-    /// Whether some datagrams are addressed to one host.
+    /// Whether the link has datagrams that are addressed to one host.
     pub fn is_addressed(&self) -> bool {
         self.piggyback != Piggyback::Any
     }

@@ -17,7 +17,7 @@ const STAMP_BYTES: usize = 6;
 const STAMP_BITS: u32 = 48;
 /// Bytes of an entry in a report.
 pub const ENTRY_BYTES: usize = 12;
-/// Bytes of an entry with the number of the next datagram to its host alone.
+/// Bytes of an entry that also has the number of the next datagram to its host alone.
 pub const NUMBERED_ENTRY_BYTES: usize = 16;
 /// Bytes of a report before its entries.
 pub const REPORT_BYTES: usize = STAMP_BYTES;
@@ -28,13 +28,13 @@ pub const MAX_HELD_FOR: Span = Span::from_nanos(0xff_ffff * 1000);
 /// Bit in the loss field of an entry that asks for a liveness proof.
 const CHALLENGE: u8 = 0x80;
 
-/// Timestamp in a report \[us\], on the clock of its sender, which starts at a random value. Differences are taken
-/// modulo 2^48.
+/// Timestamp in a report \[us\], on the clock of the report's sender. That clock starts at a random value. Differences
+/// are taken modulo 2^48.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamp(u64);
 
 impl Stamp {
-    /// Returns the stamp of so many microseconds. Never zero, which stands for none.
+    /// Returns the stamp of a number of microseconds. It is never zero, which stands for no stamp.
     pub fn new(micros: u64) -> Stamp {
         Stamp((micros % (1 << STAMP_BITS)).max(1))
     }
@@ -46,7 +46,7 @@ impl Stamp {
     }
 }
 
-/// Clock of a link's stamps: it starts at a random value, so that no stamp of a former run is valid in this one.
+/// Clock of a host's stamps on one link. It starts at a random value, so that no stamp of a former run is valid.
 #[derive(Clone, Copy, Debug)]
 pub struct Stamps(u64);
 
@@ -66,7 +66,7 @@ impl Stamps {
         Stamp::new(self.0.wrapping_add(time.as_nanos() / 1000))
     }
 
-    /// Time since this stamp was sent; none if it is not of this clock.
+    /// Time since this host sent the stamp; `None` if the stamp is not of this clock.
     pub fn age(self, now: Time, stamp: Stamp) -> Option<Span> {
         let micros = u64::try_from(self.of(now).ahead_us(stamp)).ok()?;
         (stamp != Stamp::default() && micros <= now.as_nanos() / 1000).then(|| Span::from_nanos(micros * 1000))
@@ -76,14 +76,15 @@ impl Stamps {
 /// Entry of a report, about one host. The echo identifies the incarnation: each has stamps of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// The host; the report's sender itself for another live incarnation of it.
+    /// The host that the entry is about. If it is the report's sender, the entry is about another live process with the
+    /// sender's id.
     pub host: HostId,
     /// Newest stamp of that host, on its own clock.
     pub echo: Stamp,
     /// Time since that stamp arrived. For another incarnation of the sender: the uptime of the sender, at most
     /// `MAX_HELD_FOR`.
     pub held: Span,
-    /// Number of its newest 64 datagrams that were lost.
+    /// Number of the host's newest 64 datagrams that were lost.
     pub lost: u8,
     /// Whether the sender asks this host for a liveness proof.
     pub challenge: bool,
@@ -94,19 +95,20 @@ pub struct Entry {
 /// A link report.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Report {
-    /// Time of writing, on its sender's clock.
+    /// Time at which the report was written, on its sender's clock.
     pub stamp: Stamp,
     /// Entries of the hosts that the sender receives from.
     pub heard: Vec<Entry>,
 }
 
 impl Report {
-    /// Returns the content of its block: either all entries have the number of the next unicast datagram or none.
+    /// Returns the content byte of the report's block. Either all entries have the number of the next unicast datagram
+    /// or none has.
     pub fn content(&self) -> Content {
         if self.heard.iter().any(|entry| entry.direct.is_some()) { Content::NumberedReport } else { Content::Report }
     }
 
-    /// Appends its bytes.
+    /// Appends the bytes of the report.
     pub fn write(&self, bytes: &mut Vec<u8>) {
         let numbered = self.content() == Content::NumberedReport;
         bytes.extend_from_slice(&self.stamp.0.to_le_bytes()[..STAMP_BYTES]);
@@ -157,11 +159,11 @@ fn number(bytes: &[u8]) -> u64 {
 /// Id of a datagram: in acknowledgements and in requests to retransmit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct DatagramId {
-    /// The host that sent it.
+    /// The host that sent the datagram.
     pub host: HostId,
     /// That host's incarnation.
     pub incarnation: u32,
-    /// Whether it is numbered in the sequence space of one receiver.
+    /// Whether the datagram is numbered in the sequence space of one receiver.
     pub direct: bool,
     /// Its number.
     pub sequence: u32,
@@ -188,7 +190,7 @@ pub fn write_ids(ids: &[DatagramId], bytes: &mut Vec<u8>) {
     }
 }
 
-/// Reads the ids of a block.
+/// Reads the ids in a block; an error if the block is malformed.
 pub fn read_ids(content: Content, bytes: &[u8]) -> Result<Vec<DatagramId>, DecodeError> {
     let (ids, []) = bytes.as_chunks::<ID_BYTES>() else { return Err(DecodeError::Link(content)) };
     if ids.is_empty() || ids.len() > MAX_IDS || ids.iter().any(|id| id[6] > 1) {

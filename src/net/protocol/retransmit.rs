@@ -17,7 +17,7 @@ use crate::time::{Span, Time};
 
 /// Delay of a repeat, unless the next message of its stream is sent before.
 pub const REPEAT_AFTER: Span = Span::from_millis(4);
-/// First retransmission timeout for an acknowledgement; each further one is twice as long as the one before.
+/// Time without an acknowledgement after which a message is first retransmitted. Each further wait is twice as long.
 pub const RETRY_AFTER: Span = Span::from_millis(5);
 /// Most retransmissions of a message without an acknowledgement.
 pub const RETRIES: u8 = 5;
@@ -58,8 +58,8 @@ pub struct Retransmitter {
 }
 
 impl Retransmitter {
-    /// Removes the datagram that a newer message of its stream replaces. Returns it if a repeat is pending: that is
-    /// sent first or never.
+    /// Forgets the kept datagram of a stream, because a newer message replaces it. Returns it if its repeat is still
+    /// pending: that is sent now or never.
     pub fn supersede(&mut self, now: Time, stream: StreamId) -> Option<Untagged> {
         let kept = self.kept.get(&stream)?;
         let before = kept.reliability == Reliability::Repeat && kept.due.is_some() && kept.sent_at < now;
@@ -118,8 +118,8 @@ impl Retransmitter {
         Some(datagram)
     }
 
-    /// Handles acknowledgements of `from`. A multicast datagram is done once all hosts that have acknowledged anything
-    /// lately have acknowledged it.
+    /// Handles acknowledgements of the host `from`. A multicast datagram is done once every host that has acknowledged
+    /// anything lately has acknowledged it.
     pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
         self.ackers.insert(from, now);
         self.ackers.retain(|_, at| now.since(*at) < FRESH);
@@ -141,7 +141,7 @@ impl Retransmitter {
         found.map(|(stream, _)| *stream)
     }
 
-    /// Returns the datagrams that `from` requests, without those that newer state has replaced.
+    /// Returns the datagrams that the host `from` requests, without those that newer messages have replaced.
     pub fn requested(&mut self, now: Time, from: HostId, ids: &[DatagramId]) -> Vec<Untagged> {
         let mut answer = |id: &DatagramId| {
             let stream = self.find(from, id, Reliability::Nack)?;
@@ -152,8 +152,8 @@ impl Retransmitter {
         ids.iter().filter_map(&mut answer).collect()
     }
 
-    /// Returns the numbers that receivers may request. Of the streams with `Nack` those that were offered longest ago
-    /// come first, so that they take turns.
+    /// Returns the numbers of the datagrams to these hosts that receivers may request, at most `MAX_HELD`. Those that
+    /// were offered longest ago come first.
     pub fn held(&mut self, audience: Audience) -> Vec<u32> {
         let repaired = |kept: &&mut Kept| kept.reliability == Reliability::Nack && kept.audience == audience;
         let mut all: Vec<&mut Kept> = self.kept.values_mut().filter(repaired).collect();
@@ -168,12 +168,13 @@ impl Retransmitter {
         all.iter().map(|kept| kept.sequence).collect()
     }
 
-    /// Time of the next retransmission.
+    /// Time of the next retransmission; `None` if none is pending.
     pub fn due(&self) -> Option<Time> {
         self.dues.first().map(|(due, _)| *due)
     }
 
-    /// Returns the next datagram that is due; one that has been retransmitted often enough is given up.
+    /// Returns the next datagram to retransmit now; `None` if none is due. One that has been retransmitted often enough
+    /// is dropped and counted.
     pub fn next(&mut self, now: Time, counts: &mut LinkCounts) -> Option<Untagged> {
         while let Some(&(_, stream)) = self.dues.first().filter(|(due, _)| *due <= now) {
             if self.kept[&stream].count < self.kept[&stream].limit {

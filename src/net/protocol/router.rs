@@ -21,7 +21,7 @@ pub enum Audience {
 pub struct Route {
     /// It is delivered on this host.
     pub local: bool,
-    /// It is sent on this link, to these hosts.
+    /// Link on which the message is sent, and the hosts that it is for; `None` if it stays on this host.
     pub leaves: Option<(LinkId, Audience)>,
 }
 
@@ -30,11 +30,11 @@ pub struct Route {
 pub struct Publishers {
     /// By host: its name.
     pub names: Vec<String>,
-    /// By robot: the host that runs its agent, which publishes `Latent`, `MotorCommand` and `Heartbeat`.
+    /// By robot: the host that runs the robot's agent, which publishes `Latent`, `MotorCommand` and `Heartbeat`.
     pub agents: Vec<HostId>,
-    /// By robot: the host that drives its motors, which reports its health.
+    /// By robot: the host that drives the robot's motors, which reports the robot's health.
     pub actuators: Vec<HostId>,
-    /// By robot: the host that measures it, which publishes `Reading`.
+    /// By robot: the host that measures the robot, which publishes `Reading`.
     pub localizers: Vec<HostId>,
     /// The host of the state server, which publishes `Mode`.
     pub server: HostId,
@@ -120,18 +120,19 @@ impl Router {
         Router { publishers: Some(publishers), ..self }
     }
 
-    /// Number of hosts in the team; none if unknown.
+    /// Number of hosts in the team; `None` if unknown.
     pub fn hosts(&self) -> Option<u16> {
         self.publishers.as_ref().and_then(|publishers| u16::try_from(publishers.names.len()).ok())
     }
 
-    /// Returns the name of a sender that may not publish this message; none if it may.
+    /// Returns the sender's name if it may not publish this message; `None` if it may.
     pub fn forbids(&self, sender: HostId, message: &Wire) -> Option<String> {
         let publishers = self.publishers.as_ref()?;
         (!publishers.permit(sender, message)).then(|| publishers.name(sender))
     }
 
-    /// Returns the route of a message of this kind about this robot; an empty one if there is no such robot.
+    /// Returns the route of a message of this kind about this robot. Without such a robot, the message is delivered
+    /// nowhere.
     pub fn route(&self, kind: Kind, robot: RobotId) -> Route {
         if robot.index() >= self.robots {
             return Route::default();

@@ -24,7 +24,7 @@ const REPEATS_FOR: Span = Span::from_millis(4000);
 /// Time for which repeats go on after a report without loss.
 const STOPS_AFTER: Span = Span::from_millis(2000);
 
-/// Sequence space of a sender: its datagrams to all hosts, or those to this host.
+/// Datagrams of a sender with common sequence numbers: those to all hosts, or those to this host alone.
 #[derive(Clone, Debug, Default)]
 pub struct SequenceSpace {
     /// Replay window.
@@ -36,33 +36,33 @@ pub struct SequenceSpace {
 /// An accepted incarnation of a host.
 #[derive(Clone, Debug)]
 pub struct Sender {
-    /// Time at which it was accepted.
+    /// Time at which this host accepted the sender.
     pub since: Time,
-    /// Time at which it last proved its liveness.
+    /// Time at which the sender last proved its liveness.
     pub proved: Time,
-    /// Time at which its last report was admitted.
+    /// Time at which the sender's last report was admitted.
     pub reported: Time,
     /// Its datagrams to all hosts and, second, to this host.
     pub spaces: [SequenceSpace; 2],
-    /// Detection of its late datagrams.
+    /// Detection of the sender's late datagrams.
     pub lateness: Lateness,
-    /// Rate limit of its datagrams.
+    /// Rate limit of the sender's datagrams.
     pub bucket: Bucket,
     /// Its newest stamp, and the time of arrival.
     pub stamp: Option<(Stamp, Time)>,
-    /// Offset of its stamps.
+    /// Measured offset between the sender's stamps and this host's.
     pub offsets: Offsets,
-    /// Time at which a report of this host last listed it.
+    /// Time at which a report of this host last listed the sender; `None` if none has.
     pub listed: Option<Time>,
     /// Its loss as stated in that report.
     pub loss_sent: u8,
-    /// Whether it has asked for a proof that this host is alive.
+    /// Whether the sender has asked for a proof that this host is alive.
     pub challenged: bool,
-    /// Number of this host's newest 64 datagrams that it has lost, by its own report.
+    /// Number of this host's newest 64 datagrams that the sender says it has lost.
     pub reported_lost: u8,
-    /// Times until which that causes a repeat, and a second one.
+    /// Times until which the reported loss causes a first repeat, and a second one.
     pub repeat_until: [Time; 2],
-    /// Incarnation that it has replaced.
+    /// Incarnation that this one has replaced; `None` for the first.
     pub predecessor: Option<u32>,
     /// Number of datagrams of a second live host with this id.
     pub duplicate_ids: u64,
@@ -104,7 +104,7 @@ impl Sender {
         }
     }
 
-    /// Notes its report that so many of this host's newest 64 datagrams were lost.
+    /// Notes the sender's report that it has lost `lost` of this host's newest 64 datagrams.
     pub fn note_reported_loss(&mut self, now: Time, lost: u8) {
         self.reported_lost = lost.min(LOSS_SPAN as u8);
         for (until, bar) in self.repeat_until.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
@@ -124,17 +124,17 @@ impl Sender {
         }
     }
 
-    /// Time since its last datagram; none if there was none.
+    /// Time since the sender's last datagram; `None` if there was none.
     pub fn age(&self, now: Time) -> Option<Span> {
         self.heard.map(|heard| now.since(heard))
     }
 
-    /// Number of its newest 64 datagrams that were lost.
+    /// Number of the sender's newest 64 datagrams that were lost.
     pub fn lost(&self) -> u8 {
         self.spaces.iter().map(|space| space.window.lost()).max().unwrap_or(0)
     }
 
-    /// Returns its summary; `accepted` says whether it is accepted now.
+    /// Returns the summary of this sender; `accepted` says whether it is accepted at `now`.
     pub fn peer(&self, now: Time, link: LinkId, (host, incarnation): (HostId, u32), accepted: bool) -> Peer {
         let (passed, missing) = self
             .spaces
@@ -162,7 +162,7 @@ impl Sender {
 }
 
 impl Peer {
-    /// Returns the summary of an incarnation that has not proved its liveness yet.
+    /// Returns the summary of a candidate, an incarnation that has not proved its liveness yet.
     pub fn candidate(now: Time, link: LinkId, host: HostId, candidate: &Candidate) -> Peer {
         let unknown = Sender::new(now, None).peer(now, link, (host, candidate.incarnation), false);
         Peer { age_s: Some(now.since(candidate.at).as_secs()), ..unknown }
@@ -179,29 +179,30 @@ pub struct Peer {
     /// Its incarnation.
     #[serde(rename = "epoch")]
     pub incarnation: u32,
-    /// Whether it has proved its liveness; otherwise nothing from it is accepted.
+    /// Whether the host is accepted, because it has proved its liveness. Of another host nothing is accepted.
     #[serde(rename = "proven")]
     pub accepted: bool,
-    /// Time since its last datagram \[s\].
+    /// Time since the host's last datagram \[s\]; null if there was none.
     pub age_s: Option<f64>,
     /// Mean interarrival time \[s\].
     pub spacing_s: f64,
-    /// Mean deviation from it \[s\].
+    /// Mean deviation of the interarrival time from `spacing_s` \[s\].
     pub jitter_s: f64,
-    /// Share of its newest 64 datagrams whose first transmission was lost.
+    /// Share of the host's newest 64 datagrams whose first transmission was lost.
     pub loss: f64,
-    /// Number of its datagrams that should have arrived.
+    /// Number of the host's datagrams that should have arrived.
     pub passed: u64,
-    /// Number of those that never arrived, not even as a retransmission.
+    /// Number of the host's datagrams that never arrived, not even as a retransmission.
     pub missing: u64,
-    /// Share of this host's newest 64 datagrams that it has lost, by its own report.
+    /// Share of this host's newest 64 datagrams that the other host says it has lost.
     #[serde(rename = "told_loss")]
     pub reported_loss: f64,
-    /// Error bound of the one-way delay from it \[s\]: half of the round trip, and drift since it was measured.
+    /// Bound on the error of a one-way delay from the host \[s\]: half of the round trip, and the clocks' drift since;
+    /// null without a measurement.
     pub uncertainty_s: Option<f64>,
-    /// Round trip \[s\]; half of it approximates the latency of the link.
+    /// Round trip \[s\], half of which approximates the latency of the link; null without a measurement.
     pub round_trip_s: Option<f64>,
-    /// Number of datagrams from a second live host with its id.
+    /// Number of datagrams from a second live host with the same id.
     #[serde(rename = "twins")]
     pub duplicate_ids: u64,
 }

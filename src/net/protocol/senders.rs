@@ -12,8 +12,8 @@ use crate::time::{Span, Time};
 
 /// Most hosts of the team that are accepted on a link.
 pub const MAX_SENDERS: usize = 1024;
-/// Most guests that are accepted beside them: more operators than ever act at once, and few enough to search whenever
-/// one is accepted.
+/// Most guests that are accepted beside the hosts of the team. More operators never act at once, and so few can be
+/// searched whenever one is accepted.
 pub const MAX_GUESTS: usize = 128;
 /// Silence after which a host is removed, once the table is full.
 const FORGET: Span = Span::from_millis(20_000);
@@ -40,12 +40,12 @@ impl Senders {
         Senders { all: BTreeMap::new(), first_guest, forgot: Time::ZERO }
     }
 
-    /// Returns one sender.
+    /// Returns a sender; `None` if it is not accepted.
     pub fn get(&self, id: SenderId) -> Option<&Sender> {
         self.all.get(&id)
     }
 
-    /// Returns one sender, mutable.
+    /// Returns a sender, mutable; `None` if it is not accepted.
     pub fn get_mut(&mut self, id: SenderId) -> Option<&mut Sender> {
         self.all.get_mut(&id)
     }
@@ -65,7 +65,8 @@ impl Senders {
         self.all.range(ids(host, host)).next().is_some()
     }
 
-    /// Returns the accepted incarnation of this host, if it is another one. Incarnations of an operator do not compete.
+    /// Returns an accepted incarnation of the host other than this one; `None` if there is none. Always `None` for an
+    /// operator, whose incarnations do not replace each other.
     pub fn other_incarnation(&self, (host, incarnation): SenderId) -> Option<SenderId> {
         let mut all = self.all.range(ids(host, host)).map(|(id, _)| *id);
         all.find(|id| id.1 != incarnation).filter(|_| !host.is_operator())
@@ -81,9 +82,9 @@ impl Senders {
         self.all.remove(&id);
     }
 
-    /// Makes room for a new sender; returns whether there is room. If there are too many guests, the one that has been
-    /// silent longest leaves; of several, the one that was accepted first. A guest that is alive is accepted again with
-    /// its next datagram.
+    /// Makes room for a new sender; returns `false` if there is none. If there are too many guests, the one that has
+    /// been silent longest leaves, and of several the one that was accepted first. A guest that is alive is accepted
+    /// again with its next datagram.
     pub fn make_room(&mut self, now: Time, host: HostId) -> bool {
         let guests = || ids(self.first_guest, HostId(u16::MAX));
         let count = self.all.range(guests()).count();
@@ -107,7 +108,7 @@ impl Senders {
         !full(self)
     }
 
-    /// Returns the number of repeats of a message to these hosts, by their reported loss.
+    /// Returns how often a message to these hosts is repeated, from the loss that they report: 0 to 2.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         let asked = |sender: &Sender| sender.repeat_until.iter().filter(|until| **until > now).count() as u8;
         let asking = match audience {

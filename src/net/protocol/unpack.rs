@@ -11,7 +11,7 @@ use serde::de::{self, DeserializeSeed, Deserializer, SeqAccess, Visitor};
 /// Rest of a body.
 pub struct Reader<'de>(pub &'de [u8]);
 
-/// Error of decoding. The sender gets no reply, so it carries no reason.
+/// Error of decoding. It has no reason, because the sender gets no reply.
 #[derive(Debug)]
 pub struct Unreadable;
 

@@ -31,14 +31,14 @@ pub struct Window {
 }
 
 impl Window {
-    /// Returns a window that begins at `first`: everything before it is behind.
+    /// Returns a window that begins at number `first`; smaller numbers are behind it.
     pub fn starting(first: u32) -> Window {
         let mut window = Window { newest: Some(first.wrapping_sub(1)), ..Window::default() };
         window.seen = [u64::MAX; WORDS];
         window
     }
 
-    /// Records a datagram; `copy` says that it is a retransmission.
+    /// Records a datagram and returns its position in the window. `copy` says that it is a retransmission.
     pub fn record(&mut self, sequence: u32, copy: bool) -> Position {
         let Some(newest) = self.newest else {
             *self = Window::starting(sequence);
@@ -92,7 +92,7 @@ impl Window {
         self.seen[word(sequence)] & bit(sequence) != 0
     }
 
-    /// Whether this one lies within the window and has not arrived.
+    /// Whether the datagram with this number lies within the window and has not arrived.
     pub fn misses(&self, sequence: u32) -> bool {
         self.newest.is_some_and(|newest| newest.wrapping_sub(sequence) < WINDOW) && !self.has(sequence)
     }
@@ -103,7 +103,8 @@ impl Window {
         (span - self.originals.count_ones().min(span)) as u8
     }
 
-    /// Number of datagrams that have passed, and number of those that never arrived, not even as a retransmission.
+    /// Returns the number of datagrams that should have arrived, and the number of those that never did, not even as a
+    /// retransmission.
     pub fn missing(&self) -> (u64, u64) {
         (self.passed, self.passed.saturating_sub(self.arrived))
     }

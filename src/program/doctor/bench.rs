@@ -7,6 +7,7 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use crate::actors::wiggle;
+use crate::deploy::Host;
 use crate::deploy::team::Team;
 use crate::graph::bench::{self, Bench, Event};
 use crate::graph::devices::{self, DeviceError};
@@ -51,7 +52,10 @@ pub fn look(
     wiggle: Option<(wiggle::Config, Option<Operator>)>,
 ) -> Result<(Seen, End)> {
     let host = &team.deployment.hosts[usize::from(team.host.0)];
-    let (devices, workers) = devices::open(host, registry).map_err(|error| match error {
+    // It has nothing to publish: the team is not running.
+    let quiet = Host { observe: None, ..host.clone() };
+    let opened = devices::open(&quiet, team.deployment.robots, registry);
+    let (devices, workers) = opened.map_err(|error| match error {
         DeviceError::Config(error) => anyhow::Error::from(BadInput(error.to_string())),
         DeviceError::Machine(_) => error.into(),
     })?;

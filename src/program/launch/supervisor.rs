@@ -36,7 +36,7 @@ pub struct Limits {
     pub restarts: usize,
     /// Window in which restarts are counted.
     pub window: Duration,
-    /// Longest time for the others to end once the first has finished.
+    /// Longest time for the other processes to end once the first one has finished.
     pub finish: Duration,
     /// Longest time for a process to stop after a request.
     pub stop: Duration,
@@ -53,7 +53,7 @@ impl Default for Limits {
 pub struct Process {
     /// Its name.
     pub name: String,
-    /// Builds its command, anew for every start.
+    /// Builds the command of the process, anew for every start.
     pub command: Box<dyn Fn() -> Command>,
 }
 
@@ -95,7 +95,7 @@ enum Event {
     Stop,
 }
 
-/// Handle that asks the supervisor to stop; after a second request it kills the processes.
+/// Handle that asks the supervisor to stop its processes. A second request kills them.
 #[derive(Clone)]
 pub struct Stopper(SyncSender<Event>);
 
@@ -147,7 +147,7 @@ pub struct Supervisor {
 }
 
 impl Supervisor {
-    /// Creates a supervisor of these processes; nothing is started yet.
+    /// Creates a supervisor of these processes, without starting any.
     pub fn new(processes: Vec<Process>, limits: Limits) -> Supervisor {
         let (sender, events) = sync_channel(QUEUE);
         let slot = |process| Slot {
@@ -164,7 +164,7 @@ impl Supervisor {
         Supervisor { limits, slots, phase, outcome, notes, events, sender }
     }
 
-    /// Returns a handle that stops it from another thread.
+    /// Returns a handle that stops the processes from another thread.
     pub fn stopper(&self) -> Stopper {
         Stopper(self.sender.clone())
     }

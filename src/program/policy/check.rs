@@ -45,7 +45,7 @@ struct ProbeFacts {
     output_difference: f32,
 }
 
-/// Runs the command.
+/// Runs `policy check`: prints what a policy file is.
 ///
 /// # Errors
 /// If the file cannot be read or this program cannot run it.

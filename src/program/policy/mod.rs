@@ -20,7 +20,7 @@ pub enum Args {
     Check(check::Args),
 }
 
-/// Runs the command.
+/// Runs a subcommand of `policy`.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let Args::Check(args) = args;
     check::run(args, registry)
@@ -32,7 +32,8 @@ pub struct Loaded {
     pub model: Model,
     /// Its name in reports.
     pub name: String,
-    /// Warnings: defaults that stand for fields missing from its file, and a team larger than any of its training.
+    /// Warnings: fields that the policy's file lacks, with the assumed values, and a team larger than any of its
+    /// training.
     pub warnings: Vec<String>,
 }
 

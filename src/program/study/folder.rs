@@ -19,8 +19,9 @@ const IDENTITY: &str = "study.json";
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Opens or creates the folder and its subfolder `pieces` for finished jobs. Errors name `--out`: a folder cannot
-    /// be written, or belongs to another study. `difference` describes how another identity differs, if it does.
+    /// Opens or creates the folder of a study, and in it `pieces`, the subfolder for finished jobs. An error names
+    /// `--out` if the folder cannot be written or belongs to another study. `difference` returns how an identity found
+    /// in the folder differs from `identity`, or `None` if it does not.
     pub fn open<I: Serialize + DeserializeOwned>(
         path: &Path,
         pieces: &str,
@@ -54,7 +55,7 @@ impl Folder {
         Ok(folder)
     }
 
-    /// Returns its path.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.0
     }
@@ -64,13 +65,13 @@ impl Folder {
         self.0.join("report.html")
     }
 
-    /// Reads the record of a finished job; none if it is missing or damaged.
+    /// Reads the record of a finished job from the file `name`; `None` if that is missing or damaged.
     pub fn kept<R: DeserializeOwned>(&self, name: &str) -> Option<R> {
         serde_json::from_str(&std::fs::read_to_string(self.0.join(name)).ok()?).ok()
     }
 
-    /// Writes the record of a finished job to its own file, atomically, so that an interruption loses only unfinished
-    /// jobs.
+    /// Writes the record of a finished job to the file `name`, atomically, so that an interruption loses only
+    /// unfinished jobs.
     pub fn keep(&self, name: &str, record: &impl Serialize) -> Result<()> {
         self.write(name, serde_json::to_string(record).context("a record is JSON")?.as_bytes())
     }

@@ -26,7 +26,7 @@ struct Line<'a> {
     min_separation_m: Option<f32>,
 }
 
-/// Opens the folder of a study.
+/// Opens the folder of a study; an error if the folder belongs to another one.
 pub fn open(path: &std::path::Path, study: &Study) -> Result<Folder> {
     let identity = study.identity();
     Folder::open(path, TRIALS, &identity, |theirs| {

@@ -37,7 +37,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// Makes the row of an iteration, with the scores of an evaluation if there was one.
+    /// Makes the row of an iteration. `scores` are those of an evaluation after it, if there was one.
     pub fn new(elapsed_s: f64, progress: f64, metrics: &Metrics, scores: Option<&Scores>) -> Row {
         let mut row = Row {
             elapsed_s,

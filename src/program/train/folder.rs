@@ -44,13 +44,13 @@ impl Folder {
         self.path.join("checkpoint.bin")
     }
 
-    /// Writes the configuration, for reference and as a start for other trainings.
+    /// Writes the configuration as `config.toml`, from which other trainings can start.
     pub fn write_config(&self, config: &Config) -> Result<()> {
         let text = toml::to_string(config).context("a configuration is TOML")?;
         self.write("config.toml", text.as_bytes())
     }
 
-    /// Reads the saved curve up to iteration `iterations`, which is that of the checkpoint.
+    /// Reads the saved learning curve up to iteration `iterations`, that of the checkpoint.
     pub fn curve(&mut self, iterations: u64) -> Result<Curve> {
         self.saved = Some(iterations);
         let path = self.path.join("curve.csv");

@@ -14,7 +14,7 @@ use crate::study::network::conditions;
 use crate::train::config::Config;
 use crate::train::trainer::{Plan, Trainer};
 
-/// The configuration that the flags describe, as TOML with a heading.
+/// Returns the configuration that the flags describe, as TOML with a heading. An error names the flag or the file.
 pub fn config_text(args: &Args, registry: &Registry) -> Result<String> {
     let Plan { scenario, preset, config, .. } = plan(args, registry)?;
     // Errors show now and not when the training starts.
@@ -57,7 +57,7 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
 }
 
-/// Starts a new training.
+/// Starts the training that the flags describe. An error names the flag or the file.
 pub fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
     let plan = plan(args, registry)?;
     let mut trainer = Trainer::new(plan, registry).map_err(|e| match &args.config {
@@ -72,7 +72,7 @@ pub fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
     Ok(trainer)
 }
 
-/// Resumes the training in the folder; refused if it does not match the flags.
+/// Resumes the training in the folder; an error if its scenario, seed or configuration differs from the flags.
 pub fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
     let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
     let bytes = std::fs::read(folder.checkpoint())

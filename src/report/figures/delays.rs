@@ -23,7 +23,7 @@ const MARKS_S: [f64; 2] = [0.02, 0.05];
 /// Ends of the delay axis \[s\].
 const ENDS_S: (f64, f64) = (1e-4, 1.0);
 
-/// Draws both panels, for the columns in which messages cross a link.
+/// Draws deliveries and delays of every column in which messages cross a link; returns the SVG.
 pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
     let crossing: Vec<(usize, &Heard)> =
         columns.iter().enumerate().filter(|(_, column)| column.listening.due > 0).collect();

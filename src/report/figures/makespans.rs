@@ -40,7 +40,7 @@ fn bandwidth(values: &[f64]) -> f64 {
     (0.9 * spread * n.powf(-0.2)).max(0.05)
 }
 
-/// Draws the densities. The median of the row `baseline` is shown in all rows.
+/// Draws the densities of the makespans; returns the SVG. The median of the row `baseline` is shown in all rows.
 pub fn makespans(title: &str, rows: &[Makespans], baseline: &str) -> Result<String, FigureError> {
     let height = FRAME + 40 + ROW * rows.len() as u32;
     let last = rows.iter().flat_map(|row| &row.values_s).copied().fold(10.0, f64::max) * 1.08;

@@ -27,7 +27,7 @@ pub struct Figure {
     pub name: String,
     /// Title.
     pub title: String,
-    /// Caption, which says how to read it.
+    /// Caption that explains how to read the figure.
     pub caption: String,
     /// The drawing.
     pub svg: String,

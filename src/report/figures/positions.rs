@@ -38,7 +38,7 @@ fn per_area(grid: &Grid, x: usize, y: usize) -> f64 {
     grid.count(x, y) as f64 / (grid.total().max(1) as f64 * area)
 }
 
-/// Draws the densities, all on one scale.
+/// Draws the density of robots' positions in each column, all on one colour scale; returns the SVG.
 pub fn positions(title: &str, columns: &[Positions], arena: &Arena) -> Result<String, FigureError> {
     let ratio = f64::from(arena.half_extent.y / arena.half_extent.x);
     let ground = WIDTH / PANELS as u32 - BESIDE - 20;

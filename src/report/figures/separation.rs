@@ -12,7 +12,8 @@ const PANEL: u32 = 330;
 /// Smallest number of counts in a bin that is drawn.
 const LEAST: u64 = 40;
 
-/// Draws d_min over d_origin for each column, by name; two robots closer than `limit_m` \[m\] have collided.
+/// Draws the least distance to another robot over the distance from the origin, for each named column; returns the SVG.
+/// Two robots closer than `limit_m` \[m\] have collided.
 pub fn separation(title: &str, columns: &[(&str, &Grid)], limit_m: f32) -> Result<String, FigureError> {
     let count = columns.len() + 1;
     svg(HEAD + PANEL * rows(count), |area| {

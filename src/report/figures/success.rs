@@ -19,9 +19,9 @@ pub struct Share {
 pub struct Group {
     /// Name of the column.
     pub name: String,
-    /// Shares by entrant; `None` where there is none.
+    /// Success of each policy under test; `None` for one without a result.
     pub shares: Vec<Option<Share>>,
-    /// Share that the paper reports, for columns of its Table I.
+    /// Success that the paper reports; `None` for a column that is not in its Table I.
     pub paper: Option<f64>,
 }
 
@@ -30,7 +30,7 @@ const ROW: u32 = 74;
 const HEAD: u32 = 52;
 const FOOT: u32 = 72;
 
-/// Draws the shares; `entrants` are names.
+/// Draws the success of each policy in each column; returns the SVG. `entrants` are the names of the policies.
 pub fn success(title: &str, entrants: &[String], groups: &[Group]) -> Result<String, FigureError> {
     let legend = 32 * (entrants.len() as u32 + 1);
     let count = groups.len() as f64;

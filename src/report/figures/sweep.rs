@@ -12,7 +12,7 @@ pub struct Panel {
     pub title: String,
     /// Label of the y axis, with its unit.
     pub y: String,
-    /// Ends of the y axis; `None` fits them to the points.
+    /// Lower and upper end of the y axis; `None` fits the axis to the points.
     pub ends: Option<(f64, f64)>,
     /// Its lines.
     pub lines: Vec<Line>,
@@ -23,7 +23,7 @@ pub struct Panel {
 pub struct Line {
     /// Its name.
     pub name: String,
-    /// One point per place; `None` where there is none.
+    /// One point for each place on the x axis; `None` for a place without a value.
     pub points: Vec<Option<Point>>,
 }
 
@@ -32,7 +32,7 @@ pub struct Line {
 pub struct Point {
     /// The value.
     pub value: f64,
-    /// Ends of its interval.
+    /// Ends of the value's interval.
     pub within: [f64; 2],
 }
 
@@ -44,7 +44,7 @@ impl Point {
 }
 
 impl Panel {
-    /// Creates a panel of these lines.
+    /// Creates a panel with a title, a label `y` of the y axis, the axis' ends, and lines.
     pub fn new(title: &str, y: &str, ends: Option<(f64, f64)>, lines: Vec<Line>) -> Panel {
         Panel { title: title.to_owned(), y: y.to_owned(), ends, lines }
     }
@@ -53,7 +53,7 @@ impl Panel {
 const PANEL: u32 = 480;
 const HEAD: u32 = 52;
 
-/// Draws the panels, two per row, over `places`; `x` is the label of their axis.
+/// Draws the panels, two per row; returns the SVG. `x` is the label of the x axis, and `places` are its values.
 pub fn sweep(title: &str, x: &str, places: &[String], panels: &[Panel]) -> Result<String, FigureError> {
     let rows = panels.len().div_ceil(2) as u32;
     let names: Vec<&str> = panels.first().map_or(Vec::new(), |p| p.lines.iter().map(|l| l.name.as_str()).collect());

@@ -16,7 +16,7 @@ const ROOM: usize = 260_000;
 /// Strides between the frames that are kept, tried in turn until the data fits; the last keeps one frame a second.
 const STRIDES: [usize; 4] = [2, 4, 10, 20];
 
-/// Returns the episode as a page that plays it, with a slider, a speed and keys. It loads no other file.
+/// Returns a page that plays the episode, with a slider, a speed and keys. The page loads no other file.
 pub fn film(scene: &Scene) -> String {
     let mut data = json(scene, 1);
     for stride in STRIDES {

@@ -56,18 +56,18 @@ pub struct Frame {
     pub time: Span,
     /// Positions by robot \[m\], world frame.
     pub at: Vec<Vec2>,
-    /// Pairs of which at least one hears the other, sorted.
+    /// Pairs of robots of which at least one hears the other, sorted.
     pub links: Vec<Link>,
 }
 
-/// Two robots of which one at least hears the other.
+/// A pair of robots of which at least one hears the other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
     /// The robot with the lower id.
     pub one: usize,
-    /// The other one.
+    /// The robot with the higher id.
     pub other: usize,
-    /// Age of the newest message; of the older one where there is one each way.
+    /// Age of the newest message; if each hears the other, the larger of the two ages.
     pub age: Span,
     /// Whether each hears the other.
     pub mutual: bool,
@@ -76,18 +76,18 @@ pub struct Link {
 /// Verdict of an episode, in words and places.
 #[derive(Clone, Debug)]
 pub struct Ending {
-    /// Whether it succeeded.
+    /// Whether the episode succeeded.
     pub success: bool,
     /// The verdict in words.
     pub text: String,
-    /// Marks of the places where it failed.
+    /// Marks of the places at which the episode failed.
     pub rings: Vec<Ring>,
 }
 
 /// Mark around a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ring {
-    /// Time from which it is shown, since the episode began.
+    /// Time since the start of the episode from which the mark is shown.
     pub from: Span,
     /// Its centre \[m\], world frame.
     pub at: Vec2,
@@ -159,7 +159,7 @@ impl<'a> Scene<'a> {
         self.frames.last().map_or(Span::ZERO, |frame| frame.time)
     }
 
-    /// Returns the time of each robot's first arrival at its goal.
+    /// Returns the time of each robot's first arrival at its goal; `None` for a robot that did not arrive.
     pub fn arrivals(&self) -> Vec<Option<Span>> {
         let arrived = |(robot, task): (usize, &Task)| {
             let near = |frame: &&Frame| (task.goal - frame.at[robot]).norm() <= self.stage.rules.arrival_m;

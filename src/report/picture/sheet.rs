@@ -154,8 +154,8 @@ pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     text
 }
 
-/// Draws the goals, with the numbers of their robots; with `stay`, a goal that its robot covers at the end has none.
-/// `more` returns the content of a goal's circle.
+/// Draws each robot's goal as a circle with the robot's number. With `stay`, a goal that its robot covers at the end
+/// has no number. `more` returns further content of the circle of a robot.
 pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> String) -> String {
     let (mut text, stage) = (String::new(), &scene.stage);
     for (robot, task) in stage.tasks.iter().enumerate() {

@@ -30,7 +30,7 @@ pub fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     [(start, 20.0, "start".to_owned()), goal_mark(scene), (dots, 40.0, every)]
 }
 
-/// Draws everything on the ground. The animation contains it for viewers that prefer reduced motion.
+/// Draws the arena, the paths and the robots. The animation contains this still for viewers that prefer reduced motion.
 pub fn drawn(scene: &Scene, view: &View) -> String {
     let stage = &scene.stage;
     let last = &scene.frames[scene.frames.len() - 1];

@@ -18,7 +18,7 @@ pub enum Addressing {
     Multicast,
 }
 
-/// Reliability of a message: one of the link layer's (`net::protocol::reliability`), or of RTPS.
+/// Reliability of a message: a mode of the link layer (`net::protocol::reliability`), or one of RTPS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReliabilityMode {
@@ -57,7 +57,7 @@ pub enum NetworkKind {
     Shaped,
 }
 
-/// History of an RTPS writer: samples that it keeps for retransmission.
+/// Samples that an RTPS writer keeps for retransmission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum History {
@@ -128,7 +128,7 @@ pub struct Sweep {
     pub seed: u64,
 }
 
-/// Bytes of a message besides its features.
+/// Bytes of a message without its features.
 pub const FIXED_BYTES: usize = 24;
 /// Default rates of a sweep \[1/s\]; 60 and 200 are those of the paper's figures.
 pub const RATES: [f64; 8] = [10.0, 20.0, 60.0, 100.0, 200.0, 300.0, 400.0, 500.0];

@@ -9,8 +9,8 @@ use crate::train::config::Conditions;
 /// Decisions of a robot, each with one latent \[1/s\].
 const RATE: f64 = 20.0;
 
-/// Replaces delay and loss of a training by those of a team's latents on the medium, by best-effort multicast. The
-/// delay range is from the 10 % to the 90 % quantile. `None` if no message arrives.
+/// Replaces delay and loss of a training by those of a team's latents on the medium, sent by best-effort multicast. The
+/// new delay range is from the 10 % to the 90 % quantile. Returns `None`, and changes nothing, if no message arrives.
 pub fn apply(medium: &Medium, robots: usize, conditions: &mut Conditions) -> Option<()> {
     let stations = u16::try_from(robots.clamp(2, 200)).expect("it is at most 200");
     let network = match medium {

@@ -11,12 +11,13 @@ use crate::net::media::radio::Destination;
 use crate::random::Seed;
 use crate::time::{Span, Time};
 
-/// Returns the seed of a case. Cases of one rate share it, and so their publication schedules.
+/// Returns the seed of a case. Cases with the same message rate have the same seed, and so the same publication
+/// schedules.
 pub fn seed(seed: u64, case: &Case) -> Seed {
     Seed::of_run(seed).child(&format!("network/{}", case.rate))
 }
 
-/// Runs a case. `proceed` is called every 4096 events; `None` once it returns false.
+/// Emulates a case. Calls `proceed` every 4096 events, and returns `None` once that returns false.
 pub fn run(sweep: &Sweep, case: &Case, proceed: &dyn Fn() -> bool) -> Option<Outcome> {
     let seed = seed(sweep.seed, case);
     match case.reliability {

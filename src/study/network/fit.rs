@@ -48,7 +48,7 @@ pub struct Fitted {
     pub shares: f64,
     /// Root mean square of the residuals of the logarithms of all delays.
     pub delays: f64,
-    /// Other rates that fit almost as well; the rows do not distinguish them.
+    /// Other rates that fit almost as well, so that the rows do not tell them from the fitted one.
     pub alternatives: Vec<Rate>,
     /// The rows, each with the emulation at the fitted parameters.
     pub rows: Vec<(Observed, Row)>,
@@ -105,9 +105,11 @@ struct Fit<'a> {
     tolerances: Vec<[f64; 5]>,
 }
 
-/// Fits `base` to the observed rows, with the stations, messages and history of `sweep`. `None` once the runner stops.
+/// Fits the parameters of `base` to the observed rows. `sweep` gives stations, message size and history. Returns `None`
+/// if the runner stops.
 ///
-/// Panics if `observed` is empty.
+/// # Panics
+/// If `observed` is empty.
 pub fn fit(base: &Radio, sweep: &Sweep, observed: &[Observed], runner: Runner) -> Option<Fitted> {
     assert!(!observed.is_empty(), "a fit needs rows");
     let mut fit = Fit { base, sweep, observed, runner, tolerances: vec![TOLERANCES; observed.len()] };
@@ -322,12 +324,12 @@ impl Observed {
         ]
     }
 
-    /// Whether it was measured between hosts.
+    /// Whether the row was measured between hosts, not emulated.
     pub fn is_live(&self) -> bool {
         self.source == Some(Source::Live)
     }
 
-    /// Checks that it can be a row of this sweep; the error says why not.
+    /// Checks that the row can belong to this sweep; the error says why not.
     pub fn check(&self, sweep: &Sweep) -> Result<(), String> {
         let seconds = self.seconds.unwrap_or(sweep.seconds);
         let (rates, retries) = (vec![self.rate], vec![self.retries]);

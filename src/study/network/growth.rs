@@ -39,7 +39,7 @@ pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError
 /// Cost per robot of a team of one size, per simulated second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
-    /// Deployment, one of `MODES`.
+    /// Name of the deployment, one of `MODES`.
     pub mode: String,
     /// Number of robots.
     pub robots: usize,
@@ -47,13 +47,13 @@ pub struct Growth {
     pub messages: f64,
     /// Bytes published \[1/s\].
     pub bytes: f64,
-    /// Datagrams received by its hosts \[1/s\]; 0 if there is one host only.
+    /// Datagrams that the hosts receive, per robot \[1/s\]; 0 if there is only one host.
     pub deliveries: f64,
-    /// Share of airtime of its own latents, by multicast; none without a radio.
+    /// Share of airtime that a robot's own latents take by multicast; `None` without a radio.
     pub airtime: Option<f64>,
-    /// Share of airtime of all robots within range, itself included; none without a radio.
+    /// Share of airtime that the latents of a robot and of all robots within its range take; `None` without a radio.
     pub airtime_around: Option<f64>,
-    /// Processor time of its simulation \[µs\].
+    /// Processor time that the simulation takes \[µs\], per robot and simulated second.
     pub cpu_us: f64,
 }
 

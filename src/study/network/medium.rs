@@ -22,7 +22,7 @@ pub enum Medium {
 const SHAPED: &str = "shaped";
 
 impl Medium {
-    /// Returns the medium of that name.
+    /// Returns the medium of that name; `None` if there is none.
     pub fn named(name: &str) -> Option<Medium> {
         if name == SHAPED {
             return Some(Medium::Shaped(Shaped::megabit()));
@@ -81,7 +81,7 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Returns when it next has to be woken.
+    /// Returns the time at which `wake` has to be called next; `None` if nothing is under way.
     pub fn wake_at(&self) -> Option<Time> {
         match self {
             MediumEmulator::Radio(channel) => channel.wake_at(),
@@ -97,7 +97,7 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Returns the time in which it was busy with the stations' frames until now \[s\].
+    /// Returns for how long the medium was busy with the stations' frames, from the start until `now` \[s\].
     pub fn busy_s(&self, now: Time) -> f64 {
         match self {
             MediumEmulator::Radio(channel) => channel.counts(now).airtime_ns as f64 * 1e-9,

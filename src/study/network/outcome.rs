@@ -31,17 +31,17 @@ pub struct Outcome {
     pub quantiles_s: Option<[f64; 4]>,
     /// Histogram of the delays.
     pub delays: Ages,
-    /// Histogram of the age of the newest message of each other station, at each control step.
+    /// Histogram of ages at each control step: of the newest message of each other station.
     pub ages: Ages,
     /// Quantiles of that age: 50 and 90 % \[s\].
     pub age_quantiles_s: Option<[f64; 2]>,
-    /// Share of pairs of control step and other station with an age of at most `USABLE`.
+    /// Share of pairs of a control step and another station for which the newest message is at most `USABLE` old.
     pub usable: f64,
-    /// Datagrams of all stations \[1/s\]; none in a measurement between hosts.
+    /// Datagrams of all stations \[1/s\]; `None` in a measurement between hosts.
     pub datagrams_per_s: Option<f64>,
-    /// Bytes of all stations \[1/s\]; none in a measurement between hosts.
+    /// Bytes of all stations \[1/s\]; `None` in a measurement between hosts.
     pub bytes_per_s: Option<f64>,
-    /// Share of time in which the medium was busy with them; none in a measurement between hosts.
+    /// Share of time in which the medium was busy with frames of the stations; `None` in a measurement between hosts.
     pub airtime: Option<f64>,
 }
 
@@ -166,7 +166,7 @@ impl Tally {
         }
     }
 
-    /// Adds expected deliveries, for a measurement in which each station counts its own messages.
+    /// Adds `due` to the expected deliveries. Measurements need it, because there each station counts its own messages.
     pub fn add_due(&mut self, due: u64) {
         self.due += due;
     }
@@ -197,7 +197,7 @@ impl Tally {
     }
 }
 
-/// Row of the results, as `--json` prints it. Fields are only ever added.
+/// One row of the results, as `--json` prints it. Later versions may add fields and remove none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Emulation or measurement.
@@ -220,7 +220,7 @@ pub struct Row {
     pub within_20ms: f64,
     /// Share of expected deliveries that arrived within 50 ms.
     pub within_50ms: f64,
-    /// Quantiles of the delay of deliveries \[ms\]; none if there were none.
+    /// Quantiles of the delay of deliveries \[ms\]; null if nothing was delivered.
     pub p10_ms: Option<f64>,
     /// See `p10_ms`.
     pub p50_ms: Option<f64>,
@@ -228,7 +228,7 @@ pub struct Row {
     pub p90_ms: Option<f64>,
     /// See `p10_ms`.
     pub p99_ms: Option<f64>,
-    /// Share of time in which the medium was busy; none where it was not measured.
+    /// Share of time in which the medium was busy; null if it was not measured.
     pub airtime: Option<f64>,
     /// Age of the newest message of another station at a control step, median and 90 % quantile \[ms\].
     pub age_p50_ms: Option<f64>,
@@ -236,7 +236,7 @@ pub struct Row {
     pub age_p90_ms: Option<f64>,
     /// Share of control steps at which that age was at most 200 ms.
     pub usable: f64,
-    /// Datagrams per message, including protocol overhead; none where they were not counted.
+    /// Datagrams per message, including protocol overhead; null if they were not counted.
     pub datagrams_per_message: Option<f64>,
 }
 

@@ -16,10 +16,10 @@ use crate::time::{Span, Time};
 /// are skipped and counted, so that the burst does not grow with the delay.
 const BURST: u32 = 64;
 
-/// Measurement of one case, which the coordinator sends to all hosts.
+/// Order to measure one case, which the coordinator sends to all hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Task {
-    /// Number of the case; messages of other cases are ignored.
+    /// Number of the case; stations ignore messages that carry another number.
     pub number: u32,
     /// The case.
     pub case: Case,
@@ -33,7 +33,7 @@ pub struct Task {
     pub seed: u64,
 }
 
-/// Result of one station.
+/// Counts and ages that one station has measured in a case.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StationResult {
     /// Messages published in the window.
@@ -44,7 +44,8 @@ pub struct StationResult {
     pub skipped: u64,
     /// Delays of received messages \[us\].
     pub delays_us: Vec<u64>,
-    /// Ages of the newest message of each other station at each control step \[us\]; `None` where there was none yet.
+    /// Ages at each control step, of the newest message of each other station \[us\]; `None` before the first message
+    /// of that station.
     pub ages_us: Vec<Option<u64>>,
 }
 
@@ -108,7 +109,7 @@ impl Peer {
         self.ended || now >= self.over
     }
 
-    /// Returns its result so far.
+    /// Returns the station's result so far.
     pub fn result(&self) -> &StationResult {
         &self.result
     }

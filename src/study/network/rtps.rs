@@ -31,7 +31,7 @@ const HEARTBEAT: usize = 32;
 const ACKNACK: usize = 28;
 const GAP: usize = 32;
 
-/// Range of sequence numbers that a writer keeps: first, and one past the last.
+/// Range of sequence numbers that a writer keeps: the first one, and the one after the last.
 pub type Holds = (u32, u32);
 
 /// RTPS message: its sender and content.

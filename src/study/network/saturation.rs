@@ -28,7 +28,7 @@ pub struct Load {
     /// Share of airtime that their frames need, including acknowledgements and interframe spaces. More than 1 means
     /// that the channel cannot carry it.
     pub airtime: f64,
-    /// Share of airtime that they need through an access point.
+    /// Share of airtime that the team's frames need if they go through an access point.
     pub airtime_relayed: f64,
     /// Saturation throughput in one hop, by Bianchi's model \[messages/s\].
     pub saturation_per_s: f64,

@@ -108,7 +108,7 @@ impl<T: Clone> Links<T> {
         }
     }
 
-    /// Queues a datagram of `bytes` at a station; drops it if the queue is full.
+    /// Queues a datagram of `bytes` at the station `from`; drops it if that station's queue is full.
     pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         let length = bytes + self.shaped.overhead_bytes;
         let sender = &mut self.senders[usize::from(from)];
@@ -134,7 +134,7 @@ impl<T: Clone> Links<T> {
         self.in_flight.insert((arrives, self.offered), (from, to, token));
     }
 
-    /// Returns the time of the next arrival.
+    /// Returns the time of the next arrival; `None` if no datagram is under way.
     pub fn wake_at(&self) -> Option<Time> {
         self.in_flight.first_key_value().map(|((at, _), _)| *at)
     }

@@ -27,20 +27,20 @@ pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: us
     }
 }
 
-/// Returns the publication time in a message, since its case began.
+/// Returns the time from the start of the case to the publication of a message, as the message says.
 pub fn stamp(latent: &Latent) -> Span {
     let position = latent.motion.position;
     Span::from_nanos(1_000_000 * position.x as u64 + 1000 * position.y as u64)
 }
 
-/// Returns, by station, the phase of its control steps within the period.
+/// Returns the phase of each station's control steps within the period, in the order of the stations.
 pub fn phases(stations: u16, period: Span, seed: &Seed) -> Vec<Span> {
     let mut stream = seed.stream("steps");
     (0..stations).map(|_| Span::from_secs(period.as_secs() * stream.random_range(0.0..1.0))).collect()
 }
 
-/// Publication schedule of one station: once in every period, at a time drawn uniformly from the period. So stations
-/// are not synchronized, and no fixed phase dominates a case.
+/// Times at which one station publishes: once in every period, at a moment drawn uniformly from it. So stations are not
+/// synchronized, and no fixed phase dominates a case.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     begin: Time,
@@ -51,7 +51,8 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Returns the schedule of one of `stations` stations, which publish `rate` messages a second in total.
+    /// Returns the schedule of the station with index `station`, from `begin` on. All `stations` together publish
+    /// `rate` messages a second.
     pub fn new(begin: Time, station: u16, (stations, rate): (u16, f64), seed: &Seed) -> Schedule {
         let period = Span::from_secs(f64::from(stations) / rate);
         let stream = seed.stream(&format!("publish/{station}"));

@@ -36,7 +36,7 @@ pub struct Record {
     case: Case,
     /// Its outcome.
     pub outcome: Outcome,
-    /// Uncertainty of its one-way delays \[s\]; zero in an emulation.
+    /// Bound on the error of one-way delays \[s\], from the clocks of two hosts; zero in an emulation.
     pub uncertainty_s: f64,
 }
 
@@ -50,7 +50,8 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Opens the journal of a sweep; `link` describes the measured link, in a measurement.
+    /// Opens the journal of a sweep, in the folder `path` if there is one. In a measurement, `link` describes the
+    /// measured link.
     pub fn open(path: Option<&Path>, sweep: Sweep, link: Option<String>) -> Result<Journal> {
         let (version, build) = (origin::VERSION.to_owned(), origin::BUILD.to_owned());
         let study = STUDY.to_owned();
@@ -68,7 +69,7 @@ impl Journal {
         Origin::here(STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
     }
 
-    /// Reads the record of each case; none if it is missing, damaged or of other conditions.
+    /// Reads the record of each case; `None` for a record that is missing, damaged or of other conditions.
     pub fn kept(&self, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
         let one = |(at, case): (usize, &Case)| {
             let record: Record = self.folder.as_ref()?.kept(&name(source, at))?;

@@ -61,7 +61,7 @@ pub fn prepare(file: &Path, sweep: &Sweep) -> Result<WholeFile> {
     }
 }
 
-/// Fits a radio and writes its file; `None` after Ctrl-C, without writing.
+/// Fits a radio and writes its file. Returns `None`, and writes nothing, after Ctrl-C.
 pub fn run(
     sweep: &Sweep,
     observed: &[Observed],

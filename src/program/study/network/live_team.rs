@@ -55,14 +55,15 @@ impl LiveTeam {
         self.stations.iter().map(|host| hosts[usize::from(host.0)].name.clone()).collect()
     }
 
-    /// Returns the names of the participants and a digest of the link's settings at the first of them.
+    /// Returns text that identifies the measured link: the participants' names, and a digest of the settings at the
+    /// first one.
     pub fn link(&self) -> Result<String> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
         let place = format!("{:?}", team.links[self.link]);
         Ok(format!("{}: {}", self.names().join(", "), blake3::hash(place.as_bytes()).to_hex()))
     }
 
-    /// Returns the team's key, if it has one.
+    /// Returns the team's key; `None` if the team has none.
     pub fn key(&self) -> Result<Option<[u8; 32]>> {
         team::key(&self.args.for_host(&self.file, self.stations[0])?)
     }
@@ -84,7 +85,7 @@ impl LiveTeam {
         Ok(Participation { team, key, place, stations: self.stations.clone() })
     }
 
-    /// Restricts a sweep to the cases that can be measured on this link, so that emulation and measurement have the
+    /// Removes the cases that cannot be measured on this link from a sweep, so that emulation and measurement have the
     /// same cases. An error names the flag.
     pub fn restrict(&self, sweep: &mut Sweep, args: &Args) -> Result<()> {
         let team = self.args.for_host(&self.file, self.stations[0])?;

@@ -58,8 +58,8 @@ pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
     Ok(teams)
 }
 
-/// Returns the cost per robot of each team: reads finished ones and simulates the others. Fewer after Ctrl-C. Teams run
-/// one at a time, because two that share a processor cache slow each other down.
+/// Returns the cost per robot of each team; reads finished results and simulates the others. After Ctrl-C only some
+/// teams are returned. Teams run one at a time, because two that share a processor cache slow each other down.
 pub fn run(
     teams: &[Team],
     sweep: &Sweep,

@@ -28,7 +28,7 @@ const LINE_BYTES: usize = 1 << 26;
 /// Idle time before TCP keepalive probes, and their interval.
 const ALIVE: Duration = Duration::from_secs(10);
 
-/// Role of one side of a connection.
+/// Role of this end of a connection.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Side {
     Coordinator,
@@ -56,7 +56,8 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// Exchanges nonces and derives the session key from the team's key. An error if the peer sends none in time.
+    /// Exchanges nonces with the peer and derives the session key from `team`, the team's key. An error if no nonce
+    /// arrives in time.
     pub fn open(stream: TcpStream, side: Side, team: Option<&[u8; 32]>) -> Result<Connection> {
         stream.set_nodelay(true).context("cannot set up the connection")?;
         // Keepalive detects a peer whose machine has died.
@@ -78,7 +79,7 @@ impl Connection {
         Ok(Connection { reader, writer, side, key, sent: 0, received: 0 })
     }
 
-    /// Sends one message.
+    /// Sends one message; an error if the peer has closed the connection.
     pub fn send(&mut self, what: &impl Serialize) -> Result<()> {
         let text = serde_json::to_string(what).context("it is plain data")?;
         let tag = self.key.map_or("-".to_owned(), |key| tag(&key, self.side, self.sent, &text).to_hex().to_string());
@@ -86,13 +87,13 @@ impl Connection {
         self.writer.write_all(format!("{tag} {text}\n").as_bytes()).context("the peer has closed the connection")
     }
 
-    /// Receives the first message, which is short, within this time.
+    /// Receives the first message, which must be short; an error if it does not arrive within `within`.
     pub fn receive_first<T: DeserializeOwned>(&mut self, within: Duration) -> Result<T> {
         let line = read(&mut self.reader, FIRST_BYTES, Some(within))?;
         self.understand(&line)
     }
 
-    /// Receives the next message, within this time.
+    /// Receives the next message; an error if it does not arrive within `within`. `None` waits without limit.
     pub fn receive<T: DeserializeOwned>(&mut self, within: Option<Duration>) -> Result<T> {
         let line = read(&mut self.reader, LINE_BYTES, within)?;
         self.understand(&line)

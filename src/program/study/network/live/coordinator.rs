@@ -26,12 +26,12 @@ const LEAD: Duration = Duration::from_millis(1500);
 pub struct Measured {
     /// Outcomes of the finished cases.
     pub results: Vec<Found>,
-    /// Largest uncertainty of a one-way delay, which is that of two clocks \[s\].
+    /// Largest error of a one-way delay, from the offset of two clocks \[s\].
     pub uncertainty_s: f64,
 }
 
-/// Measures all cases of a sweep between `hosts`, which are in the order of their stations. Errors: the address cannot
-/// be used, or a host is lost.
+/// Measures all cases of a sweep between `hosts`, which are in the order of their stations. An error if the address
+/// cannot be used or a host is lost.
 pub fn measure(
     journal: &Journal,
     hosts: &[String],

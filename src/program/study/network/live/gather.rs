@@ -24,7 +24,7 @@ const GREETED: usize = 256;
 /// Authenticated connection, with the host's name and address.
 type Greeted = (SocketAddr, Result<(String, Connection)>);
 
-/// Waits for a connection of every host, and returns them in the order of `hosts`; none after Ctrl-C.
+/// Waits until every host is connected. Returns the connections in the order of `hosts`; empty after Ctrl-C.
 pub fn gather(
     (listener, key): (&TcpListener, Option<[u8; 32]>),
     hosts: &[String],

@@ -1,0 +1,497 @@
+//! Fusion of the robots' own odometry with any source of absolute poses: one that is slow, late, or without headings,
+//! such as a satellite receiver.
+//!
+//! The state of the filter is the pose of a robot in the team's frame. Each odometry moves it on, and makes it less
+//! certain by the distance travelled; each absolute reading corrects it, at the time at which it was measured
+//! (extended Kalman filter, as in Thrun et al., Probabilistic Robotics, 2005, section 3.3 and 7.4). So the drift of
+//! odometry is bounded, and headings are found from positions. What leaves are the poses, with every odometry.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use serde::Deserialize;
+
+use super::{In, Out, Parts, Source};
+use crate::config::ConfigError;
+use crate::edge::Settings;
+use crate::messages::geometry::{Pose, Vec2, wrapped};
+use crate::messages::ids::RobotId;
+use crate::messages::wire::Reading;
+use crate::time::{Span, Time};
+
+/// Name of the table with these settings, in the table of any source.
+const TABLE: &str = "fuse";
+/// Standard deviation of a heading that was said by hand, and of a measured one that does not say its own \[rad\].
+const BY_HAND_RAD: f64 = 0.2;
+const MEASURED_RAD: f64 = 0.02;
+/// Standard deviation of a position that does not say its own, and the least that is assumed \[m\].
+const POSITION_M: (f64, f64) = (0.02, 0.001);
+/// Squared distance from the prediction, in standard deviations, beyond which a reading is an outlier: one in 270 000
+/// of a normal distribution in two dimensions.
+const GATE: f64 = 25.0;
+/// Number of outliers in a row after which they are believed: the robot was carried, or the filter is lost.
+const OUTLIERS: u32 = 10;
+/// Distance and angle between two odometries beyond which the odometry has begun anew \[m, rad\].
+const JUMP: (f64, f64) = (1.0, 1.5);
+/// Poses that are kept for late readings: two seconds at 50 Hz.
+const KEPT: usize = 100;
+
+/// Settings of the fusion for one robot.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Config {
+    /// Heading of the robot when its host starts \[rad\], for sources that measure none. It may be off by some 20
+    /// degrees.
+    heading_rad: Option<f64>,
+    /// Age of the source's readings when they arrive \[s\].
+    #[serde(default)]
+    delay_s: f64,
+    /// Error of the odometry after 1 m: the same number as distance \[m\] and as heading \[rad\]. It grows with the
+    /// square root of the distance.
+    #[serde(default = "drift")]
+    drift: f64,
+    /// Time for which the robot goes on by odometry alone \[s\].
+    #[serde(default = "alone_s")]
+    alone_s: f64,
+}
+
+/// Wheels that slip now and then: 5 cm after 1 m.
+fn drift() -> f64 {
+    0.05
+}
+
+/// A robot at 0.8 m/s that lost its receiver drives as far as its own length or two.
+fn alone_s() -> f64 {
+    1.0
+}
+
+impl Config {
+    fn check(self) -> Result<Config, ConfigError> {
+        let wrong = |field: &str, why: &str| Err(ConfigError::field(field, why.to_owned()).within(TABLE));
+        if self.heading_rad.is_some_and(|heading| !(-7.0..=7.0).contains(&heading)) {
+            return wrong("heading_rad", "it is not an angle in radians, -7 to 7");
+        }
+        if !(0.0..=1.0).contains(&self.delay_s) {
+            return wrong("delay_s", "it is not 0 to 1 s");
+        }
+        if !(0.001..=1.0).contains(&self.drift) {
+            return wrong("drift", "it is not 0.001 to 1");
+        }
+        if !(0.05..=60.0).contains(&self.alone_s) {
+            return wrong("alone_s", "it is not 0.05 to 60 s");
+        }
+        Ok(self)
+    }
+}
+
+/// Makes a source, and fuses it with odometry if its settings have a table `fuse`, of all robots or of one.
+///
+/// # Errors
+///
+/// Those of the source; a wrong setting of the fusion, by its name.
+pub fn make(
+    settings: &Settings,
+    robots: &[RobotId],
+    source: impl FnOnce(&Settings, &[RobotId]) -> Result<Parts, ConfigError>,
+) -> Result<Parts, ConfigError> {
+    let mut configs = BTreeMap::new();
+    for robot in robots {
+        if let Some(table) = settings.for_robot(*robot)?.table.remove(TABLE) {
+            let own = toml::Table::try_from(table).map_err(|_| {
+                ConfigError::field(TABLE, "it is no table; write fuse = { heading_rad = 0.0 }".to_owned())
+            })?;
+            let config: Config = Settings { name: TABLE.to_owned(), table: own }.read()?;
+            configs.insert(*robot, config.check()?);
+        }
+    }
+    let mut rest = settings.clone();
+    rest.table.remove(TABLE);
+    if let Some(toml::Value::Table(robots)) = rest.table.get_mut("robot") {
+        robots.iter_mut().filter_map(|(_, own)| own.as_table_mut()).for_each(|own| drop(own.remove(TABLE)));
+    }
+    let parts = source(&rest, robots)?;
+    if configs.is_empty() {
+        return Ok(parts);
+    }
+    let inner = parts.source;
+    let fused = move || {
+        let filters = configs.iter().map(|(robot, config)| (*robot, Filter::new(*config))).collect();
+        Box::new(Fused { inner: inner(), filters, said: Vec::new() }) as Box<dyn Source>
+    };
+    Ok(Parts { source: Box::new(fused), worker: parts.worker })
+}
+
+/// A source with the odometry of its robots.
+struct Fused {
+    inner: Box<dyn Source>,
+    filters: BTreeMap<RobotId, Filter>,
+    said: Vec<Out>,
+}
+
+impl Fused {
+    /// Passes readings of the source on to the filters, and everything else on.
+    fn absorb(&mut self, now: Time, out: &mut Vec<Out>) {
+        for said in self.said.drain(..) {
+            match said {
+                Out::Reading(reading) => match self.filters.get_mut(&reading.robot) {
+                    Some(filter) => out.extend(filter.correct(now, &reading).err().map(Out::Refused)),
+                    None => out.push(Out::Reading(reading)),
+                },
+                refused @ Out::Refused(_) => out.push(refused),
+            }
+        }
+    }
+}
+
+impl Source for Fused {
+    fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>) {
+        if let In::Odometry(odometry) = input
+            && let Some(filter) = self.filters.get_mut(&odometry.robot)
+        {
+            match filter.advance(now, odometry) {
+                Ok(reading) => out.extend(reading.map(|one| one.unfit().map_or(Out::Reading(one), Out::Refused))),
+                Err(why) => out.push(Out::Refused(why)),
+            }
+            return;
+        }
+        self.inner.take(now, input, &mut self.said);
+        self.absorb(now, out);
+    }
+
+    fn wake_at(&self) -> Option<Time> {
+        self.inner.wake_at()
+    }
+
+    fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
+        self.inner.wake(now, &mut self.said);
+        self.absorb(now, out);
+    }
+}
+
+/// Pose \[m, m, rad\] in the team's frame, with its covariance.
+#[derive(Clone, Copy, Debug)]
+struct State {
+    pose: [f64; 3],
+    covariance: [[f64; 3]; 3],
+}
+
+/// Filter of one robot.
+#[derive(Debug)]
+struct Filter {
+    config: Config,
+    /// Last odometry: its stamp \[ns\] and pose.
+    last: Option<(u64, [f64; 3])>,
+    state: Option<State>,
+    /// Past poses, the newest last.
+    past: VecDeque<(Time, [f64; 3])>,
+    /// Arrival of the last reading of the source that was used.
+    corrected: Time,
+    /// Outliers in a row.
+    outliers: u32,
+}
+
+impl Filter {
+    fn new(config: Config) -> Filter {
+        Filter { config, last: None, state: None, past: VecDeque::new(), corrected: Time::ZERO, outliers: 0 }
+    }
+
+    /// Moves the pose on by the robot's odometry; its reading, unless there is no correction or none for too long.
+    fn advance(&mut self, now: Time, odometry: &Reading) -> Result<Option<Reading>, &'static str> {
+        let Pose { position, heading: Some(heading) } = odometry.pose else {
+            return Err("odometry without a heading cannot be fused");
+        };
+        let pose = [f64::from(position.x), f64::from(position.y), f64::from(heading)];
+        if !pose.iter().all(|number| number.is_finite()) {
+            return Err("odometry has a number that is not finite");
+        }
+        let Some((stamp_ns, before)) = self.last.replace((odometry.stamp_ns, pose)) else { return Ok(None) };
+        if stamp_ns == odometry.stamp_ns {
+            return Ok(None);
+        }
+        let (ahead, left) = rotated(-before[2], pose[0] - before[0], pose[1] - before[1]);
+        let turn = wrapped(pose[2] - before[2]);
+        let anew = odometry.stamp_ns < stamp_ns || libm::hypot(ahead, left) > JUMP.0 || turn.abs() > JUMP.1;
+        let Some(state) = self.state.as_mut().filter(|_| !anew) else { return Ok(None) };
+        state.advance([ahead, left, turn], self.config.drift);
+        let state = *state;
+        self.past.push_back((now, state.pose));
+        if self.past.len() > KEPT {
+            self.past.pop_front();
+        }
+        if now.since(self.corrected) > Span::from_secs(self.config.alone_s) {
+            return Ok(None);
+        }
+        let velocity = odometry.twist.velocity;
+        let (vx, vy) = rotated(state.pose[2] - pose[2], f64::from(velocity.x), f64::from(velocity.y));
+        let mut reading = odometry.clone();
+        reading.pose.position = Vec2::new(state.pose[0] as f32, state.pose[1] as f32);
+        reading.pose.heading = Some(wrapped(state.pose[2]) as f32);
+        reading.twist.velocity = Vec2::new(vx as f32, vy as f32);
+        let variance = (state.covariance[0][0] + state.covariance[1][1]) / 2.0;
+        reading.deviation.position_m = Some(variance.sqrt() as f32);
+        reading.deviation.heading_rad = Some(state.covariance[2][2].sqrt() as f32);
+        Ok(Some(reading))
+    }
+
+    /// Corrects the pose by a reading of the source.
+    fn correct(&mut self, now: Time, reading: &Reading) -> Result<(), &'static str> {
+        let measured = [f64::from(reading.pose.position.x), f64::from(reading.pose.position.y)];
+        let heading = reading.pose.heading.map(f64::from);
+        let deviation = &reading.deviation;
+        let position_m = deviation.position_m.map_or(POSITION_M.0, f64::from).max(POSITION_M.1);
+        let heading_rad = deviation.heading_rad.map_or(MEASURED_RAD, f64::from).max(POSITION_M.1);
+        let Some(state) = &mut self.state else {
+            let (first, deviation) = match (heading, self.config.heading_rad) {
+                (Some(heading), _) => (heading, heading_rad),
+                (None, Some(heading)) => (heading, BY_HAND_RAD),
+                (None, None) => return Err("the source measures no heading: say it by hand, as fuse.heading_rad"),
+            };
+            let mut covariance = [[0.0; 3]; 3];
+            for (at, deviation) in [position_m, position_m, deviation].into_iter().enumerate() {
+                covariance[at][at] = deviation * deviation;
+            }
+            self.state = Some(State { pose: [measured[0], measured[1], first], covariance });
+            self.corrected = now;
+            return Ok(());
+        };
+        // The pose at the time of the measurement, less all corrections since.
+        let delay = Span::from_secs(self.config.delay_s);
+        let then = self.past.iter().rev().find(|(at, _)| now.since(*at) >= delay).or_else(|| self.past.front());
+        let then = then.map_or(state.pose, |(_, pose)| *pose);
+        let error = [measured[0] - then[0], measured[1] - then[1]];
+        let variance = position_m * position_m;
+        if state.distance(error, variance) > GATE {
+            self.outliers += 1;
+            if self.outliers < OUTLIERS {
+                return Err("a reading is far from where odometry can have brought the robot");
+            }
+            // The position is unknown, and so is whether the heading is right.
+            for (at, error) in [error[0], error[1], BY_HAND_RAD].into_iter().enumerate() {
+                state.covariance[at][at] += error * error;
+            }
+        }
+        self.outliers = 0;
+        let before = state.pose;
+        state.correct_position(error, variance);
+        if let Some(heading) = heading {
+            state.correct_heading(wrapped(heading - then[2] - (state.pose[2] - before[2])), heading_rad * heading_rad);
+        }
+        let moved: [f64; 3] = std::array::from_fn(|at| state.pose[at] - before[at]);
+        for (_, pose) in &mut self.past {
+            (0..3).for_each(|at| pose[at] += moved[at]);
+        }
+        self.corrected = now;
+        Ok(())
+    }
+}
+
+impl State {
+    /// Moves the pose by a motion in the robot's own frame \[m, m, rad\].
+    fn advance(&mut self, [ahead, left, turn]: [f64; 3], drift: f64) {
+        let [x, y, heading] = self.pose;
+        // At half the turn, as on an arc.
+        let (dx, dy) = rotated(heading + turn / 2.0, ahead, left);
+        self.pose = [x + dx, y + dy, heading + turn];
+        // Jacobian of the motion: the identity, but for the position by the heading.
+        let by_heading = [-dy, dx, 0.0];
+        let p = self.covariance;
+        let mut moved = p;
+        for row in 0..3 {
+            for column in 0..3 {
+                moved[row][column] = p[row][column]
+                    + by_heading[row] * p[2][column]
+                    + p[row][2] * by_heading[column]
+                    + by_heading[row] * p[2][2] * by_heading[column];
+            }
+        }
+        // A turn of 1 rad counts as 0.2 m of a wheel's way, about half the distance between two wheels.
+        let noise = drift * drift * (libm::hypot(ahead, left) + 0.2 * turn.abs());
+        (0..3).for_each(|at| moved[at][at] += noise);
+        self.covariance = moved;
+    }
+
+    /// Inverse of the covariance of a position's error, with the measurement's variance.
+    fn information(&self, variance: f64) -> [[f64; 2]; 2] {
+        let [[xx, xy, _], [_, yy, _], _] = self.covariance;
+        let (xx, yy) = (xx + variance, yy + variance);
+        let determinant = xx * yy - xy * xy;
+        [[yy / determinant, -xy / determinant], [-xy / determinant, xx / determinant]]
+    }
+
+    /// Squared Mahalanobis distance of a position's error.
+    fn distance(&self, error: [f64; 2], variance: f64) -> f64 {
+        let s = self.information(variance);
+        (0..2).map(|row| (0..2).map(|column| error[row] * s[row][column] * error[column]).sum::<f64>()).sum()
+    }
+
+    fn correct_position(&mut self, error: [f64; 2], variance: f64) {
+        let (s, p) = (self.information(variance), self.covariance);
+        let gain: [[f64; 2]; 3] =
+            std::array::from_fn(|row| std::array::from_fn(|at| p[row][0] * s[0][at] + p[row][1] * s[1][at]));
+        for row in 0..3 {
+            self.pose[row] += gain[row][0] * error[0] + gain[row][1] * error[1];
+            for column in 0..3 {
+                self.covariance[row][column] =
+                    p[row][column] - gain[row][0] * p[0][column] - gain[row][1] * p[1][column];
+            }
+        }
+    }
+
+    fn correct_heading(&mut self, error: f64, variance: f64) {
+        let p = self.covariance;
+        let gain: [f64; 3] = std::array::from_fn(|row| p[row][2] / (p[2][2] + variance));
+        for row in 0..3 {
+            self.pose[row] += gain[row] * error;
+            for column in 0..3 {
+                self.covariance[row][column] = p[row][column] - gain[row] * p[2][column];
+            }
+        }
+    }
+}
+
+/// A vector turned by an angle \[rad\].
+fn rotated(angle: f64, x: f64, y: f64) -> (f64, f64) {
+    let (sin, cos) = libm::sincos(angle);
+    (cos * x - sin * y, sin * x + cos * y)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::random::{RngExt, Seed};
+
+    fn config() -> Config {
+        Config { heading_rad: Some(0.0), delay_s: 0.0, drift: 0.05, alone_s: 1.0 }
+    }
+
+    fn reading(stamp_ms: u64, [x, y]: [f64; 2], heading: Option<f64>) -> Reading {
+        let motion = Motion { position: Vec2::new(x as f32, y as f32), velocity: Vec2::zeros() };
+        let mut reading = Reading::of_point(RobotId(0), stamp_ms * 1_000_000, motion);
+        reading.pose.heading = heading.map(|heading| wrapped(heading) as f32);
+        reading
+    }
+
+    /// Drives 400 s along curves. Wheels say 3 % too much way and turn 2 % too little, and the filter was told a
+    /// heading that is `off`. Returns the largest errors after the first 20 s: of odometry that was aligned exactly
+    /// [m], and of the fusion [m, rad].
+    fn drive(config: Config, off: f64) -> (f64, f64, f64) {
+        drive_with(config, off, (config.delay_s * 1e3).round() as u64)
+    }
+
+    /// Likewise, with readings that are so late [ms].
+    fn drive_with(config: Config, off: f64, late: u64) -> (f64, f64, f64) {
+        let (mut filter, mut stream) = (Filter::new(config), Seed::of_run(4).stream("fix"));
+        let (mut truth, mut wheels) = ([3.0, -2.0, 0.7 + off], [0.0_f64; 3]);
+        let mut old: VecDeque<[f64; 3]> = VecDeque::new();
+        let (mut alone, mut worst, mut worst_rad) = (0.0_f64, 0.0_f64, 0.0_f64);
+        for step in 0..20_000_u64 {
+            let (now, ms) = (Time::ZERO + Span::from_millis(20 * step), 20 * step);
+            let (speed, turn) = (0.4, 0.3 * libm::sin(step as f64 / 300.0) + 0.05);
+            let move_by = |pose: &mut [f64; 3], way: f64, turn: f64| {
+                let (dx, dy) = rotated(pose[2] + turn / 2.0, way, 0.0);
+                *pose = [pose[0] + dx, pose[1] + dy, pose[2] + turn];
+            };
+            move_by(&mut truth, 0.02 * speed, 0.02 * turn);
+            move_by(&mut wheels, 0.02 * speed * 1.03, 0.02 * turn * 0.98);
+            old.push_back(truth);
+            if old.len() as u64 > late / 20 + 1 {
+                old.pop_front();
+            }
+            let said = filter.advance(now, &reading(ms, [wheels[0], wheels[1]], Some(wheels[2]))).unwrap();
+            if let Some(said) = said {
+                let at = said.pose.position;
+                let error = libm::hypot(f64::from(at.x) - truth[0], f64::from(at.y) - truth[1]);
+                if step > 1000 {
+                    let (x, y) = rotated(0.7 + off, wheels[0], wheels[1]);
+                    alone = alone.max(libm::hypot(x + 3.0 - truth[0], y - 2.0 - truth[1]));
+                    worst = worst.max(error);
+                    worst_rad = worst_rad.max(wrapped(f64::from(said.pose.heading.unwrap()) - truth[2]).abs());
+                }
+            }
+            if step % 5 == 0 {
+                let then = old[0];
+                let mut noise = || 0.02 * (stream.random_range(-1.7..1.7_f64));
+                let mut fix = reading(ms, [then[0] + noise(), then[1] + noise()], None);
+                fix.deviation.position_m = Some(0.02);
+                // Outliers are refused.
+                let _ = filter.correct(now, &fix);
+            }
+        }
+        (alone, worst, worst_rad)
+    }
+
+    #[test]
+    fn drift_is_bounded_and_the_heading_is_found_from_positions() {
+        let by_hand = Config { heading_rad: Some(0.7), delay_s: 0.1, ..config() };
+        let (alone, worst, worst_rad) = drive(by_hand, 0.3);
+        println!("odometry alone {alone:.2} m off, fused {worst:.3} m and {worst_rad:.3} rad at most");
+        assert!(alone > 0.5, "wheels drift: {alone}");
+        assert!(worst < 0.05 && worst_rad < 0.1, "the filter does not: {worst} m, {worst_rad} rad");
+    }
+
+    #[test]
+    fn the_delay_of_the_source_is_made_up_for() {
+        let told = Config { heading_rad: Some(0.7), delay_s: 0.1, ..config() };
+        let (_, known, _) = drive(told, 0.0);
+        let (_, ignored, _) = drive_with(Config { delay_s: 0.0, ..told }, 0.0, 100);
+        assert!(known < 0.05 && ignored > known + 0.015, "0.1 s at 0.4 m/s are 4 cm: {known}, {ignored}");
+    }
+
+    #[test]
+    fn without_the_source_a_robot_goes_on_for_a_while_and_then_has_no_reading() {
+        let mut filter = Filter::new(config());
+        let advance = |filter: &mut Filter, ms: u64| {
+            let now = Time::ZERO + Span::from_millis(ms);
+            filter.advance(now, &reading(ms, [0.001 * ms as f64, 0.0], Some(0.0))).unwrap()
+        };
+        assert_eq!(advance(&mut filter, 0), None);
+        assert_eq!(advance(&mut filter, 20), None, "nobody knows where it is");
+        filter.correct(Time::ZERO + Span::from_millis(30), &reading(30, [5.0, 5.0], None)).unwrap();
+        let said = advance(&mut filter, 40).unwrap();
+        assert!((said.pose.position - Vec2::new(5.02, 5.0)).norm() < 1e-5, "{said:?}");
+        assert!(advance(&mut filter, 1030).is_some() && advance(&mut filter, 1040).is_none());
+        filter.correct(Time::ZERO + Span::from_millis(1050), &reading(1050, [6.02, 5.0], None)).unwrap();
+        assert!(advance(&mut filter, 1060).is_some());
+    }
+
+    #[test]
+    fn an_outlier_is_refused_and_a_robot_that_was_carried_is_found_again() {
+        let mut filter = Filter::new(config());
+        let mut step = |ms: u64, x: f64| {
+            let now = Time::ZERO + Span::from_millis(ms);
+            filter.advance(now, &reading(ms, [0.0, 0.0], Some(0.0))).unwrap();
+            let refused = filter.correct(now, &reading(ms, [x, 0.0], None)).is_err();
+            (refused, filter.state.map(|state| state.pose[0]))
+        };
+        assert_eq!(step(0, 1.0), (false, Some(1.0)));
+        assert_eq!(step(100, 3.0), (true, Some(1.0)), "no robot is that fast");
+        assert!(!step(200, 1.01).0);
+        let refused = (3..30).filter(|at| step(100 * at, 3.0).0).count();
+        assert_eq!(refused, 9);
+        assert!((step(3000, 3.0).1.unwrap() - 3.0).abs() < 0.1, "it was carried");
+    }
+
+    #[test]
+    fn settings_are_of_any_source_and_a_wrong_one_is_named() {
+        let settings = |table: &str| Settings { name: "odometry".to_owned(), table: table.parse().unwrap() };
+        let made = |table: &str| {
+            make(&settings(table), &[RobotId(0), RobotId(1)], |rest, _| {
+                assert!(!rest.table.contains_key(TABLE), "the source does not know it");
+                crate::localization::odometry::make(rest, &[RobotId(0), RobotId(1)])
+            })
+        };
+        assert!(made("").is_ok() && made("fuse = { heading_rad = 0.0 }").is_ok());
+        assert!(made("robot.1 = { fuse = { delay_s = 0.1 }, yaw_rad = 1.0 }").is_ok());
+        for (table, field) in [
+            ("fuse = 3", "fuse"),
+            ("fuse = { delay_s = 2.0 }", "fuse.delay_s"),
+            ("fuse = { drift = 0.0 }", "fuse.drift"),
+            ("fuse = { heading_rad = 90.0 }", "fuse.heading_rad"),
+            ("fuse = { alone_s = 0.0 }", "fuse.alone_s"),
+            ("fuse = { wheels = 4 }", "fuse"),
+        ] {
+            let error = made(table).err().expect(table).to_string();
+            assert!(error.starts_with(field), "{error}");
+        }
+    }
+}

@@ -1,0 +1,110 @@
+"""What five ROS 2 robots apply after something has died: the time until robot 0 stands, at random moments.
+
+    python3 freezes.py MURMURATE CASE [MOMENTS]
+
+CASE: kill, halt (the host of robot 0, with its agent), freeze, lost, stamp (a tracker at 100 Hz), odometry (at 10 Hz).
+Prints one line of JSON: the moments, the median and the worst time [ms]. Exit code 1 if a bar is missed.
+"""
+
+import json
+import os
+import pathlib
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+BARS_MS = {"kill": 250, "halt": 250, "freeze": 250, "lost": 250, "stamp": 250, "odometry": 400}
+STARTS = ["/r0=-1.2,-2", "/r1=-0.6,-2", "/r2=0,-2", "/r3=0.6,-2", "/r4=1.2,-2"]
+
+
+def team_file(case, folder):
+    """The team file of the tutorial, with the tracker or the slow odometry of a case, and episodes without end."""
+    text = (ROOT / "teams" / "ros2.toml").read_text().replace("episodes = 8", "episodes = 100000")
+    if case in ("freeze", "lost", "stamp"):
+        text = text.replace('source = { name = "odometry" }\n', "")
+        lines = [line for line in text.splitlines() if not line.startswith("localizes")]
+        text = "\n".join(lines).replace(
+            "state_server = true",
+            'localizes = [0, 1, 2, 3, 4]\nstate_server = true\nsource = { name = "ros2", interface = "lo" }',
+        )
+    if case == "odometry":
+        text = text.replace("[deployment.body]", "[deployment.body]\nheading_age_s = 0.25")
+        text = text.replace("[link.air]", "[safety]\nown_state_s = 0.25\n\n[link.air]")
+    path = folder / "team.toml"
+    path.write_text(text)
+    return path
+
+
+def main():
+    program, case = sys.argv[1], sys.argv[2]
+    moments = int(sys.argv[3]) if len(sys.argv) > 3 else 20
+    folder = pathlib.Path(tempfile.mkdtemp(prefix="freezes-"))
+    team = team_file(case, folder)
+    log = folder / "applied"
+    options = ["--tracker-hz", "100"] if case in ("freeze", "lost", "stamp") else []
+    options += ["--odom-hz", "10"] if case == "odometry" else []
+    options += ["--fault", case] if case not in ("kill", "halt") else []
+    robots = subprocess.Popen([sys.executable, HERE / "robots.py", "--log", log, *options, *STARTS])
+
+    def start(name):
+        return subprocess.Popen([program, "host", team, "--host", name], stdout=subprocess.DEVNULL, stderr=errors)
+
+    def speeds(since):
+        with open(f"{log}.0") as lines:
+            lines.seek(max(0, os.path.getsize(f"{log}.0") - 4000))
+            lines.readline()
+            for line in lines:
+                fields = line.split()
+                if len(fields) == 2 and float(fields[0]) >= since:
+                    yield float(fields[0]), float(fields[1])
+
+    errors = open(folder / "hosts.log", "w")
+    hosts = {}
+    times, applied_again = [], 0
+    try:
+        time.sleep(3)
+        hosts = {name: start(name) for name in ["pc", *(f"robot-{robot}" for robot in range(5))]}
+        began = time.monotonic()
+        while len(times) < moments:
+            if time.monotonic() - began > 60 + 30 * moments:
+                sys.exit(f"the robots do not move: see {folder}")
+            recent = [speed for _, speed in speeds(time.monotonic() - 0.3)]
+            if len(recent) < 10 or min(recent) < 0.1:
+                time.sleep(0.02)
+                continue
+            time.sleep(random.random() * 0.1)
+            at = time.monotonic()
+            {
+                "kill": lambda: hosts["robot-0"].kill(),
+                "halt": lambda: hosts["robot-0"].send_signal(signal.SIGSTOP),
+            }.get(case, lambda: robots.send_signal(signal.SIGUSR1))()
+            time.sleep(1.0)
+            after = list(speeds(at))
+            moving = [when for when, speed in after if speed > 0]
+            times.append((moving[-1] - at + 0.02) * 1e3 if moving else 0.0)
+            if case == "kill":
+                hosts["robot-0"].wait()
+                hosts["robot-0"] = start("robot-0")
+            elif case == "halt":
+                hosts["robot-0"].send_signal(signal.SIGCONT)
+            else:
+                robots.send_signal(signal.SIGUSR2)
+            time.sleep(1.0)
+    finally:
+        for host in hosts.values():
+            host.terminate()
+        robots.kill()
+    worst = max(times)
+    result = {"case": case, "moments": moments, "median_ms": statistics.median(times), "worst_ms": worst}
+    print(json.dumps({key: round(value, 1) if isinstance(value, float) else value for key, value in result.items()}))
+    sys.exit(0 if worst <= BARS_MS[case] else 1)
+
+
+HERE = pathlib.Path(__file__).resolve().parent
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""The robots of examples/ros2_robots.py, with a log of the velocity that each applies, and with faults on demand.
+
+    python3 robots.py --log FILE [--odom-hz 50] [--tracker-hz 0] [--fault KIND] /r0=-1,-2 ...
+
+The log has a line for each robot and step: time [s], robot, speed [m/s]. SIGUSR1 begins the fault of the first robot
+(of all robots, if the tracker freezes), SIGUSR2 ends it. Kinds: odometry (no more Odometry), freeze (the tracker says
+nothing), lost (it leaves out the robot), stamp (it repeats its last message).
+"""
+
+import argparse
+import importlib.util
+import math
+import pathlib
+import signal
+import time
+
+import rclpy
+from geometry_msgs.msg import PoseStamped, Twist
+from rclpy.executors import SingleThreadedExecutor
+
+HERE = pathlib.Path(__file__).resolve()
+spec = importlib.util.spec_from_file_location("ros2_robots", HERE.parents[3] / "examples" / "ros2_robots.py")
+ros2_robots = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(ros2_robots)
+
+
+class Measured(ros2_robots.Robot):
+    """A robot with its log, its faults and a tracker."""
+
+    def __init__(self, number, start, options):
+        super().__init__(*start)
+        self.number, self.options, self.faulty = number, options, False
+        self.log = open(f"{options.log}.{number}", "w")
+        self.said, self.publish = 0.0, self.odometry.publish
+        self.odometry.publish = self.rarely
+        if options.tracker_hz:
+            self.tracker = self.create_publisher(PoseStamped, "pose", 10)
+            self.last = None
+            self.create_timer(1 / options.tracker_hz, self.track)
+
+    def rarely(self, message):
+        """Publishes odometry at its own rate."""
+        now = time.monotonic()
+        if now - self.said >= 1 / self.options.odom_hz - 0.005 and not (self.faulty and self.options.fault == "odometry"):
+            self.said = now
+            self.publish(message)
+
+    def step(self):
+        super().step()
+        moves = time.monotonic() - self.told < ros2_robots.WATCHDOG_S
+        twist = self.command if moves else Twist()
+        speed = math.hypot(twist.linear.x, twist.linear.y)
+        self.log.write(f"{time.monotonic():.4f} {speed:.4f}\n")
+        self.log.flush()
+
+    def track(self):
+        if self.faulty and self.options.fault in ("freeze", "lost"):
+            return
+        if not (self.faulty and self.options.fault == "stamp"):
+            x, y, yaw = self.pose
+            self.last = PoseStamped()
+            self.last.header.stamp, self.last.header.frame_id = self.get_clock().now().to_msg(), "map"
+            self.last.pose.position.x, self.last.pose.position.y = x, y
+            self.last.pose.orientation.z, self.last.pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+        self.tracker.publish(self.last)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--log", required=True)
+    parser.add_argument("--odom-hz", type=float, default=50)
+    parser.add_argument("--tracker-hz", type=float, default=0)
+    parser.add_argument("--fault", choices=["odometry", "freeze", "lost", "stamp"])
+    parser.add_argument("robots", nargs="+", metavar="NAMESPACE=X,Y[,YAW]")
+    options = parser.parse_args()
+    rclpy.init(args=[])
+    executor, team = SingleThreadedExecutor(), []
+    for number, argument in enumerate(options.robots):
+        namespace, start = argument.split("=")
+        team.append(Measured(number, (namespace, *map(float, start.split(","))), options))
+        executor.add_node(team[-1])
+
+    def fault(begins):
+        for robot in team if options.fault == "freeze" else team[:1]:
+            robot.faulty = begins
+
+    signal.signal(signal.SIGUSR1, lambda *_: fault(True))
+    signal.signal(signal.SIGUSR2, lambda *_: fault(False))
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+        pass
+
+
+if __name__ == "__main__":
+    main()
