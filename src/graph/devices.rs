@@ -1,4 +1,5 @@
-//! Drivers, sources and observation of one process, made from the deployment. Their workers run on threads of their own.
+//! Drivers, sources and observation of one process, made from the deployment. Their workers run on threads of their
+//! own.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;

@@ -81,9 +81,9 @@ fn has(lines: &[String], words: &[&str]) {
     assert!(lines.iter().any(|line| words.iter().all(|word| line.contains(word))), "{words:?} in {lines:#?}");
 }
 
-/// Runs a test of several cases, three at a time: they mostly wait.
+/// Runs a test of several cases, four at a time: they mostly wait.
 fn side_by_side<T: Sync>(cases: &[T], test: impl Fn(&T) + Sync) {
-    for some in cases.chunks(3) {
+    for some in cases.chunks(4) {
         std::thread::scope(|scope| some.iter().for_each(|case| drop(scope.spawn(|| test(case)))));
     }
 }
