@@ -70,6 +70,12 @@ pub struct Settings {
     /// Age of a heading from which the robot stands \[s\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub heading_age_s: Option<f64>,
+    /// Charge of the battery at which the robot stands, 0 to 1 (`safety::hardware`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub battery_least: Option<f32>,
+    /// Temperature at which the robot stands \[°C\] (likewise).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub temperature_most_c: Option<f32>,
 }
 
 /// The way a robot moves, and its limits.
@@ -124,6 +130,8 @@ impl Settings {
             wheel_speed_m_s: self.wheel_speed_m_s.or(all.wheel_speed_m_s),
             track_m: self.track_m.or(all.track_m),
             heading_age_s: self.heading_age_s.or(all.heading_age_s),
+            battery_least: self.battery_least.or(all.battery_least),
+            temperature_most_c: self.temperature_most_c.or(all.temperature_most_c),
         }
     }
 

@@ -2,7 +2,8 @@
 //! beside the World that simulates it.
 //!
 //! A Body stops its motors when the last command expires, whichever actor upstream has crashed. It also follows the
-//! emergency stop by itself, so a command that is delivered after a stop moves no robot. Nothing bypasses it.
+//! emergency stop by itself, so a command that is delivered after a stop moves no robot. It stands while the battery or
+//! the temperature is beyond its limit. Nothing bypasses it.
 
 use crate::actor::Core;
 use crate::chassis::Chassis;
@@ -11,7 +12,8 @@ use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::{Latch, LatchFollower};
 use crate::messages::local::Drive;
-use crate::messages::wire::{Health, MotorCommand, Reading, Stop};
+use crate::messages::wire::{Hardware, Health, MotorCommand, Reading, Stop};
+use crate::safety::hardware::{HardwareLimits, HardwareWatch, Permit};
 use crate::time::{Span, Time};
 
 /// Shortest period at which a Body corrects a state server that lacks a stop.
@@ -49,8 +51,10 @@ pub enum Out {
     Send(Box<[u8]>),
     /// Pose and velocity that the robot has measured itself, for the source of its host.
     Odometry(Reading),
-    /// Condition of the robot and charge of its battery \[%\], for the host's Status.
-    Condition(Health, Option<u8>),
+    /// Condition of the robot, for the host's Status and for its results.
+    Condition(Hardware),
+    /// Whether battery and temperature permit motion, after a change, for the Controller of the same host.
+    Permit(Permit),
     /// Latch that the Body follows, for the host's Status.
     Follows(Latch),
     /// Stop for the whole team: the state server has lost one.
@@ -69,6 +73,9 @@ pub struct Body {
     heading: Option<(Time, f32)>,
     /// Command in force of a robot that is not simulated, and the time at which the driver last got it.
     driven: Option<(Drive, Time)>,
+    hardware: HardwareWatch,
+    /// Whether it was said that a value with a limit is not known.
+    warned: bool,
     /// Number of packets from the driver's worker that were not understood.
     refused: u64,
     /// Expiry of the command in force.
@@ -91,6 +98,8 @@ impl Body {
             chassis,
             heading: None,
             driven: None,
+            hardware: HardwareWatch::new(HardwareLimits::default()),
+            warned: false,
             refused: 0,
             expires: None,
             latch: LatchFollower::default(),
@@ -99,13 +108,48 @@ impl Body {
         }
     }
 
-    /// Whether its motors may turn: the state server was heard, no stop is engaged or held, and its host is not
-    /// leaving.
+    /// Returns the body with limits of its battery and its temperature.
+    pub fn limited(self, limits: HardwareLimits) -> Body {
+        Body { hardware: HardwareWatch::new(limits), ..self }
+    }
+
+    /// Whether its motors may turn: the state server was heard, no stop is engaged or held, its host is not leaving,
+    /// and its hardware permits it.
     fn may_move(&self) -> bool {
-        self.latch.is_informed() && self.latch.latch().is_clear() && !self.leaves
+        let permit = self.hardware.permit() == Permit::Granted;
+        self.latch.is_informed() && self.latch.latch().is_clear() && !self.leaves && permit
+    }
+
+    /// Takes the condition that the driver reports, and stands if it is beyond a limit.
+    fn condition(&mut self, now: Time, hardware: Hardware, out: &mut Vec<Out>) {
+        let before = self.hardware.permit();
+        self.hardware.take(&hardware);
+        let permit = self.hardware.permit();
+        out.push(Out::Condition(self.hardware.judged(hardware)));
+        if permit == before {
+            return;
+        }
+        match self.hardware.reason() {
+            Some(reason) => tracing::error!("{} stands: {reason}", self.robot),
+            None if before == Permit::Withdrawn => tracing::warn!("{} may move again: its values are good", self.robot),
+            None => {}
+        }
+        out.push(Out::Permit(permit));
+        if permit == Permit::Withdrawn {
+            self.stand(now, out);
+        }
+    }
+
+    /// Says once that the robot is commanded to move while a value with a limit is not known.
+    fn warn_unknown(&mut self, command: &MotorCommand) {
+        let unknown = self.hardware.permit() == Permit::Unknown && command.velocity != Vec2::zeros();
+        if unknown && !std::mem::replace(&mut self.warned, true) {
+            tracing::error!("{} stands: {}", self.robot, self.hardware.reason().unwrap_or_default());
+        }
     }
 
     fn obey(&mut self, now: Time, command: &MotorCommand, out: &mut Vec<Out>) {
+        self.warn_unknown(command);
         // Cap the speed at the robot's limit; the direction stays.
         let most = self.driver.limits().speed_m_s;
         let velocity = if self.may_move() { command.velocity.cap_magnitude(most) } else { Vec2::zeros() };
@@ -126,7 +170,7 @@ impl Body {
         let moves = drive.velocity != Vec2::zeros() && heading.is_some();
         self.driven = moves.then_some((drive, now));
         self.driver.drive(now, &Command { drive, body }, &mut self.outputs);
-        self.forward(out);
+        self.forward(now, out);
     }
 
     /// Takes a measured heading; a robot that moves is driven by it at once.
@@ -147,13 +191,13 @@ impl Body {
         self.driven.map(|_| arrived + self.chassis.heading_age + Span::from_nanos(1))
     }
 
-    fn forward(&mut self, out: &mut Vec<Out>) {
-        for output in self.outputs.drain(..) {
+    fn forward(&mut self, now: Time, out: &mut Vec<Out>) {
+        for output in std::mem::take(&mut self.outputs) {
             match output {
                 drivers::Out::Drive(drive) => out.push(Out::Drive(drive)),
                 drivers::Out::Send(packet) => out.push(Out::Send(packet)),
                 drivers::Out::Odometry(reading) => out.push(Out::Odometry(reading)),
-                drivers::Out::Condition(health, battery) => out.push(Out::Condition(health, battery)),
+                drivers::Out::Condition(hardware) => self.condition(now, hardware, out),
                 drivers::Out::Refused(why) => {
                     self.refused += 1;
                     // Log the counts 1, 2, 4, 8, ...: a broken robot may send nothing else.
@@ -192,11 +236,12 @@ impl Core for Body {
             In::Reading(reading) => self.measured(now, &reading, out),
             In::WorkerEnded => {
                 tracing::error!("the driver of {} has ended: the robot cannot move; restart the host", self.robot);
-                out.push(Out::Condition(Health::Silent, None));
+                let ended = Hardware::of(Health::Silent).because("its driver has ended; restart the host");
+                self.condition(now, ended, out);
             }
             In::Packet(packet) => {
                 self.driver.receive(now, &packet, &mut self.outputs);
-                self.forward(out);
+                self.forward(now, out);
             }
             In::Stop(stop) => {
                 let changed = self.latch.apply(stop.latch);
@@ -235,7 +280,7 @@ impl Core for Body {
         }
         if self.driver.wake_at().is_some_and(|at| at <= now) {
             self.driver.wake(now, &mut self.outputs);
-            self.forward(out);
+            self.forward(now, out);
         }
     }
 }
@@ -347,6 +392,47 @@ mod tests {
         assert_eq!(body.wake_at(), Some(expiry));
         body.wake(expiry, &mut Vec::new());
         assert_eq!((driven.take(), body.wake_at()), (vec![Some(0.0)], None));
+    }
+
+    /// Driver whose packets are the charge of the battery \[%\].
+    struct Charged;
+
+    impl Driver for Charged {
+        fn limits(&self) -> drivers::Limits {
+            drivers::Limits { speed_m_s: f32::INFINITY }
+        }
+
+        fn drive(&mut self, _: Time, command: &Command, out: &mut Vec<drivers::Out>) {
+            out.push(drivers::Out::Drive(command.drive));
+        }
+
+        fn receive(&mut self, _: Time, packet: &[u8], out: &mut Vec<drivers::Out>) {
+            let battery = packet.first().copied();
+            out.push(drivers::Out::Condition(Hardware { battery, ..Hardware::of(Health::Ready) }));
+        }
+    }
+
+    #[test]
+    fn a_flat_battery_stops_the_robot_and_refuses_to_start_it() {
+        let limits = HardwareLimits { battery_least: Some(20), ..HardwareLimits::default() };
+        let mut body = Body::new((HostId(3), RobotId(0)), Box::new(Charged), Chassis::default()).limited(limits);
+        handle(&mut body, 0, In::Latch(Latch::default()));
+        assert_eq!(driven(&mut body, 0), 0.0, "the charge is not known yet");
+        let charge = |body: &mut Body, ms, percent: u8| handle(body, ms, In::Packet([percent].into()));
+        let known = charge(&mut body, 10, 60);
+        assert!(matches!(&known[..], [Out::Condition(_), Out::Permit(Permit::Granted)]), "{known:?}");
+        assert_eq!(driven(&mut body, 20), 1.0);
+        let low = charge(&mut body, 30, 20);
+        let [Out::Condition(hardware), Out::Permit(Permit::Withdrawn), Out::Drive(drive)] = &low[..] else {
+            panic!("{low:?}")
+        };
+        assert_eq!((hardware.health, drive.velocity), (Health::Faulty, Vec2::zeros()));
+        assert!(hardware.reason.as_ref().unwrap().text().starts_with("battery 20 %"), "{hardware:?}");
+        assert_eq!(driven(&mut body, 40), 0.0);
+        charge(&mut body, 50, 29);
+        assert_eq!(driven(&mut body, 60), 0.0, "it recovers while its motors are off");
+        charge(&mut body, 70, 95);
+        assert_eq!(driven(&mut body, 80), 1.0, "it was charged");
     }
 
     #[test]

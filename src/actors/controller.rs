@@ -11,6 +11,7 @@ use crate::messages::local::{Action, Progress};
 use crate::messages::round::RoundFollower;
 use crate::messages::wire::{Heartbeat, Mode, MotorCommand, Phase, Stop};
 use crate::safety::guard::{self, Decision, Granted, Guard, SafetyCounts};
+use crate::safety::hardware::Permit;
 use crate::time::{Span, Time};
 
 /// Period of a robot's heartbeats.
@@ -27,6 +28,8 @@ pub enum In {
     Mode(Mode),
     /// Emergency stop: engaged or re-armed.
     Stop(Stop),
+    /// Whether battery and temperature permit motion.
+    Permit(Permit),
     /// Its host is shutting down.
     Leave,
 }
@@ -185,6 +188,12 @@ impl Core for Controller {
                 let changed = self.guard.apply_stop(&stop);
                 self.latched(now, changed, out);
                 out.push(Out::Follows(self.guard.latch()));
+            }
+            In::Permit(permit) => {
+                self.guard.hardware(permit);
+                if permit == Permit::Withdrawn {
+                    self.give_up(out);
+                }
             }
             In::Leave => {
                 self.leaves = true;
@@ -358,6 +367,22 @@ mod tests {
         assert_eq!(commanded(&mut controller, In::Leave), Some(0.0));
         commanded(&mut controller, mode(1, Phase::Running));
         assert_eq!(commanded(&mut controller, action(1, Phase::Running, 1.0, Progress::Underway)), Some(0.0));
+    }
+
+    #[test]
+    fn a_flat_battery_gives_the_episode_up_and_stops_the_robot_while_it_lasts() {
+        let mut controller = controller();
+        commanded(&mut controller, mode(0, Phase::Running));
+        let go = |episode| action(episode, Phase::Running, 1.0, Progress::Underway);
+        assert_eq!(commanded(&mut controller, In::Permit(Permit::Unknown)), None);
+        assert_eq!(commanded(&mut controller, go(0)), Some(1.0));
+        assert_eq!(commanded(&mut controller, In::Permit(Permit::Withdrawn)), Some(0.0));
+        assert_eq!((controller.own, controller.guard.counts().hardware), (Phase::AbortRunning, 1));
+        commanded(&mut controller, mode(1, Phase::Running));
+        assert_eq!(commanded(&mut controller, go(1)), Some(0.0));
+        commanded(&mut controller, In::Permit(Permit::Granted));
+        commanded(&mut controller, mode(2, Phase::Running));
+        assert_eq!(commanded(&mut controller, go(2)), Some(1.0));
     }
 
     /// The instruction `mode` from a state server that knows this latch.

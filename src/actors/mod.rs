@@ -12,4 +12,6 @@ pub mod order;
 pub mod recorder;
 pub mod state_server;
 pub mod status;
+pub mod verdict;
+pub mod wiggle;
 pub mod world;

@@ -11,7 +11,7 @@ use crate::actor::Core;
 use crate::messages::geometry::Pose;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{self, Condition, Following, Health, Leading, MAX_BLOCK, Phase, Seen, Stop, Telemetry};
+use crate::messages::wire::{self, Condition, Following, Hardware, Leading, MAX_BLOCK, Phase, Seen, Stop, Telemetry};
 use crate::time::{Span, Time};
 
 /// Wait for the host's actors to react to an operator's message.
@@ -29,9 +29,11 @@ const STALE: Span = Span::from_millis(500);
 const OBSERVER_TIMEOUT: Span = Span::from_millis(2500);
 /// Period of telemetry for one robot, and for several. A host's telemetry takes less than 330 bytes a second, tag
 /// included: what the budget of soft state leaves in a team of 50 (docs/wire.md).
-const TELEMETRY_PERIODS: [Span; 2] = [Span::from_millis(200), Span::from_millis(300)];
+const TELEMETRY_PERIODS: [Span; 2] = [Span::from_millis(250), Span::from_millis(300)];
 /// Largest number of robots in one telemetry message; more robots take turns.
 const ROBOTS_PER_MESSAGE: usize = 2;
+/// Period of reasons of faults, of all robots of a host together. The pause after one is doubled, for the same budget.
+const REASON_PERIOD: Span = Span::from_millis(1000);
 
 /// Input of a Status.
 #[derive(Clone, Debug)]
@@ -50,8 +52,8 @@ pub enum In {
     Leading(Leading),
     /// Phase of the team.
     Mode(Phase),
-    /// Condition of a robot of this host, and charge of its battery \[%\].
-    Condition(RobotId, Health, Option<u8>),
+    /// Condition of the hardware of a robot of this host.
+    Condition(RobotId, Hardware),
     /// Message of an observer.
     Observe,
     /// The host is shutting down.
@@ -73,11 +75,13 @@ pub struct Config {
 type Stamped<T> = (Time, T);
 
 /// Telemetry of one robot.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct RobotTelemetry {
     seen: Option<Stamped<Pose>>,
     phase: Option<Phase>,
-    condition: Option<(Health, Option<u8>)>,
+    hardware: Option<Hardware>,
+    /// Time at which the reason of its fault was last sent.
+    reason_sent: Option<Time>,
 }
 
 /// Output of a Status.
@@ -109,6 +113,8 @@ pub struct Status {
     /// Time of the next telemetry message, and its first robot.
     next_telemetry: Time,
     next_robot: usize,
+    /// Earliest time of the next reason of a fault.
+    next_reason: Time,
 }
 
 impl Status {
@@ -129,6 +135,7 @@ impl Status {
             observed_until: None,
             next_telemetry: Time::ZERO,
             next_robot: 0,
+            next_reason: Time::ZERO,
         }
     }
 
@@ -142,16 +149,21 @@ impl Status {
     /// Sends telemetry of the next robots in turn.
     fn send_telemetry(&mut self, now: Time, out: &mut Vec<Out>) {
         let count = self.robots.len();
-        let places = (0..count.min(ROBOTS_PER_MESSAGE)).map(|nth| (self.next_robot + nth) % count);
+        let first = self.next_robot;
+        let places = (0..count.min(ROBOTS_PER_MESSAGE)).map(move |nth| (first + nth) % count);
+        let explained = self.explain(now, places.clone());
         let condition = |place: usize| {
-            let RobotTelemetry { seen, phase, condition } = self.telemetry[place];
+            let RobotTelemetry { seen, phase, ref hardware, .. } = self.telemetry[place];
+            let hardware = hardware.as_ref();
             let age_ms = |at: Time| u32::try_from(now.since(at).as_nanos() / 1_000_000).unwrap_or(u32::MAX);
             Condition {
                 robot: self.robots[place],
                 phase,
                 seen: seen.map(|(at, pose)| Seen { pose, age_ms: age_ms(at) }),
-                health: condition.map(|(health, _)| health),
-                battery: condition.and_then(|(_, battery)| battery),
+                health: hardware.map(|hardware| hardware.health),
+                battery: hardware.and_then(|hardware| hardware.battery),
+                temperature: hardware.and_then(|hardware| hardware.temperature),
+                reason: hardware.filter(|_| explained == Some(place)).and_then(|hardware| hardware.reason.clone()),
             }
         };
         let robots: Vec<Condition> = places.map(condition).collect();
@@ -159,7 +171,18 @@ impl Status {
             out.push(Out::Telemetry(Telemetry { host: self.host, robots }));
         }
         self.next_robot = (self.next_robot + ROBOTS_PER_MESSAGE.min(count)) % count.max(1);
-        self.next_telemetry = now + TELEMETRY_PERIODS[usize::from(count > 1)];
+        let period = TELEMETRY_PERIODS[usize::from(count > 1)];
+        self.next_telemetry = if explained.is_some() { now + period + period } else { now + period };
+    }
+
+    /// Returns the robot whose fault this message explains, of those at `places`: the one that has waited longest.
+    fn explain(&mut self, now: Time, places: impl Iterator<Item = usize>) -> Option<usize> {
+        let faulty = |place: &usize| self.telemetry[*place].hardware.as_ref().is_some_and(|h| h.reason.is_some());
+        let next = places.filter(faulty).min_by_key(|place| self.telemetry[*place].reason_sent);
+        let next = next.filter(|_| self.next_reason <= now)?;
+        self.telemetry[next].reason_sent = Some(now);
+        self.next_reason = now + REASON_PERIOD;
+        Some(next)
     }
 
     /// Plans a message after `wait`, or one `period` after the last one if that is later.
@@ -217,9 +240,7 @@ impl Core for Status {
             }
             In::Seen(robot, pose) => self.update(robot, |telemetry| telemetry.seen = Some((now, pose))),
             In::Phase(robot, phase) => self.update(robot, |telemetry| telemetry.phase = Some(phase)),
-            In::Condition(robot, health, battery) => {
-                self.update(robot, |telemetry| telemetry.condition = Some((health, battery)));
-            }
+            In::Condition(robot, hardware) => self.update(robot, |telemetry| telemetry.hardware = Some(hardware)),
             In::Observe => {
                 if self.observed_until.is_none() {
                     self.next_telemetry = now.max(self.next_telemetry);
@@ -254,7 +275,7 @@ impl Core for Status {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::messages::wire::Wire;
+    use crate::messages::wire::{Health, Wire};
     use crate::net::protocol::codec::{self, Flags, Header};
 
     fn at_ms(ms: u64) -> Time {
@@ -283,7 +304,8 @@ mod tests {
         let pose = |x: f32| Pose { position: crate::messages::geometry::Vec2::new(x, 0.0), heading: Some(0.5) };
         handle(&mut status, 900, In::Seen(RobotId(1), pose(7.0)));
         handle(&mut status, 900, In::Phase(RobotId(1), Phase::Running));
-        handle(&mut status, 900, In::Condition(RobotId(2), Health::Faulty, Some(12)));
+        let faulty = Hardware { battery: Some(12), ..Hardware::of(Health::Faulty) };
+        handle(&mut status, 900, In::Condition(RobotId(2), faulty));
         handle(&mut status, 900, In::Seen(RobotId(9), pose(1.0)));
         assert_eq!(status.wake_at(), None, "there is no observer");
         handle(&mut status, 1000, In::Observe);
@@ -303,11 +325,44 @@ mod tests {
         let message = Wire::Telemetry(Telemetry { host: HostId(4), robots: told[0].1.clone() });
         let bytes = codec::encode(&header, &message).unwrap().len() + codec::TAG_BYTES;
         assert!(bytes * 10 / 3 < 330, "{bytes} bytes a telling");
-        let one = told[0].1[1];
+        let one = &told[0].1[1];
         assert_eq!((one.phase, one.seen), (Some(Phase::Running), Some(Seen { pose: pose(7.0), age_ms: 100 })));
-        let unknown = told[0].1[0];
+        let unknown = &told[0].1[0];
         assert_eq!((unknown.phase, unknown.seen, unknown.health), (None, None, None), "unknown values stay unknown");
         assert_eq!((told[1].1[0].health, told[1].1[0].battery), (Some(Health::Faulty), Some(12)));
+    }
+
+    #[test]
+    fn reasons_of_faults_take_turns_within_the_budget() {
+        for robots in [1, 4] {
+            let mut status = host(robots);
+            for robot in 0..robots {
+                let why = format!("{robot}{}", "x".repeat(79));
+                let hardware = Hardware { battery: Some(100), ..Hardware::of(Health::Faulty).because(&why) };
+                let hardware = Hardware { temperature: wire::Celsius::of(99.0), ..hardware };
+                handle(&mut status, 0, In::Condition(RobotId(robot), hardware));
+                handle(&mut status, 0, In::Seen(RobotId(robot), Pose { heading: Some(1.0), ..Pose::default() }));
+            }
+            let header = Header { flags: Flags(0), team: 7, sender: HostId(4), incarnation: 1, sequence: u32::MAX };
+            let (mut bytes, mut reasons) = (0, std::collections::BTreeMap::new());
+            for second in 0..10 {
+                handle(&mut status, 1000 * second, In::Observe);
+                while let Some(due) = status.wake_at().filter(|due| *due < at_ms(1000 * second + 1000)) {
+                    let mut out = Vec::new();
+                    status.wake(due, &mut out);
+                    for out in out {
+                        let Out::Telemetry(telemetry) = out else { panic!("{out:?}") };
+                        for robot in telemetry.robots.iter().filter(|robot| robot.reason.is_some()) {
+                            *reasons.entry(robot.robot).or_insert(0) += 1;
+                        }
+                        bytes += codec::encode(&header, &Wire::Telemetry(telemetry)).unwrap().len() + codec::TAG_BYTES;
+                    }
+                }
+            }
+            assert!(bytes < 3300, "{robots} robots: {bytes} bytes in 10 s");
+            let all: u64 = reasons.values().sum();
+            assert!(reasons.len() == usize::from(robots) && (8..=10).contains(&all), "{robots} robots: {reasons:?}");
+        }
     }
 
     fn host(robots: u16) -> Status {

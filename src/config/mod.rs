@@ -51,6 +51,24 @@ pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     toml::from_str(text).map_err(|error| syntax(text, &error))
 }
 
+/// Reads a TOML table as a type; the error names the field and quotes no value.
+pub fn from_table<T: DeserializeOwned>(table: &toml::Table) -> Result<T, ConfigError> {
+    // A table has lost its lines: the parser names the field only of a text.
+    let text = toml::to_string(table).map_err(|_| ConfigError::Syntax("it is no TOML table".to_owned()))?;
+    toml::from_str(&text).map_err(|error: toml::de::Error| {
+        let why = unquoted(&error.message().replace('\n', ": "));
+        let before = error.span().map_or("", |span| &text[..span.start.min(text.len())]);
+        let line = text.lines().nth(before.matches('\n').count()).unwrap_or_default();
+        // The error of a missing field is at the beginning of its table, and names the field itself.
+        let missing = error.message().starts_with("missing field");
+        match field_of(line).trim_matches([' ', '(', ')']) {
+            "" => ConfigError::Syntax(why),
+            _ if missing => ConfigError::Syntax(why),
+            field => ConfigError::field(field, why),
+        }
+    })
+}
+
 /// Converts an error of the TOML parser, with line and column. The text may be a key by mistake: no value is quoted.
 pub fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
     let why = unquoted(&error.message().replace('\n', ": "));
@@ -166,6 +184,18 @@ mod tests {
     #[serde(rename_all = "kebab-case")]
     enum Kind {
         AdHoc,
+    }
+
+    #[test]
+    fn an_error_of_a_table_names_the_field() {
+        let error = |text: &str| from_table::<Table>(&text.parse().unwrap()).unwrap_err();
+        let wrong = ConfigError::field("kind", "unknown variant, expected `ad-hoc`");
+        assert_eq!(error("robots = 5\nkind = \"ad-hok\""), wrong);
+        assert!(matches!(error("robots = \"5\""), ConfigError::Field { field, .. } if field == "robots"));
+        assert!(matches!(error("robots = 5\nsize = 1"), ConfigError::Field { field, .. } if field == "size"));
+        assert_eq!(error("kind = \"ad-hoc\""), ConfigError::Syntax("missing field `robots`".to_owned()));
+        let error = error(&format!("robots = 5\nkind = \"{KEY}\"")).to_string();
+        assert!(!error.contains("0f1e2d3c"), "{error}");
     }
 
     #[test]

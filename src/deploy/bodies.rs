@@ -1,11 +1,12 @@
-//! Robots of a deployment that are not simulated, and the chassis of all.
+//! Robots of a deployment that are not simulated, the chassis of all, and the limits of their hardware.
 
 use std::rc::Rc;
 
 use super::{Deployment, Host};
-use crate::chassis::Chassis;
+use crate::chassis::{Chassis, Settings};
 use crate::config::ConfigError;
 use crate::messages::ids::RobotId;
+use crate::safety::hardware::HardwareLimits;
 use crate::world::{self, Placement};
 
 impl Deployment {
@@ -33,9 +34,17 @@ impl Deployment {
 
     /// Chassis of a robot of a checked deployment.
     pub fn chassis(&self, robot: RobotId) -> Chassis {
+        self.body_settings(robot).chassis().expect("a checked deployment has sound chassis")
+    }
+
+    /// Limits of the hardware of a robot of a checked deployment.
+    pub fn hardware_limits(&self, robot: RobotId) -> HardwareLimits {
+        HardwareLimits::of(&self.body_settings(robot)).expect("a checked deployment has sound limits")
+    }
+
+    fn body_settings(&self, robot: RobotId) -> Settings {
         let own = self.bodies.get(&robot.0.to_string());
-        let settings = own.map_or_else(|| self.body.clone(), |own| own.or(&self.body));
-        settings.chassis().expect("a checked deployment has sound chassis")
+        own.map_or_else(|| self.body.clone(), |own| own.or(&self.body))
     }
 
     /// Chassis of all robots of a checked deployment, by their numbers.
@@ -60,13 +69,14 @@ impl Deployment {
             let why = format!("there is no robot {number}; the team has 0 to {}", self.robots - 1);
             return Err(ConfigError::field("bodies", why));
         }
+        let check = |settings: &Settings| settings.chassis().and_then(|_| HardwareLimits::of(settings)).map(drop);
         self.bodies.iter().try_for_each(|(number, own)| {
-            own.or(&self.body).chassis().map(drop).map_err(|error| error.within(&format!("bodies.{number}")))
+            check(&own.or(&self.body)).map_err(|error| error.within(&format!("bodies.{number}")))
         })?;
         // Where every robot differs, what they have in common need not be complete.
         match self.bodies.len() == self.robots {
             true => Ok(()),
-            false => self.body.chassis().map(drop).map_err(|error| error.within("body")),
+            false => check(&self.body).map_err(|error| error.within("body")),
         }
     }
 }
@@ -93,7 +103,7 @@ impl Host {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chassis::{DriveKind, Settings};
+    use crate::chassis::DriveKind;
 
     #[test]
     fn a_robot_that_differs_takes_the_rest_from_all_and_wrong_ones_are_refused_by_name() {
@@ -106,6 +116,11 @@ mod tests {
         assert_eq!((first.drive, first.speed_m_s), (DriveKind::Holonomic, 0.3));
         assert_eq!((last.drive, last.speed_m_s), (DriveKind::Differential, 0.3));
         assert_eq!(Deployment::from_toml(&deployment.to_toml()), Ok(deployment.clone()));
+        deployment.body.battery_least = Some(0.2);
+        assert_eq!(deployment.hardware_limits(RobotId(2)).battery_least, Some(20));
+        deployment.bodies.insert("0".to_owned(), Settings { temperature_most_c: Some(999.0), ..Settings::default() });
+        assert!(deployment.check().unwrap_err().to_string().contains("bodies.0.temperature_most_c"));
+        deployment.bodies.remove("0");
         deployment.bodies.insert("3".to_owned(), Settings::default());
         assert!(deployment.check().unwrap_err().to_string().contains("no robot 3"));
         deployment.bodies.remove("3");

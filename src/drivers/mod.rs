@@ -12,8 +12,7 @@ use crate::config::ConfigError;
 use crate::edge::{Packet, Settings, Worker};
 use crate::messages::ids::RobotId;
 use crate::messages::local::{BodyTwist, Drive};
-use crate::messages::telemetry::Health;
-use crate::messages::wire::Reading;
+use crate::messages::wire::{Hardware, Reading};
 use crate::time::Time;
 
 /// Output of a driver.
@@ -26,8 +25,8 @@ pub enum Out {
     /// Pose and velocity that the robot has measured itself, in a frame of its own that drifts: odometry. The host's
     /// source may use it.
     Odometry(Reading),
-    /// Condition of the robot, and charge of its battery \[%\] if known.
-    Condition(Health, Option<u8>),
+    /// Condition of the robot: health, and charge, temperature and the reason of a fault where they are known.
+    Condition(Hardware),
     /// Packet of the worker that was not understood, with the reason.
     Refused(&'static str),
 }

@@ -4,7 +4,8 @@
 //! `vx` and `vy` are the velocity in the world frame \[m/s\]. `ahead`, `left` and `yaw_rate` are the same as a motion
 //! in the robot's own frame \[m/s, rad/s\], null while its heading is unknown or old. `for_s` is the validity \[s\]:
 //! after it, and at the end of its input, the robot must stand. The program may write
-//! `{"health": "ready" or "faulty", "battery": 87}` at any time.
+//! `{"health": "faulty", "battery": 87, "temperature_c": 41.5, "reason": "bumper pressed"}` at any time; `health` is
+//! `ready`, `faulty` or `silent`, and the others may be left out.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,7 +14,7 @@ use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::edge::child::Program;
 use crate::messages::ids::RobotId;
-use crate::messages::telemetry::Health;
+use crate::messages::wire::{Celsius, Hardware, Health, Reason};
 use crate::time::Time;
 
 /// Description in one line.
@@ -52,6 +53,8 @@ struct Line {
 struct Word {
     health: Condition,
     battery: Option<u8>,
+    temperature_c: Option<f32>,
+    reason: Option<String>,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -59,6 +62,7 @@ struct Word {
 enum Condition {
     Ready,
     Faulty,
+    Silent,
 }
 
 struct Lines {
@@ -106,12 +110,18 @@ impl Driver for Lines {
     fn receive(&mut self, _: Time, packet: &[u8], out: &mut Vec<Out>) {
         match serde_json::from_slice::<Word>(packet) {
             Ok(Word { battery: Some(101..), .. }) => out.push(Out::Refused("a battery has at most 100 %")),
-            Ok(Word { health, battery }) => {
+            Ok(Word { health, battery, temperature_c, reason }) => {
                 let health = match health {
                     Condition::Ready => Health::Ready,
                     Condition::Faulty => Health::Faulty,
+                    Condition::Silent => Health::Silent,
                 };
-                out.push(Out::Condition(health, battery));
+                let temperature = temperature_c.and_then(Celsius::of);
+                if temperature.is_none() && temperature_c.is_some() {
+                    return out.push(Out::Refused("a temperature is not -40 to 215 \u{b0}C"));
+                }
+                let reason = reason.as_deref().and_then(Reason::new);
+                out.push(Out::Condition(Hardware { health, battery, temperature, reason }));
             }
             Err(_) => out.push(Out::Refused("it is not a line in the driver's format")),
         }

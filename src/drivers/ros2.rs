@@ -9,8 +9,7 @@ use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::RobotId;
-use crate::messages::telemetry::Health;
-use crate::messages::wire::MAX_VALIDITY;
+use crate::messages::wire::{Hardware, Health, MAX_VALIDITY, Reason};
 use crate::time::{Span, Time};
 use serde::Deserialize;
 
@@ -179,7 +178,7 @@ struct Ros2 {
     problems: u64,
     battery: Option<u8>,
     /// Condition as last reported.
-    told: Option<(Health, Option<u8>)>,
+    told: Option<Hardware>,
 }
 
 impl Ros2 {
@@ -208,26 +207,29 @@ impl Ros2 {
         self.silence.is_some_and(|most| self.heard.is_none_or(|heard| now.since(heard) >= most))
     }
 
-    fn health(&self, now: Time) -> Health {
+    fn health(&self, now: Time) -> (Health, Option<Reason>) {
+        let reason = |text: &str| Reason::new(text);
         let obeyed = self.topics.values().any(|state| state.written && state.peers > 0);
-        let refused = self.topics.values().any(|state| state.peers == 0 && state.problem.is_some());
+        let refused = self.topics.values().find(|state| state.peers == 0 && state.problem.is_some());
+        if let Some((topic, problem)) = refused.and_then(|state| Some((&state.topic, state.problem.as_ref()?))) {
+            return (Health::Faulty, reason(&format!("{topic}: {problem}")));
+        }
         match (self.silence, self.heard) {
-            _ if refused => Health::Faulty,
-            (Some(_), None) => Health::Silent,
-            (Some(_), Some(_)) if self.is_silent(now) => Health::Faulty,
-            (Some(_), Some(_)) if obeyed => Health::Ready,
-            (None, _) if obeyed => Health::Ready,
+            (Some(_), None) => (Health::Silent, reason("no odometry is heard")),
+            (Some(_), Some(_)) if self.is_silent(now) => (Health::Faulty, reason("its odometry is silent")),
+            _ if obeyed => (Health::Ready, None),
             // It reports, and takes no commands yet.
-            _ => Health::Silent,
+            _ => (Health::Silent, reason("nobody subscribes to its commands")),
         }
     }
 
     /// Reports the condition if it has changed.
     fn tell(&mut self, now: Time, out: &mut Vec<Out>) {
-        let condition = (self.health(now), self.battery);
-        if self.told != Some(condition) {
-            self.told = Some(condition);
-            out.push(Out::Condition(condition.0, condition.1));
+        let (health, reason) = self.health(now);
+        let hardware = Hardware { health, battery: self.battery, temperature: None, reason };
+        if self.told.as_ref() != Some(&hardware) {
+            self.told = Some(hardware.clone());
+            out.push(Out::Condition(hardware));
         }
     }
 
@@ -437,7 +439,7 @@ mod tests {
 
         fn condition(&mut self) -> Option<(Health, Option<u8>)> {
             let condition = |out| match out {
-                Out::Condition(health, battery) => Some((health, battery)),
+                Out::Condition(Hardware { health, battery, .. }) => Some((health, battery)),
                 _ => None,
             };
             self.out.drain(..).filter_map(condition).next_back()
@@ -499,7 +501,8 @@ mod tests {
         let before = at_ms(100);
         assert_eq!(bench.driver.wake_at(), Some(before + Span::from_millis(300)));
         bench.driver.wake(at_ms(400), &mut bench.out);
-        assert!(bench.out.contains(&Out::Condition(Health::Faulty, None)));
+        let silent = Hardware::of(Health::Faulty).because("its odometry is silent");
+        assert!(bench.out.contains(&Out::Condition(silent)));
         assert_eq!(bench.sent()[0].x, 0.0);
         bench.drive(410, Some([0.2, 0.0, 0.0]));
         assert!(bench.sent().iter().all(|zero| zero.x == 0.0));

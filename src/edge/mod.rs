@@ -35,6 +35,12 @@ pub trait Worker: Send {
 
     /// Runs until the port is closed. After that it has a second to end, and the robot has to stand.
     fn run(self: Box<Self>, port: Port);
+
+    /// Resource that no other robot of the host may use, in words, such as the address of a robot; none if there is
+    /// none.
+    fn claim(&self) -> Option<String> {
+        None
+    }
 }
 
 /// Worker's end of a channel.

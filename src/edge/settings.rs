@@ -1,8 +1,9 @@
 //! Settings of a driver or a source in a deployment.
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{ConfigError, unquoted};
+use crate::config::{self, ConfigError};
 use crate::messages::ids::RobotId;
 
 /// Settings of a driver or a source: its name, and a table that only it interprets.
@@ -40,10 +41,13 @@ impl Settings {
         Ok(merged)
     }
 
-    /// Reads the table as a type of the driver or source. An error says what is wrong and quotes no value.
-    pub fn read<T: for<'a> Deserialize<'a>>(&self) -> Result<T, ConfigError> {
-        let wrong = |error: toml::de::Error| ConfigError::field(&self.name, unquoted(error.message()));
-        toml::Value::Table(self.table.clone()).try_into().map_err(wrong)
+    /// Reads the table as a type of the driver or source. An error names the field, after the name of the driver or
+    /// source, and quotes no value.
+    pub fn read<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
+        config::from_table(&self.table).map_err(|error| match error {
+            ConfigError::Syntax(why) => ConfigError::field(&self.name, why),
+            field => field.within(&self.name),
+        })
     }
 }
 
@@ -64,5 +68,27 @@ mod tests {
         assert_eq!(own.for_robot(RobotId(1)).unwrap(), own, "a setting of the driver's own");
         let error = settings("robot.1 = 3").for_robot(RobotId(1)).unwrap_err().to_string();
         assert!(error.contains("robot.1"), "{error}");
+    }
+
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[allow(dead_code)] // Only the errors of its parser are tested.
+    struct Arm {
+        rate: u8,
+        origin_m: Option<[f32; 2]>,
+    }
+
+    #[test]
+    fn an_error_names_the_field_of_the_wrong_type() {
+        for (text, start) in [
+            ("rate = \"fast\"", "arm.rate: invalid type: string, expected u8"),
+            ("rate = 300", "arm.rate: "),
+            ("rate = 3\norigin_m = [1.0]", "arm.origin_m: "),
+            ("rate = 3\ncolour = \"red\"", "arm.colour: unknown field `colour`"),
+            ("", "arm: missing field `rate`"),
+        ] {
+            let error = settings(text).read::<Arm>().unwrap_err().to_string();
+            assert!(error.starts_with(start), "{text}: {error}");
+        }
     }
 }

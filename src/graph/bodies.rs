@@ -6,18 +6,20 @@ use std::rc::Rc;
 use tracing::info_span;
 
 use super::Plan;
-use super::process::{Graph, Process};
+use super::devices::Device;
+use super::process::{Graph, Process, ProcessEvent};
 use crate::actors::body::{self, Body};
 use crate::actors::localizer::{self, Localizer};
 use crate::actors::world::{self, PersistentPlant, World};
-use crate::actors::{network, recorder, status};
+use crate::actors::{controller, network, recorder, status};
 use crate::chassis::Chassis;
+use crate::deploy::Deployment;
+use crate::drivers::Driver;
 use crate::drivers::simulated::Simulated;
-use crate::edge::Gate;
-use crate::localization;
+use crate::localization::{self, Source};
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, RobotId};
-use crate::messages::wire::Wire;
+use crate::messages::wire::{Reading, Wire};
 use crate::net::transport;
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
@@ -27,23 +29,49 @@ pub(super) fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotI
     let host = graph.routes.actuator_host(robot);
     let (network, status) = (graph.network_of(host), graph.status_of(host));
     let (at, world) = (robot.index(), graph.worlds[robot.index()].clone());
-    let device = process.devices.drivers.get(&robot).cloned();
-    let gate: Option<Rc<RefCell<Gate>>> = device.as_ref().and_then(|device| device.gate.clone());
     let source = process.devices.source.as_ref().map(|_| graph.source.clone());
-    let chassis = plan.deployment.chassis(robot);
-    let make = move |_| match &device {
-        Some(device) => Body::new((host, robot), (device.make)(), chassis),
-        None => Body::new((host, robot), Box::new(Simulated), Chassis::default()),
-    };
-    start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, move |out| match out {
+    let controller = (graph.routes.agent_host(robot) == host).then(|| graph.controllers[at].clone());
+    let report = Rc::clone(&process.report);
+    let out = move |out| match out {
         body::Out::Drive(drive) => world.send(world::In::Drive(drive)),
-        body::Out::Send(packet) => gate.iter().for_each(|gate| gate.borrow_mut().send(packet.clone())),
+        body::Out::Send(_) => {}
         body::Out::Odometry(reading) => {
             source.iter().for_each(|source| source.send(localizer::In::Odometry(reading.clone())));
         }
-        body::Out::Condition(health, battery) => status.send(status::In::Condition(robot, health, battery)),
+        body::Out::Condition(hardware) => {
+            report(ProcessEvent::Hardware(robot, &hardware));
+            status.send(status::In::Condition(robot, hardware));
+        }
+        body::Out::Permit(permit) => {
+            controller.iter().for_each(|controller| controller.send(controller::In::Permit(permit)));
+        }
         body::Out::Follows(latch) => status.send(status::In::Body(robot, latch)),
         body::Out::Stop(stop) => network.send(network::In::Publish(Wire::Stop(stop))),
+    };
+    match process.devices.drivers.get(&robot) {
+        Some(device) => start_body(clock, &graph.bodies[at], (host, robot), device, &plan.deployment, out),
+        None => {
+            let make = move |_| Body::new((host, robot), Box::new(Simulated), Chassis::default());
+            start(clock, &graph.bodies[at], info_span!("body", robot = robot.0), make, out);
+        }
+    }
+}
+
+/// Starts the Body of a real robot. `out` takes all of its output but packets, which go to the driver's worker.
+pub(super) fn start_body(
+    clock: &Clock,
+    mailbox: &Mailbox<body::In>,
+    (host, robot): (HostId, RobotId),
+    device: &Device<dyn Driver>,
+    deployment: &Deployment,
+    mut out: impl FnMut(body::Out) + 'static,
+) {
+    let (driver, gate) = (Rc::clone(&device.make), device.gate.clone());
+    let (chassis, limits) = (deployment.chassis(robot), deployment.hardware_limits(robot));
+    let make = move |_| Body::new((host, robot), driver(), chassis).limited(limits);
+    start(clock, mailbox, info_span!("body", robot = robot.0), make, move |said| match said {
+        body::Out::Send(packet) => gate.iter().for_each(|gate| gate.borrow_mut().send(packet.clone())),
+        other => out(other),
     });
 }
 
@@ -63,13 +91,24 @@ pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: Robo
 
 /// Starts the Localizer of a source of this process.
 pub(super) fn wire_source(clock: &Clock, plan: &Plan, graph: &Graph, process: &Process) {
-    let (Some(host), Some(device)) = (process.only, process.devices.source.clone()) else { return };
+    let (Some(host), Some(device)) = (process.only, &process.devices.source) else { return };
     let network = graph.network_of(host);
-    let chassis = plan.deployment.team_chassis();
-    let make = move |_| Localizer::new((device.make)(), Rc::clone(&chassis));
-    start(clock, &graph.source, info_span!("localizer"), make, move |reading| {
+    start_source(clock, &graph.source, device, &plan.deployment, move |reading| {
         network.send(network::In::Publish(Wire::Reading(reading)));
     });
+}
+
+/// Starts the Localizer of a source; `out` takes its readings.
+pub(super) fn start_source(
+    clock: &Clock,
+    mailbox: &Mailbox<localizer::In>,
+    device: &Device<dyn Source>,
+    deployment: &Deployment,
+    out: impl FnMut(Reading) + 'static,
+) {
+    let (source, chassis) = (Rc::clone(&device.make), deployment.team_chassis());
+    let make = move |_| Localizer::new(source(), Rc::clone(&chassis));
+    start(clock, mailbox, info_span!("localizer"), make, out);
 }
 
 /// Starts the World of a host, with at least one simulated robot.

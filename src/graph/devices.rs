@@ -1,6 +1,7 @@
-//! Drivers, sources and observation of one process, made from the deployment. Their workers run on threads of their own.
+//! Drivers, sources and observation of one process, made from the deployment. Their workers run on threads of their
+//! own.
 
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::rc::Rc;
 use std::thread::{self, JoinHandle};
@@ -9,11 +10,12 @@ use std::time::Duration;
 use crate::config::ConfigError;
 use crate::deploy::Host;
 use crate::drivers::Driver;
-use crate::edge::{self, Gate, Worker};
+use crate::edge::{self, Gate, Packet, Worker, WorkerState};
 use crate::localization::Source;
 use crate::messages::ids::RobotId;
 use crate::registry::Registry;
 use crate::ros2::observe::{self, Observation};
+use crate::runtime::real::Readers;
 
 /// Constructor of a driver or a source, with the channel to its worker.
 pub struct Device<T: ?Sized> {
@@ -21,6 +23,20 @@ pub struct Device<T: ?Sized> {
     pub make: Rc<dyn Fn() -> Box<T>>,
     /// Channel to its worker, if it has one.
     pub gate: Option<Rc<RefCell<Gate>>>,
+}
+
+impl<T: ?Sized> Device<T> {
+    /// Calls `take` with each packet of its worker, and `ended` once when the worker has ended.
+    pub fn watch(&self, readers: &mut Readers, take: impl Fn(Packet) + 'static, ended: impl Fn() + 'static) {
+        let Some(gate) = self.gate.clone() else { return };
+        let (event_fd, over) = (gate.borrow().event_fd(), Cell::new(false));
+        readers.watch(Rc::new(event_fd), move || {
+            let state = gate.borrow_mut().take(&take);
+            if state == WorkerState::Ended && !over.replace(true) {
+                ended();
+            }
+        });
+    }
 }
 
 impl<T: ?Sized> Clone for Device<T> {

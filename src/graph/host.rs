@@ -1,7 +1,6 @@
 //! One host of a deployment as a process of its own: its part of the graph, in real time, on sockets. It holds neither
 //! the logic of actors nor output for people.
 
-use std::cell::Cell;
 use std::rc::Rc;
 
 use super::bodies::wire_source;
@@ -9,7 +8,6 @@ use super::devices::Devices;
 use super::process::{Graph, Process, ProcessEvent};
 use super::sockets;
 use crate::actors::{body, localizer, recorder};
-use crate::edge::WorkerState;
 use crate::graph::{Plan, wire_hosts, wire_recorder};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::key::Key;
@@ -73,25 +71,14 @@ pub fn wire(
 /// Connects workers with their Bodies and Localizer.
 fn wire_gates((clock, readers): (&Clock, &mut Readers), plan: &Plan, graph: &Graph, process: &Process) {
     for (robot, device) in &process.devices.drivers {
-        let Some(gate) = device.gate.clone() else { continue };
-        let (event_fd, body) = (gate.borrow().event_fd(), graph.bodies[robot.index()].clone());
-        let ended = Cell::new(false);
-        readers.watch(Rc::new(event_fd), move || {
-            let state = gate.borrow_mut().take(|packet| body.send(body::In::Packet(packet)));
-            if state == WorkerState::Ended && !ended.replace(true) {
-                body.send(body::In::WorkerEnded);
-            }
-        });
+        let (body, ended) = (graph.bodies[robot.index()].clone(), graph.bodies[robot.index()].clone());
+        let take = move |packet| body.send(body::In::Packet(packet));
+        device.watch(readers, take, move || ended.send(body::In::WorkerEnded));
     }
-    if let Some(gate) = process.devices.source.as_ref().and_then(|device| device.gate.clone()) {
-        let (event_fd, localizer) = (gate.borrow().event_fd(), graph.source.clone());
+    if let Some(device) = &process.devices.source {
         wire_source(clock, plan, graph, process);
-        let ended = Cell::new(false);
-        readers.watch(Rc::new(event_fd), move || {
-            let state = gate.borrow_mut().take(|packet| localizer.send(localizer::In::Packet(packet)));
-            if state == WorkerState::Ended && !ended.replace(true) {
-                tracing::error!("the source of this host has ended: no more readings; restart the host");
-            }
-        });
+        let localizer = graph.source.clone();
+        let ended = || tracing::error!("the source of this host has ended: no more readings; restart the host");
+        device.watch(readers, move |packet| localizer.send(localizer::In::Packet(packet)), ended);
     }
 }

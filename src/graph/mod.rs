@@ -1,6 +1,7 @@
 //! Wiring of the whole actor graph: the one place that connects actors. It holds no logic.
 
 pub mod attachment;
+pub mod bench;
 mod bodies;
 mod delivery;
 pub mod devices;

@@ -53,7 +53,9 @@ pub fn wire(
 ) -> Mailbox<network::In> {
     let Operator { me, seed, robots, publishers, key, links, transports, stop } = operator;
     let router = Router::new(robots, |kind, _| match kind {
-        Kind::Stop | Kind::Observe => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
+        // Stops of others are for a wiggle, which ends at one.
+        Kind::Stop => Route { local: true, leaves: stop.map(|link| (link, Audience::All)) },
+        Kind::Observe => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
         Kind::Heartbeat | Kind::Mode | Kind::Status | Kind::Telemetry => Route { local: true, leaves: None },
         _ => Route::default(),
     });

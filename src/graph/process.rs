@@ -11,7 +11,7 @@ use crate::graph::Plan;
 use crate::graph::devices::Devices;
 use crate::messages::ids::{HostId, RobotId};
 use crate::messages::latch::Latch;
-use crate::messages::wire::{Stop, Wire};
+use crate::messages::wire::{Hardware, Stop, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::net::protocol::reliability::Setup;
@@ -47,7 +47,7 @@ pub struct Process {
     pub report: Rc<dyn Fn(ProcessEvent)>,
 }
 
-/// Report of a Network or Controller of this process.
+/// Report of a Network, Controller or Body of this process.
 #[derive(Clone, Copy, Debug)]
 pub enum ProcessEvent<'a> {
     /// An actor of this process has published a message.
@@ -62,6 +62,8 @@ pub enum ProcessEvent<'a> {
     Duplicate(DuplicateId),
     /// Number of times that a robot's guard has stopped or slowed it since its Controller was started.
     Safety(RobotId, SafetyCounts),
+    /// Condition of the hardware of a real robot, as its driver reports it.
+    Hardware(RobotId, &'a Hardware),
 }
 
 impl Process {

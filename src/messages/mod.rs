@@ -1,11 +1,12 @@
 //! All messages of the system: plain data with serde, which checks nothing but its own ranges.
 //!
 //! `wire` holds messages that may cross hosts and therefore always pass through a Network. `local` holds messages
-//! between the actors of one host. `ids`, `geometry`, `floats`, `latch`, `phase`, `round`, `status` and `telemetry` are
-//! their parts. `nalgebra` converts points and poses to that crate's types and back.
+//! between the actors of one host. `ids`, `geometry`, `floats`, `hardware`, `latch`, `phase`, `round`, `status` and
+//! `telemetry` are their parts. `nalgebra` converts points and poses to that crate's types and back.
 
 mod floats;
 pub mod geometry;
+pub mod hardware;
 pub mod ids;
 pub mod latch;
 pub mod local;

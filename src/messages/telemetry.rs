@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::geometry::Pose;
+use super::hardware::{Celsius, Health, Reason};
 use super::ids::{HostId, RobotId};
 use super::phase::Phase;
 
@@ -11,32 +12,6 @@ use super::phase::Phase;
 pub struct Observe {
     /// The observer.
     pub by: HostId,
-}
-
-/// Condition of a robot's hardware, as reported by its driver.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(into = "u8", try_from = "u8")]
-pub enum Health {
-    /// The hardware follows its commands.
-    Ready,
-    /// The hardware answers and reports a fault.
-    Faulty,
-    /// The hardware does not answer.
-    Silent,
-}
-
-impl From<Health> for u8 {
-    fn from(health: Health) -> u8 {
-        health as u8
-    }
-}
-
-impl TryFrom<u8> for Health {
-    type Error = String;
-    fn try_from(byte: u8) -> Result<Health, String> {
-        let all = [Health::Ready, Health::Faulty, Health::Silent];
-        all.get(usize::from(byte)).copied().ok_or_else(|| format!("no health has the number {byte}"))
-    }
 }
 
 /// Last measured pose of a robot.
@@ -49,7 +24,7 @@ pub struct Seen {
 }
 
 /// Condition of one robot, as far as one host knows it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
     /// The robot.
     pub robot: RobotId,
@@ -61,6 +36,10 @@ pub struct Condition {
     pub health: Option<Health>,
     /// Battery charge \[%\]; from the same host.
     pub battery: Option<u8>,
+    /// Temperature of its hottest part; from the same host.
+    pub temperature: Option<Celsius>,
+    /// Reason of its last fault while it lasts; from the same host, once a second and for one robot of a message.
+    pub reason: Option<Reason>,
 }
 
 /// Condition of some robots of a host; broadcast while there is an observer.
@@ -72,5 +51,5 @@ pub struct Telemetry {
     pub robots: Vec<Condition>,
 }
 
-/// Most robots in one `Telemetry`: 32 x 28 bytes fit into one datagram.
+/// Most robots in one `Telemetry`: 32 x 31 bytes and one reason fit into one datagram.
 pub const MAX_CONDITIONS: usize = 32;

@@ -10,13 +10,14 @@ use serde::{Deserialize, Serialize};
 use super::floats;
 pub use super::floats::{Features, MAX_FEATURES};
 use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2, is_sound};
+pub use super::hardware::{Celsius, Hardware, Health, Reason};
 use super::ids::{HostId, RobotId};
 use super::latch::Latch;
 pub use super::phase::Phase;
 use super::round::MAX_TERM;
 pub use super::round::Round;
 pub use super::status::{Following, Hindrance, Leading, MAX_HINDRANCES, Status};
-pub use super::telemetry::{Condition, Health, MAX_CONDITIONS, Observe, Seen, Telemetry};
+pub use super::telemetry::{Condition, MAX_CONDITIONS, Observe, Seen, Telemetry};
 use crate::time::Span;
 
 /// Largest feature: a policy that exceeds it has diverged.
@@ -322,6 +323,9 @@ impl Wire {
             Wire::Mode(m) if usize::from(m.first.0) + m.tasks.len() > 1 + usize::from(u16::MAX) => Err(Unfit::Block),
             Wire::Status(m) if m.robots.len() > MAX_BLOCK => Err(Unfit::Length),
             Wire::Telemetry(m) if m.robots.len() > MAX_CONDITIONS => Err(Unfit::Length),
+            Wire::Telemetry(m) if m.robots.iter().filter(|robot| robot.reason.is_some()).count() > 1 => {
+                Err(Unfit::Length)
+            }
             Wire::Status(m) if m.leading.as_ref().is_some_and(|l| l.hindrances.len() > MAX_HINDRANCES) => {
                 Err(Unfit::Length)
             }

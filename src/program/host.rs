@@ -3,7 +3,6 @@
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 use std::io::Read;
-use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -19,20 +18,22 @@ use crate::net::protocol::key::Key;
 use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::registry::Registry;
 use crate::report::event::{Counted, HostEvent, RobotSafety};
+use crate::report::hardware::RobotHardware;
 use crate::report::summary::{Counts, Run, Summary};
 use crate::report::trial::TrialReport;
 use crate::safety::guard::SafetyCounts;
 use crate::time::{Span, Time};
 use crate::trial::Trial;
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Result, anyhow};
 use clap::ValueEnum;
 use sd_notify::NotifyState;
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::SIGINT;
 
 use crate::live::{self, LiveHost};
 use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::outlets::Outlets;
+use crate::program::signals;
 use crate::program::team;
 
 /// Time from a request to stop until the host ends, in which its last commands and its notice of leaving are sent.
@@ -81,6 +82,7 @@ struct Seen {
     messages: Cell<u64>,
     counts: Cell<LinkCounts>,
     safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
+    hardware: RefCell<BTreeMap<RobotId, RobotHardware>>,
     outlets: Outlets,
     /// Another live host has the id of this one.
     duplicate: Cell<Option<DuplicateId>>,
@@ -107,7 +109,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?));
     let outlets = &seen.outlets;
     let live = LiveHost::open(&team, &trial, key, registry)?;
-    let (signal, wake_reader) = signals()?;
+    let (signal, wake_reader) = signals::listen()?;
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");
     let abandoned = Rc::new(Cell::new(false));
     let mut watch = Watch::new(&team, Rc::clone(&seen), Arc::clone(&signal), Rc::clone(&abandoned));
@@ -156,19 +158,6 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     outlets.close()?;
     let by_user = signal.load(Ordering::Relaxed) == SIGINT as usize;
     Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
-}
-
-/// Returns the number of the signal that has come (0 for none), and a socket that is readable once one has.
-fn signals() -> Result<(Arc<AtomicUsize>, Rc<UnixStream>)> {
-    let (signal, (reader, writer)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
-    reader.set_nonblocking(true).context("cannot make a pipe")?;
-    for number in [SIGINT, SIGTERM] {
-        // First the number, then the byte that wakes this thread to read it.
-        signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
-            .and_then(|_| signal_hook::low_level::pipe::register(number, writer.try_clone()?))
-            .context("cannot listen for signals")?;
-    }
-    Ok((signal, Rc::new(reader)))
 }
 
 /// Checks after every turn of the event loop: prints new events and decides whether the host ends.
@@ -271,7 +260,8 @@ impl Watch {
 impl Seen {
     fn new(outlets: Outlets) -> Seen {
         let (report, over, messages, counts) = Default::default();
-        Seen { report, over, messages, counts, safety: RefCell::default(), outlets, duplicate: Cell::default() }
+        let (safety, hardware, duplicate) = Default::default();
+        Seen { report, over, messages, counts, safety, hardware, outlets, duplicate }
     }
 
     fn hear(&self, heard: ProcessEvent) {
@@ -280,6 +270,10 @@ impl Seen {
             ProcessEvent::Message(_) | ProcessEvent::Peers(_) => {}
             ProcessEvent::Counts(counts) => self.counts.set(*counts),
             ProcessEvent::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
+            ProcessEvent::Hardware(robot, hardware) => {
+                let mut all = self.hardware.borrow_mut();
+                all.entry(robot).or_insert_with(|| RobotHardware::new(robot)).note(hardware);
+            }
             ProcessEvent::Published => self.messages.set(self.messages.get() + 1),
             ProcessEvent::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
         }
@@ -311,6 +305,7 @@ impl Seen {
                 .filter(|(_, counts)| counts.reasons().next().is_some())
                 .map(robot)
                 .collect(),
+            hardware: self.hardware.borrow().values().cloned().collect(),
             unwritten: self.outlets.unwritten(),
         }
     }

@@ -28,6 +28,7 @@ mod picture;
 mod policy;
 #[cfg(feature = "completions")]
 mod shells;
+mod signals;
 #[cfg(feature = "sim")]
 mod sim;
 mod stop;
@@ -43,6 +44,7 @@ mod whole_file;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use tracing_subscriber::Layer;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
@@ -141,16 +143,25 @@ fn bad<T>(why: String) -> anyhow::Result<T> {
     Err(BadInput(why).into())
 }
 
-/// Logs to stderr what `wanted` names: a level, or levels of modules as in `warn,murmurate::net=debug`.
-fn log(wanted: &str) -> Result<(), String> {
+/// Logs to stderr what `wanted` names: a level, or levels of modules as in `warn,murmurate::net=debug`. With `notes`,
+/// warnings are kept for the findings of `doctor` as well.
+fn log(wanted: &str, notes: bool) -> Result<(), String> {
     // Left to itself, the parser takes a misspelt level for the name of a module.
     let odd = wanted.split(',').find(|part| !part.contains('=') && part.trim().parse::<LevelFilter>().is_err());
     if let Some(odd) = odd {
         return Err(format!("'{odd}' is no level; there are off, error, warn, info, debug and trace"));
     }
     let targets: Targets = wanted.parse().map_err(|error| format!("'{wanted}': {error}"))?;
-    let lines = tracing_subscriber::fmt::layer().with_writer(|| output::LogLines).with_ansi(output::colour());
-    tracing_subscriber::registry().with(targets).with(lines).init();
+    let (registry, coloured) = (tracing_subscriber::registry(), output::colour());
+    if notes {
+        let lines = tracing_subscriber::fmt::layer().with_writer(|| output::LogLines).with_ansi(coloured);
+        let notes = doctor::Notes.with_filter(LevelFilter::WARN);
+        registry.with(lines.with_filter(targets)).with(notes).init();
+    } else {
+        // One filter for all is the cheapest.
+        let lines = tracing_subscriber::fmt::layer().with_writer(|| output::LogLines).with_ansi(coloured);
+        registry.with(targets).with(lines).init();
+    }
     Ok(())
 }
 
@@ -172,8 +183,13 @@ pub fn main(registry: &Registry) -> ExitCode {
         return ExitCode::from(1);
     }
     // What a guard does to a robot is for its operator to see.
-    let level = if real_time { "warn" } else { "error" };
-    if let Err(why) = log(std::env::var("MURMURATE_LOG").as_deref().unwrap_or(level)) {
+    let notes = matches!(cli.command, Command::Doctor(_));
+    let level = match (real_time, notes) {
+        (true, _) => "warn",
+        (false, true) => doctor::LEVEL,
+        (false, false) => "error",
+    };
+    if let Err(why) = log(std::env::var("MURMURATE_LOG").as_deref().unwrap_or(level), notes) {
         output::talk(&format!("error: MURMURATE_LOG: {why}"));
         output::flush_log();
         return ExitCode::from(2);
@@ -235,6 +251,12 @@ fn exit_code(ended: anyhow::Result<Ended>) -> ExitCode {
     }
 }
 
+/// Name under which this program was started; a crate of someone's own has another than this one's.
+fn own_name() -> String {
+    let path = std::env::args_os().next().map(std::path::PathBuf::from);
+    path.and_then(|path| Some(path.file_name()?.to_str()?.to_owned())).unwrap_or_else(|| "murmurate".to_owned())
+}
+
 /// Help and version as they are; anything wrong as one line.
 fn refuse(error: &clap::Error) -> ExitCode {
     if !error.use_stderr() {
@@ -253,6 +275,6 @@ fn refuse(error: &clap::Error) -> ExitCode {
         .take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more information"))
         .filter(|line| !line.is_empty())
         .collect();
-    output::talk(&format!("{} (see 'murmurate --help')", said.join(" ").replace(" tip: ", "; tip: ")));
+    output::talk(&format!("{} (see '{} --help')", said.join(" ").replace(" tip: ", "; tip: "), own_name()));
     ExitCode::from(2)
 }

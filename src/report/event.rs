@@ -5,6 +5,7 @@ use std::iter::Sum;
 use serde::{Deserialize, Serialize};
 
 use super::episode::Episode;
+use super::hardware::RobotHardware;
 use crate::messages::ids::RobotId;
 use crate::net::protocol::link::LinkCounts;
 use crate::safety::guard::SafetyCounts;
@@ -44,6 +45,8 @@ pub struct Counted {
     pub oldest_command_s: Option<f64>,
     /// Stops and slowdowns of each robot of this host, up to its last heartbeat. Robots without any are left out.
     pub safety: Vec<RobotSafety>,
+    /// Hardware of the real robots that this host drives, as far as their drivers have reported it.
+    pub hardware: Vec<RobotHardware>,
     /// Output that was dropped.
     pub unwritten: Unwritten,
 }

@@ -8,6 +8,7 @@ pub mod event;
 #[cfg(feature = "report")]
 pub mod figures;
 pub mod grid;
+pub mod hardware;
 pub mod listening;
 pub mod outcomes;
 #[cfg(feature = "report")]

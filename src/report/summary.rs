@@ -7,6 +7,7 @@ use xxhash_rust::xxh3::Xxh3;
 
 use super::episode::{Episode, Judged};
 use super::event::Unwritten;
+use super::hardware::RobotHardware;
 use super::outcomes::Outcomes;
 use super::trial::TrialReport;
 use crate::net::media::radio::RadioCounts;
@@ -69,6 +70,8 @@ pub struct Summary {
     pub radio: Option<RadioCounts>,
     /// How often robots were stopped or slowed, by reason.
     pub safety: SafetyCounts,
+    /// Hardware of the real robots: last battery and temperature, number of faults and the last one.
+    pub hardware: Vec<RobotHardware>,
     /// Output that was dropped because nothing that drives a robot waits for it to be written.
     pub unwritten: Unwritten,
     /// Largest age of a command that still drove a robot \[s\]; null where it is not known.
@@ -168,6 +171,7 @@ impl Summary {
             links: totals().map(|totals| totals.links).sum(),
             radio: Some(totals().map(|totals| totals.radio).sum()).filter(|radio: &RadioCounts| radio.channel_ns > 0),
             safety: totals().map(|totals| totals.safety).sum(),
+            hardware: trials.iter().flat_map(|trial| &trial.hardware).cloned().collect(),
             unwritten: Unwritten::default(),
             oldest_command_s: totals().filter_map(|totals| totals.oldest_command).max().map(Span::as_secs),
             trace_hash: (!interrupted).then(|| format!("{:032x}", trace.digest128())),
@@ -253,6 +257,9 @@ impl fmt::Display for Summary {
         if !held.is_empty() {
             let times: u64 = self.safety.reasons().map(|(n, _)| n).sum();
             writeln!(f, "  safety       {times:>8}   {}", held.join(", "))?;
+        }
+        for robot in &self.hardware {
+            writeln!(f, "  robot        {:>8}   {}", robot.robot.0, robot.words())?;
         }
         let speed = self.virtual_s / self.wall_s.max(1e-9);
         writeln!(f, "  simulated  {:>8.0} s   in {:.2} s: {speed:.0} x real time", self.virtual_s, self.wall_s)?;

@@ -3,6 +3,7 @@
 
 use super::episode::Episode;
 use super::event::Counted;
+use super::hardware::RobotHardware;
 use super::listening::Listening;
 use crate::messages::ids::RobotId;
 use crate::messages::local::Sample;
@@ -39,6 +40,8 @@ pub struct TrialReport {
     pub lost: u64,
     /// Every step of the team; empty unless the trial keeps steps.
     pub steps: Vec<Step>,
+    /// Hardware of real robots, by their ids.
+    pub hardware: Vec<RobotHardware>,
 }
 
 /// Event of a recorder.
@@ -82,6 +85,7 @@ impl TrialReport {
             },
             refused: sum(|counted| counted.refused),
             lost: sum(|counted| counted.lost),
+            hardware: RobotHardware::joined(incarnations.flat_map(|counted| &counted.hardware)),
             ..self
         }
     }

@@ -70,6 +70,11 @@ impl Worker for Supervisor {
         super::settings::check_built()
     }
 
+    fn claim(&self) -> Option<String> {
+        let topic = self.plan.writers.first().map(|writer| &writer.topic)?;
+        Some(format!("topic {topic} in domain {}", self.plan.domain))
+    }
+
     fn run(self: Box<Self>, mut port: Port) {
         let (tx, happened) = mpsc::sync_channel(ROOM);
         let sender = port.sender();

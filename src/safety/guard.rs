@@ -11,6 +11,7 @@ use std::iter::Sum;
 use serde::{Deserialize, Serialize};
 
 use super::filter::{self, Limit};
+use super::hardware::Permit;
 use super::{Safety, Switch};
 use crate::messages::geometry::{Motion, Vec2, is_finite};
 use crate::messages::ids::RobotId;
@@ -33,6 +34,8 @@ pub enum Trigger {
     LateTick,
     /// The robot's own state is too old: stops until a new reading has led to an action.
     OwnState,
+    /// Battery or temperature is beyond its limit: stops while that lasts; a running episode is aborted.
+    Hardware,
     /// The robot is far outside its ground: stops while that lasts; a running episode is aborted.
     Outside,
     /// The command would cross the geofence: the outward component of the velocity is removed.
@@ -45,7 +48,9 @@ impl Trigger {
     /// Returns the decision while this trigger acts.
     fn decision(self) -> Decision {
         match self {
-            Trigger::Stop | Trigger::Silence | Trigger::Output | Trigger::Outside => Decision::Abort,
+            Trigger::Stop | Trigger::Silence | Trigger::Output | Trigger::Hardware | Trigger::Outside => {
+                Decision::Abort
+            }
             Trigger::LateTick | Trigger::OwnState | Trigger::Fence | Trigger::Distance => Decision::Stop,
         }
     }
@@ -65,6 +70,8 @@ pub struct SafetyCounts {
     pub late_tick: u64,
     /// A robot's own state became too old.
     pub own_state: u64,
+    /// A robot's battery or temperature went beyond its limit.
+    pub hardware: u64,
     /// A robot was far outside its ground.
     pub outside: u64,
     /// The geofence limited a command.
@@ -81,6 +88,7 @@ impl SafetyCounts {
             Trigger::Output => &mut self.output,
             Trigger::LateTick => &mut self.late_tick,
             Trigger::OwnState => &mut self.own_state,
+            Trigger::Hardware => &mut self.hardware,
             Trigger::Outside => &mut self.outside,
             Trigger::Fence => &mut self.fence,
             Trigger::Distance => &mut self.distance,
@@ -97,6 +105,7 @@ impl SafetyCounts {
             (self.output, "invalid outputs"),
             (self.late_tick, "late ticks"),
             (self.own_state, "own state too old"),
+            (self.hardware, "battery or temperature"),
             (self.outside, "far outside"),
             (self.fence, "geofence"),
             (self.distance, "minimum distance"),
@@ -113,6 +122,7 @@ impl Sum for SafetyCounts {
             output: sum.output + one.output,
             late_tick: sum.late_tick + one.late_tick,
             own_state: sum.own_state + one.own_state,
+            hardware: sum.hardware + one.hardware,
             outside: sum.outside + one.outside,
             fence: sum.fence + one.fence,
             distance: sum.distance + one.distance,
@@ -170,6 +180,8 @@ pub struct Guard {
     driving: Option<Time>,
     /// True if the policy's output was not finite since the last instruction.
     invalid_output: bool,
+    /// True while battery or temperature is beyond its limit.
+    unfit: bool,
     /// By neighbour: time of its last update, the age of its state at that time, and its state.
     neighbours: BTreeMap<RobotId, (Time, Span, Motion)>,
     /// Triggers that act at the moment.
@@ -187,6 +199,7 @@ impl Guard {
             own: None,
             driving: None,
             invalid_output: false,
+            unfit: false,
             neighbours: BTreeMap::new(),
             acting: Vec::new(),
             counts: SafetyCounts::default(),
@@ -244,6 +257,12 @@ impl Guard {
         self.end(Trigger::Output);
     }
 
+    /// Notes whether battery or temperature is beyond its limit.
+    pub fn hardware(&mut self, permit: Permit) {
+        self.unfit = permit == Permit::Withdrawn;
+        self.set(Trigger::Hardware, self.unfit);
+    }
+
     /// Returns the zero velocity, which is always granted.
     pub fn stop(&mut self) -> Granted {
         self.driving = None;
@@ -283,6 +302,7 @@ impl Guard {
             (Trigger::Stop, !self.latch().is_clear()),
             (Trigger::Silence, self.server.is_none()),
             (Trigger::Output, self.invalid_output),
+            (Trigger::Hardware, self.unfit),
             (Trigger::LateTick, safety.late_tick == Switch::On && late),
             (Trigger::OwnState, safety.own_state == Switch::On && old),
             (Trigger::Outside, safety.geofence == Switch::On && beyond),
@@ -339,6 +359,8 @@ impl Guard {
             Trigger::Output => tracing::error!("the policy's output is not finite; the robot stops for the episode"),
             Trigger::LateTick => tracing::warn!("a control tick is late; the robot stops until one is in time"),
             Trigger::OwnState => tracing::warn!("the robot's own state is too old; it stops"),
+            // The Body says which, and what to do.
+            Trigger::Hardware => tracing::info!("battery or temperature is beyond its limit; the robot stops"),
             Trigger::Outside => tracing::error!("the robot is far outside its ground; it stops: carry it back"),
             Trigger::Fence => tracing::info!("the geofence limits the robot's velocity"),
             Trigger::Distance => tracing::info!("the minimum distance to a neighbour limits the robot's velocity"),

@@ -1,10 +1,12 @@
 //! Safety on the robot's side: stopping and slowing it, independently of policy and operator. `guard` is the state
-//! machine, `filter` the safety filter of commands; this file holds the configuration.
+//! machine, `filter` the safety filter of commands, `hardware` the limits of battery and temperature; this file holds
+//! the configuration.
 //!
 //! `docs/safety.md` has every trigger in one table. There is no actor and no clock here: the Controller owns a guard.
 
 pub mod filter;
 pub mod guard;
+pub mod hardware;
 
 use serde::{Deserialize, Serialize};
 

@@ -1,5 +1,6 @@
 //! Tests of the command line: commands that end by themselves, their output, files and refusals.
 
+mod devices;
 #[cfg(feature = "train")]
 mod keys;
 #[cfg(feature = "train")]

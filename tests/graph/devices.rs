@@ -12,8 +12,7 @@ use murmurate::localization::{self, In};
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::{BodyTwist, Drive};
-use murmurate::messages::telemetry::Health;
-use murmurate::messages::wire::Reading;
+use murmurate::messages::wire::{Celsius, Hardware, Health, Reading, Reason};
 use murmurate::registry::Registry;
 use murmurate::time::{Span, Time};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -144,8 +143,9 @@ fn wrong_settings_are_refused_by_their_field() {
 
 #[test]
 fn a_program_drives_a_robot_and_reports_its_status() {
-    let script = "while read line; do echo \"$line\"; echo '{\"health\": \"faulty\", \"battery\": 12}'; done";
-    let parts = driver(&with(program(script), "speed_m_s", 0.5)).expect("it is sound");
+    let said = r#"{"health": "faulty", "battery": 12, "temperature_c": 41.5, "reason": "bumper"}"#;
+    let script = format!("while read line; do echo \"$line\"; echo '{said}'; done");
+    let parts = driver(&with(program(&script), "speed_m_s", 0.5)).expect("it is sound");
     let (mut driver, mut out) = ((parts.driver)(), Vec::new());
     assert_eq!(driver.limits().speed_m_s, 0.5);
     let body = Chassis::default().twist(Vec2::new(0.25, 0.0), Some(std::f32::consts::FRAC_PI_2));
@@ -159,7 +159,11 @@ fn a_program_drives_a_robot_and_reports_its_status() {
     let [ahead, left] = ["ahead", "left"].map(|field| said[field].as_f64().expect("the heading is known"));
     assert!(ahead.abs() < 1e-6 && (left + 0.25).abs() < 1e-6, "east is to the right of who points north: {said}");
     driver.receive(Time::ZERO, &word, &mut out);
-    assert_eq!(out.pop(), Some(drivers::Out::Condition(Health::Faulty, Some(12))));
+    let (temperature, reason) = (Celsius::of(41.5), Reason::new("bumper"));
+    let hardware = Hardware { health: Health::Faulty, battery: Some(12), temperature, reason };
+    assert_eq!(out.pop(), Some(drivers::Out::Condition(hardware)));
+    driver.receive(Time::ZERO, b"{\"health\": \"ready\", \"temperature_c\": 1e9}", &mut out);
+    assert!(matches!(out.pop(), Some(drivers::Out::Refused(_))));
     drop(gate);
     worker.join().expect("it does not panic");
 }

@@ -14,8 +14,7 @@ use murmurate::edge::Settings;
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::{BodyTwist, Drive};
-use murmurate::messages::telemetry::Health;
-use murmurate::messages::wire::Reading;
+use murmurate::messages::wire::{Hardware, Health, Reading};
 use murmurate::time::{Span, Time};
 
 /// Delay of the network in each direction \[ms\].
@@ -78,8 +77,10 @@ impl Bench {
                 Out::Send(packet) => match ToWorker::decode(&packet).expect("the driver's own packets are sound") {
                     ToWorker::Open => {
                         if self.dead {
-                            self.to_driver
-                                .push_back((self.now_ms + 400, FromWorker::Closed(self.connection).encode().into()));
+                            self.to_driver.push_back((
+                                self.now_ms + 400,
+                                FromWorker::Closed(self.connection, b"no route").encode().into(),
+                            ));
                         } else {
                             if self.connection > 0 {
                                 self.robot.disconnected(self.now_ms as f64 * 1e-3);
@@ -101,7 +102,9 @@ impl Bench {
                         }
                     }
                 },
-                Out::Condition(health, battery) => self.conditions.push((self.now_ms, health, battery)),
+                Out::Condition(Hardware { health, battery, .. }) => {
+                    self.conditions.push((self.now_ms, health, battery));
+                }
                 Out::Odometry(reading) => self.readings.push(reading),
                 Out::Refused(_) => self.refused += 1,
                 Out::Drive(_) => panic!("it is a real robot"),
@@ -362,7 +365,7 @@ fn no_bytes_of_the_robot_panic_the_driver_or_move_the_robot() {
             0 => FromWorker::Control(bench.connection, &bytes).encode(),
             1 => FromWorker::Event(bench.connection, &bytes).encode(),
             2 => FromWorker::Push(below(1 << 40), &bytes).encode(),
-            3 => FromWorker::Closed(below(4) as u32).encode(),
+            3 => FromWorker::Closed(below(4) as u32, b"no route").encode(),
             _ => bytes.into(),
         };
         let mut out = Vec::new();

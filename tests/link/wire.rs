@@ -6,9 +6,9 @@ use murmurate::messages::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2};
 use murmurate::messages::ids::{HostId, RobotId};
 use murmurate::messages::latch::Latch;
 use murmurate::messages::wire::{
-    Condition, Features, Following, Health, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK, MAX_CONDITIONS,
-    MAX_FEATURES, MAX_HINDRANCES, MAX_VALIDITY, Mode, MotorCommand, Observe, Phase, Reading, Round, Seen, Status, Stop,
-    Telemetry, Wire,
+    Celsius, Condition, Features, Following, Health, Heartbeat, Hindrance, Latent, Leading, MAX_BLOCK, MAX_CONDITIONS,
+    MAX_FEATURES, MAX_HINDRANCES, MAX_VALIDITY, Mode, MotorCommand, Observe, Phase, Reading, Reason, Round, Seen,
+    Status, Stop, Telemetry, Wire,
 };
 use murmurate::net::protocol::codec::{
     BLOCK_BYTES, DecodeError, EncodeError, Flags, Frame, HEADER_BYTES, Header, MAX_FRAME_BYTES, MAX_PLAIN_BYTES,
@@ -95,14 +95,19 @@ fn message() -> impl Strategy<Value = Wire> {
     let observe = any::<u16>().prop_map(|by| Wire::Observe(Observe { by: HostId(by) }));
     let seen = (pose(), any::<u32>()).prop_map(|(pose, age_ms)| Seen { pose, age_ms });
     let health = (0u8..3).prop_map(|n| Health::try_from(n).expect("there are three"));
-    let condition = (robot(), prop::option::of((phase(), seen)), prop::option::of((health, any::<u8>())));
-    let condition = condition.prop_map(|(robot, mind, body)| {
+    let temperature = prop::option::of((-40.0f32..215.0).prop_map(|c| Celsius::of(c).expect("it is in range")));
+    let body = prop::option::of((health, any::<u8>()));
+    let condition = (robot(), prop::option::of((phase(), seen)), body, temperature);
+    let condition = condition.prop_map(|(robot, mind, body, temperature)| {
         let (phase, seen) = mind.unzip();
         let (health, battery) = body.unzip();
-        Condition { robot, phase, seen, health, battery }
+        Condition { robot, phase, seen, health, battery, temperature, reason: None }
     });
-    let telemetry = (any::<u16>(), prop::collection::vec(condition, 0..=MAX_CONDITIONS))
-        .prop_map(|(host, robots)| Wire::Telemetry(Telemetry { host: HostId(host), robots }));
+    let conditions = prop::collection::vec(condition, 0..=MAX_CONDITIONS);
+    let telemetry = (any::<u16>(), conditions, "[a-z ]{0,90}").prop_map(|(host, mut robots, text)| {
+        robots.iter_mut().take(1).for_each(|robot| robot.reason = Reason::new(&text));
+        Wire::Telemetry(Telemetry { host: HostId(host), robots })
+    });
     prop_oneof![reading, latent, command, beat, mode, stop, status, observe, telemetry]
 }
 

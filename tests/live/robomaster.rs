@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 
+use crate::program::{run as run_program, text};
 use fake_ep::{Options, Peer, clock_s};
 use murmurate::drivers::robomaster::ENTRY;
 use murmurate::drivers::{Command, Driver, Out};
@@ -16,7 +17,7 @@ use murmurate::edge::{self, Gate, Settings};
 use murmurate::messages::geometry::Vec2;
 use murmurate::messages::ids::RobotId;
 use murmurate::messages::local::{BodyTwist, Drive};
-use murmurate::messages::telemetry::Health;
+use murmurate::messages::wire::{Hardware, Health};
 use murmurate::time::{Span, Time};
 use nix::poll::{PollTimeout, poll};
 
@@ -101,7 +102,7 @@ impl Host {
 
     fn is_ready(&self) -> bool {
         let condition = |out: &&Out| matches!(out, Out::Condition(..));
-        matches!(self.outs.iter().rfind(condition), Some(Out::Condition(Health::Ready, _)))
+        matches!(self.outs.iter().rfind(condition), Some(Out::Condition(Hardware { health: Health::Ready, .. })))
     }
 
     fn end(self) -> f64 {
@@ -165,7 +166,8 @@ fn pushes_of_several_robots_to_one_port_are_never_crossed() {
         let mut readings = host.outs.iter().filter_map(|out| if let Out::Odometry(r) = out { Some(r) } else { None });
         let last = f64::from(readings.next_back().unwrap().pose.position.x);
         assert!(at > 0.1 && (last - at).abs() < 0.002, "{last} m instead of {at} m");
-        assert!(host.outs.contains(&Out::Condition(Health::Ready, Some(battery))));
+        let ready = Hardware { battery: Some(battery), ..Hardware::of(Health::Ready) };
+        assert!(host.outs.contains(&Out::Condition(ready)));
         host.end();
     }
 }
@@ -174,7 +176,50 @@ fn pushes_of_several_robots_to_one_port_are_never_crossed() {
 fn a_robot_that_is_not_there_is_silent_and_its_worker_ends() {
     let mut hosts = [Host::start(Ipv4Addr::new(127, 0, 40, 9))];
     run(&mut hosts, 0.5, |_| false);
-    assert_eq!(hosts[0].outs, [Out::Condition(Health::Silent, None)]);
+    let reason = |out: &Out| match out {
+        Out::Condition(Hardware { health: Health::Silent, reason: Some(reason), .. }) => reason.text().to_owned(),
+        _ => panic!("{out:?}"),
+    };
+    let reasons: Vec<String> = hosts[0].outs.iter().map(reason).collect();
+    assert_eq!((reasons[0].as_str(), reasons.len()), ("no connection yet", 2));
+    assert!(reasons[1].starts_with("127.0.40.9 refuses TCP port 40923"), "{reasons:?}");
     let [host] = hosts;
     assert!(host.end() < 1.0);
+}
+
+/// A team file with two robots at these addresses, localized by their odometry.
+fn team(addresses: [Ipv4Addr; 2]) -> String {
+    let [first, second] = addresses;
+    format!(
+        "team = 9\nscenario = \"swap\"\npolicy = \"orca\"\n[deployment]\nmode = \"ep\"\nrobots = 2\n\
+         placement = \"drive\"\nstepping = \"seeded\"\n[deployment.body]\nbattery_least = 0.2\n\
+         [[deployment.host]]\nname = \"pc\"\nagents = [[0], [1]]\nactuates = [0, 1]\nlocalizes = [0, 1]\n\
+         state_server = true\n\
+         driver = {{ name = \"robomaster\", connection = \"router\", robot.0 = {{ address = \"{first}\" }}, \
+         robot.1 = {{ address = \"{second}\" }} }}\n\
+         source = {{ name = \"odometry\", robot.0 = {{ origin_m = [-1.0, -1.0] }}, \
+         robot.1 = {{ origin_m = [1.0, -1.0], yaw_rad = 1.57 }} }}\n"
+    )
+}
+
+#[test]
+fn the_doctor_drives_a_sound_robot_10_cm_and_not_a_flat_one() {
+    let addresses = [22, 23].map(|k| Ipv4Addr::new(127, 0, 40, k));
+    let fakes: Vec<Fake> = addresses.iter().zip([87, 12]).map(|(at, battery)| Fake::start(*at, battery)).collect();
+    let folder = tempfile::TempDir::new().expect("a temporary folder");
+    let file = folder.path().join("ep.toml");
+    std::fs::write(&file, team(addresses)).expect("it can be written");
+    let output = run_program(&["doctor", &file.to_string_lossy(), "--wiggle", "--yes", "--listen", "0.6"]);
+    let out = text(&output.stdout);
+    assert_eq!(output.status.code(), Some(1), "{out}{}", text(&output.stderr));
+    for line in [
+        "ok   robot 0, driver robomaster: ready, battery 87 %",
+        "ok   robot 0, wiggle: went ",
+        "fail robot 1, driver robomaster: faulty: battery 12 %, least 20 %: charge it to 30 %",
+        "fail robot 1, wiggle: was not driven: battery 12 %",
+    ] {
+        assert_eq!(out.lines().filter(|other| other.starts_with(line)).count(), 1, "{line} in\n{out}");
+    }
+    let moved = |fake: &Fake| fake.reports.lock().unwrap().iter().any(|line| line["vx"] != 0.0 || line["vy"] != 0.0);
+    assert!(moved(&fakes[0]) && !moved(&fakes[1]));
 }

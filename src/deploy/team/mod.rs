@@ -14,6 +14,7 @@ pub use layers::{Flag, Origin};
 pub use places::OperatorAccess;
 pub use show::Shown;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -314,8 +315,14 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
 fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), ConfigError> {
     let ids = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<Vec<_>>();
     for host in &deployment.hosts {
-        for robot in ids(&host.actuates) {
-            host.driver.iter().try_for_each(|settings| registry.driver(settings, robot).map(drop))?;
+        let mut claims: BTreeMap<String, RobotId> = BTreeMap::new();
+        for (robot, settings) in ids(&host.actuates).into_iter().zip(host.driver.iter().cycle()) {
+            let worker = registry.driver(settings, robot)?.worker;
+            let Some(claim) = worker.and_then(|worker| worker.claim()) else { continue };
+            if let Some(other) = claims.insert(claim.clone(), robot) {
+                let why = format!("{robot} and {other} of host '{}' have one {claim}: give each its own", host.name);
+                return Err(ConfigError::field(format!("driver.robot.{}", robot.0), why));
+            }
         }
         host.source.iter().try_for_each(|settings| registry.source(settings, &ids(&host.localizes)).map(drop))?;
         let team: Vec<RobotId> = RobotId::team(deployment.robots).collect();

@@ -35,8 +35,8 @@ pub enum ToWorker<'a> {
 pub enum FromWorker<'a> {
     /// A connection was opened.
     Opened(u32),
-    /// A connection was not opened, or has ended.
-    Closed(u32),
+    /// A connection was not opened, or has ended, with the reason.
+    Closed(u32, &'a [u8]),
     /// Bytes of the control connection.
     Control(u32, &'a [u8]),
     /// Bytes of the event connection.
@@ -90,7 +90,7 @@ impl FromWorker<'_> {
         };
         match self {
             FromWorker::Opened(connection) => numbered(b'O', connection, &[]),
-            FromWorker::Closed(connection) => numbered(b'X', connection, &[]),
+            FromWorker::Closed(connection, why) => numbered(b'X', connection, why),
             FromWorker::Control(connection, bytes) => numbered(b'C', connection, bytes),
             FromWorker::Event(connection, bytes) => numbered(b'E', connection, bytes),
             FromWorker::Push(stamp, bytes) => [b"P", &stamp.to_le_bytes()[..], bytes].concat().into(),
@@ -108,7 +108,7 @@ impl FromWorker<'_> {
         let connection = u32::from_le_bytes(*connection);
         match tag {
             b'O' if bytes.is_empty() => Some(FromWorker::Opened(connection)),
-            b'X' if bytes.is_empty() => Some(FromWorker::Closed(connection)),
+            b'X' => Some(FromWorker::Closed(connection, bytes)),
             b'C' => Some(FromWorker::Control(connection, bytes)),
             b'E' => Some(FromWorker::Event(connection, bytes)),
             _ => None,
@@ -133,7 +133,7 @@ mod tests {
         let bytes = b"ok;";
         for packet in [
             FromWorker::Opened(1),
-            FromWorker::Closed(u32::MAX),
+            FromWorker::Closed(u32::MAX, b"refuses TCP port 40923"),
             FromWorker::Control(3, bytes),
             FromWorker::Event(4, bytes),
             FromWorker::Push(5, bytes),

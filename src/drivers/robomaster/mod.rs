@@ -10,6 +10,7 @@ pub mod link;
 mod motion;
 mod odometry;
 pub mod protocol;
+mod reporter;
 mod session;
 mod times;
 mod worker;

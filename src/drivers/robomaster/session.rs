@@ -12,9 +12,10 @@ use super::link::{FromWorker, Hold, ToWorker};
 use super::motion::Motion;
 use super::odometry::{Odometry, is_sound};
 use super::protocol::{Answer, Line, Malformed, Push, Splitter, decode_answer, decode_hit, decode_push};
+use super::reporter::Reporter;
 use super::times::{ENTRY_PATIENCE, FIRST_PUSH, OPENING, PATIENCE, PAUSE, RETRY, SETUP_PATIENCE, SILENCE, UNANSWERED};
 use crate::messages::ids::RobotId;
-use crate::messages::telemetry::Health;
+use crate::messages::wire::{Health, Reason};
 use crate::time::{Span, Time};
 
 /// State of the connection.
@@ -68,8 +69,7 @@ pub struct Session {
     setup_patience: Span,
     /// Connections that were given up since the robot was last ready.
     given_up: u64,
-    /// Condition that was last reported.
-    health: Option<Health>,
+    reporter: Reporter,
 }
 
 impl Session {
@@ -101,7 +101,7 @@ impl Session {
             rolled_over: false,
             setup_patience: ENTRY_PATIENCE,
             given_up: 0,
-            health: None,
+            reporter: Reporter::default(),
         }
     }
 
@@ -124,23 +124,21 @@ impl Session {
         self.state == State::Driving && self.flight.is_some_and(|flight| now.since(flight.since) >= UNANSWERED)
     }
 
-    fn report(&mut self, health: Health, out: &mut Vec<Out>) {
-        if self.health != Some(health) {
-            self.health = Some(health);
-            out.push(Out::Condition(health, self.battery.charge));
-        }
-    }
-
     fn report_condition(&mut self, now: Time, out: &mut Vec<Out>) {
-        let health = if self.state != State::Driving || !self.pushed || self.is_late(now) {
-            Health::Silent
-        } else if self.battery.low || self.rolled_over {
-            Health::Faulty
+        let reason = |text: &str| Reason::new(text);
+        let (health, reason) = if self.state != State::Driving || !self.pushed {
+            (Health::Silent, self.reporter.unconnected.clone())
+        } else if self.is_late(now) {
+            (Health::Silent, reason("it does not answer"))
+        } else if self.rolled_over {
+            (Health::Faulty, reason("it lies on its side"))
+        } else if self.battery.low {
+            (Health::Faulty, reason("its battery is below battery_least of the driver"))
         } else {
             self.given_up = 0;
-            Health::Ready
+            (Health::Ready, None)
         };
-        self.report(health, out);
+        self.reporter.report(health, reason, self.battery.charge, out);
     }
 
     fn write(&mut self, line: Line, hold: Hold, out: &mut Vec<Out>) {
@@ -199,6 +197,7 @@ impl Session {
         if self.given_up.is_power_of_two() {
             tracing::warn!(times = self.given_up, "{}: {why}; the connection is opened again", self.robot);
         }
+        self.reporter.unconnected = Reason::new(why);
         self.open(now, out);
     }
 
@@ -206,7 +205,7 @@ impl Session {
         self.state = State::Opening(now + OPENING);
         (self.flight, self.pushed) = (None, false);
         out.push(Out::Send(ToWorker::Open.encode()));
-        self.report(Health::Silent, out);
+        self.reporter.unconnected(self.battery.charge, out);
     }
 
     /// Takes a new connection.
@@ -219,12 +218,13 @@ impl Session {
         self.setup_patience = ENTRY_PATIENCE;
     }
 
-    fn closed(&mut self, now: Time, connection: u32, out: &mut Vec<Out>) {
+    fn closed(&mut self, now: Time, connection: u32, why: &[u8], out: &mut Vec<Out>) {
         let current = connection == self.connection && !matches!(self.state, State::Closed(_));
         if current || matches!(self.state, State::Opening(_)) {
             self.state = State::Closed(now + RETRY);
             (self.flight, self.pushed) = (None, false);
-            self.report(Health::Silent, out);
+            self.reporter.unconnected = Reason::new(&String::from_utf8_lossy(why));
+            self.reporter.unconnected(self.battery.charge, out);
         }
     }
 
@@ -274,7 +274,8 @@ impl Session {
         }
         self.write(Line::Stand, Hold::Standing, out);
         (self.state, self.pushed) = (State::Closed(now + RETRY), false);
-        self.report(Health::Faulty, out);
+        let why = Reason::new(&format!("it answers {result:?} to {line:?}"));
+        self.reporter.report(Health::Faulty, why, self.battery.charge, out);
         false
     }
 
@@ -289,7 +290,7 @@ impl Session {
             self.stand(now, out);
         }
         // The condition is reported again, with this charge.
-        self.health = None;
+        self.reporter.repeat();
     }
 
     fn push(&mut self, now: Time, stamp_ns: u64, datagram: &[u8], out: &mut Vec<Out>) {
@@ -329,7 +330,7 @@ impl Session {
     /// Time at which the robot counts as silent, or its connection as lost.
     fn silent_at(&self) -> Time {
         let answer = self.flight.map(|flight| match self.state {
-            State::Driving => flight.since + if self.health == Some(Health::Silent) { PATIENCE } else { UNANSWERED },
+            State::Driving => flight.since + if self.reporter.is_silent() { PATIENCE } else { UNANSWERED },
             _ => flight.since + self.setup_patience,
         });
         let push = (self.state == State::Driving).then(|| self.heard + SILENCE);
@@ -361,7 +362,7 @@ impl Driver for Session {
         match FromWorker::decode(packet) {
             None => out.push(Out::Refused("it is not a packet of the driver's worker")),
             Some(FromWorker::Opened(connection)) => self.opened(now, connection),
-            Some(FromWorker::Closed(connection)) => self.closed(now, connection, out),
+            Some(FromWorker::Closed(connection, why)) => self.closed(now, connection, why, out),
             Some(FromWorker::Push(stamp_ns, datagram)) => self.push(now, stamp_ns, datagram, out),
             Some(FromWorker::Control(connection, bytes)) if connection == self.connection => {
                 let mut answers = std::mem::take(&mut self.answers);

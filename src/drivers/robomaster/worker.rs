@@ -45,6 +45,10 @@ pub struct Tcp {
 }
 
 impl Worker for Tcp {
+    fn claim(&self) -> Option<String> {
+        Some(format!("address {}", self.address))
+    }
+
     fn run(self: Box<Self>, mut port: Port) {
         let sender = port.sender();
         let wake = match EventFd::from_flags(EfdFlags::EFD_NONBLOCK | EfdFlags::EFD_CLOEXEC) {
@@ -300,7 +304,8 @@ impl Links {
     fn close(&mut self, why: &str) {
         self.report(tracing::Level::ERROR, why);
         (self.control, self.events, self.stop_at) = (Control::Closed, None, None);
-        self.sender.send(FromWorker::Closed(self.number).encode());
+        let why = format!("{} {why}", self.config.address);
+        self.sender.send(FromWorker::Closed(self.number, why.as_bytes()).encode());
     }
 
     fn report(&mut self, level: tracing::Level, what: &str) {

@@ -245,9 +245,9 @@ mod tests {
     fn a_wrong_field_is_named() {
         for (text, part) in [
             ("", "server: it is missing"),
-            ("server = 'tracker'", "natnet: "),
+            ("server = 'tracker'", "natnet.server: "),
             ("colour = 'red'", "colour"),
-            ("up = 'x'", "natnet: "),
+            ("up = 'x'", "natnet.up: "),
             ("group = '10.0.0.1'", "group: "),
             ("data_port = 0", "data_port: "),
             ("interface = ''", "interface: "),

@@ -2,7 +2,7 @@
 //! of this process, on every link of the host, exchange reports and receive those of all others.
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 use std::time::Instant;
 
@@ -10,7 +10,8 @@ use crate::deploy::Routes;
 use crate::deploy::team::Team;
 use crate::graph::operator::{Operator, observe, wire};
 use crate::graph::process::ProcessEvent;
-use crate::messages::ids::{LinkId, RobotId};
+use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::latch::Latch;
 use crate::messages::wire::{Condition, Health, Kind, Phase, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::link::LinkCounts;
@@ -25,8 +26,32 @@ use super::{Found, Status, Subject};
 use crate::live::links;
 use crate::program::key;
 
+/// Age of a host's last datagram below which it is running \[s\]: reports come four times a second.
+const RUNNING_S: f64 = 2.0;
 /// Loss from which a warning is given: that at which `repeat` begins to repeat (docs/wire.md).
 const LOSSY: f64 = 2.0 / 64.0;
+
+/// The team as far as it is heard.
+#[derive(Default)]
+pub struct Heard {
+    /// The findings.
+    pub found: Vec<Found>,
+    /// Hosts that are running.
+    pub hosts: BTreeSet<HostId>,
+    /// Reason for which no robot may be driven now.
+    pub hindrance: Option<String>,
+}
+
+/// Reason for which no robot may be driven beside a team in this phase and with this latch; none if it stands and goes
+/// on only when its hosts are back, or not at all.
+pub fn hindrance(phase: Phase, latch: Latch) -> Option<String> {
+    match phase {
+        _ if latch.is_engaged() => Some("the emergency stop is engaged: re-arm and resume first".to_owned()),
+        _ if latch.is_held() => Some("the team is held after an emergency stop: resume first".to_owned()),
+        Phase::EpisodesFinished | Phase::Waiting => None,
+        _ => Some("the team's state server leads an episode: end it first".to_owned()),
+    }
+}
 
 /// State received by one operator.
 #[derive(Default)]
@@ -37,27 +62,33 @@ struct Received {
     echo: u16,
     /// Condition of each robot, from all hosts that report it.
     robots: BTreeMap<RobotId, Condition>,
+    /// Why no robot may be driven, by the last instruction of the state server.
+    hindrance: Option<String>,
+    /// Whether the state server was heard.
+    led: bool,
 }
 
 impl Received {
     /// Merges a host's report on a robot with those of other hosts.
     fn learn(&mut self, told: &Condition) {
-        let known = self.robots.entry(told.robot).or_insert(*told);
+        let known = self.robots.entry(told.robot).or_insert_with(|| told.clone());
         known.phase = told.phase.or(known.phase);
         known.seen = told.seen.or(known.seen);
         known.health = told.health.or(known.health);
         known.battery = told.battery.or(known.battery);
+        known.temperature = told.temperature.or(known.temperature);
+        known.reason = told.reason.clone().or(known.reason.take()).filter(|_| told.health != Some(Health::Ready));
     }
 }
 
 /// Listens for `seconds` on the links of `teams`, the hosts of this machine, to `all` hosts.
-pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> {
+pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
     let first = &teams[0];
     let place = |at: usize| teams.iter().find_map(|team| Some(team.links[at].as_ref()?.for_guest(team.host)));
     let places: Vec<Option<Place>> = (0..first.links.len()).map(place).collect();
     let names: Vec<&str> = first.deployment.links.iter().map(|link| &*link.name).collect();
     if places.iter().all(Option::is_none) {
-        return Ok(Vec::new());
+        return Ok(Heard::default());
     }
     let setups = links::of_operator(&first.deployment, places.iter().map(Option::as_ref));
     let mut found = Vec::new();
@@ -82,35 +113,53 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Vec<Found>> 
             RobotId::team(first.deployment.robots).map(|robot| about_robot(robot, received.robots.get(&robot))),
         );
     }
-    Ok(found)
+    let running = |peer: &&Peer| peer.age_s.is_some_and(|age_s| age_s < RUNNING_S) && !HostId(peer.host).is_operator();
+    let hosts: BTreeSet<HostId> = received.peers.values().filter(running).map(|peer| HostId(peer.host)).collect();
+    // A state server that has just started says nothing before it begins.
+    let begins = !received.led && hosts.contains(&Routes::of(&first.deployment).server_host());
+    let begins =
+        begins.then(|| "the host of the state server is running, and will begin an episode: end it".to_owned());
+    Ok(Heard { found, hosts, hindrance: received.hindrance.or(begins) })
 }
 
-fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds: f64) -> Result<Received> {
+/// Makes an operator that listens on all links of the team's host.
+pub fn operator(team: &Team) -> Result<Option<Operator>> {
+    let places: Vec<Option<Place>> =
+        team.links.iter().map(|place| place.as_ref().map(|place| place.for_guest(team.host))).collect();
+    if places.iter().all(Option::is_none) {
+        return Ok(None);
+    }
+    let setups = links::of_operator(&team.deployment, places.iter().map(Option::as_ref));
+    open(team, &places, &setups).map(Some)
+}
+
+fn open(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>]) -> Result<Operator> {
     let key = team.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
     // What observers say goes where the stop goes.
     let carries = team.deployment.links.iter().position(|link| link.carries.contains(&Kind::Stop));
     let post = carries.filter(|at| places[*at].is_some());
     let post = post.map(|at| LinkId(u16::try_from(at).expect("links are counted in u16")));
-    let operator = || -> Result<Operator> {
-        let identity = links::ProcessIdentity::draw()?;
-        let mut transports = Vec::new();
-        for (at, place) in places.iter().enumerate() {
-            let Some(place) = place else { continue };
-            let open = place.endpoint.open(identity.operator, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
-            transports.push((LinkId(u16::try_from(at).expect("links are counted in u16")), open));
-        }
-        Ok(Operator {
-            me: identity.operator_of(team.number),
-            seed: identity.seed,
-            robots: team.deployment.robots,
-            publishers: Routes::of(&team.deployment).publishers(),
-            key: key.clone(),
-            links: setups.to_vec(),
-            transports,
-            stop: post,
-        })
-    };
-    let (listener, echo) = (operator()?, operator()?);
+    let identity = links::ProcessIdentity::draw()?;
+    let mut transports = Vec::new();
+    for (at, place) in places.iter().enumerate() {
+        let Some(place) = place else { continue };
+        let open = place.endpoint.open(identity.operator, Filter::All).map_err(|e| anyhow!("link {at}: {e}"))?;
+        transports.push((LinkId(u16::try_from(at).expect("links are counted in u16")), open));
+    }
+    Ok(Operator {
+        me: identity.operator_of(team.number),
+        seed: identity.seed,
+        robots: team.deployment.robots,
+        publishers: Routes::of(&team.deployment).publishers(),
+        key,
+        links: setups.to_vec(),
+        transports,
+        stop: post,
+    })
+}
+
+fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds: f64) -> Result<Received> {
+    let (listener, echo) = (open(team, places, setups)?, open(team, places, setups)?);
     let (answers, observer) = (echo.me.host.0, listener.me.host);
     let received = Rc::new(RefCell::new(Received::default()));
     let until = Time::ZERO + Span::from_secs(seconds);
@@ -126,10 +175,15 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
                 ProcessEvent::Message(Wire::Telemetry(telemetry)) => {
                     telemetry.robots.iter().for_each(|told| heard.borrow_mut().learn(told));
                 }
+                ProcessEvent::Message(Wire::Mode(mode)) => {
+                    let mut heard = heard.borrow_mut();
+                    (heard.hindrance, heard.led) = (hindrance(mode.phase, mode.latch), true);
+                }
                 ProcessEvent::Message(_)
                 | ProcessEvent::Published
                 | ProcessEvent::Duplicate(_)
-                | ProcessEvent::Safety(..) => {}
+                | ProcessEvent::Safety(..)
+                | ProcessEvent::Hardware(..) => {}
             });
             let echo = wire((clock, readers), echo, |_| {});
             observe(clock, &listener, observer);
@@ -177,7 +231,7 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
     }
     if !peer.accepted {
         let advice = "does it hear this machine? run doctor there, too".to_owned();
-        return (Status::Warn, what, format!("heard, but it has not shown that it hreceived us; {said}"), advice);
+        return (Status::Warn, what, format!("heard, but it has not shown that it has received us; {said}"), advice);
     }
     if peer.loss >= LOSSY {
         let advice = "look at the radio, or choose reliability = { latent = \"repeat\" }".to_owned();
@@ -206,7 +260,9 @@ fn about_robot(robot: RobotId, known: Option<&Condition>) -> Found {
         Some(Health::Silent) => "its hardware does not answer",
     };
     let battery = known.battery.map_or(String::new(), |battery| format!(", battery {battery} %"));
-    let said = format!("{place}; {phase}; {health}{battery}");
+    let temperature = known.temperature.map_or(String::new(), |temperature| format!(", {temperature}"));
+    let reason = known.reason.as_ref().map_or(String::new(), |reason| format!(": {reason}"));
+    let said = format!("{place}; {phase}; {health}{reason}{battery}{temperature}");
     match known.health {
         Some(Health::Faulty | Health::Silent) => {
             (Status::Fail, what, said, "look at the robot: its driver says that something is wrong".to_owned())
@@ -240,4 +296,22 @@ fn refusals(counts: &LinkCounts) -> Vec<Found> {
         (Status::Warn, Subject::General("refused".to_owned()), said, advice.to_owned())
     };
     all.into_iter().filter(|(count, ..)| *count > 0).map(found).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_robot_is_driven_beside_a_team_that_is_stopped_or_in_an_episode() {
+        let clear = Latch::default();
+        for phase in [Phase::NeedReset, Phase::Resetting, Phase::Running, Phase::AbortRunning] {
+            assert!(hindrance(phase, clear).is_some_and(|why| why.contains("episode")), "{phase:?}");
+        }
+        for phase in [Phase::Waiting, Phase::EpisodesFinished] {
+            assert_eq!(hindrance(phase, clear), None);
+            assert!(hindrance(phase, Latch::engaged(1)).is_some_and(|why| why.contains("stop is engaged")));
+            assert!(hindrance(phase, Latch::held(2)).is_some_and(|why| why.contains("held")));
+        }
+    }
 }

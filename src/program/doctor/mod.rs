@@ -1,10 +1,16 @@
 //! The command `murmurate doctor`: checks of whether this machine is fit to be a host of a team, with advice.
 //!
 //! Local checks come first, then reception from other hosts. For these it sends link reports under ids of its own, so a
-//! running robot is not disturbed.
+//! running robot is not disturbed. Last are the drivers and the source of the host, unless it is running and uses them.
 
+mod bench;
+mod devices;
 mod listen;
+mod notes;
 mod table;
+mod wiggle;
+
+pub use notes::Notes;
 
 use std::fmt;
 use std::path::Path;
@@ -21,22 +27,35 @@ use crate::program::Ended;
 use crate::program::key;
 use crate::program::output::print;
 use crate::program::team;
+use listen::Heard;
 
 /// Flags of `murmurate doctor`.
 #[derive(clap::Args)]
-#[command(after_help = "Exit codes: 0 nothing has failed; 1 a check has failed; 2 a flag or the team file is wrong.")]
+#[command(after_help = "Exit codes: 0 nothing has failed; 1 a check has failed; 2 a flag or the team file is wrong; \
+    130 a wiggle was interrupted: the robots stand.")]
 pub struct Args {
     #[command(flatten)]
     team: team::TeamArgs,
     #[command(flatten)]
     which: team::Which,
-    /// Time to listen for other hosts once all else is sound [s]; 0 sends nothing and skips this check
+    /// Time to listen for other hosts, and then to the drivers and the source of this one, once all else is sound [s];
+    /// 0 sends nothing, opens no device and skips these checks
     #[arg(long, value_name = "SECONDS", default_value_t = 3.0)]
     listen: f64,
+    /// Drives each robot of the host 10 cm and back, one at a time, and checks that it goes where it should
+    #[arg(long)]
+    wiggle: bool,
+    /// Confirms --wiggle without a question
+    #[arg(long, requires = "wiggle")]
+    yes: bool,
     /// Prints one JSON object
     #[arg(long)]
     json: bool,
 }
+
+/// Levels of the log: what drivers and sources say is in the findings.
+pub const LEVEL: &str = "error,murmurate::drivers=off,murmurate::localization=off,murmurate::edge=off,\
+    murmurate::ros2=off,murmurate::actors=off,murmurate::safety=off";
 
 /// Result of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -96,12 +115,16 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         return Err(BadInput(format!("--listen: {} is not 0 to 3600 seconds", args.listen)).into());
     }
     let teams = teams(args, &file)?;
-    let mut checks = Vec::new();
+    if args.wiggle {
+        wiggle::only(&teams)?;
+        wiggle::check_confirmable(args.yes)?;
+        if args.listen == 0.0 {
+            return Err(BadInput("--wiggle listens to the team first: leave out --listen 0".to_owned()).into());
+        }
+    }
+    let (mut checks, mut interrupted): (Vec<Check>, bool) = (Vec::new(), false);
     for team in &teams {
-        let mut add = |(status, what, found, advice): Found| {
-            let host = team.deployment.hosts[usize::from(team.host.0)].name.clone();
-            checks.push(Check { status, host, what, found, advice });
-        };
+        let mut add = |found: Found| checks.push(check(&wiggle::host_of(team).name, found));
         add(check_key(team));
         add(check_policy(team, registry));
         for (link, place) in team.deployment.links.iter().zip(&team.links) {
@@ -110,10 +133,22 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             }
         }
     }
-    if args.listen > 0.0 && checks.iter().all(|check| check.status != Status::Fail) {
+    let sound = checks.iter().all(|check| check.status != Status::Fail);
+    if args.wiggle && !sound {
+        checks.push(check("here", wiggle::failed("not begun: a check before it has failed", "")));
+    }
+    if args.listen > 0.0 && sound {
         let all: Vec<Team> = file.hosts().map(|host| args.team.for_host(&file, host)).collect::<Result<_>>()?;
-        for (status, what, found, advice) in listen::listen(&teams, &all, args.listen)? {
-            checks.push(Check { status, host: "here".to_owned(), what, found, advice });
+        let heard = listen::listen(&teams, &all, args.listen)?;
+        checks.extend(heard.found.iter().cloned().map(|found| check("here", found)));
+        for team in &teams {
+            let name = wiggle::host_of(team).name.clone();
+            let (found, end) = look(args, team, registry, &heard)?;
+            checks.extend(found.into_iter().map(|found| check(&name, found)));
+            if let bench::End::Interrupted = end {
+                interrupted = true;
+                break;
+            }
         }
     }
     let unfit = checks.iter().any(|check| check.status == Status::Fail);
@@ -127,7 +162,50 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         lines.iter().try_for_each(|line| print(&line.text(hosts.len())))?;
         print(&table::verdict(&lines, &hosts))?;
     }
-    Ok(if unfit { Ended::Unfit } else { Ended::Done })
+    Ok(match unfit {
+        _ if interrupted => Ended::Interrupted,
+        true => Ended::Unfit,
+        false => Ended::Done,
+    })
+}
+
+fn check(host: &str, (status, what, found, advice): Found) -> Check {
+    Check { status, host: host.to_owned(), what, found, advice }
+}
+
+/// Looks at the devices of a host, and drives its robots if that is asked for.
+fn look(args: &Args, team: &Team, registry: &Registry, heard: &Heard) -> Result<(Vec<Found>, bench::End)> {
+    let host = wiggle::host_of(team);
+    let wiggles = args.wiggle && !host.actuates.is_empty();
+    let done = |found: Vec<Found>| Ok((found, bench::End::Done));
+    if host.actuates.is_empty() && host.localizes.is_empty() {
+        return done(Vec::new());
+    }
+    if heard.hosts.contains(&team.host) {
+        let said = format!("host '{}' is running, and its devices are its own", host.name);
+        let status = if wiggles { Status::Fail } else { Status::Warn };
+        let what = if wiggles { "wiggle" } else { "devices" };
+        let advice = "end it to check them here".to_owned();
+        return done(vec![(status, Subject::General(what.to_owned()), said, advice)]);
+    }
+    let mut plan = None;
+    if wiggles {
+        if let Some(why) = &heard.hindrance {
+            return done(vec![wiggle::failed(&format!("refused: {why}"), "")]);
+        }
+        if !args.yes && !wiggle::confirm(team)? {
+            return done(vec![wiggle::failed("not confirmed: no robot has moved", "")]);
+        }
+        plan = Some((wiggle::config(team, registry)?, listen::operator(team)?));
+    }
+    let (seen, end) = bench::look(team, registry, args.listen, plan)?;
+    let mut found = seen.findings(team, args.listen);
+    let localizes = !host.localizes.is_empty();
+    found.extend(seen.results.iter().map(|(robot, verdict)| wiggle::finding(*robot, verdict, localizes)));
+    if let bench::End::Team(why) = &end {
+        found.push(wiggle::failed(&format!("ended, and all robots stand: {why}"), ""));
+    }
+    Ok((found, end))
 }
 
 /// The hosts that this machine is: the one that was named, or all of a team that stays on one machine.

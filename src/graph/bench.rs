@@ -1,0 +1,175 @@
+//! Bodies and Localizer of one host by themselves, in real time, without a Network or a team: for checks of its
+//! devices.
+//! A Wiggle may drive the robots; otherwise they are told to stand.
+
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use tracing::info_span;
+
+use super::bodies::{start_body, start_source};
+use super::devices::Devices;
+use crate::actors::verdict::Verdict;
+use crate::actors::wiggle::{self, Wiggle};
+use crate::actors::{body, localizer};
+use crate::deploy::Deployment;
+use crate::messages::geometry::Vec2;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::latch::Latch;
+use crate::messages::wire::{Hardware, MotorCommand, Reading};
+use crate::runtime::clock::Clock;
+use crate::runtime::real::Readers;
+use crate::runtime::shell::{Mailbox, start};
+use crate::time::Span;
+
+/// Period of commands to stand: twice in the validity of a command.
+const STAND_PERIOD: Span = Span::from_millis(100);
+
+/// Event of a bench.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// Reading of the host's source.
+    Reading(Reading),
+    /// Odometry of a robot's driver.
+    Odometry(Reading),
+    /// Condition of a robot, as its Body reports it.
+    Hardware(RobotId, Hardware),
+    /// The worker of the source has ended.
+    SourceEnded,
+    /// The Wiggle drives this robot next.
+    Begins(RobotId),
+    /// The Wiggle has judged a robot.
+    Result(RobotId, Verdict),
+    /// The Wiggle is over.
+    Over,
+}
+
+/// Mailboxes of a bench.
+pub struct Bench {
+    bodies: BTreeMap<RobotId, Mailbox<body::In>>,
+    wiggle: Option<Mailbox<wiggle::In>>,
+    source: Mailbox<localizer::In>,
+    /// Whether the host has a source. Otherwise the robots' own odometry takes its place.
+    localizes: bool,
+}
+
+impl Bench {
+    /// Begins the Wiggle, if there is one.
+    pub fn begin(&self) {
+        self.send(wiggle::In::Begin);
+    }
+
+    /// Ends the Wiggle and makes all robots stand for good.
+    pub fn leave(&self) {
+        self.send(wiggle::In::End);
+        self.bodies.values().for_each(|body| body.send(body::In::Leave));
+    }
+
+    /// Passes a reading on to the robot's Body and to the Wiggle.
+    fn reading(&self, reading: &Reading) {
+        if let Some(body) = self.bodies.get(&reading.robot) {
+            body.send(body::In::Reading(reading.clone()));
+        }
+        self.send(wiggle::In::Reading(reading.clone()));
+    }
+
+    fn send(&self, input: wiggle::In) {
+        if let Some(wiggle) = &self.wiggle {
+            wiggle.send(input);
+        }
+    }
+}
+
+/// Starts the bench of a host with these devices. With a configuration, a Wiggle drives the robots once it
+/// is begun.
+pub fn wire(
+    (clock, readers): (&Clock, &mut Readers),
+    (deployment, host): (&Deployment, HostId),
+    devices: &Devices,
+    wiggle: Option<wiggle::Config>,
+    report: impl Fn(Event) + 'static,
+) -> Rc<Bench> {
+    let report: Rc<dyn Fn(Event)> = Rc::new(report);
+    let named = |robot: &RobotId| (*robot, Mailbox::new(format!("body of {robot}")));
+    let bench = Rc::new(Bench {
+        bodies: devices.drivers.keys().map(named).collect(),
+        wiggle: wiggle.is_some().then(|| Mailbox::new("wiggle")),
+        source: Mailbox::new("localizer"),
+        localizes: devices.source.is_some(),
+    });
+    for (robot, device) in &devices.drivers {
+        let (robot, mailbox) = (*robot, bench.bodies[robot].clone());
+        let out = of_body(&bench, robot, Rc::clone(&report));
+        start_body(clock, &mailbox, (host, robot), device, deployment, out);
+        // Only a Wiggle commands motion here. It takes the place of the state server, whose latch was looked at before.
+        mailbox.send(body::In::Latch(Latch::default()));
+        let ended = mailbox.clone();
+        let take = move |packet| mailbox.send(body::In::Packet(packet));
+        device.watch(readers, take, move || ended.send(body::In::WorkerEnded));
+    }
+    if let Some(device) = &devices.source {
+        let (to, report_reading) = (Rc::clone(&bench), Rc::clone(&report));
+        start_source(clock, &bench.source, device, deployment, move |reading| {
+            to.reading(&reading);
+            report_reading(Event::Reading(reading));
+        });
+        let (source, report) = (bench.source.clone(), Rc::clone(&report));
+        let take = move |packet| source.send(localizer::In::Packet(packet));
+        device.watch(readers, take, move || report(Event::SourceEnded));
+    }
+    match (wiggle, &bench.wiggle) {
+        (Some(config), Some(mailbox)) => wire_wiggle((clock, mailbox), &bench.bodies, config, report),
+        _ => stand(clock, &bench),
+    }
+    bench
+}
+
+/// Commands all robots to stand, again and again: so a driver that has ended is noticed.
+fn stand(clock: &Clock, bench: &Rc<Bench>) {
+    for (robot, body) in &bench.bodies {
+        let velocity = Vec2::zeros();
+        body.send(body::In::MotorCommand(MotorCommand { robot: *robot, velocity, valid_for: STAND_PERIOD }));
+    }
+    let (again, bench) = (clock.clone(), Rc::clone(bench));
+    clock.call(clock.now() + STAND_PERIOD, Box::new(move || stand(&again, &bench)));
+}
+
+/// Makes the function that takes the output of a Body.
+fn of_body(bench: &Rc<Bench>, robot: RobotId, report: Rc<dyn Fn(Event)>) -> impl FnMut(body::Out) + use<> {
+    let bench = Rc::clone(bench);
+    move |out| match out {
+        body::Out::Odometry(reading) => {
+            if bench.localizes {
+                bench.source.send(localizer::In::Odometry(reading.clone()));
+            } else {
+                bench.reading(&reading);
+            }
+            report(Event::Odometry(reading));
+        }
+        body::Out::Condition(hardware) => {
+            bench.send(wiggle::In::Hardware(robot, hardware.clone()));
+            report(Event::Hardware(robot, hardware));
+        }
+        body::Out::Drive(_)
+        | body::Out::Send(_)
+        | body::Out::Permit(_)
+        | body::Out::Follows(_)
+        | body::Out::Stop(_) => {}
+    }
+}
+
+fn wire_wiggle(
+    (clock, mailbox): (&Clock, &Mailbox<wiggle::In>),
+    bodies: &BTreeMap<RobotId, Mailbox<body::In>>,
+    config: wiggle::Config,
+    report: Rc<dyn Fn(Event)>,
+) {
+    let bodies = bodies.clone();
+    let make = move |_| Wiggle::new(config.clone());
+    start(clock, mailbox, info_span!("wiggle"), make, move |out| match out {
+        wiggle::Out::Command(command) => bodies[&command.robot].send(body::In::MotorCommand(command)),
+        wiggle::Out::Begins(robot) => report(Event::Begins(robot)),
+        wiggle::Out::Result(robot, verdict) => report(Event::Result(robot, verdict)),
+        wiggle::Out::Over => report(Event::Over),
+    });
+}

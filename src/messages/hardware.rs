@@ -1,0 +1,165 @@
+//! Condition of a robot's hardware, as its driver knows it: health, battery, temperature, and the reason of a fault.
+
+use std::fmt;
+
+use serde::de::{Error, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Health of a robot's hardware.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(into = "u8", try_from = "u8")]
+pub enum Health {
+    /// The hardware follows its commands.
+    Ready,
+    /// The hardware answers and reports a fault.
+    Faulty,
+    /// The hardware does not answer.
+    Silent,
+}
+
+impl From<Health> for u8 {
+    fn from(health: Health) -> u8 {
+        health as u8
+    }
+}
+
+impl TryFrom<u8> for Health {
+    type Error = String;
+    fn try_from(byte: u8) -> Result<Health, String> {
+        let all = [Health::Ready, Health::Faulty, Health::Silent];
+        all.get(usize::from(byte)).copied().ok_or_else(|| format!("no health has the number {byte}"))
+    }
+}
+
+/// Temperature \[°C\], -40 to 215 in whole degrees. On the wire it is a byte with an offset of 40, as in SAE J1939-71.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Celsius(u8);
+
+/// Temperature of the byte zero \[°C\].
+const ZERO_C: i16 = -40;
+
+impl Celsius {
+    /// Rounds a temperature \[°C\]; none if it is out of range or not a number.
+    pub fn of(degrees: f32) -> Option<Celsius> {
+        let byte = (degrees - f32::from(ZERO_C)).round();
+        (0.0..=255.0).contains(&byte).then_some(Celsius(byte as u8))
+    }
+
+    /// The temperature \[°C\].
+    pub fn degrees(self) -> i16 {
+        i16::from(self.0) + ZERO_C
+    }
+}
+
+impl fmt::Display for Celsius {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} \u{b0}C", self.degrees())
+    }
+}
+
+/// Longest reason \[bytes\]: a line of a terminal.
+pub const MAX_REASON: usize = 80;
+
+/// Reason of a fault in a few words: printable ASCII, 1 to `MAX_REASON` bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Reason(Box<str>);
+
+/// Ending of a reason that was cut.
+const CUT: &str = "...";
+
+impl Reason {
+    /// Makes a reason. Other characters become `?`, and a text that is too long is cut. None if there is no word in it.
+    pub fn new(text: &str) -> Option<Reason> {
+        let printable = |c: char| if c == ' ' || c.is_ascii_graphic() { c } else { '?' };
+        let clean: String = text.trim().chars().take(MAX_REASON + 1).map(printable).collect();
+        match clean.len() {
+            0 => None,
+            1..=MAX_REASON => Some(Reason(clean.into())),
+            _ => Some(Reason((clean[..MAX_REASON - CUT.len()].to_owned() + CUT).into())),
+        }
+    }
+
+    /// The text.
+    pub fn text(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl Serialize for Reason {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_bytes(self.0.as_bytes())
+    }
+}
+
+impl<'de> Deserialize<'de> for Reason {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Reason, D::Error> {
+        struct Text;
+        impl Visitor<'_> for Text {
+            type Value = Reason;
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("1 to 80 bytes of printable ASCII")
+            }
+            fn visit_bytes<E: Error>(self, bytes: &[u8]) -> Result<Reason, E> {
+                let text = std::str::from_utf8(bytes).ok();
+                let reason = text.and_then(Reason::new).filter(|reason| reason.0.as_bytes() == bytes);
+                reason.ok_or_else(|| E::invalid_length(bytes.len(), &self))
+            }
+        }
+        deserializer.deserialize_bytes(Text)
+    }
+}
+
+/// Condition of a robot's hardware.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Hardware {
+    /// Its health.
+    pub health: Health,
+    /// Charge of its battery \[%\], 0 to 100; none if it is not known.
+    pub battery: Option<u8>,
+    /// Temperature of its hottest part; likewise.
+    pub temperature: Option<Celsius>,
+    /// Reason of a fault or of silence; likewise.
+    pub reason: Option<Reason>,
+}
+
+impl Hardware {
+    /// A robot of this health, of which nothing else is known.
+    pub fn of(health: Health) -> Hardware {
+        Hardware { health, battery: None, temperature: None, reason: None }
+    }
+
+    /// The same with a reason.
+    pub fn because(self, reason: &str) -> Hardware {
+        Hardware { reason: Reason::new(reason), ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reason_is_a_short_line_whatever_a_driver_says() {
+        let text = |text: &str| Reason::new(text).map(|reason| reason.text().to_owned());
+        assert_eq!(text("  bumper pressed\n").as_deref(), Some("bumper pressed"));
+        assert_eq!(text("a\tb\u{1b}[31m\u{fc}").as_deref(), Some("a?b?[31m?"));
+        assert_eq!((text(""), text(" \n")), (None, None));
+        let long = text(&"\u{fc}".repeat(200)).unwrap();
+        assert_eq!((long.len(), long.ends_with("?...")), (MAX_REASON, true));
+        assert_eq!(text(&"x".repeat(80)).unwrap().len(), 80);
+    }
+
+    #[test]
+    fn a_temperature_is_a_byte_with_an_offset() {
+        let degrees = |degrees: f32| Celsius::of(degrees).map(Celsius::degrees);
+        assert_eq!((degrees(21.4), degrees(-39.6), degrees(215.0)), (Some(21), Some(-40), Some(215)));
+        assert_eq!((degrees(216.0), degrees(-41.0), degrees(f32::NAN)), (None, None, None));
+        assert_eq!(serde_json::to_string(&Celsius::of(25.0)).unwrap(), "65");
+    }
+}

@@ -1,0 +1,136 @@
+//! The devices of one host, opened for a while: all that they report, and a wiggle if one is asked for.
+
+use std::cell::{Cell, RefCell};
+use std::io::Read;
+use std::rc::Rc;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use crate::actors::wiggle;
+use crate::deploy::Host;
+use crate::deploy::team::Team;
+use crate::graph::bench::{self, Bench, Event};
+use crate::graph::devices::{self, DeviceError};
+use crate::graph::operator::{self, Operator};
+use crate::graph::process::ProcessEvent;
+use crate::messages::wire::{Stop, Wire};
+use crate::registry::Registry;
+use crate::runtime::clock::Clock;
+use crate::runtime::real::run_real;
+use crate::time::{Span, Time};
+use anyhow::Result;
+
+use super::devices::Seen;
+use super::listen::hindrance;
+use super::notes;
+use crate::program::output::talk;
+use crate::program::{BadInput, signals};
+
+/// Time in which the robots' last commands, to stand, are sent.
+const STOPPING: Span = Span::from_millis(200);
+
+/// Longest time that devices are given to start, beyond the time of the look: discovery of ROS 2 takes 1.3 s, and the
+/// SDK of a RoboMaster one.
+const STARTING: Span = Span::from_millis(3000);
+
+/// How the look at the devices ended.
+pub enum End {
+    /// After its time, or with the last result of the wiggle.
+    Done,
+    /// By Ctrl-C or SIGTERM.
+    Interrupted,
+    /// Because of the team, with the reason: an emergency stop, or an episode.
+    Team(String),
+}
+
+/// Opens the devices of the team's host for `seconds` from their first report on, and drives its robots after that if
+/// there is a `wiggle`. While robots move, its operator listens to the team, whose stop or episode ends it.
+pub fn look(
+    team: &Team,
+    registry: &Registry,
+    seconds: f64,
+    wiggle: Option<(wiggle::Config, Option<Operator>)>,
+) -> Result<(Seen, End)> {
+    let host = &team.deployment.hosts[usize::from(team.host.0)];
+    // It has nothing to publish: the team is not running.
+    let quiet = Host { observe: None, ..host.clone() };
+    let opened = devices::open(&quiet, team.deployment.robots, registry);
+    let (devices, workers) = opened.map_err(|error| match error {
+        DeviceError::Config(error) => anyhow::Error::from(BadInput(error.to_string())),
+        DeviceError::Machine(_) => error.into(),
+    })?;
+    let (signal, wake_reader) = signals::listen()?;
+    notes::take(true);
+    let seen = Rc::new(RefCell::new(Seen::new(!host.localizes.is_empty())));
+    let stopped = Rc::new(RefCell::new(None));
+    let (length, latest) = (Span::from_secs(seconds), Time::ZERO + Span::from_secs(seconds) + STARTING);
+    let wiggles = wiggle.is_some();
+    let (stopping, begun): (Cell<Option<Time>>, Cell<bool>) = Default::default();
+    let (noted, heard) = (Rc::clone(&seen), Rc::clone(&stopped));
+    run_real(
+        Instant::now(),
+        |clock, readers| {
+            let (config, operator) = wiggle.map_or((None, None), |(config, operator)| (Some(config), operator));
+            let time = clock.clone();
+            let report = move |event: Event| {
+                if let Event::Begins(robot) = &event {
+                    talk(&format!("{robot} drives 10 cm, and back"));
+                }
+                noted.borrow_mut().note(time.now(), event);
+            };
+            let of = (&team.deployment, team.host);
+            let bench = bench::wire((clock, readers), of, &devices, config, report);
+            drop(devices);
+            if let Some(operator) = operator {
+                operator::wire((clock, readers), operator, move |said| {
+                    let reason = match said {
+                        ProcessEvent::Message(Wire::Mode(mode)) => hindrance(mode.phase, mode.latch),
+                        ProcessEvent::Message(Wire::Stop(stop)) => hindrance_of_stop(stop),
+                        _ => None,
+                    };
+                    if let Some(reason) = reason {
+                        heard.borrow_mut().get_or_insert(reason);
+                    }
+                });
+            }
+            let source = Rc::clone(&wake_reader);
+            readers.watch(wake_reader, move || {
+                let _ = (&*source).read(&mut [0; 16]);
+            });
+            tick(clock);
+            bench
+        },
+        |bench: &Rc<Bench>, now| {
+            let looked = now >= seen.borrow().began.map_or(latest, |began| latest.min(began + length));
+            if looked && wiggles && !begun.replace(true) {
+                bench.begin();
+            }
+            let over = if wiggles { seen.borrow().over } else { looked };
+            let ends = over || signal.load(Ordering::Relaxed) != 0 || stopped.borrow().is_some();
+            if ends && stopping.get().is_none() {
+                stopping.set(Some(now));
+                notes::take(false);
+                bench.leave();
+            }
+            stopping.get().is_some_and(|at| now.since(at) >= STOPPING)
+        },
+    );
+    workers.join();
+    let end = match (stopped.take(), signal.load(Ordering::Relaxed)) {
+        (Some(reason), _) => End::Team(reason),
+        (None, 0) => End::Done,
+        (None, _) => End::Interrupted,
+    };
+    Ok((seen.take(), end))
+}
+
+/// Wakes the event loop every 50 ms, so that the ends of times are noticed.
+fn tick(clock: &Clock) {
+    let again = clock.clone();
+    clock.call(clock.now() + Span::from_millis(50), Box::new(move || tick(&again)));
+}
+
+/// Reason for which no robot may be driven after a message of the emergency stop.
+fn hindrance_of_stop(stop: &Stop) -> Option<String> {
+    (!stop.latch.is_clear()).then(|| "the emergency stop was engaged".to_owned())
+}

@@ -1,0 +1,187 @@
+//! Limits of a robot's battery and temperature. Beyond them its Body stands, whatever it is commanded.
+//!
+//! A robot that stands for its battery or its temperature moves again only once the value is better by a margin. So one
+//! at the limit does not start again whenever its motors are off.
+
+use crate::chassis::Settings;
+use crate::config::ConfigError;
+use crate::messages::wire::{Celsius, Hardware, Health};
+
+/// Charge above the least at which a robot may move again \[%\]. Own choice: the charge that a pack shows rises by some
+/// percent once its motors are off, and it has to be charged or changed.
+pub const RECOVERED_PERCENT: u8 = 10;
+/// Temperature below the highest at which a robot may move again \[°C\]. Own choice, as for the charge.
+pub const RECOVERED_C: i16 = 10;
+
+/// Limits of one robot; none where it is not limited.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct HardwareLimits {
+    /// Charge at which it stands \[%\].
+    pub battery_least: Option<u8>,
+    /// Temperature at which it stands.
+    pub temperature_most: Option<Celsius>,
+}
+
+impl HardwareLimits {
+    /// The limits in the settings of a robot. An error names the wrong one.
+    pub fn of(settings: &Settings) -> Result<HardwareLimits, ConfigError> {
+        let battery_least = settings.battery_least.map(|least| match least {
+            0.0..=1.0 => Ok((least * 100.0).round() as u8),
+            _ => Err(ConfigError::field("battery_least", format!("{least} is no share of the charge, 0 to 1"))),
+        });
+        let temperature_most = settings.temperature_most_c.map(|most| {
+            let wrong = || ConfigError::field("temperature_most_c", format!("{most} is not -40 to 215 \u{b0}C"));
+            Celsius::of(most).ok_or_else(wrong)
+        });
+        Ok(HardwareLimits {
+            battery_least: battery_least.transpose()?,
+            temperature_most: temperature_most.transpose()?,
+        })
+    }
+}
+
+/// Whether the hardware of a robot permits motion.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Permit {
+    /// It does.
+    Granted,
+    /// A value with a limit is not known yet.
+    Unknown,
+    /// A value is beyond its limit.
+    Withdrawn,
+}
+
+/// Battery and temperature of one robot, against their limits.
+#[derive(Clone, Debug)]
+pub struct HardwareWatch {
+    limits: HardwareLimits,
+    battery: Option<u8>,
+    temperature: Option<Celsius>,
+    low: bool,
+    hot: bool,
+}
+
+impl HardwareWatch {
+    /// Makes a watch that knows no value yet.
+    pub fn new(limits: HardwareLimits) -> HardwareWatch {
+        HardwareWatch { limits, battery: None, temperature: None, low: false, hot: false }
+    }
+
+    /// Takes what a driver reports. A value that it leaves out stays as it was.
+    pub fn take(&mut self, hardware: &Hardware) {
+        self.battery = hardware.battery.or(self.battery);
+        self.temperature = hardware.temperature.or(self.temperature);
+        if let (Some(least), Some(charge)) = (self.limits.battery_least, self.battery) {
+            let recovered = least.saturating_add(RECOVERED_PERCENT).min(100);
+            self.low = charge <= least || (self.low && charge < recovered);
+        }
+        if let (Some(most), Some(temperature)) = (self.limits.temperature_most, self.temperature) {
+            let recovered = most.degrees() - RECOVERED_C;
+            self.hot = temperature >= most || (self.hot && temperature.degrees() > recovered);
+        }
+    }
+
+    /// Whether the robot may move.
+    pub fn permit(&self) -> Permit {
+        let known = |limited: bool, known: bool| !limited || known;
+        match () {
+            () if self.low || self.hot => Permit::Withdrawn,
+            () if !known(self.limits.battery_least.is_some(), self.battery.is_some()) => Permit::Unknown,
+            () if !known(self.limits.temperature_most.is_some(), self.temperature.is_some()) => Permit::Unknown,
+            () => Permit::Granted,
+        }
+    }
+
+    /// Reason for which the robot may not move, with what to do; none if it may.
+    pub fn reason(&self) -> Option<String> {
+        let HardwareLimits { battery_least, temperature_most } = self.limits;
+        match self.permit() {
+            Permit::Granted => None,
+            Permit::Unknown if battery_least.is_some() && self.battery.is_none() => {
+                Some("its driver reports no charge, which battery_least needs".to_owned())
+            }
+            Permit::Unknown => Some("its driver reports no temperature: leave out temperature_most_c".to_owned()),
+            Permit::Withdrawn => match (self.low, self.battery.zip(battery_least)) {
+                (true, Some((charge, least))) => {
+                    let enough = least.saturating_add(RECOVERED_PERCENT).min(100);
+                    Some(format!("battery {charge} %, least {least} %: charge it to {enough} %"))
+                }
+                _ => self.temperature.zip(temperature_most).map(|(temperature, most)| {
+                    let cool = most.degrees() - RECOVERED_C;
+                    let (now, most) = (temperature.degrees(), most.degrees());
+                    format!("{now} deg C, at most {most}: let it cool to {cool}")
+                }),
+            },
+        }
+    }
+
+    /// What is reported of the robot: a fault where a value is beyond its limit, and otherwise what its driver says.
+    pub fn judged(&self, hardware: Hardware) -> Hardware {
+        match self.permit() {
+            Permit::Withdrawn if hardware.health == Health::Ready => {
+                let why = self.reason().unwrap_or_default();
+                Hardware { health: Health::Faulty, ..hardware }.because(&why)
+            }
+            _ => hardware,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn watch(battery_least: Option<f32>, temperature_most_c: Option<f32>) -> HardwareWatch {
+        let settings = Settings { battery_least, temperature_most_c, ..Settings::default() };
+        HardwareWatch::new(HardwareLimits::of(&settings).unwrap())
+    }
+
+    fn of(battery: Option<u8>, degrees: Option<f32>) -> Hardware {
+        Hardware { battery, temperature: degrees.and_then(Celsius::of), ..Hardware::of(Health::Ready) }
+    }
+
+    #[test]
+    fn a_robot_that_stands_for_its_battery_has_to_be_charged() {
+        let mut watch = watch(Some(0.2), None);
+        assert_eq!(watch.permit(), Permit::Unknown);
+        let permits = [25, 21, 20, 21, 29, 30, 25].map(|charge| {
+            watch.take(&of(Some(charge), None));
+            watch.permit() == Permit::Granted
+        });
+        assert_eq!(permits, [true, true, false, false, false, true, true]);
+        watch.take(&of(None, None));
+        assert_eq!(watch.permit(), Permit::Granted, "what is left out stays");
+        watch.take(&of(Some(3), None));
+        let judged = watch.judged(of(Some(3), None));
+        assert_eq!(judged.health, Health::Faulty);
+        assert_eq!(judged.reason.unwrap().text(), "battery 3 %, least 20 %: charge it to 30 %");
+    }
+
+    #[test]
+    fn a_hot_robot_has_to_cool() {
+        let mut watch = watch(None, Some(70.0));
+        let permits = [69.0, 70.0, 65.0, 61.0, 60.0, 69.0].map(|degrees| {
+            watch.take(&of(None, Some(degrees)));
+            watch.permit() == Permit::Granted
+        });
+        assert_eq!(permits, [true, false, false, false, true, true]);
+        watch.take(&of(None, Some(88.0)));
+        assert_eq!(watch.reason().unwrap(), "88 deg C, at most 70: let it cool to 60");
+        let silent = Hardware::of(Health::Silent).because("no connection");
+        assert_eq!(watch.judged(silent.clone()), silent, "the driver's own fault comes first");
+    }
+
+    #[test]
+    fn without_limits_it_may_always_move_and_wrong_limits_are_named() {
+        let mut any = watch(None, None);
+        any.take(&of(Some(0), Some(200.0)));
+        assert_eq!((any.permit(), any.reason()), (Permit::Granted, None));
+        for (settings, field) in [
+            (Settings { battery_least: Some(20.0), ..Settings::default() }, "battery_least"),
+            (Settings { battery_least: Some(f32::NAN), ..Settings::default() }, "battery_least"),
+            (Settings { temperature_most_c: Some(300.0), ..Settings::default() }, "temperature_most_c"),
+        ] {
+            assert!(HardwareLimits::of(&settings).unwrap_err().to_string().starts_with(field));
+        }
+    }
+}
