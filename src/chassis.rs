@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::config::ConfigError;
-use crate::messages::geometry::{Pose, Vec2, wrapped};
-use crate::messages::local::BodyTwist;
+use crate::messages::geometry::{Motion, Pose, Vec2, wrapped};
+use crate::messages::local::{BodyTwist, Sample};
 use crate::messages::wire::Reading;
 use crate::time::Span;
 
@@ -231,12 +231,29 @@ impl Chassis {
                 BodyTwist { forward: speed.x, left: speed.y, yaw_rate }
             }
             DriveKind::Differential => {
-                let share = |value: f32, most: f32| if value.abs() > most { most / value.abs() } else { 1.0 };
-                let of_wheels = self
-                    .wheels
-                    .map_or(1.0, |(most, track_m)| share(forward.abs() + yaw_rate.abs() * track_m / 2.0, most));
-                let all = share(forward, self.speed_m_s).min(share(yaw_rate, self.yaw_rate_rad_s)).min(of_wheels);
+                let all = self.share(forward, yaw_rate);
                 BodyTwist { forward: forward * all, left: 0.0, yaw_rate: yaw_rate * all }
+            }
+        }
+    }
+
+    /// Share of a motion of a differential drive that is within its limits, up to 1.
+    fn share(&self, forward: f32, yaw_rate: f32) -> f32 {
+        let share = |value: f32, most: f32| if value.abs() > most { most / value.abs() } else { 1.0 };
+        let of_wheels =
+            self.wheels.map_or(1.0, |(most, track_m)| share(forward.abs() + yaw_rate.abs() * track_m / 2.0, most));
+        share(forward, self.speed_m_s).min(share(yaw_rate, self.yaw_rate_rad_s)).min(of_wheels)
+    }
+
+    /// Velocity of the commanded point in the world frame \[m/s\] that is carried out at a heading \[rad\], for a
+    /// wanted one: the same direction, within the limits.
+    pub fn limited(&self, velocity: Vec2, heading: f32) -> Vec2 {
+        match self.drive {
+            DriveKind::Holonomic => velocity.cap_magnitude(self.speed_m_s),
+            DriveKind::Differential => {
+                let (sin, cos) = libm::sincosf(heading);
+                let (forward, left) = (cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x);
+                velocity * self.share(forward, left / self.point_ahead_m)
             }
         }
     }
@@ -246,12 +263,27 @@ impl Chassis {
         if self.point_ahead_m == 0.0 {
             return Some(centre);
         }
-        let ahead = self.ahead(centre.pose.heading?);
-        let turning = Vec2::new(-ahead.y, ahead.x) * centre.twist.yaw_rate.unwrap_or(0.0);
+        let heading = centre.pose.heading?;
+        let point = self.point_motion(&centre.motion(), heading, centre.twist.yaw_rate.unwrap_or(0.0));
         let mut reading = centre;
-        reading.pose.position += ahead;
-        reading.twist.velocity += turning;
+        (reading.pose.position, reading.twist.velocity) = (point.position, point.velocity);
         Some(reading)
+    }
+
+    /// Position and velocity of the commanded point, from those of the centre, the heading \[rad\] and the yaw rate
+    /// \[rad/s\].
+    pub fn point_motion(&self, centre: &Motion, heading: f32, yaw_rate: f32) -> Motion {
+        if self.point_ahead_m == 0.0 {
+            return *centre;
+        }
+        let ahead = self.ahead(heading);
+        let turning = Vec2::new(-ahead.y, ahead.x) * yaw_rate;
+        Motion { position: centre.position + ahead, velocity: centre.velocity + turning }
+    }
+
+    /// Position of the commanded point \[m\] of a simulated robot.
+    pub fn point_of(&self, sample: &Sample) -> Vec2 {
+        self.point_motion(&sample.motion, sample.heading, sample.yaw_rate).position
     }
 
     /// Position of the robot's centre \[m\], from a reading of the commanded point.
@@ -263,7 +295,7 @@ impl Chassis {
     }
 
     /// Vector from the centre to the commanded point \[m\], world frame.
-    fn ahead(&self, heading: f32) -> Vec2 {
+    pub fn ahead(&self, heading: f32) -> Vec2 {
         let (sin, cos) = libm::sincosf(heading);
         Vec2::new(cos, sin) * self.point_ahead_m
     }
@@ -277,7 +309,6 @@ mod tests {
     use std::f32::consts::FRAC_PI_2;
 
     use super::*;
-    use crate::messages::geometry::Motion;
     use crate::messages::ids::RobotId;
 
     fn differential() -> Settings {

@@ -317,7 +317,7 @@ impl Trial {
         let deployment = self.placed();
         deployment.check()?;
         let plant = self.registry.plant(&deployment.plant);
-        plant.map_err(|error| ConfigError::field("plant", error.to_string()))?;
+        deployment.check_drives(plant.map_err(|error| ConfigError::field("plant", error.to_string()))?)?;
         self.safety.check()?;
         if let Some((_, stop)) = self.stops.iter().find(|(_, stop)| usize::from(stop.by.0) >= deployment.hosts.len()) {
             let reason = format!("there is no host {}; there are {}, from 0", stop.by.0, deployment.hosts.len());

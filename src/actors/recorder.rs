@@ -9,10 +9,12 @@
 //! wall.
 
 use std::collections::BTreeMap;
+use std::rc::Rc;
 
 use xxhash_rust::xxh3::Xxh3;
 
 use crate::actor::Core;
+use crate::chassis::Chassis;
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::local::{Contacts, Sample, Truth};
@@ -27,7 +29,7 @@ use crate::report::trial::{Hearing, Said, Step, Totals};
 use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::{Finding, Judge, JudgedRobot, Verdict};
 use crate::scenario::layout::Layouts;
-use crate::scenario::sightings::{Sighting, Sightings};
+use crate::scenario::sightings::{Sighting, Sightings, Spot};
 use crate::scenario::{Arena, Rules};
 use crate::time::{Span, Time};
 
@@ -78,6 +80,8 @@ pub struct Config {
     /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\]. It counts where
     /// verdicts come from readings.
     pub wall_radius_m: f32,
+    /// Chassis of each robot, by its number.
+    pub chassis: Rc<[Chassis]>,
 }
 
 /// Use of each step of a trial.
@@ -297,8 +301,11 @@ impl Recorder {
             && self.config.judged == Judged::Truth
             && let Some(judge) = &mut self.judge
         {
-            let seen: Vec<JudgedRobot> =
-                samples.iter().map(|s| JudgedRobot { position: s.motion.position, contacts: s.contacts }).collect();
+            let seen = |sample: &Sample| {
+                let point = self.config.chassis[sample.robot.index()].point_of(sample);
+                JudgedRobot { position: sample.motion.position, point, contacts: sample.contacts }
+            };
+            let seen: Vec<JudgedRobot> = samples.iter().map(seen).collect();
             if let Some(finding) = judge.update(now.since(self.since), &seen) {
                 self.close(now, finding, out);
             }
@@ -311,11 +318,12 @@ impl Recorder {
 
     /// Takes a reading, and judges the step that it completes.
     fn take_reading(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
-        let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading) else { return };
+        let centre = self.config.chassis[reading.robot.index()].centre(reading);
+        let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading, centre) else { return };
         let (arena, radius_m) = (&self.config.arena, self.config.wall_radius_m);
-        let seen = |(robot, position): (RobotId, Vec2)| {
-            let contacts = Contacts { wall: arena.clearance(position) <= radius_m, robot: false };
-            (robot, JudgedRobot { position, contacts })
+        let seen = |(robot, Spot { centre, point }): (RobotId, Spot)| {
+            let contacts = Contacts { wall: arena.clearance(centre) <= radius_m, robot: false };
+            (robot, JudgedRobot { position: centre, point, contacts })
         };
         let Some(judge) = self.judge.as_mut().filter(|_| self.phase == Phase::Running) else { return };
         if lapsed {
@@ -411,6 +419,7 @@ mod tests {
             placed: false,
             arena: passage.arena().clone(),
             wall_radius_m: 0.16,
+            chassis: [Chassis::default(); 2].into(),
         };
         Recorder::new(config, 2)
     }

@@ -148,7 +148,7 @@ impl World {
             // A new term of a running episode places no robot again.
             let due = persistent.placed[index].term == 0 || persistent.placed[index].episode < mode.round.episode;
             if let Some(task) = mode.task_of(body.robot).filter(|_| due) {
-                persistent.plant.place(index, task.start);
+                persistent.plant.place(index, task.start, task.heading());
                 persistent.placed[index] = mode.round;
                 (body.command, body.until) = (Vec2::zeros(), now);
                 self.placed_at = Some(now);

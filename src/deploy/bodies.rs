@@ -1,11 +1,13 @@
-//! Robots of a deployment that are not simulated: their chassis, and the limits of their hardware.
+//! Robots of a deployment: the chassis of all, and the limits of the hardware of real ones.
+
+use std::rc::Rc;
 
 use super::{Deployment, Host};
 use crate::chassis::{Chassis, Settings};
 use crate::config::ConfigError;
 use crate::messages::ids::RobotId;
 use crate::safety::hardware::HardwareLimits;
-use crate::world::Placement;
+use crate::world::{self, Placement};
 
 impl Deployment {
     /// Checks that every robot is simulated, as one process under virtual time requires; an error names the field.
@@ -43,6 +45,21 @@ impl Deployment {
     fn body_settings(&self, robot: RobotId) -> Settings {
         let own = self.bodies.get(&robot.0.to_string());
         own.map_or_else(|| self.body.clone(), |own| own.or(&self.body))
+    }
+
+    /// Chassis of all robots of a checked deployment, by their numbers.
+    pub fn team_chassis(&self) -> Rc<[Chassis]> {
+        RobotId::team(self.robots).map(|robot| self.chassis(robot)).collect()
+    }
+
+    /// Checks that a plant simulates the drives of all simulated robots.
+    pub fn check_drives(&self, plant: &world::Entry) -> Result<(), ConfigError> {
+        let mut simulated = self.hosts.iter().flat_map(|host| &host.simulates);
+        let other = |robot: &&u16| !plant.drives.contains(&self.chassis(RobotId(**robot)).drive);
+        simulated.find(other).map_or(Ok(()), |robot| {
+            let why = format!("'{}' does not simulate the drive of robot {robot}; take another plant", plant.name);
+            Err(ConfigError::field("plant", why))
+        })
     }
 
     /// Checks the chassis of all robots.

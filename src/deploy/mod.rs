@@ -144,10 +144,10 @@ pub struct Deployment {
     /// Plant of the simulated robots.
     #[serde(default = "kinematic")]
     pub plant: String,
-    /// Chassis of all real robots, unless `bodies` has another one for a robot.
+    /// Chassis of all robots, unless `bodies` has another one for a robot.
     #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
     pub body: chassis::Settings,
-    /// Chassis of single real robots that differ from `body`, by robot number.
+    /// Chassis of single robots that differ from `body`, by robot number.
     #[serde(default, skip_serializing_if = "chassis::ByRobot::is_empty")]
     pub bodies: chassis::ByRobot,
     /// The processes.

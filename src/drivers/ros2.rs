@@ -112,7 +112,6 @@ fn yaw_rate_rad_s() -> f32 {
 
 /// Makes the driver of `robot` and its worker; an error names the wrong setting.
 pub fn make(settings: &Settings, robot: RobotId) -> Result<Parts, ConfigError> {
-    settings::check_built()?;
     let config: Config = settings.read()?;
     let plan = plan(&config, robot)?;
     let (spare, checked) = (config.spare, config.clone());

@@ -17,6 +17,8 @@ use nix::sys::eventfd::{EfdFlags, EventFd};
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TryRecvError;
 
+use crate::config::ConfigError;
+
 /// One message over the channel.
 pub type Packet = Box<[u8]>;
 
@@ -25,6 +27,12 @@ pub const ROOM: usize = 64;
 
 /// I/O of a driver or a source. It runs on a thread of its own, and may start a runtime there.
 pub trait Worker: Send {
+    /// Checks that this program has all that the worker needs, before it is started. A team file is sound without: other
+    /// hosts of the team, and operators, need not have it.
+    fn check(&self) -> Result<(), ConfigError> {
+        Ok(())
+    }
+
     /// Runs until the port is closed. After that it has a second to end, and the robot has to stand.
     fn run(self: Box<Self>, port: Port);
 

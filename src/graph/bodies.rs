@@ -75,13 +75,13 @@ pub(super) fn start_body(
     });
 }
 
-/// Starts the Localizer of one simulated robot.
-pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId) {
+/// Starts the Localizer of one simulated robot of a team with these chassis.
+pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotId, chassis: &Rc<[Chassis]>) {
     let network = graph.network_of(graph.routes.localizer_host(robot));
-    let (sensor, seed) = (plan.physics.sensor, plan.seed);
+    let (sensor, seed, chassis) = (plan.physics.sensor, plan.seed, Rc::clone(chassis));
     let make = move |incarnation| {
         let stream = seed.stream(&format!("body/{}/sensor/{incarnation}", robot.0));
-        Localizer::new(Box::new(localization::simulated::Simulated::new(sensor, stream)), Rc::new([]))
+        Localizer::new(Box::new(localization::simulated::Simulated::new(sensor, stream)), Rc::clone(&chassis))
     };
     let mailbox = &graph.sensors[robot.index()];
     start(clock, mailbox, info_span!("localizer", robot = robot.0), make, move |reading| {
@@ -106,8 +106,7 @@ pub(super) fn start_source(
     deployment: &Deployment,
     out: impl FnMut(Reading) + 'static,
 ) {
-    let (source, team) = (Rc::clone(&device.make), RobotId::team(deployment.robots));
-    let chassis: Rc<[Chassis]> = team.map(|robot| deployment.chassis(robot)).collect();
+    let (source, chassis) = (Rc::clone(&device.make), deployment.team_chassis());
     let make = move |_| Localizer::new(source(), Rc::clone(&chassis));
     start(clock, mailbox, info_span!("localizer"), make, out);
 }
@@ -126,12 +125,18 @@ pub(super) fn wire_world(
     let others: Vec<RobotId> =
         RobotId::team(plan.deployment.robots).filter(|robot| simulated.binary_search(robot).is_err()).collect();
     // Robots are at their first starts before anything runs, as people would place them.
-    let team = simulated.iter().chain(&others);
-    let starts: Vec<Vec2> = team.map(|robot| plan.layouts.episode(0)[robot.index()].start).collect();
+    let task = |robot: &RobotId| plan.layouts.episode(0)[robot.index()];
+    let starts: Vec<Vec2> = simulated.iter().chain(&others).map(|robot| task(robot).start).collect();
     let others: Vec<(RobotId, Chassis)> =
         others.into_iter().map(|robot| (robot, plan.deployment.chassis(robot))).collect();
     let seed = plan.seed.child(&format!("world/{}", host.0));
-    let plant = (plan.plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
+    let mut plant = (plan.plant.build)(plan.scenario.arena(), &plan.physics, &starts, seed);
+    for (index, robot) in simulated.iter().enumerate() {
+        let chassis = plan.deployment.chassis(*robot);
+        if chassis != Chassis::default() {
+            plant.equip(index, chassis, task(robot).heading());
+        }
+    }
     let (persistent, placement) = (Rc::new(RefCell::new(PersistentPlant::new(plant))), plan.deployment.placement);
     let place = &graph.worlds[simulated[0].index()];
     let make = move |_| World::new(Rc::clone(&persistent), placement, &simulated, &others);

@@ -92,6 +92,9 @@ pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices,
     for &robot in &host.actuates {
         let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
         let parts = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
+        if let Some(worker) = &parts.worker {
+            worker.check().map_err(|error| error.within("driver").within("host"))?;
+        }
         let gate =
             parts.worker.map(|worker| start_worker(worker, format!("driver {robot}"), &mut workers)).transpose()?;
         devices.drivers.insert(RobotId(robot), Device { make: Rc::from(parts.driver), gate });
@@ -100,6 +103,7 @@ pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices,
         let settings = host.source.as_ref().expect("a checked host that localizes has a source");
         let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
         let parts = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
+        parts.worker.check().map_err(|error| error.within("source").within("host"))?;
         let gate = Some(start_worker(parts.worker, "source".to_owned(), &mut workers)?);
         devices.source = Some(Device { make: Rc::from(parts.source), gate });
     }
@@ -107,6 +111,7 @@ pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices,
         let team: Vec<RobotId> = RobotId::team(robots).collect();
         let made = observe::make(settings, &team).map_err(|error| error.within("observe").within("host"));
         let (observation, worker) = made?;
+        worker.check().map_err(|error| error.within("observe").within("host"))?;
         let gate = start_worker(Box::new(worker), "observation".to_owned(), &mut workers)?;
         devices.observation = Some((Rc::new(observation), gate));
     }

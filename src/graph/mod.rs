@@ -23,6 +23,7 @@ use crate::actors::controller::{self, Controller};
 use crate::actors::network;
 use crate::actors::recorder::{self, Recorder};
 use crate::actors::status;
+use crate::chassis::Chassis;
 use crate::deploy::{Deployment, Host, Stepping};
 use crate::estimation;
 use crate::faults::FaultPlan;
@@ -120,15 +121,16 @@ pub fn wire(clock: &Clock, plan: Plan, output: impl FnMut(recorder::Out) + 'stat
 /// Starts the actors of the hosts that run here.
 pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process: &Process) {
     let here = |host: HostId| process.only.is_none_or(|only| only == host);
+    let chassis = plan.deployment.team_chassis();
     for robot in RobotId::team(plan.deployment.robots) {
         if here(graph.routes.agent_host(robot)) {
-            wire_robot(clock, plan, graph, robot, process);
+            wire_robot(clock, plan, graph, robot, &chassis, process);
         }
         if here(graph.routes.actuator_host(robot)) {
             bodies::wire_body(clock, plan, graph, robot, process);
         }
         if graph.routes.world_host(robot).is_some_and(here) {
-            bodies::wire_sensor(clock, plan, graph, robot);
+            bodies::wire_sensor(clock, plan, graph, robot, &chassis);
         }
     }
     for host in 0..plan.deployment.hosts.len() {
@@ -154,6 +156,7 @@ pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, output: i
         placed: plan.deployment.placement == Placement::Exact,
         arena: plan.scenario.arena().clone(),
         wall_radius_m: plan.physics.wall_radius_m,
+        chassis: plan.deployment.team_chassis(),
     };
     let robots = plan.deployment.robots;
     let make = move |_| Recorder::new(config.clone(), robots);
@@ -173,8 +176,27 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     }
 }
 
-/// Starts Cache and Controller of one robot, and its Agent if the robot is the first of that Agent.
-fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, process: &Process) {
+/// Configuration of the guard of a robot of a team with these chassis. It knows the points that policies command, about
+/// which the hulls of differential robots are wider: least distances grow by that, and the ground shrinks.
+fn guard_config(plan: &Plan, robot: RobotId, chassis: &[Chassis]) -> guard::Config {
+    let interface = plan.run.interface();
+    let own = &chassis[robot.index()];
+    let others = RobotId::team(chassis.len()).zip(chassis.iter()).filter(|(other, _)| *other != robot);
+    let farthest_m = others.map(|(_, other)| other.point_ahead_m).fold(0.0, f32::max);
+    let distance_min_m = plan.safety.distance_min_m + own.point_ahead_m + farthest_m;
+    guard::Config {
+        safety: Safety { distance_min_m, ..plan.safety },
+        half_extent: plan.scenario.arena().half_extent.add_scalar(-own.point_ahead_m),
+        // No more than the chassis carries out, so that the guard judges the velocity that is driven.
+        limit_m_s: interface.limit_m_s.min(own.speed_m_s),
+        clamp: plan.clamp,
+        period: interface.period,
+    }
+}
+
+/// Starts Cache and Controller of one robot of a team with these chassis, and its Agent if the robot is the first of
+/// that Agent.
+fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, chassis: &[Chassis], process: &Process) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
     let first = graph.routes.agent_robots(robot)[0];
@@ -217,14 +239,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, pro
 
     let config = controller::Config {
         robot,
-        guard: guard::Config {
-            safety: plan.safety,
-            half_extent: plan.scenario.arena().half_extent,
-            // No more than the chassis carries out, so that the guard judges the velocity that is driven.
-            limit_m_s: interface.limit_m_s.min(plan.deployment.chassis(robot).speed_m_s),
-            clamp: plan.clamp,
-            period: interface.period,
-        },
+        guard: guard_config(plan, robot, chassis),
         valid_for: COMMAND_VALIDITY,
         phase: phase(plan, "controller", robot, controller::HEARTBEAT_PERIOD),
     };
@@ -255,12 +270,16 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let max_wait = Span::from_nanos(period.as_nanos() / 4);
     let plan = Rc::clone(plan);
     let make = move |incarnation: u32| {
-        let policies = |&robot: &RobotId| RobotPolicies {
-            robot,
-            run: plan.run.instance(plan.scenario.arena()),
-            reset: plan.reset.instance(plan.scenario.arena()),
-            actions: plan.seed.stream(&format!("agent/{}/action/{incarnation}", robot.0)),
-            ranges: plan.seed.stream(&format!("agent/{}/range/{incarnation}", robot.0)),
+        let policies = |&robot: &RobotId| {
+            // A policy knows the point that it commands, about which the hull of a differential robot is wider.
+            let arena = plan.scenario.arena().about_point(plan.deployment.chassis(robot).point_ahead_m);
+            RobotPolicies {
+                robot,
+                run: plan.run.instance(&arena),
+                reset: plan.reset.instance(&arena),
+                actions: plan.seed.stream(&format!("agent/{}/action/{incarnation}", robot.0)),
+                ranges: plan.seed.stream(&format!("agent/{}/range/{incarnation}", robot.0)),
+            }
         };
         Agent::new(Arc::clone(&plan.scenario), plan.range, max_wait, robots.iter().map(policies).collect())
     };

@@ -74,7 +74,6 @@ enum Kind {
 
 /// Makes the source and its worker.
 pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
-    settings::check_built()?;
     let config: Config = settings.read()?;
     let plan = plan(&config, robots)?;
     let (spare, robots) = (config.spare, robots.to_vec());

@@ -273,6 +273,14 @@ pub struct Task {
     pub goal: Vec2,
 }
 
+impl Task {
+    /// Direction from the start to the goal \[rad\], counter-clockwise from the x axis.
+    pub fn heading(&self) -> f32 {
+        let way = self.goal - self.start;
+        libm::atan2f(way.y, way.x)
+    }
+}
+
 impl Motion {
     /// At rest at `position`.
     pub fn at_rest(position: Vec2) -> Motion {

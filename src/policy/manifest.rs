@@ -6,6 +6,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Draw;
+use crate::chassis::{self, Chassis};
 use crate::messages::geometry::Vec2;
 use crate::scenario::Observation;
 
@@ -95,6 +96,15 @@ impl Training {
         let groups = stages.iter().filter_map(|stage| stage.get("groups")?.as_array()).flatten();
         let sizes = groups.filter_map(|group| group.as_array()).flatten().filter_map(serde_json::Value::as_u64);
         usize::try_from(sizes.max()?).ok()
+    }
+
+    /// Chassis of the robots of the training, if its configuration is in the format of this program. One that does not
+    /// say it was for holonomic robots.
+    pub fn chassis(&self) -> Option<Chassis> {
+        self.configuration.get("curriculum")?;
+        let settings =
+            self.configuration.get("body").map_or(Ok(chassis::Settings::default()), chassis::Settings::deserialize);
+        settings.ok()?.chassis().ok()
     }
 }
 

@@ -7,6 +7,7 @@ use super::gnn::{Gnn, Network};
 use super::manifest::Architecture;
 use super::weights::{self, WeightsError};
 use super::{Draw, Interface, Policy, orca, probe, shipped};
+use crate::chassis::Chassis;
 use crate::messages::wire::MAX_FEATURES;
 use crate::scenario::Arena;
 use crate::time::Span;
@@ -161,6 +162,11 @@ impl Model {
     /// Size of the largest team in the policy's training; `None` if that is unknown.
     pub fn largest_team(&self) -> Option<usize> {
         self.network()?.manifest().training.as_ref()?.largest_team()
+    }
+
+    /// Chassis of the robots of its training; none where that is unknown.
+    pub fn trained_chassis(&self) -> Option<Chassis> {
+        self.network()?.manifest().training.as_ref()?.chassis()
     }
 
     fn network(&self) -> Option<&Network> {

@@ -11,6 +11,8 @@ mod config;
 #[cfg(feature = "sim")]
 mod deployment;
 mod doctor;
+#[cfg(any(feature = "sim", feature = "train"))]
+mod drive;
 mod host;
 #[cfg(feature = "sim")]
 mod jobs;

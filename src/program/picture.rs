@@ -152,5 +152,6 @@ fn stage<'a>(trial: &'a Trial, policy: &str, episode: u32) -> Stage<'a> {
         radius_m: trial.physics.wall_radius_m,
         window: Span::from_secs(window_s),
         tasks: trial.layouts.episode(episode),
+        chassis: trial.deployment.team_chassis().to_vec(),
     }
 }

@@ -31,6 +31,7 @@ use crate::program::Ended;
 use crate::program::bad;
 use crate::program::deployment;
 use crate::program::deployment::ModeParser;
+use crate::program::drive;
 use crate::program::jobs;
 use crate::program::output::{print, read_text, talk};
 use crate::program::paths::Paths;
@@ -146,6 +147,8 @@ pub struct Args {
     /// CSV file for every robot's trajectory
     #[arg(long, value_name = "FILE.csv")]
     trajectories: Option<PathBuf>,
+    #[command(flatten)]
+    drive: drive::DriveFlags,
     #[command(flatten)]
     pictures: picture::Flags,
     /// Prints one JSON object instead of the table
@@ -310,7 +313,10 @@ fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Tri
     if let Some(plant) = &args.plant {
         deployment.plant.clone_from(plant);
     }
-    let policy::Loaded { model, name: policy, warnings } = policy::load(registry, policy, args.action, &*scenario)?;
+    deployment.body = args.drive.over(&deployment.body)?;
+    deployment.check().map_err(|e| BadInput(format!("--drive: {e}")))?;
+    let loaded = policy::load(registry, policy, args.action, &*scenario)?;
+    let policy::Loaded { model, name: policy, warnings } = loaded.for_team(&deployment.team_chassis());
     for warning in warnings.iter().filter(|_| !args.quiet) {
         talk(&format!("warning: {warning}"));
     }

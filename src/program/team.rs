@@ -143,5 +143,6 @@ pub fn key_of(file: Option<&Path>) -> Result<Option<[u8; 32]>> {
 pub fn policy(team: &Team, registry: &Registry) -> Result<policy::Loaded> {
     let settings = Settings::of(team.deployment.robots);
     let scenario = registry.scenario(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
-    policy::load(registry, team.policy.as_deref(), None, &*scenario)
+    let loaded = policy::load(registry, team.policy.as_deref(), None, &*scenario)?;
+    Ok(loaded.for_team(&team.deployment.team_chassis()))
 }

@@ -50,7 +50,6 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<(Observation, Sup
         let why = format!("'{}' is unknown; the only one is 'ros2'", settings.name);
         return Err(ConfigError::field("name", why));
     }
-    settings::check_built()?;
     let Config { prefix, domain, interface, memory_mib } = settings.read()?;
     settings::check_participant(domain, interface.as_deref(), memory_mib)?;
     let name = "the observation of the team".to_owned();

@@ -12,6 +12,7 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use crate::config::ConfigError;
 use crate::edge::{Packet, Port, Worker};
 use crate::time::{Span, Time};
 
@@ -68,6 +69,10 @@ impl Worker for Supervisor {
     fn claim(&self) -> Option<String> {
         let topic = self.plan.writers.first().map(|writer| &writer.topic)?;
         Some(format!("topic {topic} in domain {}", self.plan.domain))
+    }
+
+    fn check(&self) -> Result<(), ConfigError> {
+        super::settings::check_built()
     }
 
     fn run(self: Box<Self>, mut port: Port) {

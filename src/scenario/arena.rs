@@ -72,6 +72,11 @@ impl Arena {
         self.keep_outs.iter().map(|block| block.distance(point)).fold(f32::INFINITY, f32::min)
     }
 
+    /// The same ground for a point that is this far from the centres of robots \[m\]: their radius about it is larger.
+    pub fn about_point(&self, ahead_m: f32) -> Arena {
+        Arena { robot_radius_m: self.robot_radius_m + ahead_m, ..self.clone() }
+    }
+
     /// Whether a robot's centre may be at `point` \[m\]: on the ground and touching no block.
     pub fn admits(&self, point: Vec2) -> bool {
         point.x.abs() <= self.half_extent.x

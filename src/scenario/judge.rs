@@ -1,8 +1,9 @@
 //! The judge of an episode, which turns the states of the robots, step by step, into one verdict.
 //!
 //! An episode succeeds if every robot arrives in time, no two robots come nearer than the rules allow, and no robot
-//! touches a wall. Judging ends with the last arrival or at the time limit; later states do not count. The code is
-//! pure, and the Recorder and the trainer both use it.
+//! touches a wall. Distances are those of the hulls' centres; a robot has arrived with the point that its policy
+//! commands, as its own agent sees it. Judging ends with the last arrival or at the time limit; later states do not
+//! count. The code is pure, and the Recorder and the trainer both use it.
 //!
 //! States are the true ones of the whole team at each step, or measured ones of the robots seen in it (`sightings`).
 
@@ -36,8 +37,10 @@ pub enum Verdict {
 /// State of one robot, as input to the judge.
 #[derive(Clone, Copy, Debug)]
 pub struct JudgedRobot {
-    /// Position \[m\], world frame.
+    /// Position of the centre of its hull \[m\], world frame.
     pub position: Vec2,
+    /// Position of the point that its policy commands \[m\], world frame: the centre, unless its drive is differential.
+    pub point: Vec2,
     /// Contacts of this step.
     pub contacts: Contacts,
 }
@@ -99,7 +102,7 @@ impl Judge {
         }
         for (at, robot) in robots.iter().enumerate() {
             let at = index(at);
-            self.arrived[at] |= (self.goals[at] - robot.position).norm() <= self.rules.arrival_m;
+            self.arrived[at] |= (self.goals[at] - robot.point).norm() <= self.rules.arrival_m;
         }
         let all_arrived = self.arrived.iter().all(|&arrived| arrived);
         if !all_arrived && after < self.rules.limit {
@@ -144,7 +147,8 @@ mod tests {
     const RULES: Rules = Rules { arrival_m: 0.25, separation_m: 0.32, limit: Span::from_millis(1000) };
 
     fn seen(x: f32) -> JudgedRobot {
-        JudgedRobot { position: Vec2::new(x, 0.0), contacts: Contacts::default() }
+        let position = Vec2::new(x, 0.0);
+        JudgedRobot { position, point: position, contacts: Contacts::default() }
     }
 
     fn judge() -> Judge {
@@ -157,6 +161,18 @@ mod tests {
         assert_eq!(judge.update(Span::from_millis(50), &[seen(0.2), seen(4.0)]), None);
         let finding = judge.update(Span::from_millis(100), &[seen(1.0), seen(4.8)]).unwrap();
         assert_eq!((finding.verdict, finding.after), (Verdict::Success, Span::from_millis(100)));
+    }
+
+    #[test]
+    fn a_robot_arrives_with_its_point_and_collides_with_its_hull() {
+        let mut judge = judge();
+        let ahead = |x: f32, ahead_m: f32| JudgedRobot { point: Vec2::new(x + ahead_m, 0.0), ..seen(x) };
+        let finding = judge.update(Span::from_millis(50), &[ahead(-0.3, 0.1), ahead(4.7, 0.1)]).unwrap();
+        assert_eq!(finding.verdict, Verdict::Success);
+        let mut judge = self::judge();
+        assert_eq!(judge.update(Span::from_millis(50), &[ahead(1.0, -0.2), ahead(1.3, 0.2)]), None);
+        let finding = judge.update(Span::from_millis(100), &[seen(0.0), seen(5.0)]).unwrap();
+        assert_eq!(finding.verdict, Verdict::RobotCollision, "their points were 0.7 m apart");
     }
 
     #[test]
@@ -178,8 +194,8 @@ mod tests {
         let mut smallest = f32::INFINITY;
         for step in 0..20 {
             let mut point = || Vec2::new(stream.random_range(0.0..20.0), stream.random_range(0.0..20.0));
-            let robots: Vec<JudgedRobot> =
-                (0..100).map(|_| JudgedRobot { position: point(), contacts: Contacts::default() }).collect();
+            let robot = |at| JudgedRobot { position: at, point: at, contacts: Contacts::default() };
+            let robots: Vec<JudgedRobot> = (0..100).map(|_| robot(point())).collect();
             for (index, robot) in robots.iter().enumerate() {
                 for other in &robots[..index] {
                     smallest = smallest.min((robot.position - other.position).norm());

@@ -30,10 +30,19 @@ const PLACED_M: f32 = 0.25;
 pub struct Sighting {
     /// When the last of them was seen.
     pub at: Time,
-    /// Where they were \[m\], world frame; in the order of their ids.
-    pub robots: Vec<(RobotId, Vec2)>,
+    /// Where they were; in the order of their ids.
+    pub robots: Vec<(RobotId, Spot)>,
     /// Whether some robot of the team has been out of sight for longer than `SIGHT` in this episode.
     pub lapsed: bool,
+}
+
+/// Where a robot was seen, world frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spot {
+    /// Centre of its hull \[m\].
+    pub centre: Vec2,
+    /// Point that its policy commands, which readings are of \[m\].
+    pub point: Vec2,
 }
 
 /// What is known of one robot.
@@ -46,7 +55,7 @@ struct Known {
     /// Where it was put for this episode, until it has been seen there.
     start: Option<Vec2>,
     /// Where it is in the step that is not over.
-    here: Option<Vec2>,
+    here: Option<Spot>,
 }
 
 /// The readings of a team in the order of their arrival, as steps.
@@ -81,8 +90,8 @@ impl Sightings {
         self.lapsed || self.team.iter().any(|known| now.since(known.since) > SIGHT)
     }
 
-    /// A reading has arrived; the step that is over with it.
-    pub fn see(&mut self, now: Time, reading: &Reading) -> Option<Sighting> {
+    /// A reading has arrived of a robot whose centre is here \[m\]; the step that is over with it.
+    pub fn see(&mut self, now: Time, reading: &Reading, centre: Vec2) -> Option<Sighting> {
         let (at, position) = (reading.robot.index(), reading.pose.position);
         let known = &mut self.team[at];
         if !known.is_news(now, reading) {
@@ -90,7 +99,7 @@ impl Sightings {
         }
         let again = known.newest.is_some_and(|(_, stamp_ns, _)| stamp_ns == reading.stamp_ns);
         known.newest = Some((now, reading.stamp_ns, position));
-        if known.start.is_some_and(|start| (start - position).norm() > PLACED_M) {
+        if known.start.is_some_and(|start| (start - centre).norm() > PLACED_M) {
             return None;
         }
         known.start = None;
@@ -99,7 +108,7 @@ impl Sightings {
         let known = &mut self.team[at];
         self.lapsed |= now.since(known.since) > SIGHT;
         (known.since, self.at) = (now, now);
-        self.here += usize::from(known.here.replace(position).is_none());
+        self.here += usize::from(known.here.replace(Spot { centre, point: position }).is_none());
         // Whoever was seen a second time is alone in its step, and a team of one is never seen a second time.
         over.or_else(|| if self.here == self.team.len() { self.close() } else { None })
     }
@@ -140,11 +149,12 @@ mod tests {
     /// A reading arrives that was measured at a place; both times in ms.
     fn see(sightings: &mut Sightings, arrives: u64, robot: u16, measured: u64, x: f32) -> Option<Sighting> {
         let reading = Reading::of_point(RobotId(robot), measured * 1_000_000, Motion::at_rest(Vec2::new(x, 0.0)));
-        sightings.see(at_ms(arrives), &reading)
+        sightings.see(at_ms(arrives), &reading, reading.pose.position)
     }
 
     fn step(ms: u64, robots: &[(u16, f32)]) -> Option<Sighting> {
-        let robots = robots.iter().map(|&(robot, x)| (RobotId(robot), Vec2::new(x, 0.0))).collect();
+        let spot = |x: f32| Spot { centre: Vec2::new(x, 0.0), point: Vec2::new(x, 0.0) };
+        let robots = robots.iter().map(|&(robot, x)| (RobotId(robot), spot(x))).collect();
         Some(Sighting { at: at_ms(ms), robots, lapsed: false })
     }
 

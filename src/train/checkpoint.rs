@@ -44,7 +44,8 @@ impl Trainer {
             progress: self.progress,
             rate_factor: self.rate_factor,
         };
-        rmp_serde::to_vec(&state).expect("a state is plain data")
+        // With the names of fields, because some are left out where they are empty.
+        rmp_serde::to_vec_named(&state).expect("a state is plain data")
     }
 
     /// Takes the weights from the checkpoint of another training, to continue under other conditions. Its networks must

@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::network::Shape;
+use crate::chassis::{self, Chassis};
 use crate::config::{self, ConfigError};
 use crate::policy::Draw;
 use crate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
@@ -26,6 +27,9 @@ pub struct Config {
     pub robots: Option<usize>,
     /// Longest duration of an episode \[s\]. The episode is then truncated: the value of its last state is estimated.
     pub episode_s: f32,
+    /// Chassis of the robots; holonomic without limits if left out.
+    #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
+    pub body: chassis::Settings,
     /// The policy's network and interface.
     pub policy: Policy,
     /// Widths of the critic's network; `None` for those of the policy's.
@@ -252,6 +256,11 @@ impl Config {
             log_std_max: Some(self.ppo.log_std_max[1]),
             ..Manifest::published()
         }
+    }
+
+    /// Chassis of the robots of a checked configuration.
+    pub fn chassis(&self) -> Chassis {
+        self.body.chassis().expect("a checked configuration has a sound chassis")
     }
 
     /// Shape of the policy's network.

@@ -1,8 +1,12 @@
 //! Vectorized environments: the worlds, tasks, conditions and messages of many teams. The dynamics are those of
 //! `world::kinematic`, the reward that of the scenario; neither is implemented a second time.
 //!
+//! Robots with a differential drive are observed, rewarded and said to arrive by the point that the policy commands,
+//! and touch by their centres, as in a run. Their headings are drawn at the start of each episode.
+//!
 //! A row has as many robots as the configured team. It is one team, or several that do not interact.
 
+use std::f32::consts::PI;
 use std::sync::Arc;
 
 use rand::{Rng, RngExt};
@@ -12,13 +16,14 @@ use super::conditions::Episode;
 use super::config::{Conditions, Reward};
 use super::message_buffer::MessageBuffer;
 use super::reward::{RobotStep, proximity_penalty, robot_reward};
+use crate::chassis::{Chassis, DriveKind};
 use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::random;
 use crate::random::Stream;
 use crate::scenario::{Scenario, Stage, TeamAfterStep};
 use crate::world::kinematic::{self, PERIOD};
-use crate::world::{Clamp, Physics};
+use crate::world::{Clamp, Physics, Wheels};
 
 /// A team and the state of its episode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -53,10 +58,12 @@ impl Team {
 pub struct Environments {
     /// The teams, in the order of their robots.
     pub teams: Vec<Team>,
-    /// True positions \[m\], world frame.
+    /// True positions of the centres \[m\], world frame.
     pub position: Vec<Vec2>,
-    /// True velocities \[m/s\], world frame.
+    /// True velocities of the centres \[m/s\], world frame.
     pub velocity: Vec<Vec2>,
+    /// Wheels and commanded points; none for holonomic robots without limits of their own.
+    rolling: Option<Rolling>,
     /// Contacts in the last step.
     pub contacts: Vec<Contacts>,
     /// Tasks.
@@ -80,6 +87,22 @@ pub struct Environments {
     reached: Vec<bool>,
 }
 
+/// Wheels of robots, and true motions of the points that the policy commands, one entry per robot.
+#[derive(Clone, Debug)]
+struct Rolling {
+    wheels: Vec<Wheels>,
+    position: Vec<Vec2>,
+    velocity: Vec<Vec2>,
+}
+
+impl Rolling {
+    /// Updates the point of a robot from the motion of its centre.
+    fn update(&mut self, robot: usize, centre: &Motion) {
+        let point = self.wheels[robot].point(centre);
+        (self.position[robot], self.velocity[robot]) = (point.position, point.velocity);
+    }
+}
+
 /// State of environments from which they continue exactly.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Snapshot {
@@ -89,6 +112,9 @@ pub struct Snapshot {
     stage: Vec<u8>,
     arrived: Vec<bool>,
     to_go_m: Vec<f32>,
+    /// Heading and yaw rate by robot; empty for holonomic robots without limits of their own.
+    #[serde(default)]
+    turned: Vec<[f32; 2]>,
 }
 
 impl Environments {
@@ -127,6 +153,7 @@ impl Environments {
             teams,
             position: vec![Vec2::zeros(); robots],
             velocity: vec![Vec2::zeros(); robots],
+            rolling: None,
             contacts: vec![Contacts::default(); robots],
             tasks: vec![no_task; robots],
             stage: vec![Stage(0); robots],
@@ -139,6 +166,30 @@ impl Environments {
             scenario_reward: vec![0.0; robots],
             reached: vec![false; robots],
         }
+    }
+
+    /// Gives all robots this chassis. Episodes have to be started afterwards.
+    pub fn equipped(mut self, chassis: &Chassis) -> Environments {
+        let zeros = vec![Vec2::zeros(); self.position.len()];
+        self.rolling = (*chassis != Chassis::default()).then(|| Rolling {
+            wheels: vec![Wheels::new(*chassis, 0.0); zeros.len()],
+            position: zeros.clone(),
+            velocity: zeros,
+        });
+        self
+    }
+
+    /// True motion of the point of a robot that the policy commands and observes.
+    pub fn point(&self, robot: usize) -> Motion {
+        match &self.rolling {
+            None => Motion { position: self.position[robot], velocity: self.velocity[robot] },
+            Some(rolling) => Motion { position: rolling.position[robot], velocity: rolling.velocity[robot] },
+        }
+    }
+
+    /// Heading of a robot \[rad\], counter-clockwise from the x axis.
+    pub fn heading(&self, robot: usize) -> f32 {
+        self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[robot].heading())
     }
 
     /// The scenario of a team.
@@ -162,10 +213,15 @@ impl Environments {
             let robot = self.teams[team].first + index;
             self.position[robot] = task.start;
             self.velocity[robot] = Vec2::zeros();
+            if let Some(rolling) = &mut self.rolling {
+                let turns = rolling.wheels[robot].chassis().drive == DriveKind::Differential;
+                rolling.wheels[robot].place(if turns { stream.random_range(-PI..PI) } else { 0.0 });
+                rolling.update(robot, &Motion::at_rest(task.start));
+            }
             self.contacts[robot] = Contacts::default();
             self.stage[robot] = Stage(0);
             self.arrived[robot] = false;
-            self.to_go_m[robot] = self.scenario(team).distance_to_go(task, task.start);
+            self.to_go_m[robot] = self.scenario(team).distance_to_go(task, self.point(robot).position);
         }
         let team_of = &mut self.teams[team];
         (team_of.step, team_of.touched, team_of.episode_return) = (0, false, 0.0);
@@ -192,33 +248,44 @@ impl Environments {
         let (judged, clamp) = (self.is_judged(team), self.teams[team].episode.clamp);
         for (robot, action) in range.clone().zip(&actions[range.clone()]) {
             let exact = self.teams[team].episode.lockstep || clamp == Clamp::Training;
-            let measured = if exact { self.velocity[robot] } else { self.estimate(team, robot).velocity };
+            let measured = if exact { self.point(robot).velocity } else { self.estimate(team, robot).velocity };
             self.command[robot] = clamp.limit(*action, measured, limit_m_s);
         }
         let scenario = &**self.scenarios[self.teams[team].robots].as_ref().expect("every team has a scenario");
         let mut world = kinematic::Team {
             position: &mut self.position[range.clone()],
             velocity: &mut self.velocity[range.clone()],
+            wheels: self.rolling.as_mut().map_or(&mut [], |rolling| &mut rolling.wheels[range.clone()]),
             contacts: &mut self.contacts[range.clone()],
             before: &mut self.before[range.clone()],
         };
         kinematic::step(scenario.arena(), &self.physics[team], &self.command[range.clone()], &mut world);
+        if let Some(rolling) = &mut self.rolling {
+            for robot in range.clone() {
+                let centre = Motion { position: self.position[robot], velocity: self.velocity[robot] };
+                rolling.update(robot, &centre);
+            }
+        }
+        let (points, velocity) = match &self.rolling {
+            None => (&self.position[range.clone()], &self.velocity[range.clone()]),
+            Some(rolling) => (&rolling.position[range.clone()], &rolling.velocity[range.clone()]),
+        };
         let (position, contacts) = (&self.position[range.clone()], &self.contacts[range.clone()]);
         let tasks = &self.tasks[range.clone()];
         if weights.scenario > 0.0 {
-            let (velocity, stage) = (&self.velocity[range.clone()], &mut self.stage[range.clone()]);
-            let after = TeamAfterStep { tasks, position, velocity, contacts, stage };
+            let stage = &mut self.stage[range.clone()];
+            let after = TeamAfterStep { tasks, position: points, velocity, contacts, stage };
             scenario.rewards(after, &mut self.scenario_reward[range.clone()]);
         }
-        scenario.arrivals(tasks, position, &mut self.reached[range.clone()]);
+        scenario.arrivals(tasks, points, &mut self.reached[range.clone()]);
         let scored = self.scenario_reward[range.clone()].iter().zip(&self.reached[range.clone()]);
         let progress = self.to_go_m[range.clone()].iter_mut().zip(&mut self.arrived[range.clone()]);
         let progress = progress.zip(&mut self.reward[range.clone()]);
-        let states = tasks.iter().zip(position).zip(contacts).zip(scored).zip(progress).enumerate();
+        let states = tasks.iter().zip(position.iter().zip(points)).zip(contacts).zip(scored).zip(progress).enumerate();
         let (mut sum, mut touched) = (0.0, false);
-        for (robot, ((((task, &at), &contacts), scored), ((to_go_m, arrived), reward))) in states {
+        for (robot, ((((task, (&at, &point)), &contacts), scored), ((to_go_m, arrived), reward))) in states {
             let (&scenario_reward, &reached) = scored;
-            let step = RobotStep { task, position: at, contacts, scenario_reward, reached, to_go_m, arrived };
+            let step = RobotStep { task, position: at, point, contacts, scenario_reward, reached, to_go_m, arrived };
             *reward = robot_reward(weights, scenario, step);
             if weights.proximity > 0.0 {
                 *reward -= proximity_penalty(weights, robot, position);
@@ -244,10 +311,13 @@ impl Environments {
     /// Draws a measurement of every robot of a team and stores it as its estimate. Teams in lock step need this only
     /// before a decision, all others in every step.
     pub fn measure(&mut self, team: usize, stream: &mut Stream) {
+        let (position, velocity) = match &self.rolling {
+            None => (&self.position, &self.velocity),
+            Some(rolling) => (&rolling.position, &rolling.velocity),
+        };
         let Team { first, robots, step, episode, messages, .. } = &mut self.teams[team];
         for robot in 0..*robots {
-            let mut motion =
-                Motion { position: self.position[*first + robot], velocity: self.velocity[*first + robot] };
+            let mut motion = Motion { position: position[*first + robot], velocity: velocity[*first + robot] };
             let mut noise = |std: f32, to: &mut Vec2| {
                 if std > 0.0 {
                     *to += Vec2::from(random::normals(stream).map(|unit| unit as f32)) * std;
@@ -285,6 +355,7 @@ impl Environments {
             stage: self.stage.iter().map(|stage| stage.0).collect(),
             arrived: self.arrived.clone(),
             to_go_m: self.to_go_m.clone(),
+            turned: self.rolling.iter().flat_map(|r| &r.wheels).map(|w| [w.heading(), w.yaw_rate()]).collect(),
         }
     }
 
@@ -299,7 +370,8 @@ impl Environments {
             snapshot.arrived.len(),
             snapshot.to_go_m.len(),
         ];
-        if shape(&snapshot.teams) != shape(&self.teams) || lengths != [robots; 5] {
+        let turned = self.rolling.as_ref().map_or(0, |rolling| rolling.wheels.len());
+        if shape(&snapshot.teams) != shape(&self.teams) || lengths != [robots; 5] || snapshot.turned.len() != turned {
             return false;
         }
         self.teams = snapshot.teams;
@@ -308,6 +380,12 @@ impl Environments {
         self.stage = snapshot.stage.into_iter().map(Stage).collect();
         self.arrived = snapshot.arrived;
         self.to_go_m = snapshot.to_go_m;
+        if let Some(rolling) = &mut self.rolling {
+            for (robot, [heading, yaw_rate]) in snapshot.turned.into_iter().enumerate() {
+                rolling.wheels[robot].restore(heading, yaw_rate);
+                rolling.update(robot, &Motion { position: self.position[robot], velocity: self.velocity[robot] });
+            }
+        }
         for team in 0..self.teams.len() {
             let Team { layout, episode, .. } = self.teams[team].clone();
             let tasks = self.scenario(team).tasks(layout.0, layout.1);

@@ -74,6 +74,7 @@ impl Evaluation<'_> {
                 let environments = &chunk.environments;
                 let state = |robot: usize| JudgedRobot {
                     position: environments.position[robot],
+                    point: environments.point(robot).position,
                     contacts: environments.contacts[robot],
                 };
                 let states: Vec<JudgedRobot> = environments.teams[team].range().map(state).collect();

@@ -7,6 +7,7 @@ impl Config {
     /// Checks all fields; the error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         within("episode_s", self.episode_s, 0.1, 3600.0)?;
+        self.body.chassis().map_err(|error| error.within("body"))?;
         self.ppo.check()?;
         self.reward.check()?;
         self.conditions.check()?;

@@ -11,8 +11,10 @@ use crate::world::kinematic::PERIOD;
 pub struct RobotStep<'a> {
     /// The robot's task.
     pub task: &'a Task,
-    /// Position after the step \[m\], world frame.
+    /// Position of the centre after the step \[m\], world frame.
     pub position: Vec2,
+    /// Position of the point that the policy commands after the step \[m\], world frame.
+    pub point: Vec2,
     /// Contacts in the step.
     pub contacts: Contacts,
     /// The scenario's own reward of the step.
@@ -41,7 +43,7 @@ pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) 
         reward += weights.scenario * step.scenario_reward;
     }
     if weights.progress > 0.0 {
-        let to_go_m = scenario.distance_to_go(step.task, position);
+        let to_go_m = scenario.distance_to_go(step.task, step.point);
         reward += weights.progress * (*step.to_go_m - to_go_m);
         *step.to_go_m = to_go_m;
     }

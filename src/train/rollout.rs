@@ -12,7 +12,7 @@ use super::message_buffer::HISTORY_STEPS;
 use super::network::{Network, Space};
 use super::observe::{self, Privileged};
 use super::record::{EpisodeState, EpisodeTotals, HALF_LOG_TWO_PI, Record};
-use crate::messages::geometry::{Motion, Vec2};
+use crate::messages::geometry::Vec2;
 use crate::policy::Draw;
 use crate::policy::manifest::EdgeField;
 use crate::random;
@@ -70,7 +70,7 @@ impl Chunk {
         scenarios: &[Arc<dyn Scenario>],
         settings: &RolloutSettings,
     ) -> Chunk {
-        let environments = Environments::new(rows, groups, scenarios);
+        let environments = Environments::new(rows, groups, scenarios).equipped(&settings.config.chassis());
         let robots = environments.position.len() / rows;
         let (actor, critic) = (settings.actor, settings.critic);
         let record = Record {
@@ -240,7 +240,7 @@ impl Chunk {
         for team in teams.clone() {
             let (delay_s, loss) = environments.teams[team].episode.mean_edge();
             for robot in environments.teams[team].range() {
-                let truth = Motion { position: environments.position[robot], velocity: environments.velocity[robot] };
+                let truth = environments.point(robot);
                 let (_, to) = graphs.source();
                 let (own, more) = to.split_at_mut(2 * fields.len());
                 observe::own(fields, environments.scenario(team), &environments.tasks[robot], &truth, own);

@@ -26,7 +26,7 @@ pub(super) struct StepParameters {
     /// Largest change of velocity in a step along each axis \[m/s\].
     axis_change_m_s: f32,
     /// Largest change of velocity in a step in any direction \[m/s\].
-    total_change_m_s: f32,
+    pub(super) total_change_m_s: f32,
     /// Factor by which slip decays in a step.
     slip_decay: f32,
     /// Standard deviation of the noise added to slip in a step.

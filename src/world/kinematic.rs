@@ -1,12 +1,17 @@
 //! The training world of the paper: holonomic discs with limited acceleration and speed that walls and other robots
 //! block. Arithmetic and order of operations are those of the published environment, in f32.
 //!
+//! Robots with another chassis are discs about their centres. The limits act on the velocity of the commanded point,
+//! which [`Wheels`] turn into a motion of the centre and of the heading. A robot that is blocked still turns: it is
+//! round.
+//!
 //! `step` alone defines these dynamics; the World actor and the trainer both call it.
 
 use std::collections::BTreeMap;
 
-use super::{ContactRule, Physics, Plant, PlantState};
+use super::{ContactRule, Physics, Plant, PlantState, Wheels};
 use crate::cells::{self, Cells};
+use crate::chassis::Chassis;
 use crate::messages::geometry::{Motion, Vec2};
 use crate::messages::local::Contacts;
 use crate::random::Seed;
@@ -25,17 +30,19 @@ pub const MAX_ACCELERATION_M_S2: f32 = 1.0;
 /// State of the robots of one world, which a step updates in place.
 #[derive(Debug)]
 pub struct Team<'a> {
-    /// Positions \[m\].
+    /// Positions of the centres \[m\].
     pub position: &'a mut [Vec2],
-    /// Velocities \[m/s\].
+    /// Velocities of the centres \[m/s\].
     pub velocity: &'a mut [Vec2],
+    /// Wheels of each robot; empty if all are holonomic without limits of their own.
+    pub wheels: &'a mut [Wheels],
     /// Contacts of each robot in the step.
     pub contacts: &'a mut [Contacts],
     /// Scratch space for the positions before the step.
     pub before: &'a mut [Vec2],
 }
 
-/// Advances every robot by one step with its commanded velocity \[m/s\], world frame.
+/// Advances every robot by one step with the velocity of its commanded point \[m/s\], world frame.
 pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team) {
     team.before.copy_from_slice(team.position);
     let (max_acceleration, gain) = (physics.acceleration_m_s2, physics.gain(PERIOD));
@@ -47,8 +54,16 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
         }
         velocity + limited((wanted - velocity) / DT_S, max_acceleration) * DT_S
     };
-    for (velocity, command) in team.velocity.iter_mut().zip(commands) {
-        *velocity = Vec2::new(driven(velocity.x, command.x), driven(velocity.y, command.y));
+    if team.wheels.is_empty() {
+        for (velocity, command) in team.velocity.iter_mut().zip(commands) {
+            *velocity = Vec2::new(driven(velocity.x, command.x), driven(velocity.y, command.y));
+        }
+    } else {
+        for ((velocity, wheels), command) in team.velocity.iter_mut().zip(&mut *team.wheels).zip(commands) {
+            let point = wheels.point(&Motion { position: Vec2::zeros(), velocity: *velocity }).velocity;
+            let wanted = Vec2::new(driven(point.x, command.x), driven(point.y, command.y));
+            *velocity = wheels.drive(wanted, DT_S);
+        }
     }
     let (blocks, distance) = match physics.contacts {
         ContactRule::Block => (true, 2.0 * arena.robot_radius_m),
@@ -68,8 +83,21 @@ pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team
         }
         *position = Vec2::new(limited(position.x, half.x), limited(position.y, half.y));
     }
+    if !team.wheels.is_empty() {
+        return end_motions(team);
+    }
     for ((velocity, now), before) in team.velocity.iter_mut().zip(&*team.position).zip(&*team.before) {
         *velocity = (*now - *before) / DT_S;
+    }
+}
+
+/// Replaces mean velocities over the step by those at its end, which are those of the wheels unless something was in
+/// the way.
+fn end_motions(team: &mut Team) {
+    for (robot, wheels) in team.wheels.iter().enumerate() {
+        let (before, now) = (team.before[robot], team.position[robot]);
+        let free = wheels.chassis().point_ahead_m > 0.0 && now == before + team.velocity[robot] * DT_S;
+        team.velocity[robot] = if free { wheels.velocity() } else { (now - before) / DT_S };
     }
 }
 
@@ -149,7 +177,9 @@ pub struct Kinematic {
     before: Vec<Vec2>,
     commands: Vec<Vec2>,
     /// Robots that are moved from outside, with their states; none in most worlds.
-    carried: BTreeMap<usize, (Motion, f32)>,
+    carried: BTreeMap<usize, Motion>,
+    /// By robot; empty if all are holonomic without limits of their own.
+    wheels: Vec<Wheels>,
     states: Vec<PlantState>,
 }
 
@@ -165,6 +195,7 @@ pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> B
         before: zeros.clone(),
         commands: zeros,
         carried: BTreeMap::new(),
+        wheels: Vec::new(),
         states: vec![PlantState::default(); positions.len()],
     };
     plant.update_states();
@@ -181,6 +212,9 @@ impl Kinematic {
         state.motion.position = self.position[robot];
         state.motion.velocity = self.velocity[robot];
         state.contacts = self.contacts[robot];
+        if let Some(wheels) = self.wheels.get(robot) {
+            (state.heading, state.yaw_rate) = (wheels.heading(), wheels.yaw_rate());
+        }
     }
 }
 
@@ -189,7 +223,16 @@ impl Plant for Kinematic {
         PERIOD
     }
 
-    fn place(&mut self, robot: usize, position: Vec2) {
+    fn equip(&mut self, robot: usize, chassis: Chassis, heading: f32) {
+        self.wheels.resize(self.states.len(), Wheels::new(Chassis::default(), 0.0));
+        self.wheels[robot] = Wheels::new(chassis, heading);
+        self.update_state(robot);
+    }
+
+    fn place(&mut self, robot: usize, position: Vec2, heading: f32) {
+        if let Some(wheels) = self.wheels.get_mut(robot) {
+            wheels.place(heading);
+        }
         self.position[robot] = position;
         self.velocity[robot] = Vec2::zeros();
         self.contacts[robot] = Contacts::default();
@@ -202,7 +245,10 @@ impl Plant for Kinematic {
     }
 
     fn carry(&mut self, robot: usize, motion: Motion, heading: f32) {
-        self.carried.insert(robot, (motion, heading));
+        if let Some(wheels) = self.wheels.get_mut(robot) {
+            wheels.place(heading);
+        }
+        self.carried.insert(robot, motion);
         (self.position[robot], self.velocity[robot]) = (motion.position, motion.velocity);
         self.states[robot].heading = heading;
         self.update_state(robot);
@@ -216,11 +262,12 @@ impl Plant for Kinematic {
         let mut team = Team {
             position: &mut self.position,
             velocity: &mut self.velocity,
+            wheels: &mut self.wheels,
             contacts: &mut self.contacts,
             before: &mut self.before,
         };
         step(&self.arena, &self.physics, &self.commands, &mut team);
-        for (&robot, (motion, _)) in &self.carried {
+        for (&robot, motion) in &self.carried {
             (self.position[robot], self.velocity[robot]) = (motion.position, motion.velocity);
         }
         self.update_states();
@@ -247,7 +294,7 @@ mod tests {
         plant.drive(0, Vec2::new(9.0, 0.0));
         plant.advance();
         assert!((plant.states()[0].motion.velocity.x - 0.05).abs() < 1e-5);
-        plant.place(0, Vec2::new(0.0, 0.249));
+        plant.place(0, Vec2::new(0.0, 0.249), 0.0);
         plant.drive(0, Vec2::new(0.0, 1.0));
         plant.advance();
         assert!(plant.states()[0].contacts.wall);
@@ -286,7 +333,8 @@ mod tests {
         let step = |with_grid: bool, velocity: &mut [Vec2]| {
             let (mut position, mut contacts) = (before.clone(), vec![Contacts::default(); 200]);
             let (position_of, contacts_of) = (&mut position, &mut contacts);
-            let mut team = Team { position: position_of, velocity, contacts: contacts_of, before: &mut before.clone() };
+            let before = &mut before.clone();
+            let mut team = Team { position: position_of, velocity, wheels: &mut [], contacts: contacts_of, before };
             if with_grid {
                 assert!(move_with_grid(0.5, true, &mut team));
             } else {
@@ -299,6 +347,76 @@ mod tests {
         assert!((20..180).contains(&touching), "{touching} of 200 touch another");
         velocity[7] = Vec2::repeat(300.0);
         assert_eq!(step(true, &mut velocity), step(false, &mut velocity), "whatever their speed");
+    }
+
+    /// A plant with one robot whose point is 0.1 m ahead of its centre.
+    fn with_wheels(position: Vec2, heading: f32) -> Box<dyn Plant> {
+        use crate::chassis::{DriveKind, Settings};
+        let settings =
+            Settings { drive: Some(DriveKind::Differential), point_ahead_m: Some(0.1), ..Settings::default() };
+        let mut plant = build(&arena(), &Physics::published(&arena()), &[position], Seed::of_run(0));
+        plant.equip(0, settings.chassis().unwrap(), heading);
+        plant
+    }
+
+    fn point(state: &PlantState) -> Motion {
+        let ahead = Vec2::new(state.heading.cos(), state.heading.sin()) * 0.1;
+        let turning = Vec2::new(-ahead.y, ahead.x) * state.yaw_rate;
+        Motion { position: state.motion.position + ahead, velocity: state.motion.velocity + turning }
+    }
+
+    #[test]
+    fn the_point_of_a_differential_robot_moves_like_a_holonomic_one() {
+        let mut plant = with_wheels(Vec2::new(-1.0, -2.0), 2.0);
+        let start = point(&plant.states()[0]).position;
+        let mut other = build(&arena(), &Physics::published(&arena()), &[start], Seed::of_run(0));
+        for step in 0..200 {
+            let (sin, cos) = (step as f32 * 0.05).sin_cos();
+            for plant in [&mut plant, &mut other] {
+                plant.drive(0, Vec2::new(cos, sin) * 0.6);
+                plant.advance();
+            }
+            let (ours, theirs) = (point(&plant.states()[0]), other.states()[0].motion);
+            assert!((ours.position - theirs.position).norm() < 1e-3, "step {step}: {ours:?}, {theirs:?}");
+            assert!((ours.velocity - theirs.velocity).norm() < 1e-3, "step {step}: {ours:?}, {theirs:?}");
+        }
+    }
+
+    #[test]
+    fn the_centre_of_a_differential_robot_is_what_a_wall_blocks_and_it_still_turns() {
+        let mut plant = with_wheels(Vec2::new(0.0, -0.5), std::f32::consts::FRAC_PI_2);
+        let mut blocked = 0;
+        for _ in 0..100 {
+            plant.drive(0, Vec2::new(0.0, 1.0));
+            plant.advance();
+            let state = plant.states()[0];
+            blocked += u32::from(state.contacts.wall);
+            assert!(state.motion.position.y < 0.25, "the centre stays 0.25 m from the wall at 0.5 m: {state:?}");
+        }
+        let state = plant.states()[0];
+        assert!(blocked > 20 && point(&state).position.y > 0.27, "the point may come nearer: {state:?}");
+        plant.drive(0, Vec2::new(0.5, 0.0));
+        (0..10).for_each(|_| plant.advance());
+        assert!(plant.states()[0].heading < 1.4, "{:?}", plant.states()[0]);
+        plant.place(0, Vec2::zeros(), -1.0);
+        let state = plant.states()[0];
+        assert_eq!((state.motion, state.heading, state.yaw_rate), (Motion::at_rest(Vec2::zeros()), -1.0, 0.0));
+    }
+
+    #[test]
+    fn a_holonomic_robot_beside_a_differential_one_moves_as_ever() {
+        let starts = [Vec2::new(-1.0, -2.0), Vec2::new(1.0, -2.0)];
+        let plant = || build(&arena(), &Physics::published(&arena()), &starts, Seed::of_run(0));
+        let (mut mixed, mut plain) = (plant(), plant());
+        mixed.equip(0, crate::chassis::Chassis { speed_m_s: 0.2, ..Default::default() }, 0.0);
+        for _ in 0..60 {
+            for plant in [&mut mixed, &mut plain] {
+                (0..2).for_each(|robot| plant.drive(robot, Vec2::new(0.3, 0.4)));
+                plant.advance();
+            }
+            assert_eq!(mixed.states()[1], plain.states()[1]);
+        }
+        assert!((mixed.states()[0].motion.velocity.norm() - 0.2).abs() < 1e-4, "its own limit");
     }
 
     #[test]

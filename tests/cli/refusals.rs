@@ -60,6 +60,10 @@ fn wrong_flags_are_refused_in_one_line() {
     refuses(&["sim", "--wall-radius-m", "0"], &["--wall-radius-m", "0"]);
     refuses(&["sim", "--wall-radius-m", "10.5"], &["--wall-radius-m", "10.5"]);
     refuses(&["sim", "--wall-radius-m", "NaN"], &["--wall-radius-m", "NaN"]);
+    refuses(&["sim", "--drive", "legs"], &["--drive", "legs", "differential"]);
+    refuses(&["sim", "--drive", "differential"], &["--point-ahead-m", "missing"]);
+    refuses(&["sim", "--point-ahead-m", "0.1"], &["--point-ahead-m", "differential"]);
+    refuses(&["sim", "--speed-m-s", "0"], &["--speed-m-s", "above zero"]);
     refuses(&["sim", "--plant", "water"], &["--plant", "water", "rigid"]);
     refuses(&["sim", "--plant", "rigid", "--contacts", "judge"], &["--contacts", "'rigid'", "leave it out"]);
     refuses(&["sim", "--plant", "rigid", "--wall-radius-m", "0.2"], &["--wall-radius-m", "'rigid'", "0.16 m"]);
@@ -298,6 +302,7 @@ fn flags_of_the_robots_take_effect_and_their_defaults_change_nothing() {
         ("--handling", "hold", "as-published"),
         ("--safety", "emulated", "deployed"),
         ("--placement", "drive", "exact"),
+        ("--speed-m-s", "10", "0.2"),
     ];
     let plain = trace(&[]);
     for (flag, default, other) in flags {
@@ -308,6 +313,23 @@ fn flags_of_the_robots_take_effect_and_their_defaults_change_nothing() {
     let wide = |contacts| trace(&["--wall-radius-m", "0.49", "--contacts", contacts]);
     assert_eq!(wide("block"), trace(&["--wall-radius-m", "0.49"]));
     assert_ne!(wide("block"), wide("judge"));
+}
+
+#[test]
+fn a_policy_that_was_trained_for_another_drive_is_named() {
+    let said = |args: &[&str]| {
+        let common = ["sim", "--episodes", "1", "--repeats", "1"];
+        let output = run(&[&common[..], args].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        text(&output.stderr)
+    };
+    let wheels = ["--drive", "differential", "--point-ahead-m", "0.1"];
+    let warned = said(&wheels);
+    let words = ["warning", "shipped", "holonomic", "robot 0", "0.1 m ahead", "--drive"];
+    assert!(words.iter().all(|word| warned.contains(word)), "{warned}");
+    assert_eq!(said(&[&wheels[..], &["--quiet"]].concat()), "");
+    assert!(!said(&[&wheels[..], &["--policy", "orca"]].concat()).contains("warning"), "it is trained for none");
+    assert!(!said(&[]).contains("warning"));
 }
 
 #[test]

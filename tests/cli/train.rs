@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::program::{murmurate, refuses, run, text};
+use murmurate::chassis::DriveKind;
 use murmurate::train::config::Config;
 use tempfile::TempDir;
 
@@ -109,6 +110,9 @@ fn a_printed_configuration_is_for_the_team_of_the_scenario() {
     assert_eq!(printed(&["train", "passage"]), Config::preset("robust").expect("it is a preset"));
     let two = printed(&["train", "passage", "--preset", "published", "--robots", "2"]);
     assert_eq!((two.robots, &two.curriculum[0].groups), (Some(2), &vec![vec![2]]), "no robot trains by itself");
+    let wheels = printed(&["train", "passage", "--drive", "differential", "--point-ahead-m", "0.1"]);
+    assert_eq!((wheels.chassis().drive, wheels.chassis().point_ahead_m), (DriveKind::Differential, 0.1));
+    refuses(&["train", "passage", "--print-config", "--drive", "differential"], &["--point-ahead-m", "missing"]);
     refuses(&["train", "passage", "--print-config", "--robots", "40"], &["--robots", "2 to 12"]);
     refuses(&["train", "passage", "--print-config", "--steps", "5"], &["--print-config", "--steps"]);
 }

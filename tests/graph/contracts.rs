@@ -1,6 +1,7 @@
 //! Requirements on every registered scenario, policy and plant, and on every preset mode. A new entry in a registry
 //! is tested here without new test code.
 
+use murmurate::chassis::{self, DriveKind};
 use murmurate::deploy::{Deployment, MODES};
 use murmurate::messages::geometry::{Motion, Vec2, is_finite};
 use murmurate::messages::local::Contacts;
@@ -11,7 +12,7 @@ use murmurate::scenario::layout::Layouts;
 use murmurate::scenario::{self, Observation, Scenario, Settings, Stage};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
-use murmurate::world;
+use murmurate::world::{self, Plant};
 
 /// Returns every scenario with its default team and with each other team size that it accepts.
 fn scenarios() -> Vec<std::sync::Arc<dyn Scenario>> {
@@ -195,14 +196,39 @@ fn a_policy_is_a_function_of_its_inputs_and_random_numbers() {
     }
 }
 
+/// Checks that robot 0 of a plant, once it has a differential drive, is placed with a heading, and turns until it
+/// drives straight where it is told to.
+fn turns_to_where_it_is_driven(name: &str, plant: &mut dyn Plant, start: Vec2) {
+    let drive =
+        chassis::Settings { drive: Some(DriveKind::Differential), point_ahead_m: Some(0.1), ..Default::default() };
+    plant.equip(0, drive.chassis().expect("it is sound"), 0.5);
+    assert_eq!((plant.states()[0].motion, plant.states()[0].heading), (Motion::at_rest(start), 0.5), "{name}");
+    plant.place(0, start, 0.0);
+    plant.drive(0, Vec2::new(0.0, -0.5));
+    let mut fastest: f32 = 0.0;
+    for _ in 0..40 {
+        plant.advance();
+        fastest = fastest.max(plant.states()[0].yaw_rate.abs());
+    }
+    let state = plant.states()[0];
+    let down = -std::f32::consts::FRAC_PI_2;
+    assert!((state.heading - down).abs() < 0.1 && fastest > 0.5, "{name}: {fastest} rad/s, {state:?}");
+    assert!(state.motion.velocity.y < -0.3 && state.motion.velocity.x.abs() < 0.1, "{name}: {state:?}");
+    assert!(state.motion.position.y < start.y - 0.2, "{name}: {state:?}");
+    plant.place(0, start, 1.0);
+    assert_eq!((plant.states()[0].motion, plant.states()[0].heading), (Motion::at_rest(start), 1.0), "{name}");
+}
+
 #[test]
 fn a_plant_follows_commands_and_is_deterministic() {
     let scenario = scenario::build("passage", &Settings::default()).expect("the default is sound");
     let starts: Vec<Vec2> = scenario.tasks(1, 0).iter().map(|task| task.start).collect();
     for entry in world::REGISTRY {
+        let plant = |starts: &[Vec2]| {
+            (entry.build)(scenario.arena(), &(entry.physics)(scenario.arena()), starts, Seed::of_run(1))
+        };
         let run = || {
-            let mut plant =
-                (entry.build)(scenario.arena(), &(entry.physics)(scenario.arena()), &starts, Seed::of_run(1));
+            let mut plant = plant(&starts);
             assert!(plant.period() > Span::ZERO);
             for (robot, start) in starts.iter().enumerate() {
                 assert_eq!(plant.states()[robot].motion, Motion::at_rest(*start), "{}: at rest at first", entry.name);
@@ -224,6 +250,9 @@ fn a_plant_follows_commands_and_is_deterministic() {
                 entry.name
             );
             assert!(stopped[robot].motion.velocity.norm() < 1e-3, "{}: robot {robot} stops", entry.name);
+        }
+        if entry.drives.contains(&DriveKind::Differential) {
+            turns_to_where_it_is_driven(entry.name, &mut *plant(&starts[..1]), starts[0]);
         }
     }
 }

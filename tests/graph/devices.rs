@@ -192,9 +192,11 @@ fn a_program_localizes_robots() {
 
 #[test]
 #[cfg(not(feature = "ros2"))]
-fn a_program_without_ros_2_says_how_to_build_it() {
-    let settings = table("ros2", "namespace = '/r3'");
-    let driver = driver(&settings).err().expect("it is refused").to_string();
-    let source = source(&table("ros2", "")).err().expect("it is refused").to_string();
-    assert!(driver.contains("--features ros2") && source.contains("--features ros2"), "{driver} {source}");
+fn a_program_without_ros_2_reads_the_team_file_and_starts_no_robot() {
+    let driver = driver(&table("ros2", "namespace = '/r3'\nspeed_m_s = 0.3")).expect("an operator may have it");
+    let source = source(&table("ros2", "")).expect("an operator may have it");
+    for worker in [driver.worker.expect("it has one"), source.worker] {
+        let refused = worker.check().expect_err("it cannot run here").to_string();
+        assert!(refused.contains("--features ros2"), "{refused}");
+    }
 }

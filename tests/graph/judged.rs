@@ -53,7 +53,10 @@ fn truth(trial: &Trial, report: &TrialReport, episode: u32) -> Option<Finding> {
     let mut judge = Judge::new(trial.scenario.rules(), goals);
     let begun = report.steps.iter().find(of)?.samples[0].time;
     report.steps.iter().filter(of).find_map(|step| {
-        let seen = step.samples.iter().map(|s| JudgedRobot { position: s.motion.position, contacts: s.contacts });
+        let seen = step.samples.iter().map(|s| {
+            let position = s.motion.position;
+            JudgedRobot { position, point: position, contacts: s.contacts }
+        });
         judge.update(step.samples[0].time.since(begun), &seen.collect::<Vec<_>>())
     })
 }

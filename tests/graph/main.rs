@@ -4,6 +4,7 @@ mod common;
 mod contracts;
 mod determinism;
 mod devices;
+mod drives;
 mod estimators;
 mod faults;
 mod gpsd;

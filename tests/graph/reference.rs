@@ -124,6 +124,7 @@ fn every_step_of_the_environment_matches() {
             let mut team = kinematic::Team {
                 position: &mut position,
                 velocity: &mut velocity,
+                wheels: &mut [],
                 contacts: &mut contacts,
                 before: &mut space,
             };

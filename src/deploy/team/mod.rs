@@ -30,6 +30,7 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::transport::Place;
 use crate::registry::Registry;
+use crate::ros2::observe;
 use crate::safety::Safety;
 use crate::scenario::{Scenario, Settings};
 use crate::time::Span;
@@ -324,6 +325,9 @@ fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), Con
             }
         }
         host.source.iter().try_for_each(|settings| registry.source(settings, &ids(&host.localizes)).map(drop))?;
+        let team: Vec<RobotId> = RobotId::team(deployment.robots).collect();
+        let observed = host.observe.iter().try_for_each(|settings| observe::make(settings, &team).map(drop));
+        observed.map_err(|error| error.within("observe"))?;
     }
     Ok(())
 }

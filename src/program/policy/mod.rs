@@ -4,6 +4,8 @@ mod check;
 
 use std::path::Path;
 
+use crate::chassis::{Chassis, DriveKind};
+use crate::messages::ids::RobotId;
 use crate::policy::{Draw, Model};
 use crate::registry::Registry;
 use crate::scenario::Scenario;
@@ -37,6 +39,15 @@ pub struct Loaded {
     pub warnings: Vec<String>,
 }
 
+impl Loaded {
+    /// Adds a warning if the policy was trained for robots with another drive than one of this team.
+    pub fn for_team(mut self, team: &[Chassis]) -> Loaded {
+        let name = &self.name;
+        self.warnings.extend(other_drive(&self.model, team).map(|warning| format!("--policy {name}: {warning}")));
+        self
+    }
+}
+
 /// Loads a policy by a name in the registry or from a file; without `named`, the scenario's default. `draw` overrides
 /// the file's choice between mean and sampled actions. Errors name the flag or the file.
 pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scenario: &dyn Scenario) -> Result<Loaded> {
@@ -63,4 +74,22 @@ pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scena
     let warnings = model.assumed().map(str::to_owned).into_iter().chain(larger);
     let warnings = warnings.map(|warning| format!("{place}: {warning}")).collect();
     Ok(Loaded { model, name, warnings })
+}
+
+/// Returns a warning if a policy was trained for robots with another drive than one of these.
+fn other_drive(model: &Model, team: &[Chassis]) -> Option<String> {
+    let trained = model.trained_chassis()?;
+    let same = |chassis: &&Chassis| (chassis.drive, chassis.point_ahead_m) == (trained.drive, trained.point_ahead_m);
+    let (robot, chassis) = RobotId::team(team.len()).zip(team).find(|(_, chassis)| !same(chassis))?;
+    let (theirs, ours) = (described(&trained), described(chassis));
+    Some(format!("it was trained for {theirs}, and {robot} has {ours}: train it for these, with 'train --drive'"))
+}
+
+fn described(chassis: &Chassis) -> String {
+    match chassis.drive {
+        DriveKind::Holonomic => "a holonomic drive".to_owned(),
+        DriveKind::Differential => {
+            format!("a differential drive with the point {} m ahead", chassis.point_ahead_m)
+        }
+    }
 }

@@ -23,6 +23,7 @@ use serde::Serialize;
 
 use crate::program::BadInput;
 use crate::program::Ended;
+use crate::program::drive;
 use crate::program::output::{print, talk};
 use curve::{Curve, Row};
 use folder::Folder;
@@ -60,6 +61,8 @@ pub struct Args {
     /// wifi-slow) or a radio file, such as 'study network --fit' writes
     #[arg(long, value_name = "NAME|FILE.toml", conflicts_with = "resume")]
     radio: Option<String>,
+    #[command(flatten)]
+    drive: drive::DriveFlags,
     /// Duration of the training [min]; schedules follow the clock, so two such runs differ slightly
     #[arg(long)]
     minutes: Option<f64>,

@@ -46,6 +46,7 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
             (config.scaled_for(&args.scenario, registry).map_err(|e| BadInput(format!("--robots: {e}")))?, preset)
         }
     };
+    config.body = args.drive.over(&config.body)?;
     if let Some(radio) = &args.radio {
         let medium = study::medium("--radio", radio)?;
         let settings = Settings { robots: config.robots, gap_m: None };
@@ -91,6 +92,9 @@ pub fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Train
     }
     if args.preset.is_some() && theirs.preset != ours.preset {
         other("the preset", &theirs.preset, &ours.preset)?;
+    }
+    if !args.drive.is_empty() && args.drive.over(&theirs.config.body)? != theirs.config.body {
+        return Err(wrong("its drive differs; see [body] in config.toml beside it".to_owned()).into());
     }
     if (args.preset.is_some() || args.config.is_some()) && theirs.config != ours.config {
         return Err(wrong("its configuration differs; see config.toml beside it".to_owned()).into());

@@ -1,7 +1,9 @@
 //! Content of a picture of an episode, from the steps of a trial.
 
+use crate::chassis::Chassis;
 use crate::messages::geometry::{Task, Vec2};
 use crate::messages::ids::RobotId;
+use crate::messages::local::Sample;
 use crate::messages::wire::Phase;
 use crate::report::episode::Episode;
 use crate::report::trial::{Hearing, Step};
@@ -36,6 +38,15 @@ pub struct Stage<'a> {
     pub window: Span,
     /// Start and goal of every robot.
     pub tasks: &'a [Task],
+    /// Chassis of every robot.
+    pub chassis: Vec<Chassis>,
+}
+
+impl Stage<'_> {
+    /// Position of the point that a robot's policy commands \[m\].
+    fn point(&self, sample: &Sample) -> Vec2 {
+        self.chassis[sample.robot.index()].point_of(sample)
+    }
 }
 
 /// Content of a picture of an episode.
@@ -54,8 +65,10 @@ pub struct Scene<'a> {
 pub struct Frame {
     /// Time since the episode began.
     pub time: Span,
-    /// Positions by robot \[m\], world frame.
+    /// Positions of the centres by robot \[m\], world frame.
     pub at: Vec<Vec2>,
+    /// Positions of the points that policies command by robot \[m\], world frame.
+    pub points: Vec<Vec2>,
     /// Pairs of robots of which at least one hears the other, sorted.
     pub links: Vec<Link>,
 }
@@ -119,22 +132,22 @@ impl<'a> Scene<'a> {
         let mut judge = Judge::new(stage.rules, stage.tasks.iter().map(|task| task.goal).collect());
         let (mut frames, mut contact, mut arrived): (Vec<Frame>, _, _) =
             (Vec::new(), None, vec![false; stage.tasks.len()]);
-        frames.extend(before.map(|step| frame(Span::ZERO, step)));
+        frames.extend(before.map(|step| frame(&stage, Span::ZERO, step)));
         for step in steps {
             let after = time(step).since(began);
             let seen: Vec<JudgedRobot> = step
                 .samples
                 .iter()
-                .map(|s| JudgedRobot { position: s.motion.position, contacts: s.contacts })
+                .map(|s| JudgedRobot { position: s.motion.position, point: stage.point(s), contacts: s.contacts })
                 .collect();
             for ((arrived, task), seen) in arrived.iter_mut().zip(stage.tasks).zip(&seen) {
-                *arrived |= (task.goal - seen.position).norm() <= stage.rules.arrival_m;
+                *arrived |= (task.goal - seen.point).norm() <= stage.rules.arrival_m;
             }
             let over = judge.update(after, &seen).is_some();
             let touches = contact.is_none().then(|| touching(&stage, after, &seen)).flatten();
             let due = frames.last().is_none_or(|last| last.time + FRAME <= after);
             if due || over || touches.is_some() {
-                frames.push(frame(after, step));
+                frames.push(frame(&stage, after, step));
             }
             contact = contact.or(touches);
             if over {
@@ -142,8 +155,8 @@ impl<'a> Scene<'a> {
             }
         }
         if frames.is_empty() {
-            let at = stage.tasks.iter().map(|task| task.start).collect();
-            frames.push(Frame { time: Span::ZERO, at, links: Vec::new() });
+            let at: Vec<Vec2> = stage.tasks.iter().map(|task| task.start).collect();
+            frames.push(Frame { time: Span::ZERO, points: at.clone(), at, links: Vec::new() });
         }
         let ending = ending(&stage, episode, contact, &arrived, &frames[frames.len() - 1]);
         Scene { stage, frames, ending }
@@ -162,7 +175,7 @@ impl<'a> Scene<'a> {
     /// Returns the time of each robot's first arrival at its goal; `None` for a robot that did not arrive.
     pub fn arrivals(&self) -> Vec<Option<Span>> {
         let arrived = |(robot, task): (usize, &Task)| {
-            let near = |frame: &&Frame| (task.goal - frame.at[robot]).norm() <= self.stage.rules.arrival_m;
+            let near = |frame: &&Frame| (task.goal - frame.points[robot]).norm() <= self.stage.rules.arrival_m;
             self.frames.iter().find(near).map(|frame| frame.time)
         };
         self.stage.tasks.iter().enumerate().map(arrived).collect()
@@ -200,8 +213,10 @@ fn time(step: &Step) -> Time {
     step.samples.iter().map(|sample| sample.time).max().unwrap_or(Time::ZERO)
 }
 
-fn frame(time: Span, step: &Step) -> Frame {
-    Frame { time, at: step.samples.iter().map(|sample| sample.motion.position).collect(), links: links(&step.hearing) }
+fn frame(stage: &Stage, time: Span, step: &Step) -> Frame {
+    let at = step.samples.iter().map(|sample| sample.motion.position).collect();
+    let points = step.samples.iter().map(|sample| stage.point(sample)).collect();
+    Frame { time, at, points, links: links(&step.hearing) }
 }
 
 /// Returns one link per pair of robots of which one hears the other.
@@ -300,6 +315,7 @@ mod tests {
             radius_m: 0.16,
             window: Span::from_millis(200),
             tasks: &tasks,
+            chassis: vec![Chassis::default(); 2],
         };
         let steps = [
             step(1000, Phase::Resetting, [0.0, 1.0]),

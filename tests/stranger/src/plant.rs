@@ -1,6 +1,7 @@
 //! The plant `glide`: points that follow their commands with a lag, pass through each other, and stop at the edge. The
 //! judge still measures their distances.
 
+use murmurate::chassis::DriveKind;
 use murmurate::messages::geometry::{Motion, Vec2};
 use murmurate::random::Seed;
 use murmurate::scenario::Arena;
@@ -13,6 +14,7 @@ pub const GLIDE: Entry = Entry {
     about: "points that follow their commands with a lag",
     physics: |arena| Physics { lag_s: 0.1, ..Physics::published(arena) },
     fixed: &[("contacts", "points in plant 'glide' pass through each other")],
+    drives: &[DriveKind::Holonomic],
     build,
 };
 
@@ -41,7 +43,7 @@ impl Plant for Glide {
         PERIOD
     }
 
-    fn place(&mut self, robot: usize, position: Vec2) {
+    fn place(&mut self, robot: usize, position: Vec2, _: f32) {
         self.commands[robot] = Vec2::zeros();
         self.states[robot].motion = Motion::at_rest(position);
     }

@@ -1,0 +1,224 @@
+//! Motion of a simulated robot by its chassis: from velocities of the point that its policy commands to positions of
+//! its centre and headings.
+//!
+//! Over a step the point of a differential robot moves at a constant velocity, and its axle trails behind it. The path
+//! of the axle is then a tractrix. With the speed `u` of the point, its distance `d` ahead and the angle `a` from the
+//! heading to the velocity, `a' = -(u / d) sin a`, and so `tan(a / 2)` decays with `exp(-u t / d)`: the step is exact.
+//! So the drive follows its heading without delay. A real one follows each measured heading (`actors::body`).
+
+use crate::chassis::{Chassis, DriveKind};
+use crate::messages::geometry::{Motion, Vec2, wrapped};
+
+/// Speed of the commanded point below which a robot stands \[m/s\]: its square is far from the smallest f32.
+const STANDS_M_S: f32 = 1e-6;
+
+/// Chassis, heading and yaw rate of a simulated robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wheels {
+    chassis: Chassis,
+    heading: f32,
+    yaw_rate: f32,
+    /// Velocity of the centre at the end of the last step, if nothing was in the way \[m/s\], world frame.
+    velocity: Vec2,
+}
+
+impl Wheels {
+    /// Makes the wheels of a robot at rest with a heading \[rad\].
+    pub fn new(chassis: Chassis, heading: f32) -> Wheels {
+        let mut wheels = Wheels { chassis, heading: 0.0, yaw_rate: 0.0, velocity: Vec2::zeros() };
+        wheels.place(heading);
+        wheels
+    }
+
+    /// Places the robot at rest with a heading \[rad\]. A holonomic one has the heading that it holds, or zero.
+    pub fn place(&mut self, heading: f32) {
+        self.heading = match self.chassis.drive {
+            DriveKind::Holonomic => self.chassis.held_rad.map_or(0.0, |held| wrapped(f64::from(held)) as f32),
+            DriveKind::Differential => wrapped(f64::from(heading)) as f32,
+        };
+        (self.yaw_rate, self.velocity) = (0.0, Vec2::zeros());
+    }
+
+    /// Its chassis.
+    pub fn chassis(&self) -> &Chassis {
+        &self.chassis
+    }
+
+    /// Heading \[rad\], counter-clockwise from the x axis, within -pi and pi.
+    pub fn heading(&self) -> f32 {
+        self.heading
+    }
+
+    /// Yaw rate \[rad/s\], counter-clockwise.
+    pub fn yaw_rate(&self) -> f32 {
+        self.yaw_rate
+    }
+
+    /// Sets heading \[rad\] and yaw rate \[rad/s\], to continue from a saved state.
+    pub fn restore(&mut self, heading: f32, yaw_rate: f32) {
+        (self.heading, self.yaw_rate) = (heading, yaw_rate);
+    }
+
+    /// Position and velocity of the commanded point, from those of the centre.
+    pub fn point(&self, centre: &Motion) -> Motion {
+        self.chassis.point_motion(centre, self.heading, self.yaw_rate)
+    }
+
+    /// Velocity of the centre at the end of the last step \[m/s\], world frame, if nothing was in its way.
+    pub fn velocity(&self) -> Vec2 {
+        self.velocity
+    }
+
+    /// Turns the robot for a step in which its commanded point moves at `velocity` \[m/s\], world frame, as far as the
+    /// chassis allows. Returns the mean velocity of the centre over the step \[m/s\].
+    ///
+    /// The limits hold for the motions at the beginning and at the end of the step.
+    pub fn drive(&mut self, velocity: Vec2, step_s: f32) -> Vec2 {
+        if self.chassis.drive == DriveKind::Holonomic {
+            self.velocity = self.chassis.limited(velocity, self.heading);
+            return self.velocity;
+        }
+        let before = self.heading;
+        let mut point = self.chassis.limited(velocity, before);
+        let unlimited = self.trailed(point, step_s);
+        let at_end = self.chassis.limited(point, unlimited);
+        self.heading = if at_end == point { unlimited } else { self.trailed(at_end, step_s) };
+        point = at_end;
+        let ahead = self.chassis.ahead(self.heading);
+        let d = self.chassis.point_ahead_m;
+        // Forward speed and yaw rate at the end, as in `Chassis::twist`.
+        self.velocity = ahead * (point.dot(&ahead) / (d * d));
+        self.yaw_rate = (ahead.x * point.y - ahead.y * point.x) / (d * d);
+        point - (ahead - self.chassis.ahead(before)) / step_s
+    }
+
+    /// Heading after a step in which the commanded point moves at this velocity \[m/s\].
+    fn trailed(&self, point: Vec2, step_s: f32) -> f32 {
+        let speed = point.norm();
+        if speed < STANDS_M_S {
+            return self.heading;
+        }
+        let (sin, cos) = libm::sincosf(self.heading);
+        let (along, across) = (cos * point.x + sin * point.y, cos * point.y - sin * point.x);
+        let decay = libm::expf(-speed * step_s / self.chassis.point_ahead_m);
+        // Two forms of the tangent of half the angle, each where it is well conditioned.
+        let half = match along >= 0.0 {
+            true => libm::atan2f(decay * across, speed + along),
+            false => libm::atan2f(decay * (speed - along), across),
+        };
+        wrapped(f64::from(libm::atan2f(point.y, point.x)) - 2.0 * f64::from(half)) as f32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::{FRAC_PI_2, PI};
+
+    use super::*;
+    use crate::chassis::Settings;
+
+    const STEP_S: f32 = 0.05;
+
+    fn settings() -> Settings {
+        Settings { drive: Some(DriveKind::Differential), point_ahead_m: Some(0.1), ..Settings::default() }
+    }
+
+    fn wheels(settings: &Settings, heading: f32) -> Wheels {
+        Wheels::new(settings.chassis().unwrap(), heading)
+    }
+
+    /// Drives for a step; returns the state of the centre after it.
+    fn driven(wheels: &mut Wheels, centre: Motion, velocity: Vec2) -> Motion {
+        let mean = wheels.drive(velocity, STEP_S);
+        Motion { position: centre.position + mean * STEP_S, velocity: wheels.velocity() }
+    }
+
+    #[test]
+    fn the_point_moves_as_commanded_and_the_centre_trails_behind_it() {
+        for direction in [0.0_f32, 0.4, FRAC_PI_2, 2.0, 3.1, -0.7, -FRAC_PI_2, -2.5] {
+            for speed in [0.02_f32, 0.3, 1.5] {
+                let wanted = Vec2::new(direction.cos(), direction.sin()) * speed;
+                let mut wheels = wheels(&settings(), 0.0);
+                let mut centre = Motion::default();
+                for step in 1..=60 {
+                    let before = centre;
+                    centre = driven(&mut wheels, centre, wanted);
+                    let point = wheels.point(&centre);
+                    let due = Vec2::new(0.1, 0.0) + wanted * (step as f32 * STEP_S);
+                    assert!((point.position - due).norm() < 2e-5, "{direction} rad, {speed} m/s: {point:?}");
+                    assert!((point.velocity - wanted).norm() < 2e-5, "{direction} rad, {speed} m/s: {point:?}");
+                    let (sin, cos) = wheels.heading().sin_cos();
+                    let sideways = cos * centre.velocity.y - sin * centre.velocity.x;
+                    assert!(sideways.abs() < 1e-5, "wheels do not slip: {sideways}");
+                    assert!((centre.position - before.position).norm() <= speed * STEP_S + 1e-5, "it trails");
+                }
+                let travelled = speed * 60.0 * STEP_S;
+                let off = wrapped(f64::from(direction - wheels.heading())).abs() as f32;
+                assert!(travelled < 0.5 || off < 0.02, "it heads where the point goes: {off} rad off");
+            }
+        }
+    }
+
+    #[test]
+    fn the_step_is_the_limit_of_many_small_motions_in_the_robots_own_frame() {
+        for (heading, wanted) in
+            [(1.0_f32, Vec2::new(0.9, -0.2)), (3.0, Vec2::new(0.4, 0.3)), (-0.4, Vec2::new(-1.0, 1.0))]
+        {
+            let mut wheels = wheels(&settings(), heading);
+            let exact = driven(&mut wheels, Motion::default(), wanted);
+            let (mut at, mut angle) = ((0.0_f64, 0.0_f64), f64::from(heading));
+            let chassis = settings().chassis().unwrap();
+            for _ in 0..50_000 {
+                let twist = chassis.twist(wanted, Some(angle as f32)).unwrap();
+                let (sin, cos) = angle.sin_cos();
+                at.0 += cos * f64::from(twist.forward) * 1e-6;
+                at.1 += sin * f64::from(twist.forward) * 1e-6;
+                angle += f64::from(twist.yaw_rate) * 1e-6;
+            }
+            let off = (exact.position - Vec2::new(at.0 as f32, at.1 as f32)).norm();
+            assert!(off < 2e-5, "{off} m");
+            assert!(wrapped(angle - f64::from(wheels.heading())).abs() < 2e-4, "{angle} and {}", wheels.heading());
+        }
+    }
+
+    #[test]
+    fn a_robot_that_is_driven_straight_back_keeps_its_heading() {
+        let mut back = wheels(&settings(), FRAC_PI_2);
+        let mut centre = Motion::default();
+        for _ in 0..5 {
+            centre = driven(&mut back, centre, Vec2::new(0.0, -0.2));
+        }
+        assert!((centre.position - Vec2::new(0.0, -0.05)).norm() < 1e-4, "{centre:?}");
+        assert!((back.heading() - FRAC_PI_2).abs() < 1e-3, "{}", back.heading());
+        let mut still = wheels(&settings(), PI + 0.5);
+        assert_eq!(driven(&mut still, Motion::default(), Vec2::zeros()), Motion::default());
+        assert!((still.heading() - (0.5 - PI)).abs() < 1e-5, "{}", still.heading());
+    }
+
+    #[test]
+    fn limits_slow_the_point_and_keep_its_direction() {
+        let limited = Settings { speed_m_s: Some(0.22), yaw_rate_rad_s: Some(2.8), ..settings() };
+        let mut wheels = wheels(&limited, 0.0);
+        let mut centre = Motion::default();
+        for _ in 0..100 {
+            let before = (wheels.point(&centre).position, wheels.heading());
+            centre = driven(&mut wheels, centre, Vec2::new(-0.3, 0.8));
+            let moved = wheels.point(&centre).position - before.0;
+            assert!((moved.x / moved.y + 0.375).abs() < 1e-3, "along the command: {moved}");
+            assert!(centre.velocity.norm() <= 0.22 + 1e-5 && wheels.yaw_rate().abs() <= 2.8 + 1e-4);
+        }
+        assert!((centre.velocity.norm() - 0.22).abs() < 1e-3, "at its top speed");
+        let slow = Settings { speed_m_s: Some(0.5), ..Settings::default() };
+        assert!(
+            (Wheels::new(slow.chassis().unwrap(), 1.0).drive(Vec2::new(3.0, 4.0), STEP_S).norm() - 0.5).abs() < 1e-6
+        );
+    }
+
+    #[test]
+    fn a_holonomic_robot_has_the_heading_that_it_holds() {
+        use crate::chassis::HeadingMode;
+        let held = Settings { heading: Some(HeadingMode::Hold), heading_rad: Some(1.5), ..Settings::default() };
+        assert_eq!(wheels(&held, 0.3).heading(), 1.5);
+        assert_eq!(wheels(&Settings::default(), 0.3).heading(), 0.0);
+    }
+}
