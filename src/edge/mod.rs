@@ -27,8 +27,8 @@ pub const ROOM: usize = 64;
 
 /// I/O of a driver or a source. It runs on a thread of its own, and may start a runtime there.
 pub trait Worker: Send {
-    /// Checks that this program has all that the worker needs, before it is started. A team file is sound without: other
-    /// hosts of the team, and operators, need not have it.
+    /// Checks that this program has all that the worker needs, before it is started. A team file is sound without:
+    /// other hosts of the team, and operators, need not have it.
     fn check(&self) -> Result<(), ConfigError> {
         Ok(())
     }
