@@ -53,6 +53,14 @@ impl Receivers<'_> {
     }
 }
 
+/// Hosts that need a robot's readings to move robots: that of its agent; that of its driver, for the heading; and those
+/// whose Worlds simulate other robots, which may touch it.
+fn readers(agent: HostId, driver: HostId, own_world: Option<HostId>, worlds: &[HostId]) -> Vec<HostId> {
+    let driver = Some(driver).filter(|_| own_world.is_none());
+    let worlds = worlds.iter().copied().filter(|host| own_world != Some(*host));
+    [agent].into_iter().chain(driver).chain(worlds).collect()
+}
+
 impl Routes {
     /// Makes the routes of a deployment. Panics if a robot has no agent or no body, which `Deployment::check` excludes.
     pub fn of(deployment: &Deployment) -> Routes {
@@ -97,6 +105,8 @@ impl Routes {
             some.iter().chain(more).copied().collect::<BTreeSet<HostId>>().into_iter().collect()
         };
         let judge = deployment.judge_of_readings();
+        let simulates = |host: &usize| !deployment.hosts[*host].simulates.is_empty();
+        let worlds: Vec<HostId> = (0..deployment.hosts.len()).filter(simulates).map(|at| HostId(number(at))).collect();
         Routes {
             robots,
             agent_robots,
@@ -115,18 +125,8 @@ impl Routes {
                 server: server_host,
             }),
             links: KINDS.iter().map(|&kind| link_of(kind).map(|index| LinkId(number(index)))).collect(),
-            // The driver of a real robot needs its heading; a World knows it, and has to know where other robots are.
-            reading_hosts: RobotId::team(robots)
-                .map(|robot| {
-                    let agent = [agent_host[robot.index()]];
-                    let driver = match world_host[robot.index()] {
-                        Some(_) => &[][..],
-                        None => &actuator_host[robot.index()..=robot.index()],
-                    };
-                    let mut worlds: Vec<HostId> = world_host.iter().copied().flatten().collect();
-                    worlds.retain(|host| world_host[robot.index()] != Some(*host));
-                    hosts(&hosts(&agent, driver), &hosts(&worlds, judge.as_slice()))
-                })
+            reading_hosts: (0..robots)
+                .map(|at| hosts(&readers(agent_host[at], actuator_host[at], world_host[at], &worlds), judge.as_slice()))
                 .collect(),
             agent_host,
             actuator_host,

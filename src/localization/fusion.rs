@@ -327,24 +327,16 @@ impl State {
         let (s, p) = (self.information(variance), self.covariance);
         let gain: [[f64; 2]; 3] =
             std::array::from_fn(|row| std::array::from_fn(|at| p[row][0] * s[0][at] + p[row][1] * s[1][at]));
-        for row in 0..3 {
-            self.pose[row] += gain[row][0] * error[0] + gain[row][1] * error[1];
-            for column in 0..3 {
-                self.covariance[row][column] =
-                    p[row][column] - gain[row][0] * p[0][column] - gain[row][1] * p[1][column];
-            }
-        }
+        self.pose = std::array::from_fn(|at| self.pose[at] + gain[at][0] * error[0] + gain[at][1] * error[1]);
+        let less = |row: usize, column: usize| gain[row][0] * p[0][column] + gain[row][1] * p[1][column];
+        self.covariance = std::array::from_fn(|row| std::array::from_fn(|at| p[row][at] - less(row, at)));
     }
 
     fn correct_heading(&mut self, error: f64, variance: f64) {
         let p = self.covariance;
         let gain: [f64; 3] = std::array::from_fn(|row| p[row][2] / (p[2][2] + variance));
-        for row in 0..3 {
-            self.pose[row] += gain[row] * error;
-            for column in 0..3 {
-                self.covariance[row][column] = p[row][column] - gain[row] * p[2][column];
-            }
-        }
+        self.pose = std::array::from_fn(|at| self.pose[at] + gain[at] * error);
+        self.covariance = std::array::from_fn(|row| std::array::from_fn(|at| p[row][at] - gain[row] * p[2][at]));
     }
 }
 
@@ -424,7 +416,6 @@ mod tests {
     fn drift_is_bounded_and_the_heading_is_found_from_positions() {
         let by_hand = Config { heading_rad: Some(0.7), delay_s: 0.1, ..config() };
         let (alone, worst, worst_rad) = drive(by_hand, 0.3);
-        println!("odometry alone {alone:.2} m off, fused {worst:.3} m and {worst_rad:.3} rad at most");
         assert!(alone > 0.5, "wheels drift: {alone}");
         assert!(worst < 0.05 && worst_rad < 0.1, "the filter does not: {worst} m, {worst_rad} rad");
     }
