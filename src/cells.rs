@@ -58,7 +58,8 @@ impl Cells {
         Some(cells)
     }
 
-    /// Replaces `found` by the indices of all points that may be within the radius of `at` \[m\], in ascending order.
+    /// Replaces `found` by the indices, ascending, of the points that are no farther from `at` \[m\] than the radius
+    /// given to `new`. Indices are those of the points given there. Rounding may include a point at the very radius.
     pub fn near(&self, at: Vec2, found: &mut Vec<usize>) {
         found.clear();
         let (x, y) = cell(at, self.cell_m);

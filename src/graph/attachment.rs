@@ -33,7 +33,7 @@ pub struct Attachment {
     pub seed: Seed,
     /// Prefix of its random stream's name; the number of restarts follows.
     pub stream: String,
-    /// Span of its log lines.
+    /// Span of `tracing` in which the log lines of this Network are written.
     pub span: tracing::Span,
 }
 

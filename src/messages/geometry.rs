@@ -260,7 +260,7 @@ pub struct Deviation {
     pub heading_rad: Option<f32>,
     /// Of the velocity along each axis \[m/s\].
     pub velocity_m_s: Option<f32>,
-    /// Of the yaw rate \[rad/s\].
+    /// Standard deviation of the yaw rate \[rad/s\]; `None` if unknown.
     pub yaw_rate_rad_s: Option<f32>,
 }
 

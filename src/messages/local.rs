@@ -77,7 +77,7 @@ pub struct Action {
     pub velocity: Vec2,
     /// The robot's own estimate for this step, world frame.
     pub estimate: Motion,
-    /// OtherRobot known robots within `NEAR_M`.
+    /// Other known robots within `NEAR_M`.
     pub others: Vec<OtherRobot>,
     /// Whether the robot has reached its target.
     pub progress: Progress,

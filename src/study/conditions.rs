@@ -31,7 +31,7 @@ impl Deployed {
     }
 }
 
-/// Model of the links of a column.
+/// Model of the links in one column of a study's table, which stands for a mode and its conditions.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkModel {

@@ -138,7 +138,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Splits a datagram into message number and payload. Bytes after the payload are ignored.
+/// Splits a datagram into the number of its NatNet message type and its payload. Bytes after the payload are ignored.
 pub fn split(datagram: &[u8]) -> Result<(u16, &[u8]), Malformed> {
     let mut reader = Reader::new(datagram);
     let message = u16::from_le_bytes(reader.array()?);

@@ -50,7 +50,7 @@ pub struct Fitted {
     pub delays: f64,
     /// Other rates that fit almost as well, so that the rows do not tell them from the fitted one.
     pub alternatives: Vec<Rate>,
-    /// The rows, each with the emulation at the fitted parameters.
+    /// Each observed row, with the row that the emulation gives at the fitted parameters.
     pub rows: Vec<(Observed, Row)>,
 }
 

@@ -107,7 +107,7 @@ pub enum Band {
     High,
 }
 
-/// Data rate of 802.11, by name.
+/// Data rate of 802.11, written in files as its name, such as `ofdm-12`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Rate(u8);
