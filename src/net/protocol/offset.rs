@@ -42,8 +42,9 @@ impl Offsets {
         }
     }
 
-    /// Whether a report with the sender's stamp `theirs`, received at this host's stamp `here`, was certainly in transit
-    /// for longer than `most`, or was stamped by another clock than the estimated one. False without an estimate.
+    /// Whether a report with the sender's stamp `theirs`, received at this host's stamp `here`, was certainly in
+    /// transit for longer than `most`, or was stamped by another clock than the estimated one. False without an
+    /// estimate.
     pub fn is_off(&self, now: Time, here: Stamp, theirs: Stamp, most: Span) -> bool {
         let Some(offset) = self.estimate(now) else { return false };
         let delay_s = offset.ahead_s - theirs.ahead_us(here) as f64 * 1e-6;
