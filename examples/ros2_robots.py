@@ -49,6 +49,17 @@ class Robot(Node):
         self.odometry.publish(message)
 
 
+def spin(executor):
+    """Runs the robots until Ctrl-C or SIGTERM, which may come in the middle of a publication."""
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
+        pass
+    except Exception:
+        if rclpy.ok():
+            raise
+
+
 def main():
     if len(sys.argv) < 2 or any("=" not in argument for argument in sys.argv[1:]):
         sys.exit(__doc__)
@@ -57,10 +68,7 @@ def main():
     for argument in sys.argv[1:]:
         namespace, start = argument.split("=")
         executor.add_node(Robot(namespace, *map(float, start.split(","))))
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        pass
+    spin(executor)
 
 
 if __name__ == "__main__":

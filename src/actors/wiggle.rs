@@ -355,7 +355,7 @@ mod tests {
         wiggle: Wiggle,
         at: [Vec2; 2],
         velocity: [Vec2; 2],
-        /// What the robots make of a command, what the tracker makes of a position, and the names that it gives.
+        /// Mistakes of a set-up: in the robots' motions, in the tracker's positions, and in the names that it gives.
         axes: Axes,
         names: [u16; 2],
         silent_from: Option<Time>,

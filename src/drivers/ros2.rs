@@ -219,7 +219,7 @@ impl Ros2 {
             (Some(_), Some(_)) if self.is_silent(now) => (Health::Faulty, reason("its odometry is silent")),
             _ if obeyed => (Health::Ready, None),
             // It reports, and takes no commands yet.
-            _ => (Health::Silent, reason("nobody subscribes to its commands")),
+            _ => (Health::Silent, reason("no subscriber of its commands")),
         }
     }
 

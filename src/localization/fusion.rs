@@ -13,7 +13,7 @@ use serde::Deserialize;
 use super::{In, Out, Parts, Source};
 use crate::config::ConfigError;
 use crate::edge::Settings;
-use crate::messages::geometry::{Pose, Vec2, wrapped};
+use crate::messages::geometry::{Pose, Vec2, rotated, wrapped};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
@@ -340,12 +340,6 @@ impl State {
     }
 }
 
-/// A vector turned by an angle \[rad\].
-fn rotated(angle: f64, x: f64, y: f64) -> (f64, f64) {
-    let (sin, cos) = libm::sincos(angle);
-    (cos * x - sin * y, sin * x + cos * y)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -436,7 +430,7 @@ mod tests {
             filter.advance(now, &reading(ms, [0.001 * ms as f64, 0.0], Some(0.0))).unwrap()
         };
         assert_eq!(advance(&mut filter, 0), None);
-        assert_eq!(advance(&mut filter, 20), None, "nobody knows where it is");
+        assert_eq!(advance(&mut filter, 20), None, "its position is unknown");
         filter.correct(Time::ZERO + Span::from_millis(30), &reading(30, [5.0, 5.0], None)).unwrap();
         let said = advance(&mut filter, 40).unwrap();
         assert!((said.pose.position - Vec2::new(5.02, 5.0)).norm() < 1e-5, "{said:?}");

@@ -6,7 +6,7 @@
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::localization::{In, Out, Parts, Source};
-use crate::messages::geometry::wrapped;
+use crate::messages::geometry::{rotated, wrapped};
 use crate::messages::ids::RobotId;
 use crate::time::Time;
 use serde::Deserialize;
@@ -144,7 +144,7 @@ impl Poses {
 
     /// Returns a pose in the world frame.
     fn aligned(&self, mut pose: PoseSample) -> PoseSample {
-        let (x, y) = reading::rotated(self.yaw_rad, pose.x, pose.y);
+        let (x, y) = rotated(self.yaw_rad, pose.x, pose.y);
         (pose.x, pose.y) = (x + self.origin_m[0], y + self.origin_m[1]);
         pose.yaw = pose.yaw.map(|yaw| wrapped(yaw + self.yaw_rad));
         pose

@@ -327,6 +327,12 @@ pub const MAX_HEADING: f32 = std::f32::consts::PI;
 /// Largest coordinate \[m\] and velocity \[m/s\] that is valid: arithmetic in f32 stays finite with it.
 pub const MAX_SIZE: f32 = 1e5;
 
+/// Rotates a vector by an angle \[rad\], counter-clockwise, in double precision.
+pub fn rotated(angle: f64, x: f64, y: f64) -> (f64, f64) {
+    let (sin, cos) = libm::sincos(angle);
+    (cos * x - sin * y, sin * x + cos * y)
+}
+
 /// Returns the same angle \[rad\] within -pi and pi; also as a 32-bit float it is within `MAX_HEADING`.
 pub fn wrapped(angle: f64) -> f64 {
     libm::remainder(angle, std::f64::consts::TAU)

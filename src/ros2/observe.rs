@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use crate::config::ConfigError;
 use crate::edge::Settings;
-use crate::messages::geometry::Motion;
+use crate::messages::geometry::{Motion, rotated};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 
@@ -100,7 +100,7 @@ impl Observation {
         let velocity = reading.twist.velocity;
         // The twist of an Odometry is in the frame of the robot; without a heading that frame is unknown.
         let twist = heading.map(|heading| {
-            let (x, y) = super::reading::rotated(-heading, f64::from(velocity.x), f64::from(velocity.y));
+            let (x, y) = rotated(-heading, f64::from(velocity.x), f64::from(velocity.y));
             let deviation = &reading.deviation;
             TwistSample {
                 x,

@@ -1,6 +1,6 @@
 //! Readings from poses of ROS messages. Pure.
 
-use crate::messages::geometry::{Deviation, Pose, Twist, Vec2, wrapped};
+use crate::messages::geometry::{Deviation, Pose, Twist, Vec2, rotated, wrapped};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use serde::Deserialize;
@@ -37,12 +37,6 @@ pub struct Velocity {
     pub y: f64,
     /// Yaw rate \[rad/s\]; none if it is not measured.
     pub yaw_rate: Option<f64>,
-}
-
-/// Rotates a vector by an angle \[rad\].
-pub fn rotated(angle: f64, x: f64, y: f64) -> (f64, f64) {
-    let (sin, cos) = libm::sincos(angle);
-    (cos * x - sin * y, sin * x + cos * y)
 }
 
 /// Returns a pose with the axes of REP-103.

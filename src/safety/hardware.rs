@@ -115,7 +115,7 @@ impl HardwareWatch {
         }
     }
 
-    /// What is reported of the robot: a fault where a value is beyond its limit, and otherwise what its driver says.
+    /// Condition to report: a fault where a value is beyond its limit, and otherwise the condition by the driver.
     pub fn judged(&self, hardware: Hardware) -> Hardware {
         match self.permit() {
             Permit::Withdrawn if hardware.health == Health::Ready => {

@@ -135,7 +135,7 @@ fn a_placed_robot_heads_for_its_goal_and_one_that_drove_there_keeps_its_heading(
     for pair in steps.windows(2) {
         for (before, after) in pair[0].samples.iter().zip(&pair[1].samples) {
             let turned = wrapped(f64::from(after.heading - before.heading)).abs();
-            assert!(turned < 1.5, "nobody turns it by hand: {before:?}, {after:?}");
+            assert!(turned < 1.5, "it is not turned by hand: {before:?}, {after:?}");
         }
     }
 }

@@ -14,7 +14,7 @@ mod worker;
 use crate::config::ConfigError;
 use crate::edge::Settings;
 use crate::localization::{In, Out, Parts, Source};
-use crate::messages::geometry::{self, Deviation, MAX_HEADING, Twist, Vec2, wrapped};
+use crate::messages::geometry::{self, Deviation, MAX_HEADING, Twist, Vec2, rotated, wrapped};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Reading, Wire};
 use crate::time::{Span, Time};
@@ -220,14 +220,13 @@ impl Alignment {
         let [x, y, _] = raised(rigid.position);
         let [i, j, k, w] = rigid.rotation;
         let [i, j, k] = raised([i, j, k]);
-        let (sin, cos) = libm::sincos(self.yaw_rad);
-        let [origin_x, origin_y] = self.origin_m;
+        let ([origin_x, origin_y], turned) = (self.origin_m, rotated(self.yaw_rad, x, y));
         // The body's x axis, projected on the floor.
         let (ahead, left) = (1.0 - 2.0 * (j * j + k * k), 2.0 * (i * j + w * k));
         let level = libm::hypot(ahead, left) >= LEVEL;
         Pose {
             stamp_s,
-            position: [origin_x + cos * x - sin * y, origin_y + sin * x + cos * y],
+            position: [origin_x + turned.0, origin_y + turned.1],
             heading: level.then(|| wrapped(libm::atan2(left, ahead) + self.yaw_rad)),
         }
     }

@@ -83,12 +83,7 @@ pub fn look(
             drop(devices);
             if let Some(operator) = operator {
                 operator::wire((clock, readers), operator, move |said| {
-                    let reason = match said {
-                        ProcessEvent::Message(Wire::Mode(mode)) => hindrance(mode.phase, mode.latch),
-                        ProcessEvent::Message(Wire::Stop(stop)) => hindrance_of_stop(stop),
-                        _ => None,
-                    };
-                    if let Some(reason) = reason {
+                    if let Some(reason) = reason_to_end(&said) {
                         heard.borrow_mut().get_or_insert(reason);
                     }
                 });
@@ -122,6 +117,15 @@ pub fn look(
         (None, _) => End::Interrupted,
     };
     Ok((seen.take(), end))
+}
+
+/// Reason to end a wiggle, in what an operator hears of the team; `None` if there is none.
+fn reason_to_end(said: &ProcessEvent) -> Option<String> {
+    match said {
+        ProcessEvent::Message(Wire::Mode(mode)) => hindrance(mode.phase, mode.latch),
+        ProcessEvent::Message(Wire::Stop(stop)) => hindrance_of_stop(stop),
+        _ => None,
+    }
 }
 
 /// Wakes the event loop every 50 ms, so that the ends of times are noticed.

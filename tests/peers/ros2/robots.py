@@ -86,10 +86,7 @@ def main():
 
     signal.signal(signal.SIGUSR1, lambda *_: fault(True))
     signal.signal(signal.SIGUSR2, lambda *_: fault(False))
-    try:
-        executor.spin()
-    except (KeyboardInterrupt, rclpy.executors.ExternalShutdownException):
-        pass
+    ros2_robots.spin(executor)
 
 
 if __name__ == "__main__":
