@@ -6,6 +6,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 cargo build --locked --release --quiet --package stranger
+cargo test --locked --release --quiet --package stranger
 program=${CARGO_TARGET_DIR:-target}/release/stranger
 
 has() { # TEXT WORD...: refuses a text that lacks one of the words

@@ -1,9 +1,10 @@
 //! Scenarios: arenas, tasks, policy frames, rewards and the rules of judging.
 //!
 //! A scenario is one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. In another crate it is
-//! one line where its `Registry` is made. Nothing here knows a policy, a network or an actor.
+//! one line where its `Registry` is made, and [`contract::check`] tests it. Nothing here knows a policy, a network or an actor.
 
 pub mod arena;
+pub mod contract;
 pub mod judge;
 pub mod layout;
 pub mod passage;

@@ -4,100 +4,19 @@
 use murmurate::chassis::{self, DriveKind};
 use murmurate::deploy::{Deployment, MODES};
 use murmurate::messages::geometry::{Motion, Vec2, is_finite};
-use murmurate::messages::local::Contacts;
 use murmurate::policy::{self, Model, Neighbour};
 use murmurate::random::Seed;
 use murmurate::scenario::judge::Verdict;
 use murmurate::scenario::layout::Layouts;
-use murmurate::scenario::{self, Observation, Scenario, Settings, Stage};
+use murmurate::scenario::{self, Observation, Settings};
 use murmurate::time::Span;
 use murmurate::trial::Trial;
 use murmurate::world::{self, Plant};
 
-/// Returns every scenario with its default team and with each other team size that it accepts.
-fn scenarios() -> Vec<std::sync::Arc<dyn Scenario>> {
-    let sizes = [None, Some(2), Some(3), Some(8), Some(12)];
-    let of = |entry: &'static scenario::Entry| {
-        sizes.into_iter().filter_map(|robots| (entry.build)(&Settings { robots, gap_m: None }).ok()).collect::<Vec<_>>()
-    };
-    let all: Vec<_> = scenario::REGISTRY.iter().flat_map(of).collect();
-    assert!(all.len() > scenario::REGISTRY.len(), "scenarios come in several sizes");
-    all
-}
-
 #[test]
-fn tasks_of_a_scenario_chain_and_have_room() {
-    for scenario in scenarios() {
-        for seed in 0..20 {
-            for episode in 0..3 {
-                let tasks = scenario.tasks(seed, episode);
-                let name = format!("{} of {}, seed {seed}, episode {episode}", scenario.name(), scenario.robots());
-                assert_eq!(tasks.len(), scenario.robots(), "{name}");
-                assert_eq!(tasks, scenario.tasks(seed, episode), "{name}: the same twice");
-                let starts: Vec<Vec2> = scenario.tasks(seed, episode + 1).iter().map(|task| task.start).collect();
-                let goals: Vec<Vec2> = tasks.iter().map(|task| task.goal).collect();
-                assert_eq!(goals, starts, "{name}: an episode starts where the one before has ended");
-                for (robot, goal) in goals.iter().enumerate() {
-                    assert!(scenario.arena().admits(*goal), "{name}: robot {robot} at {goal}");
-                    let near = |other: &Vec2| (*other - *goal).norm() <= 2.0 * scenario.arena().robot_radius_m;
-                    assert!(!goals[..robot].iter().any(near), "{name}: robot {robot} overlaps another");
-                    assert!(!scenario.reached(&tasks[robot], tasks[robot].start), "{name}: there is a way to go");
-                }
-            }
-        }
-        assert_ne!(scenario.tasks(1, 0), scenario.tasks(2, 0), "{}: a seed makes a difference", scenario.name());
-    }
-}
-
-#[test]
-fn observing_and_steering_are_inverse_frames() {
-    for scenario in scenarios() {
-        for task in (0..4).flat_map(|episode| scenario.tasks(5, episode)) {
-            let estimate = Motion { position: task.start, velocity: Vec2::new(0.3, -0.7) };
-            let seen = scenario.observe(&task, &estimate);
-            assert_eq!(scenario.steer(&task, seen.motion.velocity), estimate.velocity, "{}", scenario.name());
-            let frame = scenario.frame(&task);
-            assert_eq!(frame.turn(seen.motion.position), estimate.position);
-            assert_eq!(frame.turn(seen.goal), task.goal);
-        }
-    }
-}
-
-#[test]
-fn the_distance_to_go_is_never_less_than_a_straight_line_and_ends_at_the_goal() {
-    for scenario in scenarios() {
-        for task in (0..4).flat_map(|episode| scenario.tasks(5, episode)) {
-            assert!(scenario.distance_to_go(&task, task.goal) < 1e-5, "{}", scenario.name());
-            for k in 0..=100 {
-                let position = task.start + (task.goal - task.start) * (k as f32 / 100.0);
-                let to_go = scenario.distance_to_go(&task, position);
-                assert!(to_go >= (task.goal - position).norm() - 1e-4, "{}: {to_go} m", scenario.name());
-            }
-        }
-    }
-}
-
-#[test]
-fn a_reward_is_finite_and_ends_at_the_goal() {
-    for scenario in scenarios() {
-        for task in scenario.tasks(3, 0) {
-            let mut stage = Stage::default();
-            // From start to goal along a line, through walls, which a reward does not know.
-            for k in 0..=400 {
-                let share = (k as f32 / 200.0).min(1.0);
-                let position = task.start + (task.goal - task.start) * share;
-                let motion = Motion { position, velocity: task.goal - task.start };
-                let contacts = Contacts { robot: k == 10, wall: k == 20 };
-                let before = stage;
-                let Some(earned) = scenario.reward(&task, &motion, contacts, &mut stage) else { break };
-                assert!(earned.is_finite() && stage >= before, "{}: {earned} at {stage:?}", scenario.name());
-            }
-            let motion = Motion::at_rest(task.goal);
-            assert!(scenario.reached(&task, task.goal));
-            let free = scenario.reward(&task, &motion, Contacts::default(), &mut stage.clone());
-            let blocked = scenario.reward(&task, &motion, Contacts { robot: true, wall: true }, &mut stage);
-            assert!(blocked < free || free.is_none(), "{}: being blocked costs", scenario.name());
-        }
+fn scenarios_keep_their_contract() {
+    for entry in scenario::REGISTRY {
+        scenario::contract::check(entry).unwrap();
     }
 }
 

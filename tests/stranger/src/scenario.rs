@@ -79,3 +79,11 @@ impl Scenario for Round {
         Rules { arrival_m: 0.25, separation_m: 0.32, limit: Span::from_secs(25.0) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_scenario_keeps_the_contract_of_scenarios() {
+        murmurate::scenario::contract::check(&super::ROUND).unwrap();
+    }
+}

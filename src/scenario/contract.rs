@@ -1,0 +1,161 @@
+//! Contract test of scenarios: what each scenario promises to trials, to training and to judging.
+//!
+//! A crate with a scenario of its own calls [`check`] in a test. `tests/graph/contracts.rs` calls it for each scenario
+//! of the registry.
+
+use std::fmt::Display;
+
+use super::{Entry, Scenario, Settings, Stage};
+use crate::messages::geometry::{Motion, Task, Vec2};
+use crate::messages::local::Contacts;
+
+/// Team sizes that a scenario is built for; none is its default.
+const SIZES: [Option<usize>; 5] = [None, Some(2), Some(3), Some(8), Some(12)];
+
+/// Checks the scenario of this registry entry, in its default team size and in each of 2, 3, 8 and 12 robots that it
+/// accepts.
+///
+/// - Tasks: one for each robot, the same for equal seeds and others for other seeds; each episode starts where the
+///   one before has ended; goals are inside the arena, apart from each other, and not yet reached at the start.
+/// - Frames: observing and steering are each other's inverse.
+/// - Distance to go: never less than a straight line, and zero at the goal.
+/// - Reward: finite; stages never decrease; at the goal, contacts cost.
+///
+/// # Errors
+/// A sentence that names the first broken promise, with scenario, team size, seed and episode.
+pub fn check(entry: &Entry) -> Result<(), String> {
+    let built = SIZES.map(|robots| (entry.build)(&Settings { robots, gap_m: None }));
+    if let [Err(error), ..] = &built {
+        return Err(format!("{} is not built for its default team: {error}", entry.name));
+    }
+    for scenario in built.into_iter().flatten() {
+        let scenario = &*scenario;
+        let named = |broken: String| format!("{} of {} robots: {broken}", scenario.name(), scenario.robots());
+        require(scenario.name() == entry.name, || format!("its name is not '{}'", entry.name)).map_err(named)?;
+        tasks(scenario).map_err(named)?;
+        for task in (0..4).flat_map(|episode| scenario.tasks(5, episode)) {
+            frames(scenario, &task).map_err(named)?;
+            distance(scenario, &task).map_err(named)?;
+        }
+        for task in scenario.tasks(3, 0) {
+            reward(scenario, &task).map_err(named)?;
+        }
+    }
+    Ok(())
+}
+
+/// Returns the broken promise if the condition does not hold.
+fn require<M: Display>(holds: bool, broken: impl FnOnce() -> M) -> Result<(), String> {
+    if holds { Ok(()) } else { Err(broken().to_string()) }
+}
+
+fn tasks(scenario: &dyn Scenario) -> Result<(), String> {
+    let arena = scenario.arena();
+    for (seed, episode) in (0..20).flat_map(|seed| (0..3).map(move |episode| (seed, episode))) {
+        let at = format!("seed {seed}, episode {episode}");
+        let tasks = scenario.tasks(seed, episode);
+        require(tasks.len() == scenario.robots(), || format!("{} tasks, {at}", tasks.len()))?;
+        require(tasks == scenario.tasks(seed, episode), || format!("other tasks the second time, {at}"))?;
+        let starts: Vec<Vec2> = scenario.tasks(seed, episode + 1).iter().map(|task| task.start).collect();
+        let goals: Vec<Vec2> = tasks.iter().map(|task| task.goal).collect();
+        require(goals == starts, || format!("the next episode does not start at the goals, {at}"))?;
+        for (robot, goal) in goals.iter().enumerate() {
+            require(arena.admits(*goal), || format!("robot {robot} has no room at {goal}, {at}"))?;
+            let near = |other: &Vec2| (*other - *goal).norm() <= 2.0 * arena.robot_radius_m;
+            require(!goals[..robot].iter().any(near), || format!("robot {robot} overlaps another, {at}"))?;
+            let arrived = scenario.reached(&tasks[robot], tasks[robot].start);
+            require(!arrived, || format!("robot {robot} starts at its goal, {at}"))?;
+        }
+    }
+    require(scenario.tasks(1, 0) != scenario.tasks(2, 0), || "seeds 1 and 2 give equal tasks")
+}
+
+fn frames(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
+    let estimate = Motion { position: task.start, velocity: Vec2::new(0.3, -0.7) };
+    let seen = scenario.observe(task, &estimate);
+    let steered = scenario.steer(task, seen.motion.velocity);
+    require(steered == estimate.velocity, || "steering does not undo the frame of the observed velocity")?;
+    let frame = scenario.frame(task);
+    require(frame.turn(seen.motion.position) == estimate.position, || "the observed position is in another frame")?;
+    require(frame.turn(seen.goal) == task.goal, || "the observed goal is in another frame")
+}
+
+fn distance(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
+    let left = scenario.distance_to_go(task, task.goal);
+    require(left < 1e-5, || format!("at the goal there are {left} m to go"))?;
+    (0..=100).try_for_each(|k| {
+        let position = task.start + (task.goal - task.start) * (k as f32 / 100.0);
+        let to_go = scenario.distance_to_go(task, position);
+        require(to_go >= (task.goal - position).norm() - 1e-4, || {
+            format!("{to_go} m to go from {position} to {} are less than a straight line", task.goal)
+        })
+    })
+}
+
+fn reward(scenario: &dyn Scenario, task: &Task) -> Result<(), String> {
+    let mut stage = Stage::default();
+    // From start to goal along a line, through walls, which a reward does not know.
+    for k in 0..=400 {
+        let share = (k as f32 / 200.0).min(1.0);
+        let position = task.start + (task.goal - task.start) * share;
+        let motion = Motion { position, velocity: task.goal - task.start };
+        let contacts = Contacts { robot: k == 10, wall: k == 20 };
+        let before = stage;
+        let Some(earned) = scenario.reward(task, &motion, contacts, &mut stage) else { break };
+        require(earned.is_finite(), || format!("a reward of {earned} at {position}"))?;
+        require(stage >= before, || format!("{stage:?} after {before:?} at {position}"))?;
+    }
+    require(scenario.reached(task, task.goal), || "a robot at its goal has not reached it")?;
+    let motion = Motion::at_rest(task.goal);
+    let free = scenario.reward(task, &motion, Contacts::default(), &mut stage.clone());
+    let blocked = scenario.reward(task, &motion, Contacts { robot: true, wall: true }, &mut stage);
+    require(blocked < free || free.is_none(), || "contacts at the goal cost nothing")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::scenario::{Arena, Frame, Rules, ScenarioError, swap};
+
+    /// A scenario whose robots all have the same goal.
+    #[derive(Debug)]
+    struct Crowd(Arc<dyn Scenario>);
+
+    impl Scenario for Crowd {
+        fn name(&self) -> &'static str {
+            "crowd"
+        }
+        fn robots(&self) -> usize {
+            self.0.robots()
+        }
+        fn arena(&self) -> &Arena {
+            self.0.arena()
+        }
+        fn tasks(&self, seed: u64, episode: u32) -> Vec<Task> {
+            let tasks = self.0.tasks(seed, episode);
+            tasks.iter().map(|_| tasks[0]).collect()
+        }
+        fn frame(&self, task: &Task) -> Frame {
+            self.0.frame(task)
+        }
+        fn rules(&self) -> Rules {
+            self.0.rules()
+        }
+    }
+
+    fn crowd(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
+        Ok(Arc::new(Crowd(swap::build(settings)?)))
+    }
+
+    #[test]
+    fn a_broken_promise_is_named_with_scenario_seed_and_robot() {
+        let entry = Entry { name: "crowd", about: "one goal for all", build: crowd };
+        let broken = check(&entry).unwrap_err();
+        assert!(broken.starts_with("crowd of "), "{broken}");
+        assert!(broken.contains("seed 0, episode 0"), "{broken}");
+        let broken = check(&Entry { name: "other", ..entry }).unwrap_err();
+        assert!(broken.contains("its name is not 'other'"), "{broken}");
+    }
+}
