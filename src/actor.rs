@@ -2,27 +2,30 @@
 
 use crate::time::{Span, Time};
 
-/// Pure state machine with a typed mailbox: no clock, no I/O, no randomness of its own.
+/// Logic of an actor: a pure state machine that takes messages and returns messages. It has no clock, no I/O and no
+/// randomness of its own, so the runtime can run it in virtual or real time.
 pub trait Core {
-    /// Messages that this mailbox accepts.
+    /// Type of the messages that the actor receives.
     type In: 'static;
-    /// Messages that this actor sends.
+    /// Type of the messages that the actor sends.
     type Out;
 
-    /// Handles one message.
+    /// Handles one received message `input`. The runtime calls it for each message, with the present time `now`, and
+    /// sends the messages that the actor appends to `out`.
     fn handle(&mut self, now: Time, input: Self::In, out: &mut Vec<Self::Out>);
 
-    /// Time at which `wake` is next due; `None` if only messages matter. A core that needs a wake-up before its first
-    /// message returns a past instant.
+    /// Time at which the runtime has to call `wake` next; `None` if the actor only reacts to messages. An actor that
+    /// needs a wake-up before its first message returns a past instant.
     fn wake_at(&self) -> Option<Time>;
 
-    /// Largest delay of a wake-up due in `ahead`, in real time, to share it with another one. It is zero for control
-    /// ticks. Virtual time has no delay.
+    /// Largest acceptable delay, in real time, of a wake-up that is due in `ahead`. A delay lets the runtime serve
+    /// several wake-ups at once. The default zero is for control ticks; in virtual time no wake-up is delayed.
     fn tolerance(&self, ahead: Span) -> Span {
         let _ = ahead;
         Span::ZERO
     }
 
-    /// Does what is due at `now`. Afterwards `wake_at` is later than `now`.
+    /// Does the work that is due at time `now` and appends messages to send to `out`. The runtime calls it when the
+    /// time that `wake_at` returned has come. Afterwards `wake_at` must be later than `now`.
     fn wake(&mut self, now: Time, out: &mut Vec<Self::Out>);
 }

@@ -6,7 +6,7 @@
 
 use crate::messages::geometry::Vec2;
 
-/// Largest number of points for which a loop over all of them is faster than the grid.
+/// Largest number of points for which a search through all of them is faster than a query of the grid [`Cells`].
 pub const LINEAR_SEARCH_MAX: usize = 32;
 
 /// Smallest side of a cell \[m\].
@@ -22,7 +22,8 @@ struct Entry {
     index: u32,
 }
 
-/// A uniform grid of points. Cells are hashed to about as many buckets as there are points, so outliers cost no memory.
+/// Uniform grid over points in the plane, for queries of all points within a radius. The square cells are hashed to
+/// about as many buckets as there are points, so distant points cost no memory.
 #[derive(Clone, Debug, Default)]
 pub struct Cells {
     cell_m: f64,
@@ -32,8 +33,8 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// Makes the grid for queries of radius `radius_m` \[m\] over points \[m\], which are indexed from zero. `None` if
-    /// the radius is infinite, negative or NaN.
+    /// Makes the grid for queries of radius `radius_m` \[m\]. `points` are positions \[m\], indexed from zero in their
+    /// order. Returns `None` if the radius is infinite, negative or NaN.
     pub fn new(radius_m: f32, points: impl Iterator<Item = Vec2>) -> Option<Cells> {
         if !(0.0..f32::INFINITY).contains(&radius_m) {
             return None;
@@ -58,8 +59,9 @@ impl Cells {
         Some(cells)
     }
 
-    /// Replaces `found` by the indices, ascending, of the points that are no farther from `at` \[m\] than the radius
-    /// given to `new`. Indices are those of the points given there. Rounding may include a point at the very radius.
+    /// Replaces the content of `found` by the indices, ascending, of the points around the position `at` \[m\]. The
+    /// search radius is that given to `new`. Indices count the points in the order given to `new`, from zero. Points up
+    /// to 0.1 % (1 mm for a tiny radius) farther away may be included.
     pub fn near(&self, at: Vec2, found: &mut Vec<usize>) {
         found.clear();
         let (x, y) = cell(at, self.cell_m);

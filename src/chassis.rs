@@ -18,87 +18,94 @@ use crate::time::Span;
 /// Gain of the yaw rate that holds a heading \[1/s\]: an error of 0.1 rad is reduced to a third in half a second.
 const HEADING_GAIN: f32 = 2.0;
 
-/// Kind of a chassis.
+/// Kind of a robot's chassis, by the directions in which it can move.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DriveKind {
-    /// Moves in every direction: mecanum or omnidirectional wheels, or a drone.
+    /// The robot can move in every direction without turning: mecanum or omnidirectional wheels, or a drone.
     Holonomic,
-    /// Two driven wheels on one axle.
+    /// The robot has two driven wheels on one axle and cannot move sideways.
     Differential,
 }
 
-/// Heading of a holonomic robot.
+/// Whether a holonomic robot controls its heading while it follows a velocity command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HeadingMode {
-    /// Held at `heading_rad`.
+    /// The robot turns to the heading that the setting `heading_rad` gives, and keeps it.
     Hold,
-    /// Left as it is.
+    /// The robot's heading is not controlled: the commanded yaw rate is zero.
     Free,
 }
 
-/// Settings of a robot's chassis, in a deployment. What is left out is taken from the settings of all robots, and then
-/// from [`Chassis::default`].
+/// Settings of a robot's chassis in a deployment. A value left out (`None`) is taken from the settings for all robots,
+/// then from [`Chassis::default`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// Kind of the chassis.
+    /// Kind of the chassis, holonomic or differential; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub drive: Option<DriveKind>,
-    /// Distance of the commanded point ahead of the axle of a differential drive \[m\].
+    /// Distance \[m\] from the axle of a differential drive forward to the point whose velocity the policy commands;
+    /// `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub point_ahead_m: Option<f32>,
-    /// Heading of a holonomic robot.
+    /// Whether a holonomic robot holds a heading or leaves it free; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub heading: Option<HeadingMode>,
-    /// Heading that is held \[rad\], counter-clockwise from the x axis.
+    /// Heading that a holonomic robot holds \[rad\], counter-clockwise from the x axis of the world frame; `None` if
+    /// left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub heading_rad: Option<f32>,
-    /// Largest speed of the centre \[m/s\].
+    /// Largest speed of the robot's centre \[m/s\]; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed_m_s: Option<f32>,
-    /// Largest yaw rate \[rad/s\].
+    /// Largest yaw rate of the robot \[rad/s\]; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub yaw_rate_rad_s: Option<f32>,
-    /// Largest speed of a wheel of a differential drive along the ground \[m/s\].
+    /// Largest speed of each wheel of a differential drive along the ground \[m/s\]; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wheel_speed_m_s: Option<f32>,
-    /// Distance between the wheels of a differential drive \[m\].
+    /// Distance between the left and right wheels of a differential drive \[m\]; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub track_m: Option<f32>,
-    /// Age of a heading from which the robot stands \[s\].
+    /// Age of the last measured heading at which the robot has to stand still \[s\]; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub heading_age_s: Option<f64>,
-    /// Charge of the battery at which the robot stands, 0 to 1 (`safety::hardware`).
+    /// Charge of the battery, 0 to 1, at which the robot has to stand still; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub battery_least: Option<f32>,
-    /// Temperature at which the robot stands \[°C\] (likewise).
+    /// Temperature of the hardware \[°C\] at which the robot has to stand still; `None` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub temperature_most_c: Option<f32>,
 }
 
-/// The way a robot moves, and its limits.
+/// Kind of a robot's chassis and the limits of its motion, used to turn a commanded velocity into a motion of the
+/// robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Chassis {
-    /// Kind of the chassis.
+    /// Kind of the chassis, holonomic or differential.
     pub drive: DriveKind,
-    /// Distance of the commanded point ahead of the centre \[m\]; 0 for a holonomic one.
+    /// Distance \[m\] from the robot's centre forward to the point whose velocity the policy commands; 0 for a
+    /// holonomic chassis.
     pub point_ahead_m: f32,
-    /// Heading that a holonomic robot holds \[rad\]; none if it is left as it is.
+    /// Heading that a holonomic robot holds \[rad\], counter-clockwise from the x axis of the world frame. `None` if
+    /// the heading is not controlled.
     pub held_rad: Option<f32>,
-    /// Largest speed of the centre \[m/s\].
+    /// Largest speed of the robot's centre \[m/s\]; infinite if not limited.
     pub speed_m_s: f32,
-    /// Largest yaw rate \[rad/s\].
+    /// Largest yaw rate of the robot \[rad/s\]; infinite if not limited.
     pub yaw_rate_rad_s: f32,
-    /// Largest speed of a wheel \[m/s\], with the distance between the wheels \[m\].
+    /// Largest speed of a wheel along the ground \[m/s\] and distance between the two wheels \[m\]. `None` if wheel
+    /// speeds are not limited.
     pub wheels: Option<(f32, f32)>,
-    /// Age of a heading from which the robot stands.
+    /// Age of the last measured heading at which the robot has to stand still.
     pub heading_age: Span,
 }
 
 impl Default for Chassis {
-    /// A holonomic chassis without limits of its own. A heading counts for 100 ms.
+    /// A holonomic chassis that does not control its heading and has no limits of speed. A measured heading may be up
+    /// to 100 ms old.
     fn default() -> Chassis {
         Chassis {
             drive: DriveKind::Holonomic,
@@ -113,12 +120,12 @@ impl Default for Chassis {
 }
 
 impl Settings {
-    /// Whether nothing is set.
+    /// Whether all settings are left out (`None`).
     pub fn is_empty(&self) -> bool {
         *self == Settings::default()
     }
 
-    /// These settings, with what is left out from those of all robots.
+    /// These settings of one robot, with the values that are left out taken from `all`, the settings for all robots.
     pub fn or(&self, all: &Settings) -> Settings {
         Settings {
             drive: self.drive.or(all.drive),
@@ -135,7 +142,7 @@ impl Settings {
         }
     }
 
-    /// The chassis with these settings. An error names the wrong one.
+    /// Makes the chassis with these settings, after a check. The error names the setting that is wrong or missing.
     pub fn chassis(&self) -> Result<Chassis, ConfigError> {
         let wrong = |field: &str, why: &str| Err(ConfigError::field(field, why.to_owned()));
         for (field, value) in [
@@ -204,8 +211,9 @@ impl Settings {
 }
 
 impl Chassis {
-    /// Motion of the robot in its own frame for a velocity of the commanded point in the world frame \[m/s\]. None if
-    /// the velocity is not zero and the heading is unknown: the robot has to stand.
+    /// Motion command in the robot's own frame, within the limits of the chassis. `velocity` \[m/s\] is that of the
+    /// commanded point in the world frame, `heading` the robot's heading \[rad\]. Returns `None` if the heading is
+    /// unknown and the velocity is not zero; then the robot has to stand.
     pub fn twist(&self, velocity: Vec2, heading: Option<f32>) -> Option<BodyTwist> {
         if velocity == Vec2::zeros() {
             return Some(BodyTwist::default());
@@ -245,8 +253,8 @@ impl Chassis {
         share(forward, self.speed_m_s).min(share(yaw_rate, self.yaw_rate_rad_s)).min(of_wheels)
     }
 
-    /// Velocity of the commanded point in the world frame \[m/s\] that is carried out at a heading \[rad\], for a
-    /// wanted one: the same direction, within the limits.
+    /// Velocity \[m/s\] of the commanded point that the chassis can carry out at `heading` \[rad\]. The result has the
+    /// direction of the wanted `velocity` and is reduced to the limits; both are in the world frame.
     pub fn limited(&self, velocity: Vec2, heading: f32) -> Vec2 {
         match self.drive {
             DriveKind::Holonomic => velocity.cap_magnitude(self.speed_m_s),
@@ -258,7 +266,8 @@ impl Chassis {
         }
     }
 
-    /// Reading of the commanded point, from one of the robot's centre. None if it needs a heading that is not measured.
+    /// Converts a reading of the robot's centre into a reading of the point that policies command. Returns `None` if
+    /// that point is ahead of the centre and the reading has no heading.
     pub fn point(&self, centre: Reading) -> Option<Reading> {
         if self.point_ahead_m == 0.0 {
             return Some(centre);
@@ -270,8 +279,8 @@ impl Chassis {
         Some(reading)
     }
 
-    /// Position and velocity of the commanded point, from those of the centre, the heading \[rad\] and the yaw rate
-    /// \[rad/s\].
+    /// Position and velocity of the point that policies command, in the world frame. `centre` is the motion of the
+    /// robot's centre, with `heading` \[rad\] and `yaw_rate` \[rad/s\].
     pub fn point_motion(&self, centre: &Motion, heading: f32, yaw_rate: f32) -> Motion {
         if self.point_ahead_m == 0.0 {
             return *centre;
@@ -281,12 +290,14 @@ impl Chassis {
         Motion { position: centre.position + ahead, velocity: centre.velocity + turning }
     }
 
-    /// Position of the commanded point \[m\] of a simulated robot.
+    /// Position \[m\], world frame, of the point that policies command, from the true state `sample` of a simulated
+    /// robot.
     pub fn point_of(&self, sample: &Sample) -> Vec2 {
         self.point_motion(&sample.motion, sample.heading, sample.yaw_rate).position
     }
 
-    /// Position of the robot's centre \[m\], from a reading of the commanded point.
+    /// Position of the robot's centre \[m\], world frame, from a reading of the point that policies command. Without a
+    /// heading, the position of that point is returned.
     pub fn centre(&self, reading: &Reading) -> Vec2 {
         match reading.pose.heading {
             Some(heading) if self.point_ahead_m > 0.0 => reading.pose.position - self.ahead(heading),
@@ -294,14 +305,16 @@ impl Chassis {
         }
     }
 
-    /// Vector from the centre to the commanded point \[m\], world frame.
+    /// Vector \[m\] in the world frame from the robot's centre to the point that policies command, at `heading`
+    /// \[rad\].
     pub fn ahead(&self, heading: f32) -> Vec2 {
         let (sin, cos) = libm::sincosf(heading);
         Vec2::new(cos, sin) * self.point_ahead_m
     }
 }
 
-/// Settings of each robot that differs from the others, by its number as in a TOML table.
+/// Chassis settings of single robots that differ from those for all robots. A key is the robot's number as text, as in
+/// a TOML table.
 pub type ByRobot = BTreeMap<String, Settings>;
 
 #[cfg(test)]

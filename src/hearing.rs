@@ -7,34 +7,38 @@ use crate::messages::geometry::Vec2;
 use crate::random;
 use crate::random::Stream;
 
-/// Lifetime of neighbours' messages after the agent's first step with them.
+/// Rule for how long an agent uses a received message of a neighbour after the first control step with it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Handling {
-    /// The newest message of each neighbour is used at every step until it is older than the policy's window.
+    /// The newest message of each neighbour is used at every control step until it is older than the policy's hold
+    /// time.
     Hold,
-    /// Messages are dropped after one step, as in the published system.
+    /// Each message is used for one control step and then dropped, as in the published system of the paper.
     AsPublished,
 }
 
-/// Communication range, fixed or drawn from a normal distribution for every received message.
+/// Radius within which a robot receives its neighbours' messages. It is fixed, or drawn from a normal distribution for
+/// every received message.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommRange {
-    /// Mean \[m\].
+    /// Mean of the communication range \[m\].
     pub mean_m: f32,
-    /// Standard deviation \[m\]; a negative draw counts as zero.
+    /// Standard deviation of the communication range \[m\]; zero for a fixed range. A negative draw counts as range
+    /// zero.
     #[serde(default)]
     pub std_m: f32,
 }
 
 impl CommRange {
-    /// Returns a range of exactly `mean_m` \[m\].
+    /// Makes a communication range of exactly `mean_m` \[m\].
     pub fn fixed(mean_m: f32) -> CommRange {
         CommRange { mean_m, std_m: 0.0 }
     }
 
-    /// Whether one message from `sender` is within range of `receiver` (positions \[m\], one frame). The boundary is
-    /// within range: the published per-robot node drops a message only if the distance is greater.
+    /// Whether a robot at `receiver` receives one message from a robot at `sender` (positions \[m\] in the same frame).
+    /// A random range is drawn from `stream`. A distance equal to the range is within range, as in the published
+    /// system.
     pub fn admits(&self, receiver: Vec2, sender: Vec2, stream: &mut Stream) -> bool {
         let range = if self.std_m > 0.0 {
             (self.mean_m + self.std_m * random::normals(stream)[0] as f32).max(0.0)

@@ -4,37 +4,39 @@
 //! another. No generator is seeded from the machine. No distribution calls the platform's mathematical library, so a
 //! stream gives the same numbers on every machine.
 
-/// The traits with the draw methods of a stream.
+/// Traits with the methods that draw numbers from a [`Stream`].
 pub use rand::{Rng, RngExt};
 
 use hmac_sha256::Hash;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// A deterministic random stream (ChaCha with 8 rounds: the same numbers on every machine).
+/// Deterministic generator of pseudo-random numbers: ChaCha with 8 rounds. Equal seeds give equal numbers on every
+/// machine.
 pub type Stream = ChaCha8Rng;
 
-/// A 256-bit seed, from which streams and further seeds derive by SHA-256 and a name.
+/// A 256-bit seed. Random streams and further seeds are derived from a seed and a name by SHA-256.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seed([u8; 32]);
 
 impl Seed {
-    /// The seed of a whole run, from the number that the user gives.
+    /// Makes the seed of a whole run from the number that the user gives.
     pub fn of_run(seed: u64) -> Seed {
         Seed(Hash::hash(&seed.to_le_bytes()))
     }
 
-    /// A seed of the given bytes, for a process whose draws must be secret.
+    /// Makes a seed of the given bytes, such as secret ones from the operating system for a process on a network.
     pub fn of_bytes(bytes: [u8; 32]) -> Seed {
         Seed(bytes)
     }
 
-    /// The seed of one repeat of the run.
+    /// Makes the seed of one repeat of a run. `seed` is the number that the user gives, `repeat` the index of the
+    /// repeat.
     pub fn of_repeat(seed: u64, repeat: u32) -> Seed {
         Seed::of_run(seed).child(&format!("repeat/{repeat}"))
     }
 
-    /// A seed derived from this one and a name.
+    /// Derives another seed from this seed and `name`; different names give independent seeds.
     pub fn child(&self, name: &str) -> Seed {
         let mut hash = Hash::new();
         hash.update(self.0);
@@ -42,13 +44,13 @@ impl Seed {
         Seed(hash.finalize())
     }
 
-    /// The random stream of the given name.
+    /// Makes the random stream that belongs to this seed and `name`; different names give independent streams.
     pub fn stream(&self, name: &str) -> Stream {
         Stream::from_seed(self.child(name).0)
     }
 }
 
-/// Two independent numbers of the standard normal distribution (Marsaglia's polar method).
+/// Draws two independent numbers of the standard normal distribution from `stream` (Marsaglia's polar method).
 pub fn normals(stream: &mut Stream) -> [f64; 2] {
     loop {
         let [x, y] = [stream.random::<f64>(), stream.random()].map(|unit| 2.0 * unit - 1.0);
@@ -60,7 +62,7 @@ pub fn normals(stream: &mut Stream) -> [f64; 2] {
     }
 }
 
-/// One number of the exponential distribution with mean 1 (inversion method).
+/// Draws a number of the exponential distribution with mean 1 from `stream` (inversion method).
 pub fn exponential(stream: &mut Stream) -> f64 {
     -libm::log(1.0 - stream.random::<f64>())
 }

@@ -24,7 +24,8 @@ use crate::policy;
 use crate::scenario::{self, Scenario, ScenarioError};
 use crate::world;
 
-/// Registry of scenarios, plants, policies, drivers, sources, estimators and transports by name.
+/// Registry of the named parts that a run can use: scenarios, plants (simulators), policies, drivers, sources of
+/// readings, estimators and transports.
 #[derive(Clone, Debug)]
 pub struct Registry {
     scenarios: Vec<scenario::Entry>,
@@ -36,15 +37,15 @@ pub struct Registry {
     transports: Vec<transport::Entry>,
 }
 
-/// Error of a name that is not in the registry.
+/// Error for a name that is not in the registry; the text lists the names that are.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is no {kind} '{name}'; there are: {known}")]
 pub struct Unknown {
-    /// Kind of part, such as plant or driver.
+    /// Kind of the part that was looked for, such as `plant` or `driver`.
     pub kind: &'static str,
-    /// The name.
+    /// The name that is not in the registry.
     pub name: String,
-    /// The names in the registry.
+    /// The names of this kind in the registry, separated by commas.
     pub known: String,
 }
 
@@ -91,7 +92,7 @@ fn find<'a, E: Entry>(entries: &'a [E], name: &str) -> Result<&'a E, Unknown> {
 }
 
 impl Registry {
-    /// The parts of this crate.
+    /// The registry of all parts that this crate contains.
     pub fn builtin() -> Registry {
         Registry {
             scenarios: scenario::REGISTRY.to_vec(),
@@ -104,64 +105,65 @@ impl Registry {
         }
     }
 
-    /// Adds a scenario.
+    /// Adds a scenario (a task for a team) and returns the registry.
     ///
     /// # Panics
-    /// If its name is taken.
+    /// If the registry already has a scenario of that name.
     pub fn with_scenario(mut self, entry: scenario::Entry) -> Registry {
         add(&mut self.scenarios, entry);
         self
     }
 
-    /// Adds a plant.
+    /// Adds a plant (a simulator of robots) and returns the registry.
     ///
     /// # Panics
-    /// If its name is taken.
+    /// If the registry already has a plant of that name.
     pub fn with_plant(mut self, entry: world::Entry) -> Registry {
         add(&mut self.plants, entry);
         self
     }
 
-    /// Adds a policy.
+    /// Adds a policy and returns the registry.
     ///
     /// # Panics
-    /// If its name is taken.
+    /// If the registry already has a policy of that name.
     pub fn with_policy(mut self, entry: policy::Entry) -> Registry {
         add(&mut self.policies, entry);
         self
     }
 
-    /// Adds a driver.
+    /// Adds a driver of real robots and returns the registry.
     ///
     /// # Panics
-    /// If its name is taken.
+    /// If the registry already has a driver of that name.
     pub fn with_driver(mut self, entry: drivers::Entry) -> Registry {
         add(&mut self.drivers, entry);
         self
     }
 
-    /// Adds a source of readings.
+    /// Adds a source of readings, which localizes real robots, and returns the registry.
     ///
     /// # Panics
-    /// If its name is taken.
+    /// If the registry already has a source of that name.
     pub fn with_source(mut self, entry: localization::Entry) -> Registry {
         add(&mut self.sources, entry);
         self
     }
 
-    /// Adds an estimator.
+    /// Adds an estimator, which filters readings into a robot's state, and returns the registry.
     ///
     /// # Panics
-    /// If its name is taken.
+    /// If the registry already has an estimator of that name.
     pub fn with_estimator(mut self, entry: estimation::Entry) -> Registry {
         add(&mut self.estimators, entry);
         self
     }
 
-    /// Adds a transport.
+    /// Adds a transport, which carries the datagrams of a link, and returns the registry.
     ///
     /// # Panics
-    /// If its name is taken, or if another transport has a field of the same name and another type.
+    /// If the registry already has a transport of that name. Also if a settings field of the transport has a reserved
+    /// name, or the name of another transport's field of another type.
     pub fn with_transport(mut self, entry: transport::Entry) -> Registry {
         for field in entry.fields {
             let others = || self.transports.iter().flat_map(|other| other.fields);
@@ -173,54 +175,55 @@ impl Registry {
         self
     }
 
-    /// All transports.
+    /// All transports in the registry, which carry the datagrams of links.
     pub fn transports(&self) -> &[transport::Entry] {
         &self.transports
     }
 
-    /// The transport of that name.
+    /// The transport called `name`; an error lists the names of all transports.
     pub fn transport(&self, name: &str) -> Result<&transport::Entry, Unknown> {
         find(&self.transports, name)
     }
 
-    /// All estimators.
+    /// All estimators in the registry, which filter readings into a robot's state.
     pub fn estimators(&self) -> &[estimation::Entry] {
         &self.estimators
     }
 
-    /// All drivers of real robots.
+    /// All drivers of real robots in the registry.
     pub fn drivers(&self) -> &[drivers::Entry] {
         &self.drivers
     }
 
-    /// All sources of readings of real robots.
+    /// All sources in the registry, which deliver readings of the poses of real robots.
     pub fn sources(&self) -> &[localization::Entry] {
         &self.sources
     }
 
-    /// All scenarios.
+    /// All scenarios (tasks for a team) in the registry.
     pub fn scenarios(&self) -> &[scenario::Entry] {
         &self.scenarios
     }
 
-    /// All plants.
+    /// All plants (simulators of robots) in the registry.
     pub fn plants(&self) -> &[world::Entry] {
         &self.plants
     }
 
-    /// All named policies.
+    /// All policies in the registry.
     pub fn policies(&self) -> &[policy::Entry] {
         &self.policies
     }
 
-    /// Makes the scenario of that name.
+    /// Makes the scenario (task of a team) called `name`, for the team size and other values in `settings`. The error
+    /// says that the name is unknown or the settings do not fit.
     pub fn scenario(&self, name: &str, settings: &scenario::Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
         let scenario = scenario::build_of(&self.scenarios, name, settings)?;
         assert_eq!(scenario.name(), name, "a scenario goes by the name that it has in its registry");
         Ok(scenario)
     }
 
-    /// The plant of that name.
+    /// The plant (simulator of robots) called `name`; an error lists the names of all plants.
     pub fn plant(&self, name: &str) -> Result<&world::Entry, Unknown> {
         find(&self.plants, name).map_err(|mut unknown| {
             if name == "rigid" {
@@ -230,12 +233,14 @@ impl Registry {
         })
     }
 
-    /// The estimator of that name.
+    /// The estimator called `name`, which filters readings into a robot's state; an error lists the names of all
+    /// estimators.
     pub fn estimator(&self, name: &str) -> Result<&estimation::Entry, Unknown> {
         find(&self.estimators, name)
     }
 
-    /// Makes the driver of a robot with these settings. An error names the field, within the table of a host.
+    /// Makes the driver of one real robot from its settings in a deployment. The error names the wrong field, as found
+    /// in the table of the robot's host.
     pub fn driver(&self, settings: &Settings, robot: RobotId) -> Result<drivers::Parts, ConfigError> {
         let entry =
             find(&self.drivers, &settings.name).map_err(|e| ConfigError::field("driver.name", e.to_string()))?;
@@ -243,25 +248,27 @@ impl Registry {
         (entry.make)(&settings, robot).map_err(|error| error.within("driver"))
     }
 
-    /// Makes the source of some robots with these settings, likewise.
+    /// Makes the source of readings of some real robots from its settings in a deployment. The error names the wrong
+    /// field, as found in the table of the robots' host.
     pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Parts, ConfigError> {
         let entry =
             find(&self.sources, &settings.name).map_err(|e| ConfigError::field("source.name", e.to_string()))?;
         localization::fusion::make(settings, robots, entry.make).map_err(|error| error.within("source"))
     }
 
-    /// The policy of that name; `None` if there is none, and the name may be the path of a file.
+    /// The policy called `name`; `None` if the registry has none, and then the name may be the path of a policy file.
     pub fn policy(&self, name: &str) -> Option<&policy::Entry> {
         find(&self.policies, name).ok()
     }
 
-    /// Name of a scenario's default policy.
+    /// Name of the policy that a scenario uses if the user gives none. It is the shipped trained policy if it can be
+    /// made for the scenario, otherwise the scripted one.
     pub fn default_policy(&self, scenario: &dyn Scenario) -> &'static str {
         let shipped = self.policy(policy::SHIPPED).is_some_and(|entry| (entry.build)(scenario).is_ok());
         if shipped { policy::SHIPPED } else { policy::SCRIPTED }
     }
 
-    /// Whether it has a part that this crate does not have.
+    /// Whether the registry has a part beyond those of [`Registry::builtin`], such as a user's own scenario.
     pub fn is_extended(&self) -> bool {
         let sizes = |all: &Registry| {
             let Registry { scenarios, plants, policies, drivers, sources, estimators, transports } = all;

@@ -18,7 +18,7 @@ pub struct Span(u64);
 impl Time {
     /// The start of the run.
     pub const ZERO: Time = Time(0);
-    /// The largest instant, later than any that a run reaches.
+    /// The largest instant that the type can express, later than any that a run reaches.
     pub const MAX: Time = Time(u64::MAX);
 
     /// The instant `ns` nanoseconds after the start of the run.
@@ -26,24 +26,26 @@ impl Time {
         Time(ns)
     }
 
-    /// Nanoseconds since the start of the run.
+    /// This instant as nanoseconds since the start of the run \[ns\].
     pub const fn as_nanos(self) -> u64 {
         self.0
     }
 
-    /// Seconds since the start of the run \[s\].
+    /// This instant as seconds since the start of the run \[s\].
     pub fn as_secs(self) -> f64 {
         self.0 as f64 * 1e-9
     }
 
-    /// The duration since `earlier`; zero if `earlier` is later than `self`.
+    /// The duration from `earlier` to this instant; zero if `earlier` is the later one.
     pub const fn since(self, earlier: Time) -> Span {
         Span(self.0.saturating_sub(earlier.0))
     }
 
-    /// The first instant strictly after `self` on the grid `phase + k * period`, k = 0, 1, ...
+    /// The first instant strictly after this one on the grid `phase + k * period`, k = 0, 1, ... The `phase` counts
+    /// from the start of the run.
     ///
-    /// Panics if `period` is zero.
+    /// # Panics
+    /// If `period` is zero.
     pub const fn next_on_grid(self, phase: Span, period: Span) -> Time {
         assert!(period.0 > 0, "a grid needs a period");
         if self.0 < phase.0 {

@@ -47,44 +47,46 @@ const EPISODE_S: f64 = 10.0;
 /// Shortest possible duration of an episode with its reset.
 const LEAST_EPISODE: Span = Span::from_millis(1000);
 
-/// All inputs of a trial.
+/// All inputs of a trial, a series of simulated episodes in one process under virtual time.
 #[derive(Clone)]
 pub struct Trial {
-    /// Hosts with their parts, and links.
+    /// Hosts with the actors that they run, and the links between hosts.
     pub deployment: Deployment,
-    /// Registry of the deployment's plant.
+    /// Registry in which the deployment's plant (simulator) is looked up.
     pub registry: Registry,
-    /// The team's task.
+    /// Task of the team, such as driving through a passage.
     pub scenario: Arc<dyn Scenario>,
-    /// Properties of the simulated robots.
+    /// Properties of the simulated robots, such as their largest acceleration and their sensor.
     pub physics: Physics,
-    /// Policy under test.
+    /// Policy that drives the robots during an episode.
     pub model: Model,
-    /// The episodes.
+    /// Starts and goals of the robots in each episode; their number is the number of episodes.
     pub layouts: Layouts,
-    /// Seed of the run, from which layouts are drawn.
+    /// Seed of the run. The layouts (starts and goals) of the episodes are drawn from it alone.
     pub seed: u64,
-    /// Index of this repeat of the run; all other randomness is drawn from seed and repeat.
+    /// Index of this repeat of the run. All randomness but the layouts of episodes is drawn from `seed` and `repeat`.
     pub repeat: u32,
-    /// Communication range; `None` for the policy's own.
+    /// Range within which robots receive neighbours' messages; `None` for the range that the policy states.
     pub range: Option<CommRange>,
-    /// Lifetime of neighbours' messages after the agent's first step with them.
+    /// Rule for how long an agent uses a neighbour's message after the first control step with it.
     pub handling: Handling,
-    /// Estimator from readings to a robot's state.
+    /// Estimator that filters readings into a robot's state.
     pub estimator: estimation::Entry,
-    /// Known delay of the source of readings; `None` for the latency of the simulated sensor.
+    /// Known delay of the readings; `None` for the latency of the simulated sensor.
     pub sensor_delay: Option<Span>,
-    /// Limit that Controllers put on the policy's output; `Trial::clamp` sets it together with the matching physics.
+    /// Place of the acceleration limit: in the simulator, or in the robots' Controllers. The method `clamp` sets it
+    /// together with the matching physics.
     pub clamp: Clamp,
     /// Conditions in which robots are stopped or slowed, whatever the policy's output.
     pub safety: Safety,
-    /// Emergency stops and re-arms of the trial, with the times at which a host of the deployment sends them.
+    /// Emergency stops and re-arms during the trial, each with the time at which its sender, a host of the deployment,
+    /// sends it.
     pub stops: Vec<(Time, Stop)>,
-    /// Faults to inject.
+    /// Faults to inject during the trial, such as crashes of actors or failures of links.
     pub faults: FaultPlan,
-    /// End of the trial, during an episode or not; `None` for the end of the last episode.
+    /// Time at which the trial ends, even during an episode; `None` to end with the last episode.
     pub until: Option<Time>,
-    /// Whether the report keeps every step.
+    /// Whether the report contains every control step or discards them.
     pub steps: Steps,
 }
 
@@ -97,7 +99,7 @@ pub enum TrialError {
     /// The deployment cannot be used.
     #[error(transparent)]
     Deployment(#[from] ConfigError),
-    /// No preset has that name.
+    /// No preset deployment mode has the given name.
     #[error("there is no mode '{name}'; there are: {}", crate::deploy::MODES.join(", "))]
     Mode {
         /// The name that was not found.
@@ -105,12 +107,12 @@ pub enum TrialError {
     },
 }
 
-/// Decision whether a trial continues.
+/// Decision of a caller, after each event of a trial, whether the trial continues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Proceed {
-    /// Continue with the next event.
+    /// The trial continues with the next event.
     Continue,
-    /// Stop; the report holds the results so far.
+    /// The trial stops; the report holds the results up to that time.
     Stop,
 }
 
@@ -121,17 +123,21 @@ fn physics(registry: &Registry, plant: &str, scenario: &dyn Scenario) -> Physics
 }
 
 impl Trial {
-    /// Makes a trial of one episode in a preset mode, with the scripted policy, the scenario's own team and seed 0.
+    /// Makes a trial of one episode with the scripted policy, the scenario's default team size and seed 0. `mode` names
+    /// a preset deployment, such as `offboard`; `scenario` names a task of this crate.
     pub fn preset(mode: &str, scenario: &str) -> Result<Trial, TrialError> {
         Trial::of_team(mode, scenario, None)
     }
 
-    /// Likewise, for a team of this size.
+    /// Makes a trial of one episode for a team of `robots`, with the scripted policy and seed 0. `mode` names a preset
+    /// deployment, `scenario` a task of this crate. `None` as the size takes the scenario's default.
     pub fn of_team(mode: &str, scenario: &str, robots: impl Into<Option<usize>>) -> Result<Trial, TrialError> {
         Trial::from_registry(&Registry::builtin(), mode, scenario, robots)
     }
 
-    /// Likewise, with scenarios and plants from a registry.
+    /// Makes a trial of one episode, with scenario and plant (simulator) looked up in `registry`. `mode` names a preset
+    /// deployment; `robots` is the team size, or `None` for the scenario's default. The policy is the scripted one, the
+    /// seed 0.
     pub fn from_registry(
         registry: &Registry,
         mode: &str,
@@ -144,13 +150,14 @@ impl Trial {
         Ok(Trial::with_registry(registry, deployment, scenario, Model::Orca))
     }
 
-    /// Makes a trial of one episode with seed 0, in a checked deployment of the scenario's team, in a plant of this
-    /// crate.
+    /// Makes a trial of one episode with seed 0, with a plant (simulator) of this crate. The deployment must be checked
+    /// and made for the scenario's team size; otherwise the call may panic.
     pub fn new(deployment: Deployment, scenario: Arc<dyn Scenario>, model: Model) -> Trial {
         Trial::with_registry(&Registry::builtin(), deployment, scenario, model)
     }
 
-    /// Likewise, in a plant from a registry.
+    /// Makes a trial of one episode with seed 0, with the plant (simulator) looked up in `registry`. The deployment
+    /// must be checked and made for the scenario's team size; another size panics.
     pub fn with_registry(
         registry: &Registry,
         deployment: Deployment,
@@ -180,7 +187,8 @@ impl Trial {
         }
     }
 
-    /// Makes the run of a team file, of which each host runs its part.
+    /// Makes the trial of a team file. Each host of the team makes the same trial and runs its own part of it, with the
+    /// policy `model`.
     pub fn of_host(registry: &Registry, team: &Team, model: Model) -> Result<Trial, TrialError> {
         let scenario = registry.scenario(&team.scenario, &Settings::of(team.deployment.robots))?;
         let layouts = Layouts::of_scenario(&*scenario, team.seed, team.episodes);
@@ -193,33 +201,34 @@ impl Trial {
         Ok(trial)
     }
 
-    /// Sets the plant, and its default properties of robots.
+    /// Sets the plant (simulator) by name, and the robots' properties to the defaults of that plant.
     pub fn plant(mut self, name: &str) -> Trial {
         (self.physics, self.deployment.plant) = (physics(&self.registry, name, &*self.scenario), name.to_owned());
         let clamp = self.clamp;
         self.clamp(clamp)
     }
 
-    /// Sets the policy.
+    /// Sets the policy that drives the robots during an episode.
     pub fn model(mut self, model: Model) -> Trial {
         self.model = model;
         self
     }
 
-    /// Sets the number of episodes, with the scenario's own layouts.
+    /// Sets the number of episodes, and draws their starts and goals anew as the scenario defines them.
     pub fn episodes(mut self, episodes: u32) -> Trial {
         self.layouts = Layouts::of_scenario(&*self.scenario, self.seed, episodes);
         self
     }
 
-    /// Sets the seed, with the scenario's own layouts for it.
+    /// Sets the seed of the run, and draws the episodes' starts and goals from it as the scenario defines them.
     pub fn seed(mut self, seed: u64) -> Trial {
         self.seed = seed;
         let episodes = self.layouts.len();
         self.episodes(episodes)
     }
 
-    /// Sets the limit of acceleration: in training the World has it, on the published robots only their Controllers.
+    /// Sets where the acceleration of robots is limited. In training the simulated World limits it; on the published
+    /// robots, only their Controllers do.
     pub fn clamp(mut self, clamp: Clamp) -> Trial {
         self.clamp = clamp;
         self.physics.acceleration_m_s2 = match clamp {
@@ -229,21 +238,21 @@ impl Trial {
         self
     }
 
-    /// Sets the faults.
+    /// Sets the faults that are injected during the trial.
     pub fn faults(mut self, faults: FaultPlan) -> Trial {
         self.faults = faults;
         self
     }
 
-    /// Draws faults from a seed, over about the first half of the trial: the rest shows how the team recovers.
+    /// Draws faults from `seed`, over about the first half of the trial. The second half shows how the team recovers.
     pub fn random_faults(self, seed: u64) -> Trial {
         let half = Span::from_secs(EPISODE_S / 2.0 * f64::from(self.layouts.len()));
         let plan = FaultPlan::random(seed, &self.deployment.targets(), half);
         self.faults(plan)
     }
 
-    /// Sets the duration, with enough episodes to fill it. The report's totals then count the traffic of this time, and
-    /// `Cost::of` gives it per robot and second.
+    /// Sets the duration of the trial, with enough episodes to fill it. The report's totals then count the traffic of
+    /// this time, and `Cost::of` gives it per robot and second.
     pub fn lasting(mut self, lasts: Span) -> Trial {
         let episodes = 1 + lasts.as_nanos() / LEAST_EPISODE.as_nanos();
         // Events at the last instant are included.
@@ -251,19 +260,19 @@ impl Trial {
         self.episodes(u32::try_from(episodes).expect("a trial takes less than a century"))
     }
 
-    /// Keeps every step in the report.
+    /// Sets that the report keeps every control step.
     pub fn keeping_steps(mut self) -> Trial {
         self.steps = Steps::Reported;
         self
     }
 
-    /// Runs the trial to its end on this thread.
+    /// Runs the trial to its end on the calling thread and returns the report.
     pub fn run(&self) -> TrialReport {
         self.run_while(|_| Proceed::Continue)
     }
 
-    /// Runs the trial on this thread until its end, or until `proceed` returns `Stop`. It is called at every event with
-    /// the episodes so far.
+    /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`]. The function
+    /// `proceed` is called at every event with the results of the episodes so far.
     pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
         let plan = self.plan();
         let shared = Rc::new(RefCell::new(TrialReport::default()));
@@ -312,7 +321,8 @@ impl Trial {
         report.finished = true;
     }
 
-    /// Checks the deployment as used by the trial, and that the faults fit this team and its links.
+    /// Checks the deployment and the safety limits, and that stops and faults fit the hosts, links and episodes. The
+    /// error names the wrong field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let deployment = self.placed();
         deployment.check()?;
@@ -336,10 +346,10 @@ impl Trial {
         deployment
     }
 
-    /// Makes the inputs of its graph.
+    /// Makes the inputs of the actor graph that runs this trial.
     ///
     /// # Panics
-    /// If the deployment's plant is not in the registry; `check` refuses that.
+    /// If the deployment's plant (simulator) is not in the registry; the method `check` refuses such a trial.
     pub fn plan(&self) -> Plan {
         let deployment = self.placed();
         let interface = self.model.interface();

@@ -11,10 +11,10 @@ use super::{Packet, PacketSender, Port, Worker};
 /// Longest line that is taken \[bytes\]; a longer one is cut, and so refused by its reader.
 const LONGEST: u64 = 4096;
 
-/// A program and its arguments.
+/// Worker that runs a user's program and exchanges packets with it, one a line, over stdin and stdout.
 #[derive(Clone, Debug)]
 pub struct Program {
-    /// The program and its arguments.
+    /// The program file, followed by its arguments.
     pub command: Vec<String>,
 }
 

@@ -19,31 +19,34 @@ use tokio::sync::mpsc::error::TryRecvError;
 
 use crate::config::ConfigError;
 
-/// One message over the channel.
+/// One message between the control thread and a worker (I/O thread), as bytes.
 pub type Packet = Box<[u8]>;
 
-/// Capacity of each direction: three seconds of a robot that gets 20 packets a second.
+/// Largest number of waiting packets in each direction of a channel: three seconds of a robot that gets 20 packets a
+/// second.
 pub const ROOM: usize = 64;
 
-/// I/O of a driver or a source. It runs on a thread of its own, and may start a runtime there.
+/// I/O of a driver or a source of readings. It runs on a thread of its own, and may start an asynchronous runtime
+/// there.
 pub trait Worker: Send {
-    /// Checks that this program has all that the worker needs, before it is started. A team file is sound without
-    /// it: other hosts of the team, and operators, need not have it.
+    /// Checks that this machine has all that the worker needs, such as a program file; called before the worker is
+    /// started. A team file may be valid on hosts where this check would fail.
     fn check(&self) -> Result<(), ConfigError> {
         Ok(())
     }
 
-    /// Runs until the port is closed. After that it has a second to end, and the robot has to stand.
+    /// Runs the worker until `port` is closed. Then the worker has a second to end, and a driver must make its robot
+    /// stand.
     fn run(self: Box<Self>, port: Port);
 
-    /// Resource that no other robot of the host may use, in words, such as the address of a robot; none if there is
-    /// none.
+    /// Resource that only one robot of the host may use, in words, such as a robot's network address. `None` if the
+    /// worker needs no such resource.
     fn claim(&self) -> Option<String> {
         None
     }
 }
 
-/// Worker's end of a channel.
+/// Worker's end of the channel between the control thread and a worker (I/O thread).
 #[derive(Debug)]
 pub struct Port {
     rx: mpsc::Receiver<Packet>,
@@ -62,7 +65,7 @@ impl Drop for SignalOnDrop {
     }
 }
 
-/// Sender of packets to the control thread; a worker may have several.
+/// Sender of packets from a worker (I/O thread) to the control thread; a worker may have several.
 #[derive(Clone, Debug)]
 pub struct PacketSender {
     tx: mpsc::Sender<Packet>,
@@ -70,16 +73,16 @@ pub struct PacketSender {
     dropped: Arc<AtomicU64>,
 }
 
-/// State of a worker.
+/// State of a worker (I/O thread), as seen by the control thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WorkerState {
-    /// It runs.
+    /// The worker runs.
     Running,
-    /// It has ended, and all its packets were taken.
+    /// The worker has ended, and all of its packets have been taken.
     Ended,
 }
 
-/// Control thread's end of a channel.
+/// Control thread's end of the channel between the control thread and a worker (I/O thread).
 #[derive(Debug)]
 pub struct Gate {
     /// Dropped first: then the worker finds its sender closed.
@@ -91,7 +94,8 @@ pub struct Gate {
     dropped: Arc<AtomicU64>,
 }
 
-/// Returns both ends of a new channel. It fails if the machine has no descriptor left.
+/// Makes a channel between the control thread and a worker (I/O thread), and returns both ends. The call fails if the
+/// machine has no file descriptor left.
 pub fn channel() -> std::io::Result<(Gate, Port)> {
     let (control_tx, worker_rx) = mpsc::channel(ROOM);
     let (worker_tx, control_rx) = mpsc::channel(ROOM);
@@ -105,24 +109,26 @@ pub fn channel() -> std::io::Result<(Gate, Port)> {
 }
 
 impl Port {
-    /// Blocks until there is a packet; none once the control thread is gone.
+    /// Blocks until a packet from the control thread arrives. Returns `None` once the control thread has closed the
+    /// channel.
     pub fn wait(&mut self) -> Option<Packet> {
         self.rx.blocking_recv()
     }
 
-    /// Awaits a packet; none once the control thread is gone.
+    /// Waits asynchronously for a packet from the control thread. Returns `None` once the control thread has closed the
+    /// channel.
     pub async fn next(&mut self) -> Option<Packet> {
         self.rx.recv().await
     }
 
-    /// Returns a sender to the control thread.
+    /// Returns another sender of packets to the control thread.
     pub fn sender(&self) -> PacketSender {
         self.sender.clone()
     }
 }
 
 impl PacketSender {
-    /// Sends a packet to the control thread. It is dropped and counted if the channel is full.
+    /// Sends a packet to the control thread without waiting. If the channel is full, the packet is dropped and counted.
     pub fn send(&self, packet: Packet) {
         match self.tx.try_send(packet) {
             Ok(()) => {
@@ -139,14 +145,14 @@ impl PacketSender {
         }
     }
 
-    /// Whether the control thread is gone.
+    /// Whether the control thread has closed its end of the channel.
     pub fn is_closed(&self) -> bool {
         self.tx.is_closed()
     }
 }
 
 impl Gate {
-    /// Sends a packet to the worker. It is dropped and counted if the channel is full.
+    /// Sends a packet to the worker without waiting. If the channel is full, the packet is dropped and counted.
     pub fn send(&mut self, packet: Packet) {
         if let Err(mpsc::error::TrySendError::Full(_)) = self.tx.try_send(packet) {
             self.refused += 1;
@@ -156,7 +162,8 @@ impl Gate {
         }
     }
 
-    /// Takes the worker's packets: at most `ROOM`, so that a worker that never stops delays no other actor.
+    /// Calls `each` with the waiting packets of the worker, at most `ROOM` of them, and returns whether the worker
+    /// still runs. The bound keeps a worker that never stops from delaying other actors.
     pub fn take(&mut self, mut each: impl FnMut(Packet)) -> WorkerState {
         // Read before the packets are taken: one that arrives meanwhile signals again.
         let _ = self.event_fd.read();
@@ -171,12 +178,13 @@ impl Gate {
         WorkerState::Running
     }
 
-    /// Number of dropped packets: to the worker, and from it.
+    /// Numbers of packets that were dropped because the channel was full: first those to the worker, then those from
+    /// the worker.
     pub fn dropped(&self) -> (u64, u64) {
         (self.refused, self.dropped.load(Ordering::Relaxed))
     }
 
-    /// Returns the descriptor that is readable when the worker has sent packets.
+    /// File descriptor that becomes readable when the worker has sent packets or has ended.
     pub fn event_fd(&self) -> Arc<EventFd> {
         Arc::clone(&self.event_fd)
     }

@@ -6,12 +6,13 @@ use serde::{Deserialize, Serialize};
 use crate::config::{self, ConfigError};
 use crate::messages::ids::RobotId;
 
-/// Settings of a driver or a source: its name, and a table that only it interprets.
+/// Settings of a driver or a source of readings in a deployment: its name, and a table that only the driver or source
+/// interprets.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
-    /// Its name in the registry.
+    /// Name of the driver or source in the registry.
     pub name: String,
-    /// Its own settings.
+    /// Settings that the driver or source itself defines, as a TOML table.
     #[serde(flatten)]
     pub table: toml::Table,
 }
@@ -20,8 +21,8 @@ pub struct Settings {
 const BY_ROBOT: &str = "robot";
 
 impl Settings {
-    /// Settings for one robot: those of its table `robot.N`, and all others for what it leaves out. A `robot` that is
-    /// no table of numbers is a setting of the driver's own.
+    /// Settings for one robot: those of the sub-table `robot.N` (N is the robot's number), completed by the settings
+    /// for all robots. A key `robot` that is no table of numbers is an ordinary setting of the driver.
     pub fn for_robot(&self, robot: RobotId) -> Result<Settings, ConfigError> {
         let by_number = |robots: &toml::Table| robots.keys().all(|number| number.parse::<u16>().is_ok());
         let Some(robots) = self.table.get(BY_ROBOT).and_then(toml::Value::as_table).filter(|robots| by_number(robots))
@@ -41,8 +42,8 @@ impl Settings {
         Ok(merged)
     }
 
-    /// Reads the table as a type of the driver or source. An error names the field, after the name of the driver or
-    /// source, and quotes no value.
+    /// Converts the table to the type `T` of the driver or source. The error names the driver or source and the wrong
+    /// field, but quotes no value.
     pub fn read<T: DeserializeOwned>(&self) -> Result<T, ConfigError> {
         config::from_table(&self.table).map_err(|error| match error {
             ConfigError::Syntax(why) => ConfigError::field(&self.name, why),

@@ -19,42 +19,43 @@ use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 
-/// Configuration of the Network of a host.
+/// Configuration of the Network, the actor that connects a host with its links.
 pub struct Attachment {
-    /// Its identity in the first incarnation; each restart is an incarnation of its own.
+    /// Identity of the host on its links. At each start of the Network, the number of starts is added to the
+    /// incarnation number.
     pub me: Identity,
-    /// Key that authenticates its datagrams, if any.
+    /// Key that authenticates the host's datagrams; `None` for datagrams without authentication.
     pub key: Option<Key>,
-    /// Setup of its links, in the order of the deployment; none where it does not take part.
+    /// Setup of each link, in the order of the deployment; `None` for a link in which the host does not take part.
     pub links: Vec<Option<Setup>>,
-    /// Routing table.
+    /// Routing table, which says where each kind of message goes.
     pub router: Router,
-    /// Root of its link layer's random streams.
+    /// Seed of the random streams of the Network.
     pub seed: Seed,
-    /// Prefix of its random stream's name; the number of restarts follows.
+    /// Prefix of the name of the Network's random stream; the number of starts of the Network is appended.
     pub stream: String,
-    /// Span of `tracing` in which the log lines of this Network are written.
+    /// Span of the crate `tracing` to which the log lines of the Network belong.
     pub span: tracing::Span,
 }
 
-/// Output of a Network for the process that it runs in.
+/// Output of a Network, the actor that connects a host with its links, for the process in which it runs.
 #[derive(Debug)]
 pub enum Out {
-    /// Message for this host.
+    /// Message that has to be delivered to actors of this host.
     Deliver(Wire),
-    /// Copy of a published message, one per datagram, without a tag.
+    /// Copy of a message that this host has published, one for each datagram, without the authentication tag.
     Tap(Frame),
-    /// Counts of all links together.
+    /// Traffic counts of all links of this host together.
     Counts(Box<LinkCounts>),
-    /// Summaries of the other hosts, on links with reports.
+    /// Summaries of the other hosts, from links on which hosts report.
     Peers(Vec<Peer>),
-    /// Another live host has the id of this one and was started before it.
+    /// Another running host uses the number of this host and was started earlier.
     Duplicate(DuplicateId),
 }
 
 impl Attachment {
-    /// Starts the Network behind its mailbox. Frames go to the transport of their link in `transports`, which are in
-    /// the order of the links; `output` takes all other output.
+    /// Starts the Network behind the mailbox `network`. Frames go to the transport of their link; `transports` has the
+    /// order of the links. All other output is passed to the function `output`.
     pub fn start(
         self,
         clock: &Clock,
@@ -82,8 +83,9 @@ impl Attachment {
         });
     }
 
-    /// Starts the Network and its open transports, in real time; returns the Network's mailbox. A link may have several
-    /// transports, one per interface.
+    /// Starts the Network and the open transports of its links in real time, and returns the Network's mailbox. A link
+    /// may have several transports, one for each network interface. Messages and reports are passed to the function
+    /// `output`.
     pub fn open(
         self,
         (clock, readers): (&Clock, &mut Readers),

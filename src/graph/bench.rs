@@ -25,26 +25,26 @@ use crate::time::Span;
 /// Period of commands to stand: twice in the validity of a command.
 const STAND_PERIOD: Span = Span::from_millis(100);
 
-/// Event of a bench.
+/// Event of a bench, the operation of one host's devices without a team, for checks.
 #[derive(Clone, Debug)]
 pub enum Event {
     /// Reading of the host's source.
     Reading(Reading),
-    /// Odometry of a robot's driver.
+    /// Odometry, the robot's own measurement of its motion, from a robot's driver.
     Odometry(Reading),
-    /// Condition of a robot, as its Body reports it.
+    /// Condition of a robot's hardware, as reported by the Body, the actor that drives the motors.
     Hardware(RobotId, Hardware),
-    /// The worker of the source has ended.
+    /// The worker (I/O thread) of the source of readings has ended.
     SourceEnded,
-    /// The Wiggle drives this robot next.
+    /// The Wiggle, a check that drives each robot a little, now drives this robot.
     Begins(RobotId),
-    /// The Wiggle has judged a robot.
+    /// The Wiggle, a check that drives each robot a little, has judged a robot.
     Result(RobotId, Verdict),
-    /// The Wiggle is over.
+    /// The Wiggle, a check that drives each robot a little, is over.
     Over,
 }
 
-/// Mailboxes of a bench.
+/// Running bench: the devices of one host without a team, with the mailboxes of their actors.
 pub struct Bench {
     bodies: BTreeMap<RobotId, Mailbox<body::In>>,
     wiggle: Option<Mailbox<wiggle::In>>,
@@ -54,12 +54,12 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// Begins the Wiggle, if there is one.
+    /// Begins the Wiggle, a check that drives each robot a little; without a configured Wiggle nothing happens.
     pub fn begin(&self) {
         self.send(wiggle::In::Begin);
     }
 
-    /// Ends the Wiggle and makes all robots stand for good.
+    /// Ends the check and makes all robots stand for good.
     pub fn leave(&self) {
         self.send(wiggle::In::End);
         self.bodies.values().for_each(|body| body.send(body::In::Leave));
@@ -80,8 +80,8 @@ impl Bench {
     }
 }
 
-/// Starts the bench of a host with these devices. With a configuration, a Wiggle drives the robots once it
-/// is begun.
+/// Starts the bench: the given devices of one host, without a team. If `wiggle` is given, that check drives the robots
+/// after `begin` is called. The function `report` is called with each event.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     (deployment, host): (&Deployment, HostId),

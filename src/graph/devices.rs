@@ -17,16 +17,17 @@ use crate::registry::Registry;
 use crate::ros2::observe::{self, Observation};
 use crate::runtime::real::Readers;
 
-/// Constructor of a driver or a source, with the channel to its worker.
+/// Driver or source of readings: a constructor of its logic, and the channel to its worker (I/O thread).
 pub struct Device<T: ?Sized> {
-    /// Makes a new one.
+    /// Makes a new driver or source; called at each start of the actor that uses it.
     pub make: Rc<dyn Fn() -> Box<T>>,
-    /// Channel to its worker, if it has one.
+    /// Channel to the worker (I/O thread) of the driver or source; `None` if there is no worker.
     pub gate: Option<Rc<RefCell<Gate>>>,
 }
 
 impl<T: ?Sized> Device<T> {
-    /// Calls `take` with each packet of its worker, and `ended` once when the worker has ended.
+    /// Calls `take` with each packet from the worker (I/O thread), and `ended` once when the worker has ended. The
+    /// calls are made by the real-time loop that watches `readers`.
     pub fn watch(&self, readers: &mut Readers, take: impl Fn(Packet) + 'static, ended: impl Fn() + 'static) {
         let Some(gate) = self.gate.clone() else { return };
         let (event_fd, over) = (gate.borrow().event_fd(), Cell::new(false));
@@ -45,22 +46,23 @@ impl<T: ?Sized> Clone for Device<T> {
     }
 }
 
-/// Drivers and sources of one process.
+/// Drivers and source of readings of the real robots in one process.
 #[derive(Clone, Default)]
 pub struct Devices {
-    /// Driver of each robot.
+    /// Driver of each real robot whose motors this process drives.
     pub drivers: BTreeMap<RobotId, Device<dyn Driver>>,
-    /// Source of the readings of the robots that the host localizes.
+    /// Source of readings that localizes the robots of this process; `None` if there is none.
     pub source: Option<Device<dyn Source>>,
-    /// Publication of what the host hears, with the channel to its worker.
+    /// Publication of received messages as ROS messages, with the channel to its worker (I/O thread); `None` if not
+    /// configured.
     pub observation: Option<(Rc<Observation>, Rc<RefCell<Gate>>)>,
 }
 
-/// Threads of the workers. They end once the devices are dropped.
+/// Threads of the workers, which do the I/O of drivers and sources. The threads end after the [`Devices`] are dropped.
 pub struct Workers(Vec<JoinHandle<()>>);
 
 impl Workers {
-    /// Waits until all have ended, for a second at most. The devices have to be dropped before.
+    /// Waits until all worker threads have ended, for about a second at most. The [`Devices`] must be dropped before.
     pub fn join(self) {
         let mut rests = (0..200).map(|_| thread::park_timeout(Duration::from_millis(5)));
         for worker in self.0 {
@@ -75,18 +77,19 @@ impl Workers {
     }
 }
 
-/// Error of devices that could not be made.
+/// Error when drivers and sources are made and started.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceError {
-    /// Invalid settings.
+    /// A setting of a driver or source is wrong.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The machine has no descriptor or thread left.
+    /// The operating system has no file descriptor or thread left for a worker.
     #[error("a worker cannot be started: {0}")]
     Machine(#[from] std::io::Error),
 }
 
-/// Makes the devices of a host of a checked deployment and starts their workers. `robots` is the size of the team.
+/// Makes the drivers and the source of one host of a checked deployment, and starts their workers (I/O threads).
+/// `robots` is the size of the team.
 pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices, Workers), DeviceError> {
     let (mut devices, mut workers) = (Devices::default(), Workers(Vec::new()));
     for &robot in &host.actuates {

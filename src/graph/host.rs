@@ -17,28 +17,28 @@ use crate::random::Seed;
 use crate::runtime::clock::Clock;
 use crate::runtime::real::Readers;
 
-/// Identity, links and devices of a host.
+/// Identity, links and devices of one host that runs as a process of its own.
 pub struct Host {
-    /// Its number in the deployment.
+    /// Number of the host in the deployment.
     pub id: HostId,
-    /// The team's number.
+    /// Number of the team, which keeps teams on the same network apart.
     pub team: u16,
-    /// Incarnation: a random number that differs between processes of the same host.
+    /// Random number that distinguishes processes of the same host, such as before and after a restart.
     pub incarnation: u32,
-    /// Root of the random streams of its link layer, from the operating system.
+    /// Seed of the random streams of the host's link layer, drawn from the operating system.
     pub secret: Seed,
-    /// The team's key; none for links within one machine.
+    /// Key that authenticates the team's datagrams; `None` if links stay within one machine.
     pub key: Option<Key>,
-    /// Setup of its links, in the order of the deployment; none where it does not take part.
+    /// Setup of each link, in the order of the deployment; `None` for a link in which the host does not take part.
     pub links: Vec<Option<Setup>>,
-    /// Its drivers and sources.
+    /// Drivers and source of readings of the host's robots.
     pub devices: Devices,
-    /// Open transports of its links; several for a link that it uses on several interfaces.
+    /// Open transports of the host's links; several for a link that is used on several network interfaces.
     pub transports: Vec<(LinkId, Box<dyn Transport>)>,
 }
 
-/// Starts the actors of one host. `report` is called with the events of its Network and guards. `output` takes the
-/// output of the Recorder, which runs on the host that judges.
+/// Starts the actors of one host in real time. The function `report` is called with events of the Network and the
+/// guards; `output` with the Recorder's output, on the host that judges episodes.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     plan: Plan,

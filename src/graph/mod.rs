@@ -50,33 +50,33 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::{Clamp, Entry, Physics, Placement};
 
-/// Validity of a motor command: four of the published control periods.
+/// Time after arrival for which a motor command is valid: four control periods of the published system.
 pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
 
-/// All inputs of a graph.
+/// All inputs from which the actor graph of a run is made.
 #[derive(Clone)]
 pub struct Plan {
-    /// Hosts with their parts, and links.
+    /// Hosts with the actors that they run, and the links between hosts.
     pub deployment: Deployment,
-    /// The team's task.
+    /// Task of the team, such as driving through a passage.
     pub scenario: Arc<dyn Scenario>,
-    /// Plant of the simulated robots.
+    /// Simulator of the robots that are not real.
     pub plant: Entry,
     /// Properties of the simulated robots.
     pub physics: Physics,
-    /// Policy during an episode.
+    /// Policy that drives the robots while an episode runs.
     pub run: Model,
     /// Policy that drives robots to their starts.
     pub reset: Model,
-    /// Communication range.
+    /// Range within which robots receive neighbours' messages.
     pub range: CommRange,
-    /// Hold time of a neighbour's message.
+    /// Longest time for which a neighbour's message is used after its arrival.
     pub hold: Span,
-    /// Treatment of messages within the hold time.
+    /// Whether a neighbour's message is used for the whole hold time or for one control step.
     pub handling: Handling,
-    /// Estimator from readings to a robot's state.
+    /// Estimator that filters readings into a robot's state.
     pub estimator: estimation::Entry,
-    /// Known delay of the sources of readings.
+    /// Known delay of readings, from the measurement to the arrival.
     pub sensor_delay: Span,
     /// Limit that Controllers put on the policies' output.
     pub clamp: Clamp,
@@ -84,21 +84,22 @@ pub struct Plan {
     pub safety: Safety,
     /// Emergency stops and re-arms of the run, with the times at which a host sends them.
     pub stops: Vec<(Time, Stop)>,
-    /// The episodes.
+    /// Starts and goals of the robots in each episode.
     pub layouts: Layouts,
     /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// Root of all randomness.
+    /// Seed from which all random streams of the run are derived.
     pub seed: Seed,
-    /// Faults to inject.
+    /// Faults to inject during the run, such as crashes of actors or failures of links.
     pub faults: FaultPlan,
-    /// End of the run, if not with its last episode.
+    /// Time at which the run ends, even during an episode; `None` to end with the last episode.
     pub until: Option<Time>,
-    /// Whether every step is reported.
+    /// Whether every control step is reported or discarded.
     pub steps: recorder::Steps,
 }
 
-/// Starts all actors of a plan; `output` takes the Recorder's output.
+/// Starts all actors of a plan on `clock` and connects them. The function `output` is called with each output of the
+/// Recorder, such as the result of an episode.
 pub fn wire(clock: &Clock, plan: Plan, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
     let process = Process::all_hosts();

@@ -25,27 +25,28 @@ use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 use crate::time::Span;
 
-/// Identity and links of an operator.
+/// Identity and links of an operator, a process outside the deployment that gives orders or observes.
 pub struct Operator {
-    /// Its identity: a number drawn for this process, the team's number, a random incarnation.
+    /// Identity of the operator on its links: host number, team number and a random incarnation number.
     pub me: Identity,
-    /// Root of its randomness, from the operating system.
+    /// Seed of the operator's random streams, drawn from the operating system.
     pub seed: Seed,
-    /// Size of the team.
+    /// Number of robots in the team.
     pub robots: usize,
-    /// Hosts of the team, with the messages that each may publish.
+    /// Kinds of messages that each host of the team may publish; others are refused.
     pub publishers: Arc<Publishers>,
-    /// The team's key.
+    /// Key that authenticates the team's datagrams; `None` if the team has no key.
     pub key: Option<Key>,
-    /// Setup of the links, in the order of the deployment; none where it does not take part.
+    /// Setup of each link, in the order of the deployment; `None` for a link in which the operator does not take part.
     pub links: Vec<Option<Setup>>,
-    /// Open transports of its links; several for a link that it uses on several interfaces.
+    /// Open transports of the operator's links; several for a link that is used on several network interfaces.
     pub transports: Vec<(LinkId, Box<dyn Transport>)>,
-    /// The link of the emergency stop, if the operator sends on it.
+    /// Link of the emergency stop, if the operator sends on that link; otherwise `None`.
     pub stop: Option<LinkId>,
 }
 
-/// Starts an operator's Network and links; returns the mailbox of the Network.
+/// Starts the Network and links of an operator in real time, and returns the Network's mailbox. The function `report`
+/// is called with received messages and other events.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     operator: Operator,
@@ -74,14 +75,15 @@ pub fn wire(
 /// Period of an observer's messages.
 const OBSERVE_PERIOD: Span = Span::from_millis(1000);
 
-/// Makes the operator with this Network an observer: while the process runs, hosts send it telemetry.
+/// Makes the operator `by` an observer: it asks all hosts for telemetry through `network` while the process runs.
 pub fn observe(clock: &Clock, network: &Mailbox<network::In>, by: HostId) {
     network.send(network::In::Publish(Wire::Observe(Observe { by })));
     let (again, network) = (clock.clone(), network.clone());
     clock.call(clock.now() + OBSERVE_PERIOD, Box::new(move || observe(&again, &network, by)));
 }
 
-/// Starts an operator that gives an order, which the caller can read while it is carried out.
+/// Starts an operator that carries out an order, such as an emergency stop. The caller can read the progress from
+/// `order`.
 pub fn command((clock, readers): (&Clock, &mut Readers), operator: Operator, order: &Rc<RefCell<Order>>) {
     let answers: Mailbox<Status> = Mailbox::new("order");
     let to_order = answers.clone();

@@ -24,41 +24,42 @@ use crate::safety::guard::SafetyCounts;
 /// Team number of one-process runs, which have no other team.
 const TEAM: u16 = 0;
 
-/// The part of a deployment that runs in this process, and its identity on the links.
+/// Part of a deployment that runs in one process, with its identity on the links.
 #[derive(Clone)]
 pub struct Process {
-    /// One host alone; `None` for all of them.
+    /// The one host that runs in this process; `None` if all hosts do.
     pub only: Option<HostId>,
-    /// The team's number on every link.
+    /// Number of the team, which keeps teams on the same network apart.
     pub team: u16,
     /// Incarnation: a random number that differs between processes of the same host.
     pub incarnation: u32,
-    /// Secret root of the link layer's random streams; `None` for the run's seed.
+    /// Secret seed of the link layer's random streams; `None` to use the seed of the run.
     pub secret: Option<Seed>,
     /// Key that authenticates the team's datagrams, if any.
     pub key: Option<Key>,
-    /// Setup of its links, none where it does not take part; `None` for those of the emulated ether.
+    /// Setup of each link, `None` for a link without part in it. The whole list is `None` for the links of the emulated
+    /// network.
     pub links: Option<Vec<Option<Setup>>>,
-    /// Its drivers and sources; none where all robots are simulated.
+    /// Drivers and source of readings of real robots; empty if all robots are simulated.
     pub devices: Devices,
-    /// Whether a Recorder runs here.
+    /// Whether the Recorder, the actor that collects results, runs in this process.
     pub records: bool,
-    /// Callback for messages that reach the actors, and for counts of Networks and guards.
+    /// Function that is called with each event of this process, such as a received message.
     pub report: Rc<dyn Fn(ProcessEvent)>,
 }
 
-/// Report of a Network, Controller or Body of this process.
+/// Event that a Network, Controller or Body of a process reports to the process's owner.
 #[derive(Clone, Copy, Debug)]
 pub enum ProcessEvent<'a> {
     /// An actor of this process has published a message.
     Published,
-    /// Message for this host.
+    /// Message that has arrived for actors of this process.
     Message(&'a Wire),
-    /// Summaries of the other hosts.
+    /// Summaries of the other hosts, from links on which hosts report.
     Peers(&'a [Peer]),
     /// Counts of the links since the Network was started.
     Counts(&'a LinkCounts),
-    /// Another live host has the id of this one and was started before it.
+    /// Another running host uses the number of this host and was started earlier.
     Duplicate(DuplicateId),
     /// Number of times that a robot's guard has stopped or slowed it since its Controller was started.
     Safety(RobotId, SafetyCounts),
@@ -93,7 +94,7 @@ impl Process {
     }
 }
 
-/// Mailboxes of all actors of a graph.
+/// Mailboxes of all actors of a run, by which the actors send messages to each other.
 pub struct Graph {
     pub(super) routes: Routes,
     pub(super) caches: Rc<[Mailbox<cache::In>]>,

@@ -12,32 +12,33 @@ use crate::net::transport::{Endpoint, Filter, OpenError, Place, Transport};
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Reason for which a process has no access to its links.
+/// Reason for which a process cannot open its links, the team's network connections.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
-    /// The team file does not fit this machine.
+    /// The team file does not fit this machine; the text says why.
     #[error("{0}")]
     Wrong(String),
-    /// It may work later, for example when an interface is up.
+    /// The link may be opened later, for example when an interface is up; the text says why it failed now.
     #[error("{0}")]
     NotNow(String),
 }
 
-/// A link and its open transport.
+/// Link number with an open transport, which carries the link's datagrams.
 pub type Open = (LinkId, Box<dyn Transport>);
 
 /// Random numbers of the operating system that identify a process.
 pub struct ProcessIdentity {
-    /// Its incarnation on every link. Not from a clock: many robots have none that survives a restart.
+    /// Random number that distinguishes this process from others of the same host. It is not taken from a clock, since
+    /// many robots have no clock that survives a restart.
     pub incarnation: u32,
-    /// Seed of its link layer; unpredictable for others.
+    /// Seed of the random streams of the process's link layer, which others cannot predict.
     pub seed: Seed,
-    /// Its number as an operator.
+    /// Host number of the process if it is an operator, a process outside the deployment.
     pub operator: HostId,
 }
 
 impl ProcessIdentity {
-    /// Draws the numbers.
+    /// Draws all numbers from the random generator of the operating system.
     pub fn draw() -> Result<ProcessIdentity, LinkError> {
         let no_random = |e| LinkError::NotNow(format!("the operating system gives no random bytes: {e}"));
         let (mut seed, mut numbers) = ([0; 32], [0; 8]);
@@ -50,7 +51,7 @@ impl ProcessIdentity {
         })
     }
 
-    /// Returns the identity of an operator of this team.
+    /// Identity of this process as an operator of the team with the number `team`.
     pub fn operator_of(&self, team: u16) -> Identity {
         Identity { host: self.operator, team, incarnation: self.incarnation }
     }

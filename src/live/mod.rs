@@ -29,7 +29,7 @@ const GRACE: Span = Span::from_millis(500);
 /// The same for the host of the state server, which announces the end.
 const SERVER_GRACE: Span = Span::from_millis(2000);
 
-/// Time that the team's host runs on after the last episode.
+/// Time for which the team's host runs on after the last episode, so that hosts that missed the end receive it again.
 pub fn grace(team: &Team) -> Span {
     if team.deployment.hosts[usize::from(team.host.0)].state_server { SERVER_GRACE } else { GRACE }
 }
@@ -37,22 +37,22 @@ pub fn grace(team: &Team) -> Span {
 /// Reason for which a host cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// One of its links cannot be opened.
+    /// A link of the host cannot be opened.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// One of its drivers or sources cannot be opened.
+    /// A driver or source of the host cannot be made or started.
     #[error(transparent)]
     Device(#[from] DeviceError),
 }
 
 impl OpenError {
-    /// Whether a file is at fault, and not the machine.
+    /// Whether a file of the user is at fault, and not the machine.
     pub fn is_wrong_input(&self) -> bool {
         matches!(self, OpenError::Link(LinkError::Wrong(_)) | OpenError::Device(DeviceError::Config(_)))
     }
 }
 
-/// A host with open sockets.
+/// One host of a team with open sockets, drivers and sources, ready to run in real time.
 pub struct LiveHost {
     host: Host,
     workers: Workers,

@@ -83,7 +83,8 @@ impl Config {
     }
 }
 
-/// Makes a source, and fuses it with odometry if its settings have a table `fuse`, of all robots or of one.
+/// Makes a source, and fuses its readings with the robots' odometry by a Kalman filter. Fusion requires a table `fuse`
+/// in the settings of all robots or of one.
 ///
 /// # Errors
 ///

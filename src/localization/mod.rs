@@ -17,61 +17,62 @@ use crate::messages::local::Sample;
 use crate::messages::wire::Reading;
 use crate::time::Time;
 
-/// Input of a source.
+/// Input of a source of readings, which localizes robots.
 #[derive(Clone, Debug)]
 pub enum In<'a> {
-    /// True state of a simulated robot.
+    /// True state of a simulated robot, from the World (simulator).
     Sample(&'a Sample),
-    /// Packet from its worker.
+    /// Packet from the worker (I/O thread) of the source.
     Packet(&'a [u8]),
     /// Pose and velocity that a robot of this host has measured itself, in a frame of its own that drifts.
     Odometry(&'a Reading),
 }
 
-/// Output of a source.
+/// Output of a source of readings, which localizes robots.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
-    /// Reading of a robot.
+    /// Measured pose and velocity of one robot.
     Reading(Reading),
-    /// Packet that was not understood, with the reason.
+    /// Notice that an input could not be used, with the reason.
     Refused(&'static str),
 }
 
-/// Source of readings of some robots.
+/// Source of readings of some robots: converts packets from sensors, or true states of simulated robots, to poses and
+/// velocities. Implementations do no I/O.
 pub trait Source {
-    /// Takes an input.
+    /// Handles one input at time `now` and appends readings and refusals to `out`.
     fn take(&mut self, now: Time, input: In, out: &mut Vec<Out>);
 
-    /// Time of its next wake-up; none if it needs none.
+    /// Time at which `wake` has to be called next; `None` if no call is needed.
     fn wake_at(&self) -> Option<Time> {
         None
     }
 
-    /// Does what is due at `now`.
+    /// Does the work that is due at time `_now` and appends readings to `_out`; called at the time that `wake_at`
+    /// gives.
     fn wake(&mut self, _now: Time, _out: &mut Vec<Out>) {}
 }
 
-/// Parts of a source made from settings: a constructor of the pure part, called at each start of its actor, and the
-/// worker.
+/// Parts of a source of readings: a constructor of its logic, and the worker that does its I/O.
 pub struct Parts {
-    /// Makes a new source.
+    /// Makes a new source; called at each start of the actor that uses the source.
     pub source: Box<dyn Fn() -> Box<dyn Source>>,
-    /// Does its I/O.
+    /// I/O of the source, which runs on a thread of its own.
     pub worker: Box<dyn Worker>,
 }
 
-/// Source in a registry.
+/// Entry of a source of readings in the registry.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its name in a deployment.
+    /// Name of the source, by which a deployment selects it.
     pub name: &'static str,
-    /// Description in one line.
+    /// Description of the source in one line, for lists of all sources.
     pub about: &'static str,
-    /// Makes it for some robots; an error names the wrong setting.
+    /// Makes the source for some robots from its settings in a deployment. The error names the wrong setting.
     pub make: fn(&Settings, &[RobotId]) -> Result<Parts, ConfigError>,
 }
 
-/// All sources of readings of real robots.
+/// All sources of readings of real robots that this crate contains.
 pub const REGISTRY: &[Entry] = &[
     Entry { name: "gpsd", about: gpsd::ABOUT, make: gpsd::make },
     Entry { name: "natnet", about: natnet::ABOUT, make: natnet::make },

@@ -15,7 +15,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use crate::time::Time;
 
-/// Description in one line.
+/// Description of the source `odometry` in one line, for lists of all sources.
 pub const ABOUT: &str = "the robots' own odometry, from their drivers on the same host";
 
 /// Settings of one robot in the team file. The frame of its odometry is the pose of the robot when it was switched on,
@@ -31,12 +31,12 @@ struct Config {
     yaw_rad: f32,
 }
 
-/// Pose of an odometry's frame in the team's frame.
+/// Pose of the frame of a robot's odometry in the team's common frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Alignment {
-    /// Its origin \[m\].
+    /// Origin of the odometry's frame in the team's frame \[m\].
     pub origin: Vec2,
-    /// Its rotation \[rad\], counter-clockwise.
+    /// Rotation of the odometry's frame relative to the team's frame \[rad\], counter-clockwise.
     pub yaw_rad: f32,
 }
 
@@ -47,7 +47,7 @@ impl Alignment {
         Vec2::new(cos * vector.x - sin * vector.y, sin * vector.x + cos * vector.y)
     }
 
-    /// Puts a reading into the team's frame.
+    /// Converts a reading from the frame of the odometry to the team's frame.
     pub fn apply(&self, odometry: &Reading) -> Reading {
         let mut reading = odometry.clone();
         reading.pose.position = self.origin + self.turned(odometry.pose.position);
@@ -64,7 +64,7 @@ struct Odometry {
     stamps: BTreeMap<RobotId, u64>,
 }
 
-/// Makes the source.
+/// Makes the source of readings that uses the robots' own odometry. The error names the wrong setting.
 pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
     let mut team = BTreeMap::new();
     for robot in robots {

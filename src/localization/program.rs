@@ -16,7 +16,7 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
-/// Description in one line.
+/// Description of the source `program` in one line, for lists of all sources.
 pub const ABOUT: &str = "a program of yours: JSON lines on its stdout";
 
 /// Settings in the team file.
@@ -49,7 +49,8 @@ struct Lines {
     robots: Vec<RobotId>,
 }
 
-/// Makes the source and its worker.
+/// Makes the source that gets readings from a user's program, and the worker that runs the program. The error names the
+/// wrong setting.
 pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     if config.command.is_empty() {

@@ -16,7 +16,7 @@ use crate::ros2::reading::{self, Novelty, Stamps, Velocity};
 use crate::ros2::settings;
 use crate::ros2::supervisor::Supervisor;
 
-/// Description in one line.
+/// Description of the source `ros2` in one line, for lists of all sources.
 pub const ABOUT: &str = "poses from ROS 2: PoseStamped, PoseWithCovarianceStamped or Odometry";
 
 /// Place of the robot's number in the topic.
@@ -72,7 +72,8 @@ enum Kind {
     Odometry,
 }
 
-/// Makes the source and its worker.
+/// Makes the source that gets poses from ROS 2 topics, and the worker that runs the DDS process. The error names the
+/// wrong setting.
 pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
     let config: Config = settings.read()?;
     let plan = plan(&config, robots)?;

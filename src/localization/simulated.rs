@@ -10,7 +10,7 @@ use crate::random::Stream;
 use crate::time::{Span, Time};
 use crate::world::Sensor;
 
-/// Sensor of one robot.
+/// Simulated sensor of one robot: measures the robot's true state with noise, at a limited rate and with latency.
 #[derive(Debug)]
 pub struct Simulated {
     sensor: Sensor,
@@ -23,7 +23,7 @@ pub struct Simulated {
 }
 
 impl Simulated {
-    /// Makes a sensor that draws its noise from `stream`.
+    /// Makes a sensor with the properties `sensor`, which draws its noise from the random stream `stream`.
     pub fn new(sensor: Sensor, stream: Stream) -> Simulated {
         Simulated { sensor, stream, measured: None, ready: Time::ZERO, pending: VecDeque::new() }
     }

@@ -11,11 +11,12 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::geometry::{Deviation, Motion, Pose, Task, Twist, Vec2};
 
-/// Largest number of floats in a latent: with so many, its frame still fits into one datagram.
+/// Largest number of floats in the features of a latent, a robot's broadcast to its neighbours. The encoded message
+/// still fits into one datagram.
 pub const MAX_FEATURES: usize = 256;
 
-/// Message of a robot's policy to its neighbours: for a GNN the encoder's output, for ORCA the radius \[m\] and the
-/// preferred velocity \[m/s\].
+/// Numbers that a robot's policy sends to its neighbours. For a graph neural network they are the encoder's output; for
+/// the policy ORCA, the radius \[m\] and the preferred velocity \[m/s\].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features(pub Arc<[f32]>);
 

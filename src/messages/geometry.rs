@@ -6,9 +6,9 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 /// A point \[m\] or a velocity \[m/s\] in the plane.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Vec2 {
-    /// Along the first axis.
+    /// Component along the x axis of the frame: \[m\] for a point, \[m/s\] for a velocity.
     pub x: f32,
-    /// Along the second.
+    /// Component along the y axis of the frame: \[m\] for a point, \[m/s\] for a velocity.
     pub y: f32,
 }
 
@@ -19,110 +19,110 @@ impl Vec2 {
         Vec2 { x, y }
     }
 
-    /// The origin, or standing still.
+    /// The zero vector: the origin of a frame, or the velocity of a robot that stands still.
     #[inline(always)]
     pub const fn zeros() -> Vec2 {
         Vec2::new(0.0, 0.0)
     }
 
-    /// The same number along both axes.
+    /// The vector whose x and y components are both `both`.
     #[inline(always)]
     pub const fn repeat(both: f32) -> Vec2 {
         Vec2::new(both, both)
     }
 
-    /// The direction of the first axis.
+    /// The unit vector along the x axis, (1, 0).
     #[inline(always)]
     pub const fn x() -> Vec2 {
         Vec2::new(1.0, 0.0)
     }
 
-    /// The direction of the second axis.
+    /// The unit vector along the y axis, (0, 1).
     #[inline(always)]
     pub const fn y() -> Vec2 {
         Vec2::new(0.0, 1.0)
     }
 
-    /// Both coordinates as an array.
+    /// The components as the array `[x, y]`.
     #[inline(always)]
     pub const fn to_array(self) -> [f32; 2] {
         [self.x, self.y]
     }
 
-    /// Applies a function to each coordinate.
+    /// The vector that results when the function `of` is applied to the x component, then to the y component.
     #[inline(always)]
     pub fn map(self, mut of: impl FnMut(f32) -> f32) -> Vec2 {
         Vec2::new(of(self.x), of(self.y))
     }
 
-    /// The lesser of two coordinates, along each axis.
+    /// The component-wise minimum of this vector and `other`.
     #[inline(always)]
     pub fn inf(&self, other: &Vec2) -> Vec2 {
         Vec2::new(self.x.min(other.x), self.y.min(other.y))
     }
 
-    /// The greater of two coordinates, along each axis.
+    /// The component-wise maximum of this vector and `other`.
     #[inline(always)]
     pub fn sup(&self, other: &Vec2) -> Vec2 {
         Vec2::new(self.x.max(other.x), self.y.max(other.y))
     }
 
-    /// The product of two coordinates, along each axis.
+    /// The component-wise product of this vector and `other`.
     #[inline(always)]
     pub fn component_mul(&self, other: &Vec2) -> Vec2 {
         Vec2::new(self.x * other.x, self.y * other.y)
     }
 
-    /// The scalar product.
+    /// The scalar (dot) product of this vector and `other`.
     #[inline(always)]
     pub fn dot(&self, other: &Vec2) -> f32 {
         self.x * other.x + self.y * other.y
     }
 
-    /// The square of the length.
+    /// The square of the Euclidean length of this vector.
     #[inline(always)]
     pub fn norm_squared(&self) -> f32 {
         self.dot(self)
     }
 
-    /// The length.
+    /// The Euclidean length of this vector.
     #[inline(always)]
     pub fn norm(&self) -> f32 {
         self.norm_squared().sqrt()
     }
 
-    /// Returns the vector with its length limited to `most`.
+    /// The vector with the same direction and a Euclidean length of at most `most`, in the unit of the vector.
     pub fn cap_magnitude(self, most: f32) -> Vec2 {
         let length = self.norm();
         if length > most { self * (most / length) } else { self }
     }
 
-    /// Returns the unit vector of this direction; NaN for a zero vector.
+    /// The unit vector in the direction of this vector; both components are NaN for a zero vector.
     #[inline(always)]
     pub fn normalize(&self) -> Vec2 {
         *self / self.norm()
     }
 
-    /// Returns the unit vector, unless the length is `least` or below.
+    /// The unit vector in the direction of this vector; `None` if the Euclidean length is `least` or below.
     #[inline(always)]
     pub fn try_normalize(&self, least: f32) -> Option<Vec2> {
         let norm = self.norm();
         if norm <= least { None } else { Some(*self / norm) }
     }
 
-    /// Absolute value of each coordinate.
+    /// The vector of the absolute values of both components.
     #[inline(always)]
     pub fn abs(&self) -> Vec2 {
         Vec2::new(self.x.abs(), self.y.abs())
     }
 
-    /// The larger coordinate.
+    /// The larger of the x and y components, with their signs.
     #[inline(always)]
     pub fn max(&self) -> f32 {
         self.x.max(self.y)
     }
 
-    /// Adds the same number to both coordinates.
+    /// The vector with the number `both` added to each component.
     #[inline(always)]
     pub fn add_scalar(&self, both: f32) -> Vec2 {
         *self + Vec2::repeat(both)
@@ -238,7 +238,7 @@ pub struct Motion {
 pub struct Pose {
     /// Position of the centre \[m\].
     pub position: Vec2,
-    /// Heading \[rad\], counter-clockwise from the x axis, within -pi and pi; none if it is not measured.
+    /// Heading \[rad\], counter-clockwise from the x axis, from -pi to pi; `None` if no heading was measured.
     pub heading: Option<f32>,
 }
 
@@ -247,29 +247,29 @@ pub struct Pose {
 pub struct Twist {
     /// Velocity of the centre \[m/s\].
     pub velocity: Vec2,
-    /// Yaw rate \[rad/s\], counter-clockwise; none if it is not measured.
+    /// Yaw rate \[rad/s\], counter-clockwise; `None` if no yaw rate was measured.
     pub yaw_rate: Option<f32>,
 }
 
-/// Standard deviations of a measurement; none where unknown.
+/// Standard deviations of a measured pose and velocity. A field is `None` where the sensor states no accuracy.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Deviation {
-    /// Of the position along each axis \[m\].
+    /// Standard deviation of the position along each axis \[m\]; `None` if unknown.
     pub position_m: Option<f32>,
-    /// Of the heading \[rad\].
+    /// Standard deviation of the heading \[rad\]; `None` if unknown.
     pub heading_rad: Option<f32>,
-    /// Of the velocity along each axis \[m/s\].
+    /// Standard deviation of the velocity along each axis \[m/s\]; `None` if unknown.
     pub velocity_m_s: Option<f32>,
     /// Standard deviation of the yaw rate \[rad/s\]; `None` if unknown.
     pub yaw_rate_rad_s: Option<f32>,
 }
 
-/// Start and goal of one robot in an episode, in the world frame.
+/// Start and goal of one robot in an episode (one attempt at the team's task), in the world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Task {
-    /// Start \[m\].
+    /// Position from which the robot begins the episode \[m\], world frame.
     pub start: Vec2,
-    /// Goal \[m\].
+    /// Position that the robot has to reach \[m\], world frame.
     pub goal: Vec2,
 }
 
@@ -282,25 +282,26 @@ impl Task {
 }
 
 impl Motion {
-    /// At rest at `position`.
+    /// The motion of a robot that stands still at `position` \[m\], world frame.
     pub fn at_rest(position: Vec2) -> Motion {
         Motion { position, velocity: Vec2::zeros() }
     }
 
-    /// Whether all four numbers are finite and of a plausible size.
+    /// Whether all components of position and velocity are finite and at most `MAX_SIZE` in absolute value.
     pub fn is_sound(&self) -> bool {
         is_sound(self.position) && is_sound(self.velocity)
     }
 }
 
 impl Pose {
-    /// Whether the position is of a plausible size and the heading is within a turn.
+    /// Whether the coordinates are finite and at most `MAX_SIZE` in size, and the heading, if known, at most
+    /// `MAX_HEADING`.
     pub fn is_sound(&self) -> bool {
         is_sound(self.position) && self.heading.is_none_or(|heading| heading.abs() <= MAX_HEADING)
     }
 
     /// Converts a velocity \[m/s\] from the world frame into the frame of a robot with this pose: x ahead, y to the
-    /// left. None if the heading is unknown.
+    /// left. Returns `None` if the heading is unknown.
     pub fn into_body(&self, velocity: Vec2) -> Option<Vec2> {
         let (sin, cos) = libm::sincosf(self.heading?);
         Some(Vec2::new(cos * velocity.x + sin * velocity.y, cos * velocity.y - sin * velocity.x))
@@ -308,42 +309,46 @@ impl Pose {
 }
 
 impl Twist {
-    /// Whether all numbers are of a plausible size.
+    /// Whether the velocity's components and the yaw rate, if known, are finite and at most `MAX_SIZE` in absolute
+    /// value.
     pub fn is_sound(&self) -> bool {
         is_sound(self.velocity) && self.yaw_rate.is_none_or(|rate| rate.abs() <= MAX_SIZE)
     }
 }
 
 impl Deviation {
-    /// Whether every known deviation is finite and not negative.
+    /// Whether every known standard deviation is finite, not negative and at most `MAX_SIZE`.
     pub fn is_sound(&self) -> bool {
         let all = [self.position_m, self.heading_rad, self.velocity_m_s, self.yaw_rate_rad_s];
         all.into_iter().flatten().all(|deviation| (0.0..=MAX_SIZE).contains(&deviation))
     }
 }
 
-/// Largest heading \[rad\]: pi as an f32, which is slightly more than pi.
+/// Largest absolute heading \[rad\] that a valid pose has: pi as an f32, which is slightly more than pi.
 pub const MAX_HEADING: f32 = std::f32::consts::PI;
-/// Largest coordinate \[m\] and velocity \[m/s\] that is valid: arithmetic in f32 stays finite with it.
+/// Largest absolute coordinate \[m\], velocity component \[m/s\] or yaw rate \[rad/s\] that a valid message has.
+/// Computations in f32 stay finite up to this bound.
 pub const MAX_SIZE: f32 = 1e5;
 
-/// Rotates a vector by an angle \[rad\], counter-clockwise, in double precision.
+/// Rotates the vector (`x`, `y`) counter-clockwise by `angle` \[rad\], in double precision. Returns the rotated x and
+/// y.
 pub fn rotated(angle: f64, x: f64, y: f64) -> (f64, f64) {
     let (sin, cos) = libm::sincos(angle);
     (cos * x - sin * y, sin * x + cos * y)
 }
 
-/// Returns the same angle \[rad\] within -pi and pi; also as a 32-bit float it is within `MAX_HEADING`.
+/// Reduces an angle \[rad\] by whole turns to the range from -pi to pi. Rounded to f32, the result is within
+/// `MAX_HEADING`.
 pub fn wrapped(angle: f64) -> f64 {
     libm::remainder(angle, std::f64::consts::TAU)
 }
 
-/// Whether both coordinates are finite and at most `MAX_SIZE`.
+/// Whether both components of a vector are finite and at most `MAX_SIZE` in absolute value.
 pub fn is_sound(v: Vec2) -> bool {
     v.x.abs() <= MAX_SIZE && v.y.abs() <= MAX_SIZE
 }
 
-/// Whether both coordinates are finite.
+/// Whether both components of a vector are finite: neither infinite nor NaN.
 pub fn is_finite(v: Vec2) -> bool {
     v.x.is_finite() && v.y.is_finite()
 }

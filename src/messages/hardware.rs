@@ -31,7 +31,8 @@ impl TryFrom<u8> for Health {
     }
 }
 
-/// Temperature \[°C\], -40 to 215 in whole degrees. On the wire it is a byte with an offset of 40, as in SAE J1939-71.
+/// Temperature from -40 to 215 °C in whole degrees. The wire format is one byte with an offset of 40, as in SAE
+/// J1939-71.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Celsius(u8);
 
@@ -39,7 +40,7 @@ pub struct Celsius(u8);
 const ZERO_C: i16 = -40;
 
 impl Celsius {
-    /// Rounds a temperature \[°C\]; none if it is out of range or not a number.
+    /// Rounds a temperature \[°C\] to whole degrees; `None` if `degrees` is NaN or outside -40 to 215 °C.
     pub fn of(degrees: f32) -> Option<Celsius> {
         let byte = (degrees - f32::from(ZERO_C)).round();
         (0.0..=255.0).contains(&byte).then_some(Celsius(byte as u8))
@@ -57,10 +58,10 @@ impl fmt::Display for Celsius {
     }
 }
 
-/// Longest reason \[bytes\]: a line of a terminal.
+/// Longest text of a [`Reason`] \[bytes\]: one line of a terminal.
 pub const MAX_REASON: usize = 80;
 
-/// Reason of a fault in a few words: printable ASCII, 1 to `MAX_REASON` bytes.
+/// Reason of a hardware fault in a few words: 1 to `MAX_REASON` bytes of printable ASCII.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Reason(Box<str>);
 
@@ -68,7 +69,8 @@ pub struct Reason(Box<str>);
 const CUT: &str = "...";
 
 impl Reason {
-    /// Makes a reason. Other characters become `?`, and a text that is too long is cut. None if there is no word in it.
+    /// Makes a reason from `text`, without surrounding whitespace. Characters other than printable ASCII become `?`,
+    /// and a text longer than `MAX_REASON` is cut. Returns `None` if the text is empty.
     pub fn new(text: &str) -> Option<Reason> {
         let printable = |c: char| if c == ' ' || c.is_ascii_graphic() { c } else { '?' };
         let clean: String = text.trim().chars().take(MAX_REASON + 1).map(printable).collect();
@@ -79,7 +81,7 @@ impl Reason {
         }
     }
 
-    /// The text.
+    /// The text of the reason, in printable ASCII.
     pub fn text(&self) -> &str {
         &self.0
     }
@@ -115,26 +117,26 @@ impl<'de> Deserialize<'de> for Reason {
     }
 }
 
-/// Condition of a robot's hardware.
+/// Condition of one robot's hardware, as reported by the robot's driver.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Hardware {
-    /// Its health.
+    /// Whether the hardware follows commands, reports a fault, or does not answer.
     pub health: Health,
-    /// Charge of its battery \[%\], 0 to 100; none if it is not known.
+    /// Charge of the battery \[%\], 0 to 100; `None` if unknown.
     pub battery: Option<u8>,
-    /// Temperature of its hottest part; likewise.
+    /// Temperature of the hottest part of the robot; `None` if unknown.
     pub temperature: Option<Celsius>,
-    /// Reason of a fault or of silence; likewise.
+    /// Reason for which the hardware is faulty or silent; `None` if unknown or if there is no fault.
     pub reason: Option<Reason>,
 }
 
 impl Hardware {
-    /// A robot of this health, of which nothing else is known.
+    /// Makes the condition of a robot with this health; battery, temperature and reason are unknown (`None`).
     pub fn of(health: Health) -> Hardware {
         Hardware { health, battery: None, temperature: None, reason: None }
     }
 
-    /// The same with a reason.
+    /// Returns this condition with the given reason of a fault. The reason becomes `None` if the text is empty.
     pub fn because(self, reason: &str) -> Hardware {
         Hardware { reason: Reason::new(reason), ..self }
     }

@@ -4,17 +4,18 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// A robot of the team, counted from zero without gaps.
+/// Number of a robot in its team. The robots of a team are numbered from 0 without gaps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct RobotId(pub u16);
 
-/// A host: one process with one Network. Its number is its index in the deployment, or that of an operator.
+/// Number of a host, which is one process on the team's network. Hosts of a deployment are numbered by their index in
+/// the deployment; operators have numbers from 49152 (0xc000).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct HostId(pub u16);
 
-/// A link: its number is its index in the deployment.
+/// Number of a link, a network connection between hosts: the link's index in the deployment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct LinkId(pub u16);
@@ -23,28 +24,29 @@ pub struct LinkId(pub u16);
 const FIRST_OPERATOR: u16 = 0xc000;
 
 impl HostId {
-    /// Count of numbers for operators.
+    /// Count of the host numbers that are reserved for operators, which are processes outside the deployment that give
+    /// orders or observe.
     pub const OPERATORS: u16 = u16::MAX - FIRST_OPERATOR;
 
-    /// Returns the operator with this number, modulo their count. An operator is in no deployment; every process that
-    /// acts as one draws its number anew.
+    /// Host number of an operator, a process outside the deployment that gives orders or observes. `number` is taken
+    /// modulo `OPERATORS`; each operator process draws one at random.
     pub const fn operator(number: u16) -> HostId {
         HostId(FIRST_OPERATOR + number % HostId::OPERATORS)
     }
 
-    /// Whether this is an operator and not a host of a deployment.
+    /// Whether this number is that of an operator, a process outside the deployment, and not of a host of a deployment.
     pub const fn is_operator(self) -> bool {
         self.0 >= FIRST_OPERATOR
     }
 }
 
 impl RobotId {
-    /// Index of the robot in per-robot tables.
+    /// The robot's number as an index into tables with one entry for each robot.
     pub const fn index(self) -> usize {
         self.0 as usize
     }
 
-    /// Returns all robots of a team of `count`.
+    /// Iterates over the robots 0 to `count` - 1, which form a team. Panics if a number exceeds 65 535.
     pub fn team(count: usize) -> impl Iterator<Item = RobotId> {
         (0..count).map(|index| RobotId(u16::try_from(index).expect("a team has at most 65 535 robots")))
     }

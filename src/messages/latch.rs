@@ -26,8 +26,8 @@ enum State {
     Engaged,
 }
 
-/// State of the emergency stop and the number of its changes. The larger number outranks; with equal numbers, the more
-/// restrictive state.
+/// State of the team's emergency stop (clear, held or engaged), with the number of its changes. Of two latches the one
+/// with the larger number is the later. With equal numbers, the more restrictive state counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "u64", try_from = "u64")]
 pub struct Latch {
@@ -36,17 +36,19 @@ pub struct Latch {
 }
 
 impl Latch {
-    /// Robots may move, as of the change with this number; zero is the initial state of a team.
+    /// Makes a latch in the state clear: robots may move. `number` counts the changes so far; a team starts with zero.
     pub const fn clear(number: u64) -> Latch {
         Latch { number, state: State::Clear }
     }
 
-    /// The stop is taken back and the team waits for a resume, as of the change with this number.
+    /// Makes a latch in the state held: the emergency stop was re-armed, and the team waits for a resume. `number`
+    /// counts the changes so far.
     pub const fn held(number: u64) -> Latch {
         Latch { number, state: State::Held }
     }
 
-    /// All robots stand, as of the change with this number.
+    /// Makes a latch in the state engaged: an emergency stop is in force and all robots stand. `number` counts the
+    /// changes so far.
     pub const fn engaged(number: u64) -> Latch {
         Latch { number, state: State::Engaged }
     }
@@ -56,7 +58,7 @@ impl Latch {
         self.state == State::Clear
     }
 
-    /// Whether the team waits for a resume.
+    /// Whether the emergency stop was re-armed and the team still stands, waiting for a resume.
     pub fn is_held(self) -> bool {
         self.state == State::Held
     }
@@ -66,12 +68,12 @@ impl Latch {
         self.state == State::Engaged
     }
 
-    /// Number of the change.
+    /// Number of changes of the emergency stop up to this latch; the later of two latches has the larger number.
     pub fn number(self) -> u64 {
         self.number
     }
 
-    /// Word for the state, for people and JSON.
+    /// Word for the state in output for people and in JSON: `clear`, `held` or `stopped`.
     pub fn word(self) -> &'static str {
         match self.state {
             State::Clear => "clear",
@@ -80,19 +82,20 @@ impl Latch {
         }
     }
 
-    /// Whether another latch is so far ahead of this one that it cannot be genuine.
+    /// Whether the number of `other` is so far above the number of this latch that `other` must be corrupted or forged.
     pub fn is_overshot_by(self, other: Latch) -> bool {
         other.number > ceiling(self.number)
     }
 
-    /// Returns the later of this latch and one that another host repeats; one that overshoots is ignored.
+    /// The later of this latch and `other`, which another host repeats. If the number of `other` is implausibly high,
+    /// this latch is returned.
     pub fn joined(self, other: Latch) -> Latch {
         if self.is_overshot_by(other) { self } else { self.max(other) }
     }
 
-    /// Returns the latch after a message of an operator or a host. A stop counts whatever its number, since its sender
-    /// need not know the present number; a re-arm has to be later than the stop. A resume changes nothing here: the
-    /// state server grants it ([`Latch::resumed`]) and all others follow the state server.
+    /// Returns the latch after a stop, re-arm or resume (`other`) from an operator or a host. A stop counts whatever
+    /// its number, since its sender need not know the present number. A re-arm has to be later than the stop. A resume
+    /// changes nothing here: the state server, the coordinator of the team, grants it with [`Latch::resumed`].
     pub fn after(self, other: Latch) -> Latch {
         match other.state {
             State::Clear => self,
@@ -103,13 +106,15 @@ impl Latch {
         }
     }
 
-    /// Returns the latch after a resume, if this one is held and the resume names exactly this hold.
+    /// Returns `other`, the latch that a resume asks for, if the resume is granted. This latch must be held, and
+    /// `other` clear with the next number; otherwise `None`. Only the state server, the coordinator of the team, calls
+    /// this.
     pub fn resumed(self, other: Latch) -> Option<Latch> {
         (self.is_held() && other.is_clear() && other.number == self.number + 1).then_some(other)
     }
 }
 
-/// Latch that one actor of a robot follows: guard or body.
+/// Emergency stop state that one actor of a robot (guard or body) follows, updated by received messages.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LatchFollower {
     latch: Latch,
@@ -120,24 +125,25 @@ pub struct LatchFollower {
 }
 
 impl LatchFollower {
-    /// Latch that is followed.
+    /// Emergency stop state that the actor follows at present.
     pub fn latch(&self) -> Latch {
         self.latch
     }
 
-    /// Whether the state server's latch is known; before that, nothing may move.
+    /// Whether a latch of the state server (the coordinator of the team) has arrived. Before that, the robot must not
+    /// move.
     pub fn is_informed(&self) -> bool {
         self.informed
     }
 
-    /// Applies a message of an operator or a host; returns whether that changed the latch.
+    /// Applies a stop, re-arm or resume from an operator or a host. Returns whether the followed latch changed.
     pub fn apply(&mut self, other: Latch) -> bool {
         self.set(self.latch.after(other))
     }
 
-    /// Applies a latch that the state server repeats; returns whether that changed the latch. A latch that overshoots
-    /// counts the second time it arrives: an actor that has just started cannot know the number, and a corrupted number
-    /// does not repeat.
+    /// Applies a latch that the state server repeats, and returns whether the followed latch changed. A latch with an
+    /// implausibly high number counts the second time it arrives. An actor that has just started cannot know the
+    /// number, and a corrupted number does not repeat.
     pub fn update(&mut self, other: Latch) -> bool {
         let before = self.overshot.take();
         let later = if !self.latch.is_overshot_by(other) {
@@ -163,14 +169,16 @@ fn ceiling(known: u64) -> u64 {
     known.max(CREDIBLE) + JUMP
 }
 
-/// Returns the latest of some latches, without a single one that is out of reach of the others and of the known one.
+/// The latest of `known` and the received `latches`. A single latch with a number implausibly far above `known` and
+/// above the others is ignored.
 pub fn latest(known: Latch, latches: impl Iterator<Item = Latch> + Clone) -> Latch {
     let known_of_two = second_largest(latches.clone().map(Latch::number));
     let ceiling = ceiling(known.number.max(known_of_two));
     latches.filter(|latch| latch.number <= ceiling).fold(known, Latch::max)
 }
 
-/// Returns the second largest number, which at least two senders have reached; zero of fewer than two.
+/// The second largest of some numbers, one from each sender, so at least two senders have reached it. Returns zero for
+/// fewer than two numbers.
 pub fn second_largest(numbers: impl Iterator<Item = u64>) -> u64 {
     let (mut largest, mut second) = (0, 0);
     for number in numbers {

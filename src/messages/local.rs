@@ -7,35 +7,36 @@ use super::ids::RobotId;
 use super::wire::{Features, Phase, Round};
 use crate::time::{Span, Time};
 
-/// Inputs of a robot's policy at one tick of its agent: Cache to Agent.
+/// Inputs of a robot's policy at one control tick, sent from the robot's Cache (store of received messages) to its
+/// Agent.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Percept {
-    /// The robot.
+    /// Number of the robot whose policy gets these inputs.
     pub robot: RobotId,
-    /// Time at which the tick was due, on this host's clock.
+    /// Time at which the control tick was due, on this host's clock.
     pub due: Time,
-    /// Its own filtered estimate.
+    /// Estimated position \[m\] and velocity \[m/s\] of the robot in the world frame.
     pub estimate: Motion,
     /// Standard deviation of the estimated position along each axis \[m\]; 0 if unknown.
     pub deviation_m: f32,
-    /// Its usable neighbours, by robot id.
+    /// Newest messages of the neighbours that the policy may use, in the order of robot ids.
     pub heard: Vec<NeighbourLatent>,
 }
 
-/// Newest latent of one neighbour, as held by the Cache.
+/// Newest latent (policy message with the sender's motion) of one neighbour, as stored by a robot's Cache.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NeighbourLatent {
-    /// The neighbour.
+    /// Number of the neighbour that sent the latent.
     pub robot: RobotId,
-    /// Round in which it was computed.
+    /// Round, the number of the state server's instruction, in which the neighbour computed the latent.
     pub round: Round,
-    /// Phase in which it was computed.
+    /// Phase of the episode in which the neighbour computed the latent.
     pub phase: Phase,
-    /// The neighbour's own estimate when it was sent.
+    /// The neighbour's estimate of its own position and velocity when it sent the latent, world frame.
     pub motion: Motion,
-    /// Message of its policy.
+    /// Numbers from the neighbour's policy, such as the encoder's output of a graph neural network.
     pub features: Features,
-    /// Age since arrival on this host.
+    /// Time since the latent arrived at this host.
     pub age: Span,
 }
 
@@ -45,56 +46,56 @@ pub const NEAR_M: f32 = 5.0;
 /// Last known position and velocity of another robot, whatever round and phase it is in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OtherRobot {
-    /// The other robot.
+    /// Number of the other robot.
     pub robot: RobotId,
-    /// Its own estimate at that time, world frame.
+    /// The other robot's last received estimate of its own position and velocity, world frame.
     pub motion: Motion,
-    /// Age since arrival on this host.
+    /// Time since the estimate arrived at this host.
     pub age: Span,
 }
 
-/// Whether a robot has reached its target.
+/// Whether a robot has reached its target: the start position during a reset, the goal while an episode runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
-    /// Not reached yet.
+    /// The robot has not reached its target yet.
     Underway,
-    /// At its start when resetting, at its goal when running.
+    /// The robot has reached its target: its start position during a reset, its goal while an episode runs.
     Reached,
 }
 
-/// Output of the policy for one robot: Agent to Controller.
+/// Output of the policy for one robot, sent from the robot's Agent to its Controller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Action {
-    /// The robot.
+    /// Number of the robot that is to be driven.
     pub robot: RobotId,
-    /// Round in which it was computed.
+    /// Round, the number of the state server's instruction, in which the action was computed.
     pub round: Round,
-    /// Phase in which it was computed.
+    /// Phase of the episode in which the action was computed.
     pub phase: Phase,
-    /// Time at which its tick was due, on this host's clock.
+    /// Time at which the control tick of this action was due, on this host's clock.
     pub due: Time,
-    /// Desired velocity \[m/s\], world frame; not yet limited. NaN if the policy has diverged.
+    /// Desired velocity \[m/s\] in the world frame, before the Controller limits it; NaN if the policy has diverged.
     pub velocity: Vec2,
-    /// The robot's own estimate for this step, world frame.
+    /// Estimated position and velocity of the robot in the world frame, from which the action was computed.
     pub estimate: Motion,
-    /// Other known robots within `NEAR_M`.
+    /// Last known motions of the other robots within `NEAR_M` (5 m) of this robot.
     pub others: Vec<OtherRobot>,
     /// Whether the robot has reached its target.
     pub progress: Progress,
 }
 
-/// Command of a body to its world: Body to World.
+/// Velocity command for one simulated robot, sent from the robot's Body to its World.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drive {
-    /// The robot.
+    /// Number of the robot that is to be moved.
     pub robot: RobotId,
     /// Commanded velocity \[m/s\], world frame.
     pub velocity: Vec2,
-    /// Time at which the world stops the robot, should its body send nothing more.
+    /// Time at which the World stops the robot if no later command arrives from its Body.
     pub until: Time,
 }
 
-/// Motion of a robot in its own frame (REP-103).
+/// Velocity and yaw rate of a robot in its own frame: x forward, y left, counter-clockwise rotation (REP-103).
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct BodyTwist {
     /// Speed ahead \[m/s\].
@@ -105,39 +106,40 @@ pub struct BodyTwist {
     pub yaw_rate: f32,
 }
 
-/// Contacts of a robot in the last step of its world.
+/// Contacts of a simulated robot during the last step of its World, the simulator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Contacts {
-    /// A move was blocked by another robot.
+    /// Whether another robot blocked the movement.
     pub robot: bool,
-    /// A move was blocked by a wall.
+    /// Whether a wall blocked the movement.
     pub wall: bool,
 }
 
-/// True state of one robot: World to its Body, and to the Recorder.
+/// True state of one simulated robot, sent from the World (simulator) to the robot's Body and to the Recorder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// The robot.
+    /// Number of the robot.
     pub robot: RobotId,
-    /// Time of the state.
+    /// Simulation time of the state.
     pub time: Time,
-    /// True position and velocity.
+    /// True position and velocity in the world frame.
     pub motion: Motion,
     /// True heading \[rad\], counter-clockwise from the x axis.
     pub heading: f32,
     /// True yaw rate \[rad/s\], counter-clockwise.
     pub yaw_rate: f32,
-    /// Velocity that the world was commanded to drive it at \[m/s\]: zero once a command has lapsed.
+    /// Velocity \[m/s\], world frame, that the World was commanded to move the robot with; zero after the command has
+    /// expired.
     pub command: Vec2,
-    /// Contacts in the last step.
+    /// Contacts of the robot with other robots and walls in the last simulation step.
     pub contacts: Contacts,
 }
 
-/// True state of all robots of one world after a step: World to Recorder.
+/// True state of all robots of one World (simulator) after a step, sent to the Recorder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
-    /// Time of the state.
+    /// Simulation time of the states.
     pub time: Time,
-    /// By robot id.
+    /// True states of the robots, in the order of robot ids.
     pub samples: Arc<[Sample]>,
 }

@@ -35,7 +35,8 @@ impl From<Isometry2<f32>> for Pose {
 }
 
 impl Pose {
-    /// Returns the transform from the robot's frame into the world frame; none if the heading is unknown.
+    /// Rigid transform that maps coordinates \[m\] in the robot's frame to the world frame; `None` if the heading is
+    /// unknown.
     pub fn isometry(&self) -> Option<Isometry2<f32>> {
         self.heading.map(|heading| Isometry2::new(self.position.into(), heading))
     }

@@ -2,19 +2,20 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The states of an episode (paper, section IV: the state machine of agents and of the state server).
+/// Phase of an episode (one attempt at the team's task), of a single robot or of the whole team. The phases are those
+/// of the state machine in section IV of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
 pub enum Phase {
-    /// Waits for a reset; the whole team stands.
+    /// The team stands and waits until robots are to drive to the starts of the next episode.
     NeedReset,
-    /// Robots drive to their starts.
+    /// Robots drive to their start positions.
     Resetting,
-    /// A robot is at its start and holds it.
+    /// The robot has reached its start position and stays there.
     FinishedResetting,
     /// The policy under test drives the robots.
     Running,
-    /// A robot has reached its goal; the policy still drives.
+    /// The robot has reached its goal; the policy under test still drives.
     FinishedRunning,
     /// The episode has failed; the whole team stops.
     AbortRunning,

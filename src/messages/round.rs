@@ -9,12 +9,14 @@ use super::latch::second_largest;
 /// 38 days.
 pub(super) const MAX_TERM: u32 = 1 << 30;
 
-/// Number of an instruction of the state server: a later term outranks, then a later episode.
+/// Number by which instructions of the state server, the coordinator of the team, are ordered. The larger term is the
+/// later, then the larger episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct Round {
-    /// Term of the state server, as of a leader in Raft: each start begins a later one. Zero before its first message.
+    /// Term of the state server, as of a leader in Raft: each start of the state server begins a later term. Zero
+    /// before the first instruction has arrived.
     pub term: u32,
-    /// Episode, counted from zero over the whole trial.
+    /// Number of the episode, counted from zero over the whole trial.
     pub episode: u32,
 }
 
@@ -26,13 +28,13 @@ impl Round {
     /// one message with the largest term.
     const JUMP: u32 = 16;
 
-    /// Whether another round is so far ahead of this one that it cannot be genuine.
+    /// Whether the term of `other` is so far above the term of this round that `other` must be corrupted or forged.
     pub fn is_overshot_by(self, other: Round) -> bool {
         other.term > self.term.max(Round::CREDIBLE) + Round::JUMP
     }
 
-    /// Returns the latest of some rounds, without a single one whose term is out of reach of the others and of the
-    /// known one. The term after it is still within reach of actors that follow the known one.
+    /// The latest of the received `rounds`; the default round if none is left. A single round with a term implausibly
+    /// far above `known` and above the other rounds is ignored.
     pub fn latest(known: Round, rounds: impl Iterator<Item = Round> + Clone) -> Round {
         let second = second_largest(rounds.clone().map(|round| round.term.into()));
         let ceiling = u64::from(known.term).max(second).max(Round::CREDIBLE.into()) + u64::from(Round::JUMP) - 1;
@@ -40,7 +42,7 @@ impl Round {
     }
 }
 
-/// Round that one actor follows.
+/// Round (number of a state server's instruction) that one actor follows, with the check of newly received rounds.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RoundFollower {
     round: Round,
@@ -49,14 +51,14 @@ pub struct RoundFollower {
 }
 
 impl RoundFollower {
-    /// Round that is followed.
+    /// Round of the instruction that the actor follows at present.
     pub fn round(&self) -> Round {
         self.round
     }
 
-    /// Whether an instruction of this round is to be followed. An earlier round never is. One that overshoots is
-    /// followed the second time it arrives: an actor that has just started cannot know the term, and a corrupted one
-    /// does not repeat.
+    /// Whether an instruction with this round is to be followed; an instruction with an earlier round is not. A round
+    /// with an implausibly high term is admitted the second time it arrives. An actor that has just started cannot know
+    /// the term, and a corrupted term does not repeat.
     pub fn admits(&mut self, round: Round) -> bool {
         let before = self.overshot.take();
         let repeated = before.is_some_and(|before| (before..=before.saturating_add(Round::JUMP)).contains(&round.term));
@@ -67,7 +69,7 @@ impl RoundFollower {
         round >= self.round
     }
 
-    /// Follows this round from now on.
+    /// Sets the round that the actor follows from now on.
     pub fn follow(&mut self, round: Round) {
         self.round = round;
     }

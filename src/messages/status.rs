@@ -5,26 +5,29 @@ use serde::{Deserialize, Serialize};
 use super::ids::{HostId, RobotId};
 use super::latch::Latch;
 
-/// Latches that one robot follows, as known to a host that runs a part of it.
+/// States of the emergency stop that the controller and the body of one robot follow, as known to one host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Following {
-    /// The robot.
+    /// Number of the robot whose latches are given.
     pub robot: RobotId,
-    /// Latch of its controller; none if that runs on another host or has sent nothing.
+    /// Latch (emergency stop state) of the robot's controller; `None` if the controller runs on another host or has
+    /// sent nothing.
     pub controller: Option<Latch>,
-    /// Latch of its body; none likewise.
+    /// Latch (emergency stop state) of the robot's body, the actor that drives the motors. `None` if the body runs on
+    /// another host or has sent nothing.
     pub body: Option<Latch>,
 }
 
-/// Reason for which the state server refuses a resume.
+/// Reason for which a robot keeps the state server (the team's coordinator) from granting a resume after an emergency
+/// stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "u8", try_from = "u8")]
 pub enum Hindrance {
-    /// The robot's heartbeats are missing.
+    /// No recent heartbeats have arrived from the robot.
     Missing,
-    /// Its host has left and is not back.
+    /// A host of the robot has announced that it shuts down, and is not back.
     Left,
-    /// It does not follow the re-arm yet.
+    /// The robot still follows an earlier state of the emergency stop than the re-arm.
     Latched,
 }
 
@@ -42,28 +45,29 @@ impl TryFrom<u8> for Hindrance {
     }
 }
 
-/// The state server's latch, and the robots that keep it from granting a resume.
+/// Emergency stop state of the state server (the team's coordinator), with the robots that keep it from granting a
+/// resume.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Leading {
-    /// Latch that it follows.
+    /// Emergency stop state that the state server follows.
     pub latch: Latch,
-    /// Robots that prevent a resume, the first `MAX_HINDRANCES`.
+    /// Robots that prevent a resume, each with the reason: the first `MAX_HINDRANCES` of them. Empty if none does.
     pub hindrances: Vec<(RobotId, Hindrance)>,
 }
 
-/// Most robots that one `Leading` names.
+/// Largest number of robots that the list `hindrances` of one [`Leading`] contains.
 pub const MAX_HINDRANCES: usize = 16;
 
-/// Status of one host: to operators, how far its robots follow the emergency stop; to the state server, whether it
-/// leaves or takes part.
+/// Status of one host. Operators read from it how far the robots follow the emergency stop. The state server (the
+/// team's coordinator) reads from it whether the host leaves or takes part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
-    /// The host.
+    /// Number of the host that sends the status.
     pub host: HostId,
-    /// The host is shutting down: its robots stand, and it will send nothing more.
+    /// Whether the host is shutting down: its robots stand, and the host will send nothing more.
     pub leaves: bool,
-    /// Latches of its robots: at most `MAX_BLOCK`, in the order of their ids.
+    /// Emergency stop states of the robots of the host, in the order of robot ids; at most `MAX_BLOCK` (64).
     pub robots: Vec<Following>,
-    /// The state server's view, on the host that runs it.
+    /// Emergency stop state of the state server, sent by the host that runs it; `None` from every other host.
     pub leading: Option<Leading>,
 }

@@ -7,49 +7,54 @@ use super::hardware::{Celsius, Health, Reason};
 use super::ids::{HostId, RobotId};
 use super::phase::Phase;
 
-/// Request of an observer for telemetry, to every host, once a second. It changes nothing else.
+/// Request of an observer (a process that watches the team) for telemetry, sent to every host once a second. The
+/// request has no other effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Observe {
-    /// The observer.
+    /// Host number of the observer that asks.
     pub by: HostId,
 }
 
-/// Last measured pose of a robot.
+/// Last measured pose of a robot, with its age.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Seen {
-    /// Measured pose.
+    /// Measured position and heading of the robot in the world frame.
     pub pose: Pose,
-    /// Time since it arrived \[ms\].
+    /// Time since the measurement arrived at the reporting host \[ms\].
     pub age_ms: u32,
 }
 
-/// Condition of one robot, as far as one host knows it.
+/// Condition of one robot, as far as one host knows it. A field is `None` if the host does not know the value.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Condition {
-    /// The robot.
+    /// Number of the robot.
     pub robot: RobotId,
-    /// Phase of the episode; from the host that runs its agent.
+    /// Phase of the episode that the robot is in, from the host that runs the robot's agent; `None` from other hosts.
     pub phase: Option<Phase>,
-    /// Last measured pose; from the same host.
+    /// Last measured pose, from the host that runs the robot's agent; `None` from other hosts or without a measurement.
     pub seen: Option<Seen>,
-    /// Condition of its hardware; from the host that drives its motors.
+    /// Health of the hardware, from the host that drives the robot's motors; `None` from other hosts or if unknown.
     pub health: Option<Health>,
-    /// Battery charge \[%\]; from the same host.
+    /// Battery charge \[%\], 0 to 100, from the host that drives the robot's motors; `None` if unknown there or from
+    /// other hosts.
     pub battery: Option<u8>,
-    /// Temperature of its hottest part; from the same host.
+    /// Temperature of the robot's hottest part, from the host that drives its motors; `None` if unknown there or from
+    /// other hosts.
     pub temperature: Option<Celsius>,
-    /// Reason of its last fault while it lasts; from the same host, once a second and for one robot of a message.
+    /// Reason of a hardware fault that lasts, from the host that drives the robot's motors. Each message gives at most
+    /// one robot's reason, about once a second; otherwise the field is `None`.
     pub reason: Option<Reason>,
 }
 
-/// Condition of some robots of a host; broadcast while there is an observer.
+/// Conditions of some robots of one host. A host broadcasts them while an observer (a process that watches the team)
+/// asks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Telemetry {
-    /// The host.
+    /// Number of the host that sends the telemetry.
     pub host: HostId,
-    /// Conditions of at most `MAX_CONDITIONS` of its robots.
+    /// Conditions of robots of the host, at most `MAX_CONDITIONS` in one message.
     pub robots: Vec<Condition>,
 }
 
-/// Most robots in one `Telemetry`: 32 x 31 bytes and one reason fit into one datagram.
+/// Largest number of robots in one [`Telemetry`] message: 32 x 31 bytes and one reason fit into one datagram.
 pub const MAX_CONDITIONS: usize = 32;

@@ -20,31 +20,34 @@ pub use super::status::{Following, Hindrance, Leading, MAX_HINDRANCES, Status};
 pub use super::telemetry::{Condition, MAX_CONDITIONS, Observe, Seen, Telemetry};
 use crate::time::Span;
 
-/// Largest feature: a policy that exceeds it has diverged.
+/// Largest absolute value of a number in the features that a policy sends. A policy that exceeds it counts as diverged.
 pub const MAX_FEATURE: f32 = 1e6;
-/// Most robots in one `Mode` block: 64 x 16 bytes fit into one datagram.
+/// Largest number of robots in one [`Mode`] or [`Status`] message. The starts and goals of so many robots take 64 x 16
+/// bytes and fit into one datagram.
 pub const MAX_BLOCK: usize = 64;
-/// Longest validity of a command: robots that lose their team must not drive on for longer.
+/// Longest validity of a motor command. A robot that no longer hears its team must not drive on for longer.
 pub const MAX_VALIDITY: Span = Span::from_millis(1000);
 
-/// Measurement of a robot by a sensor.
+/// Measurement of a robot's pose and velocity by a sensor, in the world frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reading {
-    /// The robot that is measured.
+    /// Number of the robot that was measured.
     pub robot: RobotId,
-    /// Time of measurement \[ns\] on the sensor's clock, which is compared with no other. It distinguishes a new
-    /// reading from a repeated one and gives the interval between two.
+    /// Time of measurement \[ns\] on the sensor's clock, which is never compared with another clock. The stamp
+    /// distinguishes a new reading from a repeated one and gives the interval between two readings.
     pub stamp_ns: u64,
-    /// Measured position and heading.
+    /// Measured position and heading in the world frame.
     pub pose: Pose,
-    /// Measured velocity and yaw rate.
+    /// Measured velocity and yaw rate in the world frame.
     pub twist: Twist,
-    /// Standard deviations of the measurement.
+    /// Standard deviations of the measured quantities, `None` for each that is unknown.
     pub deviation: Deviation,
 }
 
 impl Reading {
-    /// Reading of a sensor that measures a point: without heading, with unknown deviations.
+    /// Makes a reading of a sensor that measures only a point. Heading, yaw rate and standard deviations are `None`.
+    /// `stamp_ns` is the time of measurement on the sensor's clock, `motion` the measured position and velocity in the
+    /// world frame.
     pub fn of_point(robot: RobotId, stamp_ns: u64, motion: Motion) -> Reading {
         Reading {
             robot,
@@ -55,7 +58,7 @@ impl Reading {
         }
     }
 
-    /// Reason why the reading is out of range; none if it may be published.
+    /// Reason why a number of the reading is out of range; `None` if the reading is valid and may be published.
     pub fn unfit(&self) -> Option<&'static str> {
         match () {
             () if !is_sound(self.pose.position) => Some("a position is not finite, or beyond 100 km"),
@@ -66,165 +69,176 @@ impl Reading {
         }
     }
 
-    /// Position and velocity, which policies use.
+    /// Measured position and velocity, without heading and yaw rate, which policies do not use.
     pub fn motion(&self) -> Motion {
         Motion { position: self.pose.position, velocity: self.twist.velocity }
     }
 }
 
-/// Broadcast of a robot to its neighbours.
+/// Message that a robot broadcasts to its neighbours: the numbers from its policy and its own motion.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Latent {
-    /// The sender.
+    /// Number of the robot that sends the message.
     pub robot: RobotId,
-    /// Round it acts in; a receiver in another round ignores the message.
+    /// Round, the number of the state server's instruction, that the sender follows. A receiver in another round
+    /// ignores the message.
     pub round: Round,
-    /// Phase it acts in: latents of the reset policy and of the policy under test do not mix.
+    /// Phase of the episode that the sender is in. It keeps messages of the reset policy apart from those of the policy
+    /// under test.
     pub phase: Phase,
-    /// The sender's own estimate.
+    /// The sender's estimate of its own position and velocity in the world frame.
     pub motion: Motion,
-    /// Message of its policy.
+    /// Numbers from the sender's policy, such as the encoder's output of a graph neural network.
     pub features: Features,
 }
 
-/// Command for a robot's motors.
+/// Velocity command for a robot, sent from its Controller to its Body, the actor that drives the motors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotorCommand {
-    /// The robot.
+    /// Number of the robot that is to move.
     pub robot: RobotId,
     /// Commanded velocity \[m/s\], world frame.
     #[serde(with = "floats::vec2")]
     pub velocity: Vec2,
-    /// Time after arrival during which it is valid; then the body stops.
+    /// Time after arrival for which the command is valid. The Body stops the robot when the time is over without a
+    /// newer command.
     pub valid_for: Span,
 }
 
-/// Progress of a robot in the episode; soft state.
+/// Progress of one robot in the episode, repeated to the state server (the team's coordinator).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Heartbeat {
-    /// The robot.
+    /// Number of the robot that reports.
     pub robot: RobotId,
-    /// Last round that it has received.
+    /// Round, the number of the state server's last instruction, that the robot has received.
     pub round: Round,
-    /// Its own phase in that round.
+    /// Phase of the episode that the robot itself is in.
     pub phase: Phase,
-    /// Latch that it follows.
+    /// Emergency stop state that the robot follows.
     pub latch: Latch,
 }
 
-/// Instruction of the state server for one block of robots; soft state.
+/// Instruction of the state server (the team's coordinator) for a block of robots with consecutive numbers. It is
+/// repeated, so a lost message does no harm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mode {
-    /// The round.
+    /// Round, the number of this instruction, by which receivers distinguish later instructions from earlier ones.
     pub round: Round,
-    /// Index of the trial among the repeats of the experiment.
+    /// Index of the trial among the repeats of the experiment, from zero.
     pub repeat: u32,
-    /// Phase that the team is to be in.
+    /// Phase of the episode that the team is to be in.
     pub phase: Phase,
-    /// First robot of the block.
+    /// Number of the first robot of the block.
     pub first: RobotId,
-    /// Start and goal of each robot of the block.
+    /// Start and goal of each robot of the block: entry i is for the robot with number `first` + i.
     #[serde(with = "floats::tasks")]
     pub tasks: Arc<[Task]>,
-    /// Latch that the state server follows.
+    /// Emergency stop state that the state server follows.
     pub latch: Latch,
 }
 
 impl Mode {
-    /// The task of `robot`, if it is in this block.
+    /// Start and goal of `robot`; `None` if the robot is not in the block of this message.
     pub fn task_of(&self, robot: RobotId) -> Option<Task> {
         robot.0.checked_sub(self.first.0).and_then(|offset| self.tasks.get(usize::from(offset))).copied()
     }
 }
 
-/// Emergency stop, its re-arm or the resume after it, from an operator or a host to every host. It is not soft state;
-/// hosts that receive it repeat its latch in `Heartbeat` and `Mode`.
+/// Emergency stop, re-arm or resume, sent from an operator or a host to every host. A re-arm takes the stop back but
+/// keeps the team standing; a resume lets the robots move again. The message is sent for each change only; receivers
+/// repeat its latch in [`Heartbeat`] and [`Mode`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stop {
-    /// Host that sent it.
+    /// Number of the host or operator that sends the message.
     pub by: HostId,
-    /// Latch that is to hold.
+    /// Emergency stop state that the receivers are to take over.
     pub latch: Latch,
 }
 
 impl Stop {
-    /// Stops all robots. `seen` is the latest latch that `by` knows of; none is needed.
+    /// Makes a message that stops all robots. `by` is the sender, `seen` the latest emergency stop state that the
+    /// sender knows of, or the default if it knows of none.
     pub fn engage(by: HostId, seen: Latch) -> Stop {
         Stop { by, latch: Latch::engaged(seen.number() + 1) }
     }
 
-    /// Takes the stop back; the team is held. `seen` is the latest latch that `by` knows of: a later stop stays
-    /// engaged.
+    /// Makes a message that takes an emergency stop back; the team stays held until a resume. `by` is the sender,
+    /// `seen` the latest state that the sender knows of. A stop later than `seen` stays engaged.
     pub fn rearm(by: HostId, seen: Latch) -> Stop {
         Stop { by, latch: Latch::held(seen.number() + 1) }
     }
 
-    /// Ends the hold and begins the next episode, if the state server agrees. `seen` is the hold that is meant.
+    /// Makes a message that ends a hold and begins the next episode, if the state server (the team's coordinator)
+    /// agrees. `by` is the sender, `seen` the held state that is to end.
     pub fn resume(by: HostId, seen: Latch) -> Stop {
         Stop { by, latch: Latch::clear(seen.number() + 1) }
     }
 
-    /// Asks every host for its `Status`; it changes nothing.
+    /// Makes a message by which the sender `by` asks every host for its [`Status`]. The emergency stop state stays as
+    /// it is.
     pub fn ask(by: HostId) -> Stop {
         Stop { by, latch: Latch::default() }
     }
 }
 
-/// A message that may cross hosts.
+/// A message that may cross hosts, of any kind. Each variant names the sending and receiving actors.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Wire {
-    /// Body to Cache.
+    /// Measurement of a robot's pose and velocity, from the robot's Body to its Cache.
     Reading(Reading),
-    /// Agent to the Caches of its neighbours.
+    /// Features of a robot's policy and its motion, from the robot's Agent to the Caches of its neighbours.
     Latent(Latent),
-    /// Controller to Body.
+    /// Velocity command, from a robot's Controller to its Body.
     MotorCommand(MotorCommand),
-    /// Controller to StateServer.
+    /// Progress of a robot in the episode, from the robot's Controller to the state server.
     Heartbeat(Heartbeat),
-    /// StateServer to everyone.
+    /// Instruction for the team's episode, from the state server (the team's coordinator) to everyone.
     Mode(Mode),
-    /// Anyone to everyone.
+    /// Emergency stop, re-arm or resume, from an operator or any host to every host.
     Stop(Stop),
-    /// A host to operators and to the StateServer.
+    /// Emergency stop states of a host's robots, from the host to operators and the state server.
     Status(Status),
-    /// An observer to everyone.
+    /// Request for telemetry, from an observer to every host.
     Observe(Observe),
-    /// A host to observers.
+    /// Conditions of a host's robots, from the host to observers.
     Telemetry(Telemetry),
 }
 
-/// The kinds of wire messages, as the deployment's table names them.
+/// Kind of a wire message. The routing table of a deployment names messages by their kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// A [`Reading`].
+    /// Measurement of a robot's pose and velocity: a message [`Reading`].
     Reading,
-    /// A [`Latent`].
+    /// Features of a robot's policy for its neighbours: a message [`Latent`].
     Latent,
-    /// A [`MotorCommand`].
+    /// Velocity command for a robot: a message [`MotorCommand`].
     MotorCommand,
-    /// A [`Heartbeat`].
+    /// Progress of a robot in the episode: a message [`Heartbeat`].
     Heartbeat,
-    /// A [`Mode`].
+    /// Instruction of the state server to robots: a message [`Mode`].
     Mode,
-    /// A [`Stop`].
+    /// Emergency stop, re-arm or resume: a message [`Stop`].
     Stop,
-    /// A [`Status`]; it travels on the link of the stop.
+    /// Status of a host for operators and the state server: a message [`Status`]. It travels on the link of the
+    /// emergency stop.
     Status,
-    /// An [`Observe`]; likewise.
+    /// Request of an observer for telemetry: a message [`Observe`]. It travels on the link of the emergency stop.
     Observe,
-    /// A [`Telemetry`]; likewise.
+    /// Condition of a host's robots for observers: a message [`Telemetry`]. It travels on the link of the emergency
+    /// stop.
     Telemetry,
 }
 
 impl Kind {
-    /// Whether it is between hosts and operators: it is routed like `Stop`, and no deployment names it.
+    /// Whether messages of this kind travel on the link of the emergency stop, without an entry of their own in the
+    /// deployment. True for `Status`, `Observe` and `Telemetry`.
     pub fn follows_the_stop(self) -> bool {
         matches!(self, Kind::Status | Kind::Observe | Kind::Telemetry)
     }
 }
 
-/// All kinds, in the order of their numbers on the wire.
+/// All kinds of wire messages, in the order of their numbers on the wire.
 pub const KINDS: [Kind; 9] = [
     Kind::Reading,
     Kind::Latent,
@@ -237,34 +251,34 @@ pub const KINDS: [Kind; 9] = [
     Kind::Telemetry,
 ];
 
-/// Reason for which a message may not be sent.
+/// Reason for which a wire message is invalid and may not be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unfit {
     /// A position, velocity or feature is NaN, infinite or too large.
     #[error("a number is not finite or out of range")]
     Number,
-    /// A list is empty or longer than its limit.
+    /// A list of the message is longer than its limit, or empty where at least one entry is needed.
     #[error("a list is empty or too long")]
     Length,
-    /// The validity of a command exceeds `MAX_VALIDITY`.
+    /// The validity of a motor command exceeds [`MAX_VALIDITY`].
     #[error("the validity of a command is too long")]
     Validity,
-    /// A `Mode` block exceeds the largest robot id.
+    /// The block of robots of a [`Mode`] message goes beyond the largest robot id, 65 535.
     #[error("a block of robots exceeds the largest robot id")]
     Block,
-    /// The term of a round is out of range.
+    /// The term of a round (the number of the state server's start) is too large to be valid.
     #[error("the term of a round is out of range")]
     Term,
 }
 
-/// Whether no number is NaN, infinite or larger than `MAX_FEATURE`. No early return, so that it compiles to a few
-/// vector instructions. NaN is never at most anything.
+/// Whether no number in `floats` is NaN, infinite or larger than [`MAX_FEATURE`] in absolute value. There is no early
+/// return, so the function compiles to a few vector instructions.
 pub fn all_sound(floats: &[f32]) -> bool {
     floats.iter().fold(true, |all, float| all & (float.abs() <= MAX_FEATURE))
 }
 
 impl Wire {
-    /// The message's kind.
+    /// The kind of this message, as used by routing tables.
     pub fn kind(&self) -> Kind {
         match self {
             Wire::Reading(_) => Kind::Reading,
@@ -279,8 +293,8 @@ impl Wire {
         }
     }
 
-    /// Robot that the message is about: sender or target. For `Mode`, `Status` and `Telemetry` the first of its block,
-    /// for `Stop` and `Observe` the first of the team.
+    /// Number of the robot that sends the message or that it is for. For `Mode`, `Status` and `Telemetry`, the first
+    /// robot of the message's list; robot 0 for `Stop`, `Observe` and an empty list.
     pub fn robot(&self) -> RobotId {
         match self {
             Wire::Reading(m) => m.robot,
@@ -294,7 +308,8 @@ impl Wire {
         }
     }
 
-    /// Checks the message's own ranges; both ends of a link call it.
+    /// Checks that the message's numbers and list lengths are in range, and returns the first violation found. The
+    /// sending and the receiving host both check each message.
     pub fn check(&self) -> Result<(), Unfit> {
         let sound = match self {
             Wire::Reading(m) => m.pose.is_sound() && m.twist.is_sound() && m.deviation.is_sound(),

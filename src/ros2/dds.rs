@@ -38,7 +38,7 @@ const WRITE_MS: i64 = 10;
 /// Requested kernel buffers \[bytes\]: rustdds asks for 8 MiB for each socket, which small machines count as memory.
 const SOCKET_BUFFER: usize = 1 << 20;
 
-/// Participant with the topics of a plan.
+/// DDS participant of a DDS process, with publishers and subscribers for the topics of its plan.
 pub struct Dds {
     participant: DomainParticipant,
     listener: DomainParticipantStatusListener,
@@ -121,7 +121,8 @@ impl Outlet {
 }
 
 impl Dds {
-    /// Opens a participant with all topics. The error says what failed and what to do.
+    /// Opens a participant with all topics of `plan`, on the network addresses `networks` (empty: on all). The error
+    /// says what failed and what to do.
     pub fn open(plan: &Plan, networks: &[IpAddr]) -> Result<Dds, String> {
         let mut builder = DomainParticipantBuilder::new(plan.domain)
             .socket_receive_buffer_size(SOCKET_BUFFER)
@@ -152,18 +153,18 @@ impl Dds {
         Ok(Dds { participant, listener, poll, events, waker, writers, readers })
     }
 
-    /// Ends a `wait` from another thread.
+    /// Returns a handle by which another thread ends a call of `wait`.
     pub fn waker(&self) -> Arc<Waker> {
         Arc::clone(&self.waker)
     }
 
-    /// Waits for messages, for the waker, or for the time to pass.
+    /// Blocks until a message arrives, the waker is used, or the time `most` is over.
     pub fn wait(&mut self, most: Duration) {
         // An interrupted wait is as good as one that is over.
         let _ = self.poll.poll(&mut self.events, Some(most));
     }
 
-    /// Takes received messages, each with the index of its reader.
+    /// Calls `each` with every received message and the index of its topic in the plan's list `readers`.
     pub fn take(&mut self, mut each: impl FnMut(usize, Sample)) {
         for (index, (inlet, link)) in self.readers.iter_mut().enumerate() {
             inlet.take(&mut |sample| match sample {
@@ -173,7 +174,8 @@ impl Dds {
         }
     }
 
-    /// Publishes a velocity.
+    /// Publishes the velocity `[x, y, yaw]` \[m/s, m/s, rad/s\] of a robot. `topic` is an index in the plan's list
+    /// `writers`.
     pub fn drive(&mut self, topic: usize, [x, y, yaw]: [f64; 3]) {
         let zero = Vector3::default();
         let twist = Twist { linear: Vector3 { x, y, ..zero }, angular: Vector3 { z: yaw, ..zero } };
@@ -189,7 +191,7 @@ impl Dds {
         }
     }
 
-    /// Publishes a message for observers.
+    /// Publishes a message for observers. `topic` is an index in the plan's list `writers`.
     pub fn publish(&mut self, topic: usize, message: &Outgoing) {
         match (self.writers.get(topic), message) {
             (Some((Outlet::Odometry(writer), link)), Outgoing::Pose(pose)) => {
@@ -211,19 +213,19 @@ impl Dds {
         }
     }
 
-    /// Whether each command topic has a subscriber.
+    /// Whether each topic with velocity commands has at least one subscriber.
     pub fn is_matched(&self) -> bool {
         let is_command = |outlet: &Outlet| matches!(outlet, Outlet::Twist(_) | Outlet::TwistStamped(..));
         self.writers.iter().all(|(outlet, link)| !is_command(outlet) || link.state.peers > 0)
     }
 
-    /// States of all topics.
+    /// Returns the present state of every topic: the number of connected endpoints, and problems.
     pub fn states(&mut self) -> impl Iterator<Item = &TopicState> {
         self.update();
         self.writers.iter().map(|(_, link)| &link.state).chain(self.readers.iter().map(|(_, link)| &link.state))
     }
 
-    /// Tells the others that the participant leaves.
+    /// Closes the participant and announces to other participants that it leaves.
     pub fn close(self) {
         drop((self.writers, self.readers, self.listener, self.participant));
     }

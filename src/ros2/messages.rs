@@ -5,16 +5,18 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Name of a message's type in DDS, as ROS 2 derives it from the package and the message.
+/// Name of a ROS message's type in DDS, which ROS 2 derives from the package and the message. The name is needed to
+/// create a DDS topic.
 pub trait Typed {
-    /// The name, such as `geometry_msgs::msg::dds_::Twist_`.
+    /// Name of the type in DDS, such as `geometry_msgs::msg::dds_::Twist_`.
     const TYPE: &'static str;
 }
 
-/// Covariance of six numbers by rows; the order is x, y, z, roll, pitch, yaw.
+/// Covariance matrix of a pose or twist in a ROS message, by rows. The order is x, y, z, then rotation about x, y and
+/// z.
 pub type Covariance = [[f64; 6]; 6];
 
-/// `builtin_interfaces/Time`: time since the epoch of the sender's clock.
+/// ROS message `builtin_interfaces/Time`: time since the epoch of the sender's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
     /// Whole seconds \[s\].
@@ -23,56 +25,57 @@ pub struct Stamp {
     pub nanosec: u32,
 }
 
-/// `std_msgs/Header`.
+/// ROS message `std_msgs/Header`: time and coordinate frame of the data in a message.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
-    /// Time of the measurement.
+    /// Time of the measurement on the sender's clock.
     pub stamp: Stamp,
-    /// Name of the frame.
+    /// Name of the coordinate frame in which the data are given, such as `map`.
     pub frame_id: String,
 }
 
-/// `geometry_msgs/Vector3` and `geometry_msgs/Point`.
+/// ROS messages `geometry_msgs/Vector3` and `geometry_msgs/Point`: three components in the unit of the field with this
+/// type.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Vector3 {
-    /// Along x.
+    /// Component along the x axis.
     pub x: f64,
-    /// Along y.
+    /// Component along the y axis.
     pub y: f64,
-    /// Along z.
+    /// Component along the z axis.
     pub z: f64,
 }
 
-/// `geometry_msgs/Quaternion`.
+/// ROS message `geometry_msgs/Quaternion`: an orientation as a unit quaternion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Quaternion {
-    /// First imaginary part.
+    /// First imaginary part of the quaternion, that of the x axis.
     pub x: f64,
-    /// Second imaginary part.
+    /// Second imaginary part of the quaternion, that of the y axis.
     pub y: f64,
-    /// Third imaginary part.
+    /// Third imaginary part of the quaternion, that of the z axis.
     pub z: f64,
-    /// Real part.
+    /// Real part of the quaternion.
     pub w: f64,
 }
 
 impl Default for Quaternion {
-    /// The identity.
+    /// The identity, which is no rotation: (0, 0, 0, 1).
     fn default() -> Quaternion {
         Quaternion { x: 0.0, y: 0.0, z: 0.0, w: 1.0 }
     }
 }
 
-/// `geometry_msgs/Pose`.
+/// ROS message `geometry_msgs/Pose`: position and orientation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pose {
-    /// Position \[m\] in the frame of the header.
+    /// Position \[m\] in the frame that the header of the whole message names.
     pub position: Vector3,
-    /// Orientation in the same frame.
+    /// Orientation in the frame that the header of the whole message names.
     pub orientation: Quaternion,
 }
 
-/// `geometry_msgs/Twist`: command or velocity, in the frame of the robot.
+/// ROS message `geometry_msgs/Twist`: linear and angular velocity, here in the frame of the robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Twist {
     /// Linear velocity \[m/s\].
@@ -81,132 +84,134 @@ pub struct Twist {
     pub angular: Vector3,
 }
 
-/// `geometry_msgs/TwistStamped`.
+/// ROS message `geometry_msgs/TwistStamped`: a velocity command with a time and a frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TwistStamped {
-    /// Time and frame.
+    /// Time of the command, and name of the frame of the velocity.
     pub header: Header,
-    /// The command.
+    /// Commanded linear and angular velocity.
     pub twist: Twist,
 }
 
-/// `geometry_msgs/PoseWithCovariance`.
+/// ROS message `geometry_msgs/PoseWithCovariance`: a measured pose with its uncertainty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseWithCovariance {
-    /// The pose.
+    /// Measured position and orientation.
     pub pose: Pose,
-    /// Its covariance \[m^2, m rad, rad^2\].
+    /// Covariance matrix of the pose \[m^2, m rad, rad^2\].
     pub covariance: Covariance,
 }
 
-/// `geometry_msgs/TwistWithCovariance`.
+/// ROS message `geometry_msgs/TwistWithCovariance`: a measured velocity with its uncertainty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TwistWithCovariance {
-    /// The velocity.
+    /// Measured linear and angular velocity.
     pub twist: Twist,
-    /// Its covariance \[(m/s)^2, m rad/s^2, (rad/s)^2\].
+    /// Covariance matrix of the velocity \[(m/s)^2, m rad/s^2, (rad/s)^2\].
     pub covariance: Covariance,
 }
 
-/// `geometry_msgs/PoseStamped`.
+/// ROS message `geometry_msgs/PoseStamped`: a pose with its time and frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseStamped {
-    /// Time and frame.
+    /// Time of the measurement, and name of the frame of the pose.
     pub header: Header,
-    /// The pose.
+    /// Position and orientation in the frame of the header.
     pub pose: Pose,
 }
 
-/// `geometry_msgs/PoseWithCovarianceStamped`.
+/// ROS message `geometry_msgs/PoseWithCovarianceStamped`: a pose with uncertainty, time and frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseWithCovarianceStamped {
-    /// Time and frame.
+    /// Time of the measurement, and name of the frame of the pose.
     pub header: Header,
-    /// The pose.
+    /// Pose in the frame of the header, with its covariance.
     pub pose: PoseWithCovariance,
 }
 
-/// `nav_msgs/Odometry`: the pose in the frame of the header, the twist in the frame of the robot.
+/// ROS message `nav_msgs/Odometry`: the pose of a robot in the frame of the header, and the velocity in the robot's own
+/// frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Odometry {
-    /// Time, and frame of the pose.
+    /// Time of the measurement, and name of the frame of the pose.
     pub header: Header,
-    /// Frame of the twist.
+    /// Name of the robot's own frame, in which the velocity is given.
     pub child_frame_id: String,
-    /// The pose.
+    /// Pose of the robot in the frame of the header, with its covariance.
     pub pose: PoseWithCovariance,
-    /// The velocity.
+    /// Velocity of the robot in its own frame, with its covariance.
     pub twist: TwistWithCovariance,
 }
 
-/// `sensor_msgs/BatteryState`; a value that is not measured is NaN.
+/// ROS message `sensor_msgs/BatteryState`: condition of a battery. A number that is not measured is NaN.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BatteryState {
-    /// Time and frame.
+    /// Time of the measurement; the frame has no meaning here.
     pub header: Header,
-    /// Voltage \[V\].
+    /// Voltage of the battery \[V\].
     pub voltage: f32,
-    /// Temperature \[degrees Celsius\].
+    /// Temperature of the battery \[degrees Celsius\]; NaN if not measured.
     pub temperature: f32,
-    /// Current, negative when discharging \[A\].
+    /// Current \[A\], negative when discharging; NaN if not measured.
     pub current: f32,
-    /// Charge \[Ah\].
+    /// Present charge \[Ah\]; NaN if not measured.
     pub charge: f32,
-    /// Last full capacity \[Ah\].
+    /// Charge of the full battery, as last known \[Ah\]; NaN if not measured.
     pub capacity: f32,
-    /// Capacity by design \[Ah\].
+    /// Capacity of the battery by design \[Ah\]; NaN if not known.
     pub design_capacity: f32,
-    /// Charge from 0 to 1.
+    /// Charge as a fraction of the full one, 0 to 1; NaN if not measured.
     pub percentage: f32,
-    /// Charging status.
+    /// Charging status, one of the constants `POWER_SUPPLY_STATUS_*` of the ROS message.
     pub power_supply_status: u8,
-    /// Health of the battery.
+    /// Health of the battery, one of the constants `POWER_SUPPLY_HEALTH_*` of the ROS message.
     pub power_supply_health: u8,
-    /// Chemistry.
+    /// Chemistry of the battery, one of the constants `POWER_SUPPLY_TECHNOLOGY_*` of the ROS message.
     pub power_supply_technology: u8,
-    /// Whether there is a battery.
+    /// Whether a battery is present in the robot.
     pub present: bool,
-    /// Voltage of each cell \[V\].
+    /// Voltage of each cell \[V\]; empty if the cells are not measured.
     pub cell_voltage: Vec<f32>,
-    /// Temperature of each cell \[degrees Celsius\].
+    /// Temperature of each cell \[degrees Celsius\]; empty if the cells are not measured.
     pub cell_temperature: Vec<f32>,
-    /// Place of the battery.
+    /// Name of the place of the battery, such as a slot of the robot.
     pub location: String,
-    /// Serial number.
+    /// Serial number of the battery.
     pub serial_number: String,
 }
 
-/// `std_msgs/MultiArrayDimension`.
+/// ROS message `std_msgs/MultiArrayDimension`: one dimension of an array.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Dimension {
-    /// Name.
+    /// Name of the dimension, such as `robot`.
     pub label: String,
-    /// Number of entries.
+    /// Number of entries along the dimension.
     pub size: u32,
-    /// Number of floats from one entry of the dimension before it to the next.
+    /// Number of floats in one whole extent of this dimension: its size times the sizes of all inner dimensions.
     pub stride: u32,
 }
 
-/// `std_msgs/MultiArrayLayout`.
+/// ROS message `std_msgs/MultiArrayLayout`: the shape of an array whose numbers are stored in one list.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Layout {
-    /// Dimensions, the outermost first.
+    /// Dimensions of the array, the outermost first.
     pub dim: Vec<Dimension>,
-    /// Number of floats before the data.
+    /// Number of floats in the list before the first number of the array.
     pub data_offset: u32,
 }
 
-/// `std_msgs/Float32MultiArray`.
+/// ROS message `std_msgs/Float32MultiArray`: an array of 32-bit floats with its shape.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Float32MultiArray {
-    /// Shape.
+    /// Shape of the array.
     pub layout: Layout,
-    /// The numbers.
+    /// Numbers of the array in one list, the last dimension varying fastest.
     pub data: Vec<f32>,
 }
 
 impl Float32MultiArray {
-    /// Array of shape `[rows, columns]`, by rows.
+    /// Makes a two-dimensional array. `rows` and `columns` are the name and size of each dimension, and `data` has the
+    /// numbers row by row.
     pub fn of_rows(rows: (&str, usize), columns: (&str, usize), data: Vec<f32>) -> Float32MultiArray {
         let stride = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
         let dimension = |(label, size): (&str, usize), reach: usize| Dimension {
@@ -235,7 +240,7 @@ typed! {
     Float32MultiArray = "std_msgs::msg::dds_::Float32MultiArray_",
 }
 
-/// Name of a ROS topic in DDS: `rt` before it, since it begins with a slash.
+/// Name in DDS of a ROS topic: `rt` followed by the full ROS name, such as `rt/r1/odom`.
 pub fn dds_topic(topic: &str) -> String {
     format!("rt{topic}")
 }

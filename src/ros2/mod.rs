@@ -15,9 +15,11 @@ pub mod sample;
 pub mod settings;
 pub mod supervisor;
 
-/// Name of the hidden subcommand that runs a DDS process.
+/// Name of the hidden subcommand of this program that runs a DDS process, the process with the DDS participant of a
+/// host.
 pub const SUBCOMMAND: &str = "ros2-node";
-/// Exit code of a DDS process that has reported why it cannot work.
+/// Exit code of a DDS process that has reported to its host why it cannot work.
 pub const REFUSED: u8 = 3;
-/// Reason for which a program without the feature refuses a driver or source.
+/// Message for a user whose program was built without the feature `ros2`, but whose deployment has a driver or source
+/// that needs it.
 pub const NOT_BUILT: &str = "this program is built without ROS 2; build it by `cargo install --path . --features ros2`";

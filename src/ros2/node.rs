@@ -33,7 +33,7 @@ const SPARE_REPORT: Duration = Duration::from_millis(200);
 /// Packets that wait for a reader of stdout; further ones are dropped. So a halted host delays no zeros.
 const ROOM: usize = 64;
 
-/// Runs until the input ends. The result is an error if DDS cannot be opened.
+/// Runs the DDS process of a host until its input (stdin) ends. The exit code is an error if DDS cannot be opened.
 pub fn run() -> ExitCode {
     let mut stdin = BufReader::new(io::stdin());
     let mut line = Vec::new();

@@ -16,7 +16,7 @@ use super::packet::{self, MAX_FLOATS, Outgoing, Plan, PoseSample, Publish, ToNod
 use super::settings;
 use super::supervisor::Supervisor;
 
-/// Columns of the team's state: id, x, y \[m\], velocity along x and y \[m/s\].
+/// Number of columns in the table of the team's state: robot id, x, y \[m\], velocity along x and y \[m/s\].
 pub const STATE_COLUMNS: u32 = 5;
 
 /// Settings in the team file: the table `observe` of a host.
@@ -59,7 +59,7 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<(Observation, Sup
     Ok((observation, worker))
 }
 
-/// Topics of a team.
+/// Topics on which a host publishes the state of its team as standard ROS messages, for tools such as `rviz2`.
 #[derive(Clone, Debug)]
 pub struct Observation {
     robots: Vec<RobotId>,
@@ -88,12 +88,13 @@ impl Observation {
         Ok(Observation { robots, plan })
     }
 
-    /// Plan for the supervisor.
+    /// Plan with all topics, from which the supervisor starts the DDS process.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// Packet of a robot's reading; none for a robot of another team.
+    /// Encodes a packet that publishes a robot's reading as odometry. Returns `None` for a robot that is not in the
+    /// team.
     pub fn pose(&self, reading: &Reading) -> Option<Vec<u8>> {
         let index = self.robots.binary_search(&reading.robot).ok()?;
         let heading = reading.pose.heading.map(f64::from);
@@ -123,7 +124,8 @@ impl Observation {
         publish(2 + index, Outgoing::Pose(pose))
     }
 
-    /// Packet of the team's state: robots in the order given, which should be by id.
+    /// Encodes a packet that publishes the team's positions and velocities. Rows have the order of `team`, which should
+    /// be by robot id. Returns `None` if the table is too large or a number is not finite.
     pub fn state(&self, team: &[(RobotId, Motion)]) -> Option<Vec<u8>> {
         let row = |(robot, motion): &(RobotId, Motion)| {
             let (at, velocity) = (motion.position, motion.velocity);
@@ -132,7 +134,9 @@ impl Observation {
         self.rows(0, STATE_COLUMNS, team.iter().flat_map(row).collect())
     }
 
-    /// Packet of the team's latents: rows of id and features. Rows of unequal length are filled up with zeros.
+    /// Encodes a packet that publishes the features of the robots' policies: one row for each robot, with id and
+    /// features. Shorter rows are filled up with zeros. Returns `None` if the table is too large or a number is not
+    /// finite.
     pub fn latents(&self, team: &[(RobotId, &[f32])]) -> Option<Vec<u8>> {
         let most = team.iter().map(|(_, features)| features.len()).max()?;
         let mut data = Vec::with_capacity(team.len() * (most + 1));

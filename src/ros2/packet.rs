@@ -7,29 +7,30 @@ use serde::{Deserialize, Serialize};
 
 pub use super::sample::{PoseSample, Sample, TwistSample};
 
-/// Longest line that is taken \[bytes\]. The largest message is 512 floats of 12 digits.
+/// Longest line \[bytes\] that a host and its DDS process accept from each other. The largest message is 512 floats of
+/// 12 digits.
 pub const LONGEST: usize = 16_384;
-/// Most topics of a process each way; a robot has three, a source one for each of its robots.
+/// Largest number of topics that one DDS process publishes, and also the largest number it subscribes to.
 pub const MAX_TOPICS: usize = 256;
-/// Most floats in a message: those of 64 latents of 8 features.
+/// Largest number of floats in one array message for observers: 64 latents (policy messages) of 8 features.
 pub const MAX_FLOATS: usize = 512;
 
-/// Refusal of a line.
+/// Reason for which a line between a host and its DDS process is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PacketError {
-    /// It is longer than `LONGEST`.
+    /// The line is longer than `LONGEST` bytes.
     #[error("a packet of the DDS process is longer than 16384 bytes")]
     Long,
-    /// It is not an object of the format.
+    /// The line is not a JSON object of the packet format.
     #[error("a packet of the DDS process is not in its format")]
     Format,
-    /// A number in it is out of range.
+    /// A number in the line is out of range.
     #[error("a packet of the DDS process has a number out of range")]
     Range,
 }
 
 impl PacketError {
-    /// The reason, for a count of refused packets.
+    /// Text of the error, under which refused packets are counted.
     pub fn reason(self) -> &'static str {
         match self {
             PacketError::Long => "a packet of the DDS process is too long",
@@ -39,71 +40,71 @@ impl PacketError {
     }
 }
 
-/// Packet from the host to the DDS process.
+/// Packet from a host to its DDS process, one JSON object in a line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ToNode {
-    /// First packet: topics and limits.
+    /// The first packet: the topics to open, and limits of the process.
     Open(Plan),
-    /// Heartbeat every 50 ms, with the role of the process.
+    /// Heartbeat of the host, every 50 ms, with the role that the process has to play.
     Beat(Role),
-    /// Velocity for a robot, which replaces the one before it.
+    /// Velocity command for a robot, which replaces the one before.
     Drive(Drive),
-    /// Message for observers.
+    /// Message to publish for observers, such as a user of `rviz2`.
     Publish(Publish),
 }
 
-/// Packet from the DDS process to the host.
+/// Packet from a DDS process to its host, one JSON object in a line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FromNode {
-    /// Heartbeat every 50 ms.
+    /// Heartbeat of the process, every 50 ms, with its memory use and connection.
     Beat(Vitals),
-    /// Message that was received.
+    /// Message that the process has received on a subscribed topic.
     Heard(Heard),
-    /// State of a topic, after each change of it.
+    /// State of a topic, sent after each change of the state.
     Topic(TopicState),
 }
 
-/// Role of a DDS process.
+/// Role of a DDS process; a host runs an active one and usually a spare that can take over at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// It publishes, and reports all that it hears.
+    /// The process publishes commands and reports every message that it receives.
     Active,
-    /// It is discovered and publishes nothing; it reports a few of the messages it hears.
+    /// The process is connected but publishes nothing. It reports a few of the messages that it receives.
     Spare,
 }
 
-/// Task of a DDS process.
+/// Task of a DDS process: the topics to publish and to subscribe to, and its limits.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
-    /// Name in messages for people, such as `robot 1`.
+    /// Name of the process in messages for people, such as `robot 1`.
     pub name: String,
-    /// DDS domain, which is `ROS_DOMAIN_ID`.
+    /// Number of the DDS domain, which ROS users set as `ROS_DOMAIN_ID`.
     pub domain: u16,
-    /// Name or address of the interface; none: all.
+    /// Name or address of the network interface to use; `None` for all interfaces.
     pub interface: Option<String>,
-    /// Memory that it may take \[MiB\].
+    /// Memory that the process may use beyond its size at the start \[MiB\].
     pub memory_mib: u32,
-    /// Topics that it publishes; packets name them by their index.
+    /// Topics that the process publishes; packets name a topic by its index in this list.
     pub writers: Vec<Writer>,
-    /// Topics that it subscribes to; packets name them by their index.
+    /// Topics that the process subscribes to; packets name a topic by its index in this list.
     pub readers: Vec<Reader>,
 }
 
-/// Topic that is published.
+/// Topic that a DDS process publishes, with the type of its messages.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Writer {
-    /// Full ROS name, such as `/r1/cmd_vel`.
+    /// Full ROS name of the topic, such as `/r1/cmd_vel`.
     pub topic: String,
-    /// Its messages.
+    /// Type of the messages on the topic.
     pub kind: Written,
 }
 
-/// Messages that are published.
+/// Type of the messages on a topic that a DDS process publishes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Written {
@@ -120,23 +121,23 @@ pub enum Written {
 }
 
 impl Written {
-    /// Whether its messages are commands.
+    /// Whether messages of this type are velocity commands for a robot.
     pub fn is_command(self) -> bool {
         matches!(self, Written::Twist | Written::TwistUnstamped | Written::TwistStamped)
     }
 }
 
-/// Topic that is subscribed to.
+/// Topic that a DDS process subscribes to, with the type of its messages.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reader {
-    /// Full ROS name, such as `/r1/odom`.
+    /// Full ROS name of the topic, such as `/r1/odom`.
     pub topic: String,
-    /// Its messages.
+    /// Type of the messages on the topic.
     pub kind: Read,
 }
 
-/// Messages that are subscribed to.
+/// Type of the messages on a topic that a DDS process subscribes to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Read {
@@ -150,84 +151,85 @@ pub enum Read {
     Battery,
 }
 
-/// Velocity of a robot, in the axes of the robot.
+/// Velocity command for a robot, in the robot's own axes, to be published on a command topic.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Drive {
-    /// Index among the plan's writers.
+    /// Index of the command topic in the list `writers` of the plan.
     pub topic: u16,
-    /// `linear.x` \[m/s\].
+    /// Linear velocity along the robot's x axis \[m/s\].
     pub x: f64,
-    /// `linear.y` \[m/s\].
+    /// Linear velocity along the robot's y axis \[m/s\].
     pub y: f64,
-    /// `angular.z` \[rad/s\].
+    /// Angular velocity about the robot's z axis \[rad/s\].
     pub yaw: f64,
-    /// Validity \[ms\]; then the process publishes zeros.
+    /// Validity of the command \[ms\]; after that the DDS process publishes zero velocities.
     pub for_ms: u32,
 }
 
-/// Message for observers.
+/// Message that the DDS process is to publish for observers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Publish {
-    /// Index among the plan's writers.
+    /// Index of the topic in the list `writers` of the plan.
     pub topic: u16,
-    /// The message.
+    /// Content of the message.
     pub message: Outgoing,
 }
 
-/// Content of a message for observers.
+/// Content of a message for observers of the team.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outgoing {
     /// Pose and velocity of a robot.
     Pose(PoseSample),
-    /// Rows of numbers: number of columns, and the numbers by rows.
+    /// Table of numbers: the number of columns, then the numbers row by row.
     Floats(u32, Vec<f32>),
 }
 
-/// Condition of a DDS process.
+/// Memory use and connection of a DDS process, as its heartbeat reports them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Vitals {
-    /// Memory in use \[MiB\].
+    /// Resident memory of the process \[MiB\].
     pub resident_mib: u32,
-    /// Whether each command topic has a subscriber.
+    /// Whether each command topic of the process has at least one subscriber.
     pub matched: bool,
 }
 
-/// Message that was received.
+/// Message that a DDS process has received.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Heard {
-    /// Index among the plan's readers.
+    /// Index of the topic in the list `readers` of the plan.
     pub topic: u16,
-    /// Content.
+    /// Content of the received message.
     pub sample: Sample,
 }
 
-/// State of a topic.
+/// Connection of one topic of a DDS process with the publishers or subscribers of other programs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TopicState {
-    /// Full ROS name.
+    /// Full ROS name of the topic, such as `/r1/odom`.
     pub topic: String,
-    /// Whether this process publishes it.
+    /// Whether the process publishes the topic; otherwise it subscribes to the topic.
     pub written: bool,
-    /// Number of matched endpoints of others.
+    /// Number of matched publishers or subscribers of other programs.
     pub peers: u32,
-    /// Newest reason for which an endpoint was not matched, or a message refused.
+    /// Newest reason for which another program's endpoint was not matched, or a message refused; `None` if there is
+    /// none.
     pub problem: Option<String>,
 }
 
-/// Encodes a packet as a line with its end.
+/// Encodes a packet as one line of JSON, including the newline.
 pub fn encode(packet: &impl Serialize) -> Vec<u8> {
     let mut line = serde_json::to_vec(packet).expect("a packet has text keys only");
     line.push(b'\n');
     line
 }
 
-/// Decodes a line of the DDS process, with or without its end.
+/// Decodes a line that the host received from its DDS process, with or without the newline.
 pub fn decode_from_node(line: &[u8]) -> Result<FromNode, PacketError> {
     let packet: FromNode = decode(line)?;
     let sound = match &packet {
@@ -238,7 +240,7 @@ pub fn decode_from_node(line: &[u8]) -> Result<FromNode, PacketError> {
     if sound { Ok(packet) } else { Err(PacketError::Range) }
 }
 
-/// Decodes a line of the host, with or without its end.
+/// Decodes a line that the DDS process received from its host, with or without the newline.
 pub fn decode_to_node(line: &[u8]) -> Result<ToNode, PacketError> {
     let packet: ToNode = decode(line)?;
     let sound = match &packet {

@@ -7,15 +7,16 @@ use crate::time::{Span, Time};
 
 use super::packet::{self, Drive, FromNode, Plan, Role, ToNode, Vitals};
 
-/// Number of a process, which no later one has again.
+/// Number of a DDS process in a pair; every process that is started gets a new number.
 pub type Id = u32;
 
-/// Packet as a line.
+/// Packet between a host and a DDS process, as one line of JSON.
 pub type Line = Box<[u8]>;
 
-/// Period of heartbeats, both ways.
+/// Period of the heartbeats that a host and its DDS processes send to each other.
 pub const BEAT: Span = Span::from_millis(50);
-/// Silence after which a process is taken for halted: two heartbeats lost and half a period of jitter.
+/// Time without a line from a DDS process after which the process counts as halted: two lost heartbeats and half a
+/// period of jitter.
 pub const SILENCE: Span = Span::from_millis(150);
 /// The same for a process without a spare that is alive: a busy machine delays both, and a restart takes a second.
 const SILENCE_ALONE: Span = Span::from_millis(600);
@@ -36,31 +37,32 @@ const BACKOFF: [Span; 2] = [Span::from_millis(100), Span::from_millis(2000)];
 /// Life after which the end of a process is not a quick one.
 const LIVED: Span = Span::from_millis(10_000);
 
-/// Input of a pair.
+/// Input of a pair of DDS processes, the active one and its spare.
 #[derive(Clone, Copy, Debug)]
 pub enum Event<'a> {
-    /// Line of a process.
+    /// Line that the process with this number has written.
     Line(Id, &'a [u8]),
-    /// A process has ended.
+    /// The process with this number has ended.
     Ended(Id),
-    /// Packet of the driver or source for the active process.
+    /// Packet of the driver or source that the active process has to get.
     Packet(&'a [u8]),
 }
 
-/// Output of a pair.
+/// Output of a pair of DDS processes, which the supervisor carries out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// Start a process with this number.
+    /// Start a new process with this number.
     Start(Id),
-    /// Kill a process.
+    /// Kill the process with this number.
     Kill(Id),
-    /// Write a line to a process.
+    /// Write a line to the process with this number.
     Send(Id, Line),
-    /// Pass a line on to the driver or source.
+    /// Pass a line of a process on to the driver or source.
     Pass(Line),
 }
 
-/// Pair of DDS processes, or one without a spare.
+/// Pair of DDS processes of a host: an active one and a warm spare that takes over at once. It may be set to have no
+/// spare.
 #[derive(Debug)]
 pub struct Pair {
     plan: Plan,
@@ -110,7 +112,8 @@ impl Process {
 }
 
 impl Pair {
-    /// Makes a pair that starts its processes at the first tick.
+    /// Makes a pair that starts its processes at the first tick. `plan` lists their topics, and `spare` says whether
+    /// there is a spare process.
     pub fn new(now: Time, plan: Plan, spare: bool) -> Pair {
         let slots = if spare { vec![Slot::default(), Slot::default()] } else { vec![Slot::default()] };
         let newest = vec![None; plan.writers.len()];
@@ -128,12 +131,12 @@ impl Pair {
         }
     }
 
-    /// Number of the active process, if it runs.
+    /// Number of the active process; `None` if no active process runs.
     pub fn active(&self) -> Option<Id> {
         self.slots[self.active].process.as_ref().map(|process| process.id)
     }
 
-    /// Takes an event. `tick` must follow.
+    /// Takes an event and appends actions to `out`. The caller must call `tick` afterwards.
     pub fn handle(&mut self, now: Time, event: Event, out: &mut Vec<Action>) {
         match event {
             Event::Line(id, line) => self.heard(now, id, line, out),
@@ -155,7 +158,8 @@ impl Pair {
         }
     }
 
-    /// Does what is due. It has to be called after each event, and no later than `wake_at`.
+    /// Does what is due at time `now` and appends actions to `out`. The caller must call it after each event, and no
+    /// later than `wake_at`.
     pub fn tick(&mut self, now: Time, out: &mut Vec<Action>) {
         if now.since(self.ticked) > OWN_HALT {
             for process in self.slots.iter_mut().filter_map(|slot| slot.process.as_mut()) {
@@ -180,7 +184,7 @@ impl Pair {
         }
     }
 
-    /// Time of the next `tick`.
+    /// Time at which `tick` has to be called next.
     pub fn wake_at(&self) -> Time {
         let due = |slot: &Slot| match &slot.process {
             None => Some(slot.start_at),

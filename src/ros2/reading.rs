@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use super::packet::PoseSample;
 
-/// Axes of a robot.
+/// Convention for the axes of a robot's frame, as used by the sender of ROS messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Axes {
@@ -19,7 +19,7 @@ pub enum Axes {
 }
 
 impl Axes {
-    /// Factor of y and yaw.
+    /// Factor (1 or -1) that converts y components and yaw angles of these axes to those of REP-103.
     pub fn sign(self) -> f64 {
         match self {
             Axes::Rep103 => 1.0,
@@ -28,18 +28,19 @@ impl Axes {
     }
 }
 
-/// Velocity of a robot in the frame of its pose, axes as in REP-103.
+/// Velocity of a robot in the frame in which its pose is given, with the axes of REP-103.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Velocity {
-    /// Along x \[m/s\].
+    /// Velocity along the x axis of the pose's frame \[m/s\].
     pub x: f64,
-    /// Along y \[m/s\].
+    /// Velocity along the y axis of the pose's frame \[m/s\].
     pub y: f64,
-    /// Yaw rate \[rad/s\]; none if it is not measured.
+    /// Yaw rate \[rad/s\], counter-clockwise; `None` if not measured.
     pub yaw_rate: Option<f64>,
 }
 
-/// Returns a pose with the axes of REP-103.
+/// Converts a received pose and velocity from the sender's `axes` to those of REP-103: x forward, y left, yaw
+/// counter-clockwise.
 pub fn in_rep103(axes: Axes, mut pose: PoseSample) -> PoseSample {
     let sign = axes.sign();
     pose.y *= sign;
@@ -51,14 +52,16 @@ pub fn in_rep103(axes: Axes, mut pose: PoseSample) -> PoseSample {
     pose
 }
 
-/// Velocity in the frame of the pose, from a twist in the frame of the robot; none without a twist or a yaw.
+/// Rotates the velocity of a received message from the robot's frame into the frame of its pose. Returns `None` if the
+/// message has no velocity or no yaw.
 pub fn velocity(pose: &PoseSample) -> Option<Velocity> {
     let twist = pose.twist?;
     let (x, y) = rotated(pose.yaw?, twist.x, twist.y);
     Some(Velocity { x, y, yaw_rate: Some(twist.yaw_rate) })
 }
 
-/// Reading of a pose and a velocity in the same frame; none if a number is too large for it.
+/// Makes a reading of `robot` from a pose and a velocity in the same frame. `stamp_ns` is the time of measurement
+/// \[ns\] on the sender's clock. Returns `None` if a number is too large for a reading.
 pub fn reading(robot: RobotId, stamp_ns: u64, pose: &PoseSample, velocity: Velocity) -> Option<Reading> {
     let twist = pose.twist.unwrap_or_default();
     let single = |value: Option<f64>| value.map(|value| value as f32);
@@ -80,7 +83,7 @@ pub fn reading(robot: RobotId, stamp_ns: u64, pose: &PoseSample, velocity: Veloc
     reading.unfit().is_none().then_some(reading)
 }
 
-/// Stamps of one sender: they tell a new message from a repeated one, and no more.
+/// Filter of the time stamps of one sender, which tells new messages from repeated and late ones.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Stamps {
     newest: Option<u64>,
@@ -89,19 +92,20 @@ pub struct Stamps {
 /// Step back \[ns\] that is taken for a clock that was set anew, not for a late message.
 const CLOCK_SET_NS: u64 = 1_000_000_000;
 
-/// Novelty of a stamp.
+/// Result of comparing the time stamp of a message with earlier stamps of the same sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Novelty {
-    /// It is newer than all before.
+    /// The stamp is newer than all stamps before.
     New,
-    /// It is new after the sender's clock was set back: nothing is compared with what was before.
+    /// The stamp is far older than those before, since the sender's clock was set back. The message is new, but cannot
+    /// be compared with earlier ones.
     Anew,
-    /// It is repeated, or late.
+    /// The stamp belongs to a repeated or late message.
     Old,
 }
 
 impl Stamps {
-    /// Takes a stamp \[ns\].
+    /// Notes the stamp of a received message \[ns\] on the sender's clock, and returns whether the message is new.
     pub fn take(&mut self, stamp_ns: u64) -> Novelty {
         let novelty = match self.newest {
             None => Novelty::Anew,

@@ -7,49 +7,49 @@ use super::messages::{
     TwistWithCovariance,
 };
 
-/// Content of a message that was received.
+/// Content of a received ROS message, reduced to what a driver or source uses.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sample {
-    /// Pose, perhaps with a velocity.
+    /// Pose of a robot, with a velocity if the message has one.
     Pose(PoseSample),
-    /// Charge of a battery from 0 to 1; none if it is not measured.
+    /// Charge of a robot's battery from 0 to 1; `None` if the charge is not measured.
     Battery(Option<f32>),
 }
 
-/// Pose of a robot in the frame of its message, axes as sent.
+/// Pose of a robot in the frame of the ROS message, with the axes that the sender uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PoseSample {
-    /// Stamp \[ns\] on the sender's clock; zero: not stamped.
+    /// Time of measurement \[ns\] on the sender's clock; zero if the message has no time stamp.
     pub stamp_ns: u64,
     /// Position along x \[m\].
     pub x: f64,
     /// Position along y \[m\].
     pub y: f64,
-    /// Rotation about z \[rad\]; none if the orientation is not given.
+    /// Rotation about the z axis \[rad\]; `None` if the message has no orientation.
     pub yaw: Option<f64>,
-    /// Standard deviation of the position \[m\].
+    /// Standard deviation of the position \[m\]; `None` if unknown.
     pub position_m: Option<f64>,
-    /// Standard deviation of the yaw \[rad\].
+    /// Standard deviation of the yaw angle \[rad\]; `None` if unknown.
     pub heading_rad: Option<f64>,
-    /// Velocity, where the message has one.
+    /// Velocity of the robot; `None` if the message has none.
     pub twist: Option<TwistSample>,
 }
 
-/// Velocity of a robot in its own frame, axes as sent.
+/// Velocity of a robot in the robot's own frame, with the axes that the sender uses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TwistSample {
-    /// Along x \[m/s\].
+    /// Velocity along the robot's x axis \[m/s\].
     pub x: f64,
-    /// Along y \[m/s\].
+    /// Velocity along the robot's y axis \[m/s\].
     pub y: f64,
-    /// About z \[rad/s\].
+    /// Angular velocity about the robot's z axis \[rad/s\].
     pub yaw_rate: f64,
-    /// Standard deviation of the linear velocity \[m/s\].
+    /// Standard deviation of the linear velocity \[m/s\]; `None` if unknown.
     pub velocity_m_s: Option<f64>,
-    /// Standard deviation of the yaw rate \[rad/s\].
+    /// Standard deviation of the yaw rate \[rad/s\]; `None` if unknown.
     pub yaw_rate_rad_s: Option<f64>,
 }
 
@@ -77,8 +77,8 @@ impl PoseSample {
 }
 
 impl PoseSample {
-    /// Message of this pose in the frame `frame`, of the robot whose own frame is `child`. An unknown yaw is sent as
-    /// zero.
+    /// Converts this sample to a ROS message `nav_msgs/Odometry`. `frame` names the frame of the pose, `child` the
+    /// robot's own frame. An unknown yaw is sent as zero.
     pub fn to_odometry(&self, frame: &str, child: &str) -> Odometry {
         let (sin, cos) = libm::sincos(self.yaw.unwrap_or(0.0) / 2.0);
         let sec = i32::try_from(self.stamp_ns / 1_000_000_000).unwrap_or(i32::MAX);
@@ -108,9 +108,9 @@ fn spread(covariance: &mut Covariance, plane: Option<f64>, yaw: Option<f64>) {
     (covariance[0][0], covariance[1][1], covariance[5][5]) = (square(plane), square(plane), square(yaw));
 }
 
-/// Message that a sample is made of.
+/// ROS message that can be reduced to a [`Sample`], the content that a driver or source uses.
 pub trait IntoSample {
-    /// Its content; the error says what is wrong with it.
+    /// Reduces the message to its content. The error says what is wrong with the message.
     fn sample(&self) -> Result<Sample, &'static str>;
 }
 

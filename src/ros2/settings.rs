@@ -9,17 +9,18 @@ const MAX_DOMAIN: u16 = 232;
 /// Least and most memory of a DDS process \[MiB\]: it takes 12 MiB when it runs, and more of address space.
 const MEMORY_MIB: std::ops::RangeInclusive<u32> = 64..=4096;
 
-/// Default memory of a DDS process \[MiB\].
+/// Default of the setting for the memory that a DDS process may use \[MiB\].
 pub fn memory_mib() -> u32 {
     192
 }
 
-/// The default of switches that are on.
+/// Default `true` of settings that are switched on unless the user switches them off.
 pub fn yes() -> bool {
     true
 }
 
-/// Refuses a driver or source in a program that is built without the feature.
+/// Returns an error if the program was built without the feature `ros2`, so that a driver or source for ROS 2 is
+/// refused.
 pub fn check_built() -> Result<(), ConfigError> {
     if cfg!(feature = "ros2") { Ok(()) } else { Err(ConfigError::field("name", super::NOT_BUILT)) }
 }
@@ -41,14 +42,15 @@ pub fn check_participant(domain: u16, interface: Option<&str>, memory_mib: u32) 
     Ok(())
 }
 
-/// Full name of a topic: as it is if it begins with a slash, else within the namespace.
+/// Makes the full ROS name of a topic: `topic` itself if it begins with a slash, otherwise the name within `namespace`.
+/// The error names the setting `field`.
 pub fn full_topic(field: &str, namespace: &str, topic: &str) -> Result<String, ConfigError> {
     let full = if topic.starts_with('/') { topic.to_owned() } else { format!("{namespace}/{topic}") };
     check_topic(&full).map_err(|why| ConfigError::field(field, format!("topic '{full}': {why}")))?;
     Ok(full)
 }
 
-/// Checks a namespace, which is empty for robots without one.
+/// Checks the ROS namespace of a robot; an empty one is allowed and means none.
 pub fn check_namespace(namespace: &str) -> Result<(), ConfigError> {
     if namespace.is_empty() {
         return Ok(());

@@ -27,14 +27,14 @@ const FAREWELL: Duration = Duration::from_millis(700);
 /// Longest line of stderr that is kept \[bytes\].
 const LONGEST_WORDS: u64 = 400;
 
-/// Worker that runs DDS processes by a plan.
+/// Worker of a driver or source that starts, watches and replaces DDS processes, each with the topics of a plan.
 #[derive(Clone, Debug)]
 pub struct Supervisor {
-    /// Topics and limits.
+    /// Topics and limits that each DDS process gets.
     pub plan: Plan,
-    /// Whether there is a warm spare.
+    /// Whether a warm spare runs beside the active DDS process.
     pub spare: bool,
-    /// Program that has the subcommand `ros2-node`; none: this one.
+    /// Program file whose subcommand `ros2-node` is the DDS process; `None` for the running program itself.
     pub program: Option<PathBuf>,
 }
 

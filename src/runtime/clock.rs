@@ -32,7 +32,7 @@ struct Task {
     latest: Time,
 }
 
-/// Handle of a task, which a mailbox or the clock can wake.
+/// Handle of a task of the clock. A task runs after a mailbox or the clock has woken it.
 #[derive(Clone, Copy, Debug)]
 pub struct TaskId(usize);
 
@@ -69,12 +69,12 @@ impl PartialEq for Event {
 impl Eq for Event {}
 
 impl Clock {
-    /// Returns the current time.
+    /// Current time of the run.
     pub fn now(&self) -> Time {
         self.now.get()
     }
 
-    /// Registers a task; `run` is called once after each time that it was woken.
+    /// Registers a task with the function `run`, which is called once after each time that the task was woken.
     pub fn register(&self, run: Rc<dyn Fn()>) -> TaskId {
         let mut queue = self.queue.borrow_mut();
         queue.tasks.push(Task { run, woken: false, latest: Time::MAX });
@@ -106,19 +106,21 @@ impl Clock {
         Some(Rc::clone(&task_entry.run))
     }
 
-    /// Schedules a wake-up of a task. In real time it may be delayed until the time given to [`Clock::expect`].
+    /// Schedules a wake-up of `task` at time `at`. In real time the wake-up may be delayed until the time given to
+    /// [`Clock::expect`].
     pub fn arm(&self, at: Time, task: TaskId) {
         self.push(at, Action::Wake(task));
     }
 
-    /// Sets the latest time at which a task that is armed for then or before has to be woken; none for never.
+    /// Sets the latest time to which the wake-ups of `task` may be delayed in real time; `None` if no wake-up is
+    /// expected.
     pub fn expect(&self, latest: Option<Time>, task: TaskId) {
         if let Some(task_entry) = self.queue.borrow_mut().tasks.get_mut(task.0) {
             task_entry.latest = latest.unwrap_or(Time::MAX);
         }
     }
 
-    /// Schedules a call.
+    /// Schedules one call of the function `call` at time `at`.
     pub fn call(&self, at: Time, call: Box<dyn FnOnce()>) {
         self.push(at, Action::Call(call));
     }

@@ -11,16 +11,17 @@ use super::clock::Clock;
 use super::shell::in_system;
 use crate::time::Time;
 
-/// Reason for the end of a virtual run.
+/// Reason for which a run in virtual time has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// `done` returned true.
+    /// The caller's function `done` returned true.
     Done,
-    /// No event was left.
+    /// No event was left in the event queue.
     Idle,
 }
 
-/// Runs a virtual world on this thread: `build` starts its actors, and time advances until `done`.
+/// Runs actors in virtual time on the calling thread. `build` starts the actors and returns their owner. Time advances
+/// from event to event until `done` returns true or no event is left.
 pub fn run_virtual<W>(build: impl FnOnce(&Clock) -> W, mut done: impl FnMut(&W, Time) -> bool) -> (W, End) {
     in_system(|| {
         let clock = Clock::default();

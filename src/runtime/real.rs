@@ -25,7 +25,7 @@ const MAX_EVENTS: usize = 16;
 /// Key of the timer among the descriptors.
 const TIMER: u64 = u64::MAX;
 
-/// File descriptors, and the callback for each when it is readable.
+/// File descriptors that a run in real time watches, each with a callback for when it is readable.
 pub struct Readers {
     readers: Vec<Reader>,
     /// Watches all of them, and the timer.
@@ -64,7 +64,7 @@ impl Readers {
         Readers { readers: Vec::new(), all, never_paused, timer, timer_at: None, ready: Vec::new() }
     }
 
-    /// Calls `notify` whenever `source` is readable, until it has been read.
+    /// Calls `notify` whenever the descriptor `source` is readable, again until it has been read empty.
     pub fn watch(&mut self, source: Rc<dyn AsFd>, notify: impl Fn() + 'static) {
         self.add(Reader {
             source,
@@ -75,7 +75,8 @@ impl Readers {
         });
     }
 
-    /// Calls `notify` whenever `source` is readable, but not before the time that `paused_until` returns.
+    /// Calls `notify` whenever the descriptor `source` of a link is readable, but not before the time that
+    /// `paused_until` returns. `None` from `paused_until` means no pause.
     pub fn watch_link(
         &mut self,
         source: Rc<dyn AsFd>,
@@ -167,8 +168,8 @@ impl Readers {
     }
 }
 
-/// Runs actors in real time on this thread. `build` starts them and names the descriptors to watch. Time counts from
-/// `origin`; the run ends when `done`, called after every turn, returns true.
+/// Runs actors in real time on the calling thread. `build` starts the actors and names the descriptors to watch. Time
+/// counts from `origin`. The run ends when `done`, called after each turn of the event loop, returns true.
 pub fn run_real<W>(
     origin: Instant,
     build: impl FnOnce(&Clock, &mut Readers) -> W,

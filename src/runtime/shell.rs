@@ -19,7 +19,8 @@ use crate::actor::Core;
 use crate::faults::{ActorFault, ActorFaultKind};
 use crate::time::{Span, Time};
 
-/// Capacity of a mailbox: all messages of a team of 2000 in one control period, eight a robot.
+/// Largest number of messages in a mailbox: all messages of a team of 2000 robots in one control period, eight for each
+/// robot.
 pub const MAILBOX_CAPACITY: usize = 16_384;
 /// Most wake-ups of a core at one instant; more are a bug.
 const MAX_WAKES_AT_ONCE: usize = 64;
@@ -31,7 +32,8 @@ enum Envelope<I> {
     Inject(ActorFault),
 }
 
-/// Address of one actor of this thread. Cheap to clone; made before the actor, so that actors can hold each other's.
+/// Address of one actor on this thread, with the queue of its messages. Clones are cheap and share the queue. A mailbox
+/// is made before its actor, so actors can hold each other's mailboxes.
 pub struct Mailbox<I>(Rc<Slot<I>>);
 
 struct Slot<I> {
@@ -50,7 +52,7 @@ impl<I> Clone for Mailbox<I> {
 }
 
 impl<I> Mailbox<I> {
-    /// Returns a mailbox for an actor that is started later under this name.
+    /// Makes a mailbox for an actor called `name`, which is started later.
     pub fn new(name: impl Into<String>) -> Mailbox<I> {
         Mailbox(Rc::new(Slot {
             name: name.into(),
@@ -61,27 +63,27 @@ impl<I> Mailbox<I> {
         }))
     }
 
-    /// Name of the actor.
+    /// Name of the actor that the mailbox belongs to.
     pub fn name(&self) -> &str {
         &self.0.name
     }
 
-    /// Puts a message into the mailbox; a full one drops and counts it.
+    /// Puts a message into the mailbox; a full mailbox drops and counts the message.
     pub fn send(&self, input: I) {
         self.post(Envelope::Deliver(input));
     }
 
-    /// Injects a fault into the actor.
+    /// Injects a fault, such as a crash or a delay, into the actor of the mailbox.
     pub fn inject(&self, fault: ActorFault) {
         self.post(Envelope::Inject(fault));
     }
 
-    /// Number of messages that the full mailbox refused.
+    /// Number of messages that were dropped because the mailbox was full.
     pub fn refused(&self) -> u64 {
         self.0.refused.get()
     }
 
-    /// Number of messages that were lost in crashes.
+    /// Number of messages that were lost when the actor crashed.
     pub fn lost(&self) -> u64 {
         self.0.lost.get()
     }
@@ -147,8 +149,8 @@ impl Faults {
     }
 }
 
-/// Starts an actor behind `mailbox`: `make` builds its core for each incarnation, counted from 1, and `sink` takes its
-/// output.
+/// Starts an actor behind `mailbox`. The function `make` builds its core (state machine) at each start or restart, with
+/// the number of the start, from 1. The core's output is passed to the function `sink`.
 pub fn start<C: Core + 'static>(
     clock: &Clock,
     mailbox: &Mailbox<C::In>,

@@ -9,18 +9,18 @@ const FLATTENING: f64 = 1.0 / 298.257_223_563;
 /// Square of the first eccentricity.
 const ECCENTRICITY_SQUARED: f64 = FLATTENING * (2.0 - FLATTENING);
 
-/// Point on or above the ellipsoid.
+/// Point on or above the earth, as latitude, longitude and height on the ellipsoid WGS 84.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geodetic {
     /// Latitude \[deg\], north is positive.
     pub latitude_deg: f64,
     /// Longitude \[deg\], east is positive.
     pub longitude_deg: f64,
-    /// Height above the ellipsoid \[m\], not above the sea.
+    /// Height above the WGS 84 ellipsoid \[m\], which differs from the height above sea level.
     pub height_m: f64,
 }
 
-/// Local frame: the tangent plane of the ellipsoid at an origin.
+/// Local frame with axes east, north and up: the tangent plane of the WGS 84 ellipsoid at an origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalFrame {
     origin: [f64; 3],
@@ -46,7 +46,7 @@ fn cartesian(point: &Geodetic) -> [f64; 3] {
 }
 
 impl LocalFrame {
-    /// Makes the frame at an origin.
+    /// Makes the local frame whose origin is the point `origin`.
     pub fn at(origin: &Geodetic) -> LocalFrame {
         LocalFrame {
             origin: cartesian(origin),
@@ -55,7 +55,7 @@ impl LocalFrame {
         }
     }
 
-    /// Returns the point's coordinates east, north and up \[m\].
+    /// Coordinates \[m\] of `point` in the local frame: east, north and up of the frame's origin.
     pub fn east_north_up(&self, point: &Geodetic) -> [f64; 3] {
         let [x, y, z] = cartesian(point);
         let [x, y, z] = [x - self.origin[0], y - self.origin[1], z - self.origin[2]];

@@ -25,7 +25,7 @@ use geodesy::Geodetic;
 use report::{Fix, Gst, Malformed, Report, Tpv};
 use settings::{Config, Heading};
 
-/// Description in one line.
+/// Description of the source `gpsd` in one line, for lists of all sources.
 pub const ABOUT: &str = "the robot's own satellite receiver, by gpsd";
 
 /// Least speed at which the course over ground is a heading \[m/s\]: below, its noise is larger than a turn.
@@ -35,7 +35,8 @@ const LATE_NS: u64 = 1_000_000_000;
 /// Longest time between a fix and the GST that tells its error \[ns\] (receivers send GST each second or faster).
 const STATISTICS_NS: u64 = 2_000_000_000;
 
-/// Makes the source and its worker, for one robot.
+/// Makes the source that localizes one robot by its satellite receiver, and the worker that reads gpsd. The error names
+/// the wrong setting.
 pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
     let config = Config::read(settings)?;
     let [robot] = *robots else {

@@ -2,73 +2,73 @@
 
 use serde::Deserialize;
 
-/// Reason for which a line is no report.
+/// Reason for which a line of gpsd could not be decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Malformed(pub &'static str);
 
-/// Report of gpsd, as far as it is used.
+/// Report of gpsd, the daemon that reads satellite receivers, decoded as far as it is used.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Report {
     /// Time, position and velocity.
     Tpv(Tpv),
     /// Statistics of pseudorange errors.
     Gst(Gst),
-    /// gpsd refuses a request.
+    /// Notice that gpsd refuses a request.
     Error,
-    /// Report of another class.
+    /// Report of a class that is not used.
     Other,
 }
 
-/// Time, position and velocity of a receiver.
+/// Report TPV of gpsd: time, position and velocity of a receiver. A field is `None` if the report does not have it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tpv {
-    /// Path of the receiver's device.
+    /// Path of the receiver's device on the machine that runs gpsd; `None` if not reported.
     pub device: Option<String>,
-    /// Dimensions of the fix: 0 or 1 for none, 2, 3.
+    /// Dimensions of the position fix: 0 or 1 for no fix, 2 or 3.
     pub mode: u8,
-    /// Kind of fix: see [`Fix::of`].
+    /// Kind of the position fix as a number of gpsd, explained at [`Fix::of`]; `None` if not reported.
     pub status: Option<u8>,
-    /// Time of measurement \[ns since 1970, UTC\]; none at the start of a receiver.
+    /// Time of measurement \[ns since 1970, UTC\]; `None` if not known, such as at the start of a receiver.
     pub time_ns: Option<u64>,
-    /// Latitude \[deg\].
+    /// Latitude on WGS 84 \[deg\], positive to the north; `None` if not known.
     pub latitude_deg: Option<f64>,
-    /// Longitude \[deg\].
+    /// Longitude on WGS 84 \[deg\], positive to the east; `None` if not known.
     pub longitude_deg: Option<f64>,
-    /// Height above the ellipsoid \[m\].
+    /// Height above the WGS 84 ellipsoid \[m\]; `None` if not known.
     pub height_m: Option<f64>,
-    /// Course over ground \[deg\], clockwise from true north.
+    /// Course over ground \[deg\], clockwise from true north; `None` if not known, such as at rest.
     pub track_deg: Option<f64>,
-    /// Speed over ground \[m/s\].
+    /// Speed over ground \[m/s\]; `None` if not known.
     pub speed_m_s: Option<f64>,
 }
 
-/// Statistics of pseudorange errors.
+/// Report GST of gpsd: the expected error of a receiver's position. A field is `None` if the report does not have it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gst {
-    /// Path of the receiver's device.
+    /// Path of the receiver's device on the machine that runs gpsd; `None` if not reported.
     pub device: Option<String>,
-    /// Time of measurement \[ns since 1970, UTC\].
+    /// Time of measurement \[ns since 1970, UTC\]; `None` if not known.
     pub time_ns: Option<u64>,
-    /// Standard deviation to the north \[m\].
+    /// Standard deviation of the position along north \[m\]; `None` if not known.
     pub north_m: Option<f64>,
-    /// Standard deviation to the east \[m\].
+    /// Standard deviation of the position along east \[m\]; `None` if not known.
     pub east_m: Option<f64>,
 }
 
-/// Quality of a fix, the worst first.
+/// Quality of a satellite position fix, in ascending order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 pub enum Fix {
-    /// Three dimensions, without corrections.
+    /// Fix in three dimensions without correction data.
     #[serde(rename = "3d")]
     ThreeD,
-    /// With corrections of code: metres to decimetres.
+    /// Fix with corrections of the code measurement: accurate to metres or decimetres.
     #[serde(rename = "dgps")]
     Dgps,
-    /// With corrections of the carrier's phase, ambiguities not resolved: decimetres.
+    /// Fix with corrections of the carrier phase (RTK) whose ambiguities are not resolved: accurate to decimetres.
     #[serde(rename = "rtk-float")]
     RtkFloat,
-    /// With corrections of the carrier's phase, ambiguities resolved: centimetres.
+    /// Fix with corrections of the carrier phase (RTK) whose ambiguities are resolved: accurate to centimetres.
     #[serde(rename = "rtk-fixed")]
     RtkFixed,
 }
@@ -108,7 +108,7 @@ impl Fix {
     }
 }
 
-/// Decodes a line. Classes that are not used are not looked into.
+/// Decodes a line of gpsd. Reports of unused classes are not examined further. An error says why the line is malformed.
 pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
     #[derive(Deserialize)]
     struct Class {

@@ -25,7 +25,7 @@ use model::Definition;
 use packet::{Malformed, Version};
 use settings::{BodyName, Config, Up};
 
-/// Description in one line.
+/// Description of the source `natnet` in one line, for lists of all sources.
 pub const ABOUT: &str = "motion capture that streams NatNet (OptiTrack Motive)";
 
 /// Age up to which an older frame counts as late \[s\]; an even older one is of a server that was started again.
