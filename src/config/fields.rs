@@ -1,4 +1,5 @@
-//! Fields that are read one by one from a file, the environment or a flag: their types and values.
+//! Types and values of configuration fields that are read one by one from a file, the environment or a command-line
+//! flag.
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -7,16 +8,16 @@ use toml::de::DeValue;
 
 use super::is_key;
 
-/// Value of a field.
+/// Value of a configuration field, read from a file, the environment or a command-line flag.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value {
-    /// A whole number.
+    /// A whole number, zero or above.
     Whole(u64),
-    /// A number.
+    /// A number, with or without decimals.
     Number(f64),
-    /// A text: a name, a path, one of several words.
+    /// A text: a name, a path, or one of several permitted words.
     Text(String),
-    /// An address with its port.
+    /// A network address (IP address and port).
     Address(SocketAddr),
 }
 
@@ -32,53 +33,62 @@ impl fmt::Display for Value {
 }
 
 impl Value {
-    /// The text.
+    /// Returns the text of a value whose field has a text type.
     ///
     /// # Panics
-    /// If the field has another type; likewise below.
+    /// If the value is not a text.
     pub fn text(&self) -> &str {
         let Value::Text(text) = self else { panic!("the field lets only texts through") };
         text
     }
 
-    /// The whole number.
+    /// Returns the whole number of a value whose field has the type `Whole`.
+    ///
+    /// # Panics
+    /// If the value is not a whole number.
     pub fn whole(&self) -> u64 {
         let Value::Whole(whole) = self else { panic!("the field lets only whole numbers through") };
         *whole
     }
 
-    /// The number.
+    /// Returns the number of a value whose field has the type `Number`.
+    ///
+    /// # Panics
+    /// If the value is not a `Number`; a whole number does not count as one.
     pub fn number(&self) -> f64 {
         let Value::Number(number) = self else { panic!("the field lets only numbers through") };
         *number
     }
 
-    /// The address.
+    /// Returns the network address of a value whose field has the type `Address`.
+    ///
+    /// # Panics
+    /// If the value is not an address.
     pub fn address(&self) -> SocketAddr {
         let Value::Address(address) = self else { panic!("the field lets only addresses through") };
         *address
     }
 }
 
-/// Type of a field, with its range.
+/// Type of a configuration field, with the values that it permits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum FieldType {
-    /// A whole number in this range, both ends included.
+    /// A whole number from the first to the second value, both included.
     Whole(u64, u64),
-    /// A number in this range, both ends included.
+    /// A number from the first to the second value, both included.
     Number(f64, f64),
-    /// A text that is neither empty nor a key.
+    /// A text that is not empty and not a team key (the team's secret of 64 hexadecimal digits).
     Text,
-    /// The name of a network interface.
+    /// The name of a network interface, such as `wlan0`.
     Interface,
-    /// One of these words.
+    /// One of the words in this list.
     Choice(&'static [&'static str]),
-    /// An address with its port.
+    /// A network address: an IP address with a port above zero.
     Address,
 }
 
 impl FieldType {
-    /// Reads a value; an error describes the fault.
+    /// Reads a value of this type from `text`, as in a command-line flag. An error describes the fault.
     pub fn read(self, text: &str) -> Result<Value, String> {
         match self {
             FieldType::Whole(least, most) => match text.parse::<u64>() {
@@ -111,7 +121,8 @@ impl FieldType {
         }
     }
 
-    /// Reads a value from TOML, where numbers are numbers and texts have quotes.
+    /// Reads a value of this type from a parsed TOML value, in which texts have quotes and numbers have none. An error
+    /// describes the fault.
     pub fn read_toml(self, value: &DeValue<'_>) -> Result<Value, String> {
         let wanted = match self {
             FieldType::Whole(..) => "a whole number",

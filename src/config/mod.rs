@@ -1,6 +1,6 @@
-//! Configuration parsing: TOML and JSON, with errors of one line that name the wrong line or field.
+//! Parsing of configurations: TOML and JSON, with errors of one line that name the wrong line or field.
 //!
-//! The text may be a team key by mistake, so no error quotes a value of it.
+//! A user may pass the file of a team key (the team's secret) by mistake, so no error quotes a value of the text.
 
 pub mod fields;
 
@@ -8,29 +8,31 @@ use std::borrow::Cow;
 
 use serde::de::DeserializeOwned;
 
-/// Error of a configuration that cannot be used.
+/// Error of a configuration text that cannot be used.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigError {
-    /// Not TOML, or a field is missing, unknown or of the wrong type.
+    /// The text is not TOML, or a field is missing, unknown or of the wrong type; the text in the error describes the
+    /// fault.
     #[error("{0}")]
     Syntax(String),
     /// The value of a field is invalid.
     #[error("{field}: {reason}")]
     Field {
-        /// Path of the field, with dots between tables.
+        /// Path of the wrong field, with dots between the names of nested tables.
         field: String,
-        /// The fault and the permitted values.
+        /// Description of the fault, with the permitted values.
         reason: String,
     },
 }
 
 impl ConfigError {
-    /// Makes the error of a field.
+    /// Makes the error of an invalid field. `field` is the path of the field, and `reason` describes the fault.
     pub fn field(field: impl Into<String>, reason: impl Into<String>) -> ConfigError {
         ConfigError::Field { field: field.into(), reason: reason.into() }
     }
 
-    /// Returns the error with `table` put before the field's path, for a nested table.
+    /// Returns the error with `table` and a dot before the path of the field, for a field of a nested table. A syntax
+    /// error is returned unchanged.
     pub fn within(self, table: &str) -> ConfigError {
         match self {
             ConfigError::Field { field, reason } => ConfigError::field(format!("{table}.{field}"), reason),
@@ -39,19 +41,21 @@ impl ConfigError {
     }
 }
 
-/// Number of hexadecimal digits of a team key.
+/// Number of hexadecimal digits of a team key, the secret with which a team authenticates its messages.
 pub const KEY_DIGITS: usize = 64;
 /// Longest run of hexadecimal digits that a message may show: a digest of 128 bits. A key is twice as long.
 const SHOWN_DIGITS: usize = 32;
 /// Longest name of an unknown field that an error repeats \[characters\].
 const SHOWN_NAME: usize = 32;
 
-/// Parses a value from TOML; the error names line, column and expected type, and quotes no value.
+/// Parses a value of type `T` from a TOML text. The error names line, column and expected type, and quotes no value of
+/// the text.
 pub fn from_toml<T: DeserializeOwned>(text: &str) -> Result<T, ConfigError> {
     toml::from_str(text).map_err(|error| syntax(text, &error))
 }
 
-/// Reads a TOML table as a type; the error names the field and quotes no value.
+/// Converts a TOML table that was already parsed into a value of type `T`. The error names the wrong field and quotes
+/// no value of the table.
 pub fn from_table<T: DeserializeOwned>(table: &toml::Table) -> Result<T, ConfigError> {
     // A table has lost its lines: the parser names the field only of a text.
     let text = toml::to_string(table).map_err(|_| ConfigError::Syntax("it is no TOML table".to_owned()))?;
@@ -69,7 +73,8 @@ pub fn from_table<T: DeserializeOwned>(table: &toml::Table) -> Result<T, ConfigE
     })
 }
 
-/// Converts an error of the TOML parser, with line and column. The text may be a key by mistake: no value is quoted.
+/// Converts an error of the TOML parser about `text` into a configuration error with line and column. The result quotes
+/// no value, since the text may be a secret key by mistake.
 pub fn syntax(text: &str, error: &toml::de::Error) -> ConfigError {
     let why = unquoted(&error.message().replace('\n', ": "));
     let Some(span) = error.span() else { return ConfigError::Syntax(why) };
@@ -90,18 +95,20 @@ fn field_of(line: &str) -> String {
     name.map_or_else(String::new, |name| format!(" ({name})"))
 }
 
-/// Converts an error of the JSON parser to text; likewise no value is quoted.
+/// Converts an error of the JSON parser into a text for the user that quotes no value of the parsed file.
 pub fn json(error: &serde_json::Error) -> String {
     unquoted(&error.to_string())
 }
 
-/// Whether a file holds a team key and nothing else.
+/// Returns true if the content of a file is a team key (64 hexadecimal digits) and nothing else but surrounding white
+/// space.
 pub fn is_key(bytes: &[u8]) -> bool {
     let text = bytes.trim_ascii();
     text.len() == KEY_DIGITS && text.iter().all(u8::is_ascii_hexdigit)
 }
 
-/// Returns the text with every run of more than `SHOWN_DIGITS` hexadecimal digits replaced by "(hidden)".
+/// Returns `text` with every run of more than 32 hexadecimal digits replaced by "(hidden)", so that no secret key is
+/// printed.
 pub fn redacted(text: &str) -> Cow<'_, str> {
     let is_digit = |c: char| c.is_ascii_hexdigit();
     if !text.split(|c| !is_digit(c)).any(|run| run.len() > SHOWN_DIGITS) {
@@ -119,8 +126,8 @@ pub fn redacted(text: &str) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// Returns a parser's message without the values that it quotes from the text. Short field names and the parser's own
-/// words stay.
+/// Returns the error message of a TOML or JSON parser without the values that it quotes from the parsed text. Short
+/// names of unknown fields, and what the parser quotes of its own, stay.
 pub fn unquoted(message: &str) -> String {
     let (mut kept, mut rest) = (String::new(), message);
     while let Some(at) = rest.find(['"', '`']) {

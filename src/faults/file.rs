@@ -77,7 +77,8 @@ fn all_frames() -> f64 {
 }
 
 impl FaultPlan {
-    /// Reads a plan from TOML; an error names the field. `check` compares it with a team.
+    /// Reads a fault plan from TOML; an error names the wrong field. Whether the robots, hosts and links exist in a
+    /// team is not checked here: `check` does that.
     pub fn from_toml(text: &str) -> Result<FaultPlan, ConfigError> {
         let file: PlanFile = config::from_toml(text)?;
         let actors = file.actor.into_iter().enumerate().map(|(i, entry)| entry.checked(i));
@@ -85,7 +86,7 @@ impl FaultPlan {
         Ok(FaultPlan { actors: actors.collect::<Result<_, _>>()?, links: links.collect::<Result<_, _>>()? })
     }
 
-    /// Writes the plan as TOML, which `from_toml` reads.
+    /// Returns the plan as TOML text, which `from_toml` reads.
     pub fn to_toml(&self) -> String {
         let actor = |fault: &ActorFault| ActorEntry {
             actor: fault.role,

@@ -1,7 +1,7 @@
 //! Fault plans: faults of actors and of links to inject in a trial, with their times.
 //!
-//! A plan is read from TOML (`file`) or drawn from a seed. It is data: the Shell injects the faults of actors, the link
-//! emulator those of links.
+//! A plan is read from TOML (`file`) or drawn from a seed. A plan is data only: the Shell, which runs the actors,
+//! injects their faults, and the link emulator injects those of links.
 
 mod file;
 
@@ -16,102 +16,106 @@ use crate::messages::wire::Kind;
 use crate::random::Seed;
 use crate::time::{Span, Time};
 
-/// Role of the actor that a fault is injected into.
+/// Role of the actor (a part of the system with its own message queue) into which a fault is injected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// A robot's Cache.
+    /// Cache of a robot: the actor that holds its readings and its neighbours' messages.
     Cache,
-    /// The Agent that hosts a robot.
+    /// Agent that runs a robot's policy; one Agent may run the policies of several robots.
     Agent,
-    /// A robot's Controller.
+    /// Controller of a robot: the actor that approves the motor commands.
     Controller,
-    /// A robot's Body.
+    /// Body of a robot: the actor of its motors and sensors.
     Body,
-    /// The World that holds a robot.
+    /// World in which a robot moves: the actor that simulates it.
     World,
-    /// The team's one StateServer.
+    /// StateServer, the one actor of a team that leads the episodes.
     StateServer,
-    /// The Network of the host that runs a robot's Agent.
+    /// Network actor, which sends and receives messages, of the host that runs a robot's Agent.
     Network,
 }
 
-/// Kind of fault of an actor.
+/// Kind of fault of an actor, a part of the system with its own message queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ActorFaultKind {
-    /// It stops, loses all state and all messages sent to it, and restarts with initial state after the fault.
+    /// The actor stops and loses all its state and all messages sent to it. After the fault it restarts with its
+    /// initial state.
     Crash,
-    /// It does nothing; messages wait in its mailbox.
+    /// The actor does nothing; messages to it wait in its mailbox.
     Stall,
-    /// It runs, and its output is dropped.
+    /// The actor runs, but all its output is dropped.
     Mute,
-    /// It handles messages and timers late.
+    /// The actor handles messages and timers with an additional delay.
     Slow,
 }
 
-/// One fault of one actor.
+/// One planned fault of one actor, with its time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ActorFault {
-    /// The actor's role.
+    /// Role of the actor that is affected.
     pub role: Role,
-    /// The robot that the actor belongs to; ignored for the StateServer.
+    /// Robot to which the affected actor belongs; without effect for the StateServer, of which a team has only one.
     pub robot: RobotId,
-    /// Kind of fault.
+    /// Kind of fault, such as a crash.
     pub kind: ActorFaultKind,
-    /// Start.
+    /// Start of the fault, counted from the start of the trial or of the episode `episode`.
     pub at: Time,
-    /// Duration.
+    /// Duration of the fault.
     pub lasts: Span,
-    /// Additional delay before messages and timers are handled; only for `Slow`.
+    /// Additional delay with which the actor handles messages and timers; used only by faults of kind `Slow`.
     pub by: Span,
-    /// The episode from whose start `at` counts, from 0; `None` for the start of the trial.
+    /// Index, from 0, of the episode from whose start `at` counts; `None` if `at` counts from the start of the trial.
     pub episode: Option<u32>,
 }
 
-/// Kind of fault of a link's frames.
+/// Kind of fault of the frames (packets) that a link carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkFaultKind {
-    /// They are lost.
+    /// Frames are lost.
     Drop,
-    /// They are delayed.
+    /// Frames are delayed by a fixed time.
     Delay,
-    /// They are duplicated.
+    /// Frames are duplicated.
     Duplicate,
-    /// Each is delayed by a random time, so that they are reordered.
+    /// Each frame is delayed by a random time, so that frames are reordered.
     Reorder,
-    /// One bit of the body is flipped.
+    /// One bit in the body of each affected frame is flipped; headers stay intact.
     Corrupt,
-    /// Frames between the named hosts and all others are lost.
+    /// Frames between the named hosts and all other hosts are lost.
     Partition,
 }
 
-/// One fault of one link.
+/// One planned fault of one link between hosts, such as loss of frames, with its time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkFault {
-    /// The link's name.
+    /// Name of the affected link.
     pub link: String,
-    /// Kind of fault.
+    /// Kind of fault, such as loss of frames.
     pub kind: LinkFaultKind,
-    /// Kinds of messages that are affected; empty for all.
+    /// Kinds of messages of which the frames are affected; an empty list means all kinds.
     pub kinds: Vec<Kind>,
-    /// The hosts on one side of a partition.
+    /// Hosts on one side of a partition; used only by faults of kind `Partition`.
     pub hosts: Vec<HostId>,
-    /// Probability that a frame is affected, 0 to 1.
+    /// Probability, 0 to 1, that a frame sent during the fault is affected.
     pub share: f64,
-    /// Additional delay: exact (`Delay`) or maximum (`Reorder`).
+    /// Additional delay of affected frames: the exact delay for kind `Delay`, the maximum for `Reorder`, unused
+    /// otherwise.
     pub by: Span,
-    /// Start.
+    /// Start of the fault, counted from the start of the trial or of the episode `episode`.
     pub from: Time,
-    /// End, exclusive.
+    /// End of the fault, exclusive, counted from the start of the trial or of the episode `episode`.
     pub until: Time,
-    /// The episode from whose start `from` and `until` count, from 0; `None` for the start of the trial.
+    /// Index, from 0, of the episode from whose start `from` and `until` count; `None` if they count from the start of
+    /// the trial.
     pub episode: Option<u32>,
 }
 
 impl LinkFault {
-    /// Returns a drop of every frame on `link` for the whole run, as a base for struct update syntax.
+    /// Returns a fault that drops every frame on the link named `link` for the whole trial. It serves as the base for
+    /// struct update syntax.
     pub fn always(link: &str) -> LinkFault {
         LinkFault {
             link: link.to_owned(),
@@ -126,8 +130,9 @@ impl LinkFault {
         }
     }
 
-    /// Whether a frame sent at `now` is subject to this fault. `began` has the start times of episodes. The caller
-    /// draws `share`.
+    /// Returns true if a frame sent at time `now` is subject to this fault; the caller then applies the probability
+    /// `share`. `began` has the start time of each episode that has begun, by its index. `kind` is the kind of the
+    /// frame's message, and `ends` are its sender and its receiver.
     pub fn hits(&self, now: Time, began: &BTreeMap<u32, Time>, kind: Kind, ends: (HostId, HostId)) -> bool {
         let Some(origin) = self.episode.map_or(Some(Time::ZERO), |episode| began.get(&episode).copied()) else {
             return false;
@@ -140,23 +145,23 @@ impl LinkFault {
     }
 }
 
-/// Actors and links of a team that faults can be injected into.
+/// Actors and links of a team into which faults can be injected.
 #[derive(Clone, Debug)]
 pub struct Targets<'a> {
-    /// The size of the team.
+    /// Number of robots in the team.
     pub robots: usize,
-    /// Number of hosts.
+    /// Number of hosts (processes that run parts of the system) in the team.
     pub hosts: usize,
-    /// Links by name, with the kinds of messages that each carries.
+    /// Links of the team: pairs of a link's name and the kinds of messages that it carries.
     pub links: Vec<(&'a str, &'a [Kind])>,
 }
 
-/// All faults to inject in a trial.
+/// All faults of actors and links to inject in a trial (a run of several episodes), with their times.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FaultPlan {
-    /// Faults of actors.
+    /// Planned faults of actors; empty for none.
     pub actors: Vec<ActorFault>,
-    /// Faults of links.
+    /// Planned faults of links; empty for none.
     pub links: Vec<LinkFault>,
 }
 
@@ -178,8 +183,9 @@ const LINK_FAULTS: [LinkFaultKind; 6] = [
     LinkFaultKind::Partition,
 ];
 impl FaultPlan {
-    /// Draws a plan from a seed: about one fault per ten seconds until `horizon`, at least one, each of at most three
-    /// seconds. Two of three are faults of actors, the others of links.
+    /// Draws a plan from `seed` for a team with `targets`: about one fault per ten seconds until `horizon`, at least
+    /// one. Each fault lasts at most three seconds. On average two of three are faults of actors and the others of
+    /// links; without links, all are of actors.
     pub fn random(seed: u64, targets: &Targets, horizon: Span) -> FaultPlan {
         let mut stream = Seed::of_run(seed).stream("fault-plan");
         let count = (horizon.as_secs() / 10.0).round().max(1.0) as usize;
@@ -210,7 +216,8 @@ impl FaultPlan {
         plan
     }
 
-    /// Checks that robots, hosts, links and their kinds of messages exist in this team; an error names the field.
+    /// Checks that the robots, hosts, links and kinds of messages that the plan names exist in a team with `targets`.
+    /// An error names the wrong field.
     pub fn check(&self, targets: &Targets) -> Result<(), ConfigError> {
         let Targets { robots, hosts, ref links } = *targets;
         if let Some(index) = self.actors.iter().position(|fault| fault.robot.index() >= robots) {
@@ -235,7 +242,8 @@ impl FaultPlan {
         Ok(())
     }
 
-    /// Checks that the trial has the episodes from whose starts faults are timed.
+    /// Checks that a trial of `episodes` episodes has all episodes from whose starts faults are timed. An error names
+    /// the wrong field.
     pub fn check_episodes(&self, episodes: u32) -> Result<(), ConfigError> {
         let actors = self.actors.iter().enumerate().map(|(index, fault)| (format!("actor[{index}]"), fault.episode));
         let links = self.links.iter().enumerate().map(|(index, fault)| (format!("link[{index}]"), fault.episode));
@@ -248,7 +256,7 @@ impl FaultPlan {
         }
     }
 
-    /// Each fault in words, for a report.
+    /// Returns a description of each fault in words, for a report.
     pub fn describe(&self) -> Vec<String> {
         let when = |episode: Option<u32>, at: Time| match episode {
             Some(episode) => format!("{:.1} s into episode {episode}", at.as_secs()),
@@ -272,12 +280,13 @@ impl FaultPlan {
         self.actors.iter().map(actor).chain(self.links.iter().map(link)).collect()
     }
 
-    /// Returns the faults planned for one link.
+    /// Returns the planned faults of the link named `name`; empty if there are none.
     pub fn of_link(&self, name: &str) -> Vec<LinkFault> {
         self.links.iter().filter(|fault| fault.link == name).cloned().collect()
     }
 
-    /// Returns the end of the last fault; the start of the run if there is none.
+    /// Returns the end of the last fault, or the start of the trial if there are no faults. Times that count from the
+    /// start of an episode are taken as they are.
     pub fn over(&self) -> Time {
         let actors = self.actors.iter().map(|fault| fault.at + fault.lasts);
         actors.chain(self.links.iter().map(|fault| fault.until)).max().unwrap_or(Time::ZERO)

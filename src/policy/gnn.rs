@@ -1,8 +1,10 @@
-//! The message-passing network of the paper (section III), evaluated for one robot, in its two architectures.
+//! The message-passing network of the paper arXiv 2111.01777 (section III), evaluated for one robot, in its two
+//! architectures.
 //!
-//! h_i = encoder(x_i) is broadcast. Published: the action is update(sum over j of message(h_j - h_i)), where the sum
-//! includes the robot's own term message(0), a constant that is not zero. Full, equation (1): the action is
-//! update([h_i, sum over j of message([h_i, h_j, e_ij])]), and the sum has no own term.
+//! Robot i encodes its observation x_i and broadcasts h_i = encoder(x_i). In the published architecture the action is
+//! update(sum over j of message(h_j - h_i)). The sum includes the robot's own term message(0), a constant that is not
+//! zero. In the full architecture, equation (1), the action is update(\[h_i, sum over j of message(\[h_i, h_j,
+//! e_ij\])\]). Here e_ij are the features of the edge, and the sum has no own term.
 //!
 //! In both, the last message layer is linear, so it is applied once, after the sum. The first update layer is linear
 //! too, so both are folded into one layer. In the full architecture, h_i contributes to the first layers of the message
@@ -20,7 +22,7 @@ use crate::random::Stream;
 use crate::scenario::Observation;
 use crate::time::Span;
 
-/// The weights of a trained network, shared by all robots of a team.
+/// Weights and parameters of a trained message-passing network, which all robots of a team share.
 #[derive(Debug)]
 pub struct Network {
     manifest: Manifest,
@@ -64,7 +66,8 @@ struct FirstLayer {
 }
 
 impl Network {
-    /// Makes the network of a checked file.
+    /// Makes the network of a policy file that was read and checked. The file's test data are not compared with the
+    /// network; `probe::network` does that.
     pub fn new(file: PolicyFile) -> Network {
         let PolicyFile { manifest, assumed, digest, networks: [encoder, message, update], .. } = file;
         let part = |layers: &[Layer]| (!layers.is_empty()).then(|| Mlp::new(layers.to_vec()));
@@ -97,22 +100,24 @@ impl Network {
         }
     }
 
-    /// Parameters of the policy that the rest of the system depends on.
+    /// Returns the parameters that the rest of the system needs to run the network, such as message size and period.
     pub fn interface(&self) -> Interface {
         self.interface
     }
 
-    /// The manifest of its file, or the assumed one.
+    /// Returns the manifest (metadata) of the network's policy file. For a file without a manifest, it is that of the
+    /// policy published with the paper arXiv 2111.01777.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }
 
-    /// Assumptions made because its file has no manifest or an incomplete one, as text.
+    /// Returns the assumptions made because the network's policy file has no manifest or an incomplete one, as text for
+    /// the user. `None` means that nothing was assumed.
     pub fn assumed(&self) -> Option<&str> {
         self.assumed.as_deref()
     }
 
-    /// Digest of its file.
+    /// Returns the digest of the network's policy file: the first 64 bits of its BLAKE3 hash, in hexadecimal.
     pub fn digest(&self) -> &str {
         &self.digest
     }
@@ -152,7 +157,7 @@ fn interface(manifest: &Manifest, features: usize) -> Interface {
     }
 }
 
-/// One robot's instance of the network.
+/// One robot's instance of a trained message-passing network, with buffers of its own.
 #[derive(Debug)]
 pub struct Gnn {
     network: Arc<Network>,
@@ -186,12 +191,13 @@ struct Space {
 }
 
 impl Gnn {
-    /// Makes one robot's instance.
+    /// Makes one robot's instance of `network`, which draws actions from the output distribution by the method `draw`.
     pub fn new(network: Arc<Network>, draw: Draw) -> Gnn {
         Gnn::with_instructions(network, draw, Instructions::Detected)
     }
 
-    /// Makes an instance that runs on the given instruction set; the results are the same bit for bit.
+    /// Makes one robot's instance of `network` that runs on the given processor instructions; `draw` is the method of
+    /// drawing actions. The instruction set changes the speed, and results are the same bit for bit.
     pub fn with_instructions(network: Arc<Network>, draw: Draw, instructions: Instructions) -> Gnn {
         let own_message = network.first_message_layer().map_or(0, |first| first.own.outputs());
         let space = Space {
@@ -211,8 +217,11 @@ impl Gnn {
         Gnn { network, draw, instructions, space }
     }
 
-    /// The network's raw outputs, \[mean_x, mean_y, log_std_x, log_std_y\] of a velocity \[m/s\]; the manifest's upper
-    /// limit of the log standard deviation is not applied. Takes the arguments of [`Policy::act`].
+    /// Returns the network's raw outputs: mean_x, mean_y, log_std_x and log_std_y of the distribution of a velocity
+    /// \[m/s\], policy frame. The manifest's upper limit of the log standard deviation is not applied.
+    ///
+    /// The arguments are those of [`Policy::act`]: the robot's observation, the features just encoded, and the
+    /// neighbours' messages.
     pub fn outputs(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour]) -> [f32; 4] {
         self.reserve(neighbours.len());
         let (network, space) = (&*self.network, &mut self.space);

@@ -1,7 +1,8 @@
 //! The manifest of a policy file: one JSON object in the safetensors metadata.
 //!
-//! It holds all parameters that are needed to run the tensors beside it. Only the published file has no manifest; it is
-//! recognised by its shapes, and its parameters are assumed.
+//! The manifest holds all parameters that are needed to run the tensors in the same file. Only the policy published
+//! with the paper arXiv 2111.01777 has no manifest. Its file is recognised by its shapes, and its parameters are
+//! assumed.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,36 +11,39 @@ use crate::chassis::{self, Chassis};
 use crate::messages::geometry::Vec2;
 use crate::scenario::Observation;
 
-/// The metadata key of the manifest.
+/// Key of the safetensors metadata under which a policy file stores its manifest.
 pub const KEY: &str = "murmurate";
-/// The version of the manifest's format.
+/// Version of the manifest's format that this program writes, and the only one that it reads.
 pub const FORMAT: u32 = 1;
 
-/// Layout of the message passing.
+/// Layout of the message-passing network: how the messages of a robot's neighbours lead to its action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Architecture {
-    /// The published layers: update(sum over neighbours and self of message(h_j - h_i)).
+    /// Layers published with the paper arXiv 2111.01777: update(sum over neighbours j and the robot i itself of
+    /// message(h_j - h_i)). Here h_i is the encoded observation of robot i.
     Published,
-    /// Equation (1) of the paper: update(\[h_i, sum over neighbours of message(\[h_i, h_j, e_ij\])\]), where e_ij are
-    /// the features of the edge. The robot itself is not a term of the sum.
+    /// Equation (1) of the paper arXiv 2111.01777: update(\[h_i, sum over neighbours j of message(\[h_i, h_j,
+    /// e_ij\])\]). Here h_i is the encoded observation of robot i, and e_ij are the features of the edge from j to i.
+    /// The robot itself is not a term of the sum.
     Full,
 }
 
-/// One entry of the observation, two floats each.
+/// One entry of the observation vector, the input of a policy's encoder. Each entry is two floats, x and y in the
+/// policy frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Field {
-    /// goal - position \[m\].
+    /// Goal minus position of the robot \[m\].
     GoalMinusPosition,
-    /// position \[m\].
+    /// Position of the robot \[m\].
     Position,
-    /// position + velocity x 1 s \[m\].
+    /// Position of the robot plus its velocity times 1 s \[m\].
     PositionPlusVelocity,
 }
 
 impl Field {
-    /// The value of the entry \[m\], in the policy frame.
+    /// Returns the value of this entry \[m\], policy frame, for a robot's `observation`.
     pub fn of(self, observation: &Observation) -> Vec2 {
         match self {
             Field::GoalMinusPosition => observation.goal - observation.motion.position,
@@ -50,19 +54,20 @@ impl Field {
     }
 }
 
-/// One feature of an edge between the robot and a neighbour in range.
+/// One feature of an edge, the connection from a neighbour in range to the robot. Edge features are inputs of the
+/// message network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum EdgeField {
-    /// Time since the neighbour's message arrived \[s\], one float.
+    /// Time since the neighbour's message arrived at the robot \[s\]; one float.
     Age,
-    /// The neighbour's position when it sent its message minus the robot's own position, policy frame \[m\], two
+    /// The neighbour's position when it sent its message, minus the robot's own position \[m\], policy frame; two
     /// floats.
     RelativePosition,
 }
 
 impl EdgeField {
-    /// Number of floats of the feature.
+    /// Returns the number of floats of the feature.
     pub const fn floats(self) -> usize {
         match self {
             EdgeField::Age => 1,
@@ -71,26 +76,28 @@ impl EdgeField {
     }
 }
 
-/// Origin of a policy file, for information only.
+/// Origin of a policy file: the training run that made it, for information.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Training {
-    /// The program that trained it, with its version.
+    /// Name and version of the program that trained the policy.
     pub program: String,
-    /// The preset from which its settings were derived.
+    /// Name of the predefined training configuration from which the settings of the run were derived.
     pub preset: String,
-    /// The seed of the run.
+    /// Random seed of the training run.
     pub seed: u64,
-    /// Number of decisions in the training data: one per environment and step of the policy.
+    /// Number of decisions in the training data. One decision is one step of the policy in one environment, for all its
+    /// robots.
     pub decisions: u64,
-    /// Number of steps of 50 ms of all environments in the training data.
+    /// Number of simulated steps of 50 ms in the training data, summed over all environments.
     pub env_steps: u64,
-    /// All settings of the run, in the format of the program that trained it.
+    /// All settings of the training run, in the format of the program that trained the policy.
     pub configuration: serde_json::Value,
 }
 
 impl Training {
-    /// Size of the largest team of the training, if its configuration says so in the format of this program.
+    /// Returns the number of robots in the largest team of the training. `None` means that the configuration does not
+    /// say so in the format of this program.
     pub fn largest_team(&self) -> Option<usize> {
         let stages = self.configuration.get("curriculum")?.as_array()?;
         let groups = stages.iter().filter_map(|stage| stage.get("groups")?.as_array()).flatten();
@@ -98,8 +105,9 @@ impl Training {
         usize::try_from(sizes.max()?).ok()
     }
 
-    /// Chassis of the robots of the training, if its configuration is in the format of this program. One that does not
-    /// say it was for holonomic robots.
+    /// Returns the chassis (kind of drive and limits) of the robots in the training. `None` means that the
+    /// configuration is not in the format of this program, or that its chassis is invalid. A configuration that states
+    /// no chassis was for holonomic robots.
     pub fn chassis(&self) -> Option<Chassis> {
         self.configuration.get("curriculum")?;
         let settings =
@@ -108,19 +116,20 @@ impl Training {
     }
 }
 
-/// Action distribution that the last layer's outputs parametrize.
+/// Probability distribution of a robot's action, of which the network's outputs are the parameters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Distribution {
-    /// mean_x, mean_y, log_std_x, log_std_y of a velocity \[m/s\].
+    /// Independent normal distributions of both components of a velocity \[m/s\]. The outputs are mean_x, mean_y,
+    /// log_std_x and log_std_y: means and natural logarithms of standard deviations.
     DiagonalNormal,
 }
 
-/// Function between the layers of the encoder, the message network and the update network.
+/// Activation function between the layers of the encoder, the message network and the update network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", try_from = "String")]
 pub enum Activation {
-    /// max(x, 0).
+    /// Rectified linear unit: max(x, 0).
     Relu,
 }
 
@@ -132,11 +141,11 @@ impl TryFrom<String> for Activation {
     }
 }
 
-/// Combination of the messages of all neighbours.
+/// Method by which the messages of all neighbours are combined into one input of the update network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", try_from = "String")]
 pub enum Aggregation {
-    /// Their sum.
+    /// The sum of the messages.
     Sum,
 }
 
@@ -152,53 +161,62 @@ impl TryFrom<String> for Aggregation {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// Version of the format, `FORMAT`.
+    /// Version of the manifest's format; must be `FORMAT`.
     pub format: u32,
-    /// Scenario for which the policy was trained.
+    /// Name of the scenario (the team's task) for which the policy was trained.
     pub scenario: String,
-    /// Layout of the message passing.
+    /// Layout of the message-passing network.
     pub architecture: Architecture,
-    /// Entries of the observation, in order.
+    /// Entries of the observation vector, in the order of the encoder's inputs.
     pub observation: Vec<Field>,
-    /// Features of an edge, in order; the published architecture has none.
+    /// Features of an edge between two robots, in the order of the message network's inputs. The list is empty if there
+    /// are none, as in `Architecture::Published`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub edge: Vec<EdgeField>,
-    /// Function between layers; `None` if the file does not say, and then [`Activation::Relu`] is assumed.
+    /// Activation function between layers. `None` means that the file states none; then [`Activation::Relu`] is
+    /// assumed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub activation: Option<Activation>,
-    /// Combination of messages; `None` if the file does not say, and then [`Aggregation::Sum`] is assumed.
+    /// Method of combining neighbours' messages. `None` means that the file states none; then [`Aggregation::Sum`] is
+    /// assumed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub aggregation: Option<Aggregation>,
-    /// Widths of the encoder, input first.
+    /// Layer widths of the encoder, from its input to its output. The encoder turns an observation into the message
+    /// that a robot broadcasts.
     pub encoder: Vec<usize>,
-    /// Widths of the message network, input first.
+    /// Layer widths of the message network, from its input to its output. The network is applied to each pair of the
+    /// robot and a neighbour.
     pub message: Vec<usize>,
-    /// Widths of the update network, input first.
+    /// Layer widths of the update network, from its input to its output. The network turns the sum of messages into the
+    /// parameters of the action.
     pub update: Vec<usize>,
-    /// Action distribution that the outputs parametrize.
+    /// Probability distribution of the action, of which the network's outputs are the parameters.
     pub distribution: Distribution,
-    /// Default method of drawing actions.
+    /// Default method of drawing an action from the distribution: its mean or a random sample.
     pub draw: Draw,
-    /// Upper limit of the log standard deviation for sampling; larger outputs are clamped to it.
+    /// Upper limit of the logarithm of the standard deviation, to which larger outputs are clamped when actions are
+    /// sampled. `None` means no limit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub log_std_max: Option<f32>,
-    /// Communication radius \[m\].
+    /// Default communication radius \[m\]: a robot uses messages only of neighbours within this distance, unless the
+    /// trial sets another range.
     pub radius_m: f32,
-    /// Steps per second \[Hz\].
+    /// Steps of the policy per second \[Hz\].
     pub rate_hz: f64,
-    /// Largest velocity along each axis \[m/s\].
+    /// Largest commanded speed along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// Age up to which a neighbour's message is used \[s\].
+    /// Hold time \[s\]: age up to which a neighbour's newest message is used.
     pub hold_s: f64,
-    /// SHA-256 of all tensors' bytes in the order of their names, in hexadecimal.
+    /// SHA-256 of all tensors' bytes, in the order of the tensors' names, in hexadecimal.
     pub sha256: String,
-    /// Origin of the file.
+    /// Training run that made the file; `None` if the file does not state it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub training: Option<Training>,
 }
 
 impl Manifest {
-    /// The manifest for the published passage policy, which has none; every value is from the release's data.
+    /// Returns the manifest that is assumed for the policy published with the paper arXiv 2111.01777, whose file has
+    /// none. The policy is for the scenario `passage`, and every value is from the data of that release.
     pub fn published() -> Manifest {
         Manifest {
             format: FORMAT,
@@ -223,8 +241,8 @@ impl Manifest {
         }
     }
 
-    /// The published conditions with the architecture of equation (1) in full and edge features age and relative
-    /// position.
+    /// Returns the manifest of a network with the full architecture of equation (1) in the paper arXiv 2111.01777. Its
+    /// edge features are age and relative position; all other parameters are those of `published`.
     pub fn full() -> Manifest {
         Manifest {
             architecture: Architecture::Full,
@@ -235,7 +253,8 @@ impl Manifest {
         }
     }
 
-    /// Checks the fields and their consistency; the error names the field.
+    /// Checks the range of each field, and that the fields are consistent with each other. The error names the first
+    /// wrong field.
     pub fn check(&self) -> Result<(), String> {
         let positive = |field: &str, value: f64| {
             if value.is_finite() && value > 0.0 { Ok(()) } else { Err(format!("{field}: {value} is not above 0")) }

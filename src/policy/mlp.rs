@@ -1,4 +1,5 @@
-//! Multi-layer perceptrons on the control path: small, without allocation, and with the same bits on every machine.
+//! Multi-layer perceptrons for the control path: small, without memory allocation, and with bit-identical results on
+//! every machine.
 //!
 //! Every output is a sum over the inputs in their order, with multiplications and additions only (none fused). So
 //! blocking and vector width change the speed, not the result. `Instructions` selects the vector width at run time.
@@ -8,17 +9,19 @@ const BLOCK: usize = 32;
 
 type Lanes = [f32; BLOCK];
 
-/// Instruction set for which the loops are compiled.
+/// Processor instruction set for which the loops of a network's layers are compiled. The choice changes the speed, not
+/// the results.
 #[derive(Clone, Copy, Debug)]
 pub enum Instructions {
-    /// The instructions that every machine of this target has.
+    /// The instructions that every machine of the compilation target has.
     Baseline,
-    /// The widest vector instructions of this machine; in a program without the feature `wide`, those of the baseline.
+    /// The widest vector instructions that this machine has. In a program built without the feature `wide`, these are
+    /// the baseline instructions.
     Detected,
 }
 
 impl Instructions {
-    /// Runs `work`, compiled for this instruction set.
+    /// Calls `work`, compiled for this instruction set, and returns its result.
     #[inline(always)]
     pub fn run<R>(self, work: impl FnOnce() -> R) -> R {
         match self {
@@ -37,7 +40,7 @@ impl Instructions {
     }
 }
 
-/// One linear layer, y = W x + b.
+/// One linear layer of a perceptron, y = W x + b, with its weights W and biases b.
 #[derive(Clone, Debug)]
 pub struct Layer {
     inputs: usize,
@@ -48,7 +51,10 @@ pub struct Layer {
 }
 
 impl Layer {
-    /// Makes a layer from a row-major \[outputs, inputs\] matrix and biases \[outputs\].
+    /// Makes a layer. `weight` is the row-major matrix \[outputs, inputs\], and `bias` has one number per output.
+    ///
+    /// # Panics
+    /// If the length of `weight` is not a multiple of the number of outputs, or if there are no outputs.
     pub fn new(weight: &[f32], bias: &[f32]) -> Layer {
         let outputs = bias.len();
         let inputs = weight.len() / outputs;
@@ -68,17 +74,18 @@ impl Layer {
         packed
     }
 
-    /// Width of the input.
+    /// Returns the number of inputs of the layer.
     pub fn inputs(&self) -> usize {
         self.inputs
     }
 
-    /// Width of the output.
+    /// Returns the number of outputs of the layer.
     pub fn outputs(&self) -> usize {
         self.outputs
     }
 
-    /// Applies the layer to `rows` rows: `x` is \[rows, inputs\], `y` is \[rows, outputs\], both row-major.
+    /// Applies the layer to `rows` independent inputs: `x` is \[rows, inputs\], and `y` receives \[rows, outputs\],
+    /// both row-major. `relu` is the activation of the outputs.
     #[inline(always)]
     pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
         for (block, bias) in self.bias.iter().enumerate() {
@@ -86,7 +93,9 @@ impl Layer {
         }
     }
 
-    /// Applies the layer like `apply`, but with each row's sums started from `start` \[outputs\] instead of the bias.
+    /// Applies the layer like `apply`, but adds `start`, one number per output, to each row instead of the layer's
+    /// bias. `x` is \[rows, inputs\], `y` receives \[rows, outputs\], both row-major; `relu` is the activation of the
+    /// outputs.
     #[inline(always)]
     pub fn apply_from(&self, start: &[f32], rows: usize, x: &[f32], y: &mut [f32], relu: Relu) {
         for (block, start) in start[..self.outputs].chunks(BLOCK).enumerate() {
@@ -121,8 +130,12 @@ impl Layer {
         self.weight[output / BLOCK * self.inputs + input][output % BLOCK]
     }
 
-    /// Splits the layer by its inputs. The first part takes the inputs before `at` and has the bias. The second takes
-    /// the rest and is applied with `apply_from` the output of the first. The result has the same bits as one layer.
+    /// Splits the layer by its inputs into two layers, of which the sum of outputs equals this layer's output. The
+    /// first takes the inputs before index `at` and has the bias. The second takes the remaining inputs and has a bias
+    /// of zero.
+    ///
+    /// To get the same bits as with one layer, pass the first layer's output as `start` to the second layer's
+    /// `apply_from`.
     pub fn split(&self, at: usize) -> (Layer, Layer) {
         let part = |inputs: std::ops::Range<usize>, bias: &[f32]| {
             let row = |output: usize| inputs.clone().map(move |input| self.entry(output, input));
@@ -132,10 +145,14 @@ impl Layer {
         (part(0..at, bias), part(at..self.inputs, &vec![0.0; self.outputs]))
     }
 
-    /// Folds `inner` followed by this layer, without an activation between, into one layer. Its bias is that of this
-    /// layer; returned beside it is `inner`'s bias multiplied by this layer's weights.
+    /// Folds two layers into one: `inner` followed by this layer, without an activation between them. Returns the
+    /// folded layer, which has the bias of this layer only. The second value is the bias of `inner` multiplied by this
+    /// layer's weights, one number per output.
     ///
-    /// Computed in f64, so that a network keeps its accuracy.
+    /// The products are computed in f64, so that a network keeps its accuracy.
+    ///
+    /// # Panics
+    /// If `inner` does not have as many outputs as this layer has inputs.
     pub fn fold_after(&self, inner: &Layer) -> (Layer, Vec<f32>) {
         assert_eq!(inner.outputs, self.inputs, "layers fit each other");
         let sum = |output: usize, term: &dyn Fn(usize) -> f32| -> f32 {
@@ -175,12 +192,12 @@ fn two_rows(weight: &[Lanes], bias: &Lanes, x: (&[f32], &[f32])) -> (Lanes, Lane
     (first, second)
 }
 
-/// Activation of a layer's output.
+/// Activation function that a layer applies to its outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Relu {
-    /// max(0, y).
+    /// Rectified linear unit: an output y becomes max(0, y).
     After,
-    /// No activation.
+    /// No activation: outputs stay as they are.
     None,
 }
 
@@ -198,47 +215,51 @@ impl Relu {
     }
 }
 
-/// A multi-layer perceptron: layers applied in turn.
+/// Multi-layer perceptron: linear layers applied one after the other, with ReLU activations between them.
 #[derive(Clone, Debug)]
 pub struct Mlp {
     layers: Vec<Layer>,
 }
 
-/// Two buffers of alternating use for the values between layers.
+/// Two buffers for the values between the layers of a perceptron, used alternately. `Mlp::scratch` makes them.
 #[derive(Clone, Debug, Default)]
 pub struct Scratch(Vec<f32>, Vec<f32>);
 
 impl Mlp {
-    /// Makes a perceptron of these layers, each with inputs as wide as the outputs of the one before.
+    /// Makes a perceptron of `layers`, in the order of application.
+    ///
+    /// # Panics
+    /// If there is no layer, or if a layer does not have as many inputs as the layer before it has outputs.
     pub fn new(layers: Vec<Layer>) -> Mlp {
         assert!(!layers.is_empty(), "a perceptron has a layer");
         assert!(layers.windows(2).all(|pair| pair[0].outputs == pair[1].inputs), "layers fit each other");
         Mlp { layers }
     }
 
-    /// The layers, in order.
+    /// Returns the layers of the perceptron, in the order of application.
     pub fn layers(&self) -> &[Layer] {
         &self.layers
     }
 
-    /// Width of the input.
+    /// Returns the number of inputs of the first layer.
     pub fn inputs(&self) -> usize {
         self.layers[0].inputs
     }
 
-    /// Width of the output.
+    /// Returns the number of outputs of the last layer.
     pub fn outputs(&self) -> usize {
         self.layers[self.layers.len() - 1].outputs
     }
 
-    /// Makes scratch space for `rows` rows of the widest layer.
+    /// Makes the scratch space that `apply` needs for `rows` independent inputs at once.
     pub fn scratch(&self, rows: usize) -> Scratch {
         let widest = self.layers.iter().map(|layer| layer.outputs).max().unwrap_or(0) * rows;
         Scratch(vec![0.0; widest], vec![0.0; widest])
     }
 
-    /// Applies all layers to `rows` rows, with ReLU between them and the activation `last` after the last one: `x` is
-    /// \[rows, inputs\], `y` is \[rows, outputs\], both row-major.
+    /// Applies all layers to `rows` independent inputs: `x` is \[rows, inputs\], and `y` receives \[rows, outputs\],
+    /// both row-major. A ReLU follows every layer but the last, and the activation `last` follows that one. `scratch`
+    /// comes from the method `scratch`, for at least as many rows.
     #[inline(always)]
     pub fn apply(&self, rows: usize, x: &[f32], y: &mut [f32], scratch: &mut Scratch, last: Relu) {
         let (mut from, mut to) = (&mut scratch.0, &mut scratch.1);

@@ -1,7 +1,8 @@
-//! Policies: a robot's broadcast to its neighbours, and its velocity as a function of their broadcasts.
+//! Policies: functions that compute a robot's broadcast to its neighbours, and its velocity from their broadcasts.
 //!
-//! A policy is one file and one line in `REGISTRY`; in another crate, one line where its `Registry` is made. It works
-//! in the policy frame only. Nothing in this folder knows that there is a network, an actor or a clock.
+//! A new policy is one file and one line in `REGISTRY`. In another crate it is one line where that crate makes its
+//! `Registry`. A policy works in the policy frame only: the world frame, or the world frame turned by half a turn. The
+//! code of this folder knows no network, actor or clock.
 
 pub mod gnn;
 pub mod manifest;
@@ -26,72 +27,83 @@ use crate::random::{Seed, Stream};
 use crate::scenario::{Observation, Scenario};
 use crate::time::Span;
 
-/// A neighbour's last message, as input to a policy, in the policy frame.
+/// Last message of a neighbour, as input to a robot's policy. A neighbour is another robot within communication range.
 #[derive(Clone, Copy, Debug)]
 pub struct Neighbour<'a> {
-    /// The neighbour's estimate of its own motion when it sent the message.
+    /// The neighbour's estimate of its own position \[m\] and velocity \[m/s\] when it sent the message, in the policy
+    /// frame of the receiving robot.
     pub motion: Motion,
-    /// The features that it broadcast.
+    /// Features that the neighbour broadcast: the output of its `Policy::encode`.
     pub features: &'a [f32],
-    /// Time since the message arrived.
+    /// Time since the message arrived at the receiving robot.
     pub age: Span,
 }
 
-/// Parameters of a policy that the rest of the system depends on.
+/// Parameters of a policy that the rest of the system needs to run it: message size, radius, period, speed limit and
+/// hold time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interface {
-    /// Number of floats that a robot broadcasts.
+    /// Number of 32-bit floats in the message that a robot broadcasts at each step.
     pub features: usize,
-    /// Communication radius \[m\].
+    /// Default communication radius \[m\]: a robot uses messages only of neighbours within this distance, unless the
+    /// trial sets another range.
     pub radius_m: f32,
-    /// Time between two actions of a robot.
+    /// Time between two steps of the policy on one robot, each of which gives one action.
     pub period: Span,
-    /// Largest wanted speed along each axis \[m/s\].
+    /// Largest speed along each axis \[m/s\] that is commanded for the policy; larger outputs are clamped.
     pub limit_m_s: f32,
-    /// Age up to which a neighbour's message is used.
+    /// Hold time: age up to which a neighbour's newest message is used.
     pub hold: Span,
 }
 
-/// One robot's instance of a message-passing policy. It may keep scratch space, but no state between steps.
+/// One robot's instance of a message-passing policy. At each step, `encode` makes the robot's broadcast, then `act`
+/// computes its velocity. An instance may keep scratch space, but no state from one step to the next.
 pub trait Policy {
-    /// Parameters that the rest of the system depends on.
+    /// Returns the parameters that the rest of the system needs to run the policy, such as message size and period.
     fn interface(&self) -> Interface;
 
-    /// Writes the features that the robot broadcasts; `features` has the length that the interface gives.
+    /// Writes the robot's broadcast for this step into `features`, which has the length `Interface::features`. `own` is
+    /// the robot's own state and goal, in the policy frame.
     fn encode(&mut self, own: &Observation, features: &mut [f32]);
 
-    /// Returns the wanted velocity \[m/s\], policy frame. `features` are those just encoded. Neighbours are in the
-    /// order of their ids, with features of the length that the interface gives.
+    /// Returns the robot's wanted velocity \[m/s\], policy frame. `own` is the robot's own state and goal, and
+    /// `features` are those that `encode` has just written for the same step.
+    ///
+    /// `neighbours` has the last message of each neighbour in range, in the order of robot ids; it may be empty.
+    /// `stream` is the source of random numbers for a policy that samples its actions.
     fn act(&mut self, own: &Observation, features: &[f32], neighbours: &[Neighbour], stream: &mut Stream) -> Vec2;
 }
 
-/// Method by which actions are drawn from a policy's distribution.
+/// Method of drawing an action from the probability distribution that a trained policy's network outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Draw {
-    /// The mean of the distribution.
+    /// The action is the mean of the distribution.
     Mean,
-    /// A random sample.
+    /// The action is a random sample of the distribution.
     Sample,
 }
 
-/// A registry entry of a policy.
+/// Registry entry of a policy: its name and its constructor.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Name on the command line and in team files.
+    /// Name by which a user selects the policy, on the command line (`--policy`) and in team files.
     pub name: &'static str,
-    /// One line for the help.
+    /// Description of the policy in one line, for the program's help text.
     pub about: &'static str,
-    /// Makes the policy for a scenario.
+    /// Constructor of the policy for a scenario (a task for a robot team). An error says that the policy does not exist
+    /// for the scenario or refuses it.
     pub build: fn(&dyn Scenario) -> Result<Model, ModelError>,
 }
 
-/// Name of the default policy of a scenario that has a trained one.
+/// Name of the trained policy that is built into the program; it is the default in a scenario for which one was
+/// trained.
 pub const SHIPPED: &str = "shipped";
-/// Name of scripted navigation, which works in every scenario.
+/// Name of scripted navigation by optimal reciprocal collision avoidance (ORCA), a policy without training that works
+/// in every scenario.
 pub const SCRIPTED: &str = "orca";
 
-/// The policies of this crate that have a name; others are loaded from files.
+/// The policies of this crate that a user selects by name; all other policies are loaded from files.
 pub const REGISTRY: &[Entry] = &[
     Entry {
         name: SHIPPED,
@@ -106,13 +118,15 @@ pub const REGISTRY: &[Entry] = &[
     Entry { name: SCRIPTED, about: "scripted navigation by message passing", build: |_| Ok(Model::Orca) },
 ];
 
-/// A network of the published architecture with random weights (uniform, scaled by the width of the input), the same
-/// for the same seed. For tests and benchmarks.
+/// Returns a network with random weights, for tests and benchmarks, of the architecture published with the paper arXiv
+/// 2111.01777. The weights are uniform and scaled by the width of each layer's input; the same `seed` gives the same
+/// weights.
 pub fn untrained(seed: u64) -> Model {
     random_model(&Manifest::published(), seed)
 }
 
-/// A network with random weights of the architecture of the paper's equation (1) in full. For tests and benchmarks.
+/// Returns a network with random weights, for tests and benchmarks. It has the full architecture of equation (1) in the
+/// paper arXiv 2111.01777, with edge features. The same `seed` gives the same weights.
 pub fn untrained_full(seed: u64) -> Model {
     random_model(&Manifest::full(), seed)
 }

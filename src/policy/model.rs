@@ -1,4 +1,4 @@
-//! Models: policies from which every robot of a team gets its own, identical instance.
+//! Models: policies of a team, from which each robot gets its own, identical instance.
 
 use std::fmt;
 use std::sync::Arc;
@@ -12,18 +12,19 @@ use crate::messages::wire::MAX_FEATURES;
 use crate::scenario::Arena;
 use crate::time::Span;
 
-/// A policy from which instances for robots can be made.
+/// Policy of a team, from which each robot gets its own instance; all instances are identical.
 #[derive(Clone, Debug)]
 pub enum Model {
-    /// Scripted collision-avoiding navigation.
+    /// Scripted navigation by optimal reciprocal collision avoidance (ORCA), without training.
     Orca,
-    /// A trained network.
+    /// Trained graph neural network, with the method by which actions are drawn from its output distribution.
     Gnn(Arc<Network>, Draw),
-    /// A policy that another crate implements in code.
+    /// Policy that another crate implements in code; see [`Model::custom`].
     Custom(Custom),
 }
 
-/// A policy in code: its name, its interface, and the constructor of an instance.
+/// Policy that another crate implements in code: its name, its interface, and the constructor of one robot's instance.
+/// [`Model::custom`] makes it.
 #[derive(Clone)]
 pub struct Custom {
     name: &'static str,
@@ -40,38 +41,41 @@ impl fmt::Debug for Custom {
     }
 }
 
-/// Error of a model that cannot be made.
+/// Error of a policy that cannot be made for a scenario (a task for a robot team).
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
-    /// No trained policy is shipped for the scenario.
+    /// No trained policy is built into the program for the scenario.
     #[error("the scenario '{scenario}' has none; use 'orca'")]
     None {
-        /// The scenario.
+        /// Name of the scenario for which a policy was requested.
         scenario: String,
     },
-    /// The file is not a policy file.
+    /// The given bytes are not a valid policy file, or the network computes other numbers than those stored with it.
     #[error(transparent)]
     File(#[from] WeightsError),
-    /// The policy is for another scenario.
+    /// The policy file is for another scenario than the requested one.
     #[error("it is for the scenario '{theirs}', not '{ours}'")]
     Scenario {
-        /// Scenario of the policy file.
+        /// Name of the scenario for which the policy was trained, from its file.
         theirs: String,
-        /// Scenario that it was to be used in.
+        /// Name of the scenario in which the policy was to be used.
         ours: String,
     },
-    /// A policy in code refuses the scenario, with this reason.
+    /// A policy implemented in code refuses the scenario; the text is its reason.
     #[error("{0}")]
     Refused(String),
 }
 
 impl Model {
-    /// The default trained policy that is built into the program for the scenario of this name.
+    /// Returns the default trained policy that is built into the program for the scenario named `scenario`. Without one
+    /// the error is [`ModelError::None`].
     pub fn shipped(scenario: &str) -> Result<Model, ModelError> {
         Model::of_scenario(shipped::shipped(scenario), scenario)
     }
 
-    /// The built-in policy for the scenario that was trained for the paper's conditions: lock step, perfect messages.
+    /// Returns the built-in policy that was trained under the conditions of the paper arXiv 2111.01777: robots act in
+    /// lock step, and every message arrives. `scenario` is the scenario's name. Without such a policy the error is
+    /// [`ModelError::None`].
     pub fn published(scenario: &str) -> Result<Model, ModelError> {
         Model::of_scenario(shipped::published(scenario), scenario)
     }
@@ -81,7 +85,8 @@ impl Model {
         Model::from_file(bytes.ok_or_else(none)?, scenario)
     }
 
-    /// Reads a policy file from `bytes` for the scenario of this name; actions are drawn as the file says.
+    /// Makes a model from the content `bytes` of a policy file, for the scenario named `scenario`. Actions are drawn as
+    /// the file says. An error says that the file is invalid or for another scenario.
     pub fn from_file(bytes: &[u8], scenario: &str) -> Result<Model, ModelError> {
         let file = weights::read(bytes)?;
         if file.manifest.scenario != scenario {
@@ -92,11 +97,13 @@ impl Model {
         Ok(Model::Gnn(network, draw))
     }
 
-    /// Makes a model of a policy in code. `instance` makes one robot's instance, for an arena in the policy frame.
+    /// Makes a model of a policy that is implemented in code. `name` is its name in reports, and `interface` gives its
+    /// message size, radius, period, speed limit and hold time. `instance` makes one robot's instance for an arena in
+    /// the policy frame.
     ///
     /// # Panics
     /// If no team could run the interface. The features must fit into a message, and the period must be 1 to 100 ms.
-    /// The hold time must be at least the period, and radius and speed above zero.
+    /// The hold time must be at least the period, and radius and speed limit above zero.
     pub fn custom(
         name: &'static str,
         interface: Interface,
@@ -111,7 +118,7 @@ impl Model {
         Model::Custom(Custom { name, interface, instance: Arc::new(instance) })
     }
 
-    /// Name of the model in reports.
+    /// Returns the model's name in reports, such as `orca`, `gnn` or the name of a custom policy.
     pub fn name(&self) -> &'static str {
         match self {
             Model::Orca => "orca",
@@ -123,7 +130,8 @@ impl Model {
         }
     }
 
-    /// Makes one robot's instance, for an arena in the policy frame.
+    /// Makes the policy instance of one robot. `arena` has the ground, the walls and the robots' radius, in the policy
+    /// frame (the world frame, possibly rotated by half a turn).
     pub fn instance(&self, arena: &Arena) -> Box<dyn Policy> {
         match self {
             Model::Orca => Box::new(orca::Orca::new(arena)),
@@ -132,7 +140,7 @@ impl Model {
         }
     }
 
-    /// Parameters of the policy that the rest of the system depends on.
+    /// Returns the parameters that the rest of the system needs to run the policy, such as message size and period.
     pub fn interface(&self) -> Interface {
         match self {
             Model::Orca => orca::INTERFACE,
@@ -141,7 +149,8 @@ impl Model {
         }
     }
 
-    /// Returns the model with another method of drawing actions; `None` if it has no distribution to draw from.
+    /// Returns the same model with `draw` as the method of drawing actions from the policy's output distribution.
+    /// `None` means that the policy has no such distribution, because it is scripted or implemented in code.
     pub fn with_draw(self, draw: Draw) -> Option<Model> {
         match self {
             Model::Gnn(network, _) => Some(Model::Gnn(network, draw)),
@@ -149,22 +158,24 @@ impl Model {
         }
     }
 
-    /// Digest of the policy file; empty for a policy in code.
+    /// Returns a digest of the policy file (16 hexadecimal digits); the text is empty if the policy has no file.
     pub fn digest(&self) -> &str {
         self.network().map_or("", Network::digest)
     }
 
-    /// Assumptions made because the policy file has no manifest or an incomplete one, for a warning.
+    /// Returns the assumptions made because the policy file has no manifest (its metadata) or an incomplete one, as
+    /// text for a warning. `None` means that nothing was assumed, or that the policy has no file.
     pub fn assumed(&self) -> Option<&str> {
         self.network()?.assumed()
     }
 
-    /// Size of the largest team in the policy's training; `None` if that is unknown.
+    /// Returns the number of robots in the largest team of the policy's training; `None` if that is unknown.
     pub fn largest_team(&self) -> Option<usize> {
         self.network()?.manifest().training.as_ref()?.largest_team()
     }
 
-    /// Chassis of the robots of its training; none where that is unknown.
+    /// Returns the chassis (kind of drive and limits) of the robots in the policy's training; `None` if that is
+    /// unknown.
     pub fn trained_chassis(&self) -> Option<Chassis> {
         self.network()?.manifest().training.as_ref()?.chassis()
     }

@@ -60,7 +60,8 @@ const MAX_DISTANCE_M: f32 = 1e3;
 /// Largest plausible speed \[m/s\].
 const MAX_SPEED_M_S: f32 = 1e2;
 
-/// Parameters of the policy that the rest of the system depends on.
+/// Parameters of scripted navigation that the rest of the system needs to run it: message size, communication radius,
+/// period, speed limit and hold time.
 pub const INTERFACE: Interface = Interface {
     features: FEATURES,
     radius_m: 4.0,
@@ -69,7 +70,8 @@ pub const INTERFACE: Interface = Interface {
     hold: Span::from_millis(200),
 };
 
-/// Scripted navigation of one robot: collision avoidance by ORCA along a path through the arena.
+/// Scripted navigation of one robot, a policy: optimal reciprocal collision avoidance (ORCA) along a planned path
+/// through the arena.
 #[derive(Debug)]
 pub struct Orca {
     arena: Arena,
@@ -86,7 +88,8 @@ struct QueuePlace {
 }
 
 impl Orca {
-    /// Makes an instance for this arena.
+    /// Makes one robot's instance of scripted navigation for `arena`: ground, walls and bottlenecks, in the policy
+    /// frame, and the robots' radius.
     pub fn new(arena: &Arena) -> Orca {
         let corner = |x: f32, y: f32| dodgy_2d::Vec2::new(x, y);
         let block = |min: Vec2, max: Vec2| Obstacle::Closed {

@@ -1,6 +1,5 @@
-//! Probes: inputs and outputs that the exporter of a policy stored in its file, so that a network that computes
-//! something else is refused when it is loaded. Two networks of equal shapes can differ, for example by their
-//! activation.
+//! Probes: inputs and outputs that the exporter of a policy stored in its file. When a policy file is loaded, a network
+//! that computes other outputs is refused. Two networks of equal shapes can differ, for example by their activation.
 
 use std::sync::Arc;
 
@@ -11,23 +10,24 @@ use crate::messages::geometry::{Motion, Vec2};
 use crate::scenario::Observation;
 use crate::time::Span;
 
-/// Largest differences between a probe and what a network computes. Each difference is divided by the stored number if
-/// that is above 1.
+/// Largest differences between the test data (probe) of a policy file and the numbers that the loaded network computes.
+/// Each difference is divided by the magnitude of the stored number if that is above 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
-    /// Number of robots in the probe.
+    /// Number of robots in the test data.
     pub robots: usize,
-    /// Largest difference of a latent's feature.
+    /// Largest difference of a feature of a latent, the message that a robot broadcasts.
     pub latent: f32,
-    /// Largest difference of an output.
+    /// Largest difference of a raw output of the network, a parameter of the velocity's distribution.
     pub output: f32,
 }
 
 impl Probe {
-    /// Largest difference that is accepted: sums of 32-bit floats in another order differ by less.
+    /// Largest relative difference between a stored and a computed number that is accepted. Sums of 32-bit floats in
+    /// another order differ by less.
     pub const TOLERANCE: f32 = 1e-4;
 
-    /// Compares a network with the stored numbers.
+    /// Runs `network` on the stored inputs and returns the largest differences of its outputs from the stored ones.
     pub fn compare(&self, network: &Arc<Network>) -> Difference {
         let at = |floats: &[f32], robot: usize| Vec2::new(floats[2 * robot], floats[2 * robot + 1]);
         let robots = self.position.len() / 2;
@@ -54,7 +54,8 @@ impl Probe {
         Difference { robots, latent: largest(&latents.concat(), &self.latent), output: largest(&outputs, &self.output) }
     }
 
-    /// Refuses a network that computes other numbers than those stored.
+    /// Runs `network` on the stored inputs and compares its outputs with the stored ones. Returns the differences, or
+    /// an error if one exceeds `TOLERANCE` or is NaN.
     pub fn check(&self, network: &Arc<Network>) -> Result<Difference, WeightsError> {
         let difference = self.compare(network);
         for (what, difference) in [("latents", difference.latent), ("outputs", difference.output)] {
@@ -66,10 +67,11 @@ impl Probe {
     }
 }
 
-/// Makes the network of a checked file and compares it with the file's probe, if there is one.
+/// Makes the network of a checked policy file and compares its outputs with the file's test data (probe). The second
+/// value has the differences found; it is `None` if the file has no test data.
 ///
 /// # Errors
-/// If the network computes other numbers.
+/// If the network computes other numbers than those stored.
 pub fn network(mut file: PolicyFile) -> Result<(Arc<Network>, Option<Difference>), WeightsError> {
     let probe = file.probe.take();
     let network = Arc::new(Network::new(file));

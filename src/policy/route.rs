@@ -1,7 +1,7 @@
-//! Path planning through an arena for the scripted policy, with geometry and kinematics only.
+//! Path planning through an arena for scripted navigation, with geometry and kinematics only.
 //!
-//! It gives the next point to steer for, the crossings of bottlenecks, and commands from which a robot can still brake
-//! before a wall.
+//! The functions give the next point to steer for and the crossings of bottlenecks. They also limit commands so that a
+//! robot can still brake before a wall.
 
 use crate::messages::geometry::{Motion, Vec2};
 use crate::scenario::{Arena, Portal};
@@ -23,31 +23,33 @@ const MAX_BRAKING_PERIODS: u32 = 200;
 /// Number of commands tried to each side of the current velocity, along each axis, if the wanted one is unsafe.
 const SEARCH_STEPS: i8 = 4;
 
-/// The next part of a path.
+/// Next part of a robot's planned path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Leg {
-    /// Straight to the destination.
+    /// Straight to the destination of the path.
     Direct,
-    /// Through a bottleneck.
+    /// Through a bottleneck, by this crossing.
     Through(Crossing),
 }
 
-/// A crossing of a bottleneck in one direction.
+/// Crossing of a bottleneck in one direction, along the straight line between the two ends (mouths) of the bottleneck.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Crossing {
-    /// The mouth at which it begins \[m\].
+    /// Mouth of the bottleneck at which the crossing begins \[m\].
     pub entry: Vec2,
-    /// The mouth at which it ends \[m\].
+    /// Mouth of the bottleneck at which the crossing ends \[m\].
     pub exit: Vec2,
 }
 
 impl Crossing {
-    /// The point to steer for from `at` \[m\]: the exit if the straight line to it is free, else the entry.
+    /// Returns the point \[m\] for which a robot at `at` \[m\] steers in order to cross the bottleneck. It is the exit
+    /// if the straight line there is free of walls, and the entry otherwise. All points are in the frame of `arena`.
     pub fn aim(&self, arena: &Arena, at: Vec2) -> Vec2 {
         if is_free(arena, at, self.exit) { self.exit } else { self.entry }
     }
 
-    /// Distance along the path to the middle of the bottleneck \[m\]; negative after it.
+    /// Returns the length of the path \[m\] from a robot at `at` \[m\] to the middle of the bottleneck; negative beyond
+    /// the middle. All points are in the frame of `arena`.
     pub fn ahead(&self, arena: &Arena, at: Vec2) -> f32 {
         let half = (self.exit - self.entry).norm() / 2.0;
         let along = (self.exit - self.entry) / (2.0 * half);
@@ -58,14 +60,16 @@ impl Crossing {
         }
     }
 
-    /// Length of the path from `at` through the bottleneck to `to` \[m\].
+    /// Returns the length of the path \[m\] from `at` through the bottleneck to `to`, both \[m\] in the frame of
+    /// `arena`.
     pub fn path_length(&self, arena: &Arena, at: Vec2, to: Vec2) -> f32 {
         let aim = self.aim(arena, at);
         (aim - at).norm() + (self.exit - aim).norm() + (to - self.exit).norm()
     }
 
-    /// Whether a robot is going to use this crossing, through both mouths or straight through to its destination. It is
-    /// at `at` \[m\] with the direction `heading` (a unit vector) and a remaining path of `path_m` \[m\].
+    /// Returns true if a robot is going to use this crossing, through both mouths or straight through to its
+    /// destination. The robot is at `at` \[m\], moves along the unit vector `heading`, and has `path_m` \[m\] of path
+    /// left.
     pub fn is_ahead_of(&self, arena: &Arena, at: Vec2, heading: Vec2, path_m: f32) -> bool {
         let (along, middle) = (self.exit - self.entry, (self.entry + self.exit) / 2.0);
         if (self.exit - at).dot(&along) <= 0.0 {
@@ -81,14 +85,17 @@ impl Crossing {
     }
 }
 
-/// Whether the straight line between two points is free for a robot.
+/// Returns true if a robot can move along the straight line from `from` to `to` \[m\] without touching a block of
+/// `arena`. Other robots are not considered.
 pub fn is_free(arena: &Arena, from: Vec2, to: Vec2) -> bool {
     // A robot that is nearer to a block than the margin must still be able to leave it.
     let margin = |block_distance: f32| (arena.robot_radius_m + MARGIN_M).min(block_distance - 1e-3);
     arena.keep_outs.iter().all(|block| !block.blocks(from, to, margin(block.distance(from).min(block.distance(to)))))
 }
 
-/// The next leg of the path from `from` to `to` \[m\].
+/// Returns the next part of the path from `from` to `to`, both \[m\] in the frame of `arena`. It is direct if the
+/// straight line is free or if the arena has no bottleneck. Otherwise it leads through the bottleneck on the shortest
+/// path.
 pub fn next_leg(arena: &Arena, from: Vec2, to: Vec2) -> Leg {
     if is_free(arena, from, to) {
         return Leg::Direct;
@@ -131,7 +138,12 @@ fn distance_outside(arena: &Arena, point: Vec2) -> f32 {
     (point.abs() - arena.half_extent).max()
 }
 
-/// The command nearest to the wanted one after which a robot can still brake before it touches a block.
+/// Returns the velocity command \[m/s\] nearest to `wanted` \[m/s\] after which a robot can still brake before it
+/// touches a block or leaves the ground. `own` is the robot's position \[m\] and velocity \[m/s\], and `period_s` the
+/// time until the next command \[s\].
+///
+/// The result is `wanted` itself if that is safe. Otherwise the function searches a grid of commands around the current
+/// velocity; if none is safe, it returns zero.
 pub fn safe_command(arena: &Arena, own: &Motion, wanted: Vec2, period_s: f32) -> Vec2 {
     if is_safe(arena, own, wanted, period_s) {
         return wanted;

@@ -1,7 +1,7 @@
 //! The safetensors file format: a JSON header with metadata, followed by named tensors.
 //!
-//! A file is the length of its header (8 bytes, little-endian), the header, and the tensors one after the other
-//! without gaps. Everything is checked before a tensor is returned, and no allocation is larger than the file.
+//! A file starts with the length of its header (8 bytes, little-endian). The header and the tensors follow, without
+//! gaps. Everything is checked before a tensor is returned, and no allocation is larger than the file.
 
 use std::collections::BTreeMap;
 
@@ -32,26 +32,26 @@ const TYPES: [(&str, usize); 15] = [
     ("F64", 8),
 ];
 
-/// The data type of 32-bit floats.
+/// Name of the data type of 32-bit floats in a safetensors file.
 pub const F32: &str = "F32";
 
-/// The content of a checked file.
+/// Content of a safetensors file, whose header and lengths are checked.
 #[derive(Debug)]
 pub struct SafeTensors<'a> {
-    /// Metadata texts by name.
+    /// Metadata texts of the file, by name.
     pub metadata: BTreeMap<String, String>,
-    /// Tensors by name.
+    /// Tensors of the file, by name.
     pub tensors: BTreeMap<String, Tensor<'a>>,
 }
 
-/// A tensor of numbers of one data type.
+/// Tensor in a safetensors file: numbers of one data type in a row-major array.
 #[derive(Debug, PartialEq)]
 pub struct Tensor<'a> {
-    /// Data type, by its name in the file.
+    /// Name of the data type, as in the file, such as `F32`.
     pub kind: String,
-    /// Size along each axis; row-major, so the last index varies fastest.
+    /// Size of the tensor along each axis. The order is row-major, so the last index varies fastest.
     pub shape: Vec<usize>,
-    /// The numbers, little-endian; as many as the shape gives.
+    /// Bytes of the numbers, little-endian; there are as many numbers as the shape gives.
     pub data: &'a [u8],
 }
 
@@ -73,7 +73,8 @@ struct Entry {
     data_offsets: [usize; 2],
 }
 
-/// Parses a file; the error states the fault and quotes nothing of the file.
+/// Parses and checks a safetensors file, of which `bytes` is the whole content. The returned tensors borrow their data
+/// from `bytes`. The error describes the fault and quotes nothing of the file.
 pub fn read(bytes: &[u8]) -> Result<SafeTensors<'_>, String> {
     let (length, rest) = bytes.split_first_chunk::<LENGTH_BYTES>().ok_or("it is shorter than 8 bytes")?;
     let length = u64::from_le_bytes(*length);
@@ -104,10 +105,10 @@ pub fn read(bytes: &[u8]) -> Result<SafeTensors<'_>, String> {
     Ok(SafeTensors { metadata: header.metadata.unwrap_or_default(), tensors })
 }
 
-/// Returns the bytes of a file, with the tensors in the order of their names.
+/// Returns the bytes of a safetensors file with this content; the tensors are in the order of their names.
 ///
 /// # Panics
-/// If a tensor has an unknown data type, or data of a length that its shape does not give.
+/// If a tensor has an unknown data type, or if its data do not have the length that its shape gives.
 pub fn write(file: &SafeTensors) -> Vec<u8> {
     let mut at = 0;
     let tensors = file.tensors.iter().map(|(name, Tensor { kind, shape, data })| {

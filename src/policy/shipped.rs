@@ -1,6 +1,7 @@
-//! Files of the trained policies that are built into the program. `policies/README.md` says how they were made.
+//! Files of the trained policies that are built into the program. `policies/README.md` describes how they were trained.
 
-/// The file of the default policy for a scenario, if there is one.
+/// Returns the content of the policy file of the default trained policy for the scenario named `scenario`. `None` means
+/// that no such policy is built in.
 pub fn shipped(scenario: &str) -> Option<&'static [u8]> {
     match scenario {
         "passage" => Some(include_bytes!("../../policies/passage.safetensors")),
@@ -8,7 +9,9 @@ pub fn shipped(scenario: &str) -> Option<&'static [u8]> {
     }
 }
 
-/// The file of the policy for a scenario that was trained for the paper's conditions: lock step, perfect messages.
+/// Returns the content of the policy file trained under the conditions of the paper arXiv 2111.01777: robots act in
+/// lock step, and every message arrives. `scenario` is the scenario's name; `None` means that no such policy is built
+/// in.
 pub fn published(scenario: &str) -> Option<&'static [u8]> {
     match scenario {
         "passage" => Some(include_bytes!("../../policies/passage-published.safetensors")),

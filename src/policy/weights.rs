@@ -1,9 +1,9 @@
-//! Reading and writing of policy files: safetensors with a manifest, checked completely.
+//! Reading and writing of policy files: safetensors with a manifest (metadata), checked completely.
 //!
-//! Tensors are `encoder.N.weight` \[out, in\] and `encoder.N.bias` \[out\], likewise `message` and `update`, with N
-//! counting 0, 2, 4, ... as in a PyTorch `Sequential` with its ReLUs. The published file calls the latter two
-//! `gnn` and `post` and has no manifest. Tensors `probe.*` are a [`Probe`]. No file is opened here: the caller passes
-//! its bytes.
+//! The tensors of the encoder are `encoder.N.weight` \[out, in\] and `encoder.N.bias` \[out\]; those of the networks
+//! `message` and `update` are named likewise. N counts 0, 2, 4, ... as in a PyTorch `Sequential` with its ReLUs. The
+//! file published with the paper arXiv 2111.01777 calls these two networks `gnn` and `post` and has no manifest.
+//! Tensors `probe.*` are a [`Probe`]. No file is opened here: the caller passes the bytes of the file.
 
 use std::collections::BTreeMap;
 
@@ -25,121 +25,131 @@ const PROBE: &str = "probe.";
 const PROBE_TENSORS: [&str; 6] =
     ["probe.position", "probe.velocity", "probe.goal", "probe.age", "probe.latent", "probe.output"];
 
-/// Inputs and outputs of a team in which every robot has a message of every other. Row-major, one row per robot.
+/// Test data in a policy file: inputs for a team of robots and the network's correct outputs for them. The program that
+/// exported the policy stored them. Every robot has a message of every other one. All lists are row-major, with one row
+/// per robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Probe {
-    /// Positions \[m\], policy frame: \[robots, 2\].
+    /// Positions of the robots \[m\], with shape \[robots, 2\], in the policy frame (the world frame, possibly rotated
+    /// by half a turn).
     pub position: Vec<f32>,
-    /// Velocities \[m/s\], policy frame: \[robots, 2\].
+    /// Velocities of the robots \[m/s\], with shape \[robots, 2\], in the policy frame (the world frame, possibly
+    /// rotated by half a turn).
     pub velocity: Vec<f32>,
-    /// Goals \[m\], policy frame: \[robots, 2\].
+    /// Goals of the robots \[m\], with shape \[robots, 2\], in the policy frame (the world frame, possibly rotated by
+    /// half a turn).
     pub goal: Vec<f32>,
-    /// Ages of messages \[s\], by receiver and then by sender: \[robots, robots\].
+    /// Ages of the messages \[s\], with shape \[robots, robots\]: the row is the receiver, the column the sender.
     pub age_s: Vec<f32>,
-    /// Latents: \[robots, features\].
+    /// Correct latents (the messages that the encoder makes of a robot's observation), with shape \[robots, features\].
     pub latent: Vec<f32>,
-    /// Raw outputs, \[mean_x, mean_y, log_std_x, log_std_y\]: \[robots, 4\].
+    /// Correct raw outputs of the network, mean_x, mean_y, log_std_x and log_std_y of a velocity \[m/s\], with shape
+    /// \[robots, 4\].
     pub output: Vec<f32>,
 }
 
 impl Probe {
-    /// Largest number of robots in a probe.
+    /// Largest number of robots in a policy file's test data.
     pub const MOST_ROBOTS: usize = 64;
 }
 
-/// The content of a checked policy file.
+/// Content of a policy file that has been checked: metadata, weights and test data.
 #[derive(Debug)]
 pub struct PolicyFile {
-    /// The file's manifest, or the assumed one.
+    /// Manifest (metadata) of the policy file. For a file without a manifest, it is that of the policy published with
+    /// the paper arXiv 2111.01777.
     pub manifest: Manifest,
-    /// Assumptions made because the file has no manifest or an incomplete one, as text for the user.
+    /// Assumptions made because the file has no manifest or an incomplete one, as text for the user; `None` if nothing
+    /// was assumed.
     pub assumed: Option<String>,
-    /// Digest of the whole file (first 64 bits of its BLAKE3 hash, in hexadecimal).
+    /// Digest of the whole file: the first 64 bits of its BLAKE3 hash, in hexadecimal.
     pub digest: String,
-    /// Encoder, message network and update network.
+    /// The three networks of the policy: encoder, message network and update network.
     pub networks: [Mlp; 3],
-    /// Inputs and outputs to compare the networks with, if the file has them.
+    /// Test data with which the networks are to be compared; `None` if the file has none.
     pub probe: Option<Probe>,
 }
 
 /// Error of a file that is not a valid policy file.
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
-    /// The file is not in the safetensors format, or is truncated.
+    /// The file is not in the safetensors format, or is truncated; the text describes the fault.
     #[error("not a complete safetensors file: {0}")]
     Format(String),
-    /// The manifest cannot be parsed or is inconsistent.
+    /// The manifest (the file's metadata about the policy) cannot be parsed or is inconsistent; the text describes the
+    /// fault.
     #[error("the manifest (metadata key '{key}') is wrong: {0}", key = manifest::KEY)]
     Manifest(String),
-    /// A tensor is missing.
+    /// The file lacks a tensor of the network.
     #[error("the tensor '{name}' is missing; expected one of shape {expected:?}{hint}")]
     Missing {
-        /// Name of the tensor.
+        /// Name of the missing tensor.
         name: String,
-        /// The correct shape.
+        /// Shape that the tensor should have: its size along each axis.
         expected: Vec<usize>,
-        /// Possible cause, as the end of the message.
+        /// Possible cause, which ends the error message; may be empty.
         hint: &'static str,
     },
-    /// A tensor has the wrong shape.
+    /// A tensor does not have the shape that the manifest requires.
     #[error("the tensor '{name}' has shape {found:?}; expected {expected:?}")]
     Shape {
         /// Name of the tensor.
         name: String,
-        /// The tensor's shape.
+        /// Shape of the tensor in the file: its size along each axis.
         found: Vec<usize>,
-        /// The correct shape.
+        /// Shape that the tensor should have: its size along each axis.
         expected: Vec<usize>,
     },
-    /// A tensor is not of 32-bit floats.
+    /// A tensor does not consist of 32-bit floats.
     #[error("the tensor '{name}' holds {found}; expected F32 of shape {expected:?}")]
     Type {
         /// Name of the tensor.
         name: String,
-        /// The tensor's data type.
+        /// Data type of the tensor in the file, such as `F16`.
         found: String,
-        /// The correct shape.
+        /// Shape that the tensor should have: its size along each axis.
         expected: Vec<usize>,
     },
-    /// A tensor holds NaN or infinity.
+    /// A tensor contains NaN or infinity.
     #[error("the tensor '{name}' of shape {expected:?} holds {value} at index {index}; expected finite numbers")]
     NotFinite {
         /// Name of the tensor.
         name: String,
-        /// The tensor's shape.
+        /// Shape of the tensor: its size along each axis.
         expected: Vec<usize>,
-        /// Index of the value, row-major.
+        /// Index of the first number that is not finite, in row-major order from zero.
         index: usize,
-        /// The value.
+        /// The number that is not finite.
         value: f32,
     },
-    /// A tensor is not part of the network.
+    /// The file contains a tensor, named here, that is not part of the network.
     #[error("the tensor '{0}' is not part of the network; remove it from the file")]
     Unknown(String),
-    /// The network computes other numbers than those stored with it.
+    /// The network computes other numbers than those that the exporter of the policy stored in the file.
     #[error(
         "its probe does not match: the network's {what} differ by up to {difference:.1e} from those in the file, more \
          than {tolerance:.0e}; the usual causes are another activation, another aggregation, or inputs in another order"
     )]
     Probe {
-        /// The outputs that differ: latents or outputs.
+        /// Kind of numbers that differ: `latents` (the broadcast messages) or `outputs` (the parameters of the action).
         what: &'static str,
-        /// The largest difference.
+        /// Largest difference found, relative to stored numbers above 1.
         difference: f32,
-        /// The largest difference that is accepted.
+        /// Largest difference that is accepted.
         tolerance: f32,
     },
-    /// The hash of the tensors differs from that in the manifest.
+    /// The hash of the file's tensors differs from the hash in the manifest, so the file was changed.
     #[error("the tensors' SHA-256 begins with {found:.16} and is not that of the manifest: the file was changed")]
     Hash {
-        /// SHA-256 of the tensors, in hexadecimal.
+        /// SHA-256 of the tensors in the file, in hexadecimal.
         found: String,
-        /// SHA-256 in the manifest.
+        /// SHA-256 that the manifest states, in hexadecimal.
         expected: String,
     },
 }
 
-/// Reads and checks a policy file.
+/// Parses and checks a policy file, of which `bytes` is the whole content. An error describes the first fault found.
+/// The networks are not compared with the file's test data; `probe::network` does that.
 pub fn read(bytes: &[u8]) -> Result<PolicyFile, WeightsError> {
     let SafeTensors { metadata, tensors } = safetensors::read(bytes).map_err(WeightsError::Format)?;
     let (manifest, names, assumed) = match metadata.get(manifest::KEY) {
@@ -263,13 +273,15 @@ fn hash(tensors: &TensorsByName) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Row-major weights \[out, in\] and biases \[out\] by layer, for the encoder, the message and the update network.
+/// Weights and biases of a policy's three networks: encoder, message network and update network. Each network is a list
+/// of layers, and each layer a pair of row-major weights \[out, in\] and biases \[out\].
 pub type Tensors = [Vec<(Vec<f32>, Vec<f32>)>; 3];
 
-/// Returns the bytes of a policy file, with the manifest's hash filled in.
+/// Returns the bytes of a policy file with this manifest and these weights. The field `sha256` of the manifest is
+/// replaced by the hash of the weights.
 ///
 /// # Panics
-/// If the tensors do not have the manifest's shapes.
+/// If the weights do not have the shapes that the manifest states.
 pub fn write(manifest: &Manifest, tensors: &Tensors) -> Vec<u8> {
     let widths = [&manifest.encoder, &manifest.message, &manifest.update];
     let mut entries: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();

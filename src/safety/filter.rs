@@ -1,7 +1,7 @@
-//! The safety filter: limits of a velocity along directions, from the geofence and from neighbours.
+//! The safety filter: limits of a robot's velocity along directions, from the geofence and from neighbours.
 //!
 //! A limit is never below zero: the filter removes velocity and never adds any, so standing still satisfies all limits.
-//! A first-order form of the safety barrier certificates of Wang, Ames, Egerstedt, IEEE T-RO 2017.
+//! The filter is a first-order form of the safety barrier certificates of Wang, Ames, Egerstedt, IEEE T-RO 2017.
 
 use crate::messages::geometry::{Motion, Vec2};
 
@@ -10,12 +10,12 @@ const ROUNDS: usize = 8;
 /// Tolerated violation of a limit \[m/s\].
 const TOLERANCE_M_S: f32 = 1e-4;
 
-/// Upper bound of the velocity component along a direction.
+/// Upper bound of the component of a robot's velocity along one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
-    /// Direction, a unit vector, world frame.
+    /// Direction of the bounded component: a unit vector, world frame.
     pub along: Vec2,
-    /// Upper bound \[m/s\], zero or more.
+    /// Upper bound of the component \[m/s\], zero or more.
     pub most_m_s: f32,
 }
 
@@ -25,7 +25,8 @@ impl Limit {
     }
 }
 
-/// Projects a velocity onto the limits in turn; returns zero if `ROUNDS` passes do not satisfy all of them.
+/// Returns `velocity` \[m/s\], world frame, reduced until it satisfies all `limits`. The function projects the velocity
+/// onto each limit in turn. If eight passes over all limits do not suffice, it returns zero.
 pub fn limited(velocity: Vec2, limits: &[Limit]) -> Vec2 {
     let mut result = velocity;
     for _ in 0..ROUNDS {
@@ -44,14 +45,15 @@ pub fn limited(velocity: Vec2, limits: &[Limit]) -> Vec2 {
     Vec2::zeros()
 }
 
-/// Returns the distance of a point beyond a ground of this half extent, the larger of both axes; negative inside
-/// \[m\].
+/// Returns the distance of `point` beyond a ground centred at the origin, the larger of both axes \[m\]; negative
+/// inside. `half_extent` is half the size of the ground along x and y \[m\].
 pub fn distance_outside(half_extent: Vec2, point: Vec2) -> f32 {
     (point.x.abs() - half_extent.x).max(point.y.abs() - half_extent.y)
 }
 
-/// Returns limits that keep a robot at `position` from passing an edge at plus or minus `edge` \[m\] within
-/// `horizon_s` \[s\]. A robot outside may still return.
+/// Returns the limits of velocity that keep a robot from passing a rectangular boundary (geofence) within `horizon_s`
+/// \[s\]. `edge` is the distance of the boundary from the origin along x and y \[m\], and `position` the robot's
+/// position \[m\], world frame. A robot outside may still return.
 pub fn geofence(edge: Vec2, horizon_s: f32, position: Vec2) -> [Limit; 4] {
     [Vec2::x(), -Vec2::x(), Vec2::y(), -Vec2::y()].map(|along| {
         let room = edge.dot(&along.abs()) - position.dot(&along);
@@ -59,8 +61,11 @@ pub fn geofence(edge: Vec2, horizon_s: f32, position: Vec2) -> [Limit; 4] {
     })
 }
 
-/// Returns the limit of the approach toward a neighbour: the speed at which the neighbour moves away, plus `gain_per_s`
-/// \[1/s\] times the distance between them beyond `min_m` \[m\].
+/// Returns the limit of a robot's velocity toward a neighbour. `position` is the robot's position \[m\], and
+/// `neighbour` the neighbour's position and velocity \[m, m/s\], world frame.
+///
+/// The bound is the speed at which the neighbour moves away, plus `gain_per_s` \[1/s\] times the distance beyond
+/// `min_m` \[m\]. At or below the distance `min_m` the bound is zero.
 pub fn separation(position: Vec2, neighbour: Motion, min_m: f32, gain_per_s: f32) -> Limit {
     let offset = neighbour.position - position;
     // Coincident centres define no direction; any will do.

@@ -1,9 +1,9 @@
-//! Guard: the state machine between the policy's velocity and the motors. Every motor command of a robot is a `Granted`
-//! velocity, and only a guard can make one.
+//! Guard: the state machine between a robot's policy and its motors. Every motor command is a `Granted` velocity, and
+//! only a guard can make one.
 //!
-//! A guard stops the robot while a trigger lasts, aborts a running episode, or stays latched until it is re-armed;
-//! `Trigger` says which. It reads no clock: the time is an argument, and `wake_at` is its next deadline. The Body
-//! expires the last command by itself, even if this guard has died.
+//! Depending on the trigger, a guard stops the robot while the trigger lasts, aborts a running episode, or stays
+//! latched until a re-arm. It reads no clock: the time is an argument, and `wake_at` is its next deadline. The Body,
+//! the actor of the motors, expires the last command by itself, even if the guard has died.
 
 use std::collections::BTreeMap;
 use std::iter::Sum;
@@ -21,26 +21,33 @@ use crate::messages::wire::Stop;
 use crate::time::{Span, Time};
 use crate::world::Clamp;
 
-/// Reason for stopping or slowing a robot.
+/// Condition for which a guard stops or slows its robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trigger {
-    /// The emergency stop is engaged, or the team is held after it: stops until a resume.
+    /// The emergency stop is engaged, or the team is held after it. The guard stops the robot until an operator's
+    /// resume and aborts a running episode.
     Stop,
-    /// The state server is silent: stops until it is heard again; a running episode is aborted.
+    /// The state server, which leads the episodes, is silent. The guard stops the robot until the next message and
+    /// aborts a running episode.
     Silence,
-    /// The policy's output was not finite: stops until the next instruction; a running episode is aborted.
+    /// The policy's output was not finite. The guard stops the robot until the state server's next instruction and
+    /// aborts a running episode.
     Output,
-    /// A control tick is late or missing: stops until one is in time.
+    /// A control tick (periodic step of the policy) is late or missing. The guard stops the robot until a tick is in
+    /// time.
     LateTick,
-    /// The robot's own state is too old: stops until a new reading has led to an action.
+    /// The newest reading of the robot's own state is too old. The guard stops the robot until a new reading has led to
+    /// an action.
     OwnState,
-    /// Battery or temperature is beyond its limit: stops while that lasts; a running episode is aborted.
+    /// Battery or temperature is beyond its limit. The guard stops the robot while that lasts and aborts a running
+    /// episode.
     Hardware,
-    /// The robot is far outside its ground: stops while that lasts; a running episode is aborted.
+    /// The robot is far outside its ground. The guard stops the robot while that lasts and aborts a running episode.
     Outside,
-    /// The command would cross the geofence: the outward component of the velocity is removed.
+    /// The command would cross the geofence. The guard removes the outward component of the velocity.
     Fence,
-    /// The command would violate the minimum distance to a neighbour: the component toward it is removed.
+    /// The command would violate the minimum distance to a neighbour. The guard removes the component of the velocity
+    /// toward it.
     Distance,
 }
 
@@ -56,27 +63,27 @@ impl Trigger {
     }
 }
 
-/// Activations of each trigger.
+/// Number of activations of each safety trigger, for one robot or summed over robots.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct SafetyCounts {
-    /// The emergency stop was engaged.
+    /// Number of times that the emergency stop became active.
     pub stop: u64,
-    /// The state server fell silent.
+    /// Number of times that the state server fell silent.
     pub silence: u64,
-    /// A policy's output was not finite.
+    /// Number of times that a policy's output became not finite.
     pub output: u64,
-    /// A control tick was late or missing.
+    /// Number of times that control ticks began to be late or missing.
     pub late_tick: u64,
-    /// A robot's own state became too old.
+    /// Number of times that a robot's own state became too old.
     pub own_state: u64,
-    /// A robot's battery or temperature went beyond its limit.
+    /// Number of times that a robot's battery or temperature went beyond its limit.
     pub hardware: u64,
-    /// A robot was far outside its ground.
+    /// Number of times that a robot came far outside its ground.
     pub outside: u64,
-    /// The geofence limited a command.
+    /// Number of times that the geofence began to limit commands.
     pub fence: u64,
-    /// The minimum distance to a neighbour limited a command.
+    /// Number of times that the minimum distance to neighbours began to limit commands.
     pub distance: u64,
 }
 
@@ -97,7 +104,7 @@ impl SafetyCounts {
 }
 
 impl SafetyCounts {
-    /// Returns the nonzero counts, each with a text for its trigger.
+    /// Returns the counts above zero, each with a short name of its trigger for reports.
     pub fn reasons(&self) -> impl Iterator<Item = (u64, &'static str)> {
         let all = [
             (self.stop, "emergency stops"),
@@ -130,44 +137,44 @@ impl Sum for SafetyCounts {
     }
 }
 
-/// Velocity that a guard has approved.
+/// Velocity that a guard has approved; only such a velocity becomes a motor command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Granted(Vec2);
 
 impl Granted {
-    /// The velocity \[m/s\], world frame.
+    /// Returns the approved velocity \[m/s\], world frame.
     pub fn velocity(self) -> Vec2 {
         self.0
     }
 }
 
-/// Decision of a guard on one action or deadline.
+/// Decision of a guard on one action of the policy or on one deadline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Decision {
-    /// Drive with this velocity.
+    /// The robot may drive at this velocity.
     Drive(Granted),
-    /// Stop while the trigger lasts.
+    /// The robot has to stop while the trigger lasts; the episode continues.
     Stop,
-    /// Stop, and abort a running episode.
+    /// The robot has to stop, and a running episode has to be aborted.
     Abort,
 }
 
-/// Configuration of a guard.
+/// Configuration of the guard of one robot.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
-    /// Thresholds of the triggers.
+    /// Thresholds of the triggers that stop or slow the robot.
     pub safety: Safety,
-    /// Half extent of the robot's ground along x and y \[m\], world frame, centred at the origin.
+    /// Half the size of the robot's ground along x and y \[m\], world frame; the ground is centred at the origin.
     pub half_extent: Vec2,
-    /// Largest speed along each axis \[m/s\].
+    /// Largest commanded speed along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// Limit of the policy's velocity against the measured one, in episodes and in resets.
+    /// Limit of the policy's velocity, possibly relative to the measured one, in episodes and in resets.
     pub clamp: Clamp,
-    /// Control period of the policy.
+    /// Time between two control ticks, the steps of the policy.
     pub period: Span,
 }
 
-/// Guard of one robot.
+/// Guard of one robot: the state machine that alone turns the policy's velocities into approved motor commands.
 #[derive(Debug)]
 pub struct Guard {
     config: Config,
@@ -190,7 +197,7 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Returns a guard that has received nothing yet, and so stops the robot.
+    /// Returns a guard with this configuration that has received nothing yet, and so stops the robot.
     pub fn new(config: Config) -> Guard {
         Guard {
             config,
@@ -206,23 +213,24 @@ impl Guard {
         }
     }
 
-    /// Returns its state of the emergency stop.
+    /// Returns the state of the emergency stop that this guard follows: clear, engaged, or held after a re-arm.
     pub fn latch(&self) -> Latch {
         self.latch.latch()
     }
 
-    /// Returns the activations of each trigger.
+    /// Returns how often each trigger has become active in this guard.
     pub fn counts(&self) -> SafetyCounts {
         self.counts
     }
 
-    /// Applies an operator's stop or re-arm; true if the latch has changed.
+    /// Applies an operator's emergency stop or re-arm; returns true if the guard's state of the stop has changed.
     pub fn apply_stop(&mut self, stop: &Stop) -> bool {
         let before = self.latch();
         self.latch.apply(stop.latch) && self.changed(before)
     }
 
-    /// Merges the latch that the state server repeats; true if the own latch has changed.
+    /// Applies the state of the emergency stop that the state server repeats; returns true if the guard's own state has
+    /// changed.
     pub fn learn_latch(&mut self, latch: Latch) -> bool {
         let before = self.latch();
         self.latch.update(latch) && self.changed(before)
@@ -245,36 +253,38 @@ impl Guard {
         true
     }
 
-    /// Notes a message of the state server.
+    /// Records that a message of the state server has arrived at time `now`, which ends its silence.
     pub fn server_heard(&mut self, now: Time) {
         self.server = Some(now);
         self.end(Trigger::Silence);
     }
 
-    /// Notes a new instruction of the state server.
+    /// Records that the state server has given a new instruction, which ends a stop for an invalid policy output.
     pub fn new_instruction(&mut self) {
         self.invalid_output = false;
         self.end(Trigger::Output);
     }
 
-    /// Notes whether battery or temperature is beyond its limit.
+    /// Takes the decision of the robot's hardware limits; the guard stops the robot while the permit is withdrawn.
     pub fn hardware(&mut self, permit: Permit) {
         self.unfit = permit == Permit::Withdrawn;
         self.set(Trigger::Hardware, self.unfit);
     }
 
-    /// Returns the zero velocity, which is always granted.
+    /// Returns the approved velocity zero, which is always granted, for the Controller to stop the robot.
     pub fn stop(&mut self) -> Granted {
         self.driving = None;
         Granted(Vec2::zeros())
     }
 
-    /// Notes the arrival of a new reading of the robot.
+    /// Records that a new reading of the robot's own state has arrived at time `now`.
     pub fn own_state(&mut self, now: Time) {
         self.own = Some(now);
     }
 
-    /// Decides on an action that belongs to the current phase of the episode.
+    /// Decides at time `now` on an action of the policy, which must belong to the current phase of the episode. The
+    /// robot may drive at the action's velocity, limited in speed and by geofence and neighbours, unless a trigger
+    /// forbids motion.
     pub fn decide(&mut self, now: Time, action: &Action) -> Decision {
         self.remember(now, action);
         let Config { clamp, limit_m_s, .. } = self.config;
@@ -384,12 +394,13 @@ impl Guard {
         [silence, own, tick].into_iter().flatten().min_by_key(|(at, _)| *at)
     }
 
-    /// Returns the next deadline.
+    /// Returns the next time at which the guard stops the robot if nothing arrives before; `None` if there is none.
     pub fn wake_at(&self) -> Option<Time> {
         self.deadline().map(|(at, _)| at)
     }
 
-    /// Handles a deadline that has passed at `now`; none if there is none.
+    /// Handles the earliest deadline that has passed at time `now`. Returns the decision to stop; `None` if none has
+    /// passed.
     pub fn wake(&mut self, now: Time) -> Option<Decision> {
         let (_, trigger) = self.deadline().filter(|(at, _)| *at <= now)?;
         if trigger == Trigger::Silence {

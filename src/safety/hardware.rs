@@ -1,29 +1,33 @@
-//! Limits of a robot's battery and temperature. Beyond them its Body stands, whatever it is commanded.
+//! Limits of a robot's battery charge and temperature. Beyond them, the robot's Body (the actor of its motors) keeps
+//! the robot at rest, whatever it is commanded.
 //!
-//! A robot that stands for its battery or its temperature moves again only once the value is better by a margin. So one
-//! at the limit does not start again whenever its motors are off.
+//! A robot that was stopped moves again only once the value is better than the limit by a margin. Without the margin, a
+//! robot at the limit would start again whenever its motors are off.
 
 use crate::chassis::Settings;
 use crate::config::ConfigError;
 use crate::messages::wire::{Celsius, Hardware, Health};
 
-/// Charge above the least at which a robot may move again \[%\]. Own choice: the charge that a pack shows rises by some
-/// percent once its motors are off, and it has to be charged or changed.
+/// Recovery margin of the battery \[%\]: a robot that was stopped for its battery moves again at this much above the
+/// least permitted charge. The value is a choice of this project. The charge that a battery shows rises by some percent
+/// once the motors are off, without being charged.
 pub const RECOVERED_PERCENT: u8 = 10;
-/// Temperature below the highest at which a robot may move again \[°C\]. Own choice, as for the charge.
+/// Recovery margin of the temperature \[°C\]: a robot that was stopped for its temperature moves again at this much
+/// below the highest permitted temperature. The value is a choice of this project.
 pub const RECOVERED_C: i16 = 10;
 
-/// Limits of one robot; none where it is not limited.
+/// Limits of one robot's battery charge and temperature, beyond which it may not move.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct HardwareLimits {
-    /// Charge at which it stands \[%\].
+    /// Battery charge at or below which the robot is stopped \[%\]; `None` for no limit.
     pub battery_least: Option<u8>,
-    /// Temperature at which it stands.
+    /// Temperature at or above which the robot is stopped; `None` for no limit.
     pub temperature_most: Option<Celsius>,
 }
 
 impl HardwareLimits {
-    /// The limits in the settings of a robot. An error names the wrong one.
+    /// Returns the limits in a robot's chassis settings (`battery_least` and `temperature_most_c`). A setting that is
+    /// left out gives no limit. An error names the setting that is out of range.
     pub fn of(settings: &Settings) -> Result<HardwareLimits, ConfigError> {
         let battery_least = settings.battery_least.map(|least| match least {
             0.0..=1.0 => Ok((least * 100.0).round() as u8),
@@ -40,18 +44,19 @@ impl HardwareLimits {
     }
 }
 
-/// Whether the hardware of a robot permits motion.
+/// Decision of a robot's hardware limits: whether battery and temperature permit motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Permit {
-    /// It does.
+    /// All values that have a limit are known and within it, so the robot may move.
     Granted,
-    /// A value with a limit is not known yet.
+    /// The driver has not yet reported a value that has a limit, so the robot may not move.
     Unknown,
-    /// A value is beyond its limit.
+    /// Battery or temperature is beyond its limit, or has not yet recovered by the margin, so the robot may not move.
     Withdrawn,
 }
 
-/// Battery and temperature of one robot, against their limits.
+/// Monitor of one robot's battery charge and temperature, which compares the values that its driver reports with their
+/// limits.
 #[derive(Clone, Debug)]
 pub struct HardwareWatch {
     limits: HardwareLimits,
@@ -62,12 +67,13 @@ pub struct HardwareWatch {
 }
 
 impl HardwareWatch {
-    /// Makes a watch that knows no value yet.
+    /// Makes a monitor with these limits that knows no values yet.
     pub fn new(limits: HardwareLimits) -> HardwareWatch {
         HardwareWatch { limits, battery: None, temperature: None, low: false, hot: false }
     }
 
-    /// Takes what a driver reports. A value that it leaves out stays as it was.
+    /// Takes the values of battery and temperature that a robot's driver reports. A value that the report leaves out
+    /// stays as it was.
     pub fn take(&mut self, hardware: &Hardware) {
         self.battery = hardware.battery.or(self.battery);
         self.temperature = hardware.temperature.or(self.temperature);
@@ -81,7 +87,7 @@ impl HardwareWatch {
         }
     }
 
-    /// Whether the robot may move.
+    /// Returns whether battery and temperature permit the robot to move.
     pub fn permit(&self) -> Permit {
         let known = |limited: bool, known: bool| !limited || known;
         match () {
@@ -92,7 +98,7 @@ impl HardwareWatch {
         }
     }
 
-    /// Reason for which the robot may not move, with what to do; none if it may.
+    /// Returns the reason why the robot may not move, with what to do, as text for the operator; `None` if it may move.
     pub fn reason(&self) -> Option<String> {
         let HardwareLimits { battery_least, temperature_most } = self.limits;
         match self.permit() {
@@ -115,7 +121,8 @@ impl HardwareWatch {
         }
     }
 
-    /// Condition to report: a fault where a value is beyond its limit, and otherwise the condition by the driver.
+    /// Returns the condition to report for the driver's report `hardware`. If a value is beyond its limit and the
+    /// driver calls the robot ready, the condition is a fault with the reason. Otherwise it is the driver's own.
     pub fn judged(&self, hardware: Hardware) -> Hardware {
         match self.permit() {
             Permit::Withdrawn if hardware.health == Health::Ready => {

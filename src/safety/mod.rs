@@ -1,8 +1,8 @@
-//! Safety on the robot's side: stopping and slowing it, independently of policy and operator. `guard` is the state
-//! machine, `filter` the safety filter of commands, `hardware` the limits of battery and temperature; this file holds
-//! the configuration.
+//! Safety on the robot's side: stopping and slowing a robot, independently of policy and operator.
 //!
-//! `docs/safety.md` has every trigger in one table. There is no actor and no clock here: the Controller owns a guard.
+//! `guard` is the state machine between policy and motors, and `filter` limits its commands. `hardware` has the limits
+//! of battery and temperature; this file has the configuration. `docs/safety.md` has every trigger in one table. There
+//! is no actor and no clock here: the Controller, an actor, owns a guard.
 
 pub mod filter;
 pub mod guard;
@@ -12,45 +12,50 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{self, ConfigError};
 
-/// State of a safety trigger.
+/// State of a safety trigger, a condition that stops or slows a robot: monitored or ignored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Switch {
-    /// The trigger is monitored.
+    /// The trigger is monitored, and acts on the robot.
     On,
-    /// The trigger is ignored.
+    /// The trigger is ignored, and never acts on the robot.
     Off,
 }
 
-/// Thresholds of the safety triggers. Fields missing from a file have the values for real hosts.
+/// Thresholds of the safety triggers, the conditions that stop or slow a robot. A field that is missing in a file has
+/// its value for real hosts (`Safety::deployed`).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Safety {
-    /// Maximum age of the robot's newest reading \[s\]. Beyond it there is no estimate, and the agent does not step.
+    /// Maximum age \[s\] of the newest measurement of the robot's own state. Beyond it there is no estimate of the
+    /// state, and the policy does not step.
     pub own_state_s: f64,
-    /// Whether the robot is then stopped at once; otherwise its last command expires.
+    /// Whether a robot whose own state is too old (`own_state_s`) is stopped at once. If off, the robot drives on until
+    /// its last command expires.
     pub own_state: Switch,
-    /// Maximum delay of a control tick's command behind the tick's due time \[s\].
+    /// Maximum delay \[s\] of a policy's command behind the time at which its control tick (periodic step) was due.
     pub late_tick_s: f64,
-    /// Whether later or missing ticks stop the robot.
+    /// Whether a control tick that is missing or later than `late_tick_s` stops the robot.
     pub late_tick: Switch,
-    /// Maximum time without a message of the state server \[s\].
+    /// Maximum time \[s\] without a message of the state server, which leads the episodes. After it the robot is
+    /// stopped.
     pub silence_s: f64,
-    /// Whether the geofence is enforced.
+    /// Whether the geofence is enforced: a boundary outside the ground that a robot may not cross.
     pub geofence: Switch,
-    /// Distance of the geofence beyond the edge of the ground \[m\].
+    /// Distance of the geofence beyond the edge of the robot's ground \[m\].
     pub geofence_margin_m: f32,
-    /// Time horizon within which no command may carry the robot's centre past the geofence \[s\].
+    /// Time horizon of the geofence \[s\]: no command may carry the robot's centre past the geofence within this time.
     pub geofence_horizon_s: f32,
-    /// Distance of the estimated position beyond the edge of the ground at which the robot is stopped \[m\].
+    /// Distance of the robot's estimated position beyond the edge of its ground \[m\] from which the robot is stopped.
     pub geofence_stop_m: f32,
-    /// Whether a minimum distance to neighbours is enforced.
+    /// Whether a minimum distance to neighbouring robots (`distance_min_m`) is enforced.
     pub distance: Switch,
-    /// Minimum distance between the centres of two robots \[m\].
+    /// Minimum distance between the centres of two robots \[m\], for the limit of their approach.
     pub distance_min_m: f32,
-    /// Maximum approach speed for each metre beyond the minimum distance \[1/s\].
+    /// Maximum speed of approach to a neighbour for each metre of distance beyond the minimum \[1/s\].
     pub distance_gain_per_s: f32,
-    /// Maximum age of a neighbour's last known position \[s\]; older ones are ignored.
+    /// Maximum age of a neighbour's last known position \[s\]. An older position is ignored in keeping the minimum
+    /// distance.
     pub distance_age_s: f64,
 }
 
@@ -80,7 +85,8 @@ impl Safety {
         }
     }
 
-    /// Returns the settings for emulation: only the triggers that the paper's experiments had.
+    /// Returns the settings for emulation, in which only the triggers of the experiments in the paper arXiv 2111.01777
+    /// are monitored. Age of the own state, late ticks, geofence and minimum distance are off.
     pub const fn emulated() -> Safety {
         Safety {
             own_state: Switch::Off,
@@ -91,14 +97,16 @@ impl Safety {
         }
     }
 
-    /// Reads settings from TOML and checks them; an error names the field.
+    /// Reads settings from TOML and checks them. Missing fields have their values for real hosts (`Safety::deployed`);
+    /// an error names the wrong field.
     pub fn from_toml(text: &str) -> Result<Safety, ConfigError> {
         let safety: Safety = config::from_toml(text)?;
         safety.check()?;
         Ok(safety)
     }
 
-    /// Checks the range of every number; an error names the field.
+    /// Checks the range of every number, and that the robot is not stopped inside the geofence. An error names the
+    /// wrong field.
     pub fn check(&self) -> Result<(), ConfigError> {
         // The state server sends every 0.1 s, and eight messages in a row may be lost.
         let ranges = [

@@ -1,50 +1,54 @@
-//! The arena of a scenario: ground, solid blocks and the bottlenecks between them, in the world frame.
+//! The arena of a scenario: ground, solid blocks and the bottlenecks between them. All points are in one frame, usually
+//! the world frame.
 
 use crate::messages::geometry::Vec2;
 
-/// A solid, axis-aligned block.
+/// Solid, axis-aligned rectangular block in an arena, such as a part of a wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KeepOut {
-    /// Lower left corner \[m\].
+    /// Corner with the smallest x and y \[m\], world frame.
     pub min: Vec2,
-    /// Upper right corner \[m\].
+    /// Corner with the largest x and y \[m\], world frame.
     pub max: Vec2,
 }
 
-/// A bottleneck that one robot at a time can pass, along the straight line between its two ends (mouths).
+/// Bottleneck between blocks that one robot at a time can pass, along the straight line between its two ends (mouths).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Portal {
-    /// One mouth \[m\].
+    /// Mouth (end) of the bottleneck on one side \[m\], world frame.
     pub near: Vec2,
-    /// The other mouth \[m\].
+    /// Mouth (end) of the bottleneck on the other side \[m\], world frame.
     pub far: Vec2,
 }
 
-/// The ground, with its blocks and bottlenecks.
+/// Ground on which a team moves, with its solid blocks and bottlenecks. The origin is the middle of the ground.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Arena {
-    /// Half the size of the ground \[m\]: largest distance of a robot's centre from the origin along x and y.
+    /// Half the size of the ground along x and y \[m\]: largest distance of a robot's centre from the origin along each
+    /// axis.
     pub half_extent: Vec2,
-    /// Blocks that robots must not touch.
+    /// Solid blocks, which robots must not touch; empty for open ground.
     pub keep_outs: Vec<KeepOut>,
-    /// Bottlenecks between the blocks.
+    /// Bottlenecks between the blocks, through which scripted navigation plans its paths; empty if there are none.
     pub portals: Vec<Portal>,
-    /// Radius of a robot \[m\].
+    /// Radius of each robot \[m\].
     pub robot_radius_m: f32,
 }
 
 impl KeepOut {
-    /// Distance from a point to the block \[m\], zero inside.
+    /// Returns the distance from `point` \[m\], world frame, to the block \[m\]; zero inside the block.
     pub fn distance(&self, point: Vec2) -> f32 {
         (point - self.nearest(point)).norm()
     }
 
-    /// The point of the block nearest to `point` \[m\].
+    /// Returns the point of the block that is nearest to `point`, both \[m\] in the world frame; `point` itself if it
+    /// is inside.
     pub fn nearest(&self, point: Vec2) -> Vec2 {
         point.sup(&self.min).inf(&self.max)
     }
 
-    /// Whether the straight line between two points intersects the block enlarged by `margin_m` on each side.
+    /// Returns true if the straight line from `from` to `to` \[m\] intersects the block enlarged by `margin_m` \[m\] on
+    /// each side.
     pub fn blocks(&self, from: Vec2, to: Vec2, margin_m: f32) -> bool {
         // Slab method: the part of the line that is inside the enlarged block along both axes.
         let (mut enter, mut leave) = (0.0f32, 1.0f32);
@@ -67,17 +71,18 @@ impl KeepOut {
 }
 
 impl Arena {
-    /// Distance from a point to the nearest block \[m\]; infinite if there is none.
+    /// Returns the distance from `point` \[m\] to the nearest block \[m\]; infinite if the arena has no blocks.
     pub fn clearance(&self, point: Vec2) -> f32 {
         self.keep_outs.iter().map(|block| block.distance(point)).fold(f32::INFINITY, f32::min)
     }
 
-    /// The same ground for a point that is this far from the centres of robots \[m\]: their radius about it is larger.
+    /// Returns the same arena with the robots' radius larger by `ahead_m` \[m\]. It is for planning the path of a point
+    /// that lies `ahead_m` ahead of a robot's centre. The hull is within the larger radius about that point.
     pub fn about_point(&self, ahead_m: f32) -> Arena {
         Arena { robot_radius_m: self.robot_radius_m + ahead_m, ..self.clone() }
     }
 
-    /// Whether a robot's centre may be at `point` \[m\]: on the ground and touching no block.
+    /// Returns true if a robot's centre may be at `point` \[m\], world frame: on the ground and touching no block.
     pub fn admits(&self, point: Vec2) -> bool {
         point.x.abs() <= self.half_extent.x
             && point.y.abs() <= self.half_extent.y

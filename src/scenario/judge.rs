@@ -1,11 +1,12 @@
 //! The judge of an episode, which turns the states of the robots, step by step, into one verdict.
 //!
 //! An episode succeeds if every robot arrives in time, no two robots come nearer than the rules allow, and no robot
-//! touches a wall. Distances are those of the hulls' centres; a robot has arrived with the point that its policy
-//! commands, as its own agent sees it. Judging ends with the last arrival or at the time limit; later states do not
-//! count. The code is pure, and the Recorder and the trainer both use it.
+//! touches a wall. Distances between robots are those of their centres. A robot has arrived when the point that its
+//! policy commands is at the goal. Judging ends with the last arrival or at the time limit; later states do not count.
+//! The code is pure, and the Recorder (an actor) and the trainer both use it.
 //!
-//! States are the true ones of the whole team at each step, or measured ones of the robots seen in it (`sightings`).
+//! States are the true ones of the whole team at each step, or measured ones of the robots seen in the step
+//! (`sightings`).
 
 use serde::{Deserialize, Serialize};
 
@@ -16,47 +17,49 @@ use crate::messages::ids::RobotId;
 use crate::messages::local::Contacts;
 use crate::time::Span;
 
-/// Outcome of an episode. A failed one has the outcome of its first failure.
+/// Outcome of an episode. An episode with several failures has the outcome of the first one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
     /// Every robot arrived in time without a collision.
     Success,
-    /// Two robots came too near to each other.
+    /// Two robots came nearer to each other than the rules allow.
     RobotCollision,
     /// A robot touched a wall.
     WallCollision,
-    /// Not every robot arrived in time.
+    /// Not every robot arrived within the time limit.
     Timeout,
-    /// The state server aborted the episode.
+    /// The state server, which leads the episodes, aborted the episode.
     Aborted,
-    /// A robot was not measured for too long, so that its motion is unknown. Only where readings are judged.
+    /// A robot was not measured for more than one second, so that its motion is unknown. This outcome exists only where
+    /// measured states are judged, not true ones.
     Unseen,
 }
 
-/// State of one robot, as input to the judge.
+/// State of one robot in one step, as input to the judge of an episode.
 #[derive(Clone, Copy, Debug)]
 pub struct JudgedRobot {
-    /// Position of the centre of its hull \[m\], world frame.
+    /// Position of the centre of the robot's hull \[m\], world frame.
     pub position: Vec2,
-    /// Position of the point that its policy commands \[m\], world frame: the centre, unless its drive is differential.
+    /// Position of the point that the robot's policy commands \[m\], world frame: the centre, unless its drive is
+    /// differential.
     pub point: Vec2,
-    /// Contacts of this step.
+    /// Contacts of the robot with walls and other robots in this step.
     pub contacts: Contacts,
 }
 
-/// Result of judging an episode.
+/// Result of judging an episode: outcome, duration and smallest distance between robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Finding {
-    /// Outcome of the episode.
+    /// Outcome of the episode: success, or the first failure.
     pub verdict: Verdict,
-    /// Time from the start of the episode to the end of judging; for a success, to the last arrival.
+    /// Time from the start of the episode to the end of judging, which for a success is the last arrival.
     pub after: Span,
-    /// The smallest distance between two robots \[m\].
+    /// Smallest distance between the centres of two robots during the episode \[m\]; infinite for a single robot.
     pub min_separation_m: f32,
 }
 
-/// State of judging one episode.
+/// Judge of one episode, which processes the robots' states step by step and then returns the outcome.
 #[derive(Clone, Debug)]
 pub struct Judge {
     rules: Rules,
@@ -67,25 +70,33 @@ pub struct Judge {
 }
 
 impl Judge {
-    /// Makes the judge of an episode with these goals \[m\], one per robot.
+    /// Makes the judge of an episode with criteria `rules` and the robots' `goals` \[m\], world frame, in the order of
+    /// robot ids.
     pub fn new(rules: Rules, goals: Vec<Vec2>) -> Judge {
         Judge { rules, arrived: vec![false; goals.len()], goals, failure: None, min_separation_m: f32::INFINITY }
     }
 
-    /// Processes one step: all robots in the order of their ids, at time `after` since the start of the episode.
-    /// Returns the finding once judging has ended.
+    /// Processes the states of all robots at one step, in the order of robot ids. `after` is the time since the start
+    /// of the episode. Returns the finding once judging has ended, by the last arrival or the time limit; `None`
+    /// before.
+    ///
+    /// # Panics
+    /// If `robots` does not have one state per goal.
     pub fn update(&mut self, after: Span, robots: &[JudgedRobot]) -> Option<Finding> {
         assert_eq!(robots.len(), self.goals.len(), "the judge gets the states of the whole team");
         self.process(after, robots, |at| at)
     }
 
-    /// Processes one step of some robots, each with its id; the others stay as they were.
+    /// Processes the states of some robots at one step, each with its id; robots that are left out stay as they were.
+    /// `after` is the time since the start of the episode. Returns the finding once judging has ended, by the last
+    /// arrival or the time limit; `None` before.
     pub fn update_some(&mut self, after: Span, robots: &[(RobotId, JudgedRobot)]) -> Option<Finding> {
         let states: Vec<JudgedRobot> = robots.iter().map(|(_, state)| *state).collect();
         self.process(after, &states, |at| robots[at].0.index())
     }
 
-    /// Fails the episode for a reason outside of the states, unless it has failed already.
+    /// Marks the episode as failed with `verdict`, for a reason that the robots' states do not show. It has no effect
+    /// if the episode has already failed.
     pub fn fail(&mut self, verdict: Verdict) {
         self.failure.get_or_insert(verdict);
     }
@@ -112,7 +123,8 @@ impl Judge {
         Some(self.end(after, without_failure))
     }
 
-    /// The finding if the episode ends at `after`; the verdict is that of the first failure, else `without_failure`.
+    /// Returns the finding if the episode ends at the time `after` since its start. The outcome is the first failure,
+    /// or `without_failure` if there was none.
     pub fn end(&self, after: Span, without_failure: Verdict) -> Finding {
         let verdict = self.failure.unwrap_or(without_failure);
         Finding { verdict, after, min_separation_m: self.min_separation_m }

@@ -1,6 +1,6 @@
-//! Layouts of a trial's episodes: every robot's start and goal, from a scenario or from a file.
+//! Layouts of a trial's episodes: start and goal of every robot, drawn by a scenario or read from a file.
 //!
-//! A file is JSON: `{"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}`, world frame, metres.
+//! A file is JSON: `{"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}`, in metres, world frame.
 
 use std::sync::Arc;
 
@@ -13,19 +13,19 @@ use crate::messages::geometry::{Task, Vec2, is_finite};
 /// Largest distance between the start of an episode and the goal of the one before that count as equal \[m\].
 const CHAIN_M: f32 = 1e-3;
 
-/// The tasks of all robots in all episodes of a trial.
+/// Start and goal of every robot in every episode of a trial (a run of several episodes).
 #[derive(Clone, Debug)]
 pub struct Layouts {
     episodes: Arc<[Vec<Task>]>,
 }
 
-/// Error of a layout file that cannot be used.
+/// Error of a layout file (starts and goals of a trial's episodes) that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum LayoutError {
-    /// Not JSON, or a field is missing, unknown or of the wrong type.
+    /// The text is not JSON, or a field is missing, unknown or of the wrong type; the text describes the fault.
     #[error("{0}")]
     Syntax(String),
-    /// Too few episodes.
+    /// The file holds fewer episodes than are requested.
     #[error("it holds {held} episodes; {wanted} are wanted (use --episodes {held} or fewer)")]
     TooFew {
         /// Number of episodes in the file.
@@ -33,12 +33,12 @@ pub enum LayoutError {
         /// Number of episodes requested.
         wanted: usize,
     },
-    /// An episode has a wrong number of robots or an invalid start or goal.
+    /// An episode has a wrong number of robots, or a start or goal that no robot can have.
     #[error("episodes[{episode}]: {reason}")]
     Episode {
-        /// Index of the episode, from zero.
+        /// Index of the wrong episode in the file, from zero.
         episode: usize,
-        /// The fault.
+        /// Description of the fault.
         reason: String,
     },
 }
@@ -57,12 +57,13 @@ struct Entry {
 }
 
 impl Layouts {
-    /// Layouts that the scenario draws from this seed.
+    /// Returns the layouts of the first `episodes` episodes, which `scenario` draws at random from `seed`.
     pub fn of_scenario(scenario: &dyn Scenario, seed: u64, episodes: u32) -> Layouts {
         Layouts { episodes: (0..episodes).map(|episode| scenario.tasks(seed, episode)).collect() }
     }
 
-    /// Reads the first `episodes` layouts of a JSON text and checks them against the scenario.
+    /// Reads the first `episodes` layouts of a JSON text and checks them against `scenario`: team size, free starts and
+    /// goals. The text is `{"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}` in metres, world frame.
     pub fn from_json(text: &str, scenario: &dyn Scenario, episodes: u32) -> Result<Layouts, LayoutError> {
         let file: File = serde_json::from_str(text).map_err(|e| LayoutError::Syntax(config::json(&e)))?;
         let wanted = episodes as usize;
@@ -79,22 +80,26 @@ impl Layouts {
         Ok(Layouts { episodes: episodes? })
     }
 
-    /// Number of episodes.
+    /// Returns the number of episodes for which there are starts and goals.
     pub fn len(&self) -> u32 {
         u32::try_from(self.episodes.len()).expect("episodes were counted in u32")
     }
 
-    /// Whether there are no episodes.
+    /// Returns true if there are no episodes.
     pub fn is_empty(&self) -> bool {
         self.episodes.is_empty()
     }
 
-    /// The tasks of an episode, in the order of robot ids.
+    /// Returns start and goal of each robot in the episode with index `episode` (from zero), in the order of robot ids.
+    ///
+    /// # Panics
+    /// If there is no such episode.
     pub fn episode(&self, episode: u32) -> &[Task] {
         &self.episodes[episode as usize]
     }
 
-    /// Whether every episode starts at the goals of the one before, so that robots can drive there.
+    /// Returns true if every episode starts at the goals of the episode before (within 1 mm), so that robots can drive
+    /// there.
     pub fn chained(&self) -> bool {
         self.episodes.windows(2).all(|pair| {
             pair[0].iter().zip(&pair[1]).all(|(before, after)| (before.goal - after.start).norm() <= CHAIN_M)

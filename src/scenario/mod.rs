@@ -1,7 +1,8 @@
-//! Scenarios: arenas, tasks, policy frames, rewards and the rules of judging.
+//! Scenarios: tasks for robot teams, each with its arena, policy frames, reward and rules of judging.
 //!
-//! A scenario is one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. In another crate it is
-//! one line where its `Registry` is made, and [`contract::check`] tests it. Nothing here knows a policy, a network or an actor.
+//! A new scenario is one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. In another crate it
+//! is one line where that crate makes its `Registry`, and [`contract::check`] tests it. The code of this folder knows no
+//! policy, network or actor.
 
 pub mod arena;
 pub mod contract;
@@ -20,17 +21,18 @@ use crate::messages::geometry::{Motion, Task, Vec2};
 use crate::messages::local::Contacts;
 use crate::time::Span;
 
-/// Transformation between the world frame and the policy frame. Each is its own inverse.
+/// Transformation between the world frame and the policy frame. A policy's inputs and outputs are given in the policy
+/// frame, which is the world frame, possibly rotated by half a turn. Each transformation is its own inverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Frame {
     /// Identity: the policy frame is the world frame.
     World,
-    /// Rotation by half a turn about the origin.
+    /// Rotation by half a turn (180 degrees) about the origin of the world frame.
     HalfTurn,
 }
 
 impl Frame {
-    /// Transforms a point or velocity from the world frame to the policy frame, or back.
+    /// Transforms a point \[m\] or a velocity \[m/s\] from the world frame to the policy frame, or back.
     pub fn turn(self, v: Vec2) -> Vec2 {
         match self {
             Frame::World => v,
@@ -38,91 +40,109 @@ impl Frame {
         }
     }
 
-    /// Transforms position and velocity of a motion likewise.
+    /// Transforms position and velocity of a robot from the world frame to the policy frame, or back.
     pub fn turn_motion(self, motion: &Motion) -> Motion {
         Motion { position: self.turn(motion.position), velocity: self.turn(motion.velocity) }
     }
 }
 
-/// A policy's input about its own robot, in the policy frame.
+/// Input of a policy about its own robot, in the policy frame (the world frame, possibly rotated by half a turn).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// Estimated position and velocity of the robot.
+    /// Estimated position \[m\] and velocity \[m/s\] of the robot, in the policy frame (the world frame, possibly
+    /// rotated by half a turn).
     pub motion: Motion,
-    /// Goal position \[m\].
+    /// Position of the robot's goal \[m\], in the policy frame (the world frame, possibly rotated by half a turn).
     pub goal: Vec2,
 }
 
-/// Progress of a robot in an episode, for the reward: zero at the start, incremented by the scenario.
+/// Progress of a robot in an episode, as a number that only the reward uses. It is zero at the start of an episode, and
+/// the scenario increments it, for example at waypoints.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Stage(pub u8);
 
-/// Criteria for success and failure of an episode.
+/// Criteria for success and failure of an episode, by which the judge decides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rules {
-    /// Distance from its goal within which a robot has arrived \[m\]; an arrival latches.
+    /// Distance \[m\] from its goal within which a robot has arrived. A robot that leaves its goal again still counts
+    /// as arrived.
     pub arrival_m: f32,
-    /// Distance between two robots below which they have collided \[m\].
+    /// Distance \[m\] between the centres of two robots below which they have collided.
     pub separation_m: f32,
-    /// Time limit for all arrivals, from the start of the episode.
+    /// Time limit from the start of an episode, by which every robot must have arrived.
     pub limit: Span,
 }
 
-/// State of a team after a step, one entry per robot in each slice, for the reward.
+/// State of a team after a simulation step, from which a scenario computes rewards. Each slice has one entry per robot,
+/// in the order of robot ids.
 #[derive(Debug)]
 pub struct TeamAfterStep<'a> {
-    /// Tasks.
+    /// Start and goal of each robot in this episode \[m\], world frame.
     pub tasks: &'a [Task],
-    /// Positions \[m\], world frame.
+    /// Position \[m\], world frame, of the point of each robot that its policy commands: the centre, unless its drive
+    /// is differential.
     pub position: &'a [Vec2],
-    /// Velocities \[m/s\], world frame.
+    /// Velocity \[m/s\], world frame, of the point of each robot that its policy commands: the centre, unless its drive
+    /// is differential.
     pub velocity: &'a [Vec2],
-    /// Contacts in the step.
+    /// Contacts of each robot with walls and other robots in the step.
     pub contacts: &'a [Contacts],
-    /// Stages, which the reward updates.
+    /// Stage of progress of each robot, which the computation of the reward updates.
     pub stage: &'a mut [Stage],
 }
 
-/// A task for a team, with its arena, reward and rules.
+/// Task for a team of robots, with its arena, its reward and its rules of success. Positions passed to the methods are
+/// those of the commanded point. It is the centre of a holonomic robot, and a point ahead of the axle of a differential
+/// drive.
 pub trait Scenario: Debug + Send + Sync {
-    /// Name on the command line.
+    /// Returns the name by which a user selects the scenario on the command line.
     fn name(&self) -> &'static str;
 
-    /// Number of robots.
+    /// Returns the number of robots in the team.
     fn robots(&self) -> usize;
 
-    /// The arena.
+    /// Returns the arena: ground, walls and bottlenecks, in the world frame.
     fn arena(&self) -> &Arena;
 
-    /// Start and goal of every robot in an episode. Starts are the goals of the episode before.
+    /// Returns start and goal of every robot \[m\], world frame, in the order of robot ids. `seed` is the seed of the
+    /// run, and `episode` counts from 0. The starts are the goals of the episode before, so that robots can drive on.
     fn tasks(&self, seed: u64, episode: u32) -> Vec<Task>;
 
-    /// The policy frame of a robot with this task.
+    /// Returns the policy frame of a robot with start and goal `task`: the world frame, or that frame rotated by half a
+    /// turn. In this frame the robot's policy observes and commands.
     fn frame(&self, task: &Task) -> Frame;
 
-    /// The policy's observation for an estimate in the world frame; the inverse of `steer`.
+    /// Returns the policy's observation for a robot with start and goal `task`, whose estimated state is `estimate` in
+    /// the world frame. The default implementation transforms the estimate and the goal to the policy frame.
     fn observe(&self, task: &Task, estimate: &Motion) -> Observation {
         let frame = self.frame(task);
         Observation { motion: frame.turn_motion(estimate), goal: frame.turn(task.goal) }
     }
 
-    /// Transforms the policy's velocity \[m/s\] to the world frame.
+    /// Transforms a policy's output `velocity` \[m/s\] from the policy frame to the world frame, for a robot with start
+    /// and goal `task`.
     fn steer(&self, task: &Task, velocity: Vec2) -> Vec2 {
         self.frame(task).turn(velocity)
     }
 
-    /// Whether a robot at `position` \[m\] has arrived.
+    /// Returns true if a robot with start and goal `task` has arrived when it is at `position` \[m\], world frame. In
+    /// the default implementation that means within `Rules::arrival_m` of the goal.
     fn reached(&self, task: &Task, position: Vec2) -> bool {
         (task.goal - position).norm() <= self.rules().arrival_m
     }
 
-    /// The scenario's own reward of one robot for one step that ends in `after`; updates its stage. `None`, the
-    /// default, if it has none: a training then rewards progress and arrival, which need no code here.
+    /// Returns the scenario's own reward of one robot for one step of training, and updates the robot's `_stage`.
+    /// `_task` is the robot's start and goal. `_after` is the robot's state after the step, world frame, and
+    /// `_contacts` its contacts in the step.
+    ///
+    /// `None`, the default, means that the scenario has no reward of its own. Training then rewards progress and
+    /// arrival only, which need no code here.
     fn reward(&self, _task: &Task, _after: &Motion, _contacts: Contacts, _stage: &mut Stage) -> Option<f32> {
         None
     }
 
-    /// `reward` for all robots of a team: one dynamic call per team instead of one per robot, for fast rollouts.
+    /// Writes the `reward` of each robot of a team into `rewards`, in the order of robot ids; a robot without one gets
+    /// zero. The trainer calls this method once per team and step, which is faster than one dynamic call per robot.
     fn rewards(&self, team: TeamAfterStep, rewards: &mut [f32]) {
         let states = team.position.iter().zip(team.velocity).zip(team.contacts);
         for (((task, ((&position, &velocity), &contacts)), stage), reward) in
@@ -132,57 +152,61 @@ pub trait Scenario: Debug + Send + Sync {
         }
     }
 
-    /// `reached` for all robots of a team, in one call.
+    /// Writes into `reached` for each robot of a team whether it has arrived, by the method `reached`. All slices are
+    /// in the order of robot ids; `position` is in \[m\], world frame. The trainer calls this method once per team and
+    /// step.
     fn arrivals(&self, tasks: &[Task], position: &[Vec2], reached: &mut [bool]) {
         for ((task, position), reached) in tasks.iter().zip(position).zip(reached) {
             *reached = self.reached(task, *position);
         }
     }
 
-    /// Length of the remaining path of a robot at `position` \[m\] to its goal \[m\].
+    /// Returns the length \[m\] of the remaining path to the goal, for a robot with start and goal `task` at `position`
+    /// \[m\], world frame. Training rewards its decrease. The default implementation is the straight distance.
     fn distance_to_go(&self, task: &Task, position: Vec2) -> f32 {
         (task.goal - position).norm()
     }
 
-    /// Whether `stage` is the last one, after which the scenario's own reward pays for no more progress. Only tests
-    /// call it.
+    /// Returns true if `_stage` is the last stage, after which the scenario's own reward pays for no more progress.
+    /// Only tests call this method.
     fn finished(&self, _stage: Stage) -> bool {
         true
     }
 
-    /// Success rate that scripted navigation (`orca`) reaches at least with the default team in mode `sim`, 0 to 1.
-    /// `tests/graph/contracts.rs` holds the scenario to it.
+    /// Returns the success rate, 0 to 1, that scripted navigation (the policy `orca`) must reach with the scenario's
+    /// default team in mode `sim`. The test `tests/graph/contracts.rs` requires it.
     fn scripted_success(&self) -> f64 {
         0.9
     }
 
-    /// Criteria for success and failure of an episode.
+    /// Returns the criteria for success and failure of an episode.
     fn rules(&self) -> Rules;
 }
 
-/// The team sizes that a scenario supports.
+/// Team sizes that a scenario supports: a range of numbers of robots, possibly only the multiples of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TeamSizes {
-    /// Smallest number of robots.
+    /// Smallest supported number of robots.
     pub least: usize,
-    /// Largest number of robots.
+    /// Largest supported number of robots.
     pub most: usize,
-    /// Divisor of every supported number: 1 for any number, 2 for even teams only.
+    /// Divisor of every supported number of robots: 1 if every number is supported, 2 for even numbers only.
     pub multiple_of: usize,
 }
 
 impl TeamSizes {
-    /// All numbers of robots from `least` to `most`.
+    /// Returns all team sizes from `least` to `most` robots, both included.
     pub const fn new(least: usize, most: usize) -> TeamSizes {
         TeamSizes { least, most, multiple_of: 1 }
     }
 
-    /// The even numbers of robots among these sizes.
+    /// Returns the same range of team sizes, restricted to even numbers of robots.
     pub const fn even(self) -> TeamSizes {
         TeamSizes { multiple_of: 2, ..self }
     }
 
-    /// Returns `robots` if the scenario of this name supports that many.
+    /// Returns `robots` if it is a supported team size. Otherwise the error names the supported sizes and the scenario,
+    /// whose name is `scenario`.
     pub fn check(self, scenario: &'static str, robots: usize) -> Result<usize, ScenarioError> {
         let supported = (self.least..=self.most).contains(&robots) && robots.is_multiple_of(self.multiple_of);
         if supported { Ok(robots) } else { Err(ScenarioError::Robots { scenario, sizes: self, robots }) }
@@ -200,34 +224,34 @@ impl fmt::Display for TeamSizes {
     }
 }
 
-/// The user's settings of a scenario.
+/// A user's settings of a scenario: team size and width of the bottleneck.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
-    /// Team size; `None` for the scenario's default.
+    /// Number of robots in the team; `None` for the scenario's default.
     pub robots: Option<usize>,
-    /// Width of its bottleneck \[m\]; `None` for the scenario's default.
+    /// Width of the scenario's bottleneck \[m\]; `None` for the scenario's default.
     pub gap_m: Option<f32>,
 }
 
 impl Settings {
-    /// Settings with this team size and defaults otherwise.
+    /// Returns settings with a team of `robots` robots and the scenario's defaults otherwise.
     pub fn of(robots: usize) -> Settings {
         Settings { robots: Some(robots), ..Settings::default() }
     }
 }
 
-/// A registry entry of a scenario.
+/// Registry entry of a scenario (a task for a robot team): its name and its constructor.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Name on the command line.
+    /// Name by which a user selects the scenario on the command line; the scenario itself must have the same name.
     pub name: &'static str,
-    /// One line for the help.
+    /// Description of the scenario in one line, for the program's help text.
     pub about: &'static str,
-    /// Makes the scenario, which has the same name as this entry.
+    /// Constructor of the scenario from a user's settings. An error says which setting the scenario does not support.
     pub build: fn(&Settings) -> Result<Arc<dyn Scenario>, ScenarioError>,
 }
 
-/// The scenarios of this crate.
+/// All scenarios of this crate, from which a user selects one by name.
 pub const REGISTRY: &[Entry] = &[
     Entry {
         name: "passage",
@@ -240,50 +264,52 @@ pub const REGISTRY: &[Entry] = &[
 /// Error of a scenario that cannot be made.
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
-    /// No scenario has that name.
+    /// No scenario has the requested name.
     #[error("there is no scenario '{name}'; there are: {known}")]
     Unknown {
-        /// The requested name.
+        /// Name that was requested.
         name: String,
-        /// The existing names.
+        /// Names of the existing scenarios, separated by commas.
         known: String,
     },
-    /// The scenario does not support this number of robots.
+    /// The scenario does not support the requested number of robots.
     #[error("the scenario '{scenario}' takes {sizes}, not {robots}")]
     Robots {
-        /// The scenario.
+        /// Name of the scenario.
         scenario: &'static str,
-        /// The supported numbers.
+        /// Numbers of robots that the scenario supports.
         sizes: TeamSizes,
-        /// The requested number.
+        /// Number of robots that was requested.
         robots: usize,
     },
-    /// The scenario does not support this width of its bottleneck, or has none.
+    /// The scenario does not support the requested width of its bottleneck, or has no bottleneck.
     #[error("the scenario '{scenario}' has no gap of {gap_m} m{hint}")]
     Gap {
-        /// The scenario.
+        /// Name of the scenario.
         scenario: &'static str,
-        /// The requested width \[m\].
+        /// Width that was requested \[m\].
         gap_m: f32,
-        /// The supported widths, as the end of the message.
+        /// Supported widths, or the reason why there are none; a text that ends the error message.
         hint: &'static str,
     },
-    /// The scenario refuses its settings for another reason.
+    /// The scenario refuses its settings for a reason that the other errors do not cover.
     #[error("the scenario '{scenario}': {why}")]
     Refused {
-        /// The scenario.
+        /// Name of the scenario.
         scenario: &'static str,
-        /// Reason.
+        /// Reason, for the user.
         why: String,
     },
 }
 
-/// Makes the scenario of this name from this crate. `Registry::scenario` also knows those of other crates.
+/// Makes the scenario of this crate that has the name `name`, with a user's `settings`. `Registry::scenario` also knows
+/// the scenarios of other crates. An error says that the name is unknown or a setting not supported.
 pub fn build(name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     build_of(REGISTRY, name, settings)
 }
 
-/// Makes the scenario of this name from these entries.
+/// Makes the scenario named `name` from the registry entries `all`, with a user's `settings`. An error says that the
+/// name is unknown or a setting not supported.
 pub fn build_of(all: &[Entry], name: &str, settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let unknown = || ScenarioError::Unknown {
         name: name.to_owned(),

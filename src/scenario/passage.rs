@@ -1,7 +1,8 @@
-//! The narrow passage, the case study of the paper (section V): a team crosses a 1 m gap in a wall.
+//! The narrow passage, the case study of the paper arXiv 2111.01777 (section V): a team crosses a 1 m gap in a wall.
 //!
-//! x runs across the arena, y through the passage. The wall lies on y = 0, the gap is centred on x = 0.
-//! Sides alternate from episode to episode; policies always see a start at y < 0 and a goal at y > 0.
+//! The x axis runs across the arena, the y axis through the passage. The wall lies on the x axis, and the gap is
+//! centred at the origin. Sides alternate from episode to episode; policies always see a start at negative y and a goal
+//! at positive y.
 
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -48,7 +49,7 @@ const STAGE_M: f32 = 0.1;
 /// The last stage, with no reward left for progress.
 const LAST_STAGE: Stage = Stage(4);
 
-/// The narrow passage scenario.
+/// Scenario of the case study in the paper arXiv 2111.01777: a team crosses a narrow gap in a wall.
 #[derive(Debug)]
 pub struct Passage {
     robots: usize,
@@ -57,7 +58,8 @@ pub struct Passage {
     arena: Arena,
 }
 
-/// Makes the scenario; an error names an unsupported team size or gap.
+/// Makes the scenario `passage` with a user's `settings`; by default, 5 robots and a gap of 1 m. An error says that the
+/// team size or the gap width is not supported.
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = ROBOTS.check("passage", settings.robots.unwrap_or(PUBLISHED_ROBOTS))?;
     let gap_m = settings.gap_m.unwrap_or(GAP_M);

@@ -1,15 +1,16 @@
-//! Sightings: from readings, which arrive when they do, to steps for the judge.
+//! Conversion of readings, which arrive at irregular times, into steps for the judge of an episode.
 //!
-//! A robot is seen when a reading of it arrives. A step is over once every robot has been seen in it, or before a robot
-//! would be seen a second time; then the judge sees all of it at once, as of its last arrival. So no robot is in one
-//! step twice, and where readings are lost, those that were seen are still judged with each other.
+//! A reading is a measurement of one robot's position; a robot is seen when a new reading of it arrives. A step ends
+//! once every robot has been seen in it, or before a robot would be seen in it a second time. The judge then processes
+//! all robots of the step at once, at the time of the last arrival. So no robot is in one step twice. Where readings
+//! are lost, the robots that were seen are still judged with each other.
 //!
-//! A verdict that is found in this way is as good as the readings. Robots of one step were measured up to one period of
-//! the fastest source apart, by clocks that are compared with no other, and come late by what their links take. A robot
-//! at speed v that is measured at rate r moves by v / r between two readings: at 1 m/s and 20 Hz 5 cm. By so much two
-//! robots can come nearer to each other, or to a wall, than is ever seen, and a makespan is late by up to 1 / r and the
-//! delay of the link. Noise makes the least distance of a pair smaller than it was: with a standard deviation s along
-//! each axis, one step is off by about sqrt(2) s, and the least of many steps by several times that.
+//! A verdict that is found in this way is as good as the readings. The robots of one step were measured up to one
+//! period of the fastest source apart, by clocks that are compared with no other. Their readings are late by the delay
+//! of their links. A robot at speed v, measured at rate r, moves by v / r between two readings. At 1 m/s and 20 Hz that
+//! is 5 cm. By so much two robots can come nearer to each other, or to a wall, than is ever seen. A makespan is late by
+//! up to 1 / r and the delay of the link. Noise makes the least distance of a pair smaller than it was. With a standard
+//! deviation s along each axis, one step is off by about sqrt(2) s, and the least of many steps by several times that.
 
 use std::cmp::Ordering;
 
@@ -18,30 +19,32 @@ use crate::messages::ids::RobotId;
 use crate::messages::wire::Reading;
 use crate::time::{Span, Time};
 
-/// The longest that a robot may be out of sight in an episode that is to succeed. A robot without readings of its own
-/// stands long before (`safety`). Chance alone hardly ever loses all 20 readings of a second.
+/// Longest time (1 s) without a reading of a robot in an episode that is to succeed. A robot without readings of its
+/// own is stopped much earlier by its safety triggers. Random loss alone hardly ever removes all 20 readings of a
+/// second.
 pub const SIGHT: Span = Span::from_millis(1000);
 
 /// How far from its start a robot is seen at the most that was put there \[m\].
 const PLACED_M: f32 = 0.25;
 
-/// Whom the judge sees at once.
+/// One step for the judge: the robots that were seen in it, with their measured positions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sighting {
-    /// When the last of them was seen.
+    /// Time at which the last reading of the step arrived.
     pub at: Time,
-    /// Where they were; in the order of their ids.
+    /// Measured positions of the robots that were seen in the step, in the order of their ids.
     pub robots: Vec<(RobotId, Spot)>,
-    /// Whether some robot of the team has been out of sight for longer than `SIGHT` in this episode.
+    /// True if some robot of the team has been without a reading for longer than `SIGHT` in this episode.
     pub lapsed: bool,
 }
 
-/// Where a robot was seen, world frame.
+/// Measured position of one robot in one step, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spot {
-    /// Centre of its hull \[m\].
+    /// Position of the centre of the robot's hull \[m\].
     pub centre: Vec2,
-    /// Point that its policy commands, which readings are of \[m\].
+    /// Position \[m\] of the point that the robot's policy commands, as the reading states it. The point is the centre,
+    /// unless the drive is differential.
     pub point: Vec2,
 }
 
@@ -58,7 +61,7 @@ struct Known {
     here: Option<Spot>,
 }
 
-/// The readings of a team in the order of their arrival, as steps.
+/// Collector of the readings of a team, in the order of their arrival, which groups them into steps for the judge.
 #[derive(Clone, Debug)]
 pub struct Sightings {
     /// By robot.
@@ -71,13 +74,15 @@ pub struct Sightings {
 }
 
 impl Sightings {
-    /// Nothing yet of a team of so many robots.
+    /// Makes a collector for a team of `robots` robots that has received no reading yet.
     pub fn new(robots: usize) -> Sightings {
         Sightings { team: vec![Known::default(); robots], here: 0, at: Time::ZERO, lapsed: false }
     }
 
-    /// An episode begins: what was seen before is not of it. Robots that are `placed` at their starts count as seen
-    /// once they are seen there: what was measured before may still be on its way.
+    /// Begins an episode at time `now`: readings before it do not count. `placed` has the start of each robot \[m\],
+    /// world frame, if the robots were put there by the simulated world. A robot then counts as seen only from its
+    /// first reading near its start, because older readings may still be under way. `None` means that the robots drove
+    /// to their starts.
     pub fn begin(&mut self, now: Time, placed: Option<&[Vec2]>) {
         (self.here, self.lapsed) = (0, false);
         for (at, known) in self.team.iter_mut().enumerate() {
@@ -85,12 +90,15 @@ impl Sightings {
         }
     }
 
-    /// Whether some robot has been out of sight for too long in this episode, as of now.
+    /// Returns true if, by the time `now`, some robot has been without a reading for longer than `SIGHT` in this
+    /// episode.
     pub fn lapsed(&self, now: Time) -> bool {
         self.lapsed || self.team.iter().any(|known| now.since(known.since) > SIGHT)
     }
 
-    /// A reading has arrived of a robot whose centre is here \[m\]; the step that is over with it.
+    /// Processes a `reading` that has arrived at time `now` from a robot whose centre is at `centre` \[m\], world
+    /// frame. Returns the step that ends with this arrival; `None` if no step ends, or if the reading is old or
+    /// repeated.
     pub fn see(&mut self, now: Time, reading: &Reading, centre: Vec2) -> Option<Sighting> {
         let (at, position) = (reading.robot.index(), reading.pose.position);
         let known = &mut self.team[at];

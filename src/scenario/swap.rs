@@ -1,7 +1,7 @@
 //! The swap scenario: robots exchange places on open ground with a constant area per robot.
 //!
-//! Places form a grid, about as wide as deep. Every episode assigns them anew, and no robot keeps its place. There are
-//! no walls, and the policy frame is the world frame.
+//! The places form a grid, about as wide as deep. Every episode assigns the places anew, and no robot keeps its place.
+//! There are no walls, and the policy frame is the world frame.
 
 use std::sync::Arc;
 
@@ -29,7 +29,7 @@ const ROBOTS: TeamSizes = TeamSizes::new(2, 2000);
 /// The last stage, with no reward left for progress.
 const LAST_STAGE: Stage = Stage(2);
 
-/// The swap scenario.
+/// Scenario in which robots exchange places on open ground without walls, with a constant area per robot.
 #[derive(Debug)]
 pub struct Swap {
     robots: usize,
@@ -39,7 +39,8 @@ pub struct Swap {
     arena: Arena,
 }
 
-/// Makes the scenario; an error names an unsupported team size or a gap, which it has not.
+/// Makes the scenario `swap` with a user's `settings`; the default team has 8 robots. An error says that the team size
+/// is not supported, or that a gap width is set, although the scenario has no walls.
 pub fn build(settings: &Settings) -> Result<Arc<dyn Scenario>, ScenarioError> {
     let robots = ROBOTS.check("swap", settings.robots.unwrap_or(8))?;
     if let Some(gap_m) = settings.gap_m {

@@ -1,16 +1,18 @@
-//! The limit on a policy's velocity before it is commanded, used by the Controller and by the trainer.
+//! Limit on a policy's velocity before a robot is commanded to drive at it.
+//!
+//! Both the Controller, the actor that guards a robot's motors, and the trainer apply the limit.
 
 use crate::messages::geometry::Vec2;
 
-/// The limit applied to a policy's velocity before it is commanded.
+/// Limit on a policy's output velocity before a robot is commanded to drive at it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Clamp {
-    /// Limits the speed only, as in training, where the world limits acceleration.
+    /// Limits the speed along each axis only, as in training, where the simulated world itself limits acceleration.
     #[default]
     Training,
-    /// Limits the speed and the difference from the measured velocity, as on the published robots, which have no other
-    /// limit of acceleration.
+    /// Limits the speed along each axis and the difference from the measured velocity (0.25 m/s along each axis). The
+    /// real robots of the paper arXiv 2111.01777 had this limit, and no other limit of acceleration.
     Deployed,
 }
 
@@ -22,8 +24,8 @@ const DEPLOYED_GAIN_PER_S: f32 = 4.0;
 const DEPLOYED_ACCELERATION_M_S2: f32 = 1.0;
 
 impl Clamp {
-    /// Returns the velocity to command \[m/s\] for a policy's output `wanted` \[m/s\], a measured velocity `measured`
-    /// \[m/s\] and a speed limit `limit_m_s` along each axis.
+    /// Returns the velocity to command \[m/s\]. `wanted` is the policy's output \[m/s\] and `measured` the robot's
+    /// measured velocity \[m/s\], in the same frame. `limit_m_s` is the largest speed along each axis \[m/s\].
     pub fn limit(self, wanted: Vec2, measured: Vec2, limit_m_s: f32) -> Vec2 {
         let within = |velocity: Vec2| velocity.map(|axis| axis.clamp(-limit_m_s, limit_m_s));
         match self {

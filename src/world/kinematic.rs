@@ -1,11 +1,12 @@
-//! The training world of the paper: holonomic discs with limited acceleration and speed that walls and other robots
-//! block. Arithmetic and order of operations are those of the published environment, in f32.
+//! The training world of the paper arXiv 2111.01777: holonomic discs with limited acceleration, which walls and other
+//! robots block. Arithmetic and order of operations are those of the environment published with the paper, in 32-bit
+//! floats.
 //!
-//! Robots with another chassis are discs about their centres. The limits act on the velocity of the commanded point,
-//! which [`Wheels`] turn into a motion of the centre and of the heading. A robot that is blocked still turns: it is
-//! round.
+//! A robot with another chassis is a disc about its centre. Its limits act on the velocity of the point that its policy
+//! commands, which [`Wheels`] turns into a motion of centre and heading. A robot that is blocked still turns, because
+//! its hull is round.
 //!
-//! `step` alone defines these dynamics; the World actor and the trainer both call it.
+//! The function `step` alone defines these dynamics. The World, an actor, and the trainer both call it.
 
 use std::collections::BTreeMap;
 
@@ -18,31 +19,38 @@ use crate::random::Seed;
 use crate::scenario::Arena;
 use crate::time::Span;
 
-/// Duration of a step.
+/// Duration of one step of the training world (50 ms); the plant `rigid` has the same.
 pub const PERIOD: Span = Span::from_millis(50);
 /// Duration of a step \[s\], as a number.
 const DT_S: f32 = 0.05;
-/// Largest speed along each axis \[m/s\] (published environment).
+/// Largest speed of a simulated robot along each axis of the training world \[m/s\], as in the environment published
+/// with the paper arXiv 2111.01777.
 pub const MAX_SPEED_M_S: f32 = 1.5;
-/// Largest acceleration along each axis \[m/s^2\] (published environment).
+/// Default limit of a simulated robot's acceleration along each axis \[m/s^2\], as in the environment published with
+/// the paper arXiv 2111.01777.
 pub const MAX_ACCELERATION_M_S2: f32 = 1.0;
 
-/// State of the robots of one world, which a step updates in place.
+/// State of all robots of one simulated world, which `step` updates in place. Each slice has one entry per robot,
+/// except `wheels`, which may be empty.
 #[derive(Debug)]
 pub struct Team<'a> {
-    /// Positions of the centres \[m\].
+    /// Positions of the robots' centres \[m\], world frame.
     pub position: &'a mut [Vec2],
-    /// Velocities of the centres \[m/s\].
+    /// Velocities of the robots' centres \[m/s\], world frame.
     pub velocity: &'a mut [Vec2],
-    /// Wheels of each robot; empty if all are holonomic without limits of their own.
+    /// Chassis and heading of each robot; empty if all robots are holonomic without limits of their own.
     pub wheels: &'a mut [Wheels],
-    /// Contacts of each robot in the step.
+    /// Output: contacts of each robot with other robots and with walls in the step.
     pub contacts: &'a mut [Contacts],
-    /// Scratch space for the positions before the step.
+    /// Scratch space, into which the step copies the positions that the robots had before \[m\].
     pub before: &'a mut [Vec2],
 }
 
-/// Advances every robot by one step with the velocity of its commanded point \[m/s\], world frame.
+/// Advances every robot of `team` by one step of duration `PERIOD`. `arena` gives the ground, the walls and the robots'
+/// radius; `physics` gives lag, limits and the effect of contacts.
+///
+/// `commands` has, for each robot, the commanded velocity \[m/s\], world frame. The velocity is that of the commanded
+/// point: the centre of a holonomic robot, a point ahead of the axle of a differential drive.
 pub fn step(arena: &Arena, physics: &Physics, commands: &[Vec2], team: &mut Team) {
     team.before.copy_from_slice(team.position);
     let (max_acceleration, gain) = (physics.acceleration_m_s2, physics.gain(PERIOD));
@@ -166,7 +174,8 @@ fn any_within(offsets: impl Iterator<Item = Vec2>, own: usize, distance: f32) ->
     shortest <= 1.001 * distance * distance && shortest.sqrt() <= distance
 }
 
-/// The training world as a plant.
+/// Training world of the paper arXiv 2111.01777 as a plant (simulated world): discs that follow their commands within a
+/// limited acceleration.
 #[derive(Debug)]
 pub struct Kinematic {
     arena: Arena,
@@ -183,7 +192,9 @@ pub struct Kinematic {
     states: Vec<PlantState>,
 }
 
-/// Makes the training world with robots at rest at these positions \[m\]; it draws no random numbers.
+/// Makes the training world of the paper arXiv 2111.01777, with one robot at rest at each of `positions` \[m\], world
+/// frame. `arena` gives the ground, and `physics` the parameters of the robots. The seed is ignored, because this world
+/// draws no random numbers.
 pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], _: Seed) -> Box<dyn Plant> {
     let zeros = vec![Vec2::zeros(); positions.len()];
     let mut plant = Kinematic {

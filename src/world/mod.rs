@@ -1,7 +1,8 @@
-//! Plants: the worlds, simulated or real, in which robots move.
+//! Plants: the simulated or real worlds in which robots move.
 //!
-//! A plant is one file and one line in `REGISTRY`; in another crate, one line where its `Registry` is made. Nothing
-//! here knows a task, a policy or a network.
+//! A plant advances the true states of robots in steps, from the velocities that they are commanded. A new plant is one
+//! file and one line in `REGISTRY`. In another crate it is one line where that crate makes its `Registry`. The code of
+//! this folder knows no task, policy or network.
 
 mod clamp;
 #[cfg(feature = "rigid")]
@@ -25,83 +26,99 @@ use crate::random::Seed;
 use crate::scenario::Arena;
 use crate::time::Span;
 
-/// The true state of one robot.
+/// True state of one robot in a plant (a simulated or real world), without sensor noise.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct PlantState {
-    /// Position and velocity of the centre, world frame.
+    /// Position \[m\] and velocity \[m/s\] of the robot's centre, world frame.
     pub motion: Motion,
-    /// Heading \[rad\], counter-clockwise from the x axis; zero for robots that hold theirs.
+    /// Heading \[rad\], counter-clockwise from the x axis of the world frame; zero for a holonomic robot that holds no
+    /// particular heading.
     pub heading: f32,
     /// Yaw rate \[rad/s\], counter-clockwise.
     pub yaw_rate: f32,
-    /// Contacts of the last step.
+    /// Contacts of the robot with other robots and with walls in the plant's last step.
     pub contacts: Contacts,
 }
 
-/// Method by which robots are brought to their starts.
+/// Method by which simulated robots are brought to their start positions before an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Placement {
-    /// The World places them there, at rest, at the start of an episode; there is no reset.
+    /// The World actor, which runs the plant, puts each robot at its start, at rest, when the episode begins. There is
+    /// no reset, in which the robots would drive there.
     Exact,
-    /// The robots drive there during a reset.
+    /// The robots drive to their starts by scripted navigation, in a reset before the episode.
     Drive,
 }
 
-/// A real or simulated world with robots, numbered from zero without gaps.
+/// A real or simulated world that moves robots in steps of constant duration. Robots have indices from zero without
+/// gaps, which every method takes as `robot`.
 pub trait Plant {
-    /// Duration of a step.
+    /// Duration of one step, by which each call of `advance` moves the world.
     fn period(&self) -> Span;
 
-    /// Gives a robot another chassis than a holonomic one without limits, and a heading \[rad\]. It is called before
-    /// the first step, and only for drives that the plant's entry names.
+    /// Gives the robot with index `robot` the drive and the limits of `chassis` and the initial `heading` \[rad\],
+    /// counter-clockwise from the x axis. Without this call, a robot is holonomic and has no limits beyond those of the
+    /// plant.
+    ///
+    /// The method is called before the first step, and only for kinds of drive that the plant's [`Entry`] lists. The
+    /// default implementation does nothing.
     fn equip(&mut self, _robot: usize, _chassis: Chassis, _heading: f32) {}
 
-    /// Places a robot's centre at rest at a position \[m\], world frame, as if by hand. A robot that cannot move
-    /// sideways gets this heading \[rad\].
+    /// Places a robot at rest, as if by hand, at the start of an episode. `robot` is its index and `position` the new
+    /// position of its centre \[m\], world frame. A robot that cannot move sideways also takes `heading` \[rad\],
+    /// counter-clockwise from the x axis; a holonomic robot ignores it.
     fn place(&mut self, robot: usize, position: Vec2, heading: f32);
 
-    /// Sets the velocity \[m/s\], world frame, of the point that a robot's chassis commands. It holds until the next
-    /// call.
+    /// Sets the commanded velocity \[m/s\], world frame, of the robot with index `robot`; it holds until the next call.
+    /// The velocity is that of the commanded point: the centre of a holonomic robot, a point ahead of the axle of a
+    /// differential drive.
     fn drive(&mut self, robot: usize, velocity: Vec2);
 
-    /// Sets the state of a robot that is moved from outside, such as a real one, before each step: position and
-    /// velocity of its centre \[m, m/s\] and its heading \[rad\], world frame. The others touch it there, and no
-    /// contact moves it.
-    /// A plant that does not override this places the robot there at rest.
+    /// Sets the state of a robot that is moved from outside the plant, such as a real robot beside simulated ones. The
+    /// method is called before each step.
+    ///
+    /// `robot` is the robot's index. `motion` is the position \[m\] and velocity \[m/s\] of its centre, world frame.
+    /// `heading` is its heading \[rad\], counter-clockwise from the x axis. The plant's other robots collide with the
+    /// robot there, and no contact moves it. The default implementation places the robot there at rest.
     fn carry(&mut self, robot: usize, motion: Motion, heading: f32) {
         self.drive(robot, Vec2::zeros());
         self.place(robot, motion.position, heading);
     }
 
-    /// Advances the world by one step.
+    /// Advances the world by one step of duration `period`, with the velocities last set by `drive`.
     fn advance(&mut self);
 
-    /// The robots' true states after the last step or placement.
+    /// Returns the true states of all robots after the last step or placement, in the order of their indices.
     fn states(&self) -> &[PlantState];
 }
 
-/// A registry entry of a plant.
+/// Registry entry of a plant (a world in which robots move): its name, its properties and its constructor.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Name on the command line and in a deployment.
+    /// Name by which a user selects the plant, on the command line (`--plant`) and in a deployment.
     pub name: &'static str,
-    /// One line for the help.
+    /// Description of the plant (a world in which robots move) in one line, for the program's help text.
     pub about: &'static str,
-    /// Returns the default parameters of its robots.
+    /// Function that returns the default physical parameters of the plant's robots in an arena.
     pub physics: fn(&Arena) -> Physics,
-    /// Fields of `Overrides` that a user may not set, each with the reason.
+    /// Fields of `Overrides`, the user's settings of robot parameters, that this plant does not let a user set. Each is
+    /// a pair of the field's name and the reason; an empty list leaves all fields free.
     pub fixed: &'static [(&'static str, &'static str)],
-    /// Drives that it simulates; for others than a holonomic one it implements `Plant::equip`.
+    /// Kinds of drive that the plant simulates. For kinds other than `DriveKind::Holonomic` the plant implements
+    /// `Plant::equip`.
     pub drives: &'static [DriveKind],
-    /// Makes the plant with robots at rest at these positions \[m\]; it draws from streams of this seed alone.
+    /// Constructor of the plant. Its arguments are the arena, the physical parameters, the initial position of each
+    /// robot \[m\] and the random seed. The robots start at rest, and the plant draws random numbers from streams of
+    /// that seed only.
     pub build: fn(&Arena, &Physics, &[Vec2], Seed) -> Box<dyn Plant>,
 }
 
-/// Name of the default plant, the training world.
+/// Name of the default plant: the kinematic world of the paper arXiv 2111.01777, in which policies are also trained.
 pub const KINEMATIC: &str = "kinematic";
 
-/// The plants of this crate.
+/// All plants (worlds in which robots move) of this crate, from which a user selects one by name. The plant `rigid` is
+/// present only with the feature `rigid`.
 pub const REGISTRY: &[Entry] = &[
     Entry {
         name: KINEMATIC,

@@ -1,54 +1,66 @@
-//! Parameters of simulated robots, each default with its source (table in `docs/world.md`), and the user's overrides.
-//! The plants apply them.
+//! Physical parameters of simulated robots, and the user's overrides of them.
+//!
+//! A table in `docs/world.md` gives the source of each default. The plants, which simulate the robots, apply the
+//! parameters.
 
 use super::{Entry, Sensor, kinematic};
 use crate::scenario::Arena;
 use crate::time::Span;
 
-/// Effect of a contact on a move.
+/// Effect of a contact, with a wall or another robot, on the move of a simulated robot in one step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ContactRule {
-    /// The move is not made, as in training; robots have the radius that the arena gives.
+    /// The robot stays where it was, as in training. Robots have the radius that the arena gives
+    /// (`Arena::robot_radius_m`).
     Block,
-    /// The move is made and the contact is flagged for the judge; robots have the radius of their hull.
+    /// The robot moves on, and the contact is flagged, so that the judge fails the episode. Robots have the radius of
+    /// their hull (`Physics::wall_radius_m`).
     Judge,
 }
 
-/// Physical parameters of simulated robots.
+/// Physical parameters of the simulated robots of a plant (a simulated world), the same for all its robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Physics {
-    /// Effect of a contact on a move.
+    /// Effect of a contact on the move of a robot in one step: the robot is blocked, or the contact is only flagged.
     pub contacts: ContactRule,
-    /// Radius of the hull \[m\]: a wall within this distance of a robot's centre is a contact. Under
+    /// Radius of a robot's hull \[m\]: a wall within this distance of the robot's centre is a contact. Under
     /// `ContactRule::Judge`, so is another robot's centre within twice this distance.
     pub wall_radius_m: f32,
-    /// Largest acceleration along each axis \[m/s^2\]; may be infinite.
+    /// Largest acceleration along each axis of the world frame \[m/s^2\]; infinite for no limit.
     pub acceleration_m_s2: f32,
-    /// Time constant of the drivetrain, a first-order lag from commanded to true velocity \[s\]; zero for none.
+    /// Time constant \[s\] of the drivetrain, a first-order lag from the commanded to the true velocity; zero for no
+    /// lag.
     pub lag_s: f32,
-    /// Largest speed \[m/s\]. This field and the following ones, except `sensor`, are for rigid bodies only.
+    /// Largest speed of a robot \[m/s\]. Only the rigid-body world (plant `rigid`) uses this parameter.
     pub top_speed_m_s: f32,
-    /// Largest acceleration by the motors in any direction \[m/s^2\].
+    /// Largest acceleration \[m/s^2\], in any direction, that the motors can give a robot. Only the rigid-body world
+    /// (plant `rigid`) uses this parameter.
     pub traction_m_s2: f32,
-    /// Standard deviation of wheel slip along each axis, as a fraction of the commanded speed.
+    /// Standard deviation of wheel slip along each axis, as a fraction of the commanded speed. Slip is a random
+    /// difference of the driven from the commanded velocity; only the rigid-body world (plant `rigid`) has it.
     pub slip: f32,
-    /// Correlation time of wheel slip \[s\].
+    /// Correlation time of wheel slip \[s\], the random difference of the driven from the commanded velocity. Only the
+    /// rigid-body world (plant `rigid`) uses this parameter.
     pub slip_s: f32,
-    /// Mass of a robot \[kg\].
+    /// Mass of one robot \[kg\]. Only the rigid-body world (plant `rigid`) uses this parameter.
     pub mass_kg: f32,
-    /// Thickness of the soft layer of the hull around its solid core \[m\].
+    /// Thickness \[m\] of the soft outer layer of a robot's hull. The solid core, which collides, has the hull's radius
+    /// less this thickness; only the rigid-body world (plant `rigid`) uses it.
     pub give_m: f32,
-    /// Coefficient of friction between two hulls and between a hull and a wall.
+    /// Coefficient of friction between two hulls, and between a hull and a wall. Only the rigid-body world (plant
+    /// `rigid`) uses this parameter.
     pub friction: f32,
-    /// Coefficient of restitution of the same.
+    /// Coefficient of restitution between two hulls, and between a hull and a wall: 0 for no rebound, 1 for a full one.
+    /// Only the rigid-body world (plant `rigid`) uses this parameter.
     pub restitution: f32,
-    /// Model of the sensor that measures the robots' states.
+    /// Model of the sensor that measures the simulated robots' states: noise, rate and latency.
     pub sensor: Sensor,
 }
 
 impl Physics {
-    /// Parameters of the published training environment.
+    /// Returns the parameters of the training environment of the paper arXiv 2111.01777. Contacts block moves, there is
+    /// no lag, and the sensor is exact. `arena` gives the robots' radius.
     pub fn published(arena: &Arena) -> Physics {
         Physics {
             contacts: ContactRule::Block,
@@ -60,7 +72,8 @@ impl Physics {
         }
     }
 
-    /// Parameters of DJI RoboMaster robots, those of the paper (section V), under motion capture.
+    /// Returns the parameters of DJI RoboMaster robots, the real robots of the paper arXiv 2111.01777, measured by
+    /// motion capture. The argument, an arena, is ignored: the function has the signature of `Entry::physics`.
     pub fn robomaster(_: &Arena) -> Physics {
         Physics {
             contacts: ContactRule::Judge,
@@ -92,37 +105,43 @@ impl Physics {
         }
     }
 
-    /// Fraction of a step change of velocity that a first-order lag makes in one step: 1 - exp(-period / lag).
+    /// Returns the fraction of a step change of commanded velocity that the first-order lag lets through in one step of
+    /// duration `period`. The value is 1 - exp(-period / `lag_s`), and 1 without a lag.
     pub fn gain(&self, period: Span) -> f32 {
         if self.lag_s > 0.0 { -libm::expm1(-period.as_secs() / f64::from(self.lag_s)) as f32 } else { 1.0 }
     }
 }
 
-/// The user's overrides of simulated robots' parameters; `None` leaves the plant's default.
+/// The user's overrides of simulated robots' parameters (`Physics`). A field that is `None` leaves the default of the
+/// plant, the world in which the robots move.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Overrides {
-    /// Override of `Physics::lag_s` \[s\].
+    /// Override of `Physics::lag_s`, the time constant of the drivetrain \[s\]; `None` for the default of the simulated
+    /// world.
     pub lag_s: Option<f32>,
-    /// Override of `Physics::contacts`.
+    /// Override of `Physics::contacts`, the effect of a contact on a move; `None` for the default of the simulated
+    /// world.
     pub contacts: Option<ContactRule>,
-    /// Override of `Physics::wall_radius_m` \[m\].
+    /// Override of `Physics::wall_radius_m`, the radius of a robot's hull \[m\]; `None` for the default of the
+    /// simulated world.
     pub wall_radius_m: Option<f32>,
-    /// Override of `Physics::sensor`.
+    /// Override of `Physics::sensor`, the model of the robots' sensor; `None` for the default of the simulated world.
     pub sensor: Option<Sensor>,
 }
 
-/// Error of a field that a plant does not let a user override.
+/// Error of an override of a robot parameter that the selected plant (the simulated world) keeps fixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{why}; leave it out, or use another plant")]
 pub struct OverrideError {
-    /// Name of the field.
+    /// Name of the field of `Overrides` that the plant keeps fixed.
     pub field: &'static str,
-    /// Reason.
+    /// Reason why the simulated world keeps the field fixed, for the user.
     pub why: &'static str,
 }
 
 impl Overrides {
-    /// Returns a plant's parameters in an arena with these overrides; an error names a field that the plant fixes.
+    /// Returns the physical parameters of the plant `entry` in `arena`, with these overrides in place of the defaults.
+    /// An error names an overridden field that the plant keeps fixed.
     pub fn physics(&self, entry: &Entry, arena: &Arena) -> Result<Physics, OverrideError> {
         let fields = [("contacts", self.contacts.is_some()), ("wall_radius_m", self.wall_radius_m.is_some())];
         let is_set = |field: &str| fields.iter().any(|(name, set)| *name == field && *set);

@@ -1,7 +1,8 @@
-//! A world of rigid bodies: discs with mass and friction that push each other and are blocked by walls, driven by
-//! drivetrains with lag and slip. Contacts are flagged for the judge and do not end the simulation.
+//! A simulated world of rigid bodies: discs with mass and friction, driven by drivetrains with lag and slip. Robots
+//! push each other, and walls block them. Contacts are flagged for the judge and do not end the simulation.
 //!
-//! The solver is rapier in its cross-platform deterministic mode; its vector type is used in this file only.
+//! The solver is the library rapier in its deterministic mode, which gives the same result on every platform. Its
+//! vector type is used in this file only.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +20,7 @@ use crate::random::Seed;
 use crate::scenario::Arena;
 use crate::time::Span;
 
-/// Fields that a user may not override, each with the reason.
+/// Fields of `Overrides` that a user may not set for the rigid-body plant: pairs of the field's name and the reason.
 pub const FIXED: &[(&str, &str)] = &[
     ("contacts", "in plant 'rigid' bodies always push each other, and contacts are flagged for the judge"),
     ("wall_radius_m", "in plant 'rigid' the radius of a robot is that of its hull, 0.16 m"),
@@ -31,7 +32,7 @@ const RAIL_M: f32 = 1.0;
 /// Depth to which a robot that pushes against a rail may sink into it \[m\].
 const SINK_M: f32 = 0.002;
 
-/// Rigid bodies as a plant.
+/// Simulated world of rigid bodies as a plant: robots are discs with mass, friction and slipping wheels.
 pub struct Rigid {
     arena: Arena,
     physics: Physics,
@@ -43,8 +44,9 @@ pub struct Rigid {
     states: Vec<PlantState>,
 }
 
-/// Makes the rigid-body world with robots at rest at these positions \[m\]; each drivetrain has its own stream of
-/// `seed`.
+/// Makes the rigid-body world of `arena` with one robot at rest at each of `positions` \[m\], world frame. `physics`
+/// has the parameters of the robots. The wheel slip of each robot is drawn from a random stream of its own, derived
+/// from `seed`.
 pub fn build(arena: &Arena, physics: &Physics, positions: &[Vec2], seed: Seed) -> Box<dyn Plant> {
     let period_s = PERIOD.as_secs() as f32;
     let mut world = PhysicsWorld::new();

@@ -1,39 +1,42 @@
-//! Sensor model of a robot's state: noise, rate and latency. A Body applies it to the samples of its World.
+//! Sensor model of a simulated robot's state: noise, rate and latency.
+//!
+//! The Body, the actor of a robot's motors and sensors, applies the model to the true states that its World sends.
 
 use crate::messages::geometry::{Deviation, Motion, Vec2};
 use crate::random;
 use crate::random::Stream;
 use crate::time::Span;
 
-/// Noise, rate and latency between a robot's true state and its measurements.
+/// Noise, rate and latency of a sensor that measures the position and velocity of simulated robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sensor {
-    /// Standard deviation of the position along each axis \[m\].
+    /// Standard deviation \[m\] of the Gaussian noise of a measured position, along each axis.
     pub position_m: f32,
-    /// Standard deviation of the velocity along each axis \[m/s\].
+    /// Standard deviation \[m/s\] of the Gaussian noise of a measured velocity, along each axis.
     pub velocity_m_s: f32,
-    /// Shortest time between two measurements; a World's own period, if that is longer.
+    /// Shortest time between two measurements. If a step of the simulated world takes longer, the sensor measures once
+    /// in each step.
     pub period: Span,
-    /// Delay from the instant of a measurement to its output.
+    /// Delay from the instant of a measurement until the reading is available.
     pub latency: Span,
 }
 
 impl Sensor {
-    /// No noise and no latency, at every step of the World.
+    /// Ideal sensor without noise and latency, which measures at every step of the simulated world.
     pub const EXACT: Sensor = Sensor { position_m: 0.0, velocity_m_s: 0.0, period: Span::ZERO, latency: Span::ZERO };
 
-    /// A motion capture system such as the paper's (section V: OptiTrack).
+    /// Motion capture system such as OptiTrack, which the paper arXiv 2111.01777 used (section V), at 100 Hz.
     ///
-    /// Position: the +-0.2 mm that OptiTrack states for its PrimeX cameras. Rate: 100 Hz, a usual setting. Velocity:
-    /// the noise of a difference of positions three frames apart, sqrt(2) * 0.2 mm / 30 ms. Latency: 6 to 7 ms were
-    /// measured to the end of such a chain (Qualisys at ETH Zurich, 200 Hz), and half a frame more at 100 Hz.
+    /// Position: OptiTrack states +-0.2 mm for its PrimeX cameras. Rate: 100 Hz is a usual setting. Velocity: the noise
+    /// of a difference of positions three frames apart, sqrt(2) * 0.2 mm / 30 ms. Latency: 6 to 7 ms were measured to
+    /// the end of such a chain (Qualisys at ETH Zurich, 200 Hz). At 100 Hz half a frame is added.
     pub const MOTION_CAPTURE: Sensor =
         Sensor { position_m: 2e-4, velocity_m_s: 0.01, period: Span::from_millis(10), latency: Span::from_millis(10) };
 
-    /// A satellite receiver with real-time kinematic corrections (RTK, fixed solution).
+    /// Satellite receiver with real-time kinematic corrections (RTK, fixed solution), at 10 Hz.
     ///
-    /// Position and velocity: 0.01 m + 1 ppm and 0.05 m/s are stated for u-blox ZED-F9P receivers; 2 cm with a moving
-    /// antenna. Rate: 10 Hz. Latency: 100 ms through receiver, serial line and gpsd.
+    /// Position: 0.01 m + 1 ppm is stated for u-blox ZED-F9P receivers; with a moving antenna it is 2 cm. Velocity:
+    /// 0.05 m/s is stated for the same receivers. Rate: 10 Hz. Latency: 100 ms through receiver, serial line and gpsd.
     pub const RTK: Sensor = Sensor {
         position_m: 0.02,
         velocity_m_s: 0.05,
@@ -41,11 +44,12 @@ impl Sensor {
         latency: Span::from_millis(100),
     };
 
-    /// All sensors by name.
+    /// All predefined sensors, each with the name by which a user selects it (`--sensor`).
     pub const NAMED: [(&str, Sensor); 3] =
         [("exact", Sensor::EXACT), ("motion-capture", Sensor::MOTION_CAPTURE), ("rtk", Sensor::RTK)];
 
-    /// Standard deviations of its measurements. Headings and yaw rates have no noise.
+    /// Returns the standard deviations of this sensor's measurements, as a reading states them. Headings and yaw rates
+    /// are measured without noise, so theirs are zero.
     pub fn deviation(&self) -> Deviation {
         Deviation {
             position_m: Some(self.position_m),
@@ -55,7 +59,8 @@ impl Sensor {
         }
     }
 
-    /// Returns a noisy measurement of this motion. A quantity without noise draws nothing from the stream.
+    /// Returns a measurement of the true `motion` \[m, m/s\] with Gaussian noise drawn from `stream`. A quantity
+    /// without noise is returned unchanged and draws no number from the stream.
     pub fn measure(&self, motion: &Motion, stream: &mut Stream) -> Motion {
         let mut noisy = |value: Vec2, deviation: f32| {
             if deviation > 0.0 { value + standard_normals(stream) * deviation } else { value }

@@ -1,10 +1,11 @@
 //! Motion of a simulated robot by its chassis: from velocities of the point that its policy commands to positions of
 //! its centre and headings.
 //!
-//! Over a step the point of a differential robot moves at a constant velocity, and its axle trails behind it. The path
-//! of the axle is then a tractrix. With the speed `u` of the point, its distance `d` ahead and the angle `a` from the
-//! heading to the velocity, `a' = -(u / d) sin a`, and so `tan(a / 2)` decays with `exp(-u t / d)`: the step is exact.
-//! So the drive follows its heading without delay. A real one follows each measured heading (`actors::body`).
+//! The commanded point of a differential drive lies ahead of the axle. Over a step it moves at a constant velocity, and
+//! the axle trails behind it on a tractrix. Let `u` be the speed of the point, `d` its distance ahead, and `a` the
+//! angle from the heading to the velocity. Then `a' = -(u / d) sin a`, and so `tan(a / 2)` decays with `exp(-u t / d)`:
+//! the step is exact. The simulated drive therefore follows its heading without delay, whereas a real one follows each
+//! measured heading (`actors::body`).
 
 use crate::chassis::{Chassis, DriveKind};
 use crate::messages::geometry::{Motion, Vec2, wrapped};
@@ -12,7 +13,9 @@ use crate::messages::geometry::{Motion, Vec2, wrapped};
 /// Speed of the commanded point below which a robot stands \[m/s\]: its square is far from the smallest f32.
 const STANDS_M_S: f32 = 1e-6;
 
-/// Chassis, heading and yaw rate of a simulated robot.
+/// Chassis, heading, yaw rate and velocity of one simulated robot, which turn velocities of its commanded point into
+/// motions of its centre. The commanded point is the centre of a holonomic robot, or a point ahead of the axle of a
+/// differential drive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wheels {
     chassis: Chassis,
@@ -23,14 +26,17 @@ pub struct Wheels {
 }
 
 impl Wheels {
-    /// Makes the wheels of a robot at rest with a heading \[rad\].
+    /// Makes the wheels of a robot with this `chassis`, at rest. `heading` is the initial heading of a differential
+    /// drive \[rad\], counter-clockwise from the x axis of the world frame. A holonomic robot ignores `heading`: it has
+    /// the heading that its chassis holds, or zero.
     pub fn new(chassis: Chassis, heading: f32) -> Wheels {
         let mut wheels = Wheels { chassis, heading: 0.0, yaw_rate: 0.0, velocity: Vec2::zeros() };
         wheels.place(heading);
         wheels
     }
 
-    /// Places the robot at rest with a heading \[rad\]. A holonomic one has the heading that it holds, or zero.
+    /// Puts the robot at rest. A differential drive takes `heading` \[rad\], counter-clockwise from the x axis of the
+    /// world frame. A holonomic robot ignores `heading`: it has the heading that its chassis holds, or zero.
     pub fn place(&mut self, heading: f32) {
         self.heading = match self.chassis.drive {
             DriveKind::Holonomic => self.chassis.held_rad.map_or(0.0, |held| wrapped(f64::from(held)) as f32),
@@ -39,40 +45,45 @@ impl Wheels {
         (self.yaw_rate, self.velocity) = (0.0, Vec2::zeros());
     }
 
-    /// Its chassis.
+    /// Returns the robot's chassis: its kind of drive and its limits.
     pub fn chassis(&self) -> &Chassis {
         &self.chassis
     }
 
-    /// Heading \[rad\], counter-clockwise from the x axis, within -pi and pi.
+    /// Returns the robot's heading \[rad\], counter-clockwise from the x axis of the world frame, within -pi and pi.
     pub fn heading(&self) -> f32 {
         self.heading
     }
 
-    /// Yaw rate \[rad/s\], counter-clockwise.
+    /// Returns the robot's yaw rate \[rad/s\], counter-clockwise.
     pub fn yaw_rate(&self) -> f32 {
         self.yaw_rate
     }
 
-    /// Sets heading \[rad\] and yaw rate \[rad/s\], to continue from a saved state.
+    /// Sets the robot's `heading` \[rad\], counter-clockwise from the x axis, and its `yaw_rate` \[rad/s\], to continue
+    /// from a saved state.
     pub fn restore(&mut self, heading: f32, yaw_rate: f32) {
         (self.heading, self.yaw_rate) = (heading, yaw_rate);
     }
 
-    /// Position and velocity of the commanded point, from those of the centre.
+    /// Returns position \[m\] and velocity \[m/s\] of the robot's commanded point, from those of its centre, `centre`;
+    /// world frame. The commanded point of a differential drive lies ahead of the axle; that of a holonomic robot is
+    /// the centre.
     pub fn point(&self, centre: &Motion) -> Motion {
         self.chassis.point_motion(centre, self.heading, self.yaw_rate)
     }
 
-    /// Velocity of the centre at the end of the last step \[m/s\], world frame, if nothing was in its way.
+    /// Returns the velocity \[m/s\], world frame, that the robot's centre has at the end of the last step if no
+    /// obstacle blocked it.
     pub fn velocity(&self) -> Vec2 {
         self.velocity
     }
 
-    /// Turns the robot for a step in which its commanded point moves at `velocity` \[m/s\], world frame, as far as the
-    /// chassis allows. Returns the mean velocity of the centre over the step \[m/s\].
+    /// Turns the robot in one step of duration `step_s` \[s\]. Its commanded point moves at `velocity` \[m/s\], world
+    /// frame, reduced to the limits of the chassis. Returns the mean velocity of the robot's centre over the step
+    /// \[m/s\], world frame.
     ///
-    /// The limits hold for the motions at the beginning and at the end of the step.
+    /// The limits hold for the motion at the beginning and for the motion at the end of the step.
     pub fn drive(&mut self, velocity: Vec2, step_s: f32) -> Vec2 {
         if self.chassis.drive == DriveKind::Holonomic {
             self.velocity = self.chassis.limited(velocity, self.heading);

@@ -1,7 +1,8 @@
 //! Delay, loss and planned faults of the frames on one emulated link, as `tc netem` applies them on Linux.
 //!
-//! Delay is fixed, loss independent for each receiver, faults come from the plan. Frames that have come through a
-//! radio channel (`radio`) pass through here afterwards. Pure: time and randomness are handed in.
+//! Delay is fixed, loss is independent for each receiver, and faults come from a fault plan. Frames that have come
+//! through a radio channel (`radio`) pass through the emulator afterwards. The code is pure: time and randomness are
+//! arguments.
 
 use std::collections::BTreeMap;
 
@@ -14,18 +15,19 @@ use crate::net::protocol::codec::{Frame, HEADER_BYTES};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// Delay and loss of the frames of some kinds.
+/// Delay and loss of the frames on an emulated link, for messages of some kinds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Impairment {
-    /// One-way delay of every frame.
+    /// One-way delay of every frame of the impaired kinds.
     pub delay: Span,
-    /// Probability that a receiver loses a frame, 0 to 1, independently for each receiver.
+    /// Probability, 0 to 1, that a receiver loses a frame of the impaired kinds, independently for each receiver.
     pub loss: f64,
-    /// Kinds of message that are impaired; all others pass without delay or loss.
+    /// Kinds of messages that are impaired; frames of all other kinds pass without delay or loss. An empty list impairs
+    /// none.
     pub kinds: Vec<Kind>,
 }
 
-/// Emulator of one link.
+/// Emulator of one link: applies delay, loss and planned faults to its frames.
 #[derive(Clone, Debug)]
 pub struct LinkEmulator {
     impairment: Impairment,
@@ -36,18 +38,21 @@ pub struct LinkEmulator {
 }
 
 impl LinkEmulator {
-    /// Returns an emulator with the faults planned for its link; it draws from `stream` alone.
+    /// Returns the emulator of one link. `impairment` gives delay and loss, and `faults` are the faults planned for
+    /// this link. All random numbers are drawn from `stream`.
     pub fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> LinkEmulator {
         LinkEmulator { impairment, faults, began: BTreeMap::new(), stream }
     }
 
-    /// Notes that an episode begins, for faults that are timed from its start.
+    /// Records that the episode with index `episode` begins at time `now`, for faults that are timed from its start.
+    /// Only the first call for an episode counts.
     pub fn begin(&mut self, now: Time, episode: u32) {
         self.began.entry(episode).or_insert(now);
     }
 
-    /// Carries one frame from one host to one receiver: puts each copy that arrives, with its time of arrival, into
-    /// `arrivals`.
+    /// Carries one frame, sent at time `now`, from the host `from` to the host `to`. Each copy that arrives is appended
+    /// to `arrivals` with its time of arrival; a lost frame appends none. `kind` is the kind of the frame's message,
+    /// which decides about delay, loss and faults.
     pub fn carry(
         &mut self,
         now: Time,

@@ -1,6 +1,7 @@
-//! The emulated link: one actor a link, which carries frames between the Networks of one process.
+//! The emulated link: one actor per link, which carries frames (packets) between the Network actors of one process.
 //!
-//! With a radio, frames contend for the channel first; the link emulator then delays or loses what has come through.
+//! With a radio, frames contend for the radio channel first. The link emulator then delays or loses the frames that
+//! have come through.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -17,16 +18,17 @@ use crate::net::protocol::router::Audience;
 use crate::net::transport::{Arrive, In, Transmit};
 use crate::time::Time;
 
-/// Output of an ether.
+/// Output message of an ether, the actor that emulates one link.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// A frame that arrives at a Network.
+    /// A frame that arrives at the Network actor of a host.
     Arrive(Arrive),
-    /// Counts of its radio, for the Recorder. Boxed: it is large and rare.
+    /// Counts of frames and airtime of the ether's radio, for the Recorder, the actor that keeps the results. The value
+    /// is boxed because it is large and rare.
     Counts(Box<RadioCounts>),
 }
 
-/// The emulated medium of one link, an actor.
+/// Actor that emulates the medium of one link: it carries frames from host to host, with delay, loss, range and faults.
 #[derive(Debug)]
 pub struct Ether {
     emulator: LinkEmulator,
@@ -43,8 +45,11 @@ pub struct Ether {
 }
 
 impl Ether {
-    /// Returns an ether; `listens` gives the hosts that receive a kind of message. With a radio, the radio's own range
-    /// applies.
+    /// Returns the ether of one link. `emulator` applies delay, loss and planned faults. `radio` models a shared radio
+    /// channel; without it (`None`), frames do not contend.
+    ///
+    /// `reach` limits the range; `None` means unlimited. It is ignored with a radio, whose own range then applies.
+    /// `listens` returns the hosts that receive a kind of message.
     pub fn new(
         emulator: LinkEmulator,
         radio: Option<RadioLink>,

@@ -1,4 +1,5 @@
-//! Emulated links for hosts that run in one process. All pure.
+//! Emulated links (network media) for hosts that run in one process. All code is pure: it reads no clock and does no
+//! I/O.
 
 pub mod emulator;
 pub mod ether;

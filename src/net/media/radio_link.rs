@@ -1,5 +1,5 @@
-//! The radio channel under an emulated link. Its stations are the hosts of the link, at the true positions of their
-//! robots.
+//! The radio channel under an emulated link. The stations of the channel are the hosts of the link, at the true
+//! positions of their robots.
 
 use std::sync::Arc;
 
@@ -16,16 +16,16 @@ use crate::time::{Span, Time};
 /// Period of the reports of radio counts.
 const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
-/// A frame offered to the channel, with the kind of its first message.
+/// Frame that a host has offered to a radio channel, with the kind of its first message.
 #[derive(Clone, Debug)]
 pub struct Sent {
-    /// Kind of its first message, by which the link emulator impairs it.
+    /// Kind of the frame's first message, by which the link emulator delays or loses the frame.
     pub kind: Kind,
-    /// Its bytes.
+    /// Bytes of the frame.
     pub frame: Frame,
 }
 
-/// The radio channel of one link.
+/// Radio channel of one emulated link, with one station for each host.
 #[derive(Debug)]
 pub struct RadioLink {
     channel: Channel<Sent>,
@@ -35,8 +35,12 @@ pub struct RadioLink {
 }
 
 impl RadioLink {
-    /// Returns a channel with one station per host. A host is at the position of the first robot whose agent it runs; a
-    /// host without robots is within range of all.
+    /// Returns a channel with the parameters `radio` and one station per host, which draws random numbers from streams
+    /// of `seed`. `robots_of` has one entry per host: the first robot whose agent the host runs, or `None` for a host
+    /// without robots.
+    ///
+    /// A host is at the position of that robot. A host without robots is within range of all, and so is one whose robot
+    /// was not located yet.
     pub fn new(radio: Radio, robots_of: &[Option<u16>], seed: &Seed) -> RadioLink {
         let hosts = u16::try_from(robots_of.len()).expect("hosts are counted in u16");
         let robots = robots_of.iter().flatten().max().map_or(0, |&last| usize::from(last) + 1);
@@ -47,7 +51,9 @@ impl RadioLink {
         RadioLink { channel: Channel::new(radio, hosts, seed), hosts_of_robot, next_counts: Time::ZERO }
     }
 
-    /// Queues a frame at its host; a frame for all goes to `listeners`.
+    /// Queues a frame of the host `transmit.from` for transmission at time `now`. `kind` is the kind of the frame's
+    /// first message. A frame for one host goes to that host; a frame for all hosts goes to `listeners`, without the
+    /// sender.
     pub fn offer(&mut self, now: Time, transmit: &Transmit, kind: Kind, listeners: &Arc<[u16]>) {
         let to = match transmit.audience {
             Audience::Host(to) => Destination::One(to.0),
@@ -57,7 +63,8 @@ impl RadioLink {
         self.channel.offer(now, transmit.from.0, to, frame.len(), Sent { kind, frame });
     }
 
-    /// Updates the hosts' positions from the true positions of their robots.
+    /// Updates the hosts' positions from the true positions of their robots, which a simulated world sends after each
+    /// step.
     pub fn locate(&mut self, truth: &Truth) {
         for sample in truth.samples.iter() {
             for host in self.hosts_of_robot.get(sample.robot.index()).into_iter().flatten() {
@@ -66,12 +73,13 @@ impl RadioLink {
         }
     }
 
-    /// Returns when it next has to be woken.
+    /// Returns the time at which `wake` is next due, for a transmission or for a report of the counts.
     pub fn wake_at(&self) -> Time {
         self.channel.wake_at().map_or(self.next_counts, |due| due.min(self.next_counts))
     }
 
-    /// Runs the channel up to `now`; returns its counts once every `COUNTS_PERIOD`.
+    /// Runs the channel up to time `now`, and appends the received frames to `deliveries` in the order of arrival.
+    /// Returns the counts of frames and airtime if a report is due (once per second), and `None` otherwise.
     pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<Sent>>) -> Option<RadioCounts> {
         self.channel.wake(now, deliveries);
         (self.next_counts <= now).then(|| {

@@ -1,13 +1,13 @@
 //! Range of an emulated link: the true positions of its hosts, in a uniform grid for radius queries.
 //!
-//! This is a property of the link. The communication range of the policy is `hearing::CommRange`.
+//! The range is a property of the link. The communication range of a policy is another one: `hearing::CommRange`.
 
 use crate::cells::Cells;
 use crate::messages::geometry::Vec2;
 use crate::messages::ids::HostId;
 use crate::messages::local::Truth;
 
-/// Hosts of a link with a limited range, and their positions.
+/// Hosts of an emulated link with a limited transmission range, and their true positions.
 #[derive(Debug)]
 pub struct Reach {
     range_m: f32,
@@ -23,8 +23,9 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// Returns a link with the range `range_m` \[m\]. A host is at the position of the first robot whose agent it runs;
-    /// a host without robots is within range of all, and so is one whose robot was not located yet.
+    /// Returns the hosts of a link with the range `range_m` \[m\]. `robots_of` has one entry per host: the first robot
+    /// whose agent the host runs, or `None` for a host without robots. A host is at the position of that robot. A host
+    /// without robots is within range of all, and so is one whose robot was not located yet.
     pub fn new(range_m: f32, robots_of: &[Option<u16>]) -> Reach {
         let hosts = u16::try_from(robots_of.len()).expect("hosts are counted in u16");
         let robots = robots_of.iter().flatten().max().map_or(0, |&last| usize::from(last) + 1);
@@ -36,7 +37,8 @@ impl Reach {
         Reach { range_m, hosts_of_robot, positions, grid: None, unlocated: Vec::new(), near: Vec::new() }
     }
 
-    /// Updates the hosts' positions from the true positions of their robots.
+    /// Updates the hosts' positions from the true positions of their robots, which a simulated world sends after each
+    /// step.
     pub fn locate(&mut self, truth: &Truth) {
         for sample in truth.samples.iter() {
             for host in self.hosts_of_robot.get(sample.robot.index()).into_iter().flatten() {
@@ -46,7 +48,7 @@ impl Reach {
         self.grid = None;
     }
 
-    /// Whether two hosts are within range of each other.
+    /// Returns true if the hosts `from` and `to` are within range of each other, or if one of them has no position.
     pub fn covers(&self, from: HostId, to: HostId) -> bool {
         let position = |host: HostId| self.positions[usize::from(host.0)];
         match (position(from), position(to)) {
@@ -55,7 +57,8 @@ impl Reach {
         }
     }
 
-    /// Puts the hosts among `listeners` (sorted) that are within range of `from` into `found`, without `from` itself.
+    /// Replaces the content of `found` by the hosts among `listeners` that are within range of the host `from`, without
+    /// `from` itself. `listeners` must be sorted.
     pub fn listeners(&mut self, from: HostId, listeners: &[u16], found: &mut Vec<HostId>) {
         found.clear();
         let mut candidates = std::mem::take(&mut self.near);

@@ -1,32 +1,33 @@
-//! Saturation throughput of a channel by the model of G. Bianchi, "Performance analysis of the IEEE 802.11
-//! distributed coordination function", IEEE JSAC 18(3), 2000. Solved numerically; no simulation.
+//! Saturation throughput of a radio channel by the model of G. Bianchi, "Performance analysis of the IEEE 802.11
+//! distributed coordination function", IEEE JSAC 18(3), 2000. The equations are solved numerically, without simulation.
 
 use super::Radio;
 use crate::time::Span;
 
-/// Performance of n saturated stations: each always has a frame to send.
+/// Performance of a radio channel on which every station always has a frame to send, by the model of Bianchi (JSAC
+/// 18(3), 2000).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Saturation {
-    /// Probability that a station transmits in a slot: tau of equation (7).
+    /// Probability that a station transmits in a slot: tau of Bianchi's equation (7).
     pub attempt: f64,
-    /// Probability that a transmitted frame collides: p of equation (9).
+    /// Probability that a transmitted frame collides: p of Bianchi's equation (9).
     pub collision: f64,
-    /// Share of time in which payload is transmitted without collision: S of equation (13).
+    /// Share of time, 0 to 1, in which payload is transmitted without collision: S of Bianchi's equation (13).
     pub throughput: f64,
-    /// Delivered frames of all stations together \[1/s\].
+    /// Frames that all stations together deliver per second \[1/s\].
     pub frames_per_s: f64,
 }
 
-/// Time intervals of the model.
+/// Time intervals of a radio channel that the saturation model of Bianchi (JSAC 18(3), 2000) needs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lengths {
-    /// Slot time: sigma.
+    /// Slot time: sigma in Bianchi's model.
     pub slot: Span,
-    /// Time that the channel is busy with a successful transmission: T_s.
+    /// Time that the channel is busy with a successful transmission: T_s in Bianchi's model.
     pub success: Span,
-    /// Time that the channel is busy with a collision: T_c.
+    /// Time that the channel is busy with a collision: T_c in Bianchi's model.
     pub collision: Span,
-    /// Airtime of the payload alone: E\[P\].
+    /// Airtime of the payload of a frame alone: E\[P\] in Bianchi's model.
     pub payload: Span,
 }
 
@@ -38,8 +39,8 @@ fn attempt(p: f64, window: f64, stages: i32) -> f64 {
 }
 
 impl Saturation {
-    /// Solves the model for `stations` stations with an initial contention window of `window` slots, doubled at most
-    /// `stages` times, and unlimited retries.
+    /// Solves the model for `stations` stations with unlimited retries. The initial contention window has `window`
+    /// slots and is doubled at most `stages` times. `lengths` has the time intervals of the channel.
     pub fn of(stations: usize, window: u32, stages: i32, lengths: &Lengths) -> Saturation {
         let n = stations as f64;
         let window = f64::from(window);
@@ -66,8 +67,9 @@ impl Saturation {
         }
     }
 
-    /// Solves the model for `stations` stations on this channel that send unicast datagrams of `datagram_bytes` in one
-    /// hop.
+    /// Solves the model for `stations` stations on the channel `radio`. Each station always has a unicast datagram of
+    /// `datagram_bytes` bytes to send, which reaches its receiver in one hop. The retry limit of the channel is
+    /// ignored.
     pub fn of_radio(radio: &Radio, stations: usize, datagram_bytes: usize) -> Saturation {
         let times = radio.times();
         let frame = radio.frame_airtime(datagram_bytes);

@@ -1,8 +1,9 @@
-//! A channel that stations share by the distributed coordination function (10.3).
+//! A channel that stations share by the distributed coordination function (IEEE 802.11-2016, 10.3).
 //!
-//! Event-driven: time advances from one transmission to the next, however many idle slots lie between. All stations
-//! sense each other, so there are no hidden terminals. Two that start in one slot collide, and neither frame is
-//! received; there is no capture effect. A study runs it by itself, an emulated link inside of an actor.
+//! The simulation is event-driven: time advances from one transmission to the next, however many idle slots lie
+//! between. All stations sense each other, so there are no hidden terminals. Two stations that start in one slot
+//! collide, and neither frame is received; there is no capture effect. A study runs a channel by itself, and an
+//! emulated link runs one inside an actor.
 
 use rand::RngExt;
 
@@ -19,16 +20,16 @@ use crate::time::{Span, Time};
 /// headers, which are part of `OVERHEAD_BYTES` \[bytes\].
 const FOREIGN_BYTES: usize = 1500 - 28;
 
-/// Frame received by a station.
+/// Frame that a station of a radio channel has received.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Delivery<T> {
-    /// Arrival of its last bit.
+    /// Time at which the last bit of the frame arrived.
     pub at: Time,
-    /// Station that sent it.
+    /// Index of the station that sent the frame.
     pub from: u16,
-    /// Station that has received it.
+    /// Index of the station that received the frame.
     pub to: u16,
-    /// Payload it was offered with.
+    /// Payload with which the caller offered the frame to the channel.
     pub token: T,
 }
 
@@ -39,7 +40,8 @@ struct OnAir {
     until: Time,
 }
 
-/// One channel and its stations.
+/// Simulated radio channel of IEEE 802.11 with its stations, which contend for the medium. Stations have indices from
+/// zero. `T` is the caller's payload, which a frame carries to its receivers.
 #[derive(Clone, Debug)]
 pub struct Channel<T> {
     radio: Radio,
@@ -63,8 +65,10 @@ pub struct Channel<T> {
 }
 
 impl<T: Clone> Channel<T> {
-    /// Returns a channel with idle stations at time zero; it draws from streams of this seed alone. The radio must have
-    /// passed its check; panics otherwise.
+    /// Returns a channel at time zero with the parameters `radio` and `members` idle stations. An access point and the
+    /// load by other networks are added if the parameters say so. All random numbers are drawn from streams of `seed`.
+    ///
+    /// The parameters must have passed `Radio::check`; otherwise this function or a later call may panic.
     pub fn new(radio: Radio, members: u16, seed: &Seed) -> Channel<T> {
         let relays = usize::from(radio.channel == Topology::Infrastructure);
         let all = usize::from(members) + relays + usize::from(radio.background > 0.0);
@@ -94,7 +98,11 @@ impl<T: Clone> Channel<T> {
         channel
     }
 
-    /// Queues a datagram of `bytes` at a station. Panics if `now` is later than `wake_at`.
+    /// Queues a datagram of `bytes` bytes at the station `from` at time `now`, for the receivers `to`. Each delivery
+    /// carries a copy of `token`. The datagram is lost if the station's queue is full.
+    ///
+    /// # Panics
+    /// If `now` is later than `wake_at`: then call `wake` first.
     pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         assert!(self.due.is_none_or(|due| now <= due), "wake the channel before offering more");
         let frame = self.frame(from, to, bytes, token);
@@ -104,33 +112,38 @@ impl<T: Clone> Channel<T> {
         self.plan();
     }
 
-    /// Saturates a station: from now on it always has such a datagram to send.
+    /// Saturates the station `from`: from time `now` on, it always has a datagram of `bytes` bytes for the receivers
+    /// `to` to send. Each delivery carries a copy of `token`.
+    ///
+    /// # Panics
+    /// If `now` is later than `wake_at`: then call `wake` first.
     pub fn saturate(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         self.stations[usize::from(from)].refill = Some(self.frame(from, to.clone(), bytes, token.clone()));
         self.offer(now, from, to, bytes, token);
     }
 
-    /// Sets the position of a station \[m\].
+    /// Sets the position \[m\] of the station with index `station`, world frame. A station without a position is within
+    /// range of all.
     pub fn place(&mut self, station: u16, position: Vec2) {
         self.positions[usize::from(station)] = Some(position);
     }
 
-    /// Returns the counters up to `now`.
+    /// Returns the counters of frames and airtime since time zero, with `now` as the lifetime of the channel so far.
     pub fn counts(&self, now: Time) -> RadioCounts {
         RadioCounts { channel_ns: now.as_nanos(), ..self.counts }
     }
 
-    /// Returns the queue length of a station \[frames\].
+    /// Returns the number of frames in the transmit queue of the station with index `station`.
     pub fn queued(&self, station: u16) -> usize {
         self.stations[usize::from(station)].queue.len()
     }
 
-    /// Returns when it next has to be woken.
+    /// Returns the time at which `wake` is next due; `None` if nothing is to be sent.
     pub fn wake_at(&self) -> Option<Time> {
         self.due
     }
 
-    /// Runs the channel up to `now`; appends received frames to `deliveries` in order of arrival.
+    /// Runs the channel up to time `now`, and appends the received frames to `deliveries` in the order of arrival.
     pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<T>>) {
         while let Some(due) = self.due.filter(|&due| due <= now) {
             if self.foreign_due == Some(due) {

@@ -1,4 +1,4 @@
-//! Counters of a radio channel: offered and transmitted frames, and losses by cause.
+//! Counters of a radio channel: offered frames, transmitted frames, and losses by cause.
 
 use std::iter::Sum;
 
@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 macro_rules! counts {
     ($($(#[$doc:meta])* $name:ident,)*) => {
-        /// Counters of frames and airtime of radio channels. A multicast frame is lost or delivered once for each
-        /// receiver.
+        /// Counters of frames and airtime of one radio channel, or summed over channels. A multicast frame is lost or
+        /// delivered once for each receiver.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
         #[serde(default)]
         pub struct RadioCounts {
@@ -23,48 +23,50 @@ macro_rules! counts {
 }
 
 counts! {
-    /// Datagrams offered to stations.
+    /// Number of datagrams that were offered to stations for transmission.
     offered,
-    /// Expected deliveries: one per offered datagram and receiver.
+    /// Number of expected deliveries: one for each offered datagram and receiver.
     wanted,
-    /// Transmitted frames, including retries and an access point's relaying, without those of other networks.
+    /// Number of transmitted frames, with retries and the access point's relaying, without frames of other networks.
     transmissions,
-    /// Transmitted frames that collided.
+    /// Number of transmitted frames that collided with another frame, without frames of other networks.
     collided,
-    /// Deliveries at the final receivers; arrivals at an access point do not count.
+    /// Number of deliveries at the final receivers; arrivals at an access point do not count.
     arrived,
-    /// Lost deliveries: the transmit queue of a station or the access point was full.
+    /// Number of deliveries lost because the transmit queue of a station or of the access point was full.
     lost_queue,
-    /// Lost deliveries: a unicast frame reached its retry limit without an acknowledgement.
+    /// Number of deliveries lost because a unicast frame reached its retry limit without an acknowledgement.
     lost_retries,
-    /// Lost deliveries: a multicast frame collided.
+    /// Number of deliveries lost because a multicast frame collided.
     lost_collision,
-    /// Lost deliveries: noise corrupted a multicast frame.
+    /// Number of deliveries lost because noise corrupted a multicast frame at the receiver.
     lost_noise,
-    /// Lost deliveries: the receiver of a multicast frame was out of range.
+    /// Number of deliveries lost because the receiver of a multicast frame was out of range.
     lost_range,
-    /// Time in which the medium was busy with these stations and the access point \[ns\].
+    /// Time in which the medium was busy with frames of this channel's stations and access point \[ns\].
     airtime_ns,
-    /// Time in which the medium was busy only with frames of other networks \[ns\].
+    /// Time in which the medium was busy with frames of other networks only \[ns\].
     foreign_ns,
-    /// Lifetime of all channels together, of which airtime is a share \[ns\].
+    /// Simulated lifetime of the channel \[ns\], of which airtime is a share; for a sum of counters, of all channels
+    /// together.
     channel_ns,
 }
 
 impl RadioCounts {
-    /// Lost deliveries with a text for each cause.
+    /// Returns the number of lost deliveries for each cause, with a text for the cause; numbers may be zero.
     pub fn causes(&self) -> impl Iterator<Item = (u64, &'static str)> {
         let multicast =
             [(self.lost_collision, "to collisions"), (self.lost_noise, "to noise"), (self.lost_range, "out of range")];
         [(self.lost_queue, "to full queues"), (self.lost_retries, "after all retries")].into_iter().chain(multicast)
     }
 
-    /// Lost deliveries of all causes.
+    /// Returns the number of lost deliveries, summed over all causes.
     pub fn lost(&self) -> u64 {
         self.causes().map(|(n, _)| n).sum()
     }
 
-    /// Share of time in which the medium was busy with these stations, over all channels.
+    /// Returns the share of time, 0 to 1, in which the medium was busy with this channel's stations and access point.
+    /// For a sum of counters it is the mean over all channels.
     pub fn airtime(&self) -> f64 {
         self.airtime_ns as f64 / self.channel_ns.max(1) as f64
     }

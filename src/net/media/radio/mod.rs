@@ -1,8 +1,9 @@
-//! The radio channel of IEEE 802.11, pure. This file holds its parameters and the interframe spaces that follow.
+//! Model of a radio channel of IEEE 802.11. The code is pure: it reads no clock and does no I/O. This file holds the
+//! channel's parameters and the interframe spaces that follow from them.
 //!
 //! `channel` is the distributed coordination function (DCF), `station` the queue and backoff of one station. `rate` has
-//! the airtime of frames, `bianchi` a model of saturation. Nothing here knows an actor, a message or a clock.
-//! Clauses are those of IEEE 802.11-2016. `docs/radio.md` lists what is not modelled.
+//! the airtime of frames, and `bianchi` a model of saturation. The code knows no actor, message or clock. Numbers of
+//! clauses are those of IEEE 802.11-2016. `docs/radio.md` lists what is not modelled.
 
 pub mod bianchi;
 pub mod channel;
@@ -19,90 +20,96 @@ use serde::{Deserialize, Serialize};
 use crate::config::{self, ConfigError};
 use crate::time::Span;
 
-/// Topology of a channel.
+/// Topology of a radio channel: with or without an access point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Topology {
     /// Frames go through an access point, an additional station that transmits each of them a second time (4.3.5).
     Infrastructure,
-    /// Frames go from station to station, in one hop (4.3.2).
+    /// Frames go directly from station to station, in one hop (4.3.2).
     AdHoc,
 }
 
-/// Rule for the backoff counter in a slot in which another station starts to transmit.
+/// Rule for a station's backoff counter in a slot in which another station starts to transmit. The counter is the
+/// number of slots that a station still waits before it transmits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Counting {
-    /// The counter is frozen: only an idle slot decrements it (DCF, 10.3.4.3).
+    /// The counter is frozen: only an idle slot decrements it (distributed coordination function, DCF, 10.3.4.3).
     Dcf,
     /// The counter is decremented in that slot, too (EDCA, 10.22.2.4; and the model of Bianchi).
     Edca,
 }
 
-/// Interframe space after a frame that no station could decode.
+/// Idle time that stations wait after a frame that no station could decode (interframe space).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Recovery {
-    /// DIFS, as after any other frame (the model of Bianchi).
+    /// The usual interframe space, as after any other frame (the model of Bianchi).
     Difs,
-    /// EIFS: additionally the time of an acknowledgement (10.3.2.3.7).
+    /// The extended interframe space (EIFS): the usual one and the time of an acknowledgement (10.3.2.3.7).
     Eifs,
 }
 
-/// Parameters of a radio channel.
+/// Parameters of a radio channel of IEEE 802.11, which all its stations share.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Radio {
-    /// Infrastructure or ad hoc.
+    /// Topology of the channel: with an access point, or ad hoc.
     pub channel: Topology,
-    /// Data rate of unicast frames.
+    /// Data rate at which stations send unicast frames, which go to one receiver.
     pub rate: Rate,
-    /// Data rate of multicast frames.
+    /// Data rate at which stations send multicast frames, which go to many receivers and are not acknowledged.
     pub basic_rate: Rate,
-    /// Data rate of acknowledgements.
+    /// Data rate at which stations send acknowledgements of unicast frames.
     pub ack_rate: Rate,
-    /// Channel width \[MHz\].
+    /// Width of the channel \[MHz\]: 5, 10, 20 or 40.
     pub width_mhz: Width,
-    /// Frequency band.
+    /// Frequency band of the channel: 2.4 GHz or 5 GHz.
     pub band: Band,
-    /// Slot time \[us\].
+    /// Slot time, the unit in which stations count their backoff \[us\].
     pub slot_us: u32,
-    /// Short interframe space (SIFS) \[us\].
+    /// Short interframe space (SIFS), the time between a frame and its acknowledgement \[us\].
     pub sifs_us: u32,
-    /// Arbitration interframe space number: idle slots after a SIFS; two make a DIFS (10.3.7).
+    /// Arbitration interframe space number: slots that the medium must be idle after a SIFS before stations count their
+    /// backoff. Two slots make a DIFS (10.3.7).
     pub aifsn: u32,
-    /// Propagation delay \[us\].
+    /// Propagation delay between any two stations \[us\].
     pub propagation_us: u32,
-    /// Minimum contention window \[slots\]: the first backoff is drawn from 0 to this.
+    /// Minimum contention window \[slots\]: the first backoff of a frame is drawn from 0 to this number. It is one less
+    /// than a power of two.
     pub cw_min: u32,
-    /// Maximum contention window \[slots\].
+    /// Maximum contention window \[slots\], up to which each failed transmission doubles the window. It is one less
+    /// than a power of two.
     pub cw_max: u32,
-    /// Rule for the backoff counter in a busy slot.
+    /// Rule for a station's backoff counter in a slot in which another station starts to transmit.
     pub counting: Counting,
-    /// Interframe space after a frame that no station could decode.
+    /// Idle time that stations wait after a frame that no station could decode.
     pub after_error: Recovery,
-    /// Retry limit: retransmissions of an unacknowledged unicast frame after its first transmission.
+    /// Retry limit: largest number of retransmissions of an unacknowledged unicast frame after its first transmission.
     pub retries: u32,
-    /// Capacity of the transmit queue of a station or the access point \[frames\]; a frame that finds it full is lost.
+    /// Capacity of the transmit queue of each station and of the access point \[frames\]. A frame that finds the queue
+    /// full is lost.
     pub queue: usize,
-    /// Header and trailer bytes on the air for each datagram \[bytes\].
+    /// Bytes of headers and trailers that are transmitted with each datagram \[bytes\].
     pub overhead_bytes: usize,
-    /// Transmission range of a station \[m\]; none for unlimited. Ad hoc only: an access point reaches all stations.
+    /// Transmission range of a station \[m\]; `None` for unlimited. It must be `None` with an access point, which
+    /// reaches all stations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub range_m: Option<f32>,
     /// Probability that noise corrupts a frame, 0 to 1, independently for each receiver.
     pub noise_loss: f64,
-    /// Share of airtime that is offered by stations of other networks, 0 to 1.
+    /// Load by stations of other networks, as a share of airtime that they offer to the channel, 0 to 1.
     pub background: f64,
 }
 
-/// Bytes on the air for each datagram: MAC header 24 (9.2.3), QoS control 2 (9.2.4.5), FCS 4, LLC and SNAP 8 (RFC
-/// 1042), IPv4 20 (RFC 791), UDP 8 (RFC 768) \[bytes\].
+/// Bytes of headers and trailers that are transmitted with each UDP datagram \[bytes\]. They are: MAC header 24
+/// (9.2.3), QoS control 2 (9.2.4.5), FCS 4, LLC and SNAP 8 (RFC 1042), IPv4 20 (RFC 791), UDP 8 (RFC 768).
 pub const OVERHEAD_BYTES: usize = 24 + 2 + 4 + 8 + 20 + 8;
-/// Length of an ACK frame (9.3.1.4) \[bytes\].
+/// Length of an acknowledgement (ACK) frame of IEEE 802.11 (9.3.1.4) \[bytes\].
 pub const ACK_BYTES: usize = 14;
 
-/// Names of the presets.
+/// Names of the predefined radio channels, which `Radio::preset` returns.
 pub const PRESETS: [&str; 4] = ["wifi", "wifi-n", "wifi-slow", "paper"];
 
 impl Default for Radio {
@@ -141,23 +148,25 @@ fn rate(name: &str) -> Rate {
     name.parse().expect("a rate of the table")
 }
 
-/// Time intervals of medium access.
+/// Time intervals of medium access, which follow from the parameters of a radio channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Times {
-    /// Slot time.
+    /// Slot time, the unit in which stations count their backoff.
     pub slot: Span,
-    /// Propagation delay.
+    /// Propagation delay between any two stations.
     pub propagation: Span,
-    /// AIFS: idle time before slots are counted; equal to DIFS if `aifsn` is 2.
+    /// Arbitration interframe space (AIFS): idle time of the medium before stations count their backoff. It equals a
+    /// DIFS if `Radio::aifsn` is 2.
     pub aifs: Span,
-    /// Time from the arrival of a unicast frame to the arrival of its acknowledgement.
+    /// Time from the arrival of a unicast frame at its receiver to the arrival of the acknowledgement at the sender.
     pub acknowledged: Span,
-    /// Time from the end of a frame that no station could decode to the start of slot counting.
+    /// Time from the end of a frame that no station could decode until stations count their backoff again.
     pub recovery: Span,
 }
 
 impl Radio {
-    /// Returns the preset of that name, with an access point; `None` if there is none.
+    /// Returns the predefined channel named `name`, with an access point; `None` if no preset has that name. The names
+    /// are in `PRESETS`.
     pub fn preset(name: &str) -> Option<Radio> {
         Some(match name {
             "wifi" => Radio::default(),
@@ -189,9 +198,10 @@ impl Radio {
         })
     }
 
-    /// Returns the system of Bianchi's Table II (JSAC 18(3), 2000): FHSS at 1 Mbit/s, MAC header 272 bits, PHY header
-    /// 128 bits, ACK 112 bits and PHY header, window 32 doubled `stages` times, unlimited retries. Its payload is 1023
-    /// bytes.
+    /// Returns the system of Bianchi's Table II (JSAC 18(3), 2000), an ad-hoc channel to compare with his model. Its
+    /// values: FHSS at 1 Mbit/s, MAC header 272 bits, PHY header 128 bits, ACK 112 bits and PHY header. The contention
+    /// window is 32 slots, doubled up to `stages` times, and retries are unlimited. The payload in the table, 1023
+    /// bytes, is not part of the result.
     pub fn bianchi(stages: u32) -> Radio {
         let fhss = rate("fhss-1");
         Radio {
@@ -213,15 +223,16 @@ impl Radio {
         }
     }
 
-    /// Reads a channel from TOML and checks it; missing fields are those of the preset `wifi`. An error names the
-    /// field.
+    /// Reads the parameters of a channel from TOML and checks them. Missing fields have the values of the preset
+    /// `wifi`; an error names the wrong field.
     pub fn from_toml(text: &str) -> Result<Radio, ConfigError> {
         let radio: Radio = config::from_toml(text)?;
         radio.check()?;
         Ok(radio)
     }
 
-    /// Checks all ranges; an error names the field.
+    /// Checks the ranges of all parameters, and that the rates exist at the channel's width. An error names the wrong
+    /// field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         for (field, rate) in [("rate", self.rate), ("basic_rate", self.basic_rate), ("ack_rate", self.ack_rate)] {
@@ -270,7 +281,7 @@ impl Radio {
         Ok(())
     }
 
-    /// Returns the time intervals that follow from the parameters.
+    /// Returns the time intervals of medium access that follow from the channel's parameters.
     pub fn times(&self) -> Times {
         let us = |us: u32| Span::from_nanos(1000 * u64::from(us));
         let (slot, sifs, propagation) = (us(self.slot_us), us(self.sifs_us), us(self.propagation_us));
@@ -283,17 +294,20 @@ impl Radio {
         Times { slot, propagation, aifs, acknowledged: answer + propagation, recovery }
     }
 
-    /// Returns the airtime of a unicast frame with a datagram of `datagram_bytes`.
+    /// Returns the time that a unicast frame with a datagram of `datagram_bytes` bytes takes on the air, with all
+    /// headers.
     pub fn frame_airtime(&self, datagram_bytes: usize) -> Span {
         self.rate.airtime(self.overhead_bytes + datagram_bytes, self.width_mhz, self.band)
     }
 
-    /// Returns the airtime of a multicast frame with a datagram of `datagram_bytes`.
+    /// Returns the time that a multicast frame with a datagram of `datagram_bytes` bytes takes on the air, with all
+    /// headers.
     pub fn multicast_airtime(&self, datagram_bytes: usize) -> Span {
         self.basic_rate.airtime(self.overhead_bytes + datagram_bytes, self.width_mhz, self.band)
     }
 
-    /// Returns the part of a unicast frame's airtime that the datagram itself takes.
+    /// Returns the part of a unicast frame's airtime that the datagram of `datagram_bytes` bytes itself takes, without
+    /// the headers.
     pub fn payload_airtime(&self, datagram_bytes: usize) -> Span {
         let empty = self.rate.airtime(self.overhead_bytes, self.width_mhz, self.band);
         self.frame_airtime(datagram_bytes) - empty

@@ -1,6 +1,6 @@
-//! Data rates of 802.11, and the airtime of a frame at each. No medium access.
+//! Data rates of IEEE 802.11, and the airtime of a frame at each rate. Medium access is not part of this file.
 //!
-//! Clauses and tables are those of IEEE 802.11-2016.
+//! Numbers of clauses and tables are those of IEEE 802.11-2016.
 
 use std::fmt;
 use std::str::FromStr;
@@ -66,17 +66,17 @@ const CODINGS: [Coding; 21] = [
     coding("ht-mcs7", Family::Ht, 2 * 260),
 ];
 
-/// Channel width.
+/// Width of a radio channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "u8", into = "u8")]
 pub enum Width {
-    /// 5 MHz, OFDM only.
+    /// 5 MHz; only OFDM rates exist at this width.
     Quarter,
-    /// 10 MHz, OFDM only.
+    /// 10 MHz; only OFDM rates exist at this width.
     Half,
-    /// 20 MHz, all rates.
+    /// 20 MHz; all rates exist at this width.
     Full,
-    /// 40 MHz: HT frames carry more; all others are as at 20 MHz.
+    /// 40 MHz; HT (802.11n) frames carry more bits per symbol, and frames at all other rates are as at 20 MHz.
     Double,
 }
 
@@ -96,23 +96,24 @@ impl From<Width> for u8 {
     }
 }
 
-/// Frequency band of a channel.
+/// Frequency band of a radio channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Band {
-    /// 2.4 GHz: OFDM frames are followed by a signal extension of 6 us.
+    /// 2.4 GHz; OFDM and HT frames are followed by a signal extension (silence) of 6 us.
     #[serde(rename = "2.4GHz")]
     Low,
-    /// 5 GHz.
+    /// 5 GHz; frames have no signal extension.
     #[serde(rename = "5GHz")]
     High,
 }
 
-/// Data rate of 802.11, written in files as its name, such as `ofdm-12`.
+/// Data rate of IEEE 802.11. In files it is written as its name: modulation and rate in Mbit/s, such as `ofdm-12`, or
+/// the HT scheme, such as `ht-mcs7`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Rate(u8);
 
-/// All rates.
+/// Returns all data rates that this program knows.
 pub fn all() -> impl Iterator<Item = Rate> {
     (0..CODINGS.len()).map(|at| Rate(at as u8))
 }
@@ -122,13 +123,14 @@ impl Rate {
         &CODINGS[usize::from(self.0)]
     }
 
-    /// Whether this rate exists at this channel width.
+    /// Returns true if this data rate exists at the channel width `width`.
     pub fn fits(self, width: Width) -> bool {
         matches!(width, Width::Full | Width::Double) || self.coding().family == Family::Ofdm
     }
 
-    /// Returns the airtime of a frame of `bytes`, which include MAC header and frame check sequence: TXTIME of 16.3.4,
-    /// 17.4.3, 18.5.3.2 and 19.4.3.
+    /// Returns the time that a frame of `bytes` bytes takes on the air at this rate, in a channel of this width and
+    /// band. The bytes include MAC header and frame check sequence. The time is TXTIME of 16.3.4, 17.4.3, 18.5.3.2 and
+    /// 19.4.3 in IEEE 802.11-2016.
     pub fn airtime(self, bytes: usize, width: Width, band: Band) -> Span {
         let Coding { family, bits_in_two, .. } = *self.coding();
         let bits = 8 * bytes as u64;

@@ -1,4 +1,4 @@
-//! One station of a channel: its transmit queue, contention window and backoff counter.
+//! One station of a radio channel: its transmit queue, contention window and backoff counter.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -8,12 +8,13 @@ use rand::RngExt;
 use super::{Counting, Radio};
 use crate::random::Stream;
 
-/// Destination of a frame.
+/// Receivers of a frame on a radio channel, as indices of stations.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Destination {
-    /// One station: unicast, acknowledged, retransmitted up to the retry limit.
+    /// One station, by unicast: acknowledged, and retransmitted up to the retry limit.
     One(u16),
-    /// These stations, except the sender: multicast, sent once at the basic rate.
+    /// All these stations except the sender, by multicast: sent once at the basic rate, without acknowledgement. With
+    /// an access point, the frame first goes to it by unicast, and the access point multicasts it.
     Many(Arc<[u16]>),
 }
 
@@ -33,16 +34,20 @@ pub(super) enum Hop {
 /// Frame in a transmit queue.
 #[derive(Clone, Debug)]
 pub(super) struct QueuedFrame<T> {
+    /// Part of the way that the transmission covers.
     pub hop: Hop,
+    /// Index of the station that offered the frame.
     pub from: u16,
+    /// Final receivers of the frame.
     pub to: Destination,
+    /// Length of the datagram in the frame \[bytes\].
     pub bytes: usize,
-    /// Payload of the caller; none for a frame of another network.
+    /// Payload of the caller; `None` for a frame of another network.
     pub token: Option<T>,
 }
 
 impl<T> QueuedFrame<T> {
-    /// Returns the number of receivers; 0 for a frame of another network.
+    /// Returns the number of final receivers of the frame; 0 for a frame of another network.
     pub fn copies(&self) -> u64 {
         match &self.to {
             _ if self.hop == Hop::Foreign => 0,
@@ -51,7 +56,7 @@ impl<T> QueuedFrame<T> {
         }
     }
 
-    /// Whether it is sent by unicast, and so acknowledged.
+    /// Returns true if the frame is sent by unicast, and so acknowledged.
     pub fn unicast(&self) -> bool {
         match self.hop {
             Hop::Up | Hop::Foreign => true,
@@ -63,8 +68,9 @@ impl<T> QueuedFrame<T> {
 /// State of one station.
 #[derive(Clone, Debug)]
 pub(super) struct Station<T> {
+    /// Frames that wait for transmission, the next one first.
     pub queue: VecDeque<QueuedFrame<T>>,
-    /// Frame that refills an empty queue, if the station is saturated.
+    /// Frame that refills an empty queue if the station is saturated; `None` if it is not.
     pub refill: Option<QueuedFrame<T>>,
     /// Backoff counter: slots after the medium becomes idle before the station transmits, or may again. None if it may
     /// transmit at once.
@@ -74,16 +80,18 @@ pub(super) struct Station<T> {
 }
 
 impl<T: Clone> Station<T> {
+    /// Makes an idle station with the contention window that the channel's parameters `radio` give.
     pub fn new(radio: &Radio) -> Station<T> {
         Station { queue: VecDeque::new(), refill: None, counter: None, window: radio.cw_min, failures: 0 }
     }
 
-    /// Returns the slot, counted since the medium became idle, in which it transmits if the medium stays idle.
+    /// Returns the slot, counted since the medium became idle, in which the station transmits if the medium stays idle.
+    /// `None` means that the station has nothing to send.
     pub fn slot(&self) -> Option<u64> {
         self.counter.filter(|_| !self.queue.is_empty())
     }
 
-    /// Schedules a frame that came to an empty queue while the medium was idle: not before this slot (10.3.4.2).
+    /// Schedules a frame that came to an empty queue while the medium was idle, not before this slot (10.3.4.2).
     pub fn ready_at(&mut self, slot: u64) {
         self.counter = Some(self.counter.unwrap_or(0).max(slot));
     }
