@@ -224,7 +224,7 @@ impl SubAssign for Vec2 {
     }
 }
 
-/// Position and velocity of a robot in the world frame.
+/// Position \[m\] and velocity \[m/s\] of a robot, in the world frame unless its place of use says otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct Motion {
     /// Position of the centre \[m\].

@@ -109,9 +109,9 @@ pub struct BodyTwist {
 /// Contacts of a simulated robot during the last step of its World, the simulator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Contacts {
-    /// Whether another robot blocked the movement.
+    /// Whether the robot touched another one or, where plants block moves, was blocked by it.
     pub robot: bool,
-    /// Whether a wall blocked the movement.
+    /// Whether the robot touched a wall or, where plants block moves, was blocked by it.
     pub wall: bool,
 }
 
