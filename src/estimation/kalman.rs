@@ -15,9 +15,9 @@ use crate::time::{Span, Time};
 /// Longest prediction from the last measurement, so that a silent source moves no robot through a wall.
 const LONGEST: Span = Span::from_millis(500);
 
-/// Standard deviation of the acceleration between two readings \[m/s²\]: a robot that is commanded to change its velocity
-/// by 1 m/s reaches 2 m/s² with a drivetrain's lag of 0.5 s, and more with a shorter one. A filter that expects less goes
-/// on in the old direction for too long: in `passage` its robots touch walls.
+/// Standard deviation of the acceleration between two readings \[m/s²\]: a robot that is commanded to change its
+/// velocity by 1 m/s reaches 2 m/s² with a drivetrain's lag of 0.5 s, and more with a shorter one. A filter that
+/// expects less goes on in the old direction for too long: in `passage` its robots touch walls.
 const ACCELERATION: f64 = 3.0;
 
 /// Standard deviation of a position that does not say its own \[m\], and the least that is assumed: an exact sensor

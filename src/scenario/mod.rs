@@ -1,8 +1,8 @@
 //! Scenarios: tasks for robot teams, each with its arena, policy frames, reward and rules of judging.
 //!
-//! A new scenario is one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. In another crate
-//! it is one line where that crate makes its `Registry`, and [`contract::check`] tests it. The code of this folder knows
-//! no policy, network or actor.
+//! A new scenario is one file and one line in `REGISTRY`; `tests/graph/contracts.rs` then tests it. In another crate it
+//! is one line where that crate makes its `Registry`, and [`contract::check`] tests the scenario. The code of this
+//! folder knows no policy, network or actor.
 
 pub mod arena;
 pub mod contract;
