@@ -30,6 +30,9 @@ fn policy_check_says_what_a_file_is() {
     {
         assert!(said.contains(words), "'{words}' is missing in: {said}");
     }
+    let built_in = run(&["policy", "check", "shipped"]);
+    let own = |text: &str| text.split_once('\n').expect("several lines").1.to_owned();
+    assert_eq!(own(&text(&built_in.stdout)), own(&said), "the same policy");
     let output = run(&["policy", "check", &path("tests/data/python_full.safetensors"), "--json"]);
     let facts: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
     assert_eq!(facts["manifest"]["activation"], "relu");
@@ -46,6 +49,8 @@ fn policy_check_refuses_what_the_program_cannot_run() {
     refuses(&["sim", "--policy", &tanh], &["changed.safetensors", "activation", "relu"]);
     refuses(&["policy", "check", &of("\\\"sum\\\"", "\\\"max\\\"")], &["aggregation", "sum"]);
     refuses(&["policy", "check", &of("probe.age", "probe.old")], &["probe.age", "missing"]);
+    refuses(&["policy", "check", "orca"], &["orca", "code"]);
+    refuses(&["policy", "check", "shipped", "--scenario", "swap"], &["shipped", "swap"]);
     refuses(&["policy", "check", "nowhere.safetensors"], &["nowhere.safetensors"]);
     refuses(&["policy", "check", &path("Cargo.toml")], &["Cargo.toml", "safetensors"]);
 }

@@ -1,5 +1,6 @@
-//! The command `murmurate policy check`: what a policy file is, and whether this program can run it.
+//! The command `murmurate policy check`: what a policy is, from a file or built in, and whether it can be run here.
 
+use std::borrow::Cow;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
@@ -8,6 +9,7 @@ use serde::Serialize;
 use crate::policy::Draw;
 use crate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
 use crate::policy::probe::{self, Difference};
+use crate::policy::shipped;
 use crate::policy::weights::{self, Probe};
 use crate::program::output::{print, read_bytes, talk};
 use crate::program::{BadInput, Ended};
@@ -16,8 +18,11 @@ use crate::registry::Registry;
 /// Flags of `murmurate policy check`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The policy file
-    file: PathBuf,
+    /// The policy file; or 'shipped' or 'published', for one that is built into the program
+    policy: PathBuf,
+    /// Scenario of a built-in policy
+    #[arg(long, default_value = "passage")]
+    scenario: String,
     /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
@@ -50,9 +55,9 @@ struct ProbeFacts {
 /// # Errors
 /// If the file cannot be read or this program cannot run it.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
-    let name = args.file.display().to_string();
+    let name = args.policy.display().to_string();
     let refuse = |why: String| BadInput(format!("the policy file '{name}': {why}"));
-    let bytes = read_bytes(&args.file, "policy file")?;
+    let bytes = bytes(args, registry)?;
     let file = weights::read(&bytes).map_err(|error| refuse(error.to_string()))?;
     let layers = file.networks.iter().flat_map(|network| network.layers());
     let parameters = layers.map(|layer| (layer.inputs() + 1) * layer.outputs()).sum();
@@ -85,6 +90,23 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         facts.warnings.iter().for_each(|warning| talk(&format!("warning: {warning}")));
     }
     Ok(Ended::Done)
+}
+
+/// Returns the content of the file, or of the built-in policy of that name.
+fn bytes(args: &Args, registry: &Registry) -> Result<Cow<'static, [u8]>> {
+    let Args { policy, scenario, .. } = args;
+    let (name, built_in) = match policy.to_str() {
+        Some("shipped") => ("shipped", shipped::shipped(scenario)),
+        Some("published") => ("published", shipped::published(scenario)),
+        Some(name) if !policy.exists() && registry.policies().iter().any(|entry| entry.name == name) => {
+            return Err(BadInput(format!("the policy '{name}' is code, not a file: there is nothing to check")).into());
+        }
+        _ => return Ok(Cow::Owned(read_bytes(policy, "policy file")?)),
+    };
+    let Some(built_in) = built_in else {
+        return Err(BadInput(format!("there is no {name} policy for the scenario '{scenario}'")).into());
+    };
+    Ok(Cow::Borrowed(built_in))
 }
 
 fn table(facts: &Facts) -> String {
