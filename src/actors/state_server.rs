@@ -71,7 +71,8 @@ pub struct Config {
     pub limit: Span,
     /// Robots whose agents or bodies each host runs.
     pub hosts: Vec<Vec<RobotId>>,
-    /// Robots that no World simulates, in order: nothing but themselves and people can bring them to their starts.
+    /// Robots that no World simulates, by ascending number. They reach their starts by driving there or by hand only;
+    /// nothing can place them.
     pub real: Vec<RobotId>,
 }
 

@@ -102,8 +102,9 @@ pub fn has_moved(way: Vec2, noise_m: f32) -> bool {
     way.norm() > MOVED_M.max(MOVED_NOISES * noise_m)
 }
 
-/// Judges a robot that was driven along a direction: its own way \[m\], if it has moved, the others that have, and what
-/// its guard has counted.
+/// Judges a robot that was commanded to drive 0.1 m in the direction `along`, of any length, world frame. `way` is the
+/// robot's measured displacement \[m\], world frame; `None` if it has not moved (see [`has_moved`]). `others` are the
+/// other robots that have moved meanwhile; `counts` says how often the robot's guard stopped or slowed it meanwhile.
 pub fn judge(along: Vec2, way: Option<Vec2>, others: Vec<RobotId>, counts: &SafetyCounts) -> Verdict {
     let held: Vec<&str> = counts.reasons().map(|(_, reason)| reason).collect();
     // A robot that was held is not one that cannot move.

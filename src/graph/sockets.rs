@@ -119,7 +119,7 @@ impl Core for Fan {
     fn wake(&mut self, _: Time, _: &mut Vec<transport::In>) {}
 }
 
-/// Core with shared state, which outlives it and which others can read.
+/// State machine of an actor (a [`Core`]) that its owner can still read while the actor runs and after its end.
 pub struct Shared<C>(pub Rc<RefCell<C>>);
 
 impl<C: Core> Core for Shared<C> {

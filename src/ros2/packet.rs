@@ -197,7 +197,7 @@ pub struct Vitals {
     pub matched: bool,
 }
 
-/// Message that a DDS process has received.
+/// ROS message that the child process with the DDS library has received on a topic and passes to the host's process.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Heard {

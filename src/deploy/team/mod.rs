@@ -100,8 +100,12 @@ struct Inline {
 }
 
 impl TeamFile {
-    /// Reads a team file with the content `text` that lies in `folder`. `variables` is the environment. Errors name the
-    /// field, and the origin of its value.
+    /// Reads a team file with the content `text` that lies in `folder`, from which relative paths in the file begin.
+    /// `registry` has the scenarios, policies, drivers and so on that the file may name. `variables` are names and
+    /// values of environment variables, which set fields over those of the file; `flags` set fields over both.
+    ///
+    /// # Errors
+    /// A wrong field, by its name and the origin of its value: file, environment or flag.
     pub fn read(
         registry: &Registry,
         text: &str,

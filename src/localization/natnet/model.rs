@@ -10,7 +10,7 @@ use super::packet::{Malformed, Reader, Version};
 pub struct Definition {
     /// Name of the body in the tracker.
     pub name: String,
-    /// Its streaming ID, as in frames.
+    /// Streaming ID of the rigid body: the number by which frames of motion capture data name it.
     pub id: i32,
 }
 

@@ -51,7 +51,8 @@ pub enum BodyName {
 pub struct Network {
     /// Address of the server. Datagrams of others are ignored.
     pub server: Ipv4Addr,
-    /// Name of the interface on which frames arrive; none: that of the way to the server.
+    /// Name of the network interface on which the server's data arrive, such as `eth0`. `None` for the interface of the
+    /// operating system's route to the server.
     pub interface: Option<String>,
     /// Transmission of frames.
     pub transmission: Transmission,

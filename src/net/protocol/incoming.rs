@@ -347,7 +347,8 @@ impl Incoming {
         self.gaps.note(now, header, held, &space.window, backoff);
     }
 
-    /// Notes requests of another host.
+    /// Notes that another host has asked at `now` for these datagrams to be retransmitted, so that this host does not
+    /// ask for the same ones at once.
     pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
         self.gaps.asked_by_others(now, ids);
     }

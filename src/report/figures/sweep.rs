@@ -21,7 +21,7 @@ pub struct Panel {
 /// One line.
 #[derive(Clone, Debug)]
 pub struct Line {
-    /// Its name.
+    /// Name of the line in the figure's legend.
     pub name: String,
     /// One point for each place on the x axis; `None` for a place without a value.
     pub points: Vec<Option<Point>>,

@@ -73,7 +73,9 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Queues a datagram of `bytes` at a station.
+    /// Queues a datagram at the station with the index `from`, to be sent to `to`. `bytes` is its payload; headers are
+    /// added by the medium. `token` is any value that names the datagram; it comes back with each delivery.
+    /// The datagram is dropped if the station's queue is full.
     pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         match self {
             MediumEmulator::Radio(channel) => channel.offer(now, from, to, bytes, token),

@@ -39,7 +39,7 @@ const TRY_EVERY: u16 = 250;
 
 /// Settings of one participant.
 pub struct Participation {
-    /// The host and its team.
+    /// Number of this process as a host, with the team that it belongs to.
     pub team: Team,
     /// The team's key.
     pub key: Option<[u8; 32]>,
