@@ -248,9 +248,9 @@ impl Registry {
         (entry.make)(&settings, robot).map_err(|error| error.within("driver"))
     }
 
-    /// Makes the parts of a source of readings, such as a tracker: its state machine and the worker that will speak with
-    /// the device; nothing is opened yet. `settings` are those of the source in a deployment, `robots` the real robots
-    /// that the source localizes. The error names the wrong field from `source` on, such as `source.address`.
+    /// Makes the parts of a source of readings, such as a tracker: its state machine and the worker that will speak
+    /// with the device; nothing is opened yet. `settings` are those of the source in a deployment, `robots` the real
+    /// robots that the source localizes. The error names the wrong field from `source` on, such as `source.address`.
     pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Parts, ConfigError> {
         let entry =
             find(&self.sources, &settings.name).map_err(|e| ConfigError::field("source.name", e.to_string()))?;

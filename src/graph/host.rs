@@ -39,11 +39,11 @@ pub struct Host {
 
 /// Makes the actors of one host in a team that runs in real time, and connects them; whoever runs `readers` runs them.
 ///
-/// `clock` is the host's clock, `readers` the set of file descriptors to which the host's sockets and devices are added,
-/// `plan` the settings of the whole team, `host` the number of this host with its links and devices. `report` is called
-/// with each event of the link layer (actor `Network`) and of the robots' guards (see [`ProcessEvent`]). `output` is
-/// called with results of episodes, only on the host that judges them. The returned graph has
-/// the mailboxes of all actors.
+/// `clock` is the host's clock, `readers` the set of file descriptors to which the host's sockets and devices are
+/// added, `plan` the settings of the whole team, `host` the number of this host with its links and devices. `report`
+/// is called with each event of the link layer (actor `Network`) and of the robots' guards (see [`ProcessEvent`]).
+/// `output` is called with results of episodes, only on the host that judges them. The returned graph has the
+/// mailboxes of all actors.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     plan: Plan,

@@ -14,8 +14,8 @@ const BETWEEN_MS: [u64; 8] = [250, 500, 1000, 2000, 5000, 10_000, 30_000, 60_000
 const FAINT: f32 = 0.10;
 const STRONG: f32 = 0.55;
 
-/// Returns the text of an SVG file that shows the whole episode: the robots' paths, and the robots at some seven moments
-/// along them, stronger with time.
+/// Returns the text of an SVG file that shows the whole episode: the robots' paths, and the robots at some seven
+/// moments along them, stronger with time.
 pub fn still(scene: &Scene) -> String {
     let view = View::new(&scene.stage);
     let drawn = drawn(scene, &view) + &verdict(scene, "");

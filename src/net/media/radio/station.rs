@@ -116,7 +116,8 @@ impl<T: Clone> Station<T> {
         false
     }
 
-    /// Ends a frame that was acknowledged or is not sent again: draws the backoff before the next one (IEEE 802.11-2016, 10.3.4.3).
+    /// Ends a frame that was acknowledged or is not sent again: draws the backoff before the next one (IEEE
+    /// 802.11-2016, 10.3.4.3).
     pub fn done(&mut self, radio: &Radio, stream: &mut Stream) {
         (self.window, self.failures) = (radio.cw_min, 0);
         self.draw(stream);

@@ -29,8 +29,9 @@ pub struct Guests {
 
 impl Guests {
     /// Notes that a guest, a host that is no peer of the team file, was heard at `now`. An accepted guest, which has
-    /// proved that it is alive, is from now on sent datagrams at its address `at`. A candidate has yet to prove it, and
-    /// is sent what it needs for that. Where there is no room for an accepted guest, the one that was heard longest ago gives way.
+    /// proved that it is alive, is from now on sent datagrams at its address `at`. A candidate has yet to prove it,
+    /// and is sent what it needs for that. Where there is no room for an accepted guest, the one that was heard
+    /// longest ago gives way.
     pub fn admit(&mut self, now: Time, Guest { host, at, standing }: Guest) {
         match standing {
             Standing::Accepted => {
