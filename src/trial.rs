@@ -24,9 +24,11 @@ use crate::deploy::Deployment;
 use crate::deploy::team::{SimulationSettings, Team};
 use crate::estimation;
 use crate::faults::FaultPlan;
+use crate::graph::process::{Graph, ProcessEvent};
 use crate::graph::{self, Plan};
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
+use crate::messages::ids::HostId;
 use crate::messages::wire::Stop;
 use crate::policy::Model;
 use crate::random::Seed;
@@ -274,7 +276,18 @@ impl Trial {
     /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`]. The function
     /// `proceed` is called at every event with the results of the episodes so far.
     pub fn run_while(&self, mut proceed: impl FnMut(&[Episode]) -> Proceed) -> TrialReport {
-        let plan = self.plan();
+        self.run_observed(|_, _| {}, |_, _, episodes| proceed(episodes))
+    }
+
+    /// Runs the trial on the calling thread until its end, or until `proceed` returns [`Proceed::Stop`], and reports
+    /// what happens in it. The function `report` is called with each event and the host where it happened. `proceed` is
+    /// called after the events of each instant, with the actors, the time, and the results of the episodes so far.
+    pub fn run_observed(
+        &self,
+        report: impl Fn(HostId, ProcessEvent) + 'static,
+        mut proceed: impl FnMut(&Graph, Time, &[Episode]) -> Proceed,
+    ) -> TrialReport {
+        let (plan, report) = (self.plan(), Rc::new(report));
         let shared = Rc::new(RefCell::new(TrialReport::default()));
         let sink = {
             let shared = Rc::clone(&shared);
@@ -282,12 +295,13 @@ impl Trial {
         };
         let deadline = self.deadline();
         let (graph, end) = run_virtual(
-            |clock| graph::wire(clock, plan, sink),
-            |_, now| {
+            |clock| graph::wire(clock, plan, report, sink),
+            |graph, now| {
                 let mut report = shared.borrow_mut();
                 report.simulated = now.since(Time::ZERO);
                 let closed = self.until.is_some_and(|until| now >= until);
-                report.finished || closed || now >= deadline || proceed(&report.episodes) == Proceed::Stop
+                let stops = proceed(graph, now, &report.episodes) == Proceed::Stop;
+                report.finished || closed || now >= deadline || stops
             },
         );
         assert_eq!(end, End::Done, "a team with heartbeats never falls idle");

@@ -3,7 +3,8 @@
 
 use std::rc::Rc;
 
-use super::sockets;
+use super::inputs::Input;
+use super::sockets::{self, Take};
 use crate::actors::network::{self, Identity, Network};
 use crate::messages::ids::LinkId;
 use crate::messages::wire::Wire;
@@ -45,6 +46,8 @@ pub enum Out {
     Deliver(Wire),
     /// Copy of a message that this host has published, one for each datagram, without the authentication tag.
     Tap(Frame),
+    /// Copy of a datagram that leaves on a link.
+    Sent(LinkId, Frame),
     /// Traffic counts of all links of this host together.
     Counts(Box<LinkCounts>),
     /// Summaries of the other hosts, from links on which hosts report.
@@ -78,6 +81,7 @@ impl Attachment {
             network::Out::Duplicate(duplicate) => output(Out::Duplicate(duplicate)),
             network::Out::Admit(link, guest) => send(link, transport::In::Admit(guest)),
             network::Out::Transmit(link, audience, frame) => {
+                output(Out::Sent(link, Frame::clone(&frame)));
                 send(link, transport::In::Transmit(Transmit { from: me.host, audience, frame }));
             }
         });
@@ -94,7 +98,13 @@ impl Attachment {
     ) -> Mailbox<network::In> {
         let network = Mailbox::new("network");
         let transports: Rc<[_]> = (0..self.links.len()).map(|link| Mailbox::new(format!("transport {link}"))).collect();
-        sockets::wire_all((clock, readers), open, &transports, &network);
+        let arrived = network.clone();
+        let take: Take = Rc::new(move |input| match input {
+            Input::Frame(link, frame, from) => arrived.send(network::In::Frame(link, frame, from)),
+            Input::Dropped(link, count) => arrived.send(network::In::Dropped(link, count)),
+            Input::Packet(..) | Input::Ended(_) | Input::Leave | Input::Stop => {}
+        });
+        sockets::wire_all((clock, readers), open, &transports, &take);
         self.start(clock, &network, transports, output);
         network
     }

@@ -39,7 +39,7 @@ pub(super) fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotI
             source.iter().for_each(|source| source.send(localizer::In::Odometry(reading.clone())));
         }
         body::Out::Condition(hardware) => {
-            report(ProcessEvent::Hardware(robot, &hardware));
+            report(host, ProcessEvent::Hardware(robot, &hardware));
             status.send(status::In::Condition(robot, hardware));
         }
         body::Out::Permit(permit) => {
@@ -120,7 +120,7 @@ pub(super) fn wire_world(
     process: &Process,
     simulated: Vec<RobotId>,
 ) {
-    let (sensors, record) = (graph.sensors.clone(), graph.record());
+    let (sensors, record, report) = (graph.sensors.clone(), graph.record(), Rc::clone(&process.report));
     let ranged = ranged_ethers(plan, graph, process);
     let others: Vec<RobotId> =
         RobotId::team(plan.deployment.robots).filter(|robot| simulated.binary_search(robot).is_err()).collect();
@@ -144,6 +144,7 @@ pub(super) fn wire_world(
         world::Out::Sample(sample) => sensors[sample.robot.index()].send(localizer::In::Sample(sample)),
         world::Out::Truth(truth) => {
             ranged.iter().for_each(|ether| ether.send(transport::In::Truth(truth.clone())));
+            report(host, ProcessEvent::Truth(&truth));
             record(recorder::In::Truth(truth));
         }
     });

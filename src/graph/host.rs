@@ -4,10 +4,11 @@
 use std::rc::Rc;
 
 use super::bodies::wire_source;
-use super::devices::Devices;
+use super::devices::{Device, Devices};
+use super::inputs::{DeviceId, Input};
 use super::process::{Graph, Process, ProcessEvent};
-use super::sockets;
-use crate::actors::{body, localizer, recorder};
+use super::sockets::{self, Take};
+use crate::actors::recorder;
 use crate::graph::{Plan, wire_hosts, wire_recorder};
 use crate::messages::ids::{HostId, LinkId};
 use crate::net::protocol::key::Key;
@@ -48,7 +49,7 @@ pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     plan: Plan,
     host: Host,
-    report: impl Fn(ProcessEvent) + 'static,
+    report: impl Fn(HostId, ProcessEvent) + 'static,
     output: impl FnMut(recorder::Out) + 'static,
 ) -> Rc<Graph> {
     let plan = &Rc::new(plan);
@@ -65,25 +66,28 @@ pub fn wire(
     };
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
-    wire_gates((clock, readers), plan, &graph, &process);
-    sockets::wire_all((clock, readers), host.transports, &graph.transports, &graph.network_of(host.id));
+    let (inside, id) = (Rc::clone(&graph), host.id);
+    let take: Take = Rc::new(move |input| inside.take(id, input));
+    wire_gates((clock, readers), plan, &graph, &process, &take);
+    sockets::wire_all((clock, readers), host.transports, &graph.transports, &take);
     if process.records {
         wire_recorder(clock, plan, &graph, output);
     }
     graph
 }
 
-/// Connects workers with their Bodies and Localizer.
-fn wire_gates((clock, readers): (&Clock, &mut Readers), plan: &Plan, graph: &Graph, process: &Process) {
+/// Connects the workers of the devices with the graph.
+fn wire_gates((clock, readers): (&Clock, &mut Readers), plan: &Plan, graph: &Graph, process: &Process, take: &Take) {
     for (robot, device) in &process.devices.drivers {
-        let (body, ended) = (graph.bodies[robot.index()].clone(), graph.bodies[robot.index()].clone());
-        let take = move |packet| body.send(body::In::Packet(packet));
-        device.watch(readers, take, move || ended.send(body::In::WorkerEnded));
+        watch(readers, device, DeviceId::Driver(*robot), take);
     }
     if let Some(device) = &process.devices.source {
         wire_source(clock, plan, graph, process);
-        let localizer = graph.source.clone();
-        let ended = || tracing::error!("the source of this host has ended: no more readings; restart the host");
-        device.watch(readers, move |packet| localizer.send(localizer::In::Packet(packet)), ended);
+        watch(readers, device, DeviceId::Source, take);
     }
+}
+
+fn watch<T: ?Sized>(readers: &mut Readers, device: &Device<T>, id: DeviceId, take: &Take) {
+    let (packets, end) = (Rc::clone(take), Rc::clone(take));
+    device.watch(readers, move |packet| packets(Input::Packet(id, packet)), move || end(Input::Ended(id)));
 }

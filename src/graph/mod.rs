@@ -7,6 +7,7 @@ mod delivery;
 pub mod devices;
 pub mod host;
 mod injection;
+pub mod inputs;
 pub mod operator;
 pub mod process;
 pub mod sockets;
@@ -29,7 +30,7 @@ use crate::estimation;
 use crate::faults::FaultPlan;
 use crate::graph::attachment::Attachment;
 use crate::graph::delivery::{deliveries, wire_server, wire_status};
-use crate::graph::process::{Graph, Process, ProcessEvent};
+use crate::graph::process::{Graph, Process, ProcessEvent, Report};
 use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::messages::ids::{HostId, LinkId, RobotId};
@@ -98,11 +99,11 @@ pub struct Plan {
     pub steps: recorder::Steps,
 }
 
-/// Starts all actors of a plan on `clock` and connects them. The function `output` is called with each output of the
-/// Recorder, such as the result of an episode.
-pub fn wire(clock: &Clock, plan: Plan, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
+/// Starts all actors of a plan on `clock` and connects them. The function `report` is called with each event of the
+/// process, `output` with each output of the Recorder, such as the result of an episode.
+pub fn wire(clock: &Clock, plan: Plan, report: Report, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
-    let process = Process::all_hosts();
+    let process = Process::all_hosts(report);
     let graph = Rc::new(Graph::new(plan, &process));
     wire_hosts(clock, plan, &graph, &process);
     wire_links(clock, plan, &graph);
@@ -146,7 +147,12 @@ pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process:
 }
 
 /// Starts the Recorder of this process.
-pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, output: impl FnMut(recorder::Out) + 'static) {
+pub(super) fn wire_recorder(
+    clock: &Clock,
+    plan: &Plan,
+    graph: &Graph,
+    mut output: impl FnMut(recorder::Out) + 'static,
+) {
     let config = recorder::Config {
         layouts: plan.layouts.clone(),
         repeat: plan.repeat,
@@ -162,7 +168,11 @@ pub(super) fn wire_recorder(clock: &Clock, plan: &Plan, graph: &Graph, output: i
     let robots = plan.deployment.robots;
     let make = move |_| Recorder::new(config.clone(), robots);
     let mailbox = graph.recorder.as_ref().expect("a Recorder is started where one runs");
-    start(clock, mailbox, info_span!("recorder"), make, output);
+    let (report, host) = (Rc::clone(&graph.report), plan.deployment.judge());
+    start(clock, mailbox, info_span!("recorder"), make, move |out| {
+        report(host, ProcessEvent::Recorded(&out));
+        output(out);
+    });
 }
 
 /// Offset of a robot's tick or heartbeat within each period.
@@ -255,7 +265,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, cha
         }
         controller::Out::Follows(latch) => status.send(status::In::Controller(robot, latch)),
         controller::Out::Counts(counts) => {
-            report(ProcessEvent::Safety(robot, counts));
+            report(host, ProcessEvent::Safety(robot, counts));
             record(recorder::In::Safety(robot, counts));
         }
     });
@@ -328,7 +338,7 @@ fn wire_network(
     let judges = plan.deployment.judge_of_readings() == Some(host);
     attachment.start(clock, &graph.networks[usize::from(host.0)], Rc::clone(&graph.transports), move |out| match out {
         attachment::Out::Deliver(message) => {
-            report(ProcessEvent::Message(&message));
+            report(host, ProcessEvent::Message(&message));
             // The Recorder of this process has no other copy of what other processes publish.
             if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
                 record(recorder::In::Received(message.clone()));
@@ -339,15 +349,16 @@ fn wire_network(
             deliver(message);
         }
         attachment::Out::Tap(frame) => {
-            report(ProcessEvent::Published);
+            report(host, ProcessEvent::Published(&frame));
             record(recorder::In::Tap(frame));
         }
         attachment::Out::Counts(counts) => {
-            report(ProcessEvent::Counts(&counts));
+            report(host, ProcessEvent::Counts(&counts));
             record(recorder::In::Counts(host, counts));
         }
-        attachment::Out::Peers(peers) => report(ProcessEvent::Peers(&peers)),
-        attachment::Out::Duplicate(duplicate) => report(ProcessEvent::Duplicate(duplicate)),
+        attachment::Out::Peers(peers) => report(host, ProcessEvent::Peers(&peers)),
+        attachment::Out::Sent(link, frame) => report(host, ProcessEvent::Sent(link, &frame)),
+        attachment::Out::Duplicate(duplicate) => report(host, ProcessEvent::Duplicate(duplicate)),
     });
 }
 

@@ -68,7 +68,8 @@ pub fn wire(
         attachment::Out::Counts(counts) => report(ProcessEvent::Counts(&counts)),
         attachment::Out::Peers(peers) => report(ProcessEvent::Peers(&peers)),
         attachment::Out::Duplicate(duplicate) => report(ProcessEvent::Duplicate(duplicate)),
-        attachment::Out::Tap(_) => report(ProcessEvent::Published),
+        attachment::Out::Tap(frame) => report(ProcessEvent::Published(&frame)),
+        attachment::Out::Sent(link, frame) => report(ProcessEvent::Sent(link, &frame)),
     })
 }
 

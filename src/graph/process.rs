@@ -9,9 +9,11 @@ use crate::deploy::{Deployment, Link, Routes};
 use crate::faults::{ActorFault, Role};
 use crate::graph::Plan;
 use crate::graph::devices::Devices;
-use crate::messages::ids::{HostId, RobotId};
-use crate::messages::latch::Latch;
-use crate::messages::wire::{Hardware, Stop, Wire};
+use crate::graph::inputs::Input;
+use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::local::Truth;
+use crate::messages::wire::{Hardware, Wire};
+use crate::net::protocol::codec::Frame;
 use crate::net::protocol::key::Key;
 use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::net::protocol::reliability::Setup;
@@ -45,14 +47,25 @@ pub struct Process {
     /// Whether the Recorder, the actor that collects results, runs in this process.
     pub records: bool,
     /// Function that is called with each event of this process, such as a received message.
-    pub report: Rc<dyn Fn(ProcessEvent)>,
+    pub report: Report,
 }
 
-/// Event that a Network, Controller or Body of a process reports to the process's owner.
+/// Function that is called with each event of a process, and the host of this process where it happened.
+pub type Report = Rc<dyn Fn(HostId, ProcessEvent)>;
+
+/// Event in a process, as the process's owner hears of it.
 #[derive(Clone, Copy, Debug)]
 pub enum ProcessEvent<'a> {
-    /// An actor of this process has published a message.
-    Published,
+    /// An actor of this process has published a message: its datagram, without a tag.
+    Published(&'a Frame),
+    /// A datagram leaves on a link, with its tag if the team has a key.
+    Sent(LinkId, &'a Frame),
+    /// Input from outside the graph. In a run of one process with emulated links there is none.
+    Input(&'a Input),
+    /// True states of simulated robots after a step of their World.
+    Truth(&'a Truth),
+    /// Output of the Recorder: the result of an episode, a step, or the end of the run.
+    Recorded(&'a recorder::Out),
     /// Message that has arrived for actors of this process.
     Message(&'a Wire),
     /// Summaries of the other hosts, from links on which hosts report.
@@ -69,8 +82,7 @@ pub enum ProcessEvent<'a> {
 
 impl Process {
     /// Makes the process that runs every host of a deployment.
-    pub(super) fn all_hosts() -> Process {
-        let report = Rc::new(|_: ProcessEvent| {});
+    pub(super) fn all_hosts(report: Report) -> Process {
         Process {
             only: None,
             team: TEAM,
@@ -117,6 +129,8 @@ pub struct Graph {
     pub(super) recorder: Option<Mailbox<recorder::In>>,
     /// Notice of each episode that begins, for faults that are timed from it.
     pub(super) episodes: EpisodeNotice,
+    /// Called with each event of this process.
+    pub(super) report: Report,
 }
 
 /// Function of an episode that begins.
@@ -176,6 +190,7 @@ impl Graph {
             transports: links.map(Mailbox::new).collect(),
             recorder: process.records.then(|| Mailbox::new("recorder")),
             episodes: EpisodeNotice::default(),
+            report: Rc::clone(&process.report),
             routes,
         }
     }
@@ -222,24 +237,12 @@ impl Graph {
 
     /// Engages the team's emergency stop in the name of a host that runs here.
     pub fn stop(&self, by: HostId) {
-        let stop = Stop::engage(by, Latch::default());
-        self.networks[usize::from(by.0)].send(network::In::Publish(Wire::Stop(stop)));
+        self.take(by, Input::Stop);
     }
 
     /// Makes a host that runs here leave the team: its robots stop, then it announces the leave.
     pub fn leave(&self, host: HostId) {
-        for robot in RobotId::team(self.bodies.len()) {
-            if self.routes.actuator_host(robot) == host {
-                self.bodies[robot.index()].send(body::In::Leave);
-            }
-            if self.routes.agent_host(robot) == host {
-                self.controllers[robot.index()].send(controller::In::Leave);
-            }
-        }
-        if self.routes.server_host() == host {
-            self.server.send(state_server::In::Leave);
-        }
-        self.statuses[usize::from(host.0)].send(status::In::Leave);
+        self.take(host, Input::Leave);
     }
 
     pub(super) fn inject(&self, fault: ActorFault) {

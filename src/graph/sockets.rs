@@ -9,7 +9,7 @@ use std::rc::Rc;
 use tracing::info_span;
 
 use crate::actor::Core;
-use crate::actors::network;
+use crate::graph::inputs::Input;
 use crate::messages::ids::LinkId;
 use crate::net::transport::{self, Transport};
 use crate::runtime::clock::Clock;
@@ -17,14 +17,17 @@ use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 use crate::time::{Span, Time};
 
+/// Function that takes what arrives from outside the graph.
+pub type Take = Rc<dyn Fn(Input)>;
+
 /// Starts the transports of a host behind the mailboxes of their links, in the order of the deployment. Frames that
-/// arrive go to the Network. A link may have several transports, one per interface; each frame leaves through all of
+/// arrive go to `take`. A link may have several transports, one per interface; each frame leaves through all of
 /// them.
 pub fn wire_all(
     (clock, readers): (&Clock, &mut Readers),
     open: Vec<(LinkId, Box<dyn Transport>)>,
     mailboxes: &[Mailbox<transport::In>],
-    network: &Mailbox<network::In>,
+    take: &Take,
 ) {
     let mut links: BTreeMap<LinkId, Vec<Box<dyn Transport>>> = BTreeMap::new();
     for (link, transport) in open {
@@ -35,14 +38,14 @@ pub fn wire_all(
         if transports.len() == 1
             && let Some(transport) = transports.pop()
         {
-            wire((clock, readers), (link, transport), mailbox, network);
+            wire((clock, readers), (link, transport), mailbox, take);
             continue;
         }
         let all: Vec<Mailbox<transport::In>> = (0..transports.len())
             .map(|index| Mailbox::new(format!("{} by interface {index}", mailbox.name())))
             .collect();
         for (transport, mailbox) in transports.into_iter().zip(&all) {
-            wire((clock, readers), (link, transport), mailbox, network);
+            wire((clock, readers), (link, transport), mailbox, take);
         }
         start(
             clock,
@@ -56,14 +59,14 @@ pub fn wire_all(
     }
 }
 
-/// Starts the one transport of a link behind its mailbox; frames that arrive go to the Network.
+/// Starts the one transport of a link behind its mailbox; frames that arrive go to `take`.
 fn wire(
     (clock, readers): (&Clock, &mut Readers),
     (link, transport): (LinkId, Box<dyn Transport>),
     mailbox: &Mailbox<transport::In>,
-    network: &Mailbox<network::In>,
+    take: &Take,
 ) {
-    let (time, network, descriptor) = (clock.clone(), network.clone(), transport.descriptor());
+    let (time, take, descriptor) = (clock.clone(), Rc::clone(take), transport.descriptor());
     let span = info_span!("transport", link = link.0);
     // The transport outlives its actor, so that a crash does not lose frames in a socket.
     let transport = Rc::new(RefCell::new(transport));
@@ -73,10 +76,10 @@ fn wire(
     let ring = move || {
         let _inside = inside.enter();
         let mut receiver = receiver.borrow_mut();
-        receiver.receive(time.now(), &mut |from, frame| network.send(network::In::Frame(link, frame.into(), from)));
+        receiver.receive(time.now(), &mut |from, frame| take(Input::Frame(link, frame.into(), from)));
         let dropped = receiver.counts().dropped;
         if dropped > reported.get() {
-            network.send(network::In::Dropped(link, dropped - reported.replace(dropped)));
+            take(Input::Dropped(link, dropped - reported.replace(dropped)));
         }
     };
     readers.watch_link(descriptor, move || flooded.borrow().paused_until(), ring);
@@ -149,6 +152,7 @@ mod tests {
     use std::time::Instant;
 
     use super::*;
+    use crate::actors::network;
     use crate::config::fields::Value;
     use crate::messages::ids::HostId;
     use crate::net::protocol::router::Audience;
@@ -207,7 +211,13 @@ mod tests {
         run_real(
             begun,
             |clock, readers| {
-                wire_all((clock, readers), sockets, &links, &network);
+                let arrived = network.clone();
+                let take: Take = Rc::new(move |input| {
+                    if let Input::Frame(link, frame, from) = input {
+                        arrived.send(network::In::Frame(link, frame, from));
+                    }
+                });
+                wire_all((clock, readers), sockets, &links, &take);
                 start(clock, &network, info_span!("network"), move |_| Count(Rc::clone(&count)), |()| {});
             },
             |(), now| arrived.get() == 2 || now.as_secs() > 5.0,

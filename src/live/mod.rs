@@ -16,6 +16,7 @@ use crate::graph::Plan;
 use crate::graph::devices::{self, DeviceError, Workers};
 use crate::graph::host::{self, Host};
 use crate::graph::process::{Graph, ProcessEvent};
+use crate::messages::ids::HostId;
 use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::key::Key;
 use crate::registry::Registry;
@@ -86,7 +87,7 @@ impl LiveHost {
     ) -> Rc<Graph> {
         let LiveHost { mut host, workers, plan, .. } = self;
         let observer = host.devices.observation.take().map(Observer::new);
-        let heard = move |event: ProcessEvent| {
+        let heard = move |_: HostId, event: ProcessEvent| {
             if let (Some(observer), ProcessEvent::Message(message)) = (&observer, event) {
                 observer.hear(Time::ZERO + Span::from_secs(origin.elapsed().as_secs_f64()), message);
             }

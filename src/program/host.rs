@@ -267,14 +267,19 @@ impl Seen {
     fn hear(&self, heard: ProcessEvent) {
         match heard {
             ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
-            ProcessEvent::Message(_) | ProcessEvent::Peers(_) => {}
+            ProcessEvent::Message(_)
+            | ProcessEvent::Peers(_)
+            | ProcessEvent::Sent(..)
+            | ProcessEvent::Input(_)
+            | ProcessEvent::Truth(_)
+            | ProcessEvent::Recorded(_) => {}
             ProcessEvent::Counts(counts) => self.counts.set(*counts),
             ProcessEvent::Safety(robot, counts) => drop(self.safety.borrow_mut().insert(robot, counts)),
             ProcessEvent::Hardware(robot, hardware) => {
                 let mut all = self.hardware.borrow_mut();
                 all.entry(robot).or_insert_with(|| RobotHardware::new(robot)).note(hardware);
             }
-            ProcessEvent::Published => self.messages.set(self.messages.get() + 1),
+            ProcessEvent::Published(_) => self.messages.set(self.messages.get() + 1),
             ProcessEvent::Duplicate(duplicate) => self.duplicate.set(Some(duplicate)),
         }
     }

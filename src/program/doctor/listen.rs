@@ -180,7 +180,11 @@ fn hear(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>], seconds
                     (heard.hindrance, heard.led) = (hindrance(mode.phase, mode.latch), true);
                 }
                 ProcessEvent::Message(_)
-                | ProcessEvent::Published
+                | ProcessEvent::Published(_)
+                | ProcessEvent::Sent(..)
+                | ProcessEvent::Input(_)
+                | ProcessEvent::Truth(_)
+                | ProcessEvent::Recorded(_)
                 | ProcessEvent::Duplicate(_)
                 | ProcessEvent::Safety(..)
                 | ProcessEvent::Hardware(..) => {}
