@@ -11,8 +11,8 @@
 //! Each module may use those before it, never those after: `time`, `random`, `config`, `messages`, `actor`, `cells`,
 //! `chassis`; `hearing`, `faults`; `scenario`, `policy`, `world`, `safety`; `edge`, `ros2`, `drivers`, `estimation`,
 //! `localization`; `net::protocol`, `net::transport`, `registry`, `net::media`; `report`; then [`actors`], and beside
-//! them [`train`], which uses no actor; `deploy`; `runtime`, which runs actors; `graph`, which connects them; `trial`;
-//! `live`, `study`; `program`, the command line. `tests/tidy.rs` checks it.
+//! them [`train`], which uses no actor; `deploy`; `runtime`, which runs actors; `graph`, which connects them; `record`;
+//! `trial`; `live`, `study`; `program`, the command line. `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
 //! [`messages::wire`], then [`actors`], then `graph/mod.rs`, which connects the actors. [`trial`] runs all of it from a
@@ -41,6 +41,8 @@ pub mod policy;
 #[cfg(feature = "host")]
 pub mod program;
 pub mod random;
+#[cfg(feature = "record")]
+pub mod record;
 pub mod registry;
 pub mod report;
 pub mod ros2;

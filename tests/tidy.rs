@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 }
 
 /// Rooms of the library, each after those that it may use.
-const ROOMS: [&str; 32] = [
+const ROOMS: [&str; 33] = [
     "time",
     "random",
     "config",
@@ -82,6 +82,7 @@ const ROOMS: [&str; 32] = [
     "deploy",
     "runtime",
     "graph",
+    "record",
     "trial",
     "live",
     "study",

@@ -62,6 +62,11 @@ pub struct Devices {
 pub struct Workers(Vec<JoinHandle<()>>);
 
 impl Workers {
+    /// Returns no workers at all.
+    pub fn none() -> Workers {
+        Workers(Vec::new())
+    }
+
     /// Waits until all worker threads have ended, for about a second at most. The [`Devices`] must be dropped before.
     pub fn join(self) {
         let mut rests = (0..200).map(|_| thread::park_timeout(Duration::from_millis(5)));
@@ -86,6 +91,23 @@ pub enum DeviceError {
     /// The operating system has no file descriptor or thread left for a worker.
     #[error("a worker cannot be started: {0}")]
     Machine(#[from] std::io::Error),
+}
+
+/// Makes the drivers and the source of one host of a checked deployment without their workers, for a replay.
+pub fn closed(host: &Host, registry: &Registry) -> Result<Devices, DeviceError> {
+    let mut devices = Devices::default();
+    for &robot in &host.actuates {
+        let settings = host.driver.as_ref().expect("a checked host that actuates has a driver");
+        let parts = registry.driver(settings, RobotId(robot)).map_err(|error| error.within("host"))?;
+        devices.drivers.insert(RobotId(robot), Device { make: Rc::from(parts.driver), gate: None });
+    }
+    if !host.localizes.is_empty() {
+        let settings = host.source.as_ref().expect("a checked host that localizes has a source");
+        let robots: Vec<RobotId> = host.localizes.iter().copied().map(RobotId).collect();
+        let parts = registry.source(settings, &robots).map_err(|error| error.within("host"))?;
+        devices.source = Some(Device { make: Rc::from(parts.source), gate: None });
+    }
+    Ok(devices)
 }
 
 /// Makes the drivers and the source of one host of a checked deployment, and starts their workers (I/O threads).

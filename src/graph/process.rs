@@ -9,10 +9,11 @@ use crate::deploy::{Deployment, Link, Routes};
 use crate::faults::{ActorFault, Role};
 use crate::graph::Plan;
 use crate::graph::devices::Devices;
-use crate::graph::inputs::Input;
+use crate::graph::inputs::{DeviceId, Input};
 use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::latch::Latch;
 use crate::messages::local::Truth;
-use crate::messages::wire::{Hardware, Wire};
+use crate::messages::wire::{Hardware, Stop, Wire};
 use crate::net::protocol::codec::Frame;
 use crate::net::protocol::key::Key;
 use crate::net::protocol::link::{DuplicateId, LinkCounts};
@@ -260,5 +261,48 @@ impl Graph {
             Role::StateServer => self.server.inject(fault),
             Role::Network => self.network_of(self.routes.agent_host(fault.robot)).inject(fault),
         }
+    }
+}
+
+impl Graph {
+    /// Passes an input on to the actors of a host that runs here, and reports it.
+    pub fn take(&self, host: HostId, input: Input) {
+        (self.report)(host, ProcessEvent::Input(&input));
+        match input {
+            Input::Frame(link, frame, from) => {
+                self.networks[usize::from(host.0)].send(network::In::Frame(link, frame, from));
+            }
+            Input::Dropped(link, count) => {
+                self.networks[usize::from(host.0)].send(network::In::Dropped(link, count));
+            }
+            Input::Packet(DeviceId::Driver(robot), packet) => {
+                self.bodies[robot.index()].send(body::In::Packet(packet));
+            }
+            Input::Packet(DeviceId::Source, packet) => self.source.send(localizer::In::Packet(packet)),
+            Input::Ended(DeviceId::Driver(robot)) => self.bodies[robot.index()].send(body::In::WorkerEnded),
+            Input::Ended(DeviceId::Source) => {
+                tracing::error!("the source of this host has ended: no more readings; restart the host");
+            }
+            Input::Leave => self.send_leave(host),
+            Input::Stop => {
+                let stop = Stop::engage(host, Latch::default());
+                self.networks[usize::from(host.0)].send(network::In::Publish(Wire::Stop(stop)));
+            }
+        }
+    }
+
+    fn send_leave(&self, host: HostId) {
+        for robot in RobotId::team(self.bodies.len()) {
+            if self.routes.actuator_host(robot) == host {
+                self.bodies[robot.index()].send(body::In::Leave);
+            }
+            if self.routes.agent_host(robot) == host {
+                self.controllers[robot.index()].send(controller::In::Leave);
+            }
+        }
+        if self.routes.server_host() == host {
+            self.server.send(state_server::In::Leave);
+        }
+        self.statuses[usize::from(host.0)].send(status::In::Leave);
     }
 }

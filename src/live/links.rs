@@ -33,6 +33,8 @@ pub struct ProcessIdentity {
     pub incarnation: u32,
     /// Seed of the random streams of the process's link layer, which others cannot predict.
     pub seed: Seed,
+    /// The same seed as bytes, for a record of the process.
+    pub bytes: [u8; 32],
     /// Host number of the process if it is an operator, a process outside the deployment.
     pub operator: HostId,
 }
@@ -47,6 +49,7 @@ impl ProcessIdentity {
         Ok(ProcessIdentity {
             incarnation: u32::from_le_bytes([a, b, c, d]),
             seed: Seed::of_bytes(seed),
+            bytes: seed,
             operator: HostId::operator(u16::from_le_bytes([e, f])),
         })
     }

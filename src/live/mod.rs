@@ -3,6 +3,8 @@
 
 pub mod links;
 mod observer;
+#[cfg(feature = "record")]
+mod replay;
 
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
@@ -59,6 +61,8 @@ pub struct LiveHost {
     workers: Workers,
     plan: Plan,
     grace: Span,
+    /// Seed of the link layer's random streams.
+    seed: [u8; 32],
 }
 
 impl LiveHost {
@@ -67,37 +71,49 @@ impl LiveHost {
     pub fn open(team: &Team, trial: &Trial, key: Option<Key>, registry: &Registry) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
         let transports = links::open(team, team.host)?;
-        let ProcessIdentity { incarnation, seed: secret, .. } = ProcessIdentity::draw()?;
+        let ProcessIdentity { incarnation, seed: secret, bytes: seed, .. } = ProcessIdentity::draw()?;
         let entry = &team.deployment.hosts[usize::from(team.host.0)];
         let (devices, workers) = devices::open(entry, team.deployment.robots, registry)?;
         let host = Host { id: team.host, team: team.number, incarnation, secret, key, links, devices, transports };
-        Ok(LiveHost { host, workers, plan: trial.plan(), grace: grace(team) })
+        Ok(LiveHost { host, workers, plan: trial.plan(), grace: grace(team), seed })
+    }
+
+    /// Inputs of the actor graph that the host runs a part of.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Returns what a replay needs to know of this process: its incarnation, the seed of its link layer's random
+    /// streams, and the number of transports of each link.
+    pub fn process(&self) -> (u32, [u8; 32], Vec<usize>) {
+        let transports = |link: usize| self.host.transports.iter().filter(|(id, _)| usize::from(id.0) == link).count();
+        (self.host.incarnation, self.seed, (0..self.host.links.len()).map(transports).collect())
     }
 
     /// Runs the host on this thread, with its time counted from `origin`. `heard` receives the events of its Network,
     /// `said` the output of the Recorder, which runs on the host that judges (`Deployment::judge`). `begun` is called
-    /// once its actors have started; `done` is called after every turn.
+    /// once its actors have started, with the time; `done` is called after every turn.
     pub fn run(
         self,
         origin: Instant,
-        heard: impl Fn(ProcessEvent) + 'static,
+        heard: impl Fn(HostId, ProcessEvent) + 'static,
         said: impl FnMut(Out) + 'static,
-        begun: impl FnOnce(&mut Readers),
+        begun: impl FnOnce(&mut Readers, Time),
         done: impl FnMut(&Rc<Graph>, Time) -> bool,
     ) -> Rc<Graph> {
         let LiveHost { mut host, workers, plan, .. } = self;
         let observer = host.devices.observation.take().map(Observer::new);
-        let heard = move |_: HostId, event: ProcessEvent| {
+        let heard = move |host: HostId, event: ProcessEvent| {
             if let (Some(observer), ProcessEvent::Message(message)) = (&observer, event) {
                 observer.hear(Time::ZERO + Span::from_secs(origin.elapsed().as_secs_f64()), message);
             }
-            heard(event);
+            heard(host, event);
         };
         let graph = run_real(
             origin,
             |clock, readers| {
                 let graph = host::wire((clock, readers), plan, host, heard, said);
-                begun(readers);
+                begun(readers, clock.now());
                 graph
             },
             done,
@@ -111,7 +127,7 @@ impl LiveHost {
     pub fn run_to_the_end(self) -> TrialReport {
         let (report, news) = (Rc::new(RefCell::new(TrialReport::default())), Rc::new(Cell::new(false)));
         let (told, grace) = (Rc::clone(&news), self.grace);
-        let heard = move |heard: ProcessEvent| match heard {
+        let heard = move |_: HostId, heard: ProcessEvent| match heard {
             ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => told.set(true),
             _ => {}
         };
@@ -122,7 +138,7 @@ impl LiveHost {
             Instant::now(),
             heard,
             said,
-            |_| {},
+            |_, _| {},
             |_, now| {
                 if news.get() {
                     over.get_or_insert(now);

@@ -1,6 +1,6 @@
 //! `murmurate host`: runs one host of a team in real time: its actors, on its sockets. A robot runs this.
 
-use std::cell::{Cell, RefCell};
+use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ use crate::messages::wire::{Phase, Wire};
 use crate::net::protocol::key::Key;
 use crate::net::protocol::link::{DuplicateId, LinkCounts};
 use crate::registry::Registry;
-use crate::report::event::{Counted, HostEvent, RobotSafety};
+use crate::report::event::{Counted, HostEvent, RobotSafety, Unwritten};
 use crate::report::hardware::RobotHardware;
 use crate::report::summary::{Counts, Run, Summary};
 use crate::report::trial::TrialReport;
@@ -33,6 +33,7 @@ use crate::live::{self, LiveHost};
 use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::outlets::Outlets;
+use crate::program::recording::{self, OfHost};
 use crate::program::signals;
 use crate::program::team;
 
@@ -67,6 +68,8 @@ pub struct Args {
     /// CSV file for every robot's trajectory, written while the host runs; only for the host with the World
     #[arg(long, value_name = "FILE.csv")]
     trajectories: Option<PathBuf>,
+    #[command(flatten)]
+    record: recording::RecordFlags,
     /// Leaves out warnings that `launch` has printed for all hosts
     #[arg(long, hide = true)]
     launched: bool,
@@ -74,6 +77,15 @@ pub struct Args {
 
 /// Period of the event with all counts, which remain known if the host is killed.
 const COUNTED_PERIOD: Span = Span::from_millis(1000);
+
+/// Returns the flags of a record's team file, from the arguments of the command that made the record.
+#[cfg(feature = "sim")]
+pub fn of_record(arguments: &[String]) -> Result<team::TeamArgs> {
+    use clap::{Args as _, FromArgMatches};
+    let wrong = |error: clap::Error| BadInput(format!("the record's arguments are not understood: {error}"));
+    let found = Args::augment_args(clap::Command::new("host")).try_get_matches_from(arguments).map_err(wrong)?;
+    Ok(Args::from_arg_matches(&found).map_err(wrong)?.team)
+}
 
 /// State collected while the host runs.
 struct Seen {
@@ -86,6 +98,8 @@ struct Seen {
     outlets: Outlets,
     /// Another live host has the id of this one.
     duplicate: Cell<Option<DuplicateId>>,
+    /// Record of the run, if there is one.
+    record: OnceCell<Option<OfHost>>,
 }
 
 /// Runs the host until the team has finished, or until it is told to stop.
@@ -108,7 +122,10 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     }
     let seen = Rc::new(Seen::new(Outlets::open(args.json, args.trajectories.as_deref())?));
     let outlets = &seen.outlets;
+    let keyed = key.is_some();
     let live = LiveHost::open(&team, &trial, key, registry)?;
+    let files = [Some(args.team.file.clone()), team.policy.clone()].into_iter().flatten().collect();
+    seen.record.set(OfHost::open(&args.record, (&team, &live), (began, keyed), (files, &digest))?).ok();
     let (signal, wake_reader) = signals::listen()?;
     tracing::info!(host = name, robots = team.deployment.robots, policy = policy.name, digest, "starts");
     let abandoned = Rc::new(Cell::new(false));
@@ -116,9 +133,10 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (heard, recorded) = (Rc::clone(&seen), Rc::clone(&seen));
     let graph = live.run(
         began,
-        move |h| heard.hear(h),
-        move |out| recorded.record(out),
-        |readers| {
+        move |host, event| heard.hear(host, event),
+        move |out| recorded.note(out),
+        |readers, now| {
+            seen.end_turn(now);
             outlets.notify(&NotifyState::Ready);
             let source = Rc::clone(&wake_reader);
             readers.watch(wake_reader, move || {
@@ -133,6 +151,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         },
         |graph: &Rc<Graph>, now| watch.turn(graph, now),
     );
+    let written = seen.record().map_or(Ok(()), OfHost::finish);
     let counted = seen.counted(&graph);
     drop(graph);
     watch.failure(&name)?;
@@ -156,6 +175,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         outlets.print(&Summary::of_team(run, report, counts, unwritten).to_string());
     }
     outlets.close()?;
+    written?;
     let by_user = signal.load(Ordering::Relaxed) == SIGINT as usize;
     Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
 }
@@ -231,6 +251,7 @@ impl Watch {
                 graph.stop(self.id);
             }
         }
+        seen.end_turn(now);
         self.lost = outlets.failure();
         self.lost.is_some()
             || seen.duplicate.get().is_some()
@@ -261,10 +282,21 @@ impl Seen {
     fn new(outlets: Outlets) -> Seen {
         let (report, over, messages, counts) = Default::default();
         let (safety, hardware, duplicate) = Default::default();
-        Seen { report, over, messages, counts, safety, hardware, outlets, duplicate }
+        Seen { report, over, messages, counts, safety, hardware, outlets, duplicate, record: OnceCell::new() }
     }
 
-    fn hear(&self, heard: ProcessEvent) {
+    /// Record of the run, if there is one.
+    fn record(&self) -> Option<&OfHost> {
+        self.record.get()?.as_ref()
+    }
+
+    /// Ends a turn of the event loop in the record.
+    fn end_turn(&self, now: Time) {
+        self.record().into_iter().for_each(|record| record.turn(now));
+    }
+
+    fn hear(&self, host: HostId, heard: ProcessEvent) {
+        self.record().into_iter().for_each(|record| record.push(host, heard));
         match heard {
             ProcessEvent::Message(Wire::Mode(mode)) if mode.phase == Phase::EpisodesFinished => self.over.set(true),
             ProcessEvent::Message(_)
@@ -284,7 +316,7 @@ impl Seen {
         }
     }
 
-    fn record(&self, out: Out) {
+    fn note(&self, out: Out) {
         let mut report = self.report.borrow_mut();
         match out {
             Out::Step(step) => self.outlets.step(&step),
@@ -311,7 +343,10 @@ impl Seen {
                 .map(robot)
                 .collect(),
             hardware: self.hardware.borrow().values().cloned().collect(),
-            unwritten: self.outlets.unwritten(),
+            unwritten: Unwritten {
+                record_events: self.record().map_or(0, OfHost::dropped),
+                ..self.outlets.unwritten()
+            },
         }
     }
 }

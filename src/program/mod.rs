@@ -26,6 +26,12 @@ mod paths;
 #[cfg(feature = "sim")]
 mod picture;
 mod policy;
+#[cfg(feature = "sim")]
+mod progress;
+#[cfg_attr(not(feature = "record"), path = "unrecorded.rs")]
+mod recording;
+#[cfg(feature = "sim")]
+mod replay;
 #[cfg(feature = "completions")]
 mod shells;
 mod signals;
@@ -91,6 +97,9 @@ enum Command {
     #[cfg(feature = "sim")]
     /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
     Launch(Box<launch::Args>),
+    /// Runs again what a record is of, a simulation or a host, and compares it to the bit.
+    #[cfg(feature = "sim")]
+    Replay(replay::Args),
     /// Checks that this machine is fit to be one host of a team, and says what to do where it is not.
     Doctor(Box<doctor::Args>),
     /// Engages a team's emergency stop, or takes it back with --rearm.
@@ -224,6 +233,8 @@ fn run(command: Command, registry: &Registry) -> anyhow::Result<Ended> {
         Command::Host(args) => host::run(&args, registry),
         #[cfg(feature = "sim")]
         Command::Launch(args) => launch::run(&args, registry),
+        #[cfg(feature = "sim")]
+        Command::Replay(args) => replay::run(&args, registry),
         Command::Doctor(args) => doctor::run(&args, registry),
         Command::Stop(args) => stop::run(&args, registry),
         Command::Resume(args) => stop::resume(&args, registry),

@@ -88,7 +88,12 @@ impl Outlets {
 
     /// Returns the counts of dropped output.
     pub fn unwritten(&self) -> Unwritten {
-        Unwritten { log_lines: log_lines_dropped(), events: self.events.get(), steps: self.steps.get() }
+        Unwritten {
+            log_lines: log_lines_dropped(),
+            events: self.events.get(),
+            steps: self.steps.get(),
+            record_events: 0,
+        }
     }
 
     /// Returns the error that has ended stdout, such as a full disk; `None` if there is none. A pipe closed by its
@@ -106,7 +111,7 @@ impl Outlets {
         }
         let dropped: u64 = writers.iter().map(|writer| writer.dropped()).sum();
         if dropped > 0 {
-            let Unwritten { log_lines, events, steps } = self.unwritten();
+            let Unwritten { log_lines, events, steps, .. } = self.unwritten();
             tracing::warn!(dropped, events, steps, log_lines, "output was dropped: it could not be written in time");
         }
         // No robot stops because of its trajectories file, but the error is returned.

@@ -14,16 +14,15 @@ use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::registry::Registry;
 use crate::report::comparison::Comparison;
-use crate::report::episode::Episode;
 use crate::report::summary::{Run, Summary};
 use crate::safety::Safety;
 use crate::scenario::Settings;
 use crate::scenario::layout::Layouts;
-use crate::trial::{Proceed, Trial, TrialReport};
+use crate::trial::{Trial, TrialReport};
 use crate::world::{Clamp, ContactRule, Overrides, Placement, Sensor};
 use anyhow::{Context, Result};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use indicatif::{ProgressBar, ProgressStyle};
+use clap::{Args as _, FromArgMatches};
 use serde::Serialize;
 
 use crate::program::BadInput;
@@ -38,6 +37,8 @@ use crate::program::paths::Paths;
 use crate::program::picture;
 use crate::program::picture::Pictures;
 use crate::program::policy;
+use crate::program::progress::{progress, watched};
+use crate::program::recording;
 use crate::program::whole_file::WholeFile;
 
 /// Flags of `murmurate sim`.
@@ -148,6 +149,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE.csv")]
     trajectories: Option<PathBuf>,
     #[command(flatten)]
+    record: recording::RecordFlags,
+    #[command(flatten)]
     drive: drive::DriveFlags,
     #[command(flatten)]
     pictures: picture::Flags,
@@ -176,8 +179,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let trials: Vec<(Trial, String)> =
         named.iter().map(|policy| trial(args, *policy, registry)).collect::<Result<_>>()?;
     let pictures = Pictures::open(&args.pictures, args.episodes)?;
-    if trials.len() > 1 && (args.trajectories.is_some() || pictures.any()) {
-        return bad("--policy: trajectories and pictures are of one policy; name one".to_owned());
+    if trials.len() > 1 && (args.trajectories.is_some() || pictures.any() || args.record.record.is_some()) {
+        return bad("--policy: trajectories, pictures and records are of one policy; name one".to_owned());
     }
     let mut paths = args.trajectories.as_deref().map(WholeFile::create).transpose()?;
     let stop = Arc::new(AtomicBool::new(false));
@@ -185,10 +188,11 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
     tracing::info!("{} repeats of {} episodes; Ctrl-C prints the results so far", args.repeats, args.episodes);
 
+    let records = records(args, &trials)?;
     let mut results = Vec::new();
     for (trial, policy) in &trials {
         let began = Instant::now();
-        let reports = run_all(args, trial, &pictures, &stop)?;
+        let reports = run_all(args, trial, &pictures, &stop, records.as_ref())?;
         let summary = summary(args, trial, policy, &reports, began.elapsed());
         results.push((summary, reports));
         if stop.load(Ordering::Relaxed) {
@@ -232,42 +236,47 @@ fn summary(args: &Args, trial: &Trial, policy: &str, reports: &[TrialReport], to
     Summary::of(run, reports)
 }
 
-fn run_all(args: &Args, trial: &Trial, pictures: &Pictures, stop: &AtomicBool) -> Result<Vec<TrialReport>> {
+fn run_all(
+    args: &Args,
+    trial: &Trial,
+    pictures: &Pictures,
+    stop: &AtomicBool,
+    records: Option<&recording::Simulated>,
+) -> Result<Vec<TrialReport>> {
     let bar = progress(u64::from(args.episodes) * u64::from(args.repeats), args.quiet);
     let repeats = args.repeats as usize;
     let work = |repeat: usize| {
         let repeat = u32::try_from(repeat).expect("repeats were counted in u32");
         let steps = pictures.steps(repeat, trial.steps);
-        Trial { repeat, steps, ..trial.clone() }.run_while(watched(&bar, stop))
+        let trial = Trial { repeat, steps, ..trial.clone() };
+        match records {
+            Some(records) => records.run(&trial, watched(&bar, stop)),
+            None => trial.run_while(watched(&bar, stop)),
+        }
     };
     let reports = jobs::run(repeats, jobs::threads(args.jobs, repeats), stop, work);
     bar.finish_and_clear();
+    records.map_or(Ok(()), recording::Simulated::finish)?;
     Ok(reports.into_iter().map(|(_, report)| report).collect())
 }
 
-/// Returns a callback that advances the bar with each finished episode and stops the trial once `stop` is set.
-pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -> Proceed {
-    let mut shown = 0;
-    move |episodes| {
-        if episodes.len() > shown {
-            bar.inc((episodes.len() - shown) as u64);
-            shown = episodes.len();
-        }
-        if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::Continue }
-    }
+/// Prepares the records of the repeats, if they are asked for.
+fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<recording::Simulated>> {
+    let (Some(folder), [(trial, _), ..]) = (&args.record.record, trials) else { return Ok(None) };
+    let named = [&args.deployment, &args.episodes_file].into_iter().flatten().chain(&args.policy).cloned();
+    let texts = args.faults.iter().chain([&args.radio]).map(PathBuf::from);
+    let files = named.chain(texts).collect();
+    recording::Simulated::open(folder, files, trial.model.digest(), args.repeats).map(Some)
 }
 
-/// Returns a progress bar over this many episodes, with the remaining time. It draws only on a terminal.
-pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
-    if quiet {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::new(episodes);
-    let style =
-        ProgressStyle::with_template("{bar:30} {pos}/{len} episodes, {eta} left").expect("the template is sound");
-    bar.set_style(style);
-    bar.enable_steady_tick(Duration::from_millis(200));
-    bar
+/// Returns the trial of a record, from the arguments of the command that made it.
+pub fn of_record(arguments: &[String], repeat: u32, registry: &Registry) -> Result<Trial> {
+    let wrong = |error: clap::Error| BadInput(format!("the record's arguments are not understood: {error}"));
+    let command = Args::augment_args(clap::Command::new("sim"));
+    let found = command.try_get_matches_from(arguments).map_err(wrong)?;
+    let args = Args::from_arg_matches(&found).map_err(wrong)?;
+    let (trial, _) = trial(&args, args.policy.first().map(|policy| &**policy), registry)?;
+    Ok(Trial { repeat, ..trial })
 }
 
 /// Returns the deployment with the links that the flags define.

@@ -66,6 +66,21 @@ impl TeamArgs {
     /// Reads the team file, then the environment and the flags, which take precedence. Names are looked up in the
     /// registry. An error names file and field.
     pub fn read(&self, registry: &Registry) -> Result<TeamFile> {
+        let variables: Vec<(String, String)> = std::env::vars_os()
+            .map(|(name, value)| (name.to_string_lossy().into_owned(), value.to_string_lossy().into_owned()))
+            .filter(|(name, _)| name.starts_with("MURMURATE_"))
+            .collect();
+        self.read_as_of(registry, None, &variables)
+    }
+
+    /// Reads the team file as another process did: with these variables of the environment, and with paths in it from
+    /// `folder`, or else from the file's own.
+    pub fn read_as_of(
+        &self,
+        registry: &Registry,
+        folder: Option<&Path>,
+        variables: &[(String, String)],
+    ) -> Result<TeamFile> {
         let text = read_text(&self.file, "team file")?;
         let mut flags = Vec::new();
         for given in &self.set {
@@ -81,12 +96,8 @@ impl TeamArgs {
             key: key.to_owned(),
             value,
         }));
-        let variables: Vec<(String, String)> = std::env::vars_os()
-            .map(|(name, value)| (name.to_string_lossy().into_owned(), value.to_string_lossy().into_owned()))
-            .filter(|(name, _)| name.starts_with("MURMURATE_"))
-            .collect();
-        let folder = self.file.parent().unwrap_or(Path::new(""));
-        TeamFile::read(registry, &text, folder, &variables, &flags).map_err(|e| self.wrong(&e))
+        let folder = folder.or(self.file.parent()).unwrap_or(Path::new(""));
+        TeamFile::read(registry, &text, folder, variables, &flags).map_err(|e| self.wrong(&e))
     }
 
     /// Returns the error with the path of the team file.

@@ -71,12 +71,14 @@ pub struct Unwritten {
     pub events: u64,
     /// Steps of `--trajectories`, each of the whole team.
     pub steps: u64,
+    /// Events of `--record`.
+    pub record_events: u64,
 }
 
 impl Unwritten {
     /// Returns the sum over all kinds.
     pub fn total(&self) -> u64 {
-        self.log_lines + self.events + self.steps
+        self.log_lines + self.events + self.steps + self.record_events
     }
 }
 
@@ -86,6 +88,7 @@ impl Sum for Unwritten {
             log_lines: sum.log_lines + one.log_lines,
             events: sum.events + one.events,
             steps: sum.steps + one.steps,
+            record_events: sum.record_events + one.record_events,
         })
     }
 }

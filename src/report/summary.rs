@@ -276,9 +276,11 @@ impl fmt::Display for Summary {
             let by = format!("{refused} by full mailboxes, {lost} in crashes, {frames} refused by links");
             writeln!(f, "  undelivered  {undelivered:>8}   {by}")?;
         }
-        let Unwritten { log_lines, events, steps } = self.unwritten;
+        let Unwritten { log_lines, events, steps, record_events } = self.unwritten;
         if self.unwritten.total() > 0 {
-            let what = format!("{log_lines} log lines, {events} events, {steps} steps of trajectories");
+            let what = format!(
+                "{log_lines} log lines, {events} events, {steps} steps of trajectories, {record_events} events of records"
+            );
             writeln!(f, "  unwritten    {:>8}   {what}", self.unwritten.total())?;
         }
         if self.counts == Counts::Host {

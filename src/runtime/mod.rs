@@ -5,4 +5,5 @@
 pub mod clock;
 pub mod drive;
 pub mod real;
+pub mod replay;
 pub mod shell;

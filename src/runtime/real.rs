@@ -51,7 +51,7 @@ struct Reader {
 }
 
 impl Readers {
-    fn new() -> Readers {
+    pub(super) fn new() -> Readers {
         let epoll = || Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).expect("a process may watch descriptors");
         let flags = TimerFlags::TFD_NONBLOCK | TimerFlags::TFD_CLOEXEC;
         let timer = TimerFd::new(ClockId::CLOCK_MONOTONIC, flags).expect("a process may have a timer");

@@ -26,7 +26,7 @@ const SENSORS: [&str; 3] = {
 };
 
 /// Fields of the whole team, in the order in which they are shown.
-const TEAM: [Field; 17] = [
+const TEAM: [Field; 18] = [
     ("team", FieldType::Whole(0, 65_535), None),
     ("key_file", FieldType::Text, None),
     ("mode", FieldType::Choice(&MODES), None),
@@ -44,10 +44,11 @@ const TEAM: [Field; 17] = [
     ("handling", FieldType::Choice(&["hold", "as-published"]), Some("hold")),
     ("estimator", FieldType::Text, Some("none")),
     ("sensor_delay_s", FieldType::Number(0.0, 2.0), None),
+    ("record", FieldType::Text, None),
 ];
 
 /// Fields of the team that a robot or a host may override, besides its links.
-const OVERRIDES: [&str; 2] = ["key_file", "policy"];
+const OVERRIDES: [&str; 3] = ["key_file", "policy", "record"];
 
 /// Names of the fields of the whole team.
 pub fn team_fields() -> impl Iterator<Item = &'static str> {

@@ -63,6 +63,8 @@ pub struct Team {
     pub sensor_delay: Option<Span>,
     /// Conditions in which robots are stopped or slowed.
     pub safety: Safety,
+    /// Folder for the host's records; `None` for no record.
+    pub record: Option<PathBuf>,
     /// Place of this host on each link of the deployment; `None` for a link on which the host neither sends nor
     /// receives.
     pub links: Vec<Option<Place>>,
@@ -212,6 +214,7 @@ impl TeamFile {
             estimator: self.estimator(&scopes)?,
             sensor_delay: find("sensor_delay_s").map(|entry| Span::from_secs(entry.value.number())),
             safety: self.safety,
+            record: find("record").map(|entry| self.path(&entry)),
             links,
         })
     }

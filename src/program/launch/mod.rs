@@ -24,6 +24,7 @@ use anyhow::{Context, Result, anyhow};
 use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::output::{colour, log_lines_dropped, print, talk};
+use crate::program::recording;
 use crate::program::team;
 use supervisor::{Limits, Outcome, Output, Process, Response, Supervisor};
 
@@ -35,6 +36,8 @@ use supervisor::{Limits, Outcome, Output, Process, Response, Supervisor};
 pub struct Args {
     #[command(flatten)]
     team: team::TeamArgs,
+    #[command(flatten)]
+    record: recording::RecordFlags,
     /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
@@ -55,6 +58,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let processes = file.deployment().hosts.iter().map(|host| {
         let (program, mut flags) = (program.clone(), team_arguments(&args.team));
         flags.extend(["--host".into(), host.name.clone().into(), "--json".into(), "--launched".into()]);
+        flags.extend(args.record.record.iter().flat_map(|folder| ["--record".into(), folder.clone().into()]));
         let command = move || {
             let mut command = Command::new(&program);
             command.arg("host").args(&flags);

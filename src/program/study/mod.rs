@@ -20,7 +20,7 @@ use serde::Serialize;
 use crate::program::Ended;
 use crate::program::jobs;
 use crate::program::output::{print, talk};
-use crate::program::sim::{progress, watched};
+use crate::program::progress::{progress, watched};
 use folder::Folder;
 #[cfg(feature = "train")]
 pub use network::medium;

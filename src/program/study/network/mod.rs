@@ -23,7 +23,7 @@ use serde::Serialize;
 use crate::program::Ended;
 use crate::program::jobs;
 use crate::program::output::{print, talk};
-use crate::program::sim::progress;
+use crate::program::progress::progress;
 use crate::program::whole_file::WholeFile;
 use cases::Journal;
 pub use flags::Args;

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cases;
 use crate::program::bad;
-use crate::program::sim::progress;
+use crate::program::progress::progress;
 use crate::program::study::folder::Folder;
 
 /// Team to simulate.

@@ -13,7 +13,7 @@ use super::connection::Connection;
 use super::gather::gather;
 use super::{Request, Response};
 use crate::program::BadInput;
-use crate::program::sim::progress;
+use crate::program::progress::progress;
 use crate::program::study::network::cases::Journal;
 
 /// Requests per clock comparison, and the timeout of a response.

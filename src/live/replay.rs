@@ -1,0 +1,97 @@
+//! A host that runs again from its record: the same actors, with recorded times and inputs, and without sockets,
+//! drivers and sources.
+
+use std::os::fd::AsFd;
+use std::rc::Rc;
+
+use nix::sys::eventfd::{EfdFlags, EventFd};
+
+use super::links::{self, ProcessIdentity};
+use super::{LiveHost, OpenError, grace};
+use crate::actors::recorder::Out;
+use crate::deploy::team::Team;
+use crate::graph::devices::{self, Workers};
+use crate::graph::host::{self, Host};
+use crate::graph::inputs::Input;
+use crate::graph::process::{Graph, ProcessEvent};
+use crate::messages::ids::{HostId, LinkId};
+use crate::net::protocol::key::Key;
+use crate::net::transport::{Counts, In, Transport};
+use crate::registry::Registry;
+use crate::runtime::replay::run_replayed;
+use crate::time::Time;
+use crate::trial::Trial;
+
+/// Transport that hears nothing and whose frames go nowhere.
+struct Silent(Rc<EventFd>);
+
+impl Transport for Silent {
+    fn descriptor(&self) -> Rc<dyn AsFd> {
+        Rc::clone(&self.0) as Rc<dyn AsFd>
+    }
+
+    fn receive(&mut self, _: Time, _: &mut dyn FnMut(Option<std::net::SocketAddr>, &[u8])) {}
+
+    fn handle(&mut self, _: Time, _: In) {}
+
+    fn counts(&self) -> Counts {
+        Counts::default()
+    }
+}
+
+impl LiveHost {
+    /// Makes the team's host as it was in an earlier process, to be run again with [`LiveHost::run_again`]. Nothing is
+    /// opened. `transports` has the number of transports of each link.
+    pub fn closed(
+        team: &Team,
+        trial: &Trial,
+        key: Option<Key>,
+        registry: &Registry,
+        (identity, transports): (&ProcessIdentity, &[usize]),
+    ) -> Result<LiveHost, OpenError> {
+        let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
+        let entry = &team.deployment.hosts[usize::from(team.host.0)];
+        let devices = devices::closed(entry, registry)?;
+        let ids = (0..=u16::MAX).map(LinkId).zip(transports).flat_map(|(link, count)| (0..*count).map(move |_| link));
+        let silent = |link| {
+            let never = EventFd::from_flags(EfdFlags::EFD_CLOEXEC).expect("a process may have a descriptor");
+            (link, Box::new(Silent(Rc::new(never))) as Box<dyn Transport>)
+        };
+        let host = Host {
+            id: team.host,
+            team: team.number,
+            incarnation: identity.incarnation,
+            secret: identity.seed,
+            key,
+            links,
+            devices,
+            transports: ids.map(silent).collect(),
+        };
+        Ok(LiveHost { host, workers: Workers::none(), plan: trial.plan(), grace: grace(team), seed: identity.bytes })
+    }
+
+    /// Runs the host through recorded turns: the time of each and its inputs. `heard` receives the events of the host,
+    /// `said` the output of its Recorder; `ended` is called at the end of each turn.
+    pub fn run_again(
+        self,
+        begun: Time,
+        turns: impl Iterator<Item = (Time, Vec<Input>)>,
+        heard: impl Fn(HostId, ProcessEvent) + 'static,
+        said: impl FnMut(Out) + 'static,
+        mut ended: impl FnMut(Time),
+    ) -> Rc<Graph> {
+        let LiveHost { host, plan, .. } = self;
+        let id = host.id;
+        run_replayed(
+            begun,
+            |clock, readers| host::wire((clock, readers), plan, host, heard, said),
+            turns,
+            // Orders of the host's process came at the end of its turns.
+            |graph, inputs| inputs.extract_if(.., |input| !input.is_order()).for_each(|input| graph.take(id, input)),
+            |graph, now, orders| {
+                orders.into_iter().for_each(|order| graph.take(id, order));
+                ended(now);
+            },
+        )
+    }
+}

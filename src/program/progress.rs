@@ -1,0 +1,34 @@
+//! Progress of long commands on stderr, where it is a terminal.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::report::episode::Episode;
+use crate::trial::Proceed;
+
+/// Returns a callback that advances the bar with each finished episode and stops the trial once `stop` is set.
+pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -> Proceed {
+    let mut shown = 0;
+    move |episodes| {
+        if episodes.len() > shown {
+            bar.inc((episodes.len() - shown) as u64);
+            shown = episodes.len();
+        }
+        if stop.load(Ordering::Relaxed) { Proceed::Stop } else { Proceed::Continue }
+    }
+}
+
+/// Returns a progress bar over this many episodes, with the remaining time. It draws only on a terminal.
+pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new(episodes);
+    let style =
+        ProgressStyle::with_template("{bar:30} {pos}/{len} episodes, {eta} left").expect("the template is sound");
+    bar.set_style(style);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}

@@ -1,0 +1,334 @@
+//! `murmurate replay`: runs again what a record is of, and compares message by message.
+
+use std::cell::{Cell, RefCell};
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+use anyhow::{Context, Result};
+use serde::Serialize;
+
+use crate::live::LiveHost;
+use crate::live::links::ProcessIdentity;
+use crate::messages::ids::HostId;
+use crate::net::protocol::key::Key;
+use crate::program::output::{print, talk};
+use crate::program::{BadInput, Ended, bad, host, sim, team};
+use crate::random::Seed;
+use crate::record::compare::{Compared, Comparison};
+use crate::record::identity::{BUILD, HostIdentity, Identity};
+use crate::record::reader::{self, Opened};
+use crate::record::topics::{Stage, Topics};
+use crate::record::{Event, Scope, tape};
+use crate::registry::Registry;
+use crate::time::Time;
+use crate::trial::{Proceed, Trial};
+
+/// Flags of `murmurate replay`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Exit codes: 0 everything is equal, to the bit; 1 there is a difference: the first is named; 2 a \
+    flag or a file is wrong, or a record is of another build or lacks its key, and nothing was compared."
+)]
+pub struct Args {
+    /// Records, or folders of records (docs/record.md)
+    #[arg(required = true, value_name = "FILE|DIR")]
+    records: Vec<PathBuf>,
+    /// Takes only records of simulations: runs each again from its seed
+    #[arg(long, conflicts_with = "host")]
+    rerun: bool,
+    /// Takes only records of hosts: runs each again alone, with its recorded inputs
+    #[arg(long)]
+    host: bool,
+    /// File with the team's key, for records of a team with one; the key is in no record [default: where the team file
+    /// says]
+    #[arg(long, value_name = "FILE")]
+    key_file: Option<PathBuf>,
+    /// Replays a record of another build of this program, too; it may differ for that alone
+    #[arg(long)]
+    force: bool,
+    /// Prints one JSON object instead of the table
+    #[arg(long)]
+    json: bool,
+}
+
+/// Result of the replay of one record.
+#[derive(Serialize)]
+struct Line {
+    record: PathBuf,
+    /// What it is of.
+    of: String,
+    equal: bool,
+    messages: u64,
+    /// Whether the record was cut by a crash and is equal up to there.
+    cut: bool,
+    /// Time at which the record lacks events \[s\]; nothing after it is compared.
+    gap_s: Option<f64>,
+    difference: Option<String>,
+}
+
+/// Results of all replays.
+#[derive(Serialize)]
+struct Table {
+    records: Vec<Line>,
+}
+
+/// Replays all records.
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    let mut table = Table { records: Vec::new() };
+    for path in files(&args.records)? {
+        let opened = reader::open(&path).map_err(|error| BadInput(error.to_string()))?;
+        check(args, &path, &opened.identity)?;
+        let of = match &opened.identity.host {
+            Some(host) => format!("host {}", host.name),
+            None => format!("repeat {}", opened.identity.repeat),
+        };
+        let files = Files::extract(&opened)?;
+        let compared = match opened.identity.host.clone() {
+            Some(host) => replay_host(args, (&path, opened), &host, &files, registry)?,
+            None => rerun(opened, &files, registry)?,
+        };
+        let Compared { messages, difference, cut, gap_s } = compared;
+        let equal = difference.is_none();
+        let difference = difference.map(|difference| difference.to_string());
+        table.records.push(Line { record: path, of, equal, messages, cut, gap_s, difference });
+    }
+    print(&if args.json { serde_json::to_string(&table).context("a result is JSON")? } else { table.to_string() })?;
+    Ok(if table.records.iter().all(|line| line.equal) { Ended::Done } else { Ended::Unfit })
+}
+
+/// Returns the files that are named, and those in folders that are named, in the order of their names.
+pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let mut all = Vec::new();
+    for path in named {
+        if !path.is_dir() {
+            all.push(path.clone());
+            continue;
+        }
+        let wrong = |error| BadInput(format!("cannot read the folder '{}': {error}", path.display()));
+        let entries = std::fs::read_dir(path).map_err(wrong)?;
+        let found = entries.filter_map(|entry| Some(entry.ok()?.path()));
+        let mut found: Vec<PathBuf> = found.filter(|path| path.extension().is_some_and(|e| e == "mcap")).collect();
+        found.sort();
+        if found.is_empty() {
+            return bad(format!("the folder '{}' has no record (*.mcap)", path.display()));
+        }
+        all.extend(found);
+    }
+    Ok(all)
+}
+
+/// Refuses a record that cannot be replayed as asked.
+fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
+    let of_host = identity.host.is_some();
+    if args.rerun && of_host {
+        return bad(format!("--rerun: '{}' is the record of a host; use --host", path.display()));
+    }
+    if args.host && !of_host {
+        return bad(format!("--host: '{}' is the record of a simulation; use --rerun", path.display()));
+    }
+    if identity.build != BUILD {
+        let (theirs, at) = (&identity.build, path.display());
+        if !args.force {
+            return bad(format!(
+                "'{at}' was made by another build of this program ({theirs}, version {}; this is {BUILD}): replay it \
+                 with that one, or try with --force",
+                identity.version
+            ));
+        }
+        talk(&format!("warning: '{at}' was made by another build ({theirs}; this is {BUILD}) and may differ for that"));
+    }
+    Ok(())
+}
+
+/// Files of a record, written to a temporary folder, which is removed at the end.
+struct Files {
+    folder: PathBuf,
+    /// Name in the record, and path.
+    files: Vec<(String, PathBuf)>,
+}
+
+impl Files {
+    fn extract(opened: &Opened) -> Result<Files> {
+        let mut number = [0; 8];
+        getrandom::fill(&mut number).map_err(|error| anyhow::anyhow!("no random bytes: {error}"))?;
+        let folder = std::env::temp_dir().join(format!("murmurate-replay-{:016x}", u64::from_le_bytes(number)));
+        std::fs::create_dir(&folder).with_context(|| format!("cannot make the folder '{}'", folder.display()))?;
+        let mut files = Files { folder, files: Vec::new() };
+        for (index, (name, content)) in opened.attached.iter().enumerate() {
+            let last = Path::new(name).file_name().map_or("file".into(), |last| last.to_string_lossy().into_owned());
+            let path = files.folder.join(format!("{index}-{last}"));
+            std::fs::write(&path, content).with_context(|| format!("cannot write '{}'", path.display()))?;
+            files.files.push((name.clone(), path));
+        }
+        Ok(files)
+    }
+
+    /// Returns recorded arguments with the record's files in place of those that they name.
+    fn in_place(&self, arguments: &[String]) -> Vec<String> {
+        let replaced = |argument: &String| {
+            for (name, path) in &self.files {
+                if argument == name {
+                    return path.to_string_lossy().into_owned();
+                }
+                if let Some(flag) = argument.strip_suffix(name).filter(|flag| flag.ends_with('=')) {
+                    return format!("{flag}{}", path.display());
+                }
+            }
+            argument.clone()
+        };
+        arguments.iter().map(replaced).collect()
+    }
+}
+
+impl Drop for Files {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+/// Runs a simulation again from its seed.
+fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared> {
+    let Opened { identity, messages, .. } = opened;
+    let trial = sim::of_record(&files.in_place(&identity.arguments), identity.repeat, registry)?;
+    let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
+    let comparison = Rc::new(RefCell::new(Comparison::new(messages, topics, 0)));
+    let heard = Rc::clone(&comparison);
+    trial.run_observed(
+        move |host, event| {
+            if let Some(event) = Event::of(Scope::Simulation, host, event) {
+                heard.borrow_mut().push(event);
+            }
+        },
+        |_, now, _| {
+            let mut comparison = comparison.borrow_mut();
+            comparison.push(Event::Turn(now));
+            if comparison.is_over() { Proceed::Stop } else { Proceed::Continue }
+        },
+    );
+    finish(comparison)
+}
+
+/// Runs a host again alone, with its recorded inputs.
+fn replay_host(
+    args: &Args,
+    (path, opened): (&Path, Opened),
+    of: &HostIdentity,
+    files: &Files,
+    registry: &Registry,
+) -> Result<Compared> {
+    let Opened { identity, messages, .. } = opened;
+    let mut team_args = host::of_record(&files.in_place(&identity.arguments))?;
+    if let Some((_, policy)) = files.files.get(1) {
+        team_args.set.push(format!("policy={}", policy.display()));
+    }
+    if args.key_file.is_some() {
+        team_args.key_file.clone_from(&args.key_file);
+    }
+    let folder = identity.arguments.iter().find_map(|argument| {
+        let named = files.files.first().is_some_and(|(name, _)| name == argument);
+        named.then(|| Path::new(argument).parent().unwrap_or(Path::new("")).to_owned())
+    });
+    let file = team_args.read_as_of(registry, folder.as_deref(), &identity.variables)?;
+    let id = file.host_named(&of.name).map_err(|error| BadInput(error.to_string()))?;
+    let team = team_args.for_host(&file, id)?;
+    let key = if of.keyed { team::key(&team).with_context(|| keyless(path))?.map(Key::new) } else { None };
+    if of.keyed && key.is_none() {
+        return bad(keyless(path));
+    }
+    let policy = team::policy(&team, registry)?;
+    let trial = Trial::of_host(registry, &team, policy.model).map_err(|error| BadInput(error.to_string()))?;
+    let seed = bytes_of(&of.seed).ok_or_else(|| BadInput(format!("'{}': its seed is damaged", path.display())))?;
+    let process =
+        ProcessIdentity { incarnation: of.incarnation, seed: Seed::of_bytes(seed), bytes: seed, operator: HostId(0) };
+    let live = LiveHost::closed(&team, &trial, key, registry, (&process, &of.transports))?;
+
+    let mut turns = Turns::open(path)?;
+    let Some(begun) = turns.next() else {
+        return Ok(Compared { messages: 0, difference: None, cut: true, gap_s: None });
+    };
+    let topics = Topics::new(Stage::of(live.plan()), Scope::Host, identity.anchor_ns);
+    let comparison = Rc::new(RefCell::new(Comparison::new(messages, topics, identity.anchor_ns)));
+    comparison.borrow_mut().push(Event::Turn(begun.0));
+    let (heard, ended) = (Rc::clone(&comparison), Rc::clone(&comparison));
+    let over = Rc::new(Cell::new(false));
+    let stop = Rc::clone(&over);
+    live.run_again(
+        begun.0,
+        turns.take_while(move |_| !stop.get()),
+        move |host, event| {
+            if let Some(event) = Event::of(Scope::Host, host, event) {
+                heard.borrow_mut().push(event);
+            }
+        },
+        |_| {},
+        move |now| {
+            ended.borrow_mut().push(Event::Turn(now));
+            over.set(ended.borrow().is_over());
+        },
+    );
+    finish(comparison)
+}
+
+fn keyless(path: &Path) -> String {
+    format!("'{}' is of a team with a key, which is in no record: give it with --key-file", path.display())
+}
+
+fn finish(comparison: Rc<RefCell<Comparison>>) -> Result<Compared> {
+    let comparison = Rc::try_unwrap(comparison).ok().context("a run that has ended is still observed: a bug")?;
+    Ok(comparison.into_inner().finish()?)
+}
+
+fn bytes_of(hexadecimal: &str) -> Option<[u8; 32]> {
+    let digits = hexadecimal.as_bytes().chunks(2);
+    let bytes: Option<Vec<u8>> =
+        digits.map(|two| u8::from_str_radix(std::str::from_utf8(two).ok()?, 16).ok()).collect();
+    bytes?.try_into().ok()
+}
+
+/// Turns of a host's record.
+struct Turns(reader::Messages);
+
+impl Turns {
+    fn open(path: &Path) -> Result<Turns> {
+        Ok(Turns(reader::open(path)?.messages))
+    }
+}
+
+impl Iterator for Turns {
+    type Item = (Time, Vec<crate::graph::inputs::Input>);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        // A file that is damaged in its middle is reported by the comparison, which reads the same bytes.
+        while let Ok(Some(message)) = self.0.next_message() {
+            if message.channel.encoding == crate::record::topics::Topic::Turn.encoding() {
+                let turn = tape::read(&message.data)?;
+                return Some((turn.now, turn.inputs));
+            }
+        }
+        None
+    }
+}
+
+impl fmt::Display for Table {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let width = self.records.iter().map(|line| line.of.chars().count()).max().unwrap_or(0);
+        for (index, line) in self.records.iter().enumerate() {
+            if index > 0 {
+                writeln!(f)?;
+            }
+            let Line { of, messages, cut, gap_s, difference, .. } = line;
+            write!(f, "{of:width$}  ")?;
+            match difference {
+                None => write!(f, "equal, {messages} messages")?,
+                Some(difference) => write!(f, "DIFFERS after {messages} equal messages\n{difference}")?,
+            }
+            if let Some(gap_s) = gap_s {
+                write!(f, ", up to {gap_s:.3} s, where the record lacks events")?;
+            } else if *cut {
+                write!(f, ", up to the end of the record, which a crash has cut")?;
+            }
+        }
+        Ok(())
+    }
+}

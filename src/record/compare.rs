@@ -1,0 +1,187 @@
+//! Comparison of a run with its record, message by message. It ends at the first difference and names it.
+
+use std::fmt;
+
+use super::Event;
+use super::reader::{Message, Messages, ReadError};
+use super::tape;
+use super::topics::Topics;
+use crate::messages::wire::Wire;
+use crate::net::protocol::codec;
+
+/// First difference between a record and a replay.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Difference {
+    /// Time of the run at which they differ \[s\].
+    pub at_s: f64,
+    /// Topic of the message.
+    pub topic: String,
+    /// The message in the record, in words.
+    pub recorded: String,
+    /// The message of the replay, in words.
+    pub replayed: String,
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Difference { at_s, topic, recorded, replayed } = self;
+        write!(f, "first difference at {at_s:.6} s, {topic}\n  recorded  {recorded}\n  replayed  {replayed}")
+    }
+}
+
+/// Comparison of a run that is replayed with its record.
+pub struct Comparison {
+    recorded: Messages,
+    topics: Topics,
+    anchor_ns: u64,
+    instant: Vec<Event>,
+    messages: u64,
+    /// Whether a crash has cut the record, and the replay has come to there.
+    cut: bool,
+    /// Time at which the record lacks events \[s\].
+    gap_s: Option<f64>,
+    difference: Option<Difference>,
+    error: Option<ReadError>,
+}
+
+/// Result of a comparison.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compared {
+    /// Messages that are equal.
+    pub messages: u64,
+    /// The first difference, if there is one.
+    pub difference: Option<Difference>,
+    /// Whether a crash has cut the record; the replay is compared up to there.
+    pub cut: bool,
+    /// Time at which the record lacks events \[s\]; nothing after it is compared.
+    pub gap_s: Option<f64>,
+}
+
+impl Comparison {
+    /// Begins a comparison. `anchor_ns` is the wall clock at the run's time zero, as the record has it.
+    pub fn new(recorded: Messages, topics: Topics, anchor_ns: u64) -> Comparison {
+        Comparison {
+            recorded,
+            topics,
+            anchor_ns,
+            instant: Vec::new(),
+            messages: 0,
+            cut: false,
+            gap_s: None,
+            difference: None,
+            error: None,
+        }
+    }
+
+    /// Takes an event of the replay.
+    pub fn push(&mut self, event: Event) {
+        let Event::Turn(now) = event else {
+            self.instant.push(event);
+            return;
+        };
+        let Comparison { recorded, topics, instant, messages, cut, gap_s, difference, error, .. } = self;
+        let stage = topics.stage().clone();
+        let anchor_ns = self.anchor_ns;
+        topics.instant(now, instant, &mut |topic, at, data| {
+            if difference.is_some() || error.is_some() || *cut || gap_s.is_some() {
+                return;
+            }
+            let at_s = (at - anchor_ns) as f64 / 1e9;
+            match recorded.next_message() {
+                Ok(Some(message)) => {
+                    if (message.at, &*message.data) == (at, data) && message.channel.topic == topic.name(&stage) {
+                        *messages += 1;
+                        return;
+                    }
+                    let when_s = message.at.saturating_sub(anchor_ns) as f64 / 1e9;
+                    if is_gap(&message) {
+                        *gap_s = Some(when_s);
+                        return;
+                    }
+                    *difference = Some(Difference {
+                        at_s: at_s.min(when_s),
+                        topic: topic.name(&stage),
+                        recorded: words(&message.channel.topic, when_s, &message.data),
+                        replayed: words(&topic.name(&stage), at_s, data),
+                    });
+                }
+                // A record that a crash has cut ends before its run does.
+                Ok(None) if !recorded.is_complete() => *cut = true,
+                Ok(None) => {
+                    *difference = Some(Difference {
+                        at_s,
+                        topic: topic.name(&stage),
+                        recorded: "nothing: the record ends here".to_owned(),
+                        replayed: words(&topic.name(&stage), at_s, data),
+                    });
+                }
+                Err(wrong) => *error = Some(wrong),
+            }
+        });
+        self.instant.clear();
+    }
+
+    /// Whether there is nothing left to compare: a difference was found, or the record is over.
+    pub fn is_over(&self) -> bool {
+        self.cut || self.gap_s.is_some() || self.difference.is_some() || self.error.is_some()
+    }
+
+    /// Ends the comparison. A record that goes on after the replay has ended is a difference.
+    pub fn finish(mut self) -> Result<Compared, ReadError> {
+        if let Some(error) = self.error {
+            return Err(error);
+        }
+        if self.difference.is_none()
+            && !self.cut
+            && self.gap_s.is_none()
+            && let Some(message) = self.recorded.next_message()?
+        {
+            let at_s = message.at.saturating_sub(self.anchor_ns) as f64 / 1e9;
+            self.difference = Some(Difference {
+                at_s,
+                topic: message.channel.topic.clone(),
+                recorded: words(&message.channel.topic, at_s, &message.data),
+                replayed: "nothing: the replay ends here".to_owned(),
+            });
+        }
+        self.cut |= self.difference.is_none() && !self.recorded.is_complete();
+        let Comparison { messages, difference, cut, gap_s, .. } = self;
+        Ok(Compared { messages, difference, cut, gap_s })
+    }
+}
+
+/// Whether a message says that events before it are missing.
+fn is_gap(message: &Message) -> bool {
+    message.channel.topic == "/counts"
+        && serde_json::from_slice::<serde_json::Value>(&message.data)
+            .is_ok_and(|said| said["recording_dropped"].is_u64())
+}
+
+/// Returns a message in words.
+fn words(topic: &str, at_s: f64, data: &[u8]) -> String {
+    let what = if topic.starts_with("/wire/") {
+        match codec::decode(data) {
+            Ok((header, message)) => format!("datagram {} of it: {}", header.sequence, short(&message)),
+            Err(error) => format!("{} bytes that are no datagram ({error})", data.len()),
+        }
+    } else if topic == "/tape/turn" {
+        match tape::read(data) {
+            Some(turn) => format!("turn with {} inputs, sent {:016x}", turn.inputs.len(), turn.sent),
+            None => format!("{} bytes that are no turn", data.len()),
+        }
+    } else {
+        match std::str::from_utf8(data) {
+            Ok(text) if text.starts_with('{') => text.to_owned(),
+            _ => format!("{} bytes, {:08x}", data.len(), xxhash_rust::xxh3::xxh3_64(data) as u32),
+        }
+    };
+    format!("{at_s:.6} s {topic}: {what}")
+}
+
+fn short(message: &Wire) -> String {
+    let text = format!("{message:?}");
+    match text.char_indices().nth(300) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text,
+    }
+}

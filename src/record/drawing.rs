@@ -1,0 +1,194 @@
+//! The picture of a team at an instant, as messages of Foxglove: walls and goals, bodies and headings, names, and lines
+//! between robots in communication range.
+
+use super::foxglove::{self, Colour, MAP};
+use super::protobuf::Message;
+use crate::graph::Plan;
+use crate::messages::geometry::Vec2;
+use crate::scenario::Arena;
+
+/// What a drawing needs to know of a run.
+#[derive(Clone, Debug)]
+pub struct Stage {
+    /// Names of the hosts, in the order of the deployment.
+    pub hosts: Vec<String>,
+    /// Number of robots.
+    pub robots: usize,
+    /// Ground and walls.
+    pub arena: Arena,
+    /// Radius of a robot's hull \[m\].
+    pub hull_m: f32,
+    /// Range within which robots use each other's messages \[m\]; may be infinite.
+    pub range_m: f32,
+}
+
+impl Stage {
+    /// Returns what a drawing needs to know of a run with this plan.
+    pub fn of(plan: &Plan) -> Stage {
+        Stage {
+            hosts: plan.deployment.hosts.iter().map(|host| host.name.clone()).collect(),
+            robots: plan.deployment.robots,
+            arena: plan.scenario.arena().clone(),
+            hull_m: plan.physics.wall_radius_m,
+            range_m: plan.range.mean_m,
+        }
+    }
+}
+
+/// A robot in the picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Body {
+    /// Position \[m\], world frame.
+    pub position: Vec2,
+    /// Heading \[rad\], counter-clockwise from x; `None` if it is unknown.
+    pub heading: Option<f32>,
+}
+
+const HEIGHT_M: f64 = 0.2;
+const WALL_HEIGHT_M: f64 = 0.5;
+const GREY: Colour = [0.5, 0.5, 0.5, 1.0];
+const DARK: Colour = [0.1, 0.1, 0.1, 1.0];
+const LINK: Colour = [0.1, 0.7, 0.2, 0.8];
+/// Colours of robots, again from the first after the last: those of the pictures of `sim`.
+const ROBOTS: [Colour; 6] = [
+    [0.12, 0.47, 0.71, 1.0],
+    [1.0, 0.5, 0.05, 1.0],
+    [0.17, 0.63, 0.17, 1.0],
+    [0.84, 0.15, 0.16, 1.0],
+    [0.58, 0.4, 0.74, 1.0],
+    [0.55, 0.34, 0.29, 1.0],
+];
+
+fn colour_of(robot: usize) -> Colour {
+    ROBOTS[robot % ROBOTS.len()]
+}
+
+fn point(at: Vec2, height_m: f64) -> [f64; 3] {
+    [f64::from(at.x), f64::from(at.y), height_m]
+}
+
+/// Writes a scene update with what stands: walls, and the goals of an episode.
+pub fn walls_and_goals(out: &mut Message, at: u64, stage: &Stage, goals: &[Vec2]) {
+    foxglove::entity(out, at, "walls", |entity| {
+        for block in &stage.arena.keep_outs {
+            let (middle, size) = ((block.min + block.max) * 0.5, block.max - block.min);
+            entity.message(8, |cube| {
+                foxglove::pose(cube, 1, point(middle, WALL_HEIGHT_M / 2.0), 0.0);
+                foxglove::vector(cube, 2, point(size, WALL_HEIGHT_M));
+                foxglove::colour(cube, 3, GREY);
+            });
+        }
+    });
+    foxglove::entity(out, at, "goals", |entity| {
+        for (robot, goal) in goals.iter().enumerate() {
+            let [red, green, blue, _] = colour_of(robot);
+            let width = f64::from(stage.hull_m) * 2.0;
+            disc(entity, point(*goal, 0.005), [width, width, 0.01], [red, green, blue, 0.35]);
+        }
+    });
+}
+
+/// Writes a scene update with what moves: bodies with headings and numbers, and lines between robots in range.
+pub fn team(out: &mut Message, at: u64, stage: &Stage, team: &[Option<Body>]) {
+    let width = f64::from(stage.hull_m) * 2.0;
+    for (robot, body) in team.iter().enumerate() {
+        let Some(body) = body else { continue };
+        foxglove::entity(out, at, &format!("robot/{robot}"), |entity| {
+            disc(entity, point(body.position, HEIGHT_M / 2.0), [width, width, HEIGHT_M], colour_of(robot));
+            if let Some(heading) = body.heading {
+                entity.message(7, |arrow| {
+                    foxglove::pose(arrow, 1, point(body.position, HEIGHT_M + 0.05), f64::from(heading));
+                    for (field, length) in [(2, width * 0.6), (3, 0.06), (4, 0.12), (5, 0.12)] {
+                        arrow.double(field, length);
+                    }
+                    foxglove::colour(arrow, 6, DARK);
+                });
+            }
+            entity.message(13, |text| {
+                foxglove::pose(text, 1, point(body.position, HEIGHT_M + 0.25), 0.0);
+                text.uint(2, 1);
+                text.double(3, 0.2);
+                foxglove::colour(text, 5, DARK);
+                text.text(6, &robot.to_string());
+            });
+        });
+    }
+    foxglove::entity(out, at, "links", |entity| {
+        entity.message(11, |line| {
+            const LINE_LIST: u64 = 2;
+            line.uint(1, LINE_LIST);
+            foxglove::pose(line, 2, [0.0, 0.0, HEIGHT_M / 2.0], 0.0);
+            line.double(3, 0.02);
+            for (one, other) in pairs(team, stage.range_m) {
+                foxglove::vector(line, 5, point(one, 0.0));
+                foxglove::vector(line, 5, point(other, 0.0));
+            }
+            foxglove::colour(line, 6, LINK);
+        });
+    });
+}
+
+/// Positions of the pairs of robots within a range. Of large teams only the pairs of the first 64 robots are drawn.
+fn pairs(team: &[Option<Body>], range_m: f32) -> impl Iterator<Item = (Vec2, Vec2)> {
+    let seen: Vec<Vec2> = team.iter().take(64).flatten().map(|body| body.position).collect();
+    let all = (0..seen.len()).flat_map(move |one| (one + 1..seen.len()).map(move |other| (one, other)));
+    let seen: Vec<Vec2> = team.iter().take(64).flatten().map(|body| body.position).collect();
+    all.map(move |(one, other)| (seen[one], seen[other])).filter(move |(one, other)| (*one - *other).norm() < range_m)
+}
+
+fn disc(entity: &mut Message, at: [f64; 3], size: [f64; 3], colour: Colour) {
+    entity.message(10, |cylinder| {
+        foxglove::pose(cylinder, 1, at, 0.0);
+        foxglove::vector(cylinder, 2, size);
+        cylinder.double(3, 1.0);
+        cylinder.double(4, 1.0);
+        foxglove::colour(cylinder, 5, colour);
+    });
+}
+
+/// Writes the robots as a point cloud: position, and the robot's number.
+pub fn cloud(out: &mut Message, at: u64, team: &[Option<Body>]) {
+    const FLOAT32: u64 = 7;
+    const UINT32: u64 = 5;
+    foxglove::time(out, 1, at);
+    out.text(2, MAP);
+    foxglove::pose(out, 3, [0.0; 3], 0.0);
+    out.fixed32(4, 16);
+    for (name, offset, kind) in [("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("robot", 12, UINT32)] {
+        out.message(5, |field| {
+            field.text(1, name);
+            field.fixed32(2, offset);
+            field.uint(3, kind);
+        });
+    }
+    let mut points = Vec::with_capacity(team.len() * 16);
+    for (robot, body) in (0u32..).zip(team) {
+        let Some(body) = body else { continue };
+        for coordinate in [body.position.x, body.position.y, 0.0] {
+            points.extend(coordinate.to_le_bytes());
+        }
+        points.extend(robot.to_le_bytes());
+    }
+    out.bytes(6, &points);
+}
+
+/// Writes the transforms from the world frame to the robots' frames `robot_N/base_link`.
+pub fn transforms(out: &mut Message, at: u64, team: &[Option<Body>]) {
+    for (robot, body) in team.iter().enumerate() {
+        let Some(body) = body else { continue };
+        out.message(1, |transform| {
+            foxglove::time(transform, 1, at);
+            transform.text(2, MAP);
+            transform.text(3, &format!("robot_{robot}/base_link"));
+            foxglove::vector(transform, 4, point(body.position, 0.0));
+            foxglove::rotation(transform, 5, f64::from(body.heading.unwrap_or(0.0)));
+        });
+    }
+}
+
+/// Writes a robot's pose. A robot whose heading is unknown has the heading of the x axis.
+pub fn pose(out: &mut Message, at: u64, body: Body) {
+    foxglove::time(out, 1, at);
+    out.text(2, MAP);
+    foxglove::pose(out, 3, point(body.position, 0.0), f64::from(body.heading.unwrap_or(0.0)));
+}

@@ -1,0 +1,201 @@
+//! Messages of Foxglove, as Protobuf: Foxglove, Lichtblick and Rerun draw them without help. Only the fields that are
+//! written are described. Frame `map` is the world frame.
+
+use super::protobuf::{EnumType, Message, MessageType, Type};
+
+/// The world frame.
+pub const MAP: &str = "map";
+
+/// Colour: red, green, blue and opacity, 0 to 1.
+pub type Colour = [f64; 4];
+
+const TIMESTAMP: Type = Type::One(".google.protobuf.Timestamp");
+const DURATION: Type = Type::One(".google.protobuf.Duration");
+const POSE: Type = Type::One(".foxglove.Pose");
+const VECTOR: Type = Type::One(".foxglove.Vector3");
+const COLOUR: Type = Type::One(".foxglove.Color");
+
+/// Message types.
+pub const MESSAGES: &[MessageType] = &[
+    ("Vector3", &[("x", 1, Type::Double), ("y", 2, Type::Double), ("z", 3, Type::Double)]),
+    ("Point3", &[("x", 1, Type::Double), ("y", 2, Type::Double), ("z", 3, Type::Double)]),
+    ("Quaternion", &[("x", 1, Type::Double), ("y", 2, Type::Double), ("z", 3, Type::Double), ("w", 4, Type::Double)]),
+    ("Color", &[("r", 1, Type::Double), ("g", 2, Type::Double), ("b", 3, Type::Double), ("a", 4, Type::Double)]),
+    ("Pose", &[("position", 1, VECTOR), ("orientation", 2, Type::One(".foxglove.Quaternion"))]),
+    (
+        "FrameTransform",
+        &[
+            ("timestamp", 1, TIMESTAMP),
+            ("parent_frame_id", 2, Type::Text),
+            ("child_frame_id", 3, Type::Text),
+            ("translation", 4, VECTOR),
+            ("rotation", 5, Type::One(".foxglove.Quaternion")),
+        ],
+    ),
+    ("FrameTransforms", &[("transforms", 1, Type::Many(".foxglove.FrameTransform"))]),
+    ("PoseInFrame", &[("timestamp", 1, TIMESTAMP), ("frame_id", 2, Type::Text), ("pose", 3, POSE)]),
+    (
+        "Log",
+        &[
+            ("timestamp", 1, TIMESTAMP),
+            ("level", 2, Type::Enum(".foxglove.Level")),
+            ("message", 3, Type::Text),
+            ("name", 4, Type::Text),
+            ("file", 5, Type::Text),
+            ("line", 6, Type::Fixed32),
+        ],
+    ),
+    (
+        "ArrowPrimitive",
+        &[
+            ("pose", 1, POSE),
+            ("shaft_length", 2, Type::Double),
+            ("shaft_diameter", 3, Type::Double),
+            ("head_length", 4, Type::Double),
+            ("head_diameter", 5, Type::Double),
+            ("color", 6, COLOUR),
+        ],
+    ),
+    ("CubePrimitive", &[("pose", 1, POSE), ("size", 2, VECTOR), ("color", 3, COLOUR)]),
+    (
+        "CylinderPrimitive",
+        &[
+            ("pose", 1, POSE),
+            ("size", 2, VECTOR),
+            ("bottom_scale", 3, Type::Double),
+            ("top_scale", 4, Type::Double),
+            ("color", 5, COLOUR),
+        ],
+    ),
+    (
+        "LinePrimitive",
+        &[
+            ("type", 1, Type::Enum(".foxglove.LineType")),
+            ("pose", 2, POSE),
+            ("thickness", 3, Type::Double),
+            ("scale_invariant", 4, Type::Bool),
+            ("points", 5, Type::Many(".foxglove.Point3")),
+            ("color", 6, COLOUR),
+            ("colors", 7, Type::Many(".foxglove.Color")),
+        ],
+    ),
+    (
+        "TextPrimitive",
+        &[
+            ("pose", 1, POSE),
+            ("billboard", 2, Type::Bool),
+            ("font_size", 3, Type::Double),
+            ("scale_invariant", 4, Type::Bool),
+            ("color", 5, COLOUR),
+            ("text", 6, Type::Text),
+        ],
+    ),
+    (
+        "SceneEntity",
+        &[
+            ("timestamp", 1, TIMESTAMP),
+            ("frame_id", 2, Type::Text),
+            ("id", 3, Type::Text),
+            ("lifetime", 4, DURATION),
+            ("frame_locked", 5, Type::Bool),
+            ("arrows", 7, Type::Many(".foxglove.ArrowPrimitive")),
+            ("cubes", 8, Type::Many(".foxglove.CubePrimitive")),
+            ("cylinders", 10, Type::Many(".foxglove.CylinderPrimitive")),
+            ("lines", 11, Type::Many(".foxglove.LinePrimitive")),
+            ("texts", 13, Type::Many(".foxglove.TextPrimitive")),
+        ],
+    ),
+    ("SceneUpdate", &[("entities", 2, Type::Many(".foxglove.SceneEntity"))]),
+    (
+        "PackedElementField",
+        &[("name", 1, Type::Text), ("offset", 2, Type::Fixed32), ("type", 3, Type::Enum(".foxglove.NumericType"))],
+    ),
+    (
+        "PointCloud",
+        &[
+            ("timestamp", 1, TIMESTAMP),
+            ("frame_id", 2, Type::Text),
+            ("pose", 3, POSE),
+            ("point_stride", 4, Type::Fixed32),
+            ("fields", 5, Type::Many(".foxglove.PackedElementField")),
+            ("data", 6, Type::Bytes),
+        ],
+    ),
+];
+
+/// Enumerations.
+pub const ENUMS: &[EnumType] = &[
+    ("Level", &["UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"]),
+    ("LineType", &["LINE_STRIP", "LINE_LOOP", "LINE_LIST"]),
+    ("NumericType", &["NUMERIC_UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"]),
+];
+
+/// Level of a line of the log.
+#[derive(Clone, Copy)]
+pub enum Level {
+    /// Usual news.
+    Info = 2,
+    /// Something to look at.
+    Warning = 3,
+}
+
+/// Writes a time \[ns\] since 1970, or a duration \[ns\].
+pub fn time(out: &mut Message, field: u32, nanos: u64) {
+    out.message(field, |stamp| {
+        stamp.uint(1, nanos / 1_000_000_000);
+        stamp.uint(2, nanos % 1_000_000_000);
+    });
+}
+
+/// Writes a vector or a point.
+pub fn vector(out: &mut Message, field: u32, [x, y, z]: [f64; 3]) {
+    out.message(field, |vector| {
+        vector.double(1, x);
+        vector.double(2, y);
+        vector.double(3, z);
+    });
+}
+
+/// Writes the rotation about the vertical axis by `yaw` \[rad\].
+pub fn rotation(out: &mut Message, field: u32, yaw: f64) {
+    out.message(field, |quaternion| {
+        quaternion.double(3, libm::sin(yaw / 2.0));
+        quaternion.double(4, libm::cos(yaw / 2.0));
+    });
+}
+
+/// Writes a pose.
+pub fn pose(out: &mut Message, field: u32, at: [f64; 3], yaw: f64) {
+    out.message(field, |pose| {
+        vector(pose, 1, at);
+        rotation(pose, 2, yaw);
+    });
+}
+
+/// Writes a colour.
+pub fn colour(out: &mut Message, field: u32, [red, green, blue, opacity]: Colour) {
+    out.message(field, |colour| {
+        colour.double(1, red);
+        colour.double(2, green);
+        colour.double(3, blue);
+        colour.double(4, opacity);
+    });
+}
+
+/// Writes an entity of a scene update: `write` writes its primitives.
+pub fn entity(update: &mut Message, at: u64, id: &str, write: impl FnOnce(&mut Message)) {
+    update.message(2, |entity| {
+        time(entity, 1, at);
+        entity.text(2, MAP);
+        entity.text(3, id);
+        write(entity);
+    });
+}
+
+/// Writes a line of the log.
+pub fn log(out: &mut Message, at: u64, level: Level, name: &str, text: &str) {
+    time(out, 1, at);
+    out.uint(2, level as u64);
+    out.text(3, text);
+    out.text(4, name);
+}

@@ -1,0 +1,130 @@
+//! Identity of a record: which program, flags, host and seed it is of. It is the metadata `murmurate.run` of the file,
+//! and what a replay needs to run the same again. A key is never in it.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+/// Name of the metadata in a file.
+pub const METADATA: &str = "murmurate.run";
+/// Version of the format of records.
+pub const FORMAT: u32 = 1;
+/// Digest of the sources that the program was built from (`build.rs`).
+pub const BUILD: &str = env!("SOURCE_DIGEST");
+
+/// Identity of a record.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Identity {
+    /// Version of the format.
+    pub format: u32,
+    /// Version of the program.
+    pub version: String,
+    /// Digest of the program's sources: another program may run differently.
+    pub build: String,
+    /// Arguments of the command, from its name on.
+    pub arguments: Vec<String>,
+    /// Variables of the environment that override fields of the team file.
+    pub variables: Vec<(String, String)>,
+    /// Wall clock at the run's time zero \[ns\] since 1970; 0 in a simulation.
+    pub anchor_ns: u64,
+    /// Digest of the policy's file; empty for scripted navigation.
+    pub policy: String,
+    /// Index of the repeat, in a simulation.
+    pub repeat: u32,
+    /// The host, in a record of one.
+    pub host: Option<HostIdentity>,
+}
+
+/// Identity of the process of a host.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HostIdentity {
+    /// Name of the host.
+    pub name: String,
+    /// Incarnation of the process.
+    pub incarnation: u32,
+    /// Seed of the link layer's random streams in that process, hexadecimal.
+    pub seed: String,
+    /// Number of transports of each link, in the order of the deployment.
+    pub transports: Vec<usize>,
+    /// Whether the team had a key. The key itself is in no record.
+    pub keyed: bool,
+}
+
+/// Wrong metadata of a record.
+#[derive(Debug, thiserror::Error)]
+#[error("its metadata '{METADATA}' cannot be used: {0}")]
+pub struct WrongIdentity(String);
+
+impl Identity {
+    /// Returns the identity of a record that this program makes now.
+    pub fn here(arguments: Vec<String>, policy: &str) -> Identity {
+        Identity {
+            format: FORMAT,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            build: BUILD.to_owned(),
+            arguments,
+            variables: Vec::new(),
+            anchor_ns: 0,
+            policy: policy.to_owned(),
+            repeat: 0,
+            host: None,
+        }
+    }
+
+    /// Returns the identity as metadata: each field as JSON, texts as they are.
+    pub fn to_metadata(&self) -> BTreeMap<String, String> {
+        let serde_json::Value::Object(fields) = serde_json::to_value(self).expect("an identity is JSON") else {
+            unreachable!("an identity is an object")
+        };
+        let text = |value: serde_json::Value| match value {
+            serde_json::Value::String(text) => text,
+            other => other.to_string(),
+        };
+        fields.into_iter().map(|(name, value)| (name, text(value))).collect()
+    }
+
+    /// Reads the identity from metadata.
+    pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Result<Identity, WrongIdentity> {
+        const TEXTS: [&str; 3] = ["version", "build", "policy"];
+        let format = metadata.get("format").map_or("", String::as_str);
+        if format != FORMAT.to_string() {
+            return Err(WrongIdentity(format!("it has format '{format}', and this program reads format {FORMAT}")));
+        }
+        let mut fields = serde_json::Map::new();
+        for (name, value) in metadata {
+            let value = if TEXTS.contains(&&**name) {
+                serde_json::Value::String(value.clone())
+            } else {
+                serde_json::from_str(value).map_err(|error| WrongIdentity(format!("field '{name}': {error}")))?
+            };
+            fields.insert(name.clone(), value);
+        }
+        serde_json::from_value(serde_json::Value::Object(fields)).map_err(|error| WrongIdentity(error.to_string()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_identity_is_read_from_its_metadata_and_another_format_is_refused() {
+        let mut identity = Identity::here(vec!["sim".to_owned(), "--seed".to_owned(), "7".to_owned()], "ab12");
+        for host in [
+            None,
+            Some(HostIdentity {
+                name: "pc".to_owned(),
+                incarnation: 7,
+                seed: "00ff".to_owned(),
+                transports: vec![1, 0, 2],
+                keyed: true,
+            }),
+        ] {
+            identity.host = host;
+            assert_eq!(Identity::of_metadata(&identity.to_metadata()).unwrap(), identity);
+        }
+        let mut other = identity.to_metadata();
+        other.insert("format".to_owned(), "9".to_owned());
+        assert!(Identity::of_metadata(&other).unwrap_err().to_string().contains("format '9'"));
+    }
+}

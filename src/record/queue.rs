@@ -1,0 +1,268 @@
+//! The bounded queue between the thread that runs actors and the writer of a record.
+//!
+//! In real time the control thread never waits and never wakes the writer, which looks every 20 ms: events that do not
+//! fit are dropped and counted. A simulation waits for the writer instead and loses nothing.
+
+use std::cell::{Cell, RefCell};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, TryLockError};
+use std::time::Duration;
+
+use super::Event;
+use crate::time::Time;
+
+/// Most events in the queue: about ten seconds of a host of a team of five, some 2 MB.
+const CAPACITY: usize = 16_384;
+/// Events that a simulation collects before it hands them to the writer.
+const BATCH: usize = 2048;
+/// Time after which a writer without events looks again.
+pub const POLL: Duration = Duration::from_millis(20);
+
+/// What to do with events that the queue has no room for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WhenFull {
+    /// Drop and count them: in real time.
+    Drop,
+    /// Wait for the writer: in a simulation.
+    Wait,
+}
+
+/// End of the queue at the thread that runs actors.
+pub struct Inlet {
+    when_full: WhenFull,
+    shared: Arc<Shared>,
+    events: RefCell<Vec<Event>>,
+    /// Dropped events that no `Event::Dropped` in the queue counts yet.
+    missing: Cell<u64>,
+    dropped: Cell<u64>,
+    /// Whether the writer was found to have ended.
+    abandoned: Cell<bool>,
+}
+
+/// End of the queue at the writer.
+pub struct Outlet(Arc<Shared>);
+
+struct Shared {
+    state: Mutex<State>,
+    /// Notified when events are taken, in a simulation.
+    room: Condvar,
+    /// Notified when events are there, in a simulation.
+    filled: Condvar,
+}
+
+struct State {
+    events: Vec<Event>,
+    /// Whether the inlet is gone.
+    closed: bool,
+    /// Whether the outlet is gone.
+    abandoned: bool,
+}
+
+/// Makes a queue and returns both ends.
+pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
+    let room = if when_full == WhenFull::Drop { CAPACITY } else { BATCH * 2 };
+    let state = State { events: Vec::with_capacity(room), closed: false, abandoned: false };
+    let shared = Arc::new(Shared { state: Mutex::new(state), room: Condvar::new(), filled: Condvar::new() });
+    let events = RefCell::new(Vec::with_capacity(room));
+    let inlet = Inlet {
+        when_full,
+        shared: Arc::clone(&shared),
+        events,
+        missing: Cell::new(0),
+        dropped: Cell::new(0),
+        abandoned: Cell::new(false),
+    };
+    (inlet, Outlet(shared))
+}
+
+impl Inlet {
+    /// Takes an event of the present instant.
+    pub fn push(&self, event: Event) {
+        let mut events = self.events.borrow_mut();
+        if self.when_full == WhenFull::Drop && events.len() >= CAPACITY {
+            self.missing.set(self.missing.get() + 1);
+            self.dropped.set(self.dropped.get() + 1);
+            return;
+        }
+        events.push(event);
+    }
+
+    /// Ends the present instant, and hands the events to the writer.
+    pub fn turn(&self, now: Time) {
+        if self.missing.get() > 0 && self.events.borrow().len() + 1 < CAPACITY {
+            self.events.borrow_mut().push(Event::Dropped(self.missing.replace(0)));
+        }
+        // An instant without events is of no use to a simulation's record.
+        let idle = |events: &[Event]| matches!(events.last(), None | Some(Event::Turn(_)));
+        if self.when_full == WhenFull::Wait && idle(&self.events.borrow()) {
+            return;
+        }
+        self.push(Event::Turn(now));
+        match self.when_full {
+            WhenFull::Drop => self.offer(),
+            WhenFull::Wait if self.events.borrow().len() >= BATCH => self.wait(),
+            WhenFull::Wait => {}
+        }
+    }
+
+    /// Hands over what is left and closes the queue; what comes later is lost.
+    pub fn close(&self) {
+        if self.when_full == WhenFull::Wait {
+            self.wait();
+        } else {
+            self.offer();
+        }
+        self.shared.lock().closed = true;
+        self.shared.filled.notify_one();
+    }
+
+    /// Number of events that were dropped so far.
+    pub fn dropped(&self) -> u64 {
+        self.dropped.get()
+    }
+
+    /// Whether the writer has ended, because its file could not be written.
+    pub fn is_abandoned(&self) -> bool {
+        self.abandoned.get()
+    }
+
+    /// Hands over what fits, unless the writer is at the queue at this moment.
+    fn offer(&self) {
+        let mut state = match self.shared.state.try_lock() {
+            Ok(state) => state,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return,
+        };
+        let mut events = self.events.borrow_mut();
+        if state.abandoned {
+            self.abandoned.set(true);
+            self.dropped.set(self.dropped.get() + events.len() as u64);
+            events.clear();
+        } else if state.events.len() + events.len() <= CAPACITY {
+            state.events.append(&mut events);
+        }
+    }
+
+    /// Hands over all events once the writer has taken those before.
+    fn wait(&self) {
+        let busy = |state: &mut State| !state.events.is_empty() && !state.abandoned;
+        let mut state = self.shared.room.wait_while(self.shared.lock(), busy).unwrap_or_else(|e| e.into_inner());
+        let mut events = self.events.borrow_mut();
+        if state.abandoned {
+            self.abandoned.set(true);
+            self.dropped.set(self.dropped.get() + events.len() as u64);
+            events.clear();
+        } else {
+            state.events.append(&mut events);
+        }
+        drop(state);
+        self.shared.filled.notify_one();
+    }
+}
+
+impl Drop for Inlet {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+impl Outlet {
+    /// Puts the waiting events into `events`, which must be empty. Waits for some at most [`POLL`]. Returns `false`
+    /// once the inlet is gone and all events were taken.
+    pub fn take(&self, events: &mut Vec<Event>) -> bool {
+        let mut state = self.0.lock();
+        if state.events.is_empty() && !state.closed {
+            let idle = |state: &mut State| state.events.is_empty() && !state.closed;
+            let waited = self.0.filled.wait_timeout_while(state, POLL, idle);
+            state = waited.unwrap_or_else(|poisoned| poisoned.into_inner()).0;
+        }
+        std::mem::swap(&mut state.events, events);
+        let open = !state.closed || !events.is_empty();
+        drop(state);
+        self.0.room.notify_one();
+        open
+    }
+}
+
+impl Drop for Outlet {
+    fn drop(&mut self) {
+        self.0.lock().abandoned = true;
+        self.0.room.notify_one();
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stamps(events: &[Event]) -> Vec<u64> {
+        let stamp = |event: &Event| match event {
+            Event::Turn(at) => at.as_nanos(),
+            Event::Dropped(count) => 1_000_000 + count,
+            other => panic!("{other:?}"),
+        };
+        events.iter().map(stamp).collect()
+    }
+
+    #[test]
+    fn a_full_queue_drops_and_counts_and_says_where() {
+        let (inlet, outlet) = queue(WhenFull::Drop);
+        let mut events = Vec::new();
+        let over = 2 * CAPACITY as u64 + 7;
+        (0..over).for_each(|at| inlet.turn(Time::from_nanos(at)));
+        assert_eq!(inlet.dropped(), 7);
+        assert!(outlet.take(&mut events));
+        assert_eq!(stamps(&events), (0..CAPACITY as u64).collect::<Vec<_>>());
+        events.clear();
+        inlet.turn(Time::from_nanos(900_000));
+        assert_eq!(inlet.dropped(), 8, "its own queue was full until this turn's end");
+        inlet.turn(Time::from_nanos(900_001));
+        assert!(outlet.take(&mut events));
+        events.clear();
+        drop(inlet);
+        assert!(outlet.take(&mut events));
+        assert_eq!(stamps(&events), [1_000_008, 900_001]);
+        events.clear();
+        assert!(!outlet.take(&mut events));
+    }
+
+    #[test]
+    fn a_simulation_waits_for_its_writer_and_loses_nothing() {
+        let (inlet, outlet) = queue(WhenFull::Wait);
+        let writer = std::thread::spawn(move || {
+            let (mut all, mut events) = (Vec::new(), Vec::new());
+            while outlet.take(&mut events) {
+                all.extend(stamps(&events));
+                events.clear();
+            }
+            all
+        });
+        let count = 10 * BATCH as u64 + 3;
+        for at in 0..count {
+            inlet.push(Event::Dropped(at));
+            inlet.turn(Time::from_nanos(at));
+            inlet.turn(Time::from_nanos(at));
+        }
+        drop(inlet);
+        let expected: Vec<u64> = (0..count).flat_map(|at| [1_000_000 + at, at]).collect();
+        assert_eq!(writer.join().unwrap(), expected);
+    }
+
+    #[test]
+    fn events_for_a_writer_that_has_ended_are_counted() {
+        for when_full in [WhenFull::Drop, WhenFull::Wait] {
+            let (inlet, outlet) = queue(when_full);
+            drop(outlet);
+            (0..BATCH as u64 / 2).for_each(|at| {
+                inlet.push(Event::Dropped(1));
+                inlet.turn(Time::from_nanos(at));
+            });
+            assert_eq!(inlet.dropped(), BATCH as u64);
+        }
+    }
+}

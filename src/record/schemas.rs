@@ -1,0 +1,62 @@
+//! Schemas of the record's own messages: true states as Protobuf, and JSON for what people look up.
+
+use super::protobuf::{MessageType, Type};
+
+/// Message types of the package `murmurate`.
+pub const MESSAGES: &[MessageType] = &[
+    (
+        "Robot",
+        &[
+            ("robot", 1, Type::Uint32),
+            ("x", 2, Type::Double),
+            ("y", 3, Type::Double),
+            ("velocity_x", 4, Type::Double),
+            ("velocity_y", 5, Type::Double),
+            ("heading", 6, Type::Double),
+            ("yaw_rate", 7, Type::Double),
+            ("command_x", 8, Type::Double),
+            ("command_y", 9, Type::Double),
+            ("touches_robot", 10, Type::Bool),
+            ("touches_wall", 11, Type::Bool),
+        ],
+    ),
+    (
+        "Truth",
+        &[("timestamp", 1, Type::One(".google.protobuf.Timestamp")), ("robots", 2, Type::Many(".murmurate.Robot"))],
+    ),
+];
+
+/// Results and phases of episodes.
+pub const EPISODE: &str = r#"{"title":"murmurate.Episode","type":"object","properties":{
+"repeat":{"type":"integer"},"episode":{"type":"integer","description":"from 0"},
+"phase":{"type":"string","description":"phase that begins; absent in a result"},
+"verdict":{"type":"string","description":"only in a result"},
+"makespan_s":{"type":["number","null"],"description":"from start to the last arrival, of a success"},
+"reset_s":{"type":"number"},"min_separation_m":{"type":["number","null"]},
+"judged":{"type":"string"}},"required":["repeat","episode"]}"#;
+
+/// Links of a host to each other host.
+pub const LINKS: &str = r#"{"title":"murmurate.Links","type":"object","properties":{
+"host":{"type":"string","description":"who measures"},
+"peers":{"type":"array","items":{"type":"object","properties":{
+"link":{"type":"integer"},"host":{"type":"integer"},"epoch":{"type":"integer"},"proven":{"type":"boolean"},
+"age_s":{"type":["number","null"]},"spacing_s":{"type":"number"},"jitter_s":{"type":"number"},
+"loss":{"type":"number"},"passed":{"type":"integer"},"missing":{"type":"integer"},"told_loss":{"type":"number"},
+"uncertainty_s":{"type":["number","null"]},"round_trip_s":{"type":["number","null"]},
+"twins":{"type":"integer"}}}}},"required":["host","peers"]}"#;
+
+/// Stops and slowdowns of a robot's guard since its Controller was started.
+pub const GUARD: &str = r#"{"title":"murmurate.Guard","type":"object","properties":{
+"robot":{"type":"integer"},"stop":{"type":"integer"},"silence":{"type":"integer"},"output":{"type":"integer"},
+"late_tick":{"type":"integer"},"own_state":{"type":"integer"},"hardware":{"type":"integer"},
+"outside":{"type":"integer"},"fence":{"type":"integer"},"distance":{"type":"integer"}},"required":["robot"]}"#;
+
+/// Counts of a host's links, and of what this record lacks.
+pub const COUNTS: &str = r#"{"title":"murmurate.Counts","type":"object","properties":{
+"host":{"type":"string"},"links":{"type":"object","description":"datagrams, by what became of them"},
+"recording_dropped":{"type":"integer","description":"events before this one that the record lacks"}},
+"required":["host"]}"#;
+
+/// Condition of a real robot's hardware.
+pub const HARDWARE: &str = r#"{"title":"murmurate.Hardware","type":"object","properties":{
+"robot":{"type":"integer"},"condition":{"type":"object"}},"required":["robot"]}"#;

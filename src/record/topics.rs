@@ -1,0 +1,389 @@
+//! From events of a run to the messages of a record's topics. Equal events give equal messages, so a replay can be
+//! compared with a record message by message.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use serde_json::json;
+
+pub use super::drawing::{Body, Stage};
+use super::foxglove::{self, Level};
+use super::protobuf::{self, Message};
+use super::tape::{self, SentDigest};
+use super::{Event, Scope, drawing, schemas};
+use crate::messages::geometry::Vec2;
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::local::Truth;
+use crate::messages::phase::Phase;
+use crate::messages::round::Round;
+use crate::messages::wire::{Kind, Mode, Wire};
+use crate::net::protocol::codec::{self, Content};
+use crate::report::episode::Episode;
+use crate::safety::guard::SafetyCounts;
+use crate::time::{Span, Time};
+
+/// Shortest time between two drawings.
+const DRAWING_PERIOD: Span = Span::from_millis(50);
+/// Time after which what stands is drawn again, for a reader that begins in the middle.
+const STANDING_PERIOD: Span = Span::from_millis(5000);
+
+/// Topic of a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Topic {
+    /// Turns of the host's event loop, with their inputs (`tape`).
+    Turn,
+    /// Datagrams as a host has published them, without tags.
+    Wire(HostId),
+    /// True states of simulated robots.
+    Truth,
+    /// Walls, goals, bodies, links.
+    Scene,
+    /// The robots as points.
+    Robots,
+    /// Transforms to the robots' frames.
+    Transforms,
+    /// A robot's own estimate of its pose.
+    Pose(RobotId),
+    /// Phases, verdicts and stops in words.
+    Log,
+    /// Phases and results of episodes.
+    Episode,
+    /// Links of the host.
+    Links,
+    /// Stops and slowdowns of robots.
+    Guard,
+    /// Counts of the host's links, and of events that the record lacks.
+    Counts,
+    /// Conditions of real robots.
+    Hardware,
+}
+
+/// Schema of a topic: its name, its encoding and its text or bytes.
+pub struct Schema {
+    /// Name of the message type.
+    pub name: String,
+    /// Encoding of the schema, as MCAP names it.
+    pub encoding: &'static str,
+    /// The schema.
+    pub data: Vec<u8>,
+}
+
+impl Topic {
+    /// Returns the topic's name in a file.
+    pub fn name(self, stage: &Stage) -> String {
+        match self {
+            Topic::Turn => "/tape/turn".to_owned(),
+            Topic::Wire(host) => format!("/wire/{}", stage.hosts[usize::from(host.0)]),
+            Topic::Truth => "/truth".to_owned(),
+            Topic::Scene => "/scene".to_owned(),
+            Topic::Robots => "/robots".to_owned(),
+            Topic::Transforms => "/tf".to_owned(),
+            Topic::Pose(robot) => format!("/robot/{}/pose", robot.0),
+            Topic::Log => "/log".to_owned(),
+            Topic::Episode => "/episode".to_owned(),
+            Topic::Links => "/links".to_owned(),
+            Topic::Guard => "/guard".to_owned(),
+            Topic::Counts => "/counts".to_owned(),
+            Topic::Hardware => "/hardware".to_owned(),
+        }
+    }
+
+    /// Returns the encoding of the topic's messages, as MCAP names it, or a name of our own.
+    pub fn encoding(self) -> &'static str {
+        match self {
+            Topic::Turn => "murmurate-turn-1",
+            Topic::Wire(_) => "murmurate-datagram",
+            Topic::Episode | Topic::Links | Topic::Guard | Topic::Counts | Topic::Hardware => "json",
+            _ => "protobuf",
+        }
+    }
+
+    /// Returns the topic's schema; `None` for our own encodings.
+    pub fn schema(self) -> Option<Schema> {
+        let foxglove = |name: &str| Schema {
+            name: format!("foxglove.{name}"),
+            encoding: "protobuf",
+            data: protobuf::describe("foxglove", foxglove::MESSAGES, foxglove::ENUMS),
+        };
+        let json = |name: &str, text: &str| Schema {
+            name: format!("murmurate.{name}"),
+            encoding: "jsonschema",
+            data: text.as_bytes().to_vec(),
+        };
+        Some(match self {
+            Topic::Turn | Topic::Wire(_) => return None,
+            Topic::Truth => Schema {
+                name: "murmurate.Truth".to_owned(),
+                encoding: "protobuf",
+                data: protobuf::describe("murmurate", schemas::MESSAGES, &[]),
+            },
+            Topic::Scene => foxglove("SceneUpdate"),
+            Topic::Robots => foxglove("PointCloud"),
+            Topic::Transforms => foxglove("FrameTransforms"),
+            Topic::Pose(_) => foxglove("PoseInFrame"),
+            Topic::Log => foxglove("Log"),
+            Topic::Episode => json("Episode", schemas::EPISODE),
+            Topic::Links => json("Links", schemas::LINKS),
+            Topic::Guard => json("Guard", schemas::GUARD),
+            Topic::Counts => json("Counts", schemas::COUNTS),
+            Topic::Hardware => json("Hardware", schemas::HARDWARE),
+        })
+    }
+}
+
+/// Function that takes a message: its topic, its time \[ns\] since 1970, and its bytes.
+pub type Take<'a> = &'a mut dyn FnMut(Topic, u64, &[u8]);
+
+/// Maker of a record's messages.
+pub struct Topics {
+    stage: Stage,
+    scope: Scope,
+    /// Wall clock at the run's time zero \[ns\] since 1970; 0 in a simulation.
+    anchor_ns: u64,
+    sent: SentDigest,
+    turn: Vec<u8>,
+    team: Vec<Option<Body>>,
+    /// Whether positions are true ones, and not what robots report.
+    true_states: bool,
+    /// Whether a robot has moved since the last drawing.
+    moved: bool,
+    drawn: Option<Time>,
+    /// When what stands is drawn next.
+    standing_due: Time,
+    goals: BTreeMap<RobotId, Vec2>,
+    followed: Option<(Round, Phase)>,
+    guards: BTreeMap<RobotId, SafetyCounts>,
+}
+
+impl Topics {
+    /// Makes the maker of a record that begins. `anchor_ns` is the wall clock \[ns\] since 1970 at the run's time zero.
+    pub fn new(stage: Stage, scope: Scope, anchor_ns: u64) -> Topics {
+        Topics {
+            team: vec![None; stage.robots],
+            stage,
+            scope,
+            anchor_ns,
+            sent: SentDigest::default(),
+            turn: Vec::new(),
+            true_states: false,
+            moved: false,
+            drawn: None,
+            standing_due: Time::ZERO,
+            goals: BTreeMap::new(),
+            followed: None,
+            guards: BTreeMap::new(),
+        }
+    }
+
+    /// What the record is about.
+    pub fn stage(&self) -> &Stage {
+        &self.stage
+    }
+
+    /// Passes the messages of one instant on to `take`: of all its events, without the `Event::Turn` that ends them.
+    pub fn instant(&mut self, now: Time, events: &[Event], take: Take) {
+        let at = self.anchor_ns + now.as_nanos();
+        if self.scope == Scope::Host {
+            self.write_turn(now, at, events, take);
+        }
+        for event in events {
+            self.event(now, at, event, take);
+        }
+        if self.moved && self.drawn.is_none_or(|drawn| now.since(drawn) >= DRAWING_PERIOD) {
+            (self.moved, self.drawn) = (false, Some(now));
+            self.draw(now, at, take);
+        }
+    }
+
+    fn write_turn(&mut self, now: Time, at: u64, events: &[Event], take: Take) {
+        self.turn.clear();
+        for event in events {
+            if let Event::Sent(link, frame) = event {
+                self.sent.add(*link, frame);
+            }
+        }
+        tape::begin(&mut self.turn, now, self.sent.take());
+        for event in events {
+            if let Event::Input(input) = event {
+                tape::add(&mut self.turn, input);
+            }
+        }
+        take(Topic::Turn, at, &self.turn);
+    }
+
+    fn event(&mut self, now: Time, at: u64, event: &Event, take: Take) {
+        match event {
+            Event::Published(host, frame) => {
+                take(Topic::Wire(*host), at, frame);
+                if self.scope == Scope::Simulation
+                    && matches!(codec::first(frame), Ok(Content::Message(Kind::Mode | Kind::Latent)))
+                    && let Ok((_, message)) = codec::decode(frame)
+                {
+                    self.hear(now, at, &message, take);
+                }
+            }
+            Event::Delivered(message) => self.hear(now, at, message, take),
+            Event::Truth(truth) => self.truth(at, truth, take),
+            Event::Episode(episode) => self.episode(at, episode, take),
+            Event::Guard(robot, counts) => self.guard(at, *robot, *counts, take),
+            Event::Hardware(robot, hardware) => {
+                json_to(Topic::Hardware, at, &json!({ "robot": robot, "condition": format!("{hardware:?}") }), take);
+            }
+            Event::Counts(host, counts) => {
+                json_to(Topic::Counts, at, &json!({ "host": self.host(*host), "links": counts }), take);
+            }
+            Event::Peers(host, peers) => {
+                json_to(Topic::Links, at, &json!({ "host": self.host(*host), "peers": peers }), take);
+            }
+            Event::Dropped(count) => {
+                json_to(Topic::Counts, at, &json!({ "host": "", "recording_dropped": count }), take);
+                self.log(at, Level::Warning, "record", &format!("{count} events were dropped before this one"), take);
+            }
+            Event::Sent(..) | Event::Input(_) | Event::Turn(_) => {}
+        }
+    }
+
+    fn host(&self, host: HostId) -> &str {
+        &self.stage.hosts[usize::from(host.0)]
+    }
+
+    fn hear(&mut self, now: Time, at: u64, message: &Wire, take: Take) {
+        match message {
+            Wire::Mode(mode) => self.follow(now, at, mode, take),
+            Wire::Reading(reading) => {
+                let body = Body { position: reading.pose.position, heading: reading.pose.heading };
+                self.place(reading.robot, body);
+            }
+            Wire::Latent(latent) => {
+                let before = self.team.get(latent.robot.index()).copied().flatten();
+                let body = Body { position: latent.motion.position, heading: before.and_then(|body| body.heading) };
+                if before.is_none() {
+                    self.place(latent.robot, body);
+                }
+                let mut out = Message::default();
+                drawing::pose(&mut out, at, body);
+                take(Topic::Pose(latent.robot), at, &out.0);
+            }
+            _ => {}
+        }
+    }
+
+    /// Takes what a robot reports of itself, unless true states are known.
+    fn place(&mut self, robot: RobotId, body: Body) {
+        if let Some(place) = self.team.get_mut(robot.index()).filter(|_| !self.true_states) {
+            self.moved |= *place != Some(body);
+            *place = Some(body);
+        }
+    }
+
+    fn truth(&mut self, at: u64, truth: &Truth, take: Take) {
+        self.true_states = true;
+        let mut out = Message::default();
+        foxglove::time(&mut out, 1, at);
+        for sample in truth.samples.iter() {
+            self.team[sample.robot.index()] =
+                Some(Body { position: sample.motion.position, heading: Some(sample.heading) });
+            out.message(2, |robot| {
+                robot.uint(1, u64::from(sample.robot.0));
+                let (motion, command) = (sample.motion, sample.command);
+                let numbers = [
+                    motion.position.x,
+                    motion.position.y,
+                    motion.velocity.x,
+                    motion.velocity.y,
+                    sample.heading,
+                    sample.yaw_rate,
+                    command.x,
+                    command.y,
+                ];
+                (2..).zip(numbers).for_each(|(field, number)| robot.double(field, f64::from(number)));
+                robot.uint(10, u64::from(sample.contacts.robot));
+                robot.uint(11, u64::from(sample.contacts.wall));
+            });
+        }
+        self.moved = true;
+        take(Topic::Truth, at, &out.0);
+    }
+
+    /// Follows the state server's instructions.
+    fn follow(&mut self, now: Time, at: u64, mode: &Mode, take: Take) {
+        for (robot, task) in (mode.first.0..).zip(mode.tasks.iter()) {
+            if self.goals.insert(RobotId(robot), task.goal) != Some(task.goal) {
+                (self.standing_due, self.moved) = (now, true);
+            }
+        }
+        if self.followed.replace((mode.round, mode.phase)) == Some((mode.round, mode.phase)) {
+            return;
+        }
+        let (episode, phase) = (mode.round.episode, name_of(mode.phase));
+        let said = json!({ "repeat": mode.repeat, "episode": episode, "phase": phase });
+        json_to(Topic::Episode, at, &said, take);
+        self.log(at, Level::Info, "state server", &format!("episode {episode}: {phase}"), take);
+    }
+
+    fn episode(&self, at: u64, episode: &Episode, take: Take) {
+        json_to(Topic::Episode, at, episode, take);
+        let verdict = serde_json::to_value(episode.verdict).expect("a verdict is JSON");
+        let makespan = episode.makespan_s.map_or(String::new(), |makespan| format!(" in {makespan:.2} s"));
+        let text = format!("episode {}: {}{makespan}", episode.episode, verdict.as_str().unwrap_or_default());
+        self.log(at, Level::Info, "judge", &text, take);
+    }
+
+    fn guard(&mut self, at: u64, robot: RobotId, counts: SafetyCounts, take: Take) {
+        let before = self.guards.insert(robot, counts).unwrap_or_default();
+        if before == counts {
+            return;
+        }
+        let mut said = serde_json::to_value(counts).expect("counts are JSON");
+        said["robot"] = robot.0.into();
+        json_to(Topic::Guard, at, &said, take);
+        for (count, reason) in counts.reasons() {
+            let old = before.reasons().find(|(_, other)| *other == reason).map_or(0, |(count, _)| count);
+            if count > old {
+                self.log(at, Level::Warning, &format!("guard of robot {}", robot.0), reason, take);
+            }
+        }
+    }
+
+    fn log(&self, at: u64, level: Level, name: &str, text: &str, take: Take) {
+        let mut out = Message::default();
+        foxglove::log(&mut out, at, level, name, text);
+        take(Topic::Log, at, &out.0);
+    }
+
+    fn draw(&mut self, now: Time, at: u64, take: Take) {
+        let mut out = Message::default();
+        if now >= self.standing_due {
+            self.standing_due = now + STANDING_PERIOD;
+            let goals: Vec<Vec2> = self.goals.values().copied().collect();
+            drawing::walls_and_goals(&mut out, at, &self.stage, &goals);
+        }
+        drawing::team(&mut out, at, &self.stage, &self.team);
+        take(Topic::Scene, at, &out.0);
+        for (topic, draw) in [
+            (Topic::Robots, drawing::cloud as fn(&mut Message, u64, &[Option<Body>])),
+            (Topic::Transforms, drawing::transforms),
+        ] {
+            out.0.clear();
+            draw(&mut out, at, &self.team);
+            take(topic, at, &out.0);
+        }
+    }
+}
+
+fn json_to(topic: Topic, at: u64, value: &impl Serialize, take: Take) {
+    take(topic, at, &serde_json::to_vec(value).expect("counts and results are JSON"));
+}
+
+fn name_of(phase: Phase) -> &'static str {
+    match phase {
+        Phase::NeedReset => "need-reset",
+        Phase::Resetting => "resetting",
+        Phase::FinishedResetting => "finished-resetting",
+        Phase::Running => "running",
+        Phase::FinishedRunning => "finished-running",
+        Phase::AbortRunning => "abort-running",
+        Phase::EpisodesFinished => "episodes-finished",
+        Phase::Waiting => "waiting",
+    }
+}
