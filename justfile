@@ -55,3 +55,8 @@ full-robots python="python3":
 # Exactly what the gate runs (about 15 minutes on 2 cores)
 ci:
     bash .ci/run
+
+# Records of real teams, replayed host by host: four modes, kills, stops. PYTHON has mcap and mcap-protobuf-support (10 minutes)
+full-record python="python3":
+    cargo build --release
+    bash tests/peers/record/full.sh {{python}} target/release/murmurate

@@ -28,6 +28,8 @@ mod picture;
 mod policy;
 #[cfg(feature = "sim")]
 mod progress;
+#[cfg(feature = "sim")]
+mod record;
 #[cfg_attr(not(feature = "record"), path = "unrecorded.rs")]
 mod recording;
 #[cfg(feature = "sim")]
@@ -97,6 +99,10 @@ enum Command {
     #[cfg(feature = "sim")]
     /// Runs every process of a team on this machine, in real time, and prints the same table as `sim`.
     Launch(Box<launch::Args>),
+    /// Looks at records, repairs, merges and exports them.
+    #[cfg(feature = "sim")]
+    #[command(subcommand)]
+    Record(record::Args),
     /// Runs again what a record is of, a simulation or a host, and compares it to the bit.
     #[cfg(feature = "sim")]
     Replay(replay::Args),
@@ -233,6 +239,8 @@ fn run(command: Command, registry: &Registry) -> anyhow::Result<Ended> {
         Command::Host(args) => host::run(&args, registry),
         #[cfg(feature = "sim")]
         Command::Launch(args) => launch::run(&args, registry),
+        #[cfg(feature = "sim")]
+        Command::Record(args) => record::run(&args),
         #[cfg(feature = "sim")]
         Command::Replay(args) => replay::run(&args, registry),
         Command::Doctor(args) => doctor::run(&args, registry),

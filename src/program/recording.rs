@@ -32,9 +32,25 @@ pub struct RecordFlags {
     pub record: Option<PathBuf>,
 }
 
-/// Returns the arguments of this program's command, from its name on.
+/// Flags with a value that do not change what is run.
+const OUTPUTS: [&str; 5] = ["--record", "--trajectories", "--animate", "--svg", "--jobs"];
+/// The same without a value.
+const SWITCHES: [&str; 3] = ["--json", "--quiet", "--launched"];
+
+/// Returns the arguments of this program's command, from its name on, without those that do not change what is run:
+/// equal runs have equal records.
 fn arguments() -> Vec<String> {
-    std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned()).collect()
+    let all = std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned());
+    let mut value_follows = false;
+    let changes = |argument: &String| {
+        if std::mem::take(&mut value_follows) || SWITCHES.contains(&&**argument) {
+            return false;
+        }
+        value_follows = OUTPUTS.contains(&&**argument);
+        let joined = |flag: &&str| argument.strip_prefix(*flag).is_some_and(|rest| rest.starts_with('='));
+        !value_follows && !OUTPUTS.iter().any(|flag| joined(&flag))
+    };
+    all.filter(changes).collect()
 }
 
 /// Makes the folder of records.

@@ -33,6 +33,12 @@ impl Temporary {
         Err(taken.expect("names were drawn"))
     }
 
+    /// Returns the open file, for a writer that seeks.
+    #[cfg(feature = "record")]
+    pub fn seekable(&mut self) -> &mut File {
+        &mut self.file
+    }
+
     /// Flushes the file's content to the disk (fsync).
     pub fn sync(&self) -> io::Result<()> {
         self.file.sync_all()

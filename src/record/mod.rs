@@ -13,6 +13,8 @@ mod schemas;
 pub mod compare;
 pub mod file;
 pub mod identity;
+pub mod merge;
+pub mod protobuf_reader;
 pub mod queue;
 pub mod reader;
 pub mod repair;

@@ -90,7 +90,7 @@ pub enum Item {
 /// Reader of a file.
 pub struct Reader {
     path: PathBuf,
-    file: BufReader<File>,
+    file: Box<dyn Read>,
     inner: LinearReader,
     channels: BTreeMap<u16, Rc<Channel>>,
     complete: bool,
@@ -101,15 +101,20 @@ impl Reader {
     /// Opens a file.
     pub fn open(path: &Path) -> Result<Reader, ReadError> {
         let file = File::open(path).map_err(|error| ReadError::Open { path: path.to_owned(), error })?;
+        Ok(Reader::of(path, BufReader::with_capacity(1 << 18, file)))
+    }
+
+    /// Reads a file from any source; `path` is its name in errors.
+    pub fn of(path: &Path, source: impl Read + 'static) -> Reader {
         let options = LinearReaderOptions::default().with_skip_end_magic(true).with_record_length_limit(LONGEST);
-        Ok(Reader {
+        Reader {
             path: path.to_owned(),
-            file: BufReader::with_capacity(1 << 18, file),
+            file: Box::new(source),
             inner: LinearReader::new_with_options(options),
             channels: BTreeMap::new(),
             complete: false,
             over: false,
-        })
+        }
     }
 
     /// Whether the end of the data was found: the file was finished and not cut.
@@ -215,6 +220,16 @@ impl Messages {
 
 /// Opens a record and reads its beginning.
 pub fn open(path: &Path) -> Result<Opened, ReadError> {
+    let (identity, attached, messages) = open_any(path)?;
+    let identity = identity.ok_or_else(|| ReadError::Nameless { path: path.to_owned() })?;
+    Ok(Opened { identity, attached, messages })
+}
+
+/// Beginning of any MCAP file: its identity if it is a record, the files in it, and its messages.
+pub type Beginning = (Option<Identity>, Vec<(String, Vec<u8>)>, Messages);
+
+/// Opens an MCAP file and reads its beginning. A merged record has no identity of its own.
+pub fn open_any(path: &Path) -> Result<Beginning, ReadError> {
     let mut reader = Reader::open(path)?;
     let (mut identity, mut attached, mut next) = (None, Vec::new(), None);
     while let Some(item) = reader.next_item()? {
@@ -231,6 +246,5 @@ pub fn open(path: &Path) -> Result<Opened, ReadError> {
             Item::Metadata(..) | Item::Schema(..) | Item::Channel(..) => {}
         }
     }
-    let identity = identity.ok_or_else(|| ReadError::Nameless { path: path.to_owned() })?;
-    Ok(Opened { identity, attached, messages: Messages { reader, next } })
+    Ok((identity, attached, Messages { reader, next }))
 }

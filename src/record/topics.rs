@@ -237,7 +237,7 @@ impl Topics {
             }
             Event::Dropped(count) => {
                 json_to(Topic::Counts, at, &json!({ "host": "", "recording_dropped": count }), take);
-                self.log(at, Level::Warning, "record", &format!("{count} events were dropped before this one"), take);
+                self.say(at, Level::Warning, "record", &format!("{count} events were dropped before this one"), take);
             }
             Event::Sent(..) | Event::Input(_) | Event::Turn(_) => {}
         }
@@ -318,7 +318,7 @@ impl Topics {
         let (episode, phase) = (mode.round.episode, name_of(mode.phase));
         let said = json!({ "repeat": mode.repeat, "episode": episode, "phase": phase });
         json_to(Topic::Episode, at, &said, take);
-        self.log(at, Level::Info, "state server", &format!("episode {episode}: {phase}"), take);
+        self.say(at, Level::Info, "state server", &format!("episode {episode}: {phase}"), take);
     }
 
     fn episode(&self, at: u64, episode: &Episode, take: Take) {
@@ -326,7 +326,7 @@ impl Topics {
         let verdict = serde_json::to_value(episode.verdict).expect("a verdict is JSON");
         let makespan = episode.makespan_s.map_or(String::new(), |makespan| format!(" in {makespan:.2} s"));
         let text = format!("episode {}: {}{makespan}", episode.episode, verdict.as_str().unwrap_or_default());
-        self.log(at, Level::Info, "judge", &text, take);
+        self.say(at, Level::Info, "judge", &text, take);
     }
 
     fn guard(&mut self, at: u64, robot: RobotId, counts: SafetyCounts, take: Take) {
@@ -340,12 +340,12 @@ impl Topics {
         for (count, reason) in counts.reasons() {
             let old = before.reasons().find(|(_, other)| *other == reason).map_or(0, |(count, _)| count);
             if count > old {
-                self.log(at, Level::Warning, &format!("guard of robot {}", robot.0), reason, take);
+                self.say(at, Level::Warning, &format!("guard of robot {}", robot.0), reason, take);
             }
         }
     }
 
-    fn log(&self, at: u64, level: Level, name: &str, text: &str, take: Take) {
+    fn say(&self, at: u64, level: Level, name: &str, text: &str, take: Take) {
         let mut out = Message::default();
         foxglove::log(&mut out, at, level, name, text);
         take(Topic::Log, at, &out.0);

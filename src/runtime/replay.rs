@@ -8,8 +8,8 @@ use super::shell::in_system;
 use crate::time::Time;
 
 /// Runs actors on the calling thread through recorded turns. `build` starts the actors at the time `begun`; what it
-/// watches is never read. Each turn is a time and its inputs: after the due events, `arrive` passes the inputs on to the
-/// actors, and `end` is called at the end of the turn.
+/// watches is never read. Each turn is a time and its inputs: after the due events, `arrive` passes the inputs on to
+/// the actors, and `end` is called at the end of the turn.
 pub fn run_replayed<W, T>(
     begun: Time,
     build: impl FnOnce(&Clock, &mut Readers) -> W,

@@ -1,0 +1,178 @@
+//! `murmurate record merge`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{WriteOptions, Writer};
+
+use crate::program::output::{print, talk};
+use crate::program::replay::files;
+use crate::program::temporary::Temporary;
+use crate::program::{BadInput, Ended, bad};
+use crate::record::identity::METADATA;
+use crate::record::merge::{Part, Traffic, align};
+use crate::record::reader::{self, Item, Reader};
+
+/// Flags of `murmurate record merge`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Records of the hosts of one run, or their folder
+    #[arg(required = true, value_name = "FILE|DIR")]
+    records: Vec<PathBuf>,
+    /// The merged record
+    #[arg(short, long, value_name = "FILE.mcap")]
+    output: PathBuf,
+}
+
+/// Topics that every host draws: they are taken from one host alone.
+const DRAWN: [&str; 4] = ["/scene", "/robots", "/tf", "/episode"];
+
+/// Merges records, and prints the clocks that were found.
+pub fn run(args: &Args) -> Result<Ended> {
+    let paths = files(&args.records)?;
+    let wrong = |error: reader::ReadError| BadInput(error.to_string());
+    let mut hosts = Vec::new();
+    for path in &paths {
+        let identity = reader::open(path).map_err(wrong)?.identity;
+        let Some(host) = identity.host else {
+            return bad(format!("'{}' is the record of a simulation, which has one time already", path.display()));
+        };
+        hosts.push(format!("{}-{:08x}", host.name, host.incarnation));
+    }
+    let traffic: Vec<Traffic> = paths.iter().map(|path| Traffic::read(path)).collect::<Result<_, _>>()?;
+    let alignment = align(&traffic);
+    drop(traffic);
+    let mut parts = Vec::new();
+    for ((path, host), clock) in paths.into_iter().zip(hosts).zip(alignment.clocks) {
+        match clock {
+            Some(clock) => parts.push(Part { path, host, clock }),
+            None => {
+                talk(&format!("warning: '{host}' is left out: no datagrams join it with the others in both directions"))
+            }
+        }
+    }
+    let folder = args.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let no_room = || format!("cannot write '{}'", args.output.display());
+    let mut fresh = Temporary::new_in(folder, 0o666).with_context(no_room)?;
+    write(&parts, Writer::with_options(BufWriter::new(fresh.seekable()), options())?)?;
+    fresh.sync().with_context(no_room)?;
+    fresh.replace(&args.output).with_context(no_room)?;
+    for part in &parts {
+        let (ahead, uncertainty) = (part.clock.ahead_ns(i64::MAX / 2), part.clock.uncertainty_ns().unwrap_or(0));
+        print(&format!("{}: {:+.3} ms, within {:.3} ms", part.host, ahead as f64 / 1e6, uncertainty as f64 / 1e6))?;
+    }
+    let beyond = alignment.beyond_ns as f64 / 1e6;
+    print(&format!(
+        "{} datagrams matched; none arrives before its sending beyond these bounds, which contain {beyond:.3} ms for \
+         the lengths of turns",
+        alignment.matched
+    ))?;
+    Ok(Ended::Done)
+}
+
+fn options() -> WriteOptions {
+    WriteOptions::new().compression(None).library(concat!("murmurate ", env!("CARGO_PKG_VERSION")))
+}
+
+/// One record as it is read for the merge.
+struct Source<'a> {
+    part: &'a Part,
+    reader: Reader,
+    schemas: BTreeMap<u16, u16>,
+    /// Next message: its time on the common clock, its channel in the merged file, and its bytes.
+    next: Option<(u64, u16, Vec<u8>)>,
+    draws: bool,
+}
+
+type Merged<'a> = Writer<BufWriter<&'a mut std::fs::File>>;
+
+/// Writes the messages of all records in the order of the common time.
+fn write(parts: &[Part], mut writer: Merged<'_>) -> Result<()> {
+    let clocks = parts.iter().map(|part| {
+        let (ahead, uncertainty) = (part.clock.ahead_ns(i64::MAX / 2), part.clock.uncertainty_ns().unwrap_or(0));
+        (part.host.clone(), format!("{{\"ahead_ns\":{ahead},\"uncertainty_ns\":{uncertainty}}}"))
+    });
+    writer.write_metadata(&Metadata { name: "murmurate.merge".to_owned(), metadata: clocks.collect() })?;
+    let painter = painter(parts)?;
+    let mut sources = Vec::new();
+    for (index, part) in parts.iter().enumerate() {
+        let (reader, schemas) = (Reader::open(&part.path)?, BTreeMap::new());
+        let mut source = Source { part, reader, schemas, next: None, draws: index == painter };
+        source.advance(&mut writer)?;
+        sources.push(source);
+    }
+    let mut sequence = 0;
+    while let Some(first) = sources
+        .iter_mut()
+        .filter(|source| source.next.is_some())
+        .min_by_key(|source| source.next.as_ref().map(|(at, ..)| *at))
+    {
+        let (at, channel_id, data) = first.next.take().expect("those without were left out");
+        writer
+            .write_to_known_channel(&MessageHeader { channel_id, sequence, log_time: at, publish_time: at }, &data)?;
+        sequence = sequence.wrapping_add(1);
+        first.advance(&mut writer)?;
+    }
+    writer.finish()?;
+    Ok(())
+}
+
+/// Returns the record whose drawings are taken: one with true states, or else the first.
+fn painter(parts: &[Part]) -> Result<usize> {
+    for (index, part) in parts.iter().enumerate() {
+        let mut reader = Reader::open(&part.path)?;
+        let mut topics = BTreeSet::new();
+        while let Some(item) = reader.next_item()? {
+            match item {
+                Item::Channel(_, channel) => drop(topics.insert(channel.topic.clone())),
+                // Channels come with their first messages: those of the first thousand are enough.
+                Item::Message(message) if topics.len() > 3 && message.channel.topic == "/tf" => break,
+                _ => {}
+            }
+        }
+        if topics.contains("/truth") {
+            return Ok(index);
+        }
+    }
+    Ok(0)
+}
+
+impl Source<'_> {
+    /// Reads up to the next message that goes into the merged file.
+    fn advance(&mut self, writer: &mut Merged<'_>) -> Result<()> {
+        self.next = None;
+        while let Some(item) = self.reader.next_item()? {
+            match item {
+                Item::Metadata(name, metadata) if name == METADATA => {
+                    let name = format!("{METADATA}.{}", self.part.host);
+                    writer.write_metadata(&Metadata { name, metadata })?;
+                }
+                Item::Schema(header, data) => {
+                    let id = writer.add_schema(&header.name, &header.encoding, &data)?;
+                    self.schemas.insert(header.id, id);
+                }
+                Item::Message(message) => {
+                    let topic = &message.channel.topic;
+                    if DRAWN.contains(&&**topic) && !self.draws {
+                        continue;
+                    }
+                    let topic = match &**topic {
+                        "/tape/turn" => format!("/tape/{}", self.part.host),
+                        other => other.to_owned(),
+                    };
+                    let schema = self.schemas.get(&message.channel.schema).copied().unwrap_or(0);
+                    let channel = writer.add_channel(schema, &topic, &message.channel.encoding, &BTreeMap::new())?;
+                    let at = message.at as i64;
+                    let at = u64::try_from(at - self.part.clock.ahead_ns(at)).unwrap_or(0);
+                    self.next = Some((at, channel, message.data));
+                    return Ok(());
+                }
+                Item::Metadata(..) | Item::Attachment(..) | Item::Channel(..) => {}
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,35 @@
+//! `murmurate record`: looks at records, repairs, merges and exports them.
+
+mod export;
+mod info;
+mod merge;
+mod repair;
+
+use anyhow::Result;
+
+use crate::program::Ended;
+
+/// Commands of `murmurate record`.
+#[derive(clap::Subcommand)]
+#[command(after_help = "Exit codes: 0 done; 1 a record is damaged or lacks events; 2 a flag or a file is wrong, and \
+    nothing was written.")]
+pub enum Args {
+    /// Prints what records are of, what they hold, and whether they are whole
+    Info(info::Args),
+    /// Gives records that a crash has cut an end and an index, so that every reader takes them
+    Repair(repair::Args),
+    /// Puts the records of a team's hosts into one, on one time, with its uncertainty
+    Merge(merge::Args),
+    /// Writes trajectories, links or messages of a record as CSV
+    Export(export::Args),
+}
+
+/// Runs a command.
+pub fn run(args: &Args) -> Result<Ended> {
+    match args {
+        Args::Info(args) => info::run(args),
+        Args::Repair(args) => repair::run(args),
+        Args::Merge(args) => merge::run(args),
+        Args::Export(args) => export::run(args),
+    }
+}

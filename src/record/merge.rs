@@ -1,0 +1,269 @@
+//! Records of a team's hosts on one time. Clocks of hosts differ; the records themselves say by how much.
+//!
+//! Every datagram that one host has published and another has received gives a bound: it cannot arrive before it was
+//! sent. Of the datagrams between two hosts within ten seconds, the fastest in each direction bound the difference of
+//! the clocks from both sides; the middle is the estimate, and half of the width its uncertainty (Cristian, 1989). A
+//! time in a record is that at which a turn of the event loop began, so single times are early by up to a turn's length:
+//! the fastest two in a hundred are left out of the estimate, and widen the uncertainty where they disagree with it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use xxhash_rust::xxh3::xxh3_64;
+
+use super::reader::{self, ReadError};
+use super::tape;
+use crate::graph::inputs::Input;
+use crate::net::protocol::codec;
+
+/// Span of one estimate \[ns\].
+const WINDOW_NS: i64 = 10_000_000_000;
+
+/// Identity of a datagram: sender, incarnation, number, and a digest of its message.
+type DatagramKey = (u16, u32, u32, u64);
+
+/// Times of a record's datagrams, on its own clock \[ns\] since 1970.
+#[derive(Default)]
+pub struct Traffic {
+    published: BTreeMap<DatagramKey, i64>,
+    arrived: Vec<(DatagramKey, i64)>,
+}
+
+impl Traffic {
+    /// Reads the datagrams of a host's record.
+    pub fn read(path: &Path) -> Result<Traffic, ReadError> {
+        let mut opened = reader::open(path)?;
+        let mut traffic = Traffic::default();
+        while let Some(message) = opened.messages.next_message()? {
+            let at = message.at as i64;
+            if message.channel.topic.starts_with("/wire/") {
+                traffic.publish(at, &message.data);
+            } else if message.channel.topic == "/tape/turn" {
+                for input in tape::read(&message.data).into_iter().flat_map(|turn| turn.inputs) {
+                    if let Input::Frame(_, frame, _) = input {
+                        traffic.arrive(at, &frame);
+                    }
+                }
+            }
+        }
+        Ok(traffic)
+    }
+
+    fn publish(&mut self, at: i64, datagram: &[u8]) {
+        if let Some(key) = key(datagram) {
+            self.published.entry(key).or_insert(at);
+        }
+    }
+
+    fn arrive(&mut self, at: i64, datagram: &[u8]) {
+        self.arrived.extend(key(datagram).map(|key| (key, at)));
+    }
+
+    /// Time from sending here to arrival at `other` that two datagrams in a hundred beat, each time on its own clock, by
+    /// windows of the time here.
+    fn fastest(&self, other: &Traffic) -> BTreeMap<i64, i64> {
+        let mut took: BTreeMap<i64, Vec<i64>> = BTreeMap::new();
+        for (key, arrived) in &other.arrived {
+            let Some(sent) = self.published.get(key) else { continue };
+            took.entry(sent.div_euclid(WINDOW_NS)).or_default().push(arrived - sent);
+        }
+        let quantile = |mut all: Vec<i64>| {
+            let at = all.len() / 50;
+            *all.select_nth_unstable(at).1
+        };
+        took.into_iter().map(|(window, all)| (window, quantile(all))).collect()
+    }
+}
+
+/// Returns the identity of a datagram of a message; `None` for one of the link layer, and for junk.
+fn key(datagram: &[u8]) -> Option<DatagramKey> {
+    let header = codec::peek(datagram).ok()?;
+    let (content, bytes) = codec::blocks(datagram).next()?.ok()?;
+    matches!(content, codec::Content::Message(_))
+        .then(|| (header.sender.0, header.incarnation, header.sequence, xxh3_64(bytes)))
+}
+
+/// Difference of two clocks during one window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Estimate {
+    /// Middle of the window \[ns\].
+    at: i64,
+    /// What the one clock is ahead of the reference \[ns\].
+    ahead: i64,
+    /// Bound on the error of it \[ns\].
+    uncertainty: i64,
+}
+
+/// A host's clock against the reference, over time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClockDifference(Vec<Estimate>);
+
+impl ClockDifference {
+    /// The clock of the reference itself.
+    fn reference() -> ClockDifference {
+        ClockDifference(vec![Estimate { at: 0, ahead: 0, uncertainty: 0 }])
+    }
+
+    /// How far `there` is ahead of `here`.
+    fn between(here: &Traffic, there: &Traffic) -> ClockDifference {
+        let (forth, back) = (here.fastest(there), there.fastest(here));
+        let estimates = forth.iter().filter_map(|(window, forth)| {
+            // Windows of both clocks are the same up to their difference.
+            let back = (window - 1..=window + 1).filter_map(|near| back.get(&near)).min()?;
+            let (ahead, uncertainty) = ((forth - back) / 2, (forth + back) / 2);
+            Some(Estimate { at: window * WINDOW_NS + WINDOW_NS / 2, ahead, uncertainty: uncertainty.max(0) })
+        });
+        ClockDifference(estimates.collect())
+    }
+
+    /// Largest uncertainty \[ns\]; `None` without an estimate.
+    pub fn uncertainty_ns(&self) -> Option<i64> {
+        self.0.iter().map(|estimate| estimate.uncertainty).max()
+    }
+
+    /// How far the clock is ahead at `at` \[ns\]: between estimates on a straight line.
+    pub fn ahead_ns(&self, at: i64) -> i64 {
+        let later = self.0.partition_point(|estimate| estimate.at <= at);
+        match (later.checked_sub(1).map(|before| self.0[before]), self.0.get(later)) {
+            (None, None) => 0,
+            (Some(only), None) => only.ahead,
+            (None, Some(only)) => only.ahead,
+            (Some(before), Some(after)) => {
+                let share = (at - before.at) as f64 / (after.at - before.at) as f64;
+                before.ahead + ((after.ahead - before.ahead) as f64 * share) as i64
+            }
+        }
+    }
+
+    /// The same with a larger uncertainty.
+    fn widened(mut self, by_ns: i64) -> ClockDifference {
+        self.0.iter_mut().for_each(|estimate| estimate.uncertainty += by_ns);
+        self
+    }
+
+    /// The difference to a reference to which this clock's own reference has the difference `base`.
+    fn after(&self, base: &ClockDifference) -> ClockDifference {
+        let uncertainty = base.uncertainty_ns().unwrap_or(0);
+        let moved = |estimate: &Estimate| Estimate {
+            ahead: estimate.ahead + base.ahead_ns(estimate.at),
+            uncertainty: estimate.uncertainty + uncertainty,
+            ..*estimate
+        };
+        ClockDifference(self.0.iter().map(moved).collect())
+    }
+}
+
+/// Clocks of records against that of the first.
+#[derive(Debug)]
+pub struct Alignment {
+    /// By record: its clock's difference; `None` if no datagrams join it with the others in both directions.
+    pub clocks: Vec<Option<ClockDifference>>,
+    /// Datagrams that were matched.
+    pub matched: u64,
+    /// Largest time by which a datagram arrived before its sending on the common time, beyond the uncertainty of the
+    /// estimates \[ns\]; the uncertainties of both clocks contain it.
+    pub beyond_ns: i64,
+}
+
+/// Estimates the clocks of records from their datagrams. The first one is the reference.
+pub fn align(all: &[Traffic]) -> Alignment {
+    let mut clocks: Vec<Option<ClockDifference>> = vec![None; all.len()];
+    if let Some(first) = clocks.first_mut() {
+        *first = Some(ClockDifference::reference());
+    }
+    // From the clocks that are known, the best next one.
+    while let Some((place, clock)) = best(all, &clocks) {
+        clocks[place] = Some(clock);
+    }
+    let (mut matched, mut beyond) = (0, vec![0; all.len()]);
+    for (here, there) in pairs(all.len()) {
+        let (Some(a), Some(b)) = (&clocks[here], &clocks[there]) else { continue };
+        let allowed = a.uncertainty_ns().unwrap_or(0) + b.uncertainty_ns().unwrap_or(0);
+        for (key, arrived) in &all[there].arrived {
+            let Some(sent) = all[here].published.get(key) else { continue };
+            matched += 1;
+            let took = (arrived - b.ahead_ns(*arrived)) - (sent - a.ahead_ns(*sent));
+            for host in [here, there] {
+                beyond[host] = beyond[host].max(-took - allowed);
+            }
+        }
+    }
+    let widened = clocks.into_iter().zip(&beyond).map(|(clock, beyond)| Some(clock?.widened(*beyond))).collect();
+    Alignment { clocks: widened, matched, beyond_ns: beyond.into_iter().max().unwrap_or(0) }
+}
+
+fn pairs(count: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..count).flat_map(move |here| (0..count).map(move |there| (here, there))).filter(|(here, there)| here != there)
+}
+
+/// Returns the unknown clock with the smallest uncertainty to a known one.
+fn best(all: &[Traffic], clocks: &[Option<ClockDifference>]) -> Option<(usize, ClockDifference)> {
+    let mut found: Option<(i64, usize, ClockDifference)> = None;
+    for (here, there) in pairs(all.len()) {
+        let (Some(base), None) = (&clocks[here], &clocks[there]) else { continue };
+        let clock = ClockDifference::between(&all[here], &all[there]).after(base);
+        if let Some(uncertainty) = clock.uncertainty_ns()
+            && found.as_ref().is_none_or(|(least, ..)| uncertainty < *least)
+        {
+            found = Some((uncertainty, there, clock));
+        }
+    }
+    found.map(|(_, there, clock)| (there, clock))
+}
+
+/// Record that goes into a merged one.
+pub struct Part {
+    /// The file.
+    pub path: PathBuf,
+    /// Name of the host.
+    pub host: String,
+    /// The host's clock.
+    pub clock: ClockDifference,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Traffic of two hosts whose second clock is ahead by `ahead` and faster by `drift`, with delays in both directions.
+    fn two(ahead: i64, drift: f64, delays: [i64; 2]) -> [Traffic; 2] {
+        let mut all = [Traffic::default(), Traffic::default()];
+        let there = |at: i64| at + ahead + (at as f64 * drift) as i64;
+        for step in 0..3000i64 {
+            let at = step * 20_000_000;
+            let jitter = (step * 7919 % 13) * 300_000;
+            let forth = (0, 1, step as u32, 5);
+            all[0].published.insert(forth, at);
+            all[1].arrived.push((forth, there(at + delays[0] + jitter)));
+            let back = (1, 1, step as u32, 6);
+            all[1].published.insert(back, there(at));
+            all[0].arrived.push((back, at + delays[1] + jitter));
+        }
+        all
+    }
+
+    #[test]
+    fn clocks_that_differ_and_drift_are_found_within_the_stated_uncertainty() {
+        for (ahead, drift) in [(200_000_000, 0.0), (-200_000_000, 0.0), (150_000_000, 50e-6)] {
+            let all = two(ahead, drift, [1_000_000, 3_000_000]);
+            let alignment = align(&all);
+            let clock = alignment.clocks[1].as_ref().unwrap();
+            let uncertainty = clock.uncertainty_ns().unwrap();
+            assert!((1_900_000..3_500_000).contains(&uncertainty), "half of the round trip: {uncertainty}");
+            for at in [1_000_000_000i64, 30_000_000_000, 59_000_000_000] {
+                let truth = ahead + (at as f64 * drift) as i64;
+                let error = (clock.ahead_ns(at + truth) - truth).abs();
+                assert!(error <= uncertainty, "{error} of {uncertainty} at {at}");
+            }
+            assert_eq!((alignment.matched, alignment.beyond_ns), (6000, 0));
+        }
+    }
+
+    #[test]
+    fn a_host_without_replies_has_no_clock() {
+        let mut all = two(5, 0.0, [10, 10]);
+        all[0].arrived.clear();
+        let alignment = align(&all);
+        assert!(alignment.clocks[1].is_none() && alignment.clocks[0].is_some());
+    }
+}

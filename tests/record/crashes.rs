@@ -1,0 +1,79 @@
+//! Files of processes that were killed.
+
+use std::io::Cursor;
+use std::path::Path;
+
+use murmurate::record::reader::Reader;
+use murmurate::record::repair::repair;
+use tempfile::TempDir;
+
+use crate::program::{murmurate, run, text};
+use crate::records;
+
+/// Number of messages in the first bytes of a file. Damage is a failure.
+fn messages(bytes: &[u8]) -> (u64, bool) {
+    let mut reader = Reader::of(Path::new("cut"), Cursor::new(bytes.to_vec()));
+    let mut count = 0;
+    while reader.next_message().expect("a cut is no damage").is_some() {
+        count += 1;
+    }
+    (count, reader.is_complete())
+}
+
+#[test]
+fn a_file_cut_at_any_byte_is_read_and_a_longer_one_never_holds_less() {
+    let folder = TempDir::new().unwrap();
+    let to = folder.path().to_str().unwrap();
+    let sim = ["sim", "--mode", "centralized", "--episodes", "1", "--repeats", "1", "--record", to];
+    assert!(run(&sim).status.success());
+    let bytes = std::fs::read(&records(folder.path())[0]).unwrap();
+    let (mut before, whole) = (0, messages(&bytes));
+    assert!(whole.0 > 300 && whole.1, "{whole:?}");
+    // Every byte of the beginning and of the end, and a prime number's multiples between.
+    let cuts = (0..400).chain((400..bytes.len() - 400).step_by(4801)).chain(bytes.len() - 400..bytes.len());
+    for cut in cuts {
+        let (count, complete) = messages(&bytes[..cut]);
+        assert!(count >= before && (!complete || count == whole.0), "{cut}: {count} after {before}");
+        before = count;
+    }
+    assert_eq!(before, whole.0);
+    let mut mended = Cursor::new(Vec::new());
+    let half = &bytes[..bytes.len() / 2];
+    let found = repair(&mut Reader::of(Path::new("half"), Cursor::new(half.to_vec())), &mut mended).unwrap();
+    assert_eq!((found.messages, true), messages(mended.get_ref()), "whole again");
+    assert_eq!((found.messages, found.was_complete), (messages(half).0, false));
+}
+
+#[test]
+fn a_host_that_is_killed_leaves_a_record_that_can_be_read_repaired_and_replayed() {
+    let folder = TempDir::new().unwrap();
+    let (team, to) = (folder.path().join("team.toml"), folder.path().join("records"));
+    let link =
+        |name: &str, last: u8| format!("[link.{name}]\ninterface = \"lo\"\ngroup = \"239.255.77.{last}:40813\"\n");
+    let links = link("loopback", 1) + &link("infra", 2);
+    std::fs::write(&team, format!("team = 813\nmode = \"offboard\"\nrobots = 2\nepisodes = 9\n{links}")).unwrap();
+    let host = ["host", team.to_str().unwrap(), "--host", "world", "--json", "--record", to.to_str().unwrap()];
+    let mut child = murmurate(&host).stdout(std::process::Stdio::piped()).spawn().expect("it starts");
+    // Two events with counts: two seconds of its run.
+    let lines = std::io::BufRead::lines(std::io::BufReader::new(child.stdout.take().unwrap()));
+    let seen = lines.map_while(Result::ok).filter(|line| line.contains("\"counted\"")).take(2).count();
+    assert_eq!(seen, 2);
+    child.kill().expect("it runs");
+    child.wait().expect("it has ended");
+    let record = records(&to).remove(0);
+    let mut reader = Reader::open(&record).unwrap();
+    let mut last = 0;
+    let first = reader.next_message().unwrap().expect("there are messages").at;
+    while let Some(message) = reader.next_message().unwrap() {
+        last = message.at;
+    }
+    let held_s = (last - first) as f64 / 1e9;
+    assert!(!reader.is_complete() && held_s > 1.6, "{held_s} s of 2 s");
+    let replayed = run(&["replay", record.to_str().unwrap()]);
+    assert!(replayed.status.success() && text(&replayed.stdout).contains("a crash has cut"), "{replayed:?}");
+    let mended = run(&["record", "repair", to.to_str().unwrap()]);
+    assert!(mended.status.success(), "{}", text(&mended.stderr));
+    assert!(text(&run(&["record", "info", record.to_str().unwrap()]).stdout).contains("whole"));
+    let kept = records(&to);
+    assert!(kept.len() == 2 && kept.iter().any(|path| path.extension().is_some_and(|end| end == "cut")), "{kept:?}");
+}

@@ -1,0 +1,106 @@
+//! Records of the hosts of a real team, which run again alone.
+
+use std::fs::write;
+use std::path::{Path, PathBuf};
+
+use murmurate::graph::inputs::Input;
+use murmurate::record::tape::Turn;
+use murmurate::time::Span;
+use tempfile::TempDir;
+
+use crate::edited::{edit, is_latent};
+use crate::program::{refuses, run, text};
+use crate::records;
+
+/// Runs one episode of a team with a key, and returns the folder with its files and the folder with its records.
+fn launched(number: u16) -> (TempDir, PathBuf) {
+    let folder = TempDir::new().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let link = |name: &str, last: u8| {
+        format!("[link.{name}]\ninterface = \"lo\"\ngroup = \"239.255.77.{last}:{}\"\n", 40_000 + number)
+    };
+    let head = "key_file = \"team.key\"\nmode = \"offboard\"\nrobots = 3\nepisodes = 1\n";
+    let team = format!("team = {number}\n{head}{}{}", link("loopback", 1), link("infra", 2));
+    write(path("team.toml"), team).expect("it can be written");
+    assert!(run(&["key", "new", "--out", path("team.key").to_str().unwrap()]).status.success());
+    let (team, to) = (path("team.toml"), path("records"));
+    let output = run(&["launch", team.to_str().unwrap(), "--quiet", "--json", "--record", to.to_str().unwrap()]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    (folder, to)
+}
+
+fn replayed(record: &Path, more: &[&str]) -> (i32, String) {
+    let output = run(&[&["replay", "--host", record.to_str().unwrap()], more].concat());
+    (output.status.code().expect("it ends"), text(&output.stdout) + &text(&output.stderr))
+}
+
+#[test]
+fn hosts_of_a_team_with_a_key_run_again_to_the_bit_and_each_change_is_noticed() {
+    let (folder, records_of) = launched(811);
+    let key = folder.path().join("team.key");
+    let with_key = ["--key-file", key.to_str().unwrap()];
+    let (status, said) = replayed(&records_of, &[]);
+    assert_eq!((status, said.matches("equal, ").count()), (0, 4), "the key is where the team file says: {said}");
+    let secret = std::fs::read_to_string(&key).unwrap();
+    for record in records(&records_of) {
+        let bytes = std::fs::read(record).unwrap();
+        assert!(!bytes.windows(16).any(|part| secret.as_bytes().windows(16).any(|key| key == part)), "no key in it");
+    }
+    let agent = records(&records_of).into_iter().find(|path| path.to_str().unwrap().contains("agent-0")).unwrap();
+    let changed = folder.path().join("changed.mcap");
+    type Change = fn(&mut Turn) -> bool;
+    let changes: [(&str, Change); 3] = [
+        ("one bit of a latent", |turn| {
+            let Some(at) = turn.inputs.iter().position(is_latent) else { return false };
+            let Input::Frame(link, frame, from) = turn.inputs[at].clone() else { unreachable!() };
+            let mut bytes = frame.to_vec();
+            bytes[60] ^= 1;
+            turn.inputs[at] = Input::Frame(link, bytes.into(), from);
+            true
+        }),
+        ("one latent left out", |turn| {
+            let Some(at) = turn.inputs.iter().position(is_latent) else { return false };
+            turn.inputs.remove(at);
+            true
+        }),
+        ("one turn a microsecond later", |turn| {
+            turn.now = turn.now + Span::from_nanos(1000);
+            true
+        }),
+    ];
+    for (what, change) in changes {
+        let mut done = false;
+        edit(&agent, &changed, |turn| {
+            // In the middle of the run, when latents are used.
+            if !done && turn.now.as_secs() > 2.5 {
+                done = change(turn);
+            }
+        });
+        assert!(done, "{what}");
+        let (status, said) = replayed(&changed, &with_key);
+        assert_eq!(status, 1, "{what}: {said}");
+        let at = said.split("first difference at ").nth(1).expect("it is named").split(' ').next().unwrap();
+        assert!((2.5..4.0).contains(&at.parse::<f64>().unwrap()), "{what}: {said}");
+    }
+    edit(&agent, &changed, |_| {});
+    assert_eq!(replayed(&changed, &with_key).0, 0, "a copy is equal");
+    std::fs::remove_file(&key).unwrap();
+    refuses(&["replay", "--host", agent.to_str().unwrap()], &["a team with a key", "--key-file"]);
+}
+
+#[test]
+fn a_merged_record_has_the_messages_of_all_hosts_in_the_order_of_one_time() {
+    let (folder, records_of) = launched(812);
+    let merged = folder.path().join("run.mcap");
+    let output = run(&["record", "merge", records_of.to_str().unwrap(), "-o", merged.to_str().unwrap()]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let mut reader = murmurate::record::reader::Reader::open(&merged).unwrap();
+    let (mut last, mut publishers) = (0, std::collections::BTreeSet::new());
+    while let Some(message) = reader.next_message().unwrap() {
+        assert!(message.at >= last, "in order");
+        last = message.at;
+        publishers.extend(message.channel.topic.strip_prefix("/wire/").map(str::to_owned));
+    }
+    assert!(reader.is_complete());
+    assert_eq!(publishers.into_iter().collect::<Vec<_>>(), ["agent-0", "agent-1", "agent-2", "world"]);
+}
