@@ -169,7 +169,7 @@ impl OfHost {
         let (incarnation, seed, transports) = live.process();
         let path = folder.join(format!("{name}-{incarnation:08x}.mcap"));
         let seed = seed.iter().map(|byte| format!("{byte:02x}")).collect();
-        identity.host = Some(HostIdentity { name, incarnation, seed, transports, keyed });
+        identity.host = Some(HostIdentity { name, id: team.host, incarnation, seed, transports, keyed });
         let variables = std::env::vars_os().map(|(name, value)| (name, value.to_string_lossy().into_owned()));
         let variables = variables.filter_map(|(name, value)| Some((name.into_string().ok()?, value)));
         identity.variables = variables.filter(|(name, _)| name.starts_with("MURMURATE_")).collect();

@@ -21,8 +21,8 @@ use super::topics::{Stage, Topic, Topics};
 
 /// Size of a chunk \[bytes\].
 const CHUNK: u64 = 1 << 18;
-/// Time after which a file in real time is flushed: what a crash loses at the most.
-const FLUSH: Duration = Duration::from_millis(200);
+/// Time after which a file in real time is flushed. A crash loses this, the writer's pause, and what has just happened.
+const FLUSH: Duration = Duration::from_millis(100);
 
 /// Error of a record's file.
 #[derive(Debug, thiserror::Error)]

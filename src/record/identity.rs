@@ -5,6 +5,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::messages::ids::HostId;
+
 /// Name of the metadata in a file.
 pub const METADATA: &str = "murmurate.run";
 /// Version of the format of records.
@@ -40,6 +42,8 @@ pub struct Identity {
 pub struct HostIdentity {
     /// Name of the host.
     pub name: String,
+    /// Number of the host in the deployment.
+    pub id: HostId,
     /// Incarnation of the process.
     pub incarnation: u32,
     /// Seed of the link layer's random streams in that process, hexadecimal.
@@ -114,6 +118,7 @@ mod tests {
             None,
             Some(HostIdentity {
                 name: "pc".to_owned(),
+                id: HostId(2),
                 incarnation: 7,
                 seed: "00ff".to_owned(),
                 transports: vec![1, 0, 2],

@@ -10,6 +10,7 @@ mod foxglove;
 mod protobuf;
 mod schemas;
 
+pub mod actions;
 pub mod compare;
 pub mod file;
 pub mod identity;
@@ -18,6 +19,7 @@ pub mod protobuf_reader;
 pub mod queue;
 pub mod reader;
 pub mod repair;
+pub mod share;
 pub mod tape;
 pub mod topics;
 

@@ -31,37 +31,63 @@ pub enum RepairError {
 
 /// Copies all whole messages of a file to `to`.
 pub fn repair(from: &mut Reader, to: impl Write + Seek) -> Result<Repaired, RepairError> {
-    let library = concat!("murmurate ", env!("CARGO_PKG_VERSION"));
-    let mut writer: Writer<_> = WriteOptions::new().compression(None).library(library).create(to)?;
-    let (mut schemas, mut channels) = (BTreeMap::new(), BTreeMap::new());
-    let mut found = Repaired::default();
+    let mut copy = Copy::begin(to)?;
     while let Some(item) = from.next_item()? {
+        copy.item(item)?;
+    }
+    let messages = copy.finish()?;
+    Ok(Repaired { messages, was_complete: from.is_complete() })
+}
+
+/// Copy of a file, item by item.
+pub(super) struct Copy<W: Write + Seek> {
+    writer: Writer<W>,
+    schemas: BTreeMap<u16, u16>,
+    channels: BTreeMap<String, u16>,
+    messages: u64,
+}
+
+impl<W: Write + Seek> Copy<W> {
+    /// Begins the new file.
+    pub fn begin(to: W) -> Result<Copy<W>, McapError> {
+        let library = concat!("murmurate ", env!("CARGO_PKG_VERSION"));
+        let writer = WriteOptions::new().compression(None).library(library).create(to)?;
+        Ok(Copy { writer, schemas: BTreeMap::new(), channels: BTreeMap::new(), messages: 0 })
+    }
+
+    /// Writes an item of the old file.
+    pub fn item(&mut self, item: Item) -> Result<(), McapError> {
         match item {
             Item::Metadata(name, metadata) => {
-                writer.write_metadata(&mcap::records::Metadata { name, metadata })?;
+                self.writer.write_metadata(&mcap::records::Metadata { name, metadata })?;
             }
             Item::Attachment(name, media_type, data) => {
-                writer.attach(&Attachment { log_time: 0, create_time: 0, name, media_type, data: data.into() })?;
+                let data = data.into();
+                self.writer.attach(&Attachment { log_time: 0, create_time: 0, name, media_type, data })?;
             }
             Item::Schema(header, data) => {
-                let id = writer.add_schema(&header.name, &header.encoding, &data)?;
-                schemas.insert(header.id, id);
+                let id = self.writer.add_schema(&header.name, &header.encoding, &data)?;
+                self.schemas.insert(header.id, id);
             }
             Item::Channel(_, channel) => {
-                let schema = schemas.get(&channel.schema).copied().unwrap_or(0);
-                let id = writer.add_channel(schema, &channel.topic, &channel.encoding, &BTreeMap::new())?;
-                channels.insert(channel.topic.clone(), id);
+                let schema = self.schemas.get(&channel.schema).copied().unwrap_or(0);
+                let id = self.writer.add_channel(schema, &channel.topic, &channel.encoding, &BTreeMap::new())?;
+                self.channels.insert(channel.topic.clone(), id);
             }
             Item::Message(message) => {
-                let sequence = u32::try_from(found.messages % (1 << 32)).expect("it was reduced");
-                let channel_id = channels[&message.channel.topic];
+                let sequence = u32::try_from(self.messages % (1 << 32)).expect("it was reduced");
+                let channel_id = self.channels[&message.channel.topic];
                 let header = MessageHeader { channel_id, sequence, log_time: message.at, publish_time: message.at };
-                writer.write_to_known_channel(&header, &message.data)?;
-                found.messages += 1;
+                self.writer.write_to_known_channel(&header, &message.data)?;
+                self.messages += 1;
             }
         }
+        Ok(())
     }
-    writer.finish()?;
-    found.was_complete = from.is_complete();
-    Ok(found)
+
+    /// Writes the end; returns the number of messages.
+    pub fn finish(mut self) -> Result<u64, McapError> {
+        self.writer.finish()?;
+        Ok(self.messages)
+    }
 }

@@ -278,9 +278,8 @@ impl fmt::Display for Summary {
         }
         let Unwritten { log_lines, events, steps, record_events } = self.unwritten;
         if self.unwritten.total() > 0 {
-            let what = format!(
-                "{log_lines} log lines, {events} events, {steps} steps of trajectories, {record_events} events of records"
-            );
+            let what = format!("{log_lines} log lines, {events} events, {steps} steps of trajectories");
+            let what = format!("{what}, {record_events} events of records");
             writeln!(f, "  unwritten    {:>8}   {what}", self.unwritten.total())?;
         }
         if self.counts == Counts::Host {

@@ -84,8 +84,51 @@ fn hosts_of_a_team_with_a_key_run_again_to_the_bit_and_each_change_is_noticed() 
     }
     edit(&agent, &changed, |_| {});
     assert_eq!(replayed(&changed, &with_key).0, 0, "a copy is equal");
+    shares(&agent, &key, &changed);
+    differs_with_another_policy(&agent, &key, folder.path());
     std::fs::remove_file(&key).unwrap();
+    assert_eq!(replayed(&changed, &[]).0, 0, "a shared copy needs no key");
     refuses(&["replay", "--host", agent.to_str().unwrap()], &["a team with a key", "--key-file"]);
+}
+
+/// Makes a copy that can be replayed without the key, and one whose list lacks the latents' datagrams.
+fn shares(agent: &Path, key: &Path, copy: &Path) {
+    let share = ["record", "share", agent.to_str().unwrap(), "--key-file", key.to_str().unwrap(), "-o"];
+    let output = run(&[&share[..], &[copy.to_str().unwrap()]].concat());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let (status, said) = replayed(copy, &[]);
+    assert!(status == 0 && said.contains("equal, ") && said.contains("no tag is checked"), "{said}");
+    let wrong = copy.with_extension("key");
+    assert!(run(&["key", "new", "--out", wrong.to_str().unwrap()]).status.success());
+    let share = ["record", "share", agent.to_str().unwrap(), "--key-file", wrong.to_str().unwrap(), "-o"];
+    refuses(&[&share[..], &["unused.mcap"]].concat(), &["--key-file", "no datagram"]);
+    edit(copy, &copy.with_extension("cut"), |turn| {
+        for input in turn.inputs.iter_mut().filter(|input| is_latent(input)) {
+            // Datagrams that are on no list are refused, as with a wrong tag.
+            if let Input::Frame(_, frame, _) = input {
+                let mut bytes = frame.to_vec();
+                *bytes.last_mut().unwrap() ^= 1;
+                *frame = bytes.into();
+            }
+        }
+    });
+    assert_eq!(replayed(&copy.with_extension("cut"), &[]).0, 1, "no latent is accepted");
+}
+
+fn differs_with_another_policy(agent: &Path, key: &Path, folder: &Path) {
+    let (steps, figure) = (folder.join("steps.csv"), folder.join("actions.svg"));
+    let flags = ["--key-file", key.to_str().unwrap(), "--policy", "published", "--json"];
+    let files = ["--steps", steps.to_str().unwrap(), "--svg", figure.to_str().unwrap()];
+    let (status, said) = replayed(agent, &[&flags[..], &files].concat());
+    let said: serde_json::Value = serde_json::from_str(said.lines().next().unwrap()).expect("one JSON object");
+    let robot = &said["robots"][0];
+    assert_eq!((status, &robot["robot"], said["robots"].as_array().unwrap().len()), (0, &0.into(), 1), "{said}");
+    assert!(robot["most_m_s"].as_f64().unwrap() > 0.05 && robot["steps"].as_u64().unwrap() > 50, "{said}");
+    let rows = std::fs::read_to_string(&steps).unwrap().lines().count() as u64;
+    assert_eq!(rows, robot["steps"].as_u64().unwrap() + 1);
+    assert!(std::fs::read_to_string(&figure).unwrap().starts_with("<svg"));
+    let (_, same) = replayed(agent, &["--key-file", key.to_str().unwrap(), "--policy", "shipped"]);
+    assert!(same.contains("none differs"), "the same policy acts the same: {same}");
 }
 
 #[test]

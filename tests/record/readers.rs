@@ -7,9 +7,9 @@ use tempfile::TempDir;
 use crate::program::{run, text};
 use crate::records;
 
-/// Python with these packages: the variable `MURMURATE_RECORD_PYTHON`, or else `python3` if it has them.
+/// Python with these packages: the variable `RECORD_PYTHON`, or else `python3` if it has them.
 fn python() -> Option<String> {
-    let python = std::env::var("MURMURATE_RECORD_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let python = std::env::var("RECORD_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let found = Command::new(&python).args(["-c", "import mcap, mcap_protobuf"]).output();
     found.is_ok_and(|output| output.status.success()).then_some(python)
 }
@@ -17,7 +17,7 @@ fn python() -> Option<String> {
 #[test]
 fn python_reads_what_was_recorded() {
     let Some(python) = python() else {
-        eprintln!("skipped: no Python with mcap and mcap-protobuf-support (set MURMURATE_RECORD_PYTHON)");
+        eprintln!("skipped: no Python with mcap and mcap-protobuf-support (set RECORD_PYTHON)");
         return;
     };
     let folder = TempDir::new().unwrap();

@@ -4,7 +4,9 @@
 //! of one link is not valid on another. Nothing is encrypted. Where keys come from and how they are stored is decided
 //! elsewhere.
 
+use std::collections::BTreeSet;
 use std::fmt;
+use std::sync::Arc;
 
 use super::codec::{FLAGS_AT, Flags, HEADER_BYTES, MAX_FRAME_BYTES, TAG_BYTES};
 use crate::messages::ids::{HostId, LinkId};
@@ -12,21 +14,39 @@ use crate::messages::ids::{HostId, LinkId};
 /// Bytes of the link and the host that a datagram is for.
 const ASSOCIATED_BYTES: usize = 4;
 
-/// Secret of a team, known to all its members.
+/// Secret of a team, known to all its members; or in a replay, a list of the datagrams that had a valid tag.
 #[derive(Clone)]
-pub struct Key([u8; 32]);
+pub struct Key(Secret);
+
+#[derive(Clone)]
+enum Secret {
+    Bytes([u8; 32]),
+    /// Digests of the datagrams that are accepted.
+    Accepted(Arc<BTreeSet<[u8; 16]>>),
+}
 
 impl Key {
     /// Returns the key with these bytes.
     pub fn new(bytes: [u8; 32]) -> Key {
-        Key(bytes)
+        Key(Secret::Bytes(bytes))
+    }
+
+    /// Returns the stand-in for a key that accepts these datagrams, by their [`digest`], and makes tags of zeros. It is
+    /// for replays of records: on a link it protects from nothing.
+    pub fn trusting(accepted: BTreeSet<[u8; 16]>) -> Key {
+        Key(Secret::Accepted(Arc::new(accepted)))
     }
 
     /// Appends the tag to a datagram for the host `to`, or for all hosts if that is `None`.
     pub fn seal(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) {
         datagram[FLAGS_AT] |= Flags::TAGGED;
-        let tag = self.tag(datagram, link, to);
-        datagram.extend_from_slice(&tag.as_bytes()[..TAG_BYTES]);
+        match &self.0 {
+            Secret::Bytes(secret) => {
+                let tag = tag_of(secret, datagram, link, to);
+                datagram.extend_from_slice(&tag.as_bytes()[..TAG_BYTES]);
+            }
+            Secret::Accepted(_) => datagram.extend_from_slice(&[0; TAG_BYTES]),
+        }
     }
 
     /// Returns the datagram without its tag; `None` unless the tag is valid for `link` and, in a datagram to one host,
@@ -36,24 +56,37 @@ impl Key {
             return None;
         }
         let (plain, tag) = datagram.split_at(datagram.len() - TAG_BYTES);
+        let secret = match &self.0 {
+            Secret::Bytes(secret) => secret,
+            Secret::Accepted(accepted) => return accepted.contains(&digest(datagram, link)).then_some(plain),
+        };
         // The flag is not authenticated yet; it only says which of two tags to expect.
         let to = (plain[FLAGS_AT] & Flags::DIRECT != 0).then_some(here);
         // Clearing a buffer of the longest frame's length would take longer than allocating this one.
         let mut hashed = Vec::with_capacity(plain.len() + ASSOCIATED_BYTES);
         hashed.extend_from_slice(plain);
-        let expected = self.tag(&mut hashed, link, to);
+        let expected = tag_of(secret, &mut hashed, link, to);
         // Hashes compare in constant time; the half that is not sent is zero in both.
         (half(&expected.as_bytes()[..TAG_BYTES]) == half(tag)).then_some(plain)
     }
+}
 
-    /// Returns the whole hash of a datagram, its link and its receiver; the buffer grows for these if needed.
-    fn tag(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) -> blake3::Hash {
-        let length = datagram.len();
-        datagram.extend_from_slice(&associated(link, to));
-        let hash = blake3::keyed_hash(&self.0, datagram);
-        datagram.truncate(length);
-        hash
-    }
+/// Returns the whole hash of a datagram, its link and its receiver; the buffer grows for these if needed.
+fn tag_of(secret: &[u8; 32], datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) -> blake3::Hash {
+    let length = datagram.len();
+    datagram.extend_from_slice(&associated(link, to));
+    let hash = blake3::keyed_hash(secret, datagram);
+    datagram.truncate(length);
+    hash
+}
+
+/// Returns the digest of a datagram with its tag, and of its link, by which a replay knows it.
+pub fn digest(datagram: &[u8], link: LinkId) -> [u8; 16] {
+    let mut all = datagram.to_vec();
+    all.extend_from_slice(&link.0.to_le_bytes());
+    let mut short = [0; 16];
+    short.copy_from_slice(&blake3::hash(&all).as_bytes()[..16]);
+    short
 }
 
 fn associated(link: LinkId, to: Option<HostId>) -> [u8; ASSOCIATED_BYTES] {

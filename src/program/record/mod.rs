@@ -4,6 +4,7 @@ mod export;
 mod info;
 mod merge;
 mod repair;
+mod share;
 
 use anyhow::Result;
 
@@ -20,6 +21,8 @@ pub enum Args {
     Repair(repair::Args),
     /// Puts the records of a team's hosts into one, on one time, with its uncertainty
     Merge(merge::Args),
+    /// Makes a copy of a host's record that others can replay without the team's key
+    Share(share::Args),
     /// Writes trajectories, links or messages of a record as CSV
     Export(export::Args),
 }
@@ -30,6 +33,7 @@ pub fn run(args: &Args) -> Result<Ended> {
         Args::Info(args) => info::run(args),
         Args::Repair(args) => repair::run(args),
         Args::Merge(args) => merge::run(args),
+        Args::Share(args) => share::run(args),
         Args::Export(args) => export::run(args),
     }
 }

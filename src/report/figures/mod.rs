@@ -1,6 +1,7 @@
 //! Figures as SVG: axes with units, readable at half their size, in colours that colour-blind readers can distinguish.
 //! Callers pass plain data; nothing here depends on a study.
 
+mod actions;
 mod delays;
 mod makespans;
 mod positions;
@@ -8,6 +9,7 @@ mod separation;
 mod success;
 mod sweep;
 
+pub use actions::actions;
 pub use delays::{Heard, delays};
 pub use makespans::{Makespans, makespans};
 pub use positions::{Positions, positions};

@@ -10,11 +10,11 @@ cd "$(dirname "$0")/../../.."
 python=$1 program=$(realpath "$2") episodes=${3:-4} kills=${4:-200} missed=0
 work=$(mktemp -d)
 trap 'kill $(jobs -p) 2>/dev/null || true; rm -rf "$work"' EXIT
-"$program" key new --out "$work/team.key" >/dev/null
+"$program" key new --out "$work/team.key" >/dev/null 2>&1
 
 # Copies a team file with groups of its own on loopback.
 team() { # FILE NUMBER
-    sed -e "s/^team = .*/team = $2/" -e "s/239\.255\.[0-9]*\.[0-9]*:[0-9]*/239.255.76.1:$((41000 + $2))/" "$1" >"$work/$2.toml"
+    sed -e "s/^team = .*/team = $2/" -e "s/239\.255\.[0-9]*\.\([0-9]*\):[0-9]*/239.255.76.\1:$((41000 + $2))/" "$1" >"$work/$2.toml"
     echo "$work/$2.toml"
 }
 

@@ -1,6 +1,9 @@
 //! `murmurate replay`: runs again what a record is of, and compares message by message.
 
-use std::cell::{Cell, RefCell};
+mod actions;
+mod of_host;
+
+use std::cell::RefCell;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -8,21 +11,16 @@ use std::rc::Rc;
 use anyhow::{Context, Result};
 use serde::Serialize;
 
-use crate::live::LiveHost;
-use crate::live::links::ProcessIdentity;
-use crate::messages::ids::HostId;
-use crate::net::protocol::key::Key;
 use crate::program::output::{print, talk};
-use crate::program::{BadInput, Ended, bad, host, sim, team};
-use crate::random::Seed;
+use crate::program::{BadInput, Ended, bad, sim};
 use crate::record::compare::{Compared, Comparison};
-use crate::record::identity::{BUILD, HostIdentity, Identity};
+use crate::record::identity::{BUILD, Identity};
 use crate::record::reader::{self, Opened};
+use crate::record::share::ACCEPTED;
 use crate::record::topics::{Stage, Topics};
-use crate::record::{Event, Scope, tape};
+use crate::record::{Event, Scope};
 use crate::registry::Registry;
-use crate::time::Time;
-use crate::trial::{Proceed, Trial};
+use crate::trial::Proceed;
 
 /// Flags of `murmurate replay`.
 #[derive(clap::Args)]
@@ -44,6 +42,16 @@ pub struct Args {
     /// says]
     #[arg(long, value_name = "FILE")]
     key_file: Option<PathBuf>,
+    /// Gives the recorded inputs to another policy, and prints by how much its actions differ
+    #[arg(long, value_name = "NAME|FILE", conflicts_with = "rerun")]
+    policy: Option<PathBuf>,
+    /// CSV file for each step of both policies, with --policy
+    #[arg(long, value_name = "FILE.csv", requires = "policy")]
+    steps: Option<PathBuf>,
+    /// Figure of the differences over time, with --policy
+    #[cfg(feature = "report")]
+    #[arg(long, value_name = "FILE.svg", requires = "policy")]
+    svg: Option<PathBuf>,
     /// Replays a record of another build of this program, too; it may differ for that alone
     #[arg(long)]
     force: bool,
@@ -84,14 +92,27 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
             None => format!("repeat {}", opened.identity.repeat),
         };
         let files = Files::extract(&opened)?;
-        let compared = match opened.identity.host.clone() {
-            Some(host) => replay_host(args, (&path, opened), &host, &files, registry)?,
+        let compared = match &opened.identity.host {
+            Some(_) if args.policy.is_some() => {
+                actions::show(args, of_host::prepare(args, (&path, opened), &files, registry)?)?;
+                continue;
+            }
+            Some(_) => of_host::compare(of_host::prepare(args, (&path, opened), &files, registry)?)?,
+            None if args.policy.is_some() => {
+                return bad(format!(
+                    "--policy: '{}' is the record of a simulation; use 'sim --policy'",
+                    path.display()
+                ));
+            }
             None => rerun(opened, &files, registry)?,
         };
         let Compared { messages, difference, cut, gap_s } = compared;
         let equal = difference.is_none();
         let difference = difference.map(|difference| difference.to_string());
         table.records.push(Line { record: path, of, equal, messages, cut, gap_s, difference });
+    }
+    if args.policy.is_some() {
+        return Ok(Ended::Done);
     }
     print(&if args.json { serde_json::to_string(&table).context("a result is JSON")? } else { table.to_string() })?;
     Ok(if table.records.iter().all(|line| line.equal) { Ended::Done } else { Ended::Unfit })
@@ -155,7 +176,8 @@ impl Files {
         let folder = std::env::temp_dir().join(format!("murmurate-replay-{:016x}", u64::from_le_bytes(number)));
         std::fs::create_dir(&folder).with_context(|| format!("cannot make the folder '{}'", folder.display()))?;
         let mut files = Files { folder, files: Vec::new() };
-        for (index, (name, content)) in opened.attached.iter().enumerate() {
+        let named = opened.attached.iter().filter(|(name, _)| name != ACCEPTED);
+        for (index, (name, content)) in named.enumerate() {
             let last = Path::new(name).file_name().map_or("file".into(), |last| last.to_string_lossy().into_owned());
             let path = files.folder.join(format!("{index}-{last}"));
             std::fs::write(&path, content).with_context(|| format!("cannot write '{}'", path.display()))?;
@@ -209,105 +231,9 @@ fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared>
     finish(comparison)
 }
 
-/// Runs a host again alone, with its recorded inputs.
-fn replay_host(
-    args: &Args,
-    (path, opened): (&Path, Opened),
-    of: &HostIdentity,
-    files: &Files,
-    registry: &Registry,
-) -> Result<Compared> {
-    let Opened { identity, messages, .. } = opened;
-    let mut team_args = host::of_record(&files.in_place(&identity.arguments))?;
-    if let Some((_, policy)) = files.files.get(1) {
-        team_args.set.push(format!("policy={}", policy.display()));
-    }
-    if args.key_file.is_some() {
-        team_args.key_file.clone_from(&args.key_file);
-    }
-    let folder = identity.arguments.iter().find_map(|argument| {
-        let named = files.files.first().is_some_and(|(name, _)| name == argument);
-        named.then(|| Path::new(argument).parent().unwrap_or(Path::new("")).to_owned())
-    });
-    let file = team_args.read_as_of(registry, folder.as_deref(), &identity.variables)?;
-    let id = file.host_named(&of.name).map_err(|error| BadInput(error.to_string()))?;
-    let team = team_args.for_host(&file, id)?;
-    let key = if of.keyed { team::key(&team).with_context(|| keyless(path))?.map(Key::new) } else { None };
-    if of.keyed && key.is_none() {
-        return bad(keyless(path));
-    }
-    let policy = team::policy(&team, registry)?;
-    let trial = Trial::of_host(registry, &team, policy.model).map_err(|error| BadInput(error.to_string()))?;
-    let seed = bytes_of(&of.seed).ok_or_else(|| BadInput(format!("'{}': its seed is damaged", path.display())))?;
-    let process =
-        ProcessIdentity { incarnation: of.incarnation, seed: Seed::of_bytes(seed), bytes: seed, operator: HostId(0) };
-    let live = LiveHost::closed(&team, &trial, key, registry, (&process, &of.transports))?;
-
-    let mut turns = Turns::open(path)?;
-    let Some(begun) = turns.next() else {
-        return Ok(Compared { messages: 0, difference: None, cut: true, gap_s: None });
-    };
-    let topics = Topics::new(Stage::of(live.plan()), Scope::Host, identity.anchor_ns);
-    let comparison = Rc::new(RefCell::new(Comparison::new(messages, topics, identity.anchor_ns)));
-    comparison.borrow_mut().push(Event::Turn(begun.0));
-    let (heard, ended) = (Rc::clone(&comparison), Rc::clone(&comparison));
-    let over = Rc::new(Cell::new(false));
-    let stop = Rc::clone(&over);
-    live.run_again(
-        begun.0,
-        turns.take_while(move |_| !stop.get()),
-        move |host, event| {
-            if let Some(event) = Event::of(Scope::Host, host, event) {
-                heard.borrow_mut().push(event);
-            }
-        },
-        |_| {},
-        move |now| {
-            ended.borrow_mut().push(Event::Turn(now));
-            over.set(ended.borrow().is_over());
-        },
-    );
-    finish(comparison)
-}
-
-fn keyless(path: &Path) -> String {
-    format!("'{}' is of a team with a key, which is in no record: give it with --key-file", path.display())
-}
-
 fn finish(comparison: Rc<RefCell<Comparison>>) -> Result<Compared> {
     let comparison = Rc::try_unwrap(comparison).ok().context("a run that has ended is still observed: a bug")?;
     Ok(comparison.into_inner().finish()?)
-}
-
-fn bytes_of(hexadecimal: &str) -> Option<[u8; 32]> {
-    let digits = hexadecimal.as_bytes().chunks(2);
-    let bytes: Option<Vec<u8>> =
-        digits.map(|two| u8::from_str_radix(std::str::from_utf8(two).ok()?, 16).ok()).collect();
-    bytes?.try_into().ok()
-}
-
-/// Turns of a host's record.
-struct Turns(reader::Messages);
-
-impl Turns {
-    fn open(path: &Path) -> Result<Turns> {
-        Ok(Turns(reader::open(path)?.messages))
-    }
-}
-
-impl Iterator for Turns {
-    type Item = (Time, Vec<crate::graph::inputs::Input>);
-
-    fn next(&mut self) -> Option<Self::Item> {
-        // A file that is damaged in its middle is reported by the comparison, which reads the same bytes.
-        while let Ok(Some(message)) = self.0.next_message() {
-            if message.channel.encoding == crate::record::topics::Topic::Turn.encoding() {
-                let turn = tape::read(&message.data)?;
-                return Some((turn.now, turn.inputs));
-            }
-        }
-        None
-    }
 }
 
 impl fmt::Display for Table {

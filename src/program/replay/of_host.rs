@@ -1,0 +1,171 @@
+//! A host of a record, made ready to run again.
+
+use std::cell::{Cell, RefCell};
+use std::path::Path;
+use std::rc::Rc;
+
+use anyhow::{Context, Result};
+
+use super::{Args, Files, finish};
+use crate::graph::inputs::Input;
+use crate::graph::process::ProcessEvent;
+use crate::live::LiveHost;
+use crate::live::links::ProcessIdentity;
+use crate::messages::ids::HostId;
+use crate::net::protocol::key::Key;
+use crate::program::output::talk;
+use crate::program::{BadInput, bad, host, team};
+use crate::random::Seed;
+use crate::record::compare::{Compared, Comparison};
+use crate::record::identity::{HostIdentity, Identity};
+use crate::record::reader::{self, Messages, Opened};
+use crate::record::share::trusted;
+use crate::record::topics::{Stage, Topic, Topics};
+use crate::record::{Event, Scope, tape};
+use crate::registry::Registry;
+use crate::time::Time;
+use crate::trial::Trial;
+
+/// Host that is ready to run again.
+pub struct Prepared {
+    /// What its record is of.
+    pub identity: Identity,
+    /// Its recorded messages.
+    pub messages: Messages,
+    /// Name of the policy that runs.
+    pub policy: String,
+    live: LiveHost,
+    turns: Turns,
+    /// Whether the recorded verdicts on tags are trusted, because the key is not there.
+    trusts: bool,
+}
+
+/// Makes the host of a record ready: with its files, its key or the list of accepted datagrams, and perhaps another
+/// policy.
+pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, registry: &Registry) -> Result<Prepared> {
+    let Opened { identity, messages, attached } = opened;
+    let of = identity.host.clone().expect("the caller has seen a host");
+    let mut team_args = host::of_record(&files.in_place(&identity.arguments))?;
+    let policy = args.policy.as_deref().or(files.files.get(1).map(|(_, policy)| &**policy));
+    team_args.set.extend(policy.map(|policy| format!("policy={}", policy.display())));
+    if args.key_file.is_some() {
+        team_args.key_file.clone_from(&args.key_file);
+    }
+    let folder = identity.arguments.iter().find_map(|argument| {
+        let named = files.files.first().is_some_and(|(name, _)| name == argument);
+        named.then(|| Path::new(argument).parent().unwrap_or(Path::new("")).to_owned())
+    });
+    let file = team_args.read_as_of(registry, folder.as_deref(), &identity.variables)?;
+    let id = file.host_named(&of.name).map_err(|error| BadInput(error.to_string()))?;
+    let team = team_args.for_host(&file, id)?;
+    let list = trusted(&attached).filter(|_| args.key_file.is_none());
+    let trusts = list.is_some();
+    let key = match list {
+        _ if !of.keyed => None,
+        Some(list) => Some(list),
+        None => team::key(&team).with_context(|| keyless(path))?.map(Key::new),
+    };
+    if of.keyed && key.is_none() {
+        return bad(keyless(path));
+    }
+    if trusts {
+        talk(&format!("warning: '{}': no tag is checked; what its list says of them is trusted", path.display()));
+    }
+    let policy = team::policy(&team, registry)?;
+    let trial = Trial::of_host(registry, &team, policy.model).map_err(|error| BadInput(error.to_string()))?;
+    let live = LiveHost::closed(&team, &trial, key, registry, (&process(path, &of)?, &of.transports))?;
+    Ok(Prepared { turns: Turns::open(path)?, identity, messages, policy: policy.name, live, trusts })
+}
+
+fn process(path: &Path, of: &HostIdentity) -> Result<ProcessIdentity> {
+    let seed = bytes_of(&of.seed).ok_or_else(|| BadInput(format!("'{}': its seed is damaged", path.display())))?;
+    let (incarnation, operator) = (of.incarnation, HostId(0));
+    Ok(ProcessIdentity { incarnation, seed: Seed::of_bytes(seed), bytes: seed, operator })
+}
+
+fn keyless(path: &Path) -> String {
+    format!("'{}' is of a team with a key, which is in no record: give it with --key-file", path.display())
+}
+
+/// Runs a host again and compares all of its messages with its record.
+pub fn compare(prepared: Prepared) -> Result<Compared> {
+    let Prepared { identity, messages, live, mut turns, trusts, .. } = prepared;
+    let Some((begun, _)) = turns.next() else {
+        return Ok(Compared { messages: 0, difference: None, cut: true, gap_s: None });
+    };
+    let topics = Topics::new(Stage::of(live.plan()), Scope::Host, identity.anchor_ns);
+    let comparison = Comparison::new(messages, topics, identity.anchor_ns);
+    let comparison = Rc::new(RefCell::new(if trusts { comparison.without_tags() } else { comparison }));
+    comparison.borrow_mut().push(Event::Turn(begun));
+    let (heard, ended) = (Rc::clone(&comparison), Rc::clone(&comparison));
+    let over = Rc::new(Cell::new(false));
+    let stop = Rc::clone(&over);
+    live.run_again(
+        begun,
+        turns.take_while(move |_| !stop.get()),
+        move |host, event| {
+            if let Some(event) = Event::of(Scope::Host, host, event) {
+                heard.borrow_mut().push(event);
+            }
+        },
+        |_| {},
+        move |now| {
+            ended.borrow_mut().push(Event::Turn(now));
+            over.set(ended.borrow().is_over());
+        },
+    );
+    finish(comparison)
+}
+
+/// Runs a host again, and passes each datagram that it publishes on, with its time.
+pub fn published(live: LiveHost, mut turns: Turns, take: impl FnMut(Time, &[u8]) + 'static) {
+    let Some((begun, _)) = turns.next() else { return };
+    let now = Rc::new(Cell::new(begun));
+    let (time, take) = (Rc::clone(&now), RefCell::new(take));
+    // The time of a turn is known when it begins, not only when it ends.
+    let turns = turns.inspect(move |(at, _)| time.set(*at));
+    let heard = move |_, event: ProcessEvent| {
+        if let ProcessEvent::Published(frame) = event {
+            (take.borrow_mut())(now.get(), frame);
+        }
+    };
+    live.run_again(begun, turns, heard, |_| {}, |_| {});
+}
+
+impl Prepared {
+    /// Takes the host and its turns out.
+    pub fn into_parts(self) -> (Identity, Messages, LiveHost, Turns) {
+        (self.identity, self.messages, self.live, self.turns)
+    }
+}
+
+/// Turns of a host's record: the time of each, and its inputs.
+pub struct Turns(Messages);
+
+impl Turns {
+    fn open(path: &Path) -> Result<Turns> {
+        Ok(Turns(reader::open(path)?.messages))
+    }
+}
+
+impl Iterator for Turns {
+    type Item = (Time, Vec<Input>);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        // A file that is damaged in its middle is reported by the comparison, which reads the same bytes.
+        while let Ok(Some(message)) = self.0.next_message() {
+            if message.channel.encoding == Topic::Turn.encoding() {
+                let turn = tape::read(&message.data)?;
+                return Some((turn.now, turn.inputs));
+            }
+        }
+        None
+    }
+}
+
+fn bytes_of(hexadecimal: &str) -> Option<[u8; 32]> {
+    let digits = hexadecimal.as_bytes().chunks(2);
+    let bytes: Option<Vec<u8>> =
+        digits.map(|two| u8::from_str_radix(std::str::from_utf8(two).ok()?, 16).ok()).collect();
+    bytes?.try_into().ok()
+}

@@ -1,0 +1,121 @@
+//! Actions of a host with another policy on the same inputs, step by step beside those in its record.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::reader::{Messages, ReadError};
+use crate::messages::geometry::Vec2;
+use crate::messages::wire::Wire;
+use crate::net::protocol::codec;
+
+/// Commands of one host: by robot, the time \[ns\] and the commanded velocity \[m/s\].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Commands(BTreeMap<u16, Vec<(u64, Vec2)>>);
+
+/// Difference of one robot's actions at one step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct StepDifference {
+    /// Time of the run \[s\].
+    pub at_s: f64,
+    /// The robot.
+    pub robot: u16,
+    /// Recorded velocity along x and y \[m/s\], world frame.
+    pub recorded: [f32; 2],
+    /// Velocity of the other policy \[m/s\], world frame.
+    pub replayed: [f32; 2],
+}
+
+impl StepDifference {
+    /// Size of the difference \[m/s\].
+    pub fn size(&self) -> f64 {
+        let [x, y] = [0, 1].map(|axis| f64::from(self.recorded[axis] - self.replayed[axis]));
+        (x * x + y * y).sqrt()
+    }
+}
+
+/// Differences of one robot in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RobotDifference {
+    /// The robot.
+    pub robot: u16,
+    /// Steps that both have.
+    pub steps: usize,
+    /// Steps that only one of both has.
+    pub unpaired: usize,
+    /// Time of the first step that differs \[s\].
+    pub first_s: Option<f64>,
+    /// Mean size of the difference \[m/s\].
+    pub mean_m_s: f64,
+    /// Largest size of the difference \[m/s\].
+    pub most_m_s: f64,
+}
+
+impl Commands {
+    /// Takes a published datagram, if it is a motor command.
+    pub fn take(&mut self, at_ns: u64, datagram: &[u8]) {
+        if let Ok((_, Wire::MotorCommand(command))) = codec::decode(datagram) {
+            self.0.entry(command.robot.0).or_default().push((at_ns, command.velocity));
+        }
+    }
+
+    /// Reads the commands of a record; times count from `anchor_ns`.
+    pub fn read(mut messages: Messages, anchor_ns: u64) -> Result<Commands, ReadError> {
+        let mut commands = Commands::default();
+        while let Some(message) = messages.next_message()? {
+            if message.channel.topic.starts_with("/wire/") {
+                commands.take(message.at.saturating_sub(anchor_ns), &message.data);
+            }
+        }
+        Ok(commands)
+    }
+
+    /// Pairs the commands of equal times, and returns each step, and each robot in numbers.
+    pub fn beside(&self, replayed: &Commands) -> (Vec<StepDifference>, Vec<RobotDifference>) {
+        let (mut steps, mut robots) = (Vec::new(), Vec::new());
+        for (robot, recorded) in &self.0 {
+            let none = Vec::new();
+            let other = replayed.0.get(robot).unwrap_or(&none);
+            let by_time: BTreeMap<u64, Vec2> = other.iter().copied().collect();
+            let pairs = recorded.iter().filter_map(|(at, velocity)| Some((*at, *velocity, *by_time.get(at)?)));
+            let pair = |(at, recorded, replayed): (u64, Vec2, Vec2)| StepDifference {
+                at_s: at as f64 / 1e9,
+                robot: *robot,
+                recorded: recorded.to_array(),
+                replayed: replayed.to_array(),
+            };
+            let all: Vec<StepDifference> = pairs.map(pair).collect();
+            let sizes: Vec<f64> = all.iter().map(StepDifference::size).collect();
+            robots.push(RobotDifference {
+                robot: *robot,
+                steps: all.len(),
+                unpaired: recorded.len() + other.len() - 2 * all.len().min(other.len()),
+                first_s: all.iter().find(|step| step.size() > 0.0).map(|step| step.at_s),
+                mean_m_s: sizes.iter().sum::<f64>() / sizes.len().max(1) as f64,
+                most_m_s: sizes.iter().copied().fold(0.0, f64::max),
+            });
+            steps.extend(all);
+        }
+        (steps, robots)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_of_equal_times_are_paired_and_the_first_difference_is_found() {
+        let commands = |all: &[(u64, f32)]| {
+            let of_robot = all.iter().map(|(at, speed)| (*at, Vec2::new(*speed, 0.0))).collect();
+            Commands(BTreeMap::from([(3, of_robot)]))
+        };
+        let recorded = commands(&[(0, 1.0), (50, 1.0), (100, 0.5), (150, 0.0)]);
+        let replayed = commands(&[(0, 1.0), (50, 0.75), (100, 0.5), (175, 9.0)]);
+        let (steps, robots) = recorded.beside(&replayed);
+        assert_eq!(steps.len(), 3);
+        let one = &robots[0];
+        assert_eq!((one.steps, one.unpaired, one.first_s), (3, 2, Some(50e-9)));
+        assert!((one.most_m_s - 0.25).abs() < 1e-9 && (one.mean_m_s - 0.25 / 3.0).abs() < 1e-9);
+    }
+}

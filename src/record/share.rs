@@ -1,0 +1,61 @@
+//! Records that are shared without the team's key: a list says which datagrams had a valid tag, and a replay trusts it.
+
+use std::collections::BTreeSet;
+use std::io::{Seek, Write};
+
+use super::reader::{Item, Messages, ReadError, Reader};
+use super::repair::{Copy, RepairError};
+use super::tape;
+use crate::graph::inputs::Input;
+use crate::messages::ids::HostId;
+use crate::net::protocol::key::{Key, digest};
+
+/// Name of the list in a file: digests of 16 bytes each.
+pub const ACCEPTED: &str = "murmurate.accepted";
+
+/// Datagrams of a record, by their tags.
+#[derive(Clone, Debug, Default)]
+pub struct Found {
+    /// Digests of those with a valid tag.
+    pub accepted: BTreeSet<[u8; 16]>,
+    /// Number of the others.
+    pub refused: u64,
+}
+
+/// Checks the tags of the datagrams that reached the host with the number `host`.
+pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found, ReadError> {
+    let mut found = Found::default();
+    while let Some(message) = messages.next_message()? {
+        if message.channel.topic != "/tape/turn" {
+            continue;
+        }
+        for input in tape::read(&message.data).into_iter().flat_map(|turn| turn.inputs) {
+            if let Input::Frame(link, frame, _) = input {
+                match key.open(&frame, link, host) {
+                    Some(_) => drop(found.accepted.insert(digest(&frame, link))),
+                    None => found.refused += 1,
+                }
+            }
+        }
+    }
+    Ok(found)
+}
+
+/// Copies a record with the list of its accepted datagrams.
+pub fn copy(from: &mut Reader, accepted: &BTreeSet<[u8; 16]>, to: impl Write + Seek) -> Result<(), RepairError> {
+    let mut copy = Copy::begin(to)?;
+    let list: Vec<u8> = accepted.iter().flatten().copied().collect();
+    copy.item(Item::Attachment(ACCEPTED.to_owned(), "application/octet-stream".to_owned(), list))?;
+    while let Some(item) = from.next_item()? {
+        copy.item(item)?;
+    }
+    copy.finish()?;
+    Ok(())
+}
+
+/// Returns the key that trusts a list, from the files of a record; `None` if it has no list.
+pub fn trusted(attached: &[(String, Vec<u8>)]) -> Option<Key> {
+    let (_, list) = attached.iter().find(|(name, _)| name == ACCEPTED)?;
+    let (digests, _) = list.as_chunks::<16>();
+    Some(Key::trusting(digests.iter().copied().collect()))
+}
