@@ -78,6 +78,22 @@ pub struct Args {
 /// Period of the event with all counts, which remain known if the host is killed.
 const COUNTED_PERIOD: Span = Span::from_millis(1000);
 
+/// Returns what the table of results says of the run.
+fn results_of(team: &Team, policy: String, began: Instant, interrupted: bool) -> Run {
+    Run {
+        mode: team.deployment.mode.clone(),
+        scenario: team.scenario.clone(),
+        policy,
+        robots: team.deployment.robots,
+        judged: team.deployment.judged(),
+        seed: team.seed,
+        wall_s: began.elapsed().as_secs_f64(),
+        network: None,
+        faults: Vec::new(),
+        interrupted,
+    }
+}
+
 /// Returns the flags of a record's team file, from the arguments of the command that made the record.
 #[cfg(feature = "sim")]
 pub fn of_record(arguments: &[String]) -> Result<team::TeamArgs> {
@@ -159,19 +175,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (interrupted, unwritten) = (watch.over.is_none(), counted.unwritten);
     outlets.print_event(&if interrupted { HostEvent::Counted(counted) } else { HostEvent::Finished(counted) });
     if !args.json && !report.episodes.is_empty() {
-        let run = Run {
-            mode: team.deployment.mode.clone(),
-            scenario: team.scenario.clone(),
-            policy: policy.name,
-            robots: team.deployment.robots,
-            judged: team.deployment.judged(),
-            seed: team.seed,
-            wall_s: began.elapsed().as_secs_f64(),
-            network: None,
-            faults: Vec::new(),
-            interrupted,
-        };
         let counts = if team.deployment.hosts.len() == 1 { Counts::Team } else { Counts::Host };
+        let run = results_of(&team, policy.name, began, interrupted);
         outlets.print(&Summary::of_team(run, report, counts, unwritten).to_string());
     }
     outlets.close()?;

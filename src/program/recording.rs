@@ -48,7 +48,7 @@ fn arguments() -> Vec<String> {
         }
         value_follows = OUTPUTS.contains(&&**argument);
         let joined = |flag: &&str| argument.strip_prefix(*flag).is_some_and(|rest| rest.starts_with('='));
-        !value_follows && !OUTPUTS.iter().any(|flag| joined(&flag))
+        !value_follows && !OUTPUTS.iter().any(joined)
     };
     all.filter(changes).collect()
 }
@@ -81,8 +81,8 @@ pub struct Simulated {
 
 #[cfg(feature = "sim")]
 impl Simulated {
-    /// Prepares the folder. `files` are those that the flags name, `policy` is the digest of the policy's file. A folder
-    /// with a record of another run is refused.
+    /// Prepares the folder. `files` are those that the flags name, `policy` is the digest of the policy's file. A
+    /// folder with a record of another run is refused.
     pub fn open(folder: &Path, files: Vec<PathBuf>, policy: &str, repeats: u32) -> Result<Simulated> {
         make(folder)?;
         let taken = (0..repeats).map(|repeat| Simulated::path(folder, repeat)).find(|path| path.exists());
@@ -152,8 +152,8 @@ pub struct OfHost {
 
 impl OfHost {
     /// Creates the record of a host that is to run, `NAME-INCARNATION.mcap`, in the folder of the flag or else of the
-    /// team file; `None` if there is neither. `began` is the run's time zero; `files` are the team file and the policy's
-    /// file.
+    /// team file; `None` if there is neither. `began` is the run's time zero; `files` are the team file and the
+    /// policy's file.
     pub fn open(
         flags: &RecordFlags,
         (team, live): (&Team, &LiveHost),

@@ -1,5 +1,5 @@
-//! The file of a record: MCAP in chunks without compression, each written whole, so that what was flushed before a crash
-//! can be read. The writer has a thread of its own.
+//! The file of a record: MCAP in chunks without compression, each written whole, so that what was flushed before a
+//! crash can be read. The writer has a thread of its own.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -191,7 +191,8 @@ impl Recording {
         Some(RecordError::Write { path: self.path.clone(), reason })
     }
 
-    /// Ends the record and waits for the writer: at most for `most`, or as long as it takes. Returns the number of events that the record lacks.
+    /// Ends the record and waits for the writer: at most for `most`, or as long as it takes. Returns the number of
+    /// events that the record lacks.
     pub fn finish(self, most: Option<Duration>) -> Result<u64, RecordError> {
         self.inlet.close();
         let until = most.map(|most| (most, Instant::now() + most));

@@ -3,8 +3,9 @@
 //! Every datagram that one host has published and another has received gives a bound: it cannot arrive before it was
 //! sent. Of the datagrams between two hosts within ten seconds, the fastest in each direction bound the difference of
 //! the clocks from both sides; the middle is the estimate, and half of the width its uncertainty (Cristian, 1989). A
-//! time in a record is that at which a turn of the event loop began, so single times are early by up to a turn's length:
-//! the fastest two in a hundred are left out of the estimate, and widen the uncertainty where they disagree with it.
+//! time in a record is that at which a turn of the event loop began, so single times are early by up to a turn's
+//! length: the fastest two in a hundred are left out of the estimate, and widen the uncertainty where they disagree
+//! with it.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -59,8 +60,8 @@ impl Traffic {
         self.arrived.extend(key(datagram).map(|key| (key, at)));
     }
 
-    /// Time from sending here to arrival at `other` that two datagrams in a hundred beat, each time on its own clock, by
-    /// windows of the time here.
+    /// Time from sending here to arrival at `other` that two datagrams in a hundred beat, each time on its own clock,
+    /// by windows of the time here.
     fn fastest(&self, other: &Traffic) -> BTreeMap<i64, i64> {
         let mut took: BTreeMap<i64, Vec<i64>> = BTreeMap::new();
         for (key, arrived) in &other.arrived {
@@ -225,7 +226,8 @@ pub struct Part {
 mod tests {
     use super::*;
 
-    /// Traffic of two hosts whose second clock is ahead by `ahead` and faster by `drift`, with delays in both directions.
+    /// Traffic of two hosts whose second clock is ahead by `ahead` and faster by `drift`, with delays in both
+    /// directions.
     fn two(ahead: i64, drift: f64, delays: [i64; 2]) -> [Traffic; 2] {
         let mut all = [Traffic::default(), Traffic::default()];
         let there = |at: i64| at + ahead + (at as f64 * drift) as i64;

@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn messages_are_as_in_the_specification() {
-        // The example of the encoding guide: field 1 is 150, field 2 is "testing", field 3 is a message with field 1 150.
+        // The example of the encoding guide: field 1 is 150, field 2 "testing", field 3 a message with field 1 150.
         let mut message = Message::default();
         message.uint(1, 150);
         message.text(2, "testing");

@@ -1,4 +1,5 @@
-//! Reader of records, from the first byte to the last. A file that a crash has cut is read up to its last whole message.
+//! Reader of records, from the first byte to the last. A file that a crash has cut is read up to its last whole
+//! message.
 
 use std::collections::BTreeMap;
 use std::fs::File;

@@ -57,7 +57,8 @@ fn table(host: &str, policy: &str, robots: &[RobotDifference]) -> String {
         let RobotDifference { robot, steps, mean_m_s, most_m_s, unpaired, .. } = robot;
         let _ = write!(
             text,
-            "\n  robot {robot:<3} {steps} steps: {first}; difference {mean_m_s:.3} m/s in the mean, {most_m_s:.3} at the most"
+            "\n  robot {robot:<3} {steps} steps: {first}; difference {mean_m_s:.3} m/s in the mean, {most_m_s:.3} at \
+             the most"
         );
         if *unpaired > 0 {
             let _ = write!(text, "; {unpaired} steps of only one of both");
