@@ -64,7 +64,7 @@ fn hosts_of_a_team_with_a_key_run_again_to_the_bit_and_each_change_is_noticed() 
             true
         }),
         ("one turn a microsecond later", |turn| {
-            turn.now = turn.now + Span::from_nanos(1000);
+            turn.now += Span::from_nanos(1000);
             true
         }),
     ];
