@@ -12,7 +12,7 @@
 //! `chassis`; `hearing`, `faults`; `scenario`, `policy`, `world`, `safety`; `edge`, `ros2`, `drivers`, `estimation`,
 //! `localization`; `net::protocol`, `net::transport`, `registry`, `net::media`; `report`; then [`actors`], and beside
 //! them [`train`], which uses no actor; `deploy`; `runtime`, which runs actors; `graph`, which connects them; `record`;
-//! `trial`; `live`, `study`; `program`, the command line. `tests/tidy.rs` checks it.
+//! `trial`; `view`, the live page; `live`, `study`; `program`, the command line. `tests/tidy.rs` checks it.
 //!
 //! # Where to start reading
 //! [`messages::wire`], then [`actors`], then `graph/mod.rs`, which connects the actors. [`trial`] runs all of it from a
@@ -55,6 +55,8 @@ pub mod time;
 #[cfg(feature = "train")]
 pub mod train;
 pub mod trial;
+#[cfg(feature = "watch")]
+pub mod view;
 pub mod world;
 
 #[doc = include_str!("../README.md")]

@@ -1,0 +1,144 @@
+//! Access to the page: the token, and the hosts and origins that a request may name. Pure.
+
+use std::net::{IpAddr, SocketAddr};
+
+use crate::view::command::{Command, Right};
+
+/// Length of a drawn token \[bytes\]: 128 bits.
+pub const TOKEN_BYTES: usize = 16;
+/// Prefix of the WebSocket subprotocol that carries the token.
+const TOKEN_PROTOCOL: &str = "token.";
+
+/// Commands that a process takes from pages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Control {
+    /// The emergency stop alone.
+    StopOnly,
+    /// Commands to the team: stop, re-arm, resume and pause.
+    Team,
+    /// Commands to the team, and faults of an emulated team.
+    Emulation,
+}
+
+/// Secret that a browser shows for every command but the emergency stop, as hexadecimal digits.
+#[derive(Clone)]
+pub struct Token(String);
+
+impl Token {
+    /// Makes a token of these bytes.
+    pub fn new(bytes: &[u8]) -> Token {
+        Token(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+    }
+
+    /// The digits, for the address of the page. They belong into no log.
+    pub fn digits(&self) -> &str {
+        &self.0
+    }
+
+    /// Whether one of the WebSocket subprotocols that a browser offers carries this token. The comparison takes the same
+    /// time wherever the first difference is.
+    pub fn is_among(&self, protocols: &str) -> bool {
+        let offered = protocols.split(',').filter_map(|one| one.trim().strip_prefix(TOKEN_PROTOCOL));
+        offered.fold(false, |found, token| found | same(token.as_bytes(), self.0.as_bytes()))
+    }
+}
+
+/// Compares all bytes, whatever the first difference.
+fn same(one: &[u8], other: &[u8]) -> bool {
+    let differences = one.iter().zip(other).fold(0, |differences, (a, b)| differences | (a ^ b));
+    one.len() == other.len() && std::hint::black_box(differences) == 0
+}
+
+/// Rules of one server.
+#[derive(Clone)]
+pub struct Access {
+    /// Secret for every command but the emergency stop.
+    pub token: Token,
+    /// Commands that the process takes.
+    pub control: Control,
+    /// Whether pictures and states need the token as well: for a server that other machines reach.
+    pub guarded: bool,
+}
+
+impl Access {
+    /// Reason why a browser may not give a command; `None` if it may. `holder` is whether it has shown the token.
+    pub fn refuses(&self, command: &Command, holder: bool) -> Option<&'static str> {
+        match (command.right(), self.control) {
+            (Right::Anyone, _) => None,
+            (_, Control::StopOnly) => Some("this page only watches; start the program with --control"),
+            (_, _) if !holder => Some("no token: open the address that the program printed"),
+            (Right::Emulation, Control::Team) => Some("faults are for emulated teams"),
+            (Right::Control | Right::Emulation, _) => None,
+        }
+    }
+}
+
+/// Whether a request may name `host` in its header `Host`, at a server that was reached at `local`: that very address,
+/// or a loopback name if it is a loopback address. A page of another origin cannot choose either (DNS rebinding).
+pub fn is_host(host: &str, local: SocketAddr) -> bool {
+    let port = local.port();
+    let own = SocketAddr::new(canonical(local.ip()), port).to_string();
+    let loopback = [format!("127.0.0.1:{port}"), format!("localhost:{port}"), format!("[::1]:{port}")];
+    let named = host == own || canonical(local.ip()).is_loopback() && loopback.iter().any(|name| name == host);
+    // A browser leaves out the port of its scheme.
+    named || port == 80 && !host.contains(":80") && is_host(&format!("{host}:80"), local)
+}
+
+/// Whether a WebSocket may come from a page of `origin`, for a request to `host`: from this server's own page only.
+pub fn is_origin(origin: &str, host: &str) -> bool {
+    origin.strip_prefix("http://").is_some_and(|from| from == host)
+}
+
+fn canonical(ip: IpAddr) -> IpAddr {
+    ip.to_canonical()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hosts_are_the_address_itself_or_a_loopback_name() {
+        let local: SocketAddr = "127.0.0.1:8137".parse().unwrap();
+        for fine in ["127.0.0.1:8137", "localhost:8137", "[::1]:8137"] {
+            assert!(is_host(fine, local), "{fine}");
+        }
+        for wrong in ["", "127.0.0.1", "127.0.0.1:80", "evil.example:8137", "localhost.evil.example:8137", "localhost"] {
+            assert!(!is_host(wrong, local), "{wrong}");
+        }
+        let far: SocketAddr = "192.168.1.5:8137".parse().unwrap();
+        assert!(is_host("192.168.1.5:8137", far) && !is_host("localhost:8137", far) && !is_host("robot:8137", far));
+        let web: SocketAddr = "127.0.0.1:80".parse().unwrap();
+        assert!(is_host("localhost", web) && is_host("localhost:80", web) && !is_host("evil.example", web));
+    }
+
+    #[test]
+    fn origins_are_this_server_alone() {
+        assert!(is_origin("http://localhost:81", "localhost:81"));
+        for wrong in ["", "null", "https://localhost:81", "http://localhost", "http://evil.example", "http://localhost:812"] {
+            assert!(!is_origin(wrong, "localhost:81"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn only_the_whole_token_counts() {
+        let token = Token::new(&[0xab; TOKEN_BYTES]);
+        let digits = "ab".repeat(16);
+        assert!(token.is_among(&format!("murmurate, token.{digits}")));
+        for wrong in ["", "murmurate", "token.", &digits, &format!("token.{}", &digits[1..]), &format!("token.{digits}0")] {
+            assert!(!token.is_among(wrong), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_stop_needs_nothing_and_faults_need_an_emulated_team() {
+        let access = |control| Access { token: Token::new(&[1]), control, guarded: false };
+        let link = Command::Link { link: "air".to_owned(), cut: true, delay_ms: 0.0, loss: 0.0 };
+        assert_eq!(access(Control::StopOnly).refuses(&Command::Stop, false), None);
+        assert!(access(Control::StopOnly).refuses(&Command::Rearm, true).is_some());
+        assert!(access(Control::Team).refuses(&Command::Rearm, false).is_some());
+        assert_eq!(access(Control::Team).refuses(&Command::Rearm, true), None);
+        assert!(access(Control::Team).refuses(&link, true).is_some());
+        assert_eq!(access(Control::Emulation).refuses(&link, true), None);
+    }
+}

@@ -1,0 +1,114 @@
+//! Command of a page: what a browser may ask of the process that serves it.
+
+use serde::Deserialize;
+
+use crate::faults::Role;
+use crate::messages::ids::RobotId;
+
+/// Largest message of a browser \[bytes\].
+pub const MAX_BYTES: usize = 4096;
+/// Largest delay that a page may set \[ms\].
+pub const MAX_DELAY_MS: f64 = 5000.0;
+/// Largest number of bytes in the name of a link.
+const MAX_NAME: usize = 64;
+
+/// Command of a page to the process that drives or watches the team.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Command {
+    /// Engage the emergency stop.
+    Stop,
+    /// Take the emergency stop back; the team stays held.
+    Rearm,
+    /// Let a held or paused team go on.
+    Resume,
+    /// Hold the team after the current episode, until it is resumed.
+    Pause,
+    /// Crash an actor of a robot until it is restarted. In emulation only.
+    Kill {
+        /// Role of the actor.
+        role: Role,
+        /// Robot of the actor.
+        robot: RobotId,
+    },
+    /// Restart an actor that was crashed. In emulation only.
+    Restart {
+        /// Role of the actor.
+        role: Role,
+        /// Robot of the actor.
+        robot: RobotId,
+    },
+    /// Set what a link does to its frames, in addition to what the deployment says. In emulation only.
+    Link {
+        /// Name of the link.
+        link: String,
+        /// Whether the link loses every frame.
+        cut: bool,
+        /// Additional delay of every frame \[ms\].
+        delay_ms: f64,
+        /// Probability, 0 to 1, that a frame is lost.
+        loss: f64,
+    },
+}
+
+/// Right that a command needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Right {
+    /// None: whoever sees the page may give the command.
+    Anyone,
+    /// The token of the page, and a process that was started with control.
+    Control,
+    /// The same, and a team that is emulated.
+    Emulation,
+}
+
+impl Command {
+    /// Reads a command from a browser's message. The error says what is wrong with it.
+    pub fn parse(text: &str) -> Result<Command, String> {
+        let command: Command = serde_json::from_str(text).map_err(|error| format!("no command: {error}"))?;
+        if let Command::Link { link, delay_ms, loss, .. } = &command {
+            if link.len() > MAX_NAME {
+                return Err("no command: the name of the link is too long".to_owned());
+            }
+            if !(0.0..=MAX_DELAY_MS).contains(delay_ms) || !(0.0..=1.0).contains(loss) {
+                return Err(format!("no command: delay is 0 to {MAX_DELAY_MS} ms, loss 0 to 1"));
+            }
+        }
+        Ok(command)
+    }
+
+    /// Right that the command needs.
+    pub fn right(&self) -> Right {
+        match self {
+            Command::Stop => Right::Anyone,
+            Command::Rearm | Command::Resume | Command::Pause => Right::Control,
+            Command::Kill { .. } | Command::Restart { .. } | Command::Link { .. } => Right::Emulation,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn commands_are_read_and_everything_else_is_refused() {
+        assert_eq!(Command::parse(r#"{"do":"stop"}"#), Ok(Command::Stop));
+        let kill = r#"{"do":"kill","role":"state-server","robot":3}"#;
+        assert_eq!(Command::parse(kill), Ok(Command::Kill { role: Role::StateServer, robot: RobotId(3) }));
+        let cut = Command::parse(r#"{"do":"link","link":"air","cut":true,"delay_ms":20,"loss":0.5}"#).unwrap();
+        assert_eq!((cut.right(), Command::Stop.right()), (Right::Emulation, Right::Anyone));
+        for wrong in [
+            "",
+            "stop",
+            "[]",
+            r#"{"do":"halt"}"#,
+            r#"{"do":"kill","role":"cache"}"#,
+            r#"{"do":"kill","role":"cache","robot":-1}"#,
+            r#"{"do":"link","link":"air","cut":true,"delay_ms":1e9,"loss":0.5}"#,
+            r#"{"do":"link","link":"air","cut":true,"delay_ms":0,"loss":null}"#,
+        ] {
+            assert!(Command::parse(wrong).is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! Orders of pages: one stop, re-arm, resume or hold at a time, by the same state machine as `murmurate stop`.
+
+use crate::actor::Core;
+use crate::actors::order::{Order, OrderKind};
+use crate::messages::ids::HostId;
+use crate::messages::wire::{Status, Stop};
+use crate::time::{Span, Time};
+
+/// Longest time that robots have to confirm.
+const PATIENCE: Span = Span::from_millis(3000);
+/// Shortest time for which an order is repeated, so that it reaches hosts that have missed it.
+const AT_LEAST: Span = Span::from_millis(500);
+
+/// The order in progress, with what is said about it.
+#[derive(Debug)]
+pub struct Orders {
+    me: HostId,
+    robots: usize,
+    running: Option<(Order, OrderKind, Time)>,
+    /// Result of the last order, until it is taken.
+    result: Option<String>,
+}
+
+impl Orders {
+    /// Makes one without orders. `me` is the sender's number as an operator, `robots` the size of the team.
+    pub fn new(me: HostId, robots: usize) -> Orders {
+        Orders { me, robots, running: None, result: None }
+    }
+
+    /// Begins an order. It replaces the one in progress, except that only a stop replaces a stop.
+    pub fn give(&mut self, now: Time, kind: OrderKind) -> Result<(), &'static str> {
+        match &self.running {
+            Some((order, OrderKind::Stop, _)) if kind != OrderKind::Stop && order.confirmed_at().is_none() => {
+                Err("the stop is not confirmed yet")
+            }
+            Some((_, OrderKind::Stop, _)) if kind == OrderKind::Stop => Ok(()),
+            _ => {
+                self.running = Some((Order::new(self.me, kind, self.robots), kind, now));
+                Ok(())
+            }
+        }
+    }
+
+    /// Takes the answer of a host.
+    pub fn hear(&mut self, now: Time, status: &Status) {
+        let Some((order, kind, began)) = &mut self.running else { return };
+        let before = order.confirmed_at();
+        order.handle(now, status.clone(), &mut Vec::new());
+        if before.is_none() && order.confirmed_at().is_some() {
+            let took = now.since(*began).as_secs();
+            self.result = Some(format!("{}: confirmed by all {} after {took:.3} s", word(*kind), self.robots));
+        }
+    }
+
+    /// Returns the message that is to be sent now, if any. To be called at least every 20 ms while an order runs.
+    pub fn turn(&mut self, now: Time) -> Option<Stop> {
+        let (order, kind, began) = self.running.as_mut()?;
+        let lasted = now.since(*began);
+        let confirmed = order.confirmed_at().is_some();
+        if confirmed && lasted >= AT_LEAST || lasted >= PATIENCE {
+            if !confirmed {
+                let robots: Vec<String> =
+                    order.unconfirmed().iter().take(8).map(|(robot, _)| robot.0.to_string()).collect();
+                let missing = match robots.len() {
+                    0 => "no word from the state server".to_owned(),
+                    _ => format!("robots {} have not confirmed", robots.join(", ")),
+                };
+                self.result = Some(format!("{}: {missing}; go and look at them, or try again", word(*kind)));
+            }
+            self.running = None;
+            return None;
+        }
+        let mut out = Vec::new();
+        if order.wake_at().is_some_and(|at| at <= now) {
+            order.wake(now, &mut out);
+        }
+        out.pop()
+    }
+
+    /// Whether an order is in progress.
+    pub fn is_running(&self) -> bool {
+        self.running.is_some()
+    }
+
+    /// Returns what has become of the last order, once.
+    pub fn take_result(&mut self) -> Option<String> {
+        self.result.take()
+    }
+}
+
+fn word(kind: OrderKind) -> &'static str {
+    match kind {
+        OrderKind::Stop => "stop",
+        OrderKind::Rearm => "re-arm",
+        OrderKind::Resume => "resume",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::ids::RobotId;
+    use crate::messages::latch::Latch;
+    use crate::messages::wire::Following;
+
+    #[test]
+    fn a_stop_is_sent_until_all_have_confirmed_and_no_re_arm_overtakes_it() {
+        let mut orders = Orders::new(HostId::operator(1), 1);
+        let at = |ms| Time::ZERO + Span::from_millis(ms);
+        assert_eq!(orders.turn(at(0)), None);
+        orders.give(at(0), OrderKind::Stop).unwrap();
+        assert!(orders.turn(at(0)).is_some_and(|stop| stop.latch.is_engaged()));
+        assert_eq!(orders.turn(at(10)), None, "every 20 ms");
+        assert!(orders.turn(at(20)).is_some() && orders.give(at(21), OrderKind::Rearm).is_err());
+        let latch = Some(Latch::engaged(1));
+        let robots = vec![Following { robot: RobotId(0), controller: latch, body: latch }];
+        orders.hear(at(30), &Status { host: HostId(0), leaves: false, robots, leading: None });
+        assert_eq!(orders.take_result().as_deref(), Some("stop: confirmed by all 1 after 0.030 s"));
+        assert!(orders.turn(at(499)).is_some() && orders.turn(at(501)).is_none() && !orders.is_running());
+        orders.give(at(600), OrderKind::Rearm).unwrap();
+        (0..200).for_each(|turn| drop(orders.turn(at(600 + 20 * turn))));
+        assert!(orders.take_result().unwrap().contains("robots 0 have not confirmed"));
+    }
+}

@@ -1,0 +1,501 @@
+// The live page: draws snapshots as they come, and sends commands. No library, no address but this server's.
+"use strict";
+
+const PHASES = ["needs reset", "resetting", "in place", "running", "at goal", "aborted", "finished", "waiting"];
+const HEADER = 16, ROBOT = 9, LINK = 6, UNKNOWN = -32768;
+const STALE_MS = 800;      // Grey from here: with the timer's period below, within a second of the last snapshot.
+const TRAIL_MS = 150, TRAIL_LENGTH = 30;
+const BINS = 20, BIN_MS = 25;
+const $ = id => document.getElementById(id);
+const canvas = $("canvas"), pen = canvas.getContext("2d");
+
+let scene = null, goals = [], status = null, holder = false;
+let world = null, heardAt = -Infinity, dirty = true, stale = true;
+let chosen = null, colours = {}, trails = [], trailAt = 0, view = { k: 1, x: 0, y: 0 };
+let histogram = new Float32Array(BINS + 1);
+const counts = { bytes: 0, snapshots: 0, drawn: 0, drawMs: 0 };
+
+// ---- connections
+
+// The token comes in the address and leaves it at once; a reload of this tab keeps it.
+const given = location.hash.slice(1);
+if (given) { sessionStorage.setItem("token", given); history.replaceState(null, "", location.pathname); }
+const token = sessionStorage.getItem("token") || "";
+const protocols = /^[0-9a-f]+$/.test(token) ? ["murmurate", "token." + token] : ["murmurate"];
+let control = null, stopWanted = false, refusedUntil = 0;
+
+function connect(path, open, message) {
+  const socket = new WebSocket(`ws://${location.host}/${path}`, protocols);
+  socket.binaryType = "arraybuffer";
+  socket.onopen = () => open(socket);
+  socket.onmessage = event => message(event.data);
+  socket.onclose = () => { if (path === "control") control = null; setTimeout(connect, 500, path, open, message); };
+}
+
+connect("view", () => {}, data => {
+  counts.bytes += data.byteLength;
+  if (data.byteLength < HEADER) return;
+  world = new DataView(data);
+  heardAt = performance.now();
+  counts.snapshots++;
+  dirty = true;
+  if (stale) checkStale();
+});
+
+connect("control", socket => { control = socket; if (stopWanted) send({ do: "stop" }); }, data => {
+  counts.bytes += data.length;
+  const { kind, body } = JSON.parse(data);
+  if (kind === "hello") holder = body.holder;
+  if (kind === "scene") { scene = body; setUp(); }
+  if (kind === "goals") { goals = body.goals; dirty = true; }
+  if (kind === "status") { status = body; showStatus(); }
+  if (kind === "refused") { refusedUntil = performance.now() + 4000; notice(`Refused: ${body.why}`); }
+});
+
+function send(command) {
+  if (control && control.readyState === WebSocket.OPEN) { control.send(JSON.stringify(command)); return true; }
+  notice("Not sent: there is no connection to the program.");
+  return false;
+}
+
+function stop() {
+  stopWanted = true;
+  if (!send({ do: "stop" })) {
+    notice("STOP is not sent: no connection. It is sent once there is one; use 'murmurate stop' or the robots' switch.");
+  }
+}
+
+function notice(text) { $("notice").textContent = text; $("notice").hidden = !text; }
+
+// ---- set-up
+
+function setUp() {
+  document.title = `${scene.scenario}, ${scene.robots} robots – Murmurate`;
+  world = null; trails = []; goals = [];
+  $("rows").replaceChildren(...Array.from({ length: scene.robots }, (_, robot) => row(robot)));
+  $("faults").hidden = scene.control !== "emulation";
+  $("link").replaceChildren(...scene.links.map(name => new Option(name)));
+  $("robot").replaceChildren(...Array.from({ length: scene.robots }, (_, robot) => new Option(`robot ${robot}`, robot)));
+  $("ages").hidden = !scene.hears_links;
+  for (const id of ["link", "cut", "delay", "loss"]) $(id).closest(".row").hidden = scene.links.length === 0;
+  $("histogram").replaceChildren(...Array.from({ length: BINS + 1 }, () => document.createElement("div")));
+  dirty = true;
+}
+
+function row(robot) {
+  const row = document.createElement("tr"), name = document.createElement("button");
+  name.textContent = robot;
+  name.setAttribute("aria-label", `links of robot ${robot}`);
+  for (let cell = 0; cell < 7; cell++) row.insertCell();
+  row.cells[0].append(name);
+  row.onclick = () => choose(robot === chosen ? null : robot);
+  return row;
+}
+
+function choose(robot) {
+  if (chosen !== null) $("rows").rows[chosen]?.removeAttribute("aria-selected");
+  chosen = robot;
+  if (chosen !== null) $("rows").rows[chosen].setAttribute("aria-selected", "true");
+  dirty = true;
+  showLinks();
+}
+
+// ---- state in words
+
+function set(node, text) { if (node.textContent !== text) node.textContent = text; }
+
+function showStatus() {
+  const s = status;
+  const standing = s.pause === "yes" && s.latch === "clear";
+  const words = { clear: standing ? "paused" : "running", held: "HELD", stopped: "STOPPED" };
+  if (s.latch === "stopped") stopWanted = false;
+  if (!stale) {
+    set($("state"), s.over ? "over" : words[s.latch]);
+    $("state").dataset.is = standing ? "held" : s.latch;
+  }
+  set($("confirmed"), `${s.confirmed}/${s.robots}`);
+  $("confirmed").className = s.confirmed < s.robots && s.latch !== "clear" ? "bad" : "";
+  set($("episode"), s.episode === null ? "–" : `${s.episode}${scene && scene.episodes ? "/" + scene.episodes : ""}`);
+  set($("phase"), s.phase === null ? "–" : PHASES[s.phase] + (s.pause === "asked" ? ", then pause" : ""));
+  const percent = share => (100 * share).toFixed(0);
+  const of = s.success;
+  set($("success"), !of ? "not heard here" : !of.episodes ? "–" : `${of.successes} of ${of.episodes} (95 %: ` +
+    `${percent(of.interval[0])} to ${percent(of.interval[1])} %)`);
+  $("success").title = Object.entries(s.verdicts).map(([verdict, times]) => `${verdict}: ${times}`).join(", ");
+  set($("clock"), `${s.time_s.toFixed(1)} s` + (s.speed === null ? "" : `, ${s.speed.toFixed(1)}×`));
+  const may = holder && scene && scene.control !== "stop";
+  $("rearm").disabled = !may || s.latch !== "stopped";
+  $("resume").disabled = !may || !(s.latch === "held" || s.pause !== "no");
+  $("pause").disabled = !may || s.latch !== "clear" || s.pause !== "no";
+  set($("killed"), s.killed.length ? `down: ${s.killed.join(", ")}` : "");
+  showRows();
+  showLog();
+  showLinks();
+  showAges();
+}
+
+function showRows() {
+  if (!scene || !world) return;
+  const n = world.getUint16(2, true), s = status, table = $("rows").rows;
+  const late = new Map(s.late), guard = new Map(s.guard), battery = new Map(s.battery), worst = worstAges(n);
+  const noBattery = battery.size === 0;
+  $("battery-head").hidden = noBattery;
+  for (let robot = 0; robot < Math.min(n, table.length); robot++) {
+    const at = HEADER + robot * ROBOT, phase = world.getUint8(at + 6), age = world.getUint8(at + 7);
+    const cells = table[robot].cells;
+    set(cells[1], phase === 255 ? "–" : PHASES[phase]);
+    set(cells[2], age === 255 ? "never" : age === 250 ? "> 5 s" : `${(age / 50).toFixed(2)} s`);
+    cells[2].className = age > 75 ? "bad" : "";
+    const link = worst[robot];
+    set(cells[3], !scene.hears_links || link < 0 ? "–" : link === 255 ? "never" : link === 250 ? "> 2.5 s" :
+      `${(link / 100).toFixed(2)} s`);
+    cells[3].className = link > 50 ? "bad" : "";
+    set(cells[4], String(late.get(robot) || 0));
+    cells[5].hidden = noBattery;
+    set(cells[5], battery.has(robot) ? `${battery.get(robot)} %` : "–");
+    set(cells[6], guard.get(robot) || "–");
+    cells[6].title = guard.get(robot) || "";
+  }
+}
+
+function* linksOf(snapshot) {
+  const n = snapshot.getUint16(2, true), m = snapshot.getUint16(8, true), base = HEADER + n * ROBOT;
+  for (let link = 0; link < m; link++) {
+    const at = base + link * LINK;
+    yield [snapshot.getUint16(at, true), snapshot.getUint16(at + 2, true), snapshot.getUint8(at + 4),
+      snapshot.getUint8(at + 5)];
+  }
+}
+
+function worstAges(n) {
+  const worst = new Int16Array(n).fill(-1);
+  for (const [one, other, age] of linksOf(world)) {
+    worst[one] = Math.max(worst[one], age);
+    worst[other] = Math.max(worst[other], age);
+  }
+  return worst;
+}
+
+function showLinks() {
+  const place = $("links-of");
+  place.hidden = chosen === null || !world;
+  if (place.hidden) return;
+  const lines = [];
+  for (const [one, other, age, loss] of linksOf(world)) {
+    if (one !== chosen && other !== chosen) continue;
+    const item = document.createElement("li");
+    const old = age === 255 ? "never" : `${(age / 100).toFixed(2)} s`;
+    item.textContent = `${one === chosen ? other : one}: ${old}${loss === 255 ? "" : `, ${loss} % lost`}`;
+    if (age > 50) item.className = "bad";
+    lines.push(item);
+  }
+  const title = document.createElement("h2"), list = document.createElement("ul");
+  title.textContent = !scene.hears_links ? `robot ${chosen}: links between robots are not heard here` :
+    `links of robot ${chosen}: ${lines.length || "no robot in range"}`;
+  list.append(...lines);
+  place.replaceChildren(title, list);
+}
+
+function showAges() {
+  if (!world || !scene || !scene.hears_links) return;
+  let total = 0;
+  histogram = histogram.map(times => times * 0.8);
+  for (const [, , age] of linksOf(world)) {
+    histogram[age === 255 ? BINS : Math.min(BINS, Math.floor(age * 10 / BIN_MS))]++;
+  }
+  for (const times of histogram) total += times;
+  const most = Math.max(...histogram, 1e-9), bars = $("histogram").children;
+  let sum = 0, half = null;
+  for (let bin = 0; bin <= BINS; bin++) {
+    sum += histogram[bin];
+    if (half === null && total && sum >= total / 2) half = bin;
+    bars[bin].style.height = `${100 * histogram[bin] / most}%`;
+    bars[bin].className = bin < 100 / BIN_MS ? "fresh" : bin < 300 / BIN_MS ? "old" : "late";
+  }
+  const median = half === null ? "no links" : half >= BINS ? "half are older than 0.5 s" :
+    `half within ${((half + 1) * BIN_MS / 1000).toFixed(3)} s`;
+  set($("ages-text"), `(${median})`);
+}
+
+let logged = 0;
+function showLog() {
+  const news = status.log.filter(([number]) => number > logged);
+  if (status.log.length && status.log[status.log.length - 1][0] < logged) logged = 0;
+  for (const [number, time, text] of news) {
+    const line = document.createElement("li"), at = document.createElement("time");
+    at.textContent = `${time.toFixed(1)} s`;
+    line.append(at, " " + text);
+    $("log").prepend(line);
+    logged = number;
+  }
+  while ($("log").children.length > 200) $("log").lastChild.remove();
+}
+
+// ---- picture
+
+function readColours() {
+  const style = getComputedStyle(document.documentElement);
+  for (const name of ["ground", "wall", "robot", "done", "hit", "halted", "silent", "on-robot", "goal", "trail",
+    "fresh", "old", "late", "none", "line", "accent", "dim"]) {
+    colours[name] = style.getPropertyValue("--" + name).trim();
+  }
+  dirty = true;
+}
+
+function positions(snapshot, n) {
+  const at = new Float32Array(2 * n);
+  for (let robot = 0; robot < n; robot++) {
+    const from = HEADER + robot * ROBOT, x = snapshot.getInt16(from, true), y = snapshot.getInt16(from + 2, true);
+    at[2 * robot] = x === UNKNOWN ? NaN : x * scene.scale_m;
+    at[2 * robot + 1] = y === UNKNOWN ? NaN : y * scene.scale_m;
+  }
+  return at;
+}
+
+function fit() {
+  const ratio = Math.min(devicePixelRatio || 1, 2);
+  const w = Math.round(canvas.clientWidth * ratio), h = Math.round(canvas.clientHeight * ratio);
+  if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
+  const margin = scene.hull_m + 0.15;
+  view.k = Math.min(w / (2 * (scene.half_extent[0] + margin)), h / (2 * (scene.half_extent[1] + margin)));
+  view.x = w / 2;
+  view.y = h / 2;
+  pen.setTransform(1, 0, 0, 1, 0, 0);
+  pen.clearRect(0, 0, w, h);
+  pen.setTransform(view.k, 0, 0, -view.k, view.x, view.y);
+  return ratio / view.k; // Length of one CSS pixel [m].
+}
+
+function draw() {
+  requestAnimationFrame(draw);
+  if (!dirty || !scene) return;
+  dirty = false;
+  const began = performance.now(), pixel = fit(), hull = Math.max(scene.hull_m, 3 * pixel);
+  const edge = scene.half_extent.map(half => half + scene.hull_m);
+  pen.fillStyle = colours.ground;
+  pen.fillRect(-edge[0], -edge[1], 2 * edge[0], 2 * edge[1]);
+  pen.lineWidth = pixel; pen.strokeStyle = colours.line;
+  pen.strokeRect(-edge[0], -edge[1], 2 * edge[0], 2 * edge[1]);
+  pen.fillStyle = colours.wall;
+  for (const [x, y, x2, y2] of scene.walls) pen.fillRect(x, y, x2 - x, y2 - y);
+  if (!world) return;
+  const n = world.getUint16(2, true), at = positions(world, n);
+  keepTrail(at);
+  if ($("show-range").checked && scene.range_m) drawRange(at, n, pixel);
+  if ($("show-links").checked) drawLinks(at, pixel);
+  if ($("show-trails").checked) drawTrails(n, pixel);
+  if ($("show-goals").checked) drawGoals(at, hull, pixel);
+  drawRobots(at, n, hull, pixel);
+  counts.drawMs += performance.now() - began;
+  counts.drawn++;
+  window.murmurate.view = { ...view };
+}
+
+function keepTrail(at) {
+  const now = performance.now();
+  if (trails.length && trails[0].length !== at.length) trails = [];
+  if (now - trailAt < TRAIL_MS) return;
+  trailAt = now;
+  trails.push(at);
+  if (trails.length > TRAIL_LENGTH) trails.shift();
+}
+
+function drawRange(at, n, pixel) {
+  pen.strokeStyle = colours.accent; pen.globalAlpha = chosen === null && n > 30 ? 0.15 : 0.35; pen.lineWidth = pixel;
+  pen.beginPath();
+  for (let robot = 0; robot < n; robot++) {
+    if (chosen !== null && robot !== chosen) continue;
+    const x = at[2 * robot], y = at[2 * robot + 1];
+    pen.moveTo(x + scene.range_m, y);
+    pen.arc(x, y, scene.range_m, 0, 2 * Math.PI);
+  }
+  pen.stroke();
+  pen.globalAlpha = 1;
+}
+
+function drawLinks(at, pixel) {
+  const byLoss = $("colour").value === "loss", names = ["fresh", "old", "late", "none"];
+  const paths = names.map(() => []);
+  for (const link of linksOf(world)) {
+    if (chosen !== null && link[0] !== chosen && link[1] !== chosen) continue;
+    const [age, loss] = [link[2], link[3]];
+    const kind = age === 255 ? 3 : byLoss ? (loss <= 5 ? 0 : loss <= 30 ? 1 : 2) : age <= 10 ? 0 : age <= 30 ? 1 : 2;
+    paths[kind].push(link[0], link[1]);
+  }
+  pen.globalAlpha = at.length > 400 ? 0.45 : 0.75;
+  for (let kind = 3; kind >= 0; kind--) {
+    pen.strokeStyle = colours[names[kind]];
+    pen.lineWidth = (kind === 3 ? 1 : 1.6) * pixel;
+    pen.setLineDash(kind === 3 ? [4 * pixel, 4 * pixel] : []);
+    pen.beginPath();
+    const path = paths[kind];
+    for (let end = 0; end < path.length; end += 2) {
+      pen.moveTo(at[2 * path[end]], at[2 * path[end] + 1]);
+      pen.lineTo(at[2 * path[end + 1]], at[2 * path[end + 1] + 1]);
+    }
+    pen.stroke();
+  }
+  pen.setLineDash([]);
+  pen.globalAlpha = 1;
+}
+
+function drawTrails(n, pixel) {
+  const step = n > 200 ? 4 : 1;
+  pen.strokeStyle = colours.trail; pen.globalAlpha = 0.3; pen.lineWidth = 2 * pixel;
+  pen.beginPath();
+  for (let robot = 0; robot < n; robot++) {
+    if (chosen !== null && robot !== chosen) continue;
+    let down = false;
+    for (let back = trails.length - 1; back >= 0; back -= step) {
+      const x = trails[back][2 * robot], y = trails[back][2 * robot + 1];
+      if (x !== x) { down = false; continue; }
+      if (down) pen.lineTo(x, y); else pen.moveTo(x, y);
+      down = true;
+    }
+  }
+  pen.stroke();
+  pen.globalAlpha = 1;
+}
+
+function drawGoals(at, hull, pixel) {
+  const arm = Math.min(hull * 0.5, 7 * pixel);
+  pen.strokeStyle = colours.goal; pen.lineWidth = 1.5 * pixel;
+  pen.beginPath();
+  goals.forEach((goal, robot) => {
+    if (!goal || chosen !== null && robot !== chosen) return;
+    const [x, y] = goal;
+    pen.moveTo(x - arm, y - arm); pen.lineTo(x + arm, y + arm);
+    pen.moveTo(x - arm, y + arm); pen.lineTo(x + arm, y - arm);
+  });
+  pen.stroke();
+  if (goals.length > 30 && chosen === null) return;
+  pen.globalAlpha = 0.5; pen.lineWidth = pixel; pen.setLineDash([2 * pixel, 5 * pixel]);
+  pen.beginPath();
+  goals.forEach((goal, robot) => {
+    if (!goal || chosen !== null && robot !== chosen || at[2 * robot] !== at[2 * robot]) return;
+    pen.moveTo(at[2 * robot], at[2 * robot + 1]); pen.lineTo(goal[0], goal[1]);
+  });
+  pen.stroke();
+  pen.setLineDash([]); pen.globalAlpha = 1;
+}
+
+function drawRobots(at, n, hull, pixel) {
+  const kinds = { robot: [], done: [], halted: [], silent: [] }, hit = [];
+  let unseen = 0, headings = 0;
+  const noses = [];
+  for (let robot = 0; robot < n; robot++) {
+    const from = HEADER + robot * ROBOT, phase = world.getUint8(from + 6), age = world.getUint8(from + 7);
+    const heading = world.getInt16(from + 4, true), flags = world.getUint8(from + 8);
+    if (at[2 * robot] !== at[2 * robot]) { unseen++; continue; }
+    kinds[age > 75 ? "silent" : flags & 2 ? "halted" : phase === 4 || phase === 2 ? "done" : "robot"].push(robot);
+    if (flags & 1) hit.push(robot);
+    if (heading !== UNKNOWN) { headings++; noses.push(robot, heading / 1e4); }
+  }
+  const circles = (robots, radius) => {
+    pen.beginPath();
+    for (const robot of robots) {
+      const x = at[2 * robot], y = at[2 * robot + 1];
+      pen.moveTo(x + radius, y); pen.arc(x, y, radius, 0, 2 * Math.PI);
+    }
+  };
+  for (const [name, robots] of Object.entries(kinds)) { pen.fillStyle = colours[name]; circles(robots, hull); pen.fill(); }
+  pen.strokeStyle = colours.hit; pen.lineWidth = 3 * pixel; circles(hit, hull + 2 * pixel); pen.stroke();
+  if (chosen !== null) {
+    pen.strokeStyle = colours.accent; pen.lineWidth = 3 * pixel; circles([chosen], hull + 4 * pixel); pen.stroke();
+  }
+  pen.strokeStyle = colours["on-robot"]; pen.lineWidth = Math.max(hull * 0.14, pixel); pen.lineCap = "round";
+  pen.beginPath();
+  for (let nose = 0; nose < noses.length; nose += 2) {
+    const x = at[2 * noses[nose]], y = at[2 * noses[nose] + 1], c = Math.cos(noses[nose + 1]), s = Math.sin(noses[nose + 1]);
+    pen.moveTo(x + 0.45 * hull * c, y + 0.45 * hull * s); pen.lineTo(x + 0.86 * hull * c, y + 0.86 * hull * s);
+  }
+  pen.stroke();
+  pen.lineCap = "butt";
+  if (hull / pixel >= 9) drawNumbers(at, n, hull);
+  const left = world.getUint16(10, true);
+  set($("note"), [unseen ? `${unseen} of ${n} robots: no position heard` : "",
+    unseen < n && headings === 0 ? "no heading heard: none is drawn" : "",
+    scene.hears_links ? "" : "links between robots are not heard here",
+    left ? `the ${left} longest links are left out` : ""].filter(Boolean).join("; "));
+}
+
+function drawNumbers(at, n, hull) {
+  pen.setTransform(1, 0, 0, 1, 0, 0);
+  pen.fillStyle = colours["on-robot"]; pen.textAlign = "center"; pen.textBaseline = "middle";
+  pen.font = `600 ${Math.min(hull * view.k * 0.8, 26)}px system-ui, sans-serif`;
+  for (let robot = 0; robot < n; robot++) {
+    const x = at[2 * robot];
+    if (x === x) pen.fillText(String(robot), view.x + view.k * x, view.y - view.k * at[2 * robot + 1]);
+  }
+  pen.setTransform(view.k, 0, 0, -view.k, view.x, view.y);
+}
+
+// ---- staleness, by this page's own clock
+
+function checkStale() {
+  const age = performance.now() - heardAt;
+  stale = age > STALE_MS;
+  document.documentElement.classList.toggle("stale", stale);
+  if (stale) {
+    const over = status && status.over;
+    set($("state"), over ? "over" : heardAt > 0 ? "no news" : "connecting");
+    $("state").dataset.is = "stale";
+    if (over) notice("The run is over; this is its last picture.");
+    else if (heardAt > 0) notice(`No news for ${(age / 1000).toFixed(0)} s: this picture is old.`);
+  } else if (performance.now() > refusedUntil) {
+    notice(stopWanted ? "STOP is sent and not confirmed yet." : holder || !scene || scene.control === "stop" ? "" :
+      "No token: this page can stop the team and nothing else. Open the address that the program printed.");
+    if (status) showStatus();
+  }
+}
+setInterval(checkStale, 100);
+
+// ---- hands
+
+$("stop").onclick = stop;
+for (const name of ["rearm", "resume", "pause"]) $(name).onclick = () => send({ do: name });
+document.addEventListener("keydown", event => {
+  if (event.code !== "Space" || event.repeat || event.ctrlKey || event.altKey || event.metaKey) return;
+  event.preventDefault();
+  stop();
+});
+// A button that has the focus would be pressed when the space bar is let go.
+document.addEventListener("keyup", event => { if (event.code === "Space") event.preventDefault(); });
+for (const id of ["show-links", "show-trails", "show-goals", "show-range"]) $(id).onchange = () => { dirty = true; };
+$("colour").onchange = () => {
+  const loss = $("colour").value === "loss";
+  ["≤ 0.1 s", "≤ 0.3 s", "older"].forEach((text, at) => set($(`legend-${at}`), loss ? ["≤ 5 %", "≤ 30 %", "more"][at] : text));
+  dirty = true;
+};
+
+const onLink = () => {
+  set($("delay-text"), `${$("delay").value} ms`);
+  set($("loss-text"), `${$("loss").value} %`);
+  send({ do: "link", link: $("link").value, cut: $("cut").checked, delay_ms: +$("delay").value, loss: $("loss").value / 100 });
+};
+for (const id of ["cut", "delay", "loss"]) $(id).onchange = onLink;
+for (const id of ["delay", "loss"]) $(id).oninput = () => set($(`${id}-text`), $(id).value + (id === "delay" ? " ms" : " %"));
+$("link").onchange = () => {
+  const now = status && status.impaired[$("link").value] || { cut: false, delay_ms: 0, loss: 0 };
+  $("cut").checked = now.cut; $("delay").value = now.delay_ms; $("loss").value = 100 * now.loss;
+  set($("delay-text"), `${now.delay_ms} ms`); set($("loss-text"), `${Math.round(100 * now.loss)} %`);
+};
+for (const id of ["kill", "restart"]) $(id).onclick = () => send({ do: id, role: $("role").value, robot: +$("robot").value });
+
+const system = matchMedia("(prefers-color-scheme: dark)");
+function theme(name) {
+  document.documentElement.dataset.theme = name || (system.matches ? "dark" : "light");
+  readColours();
+}
+$("theme").onclick = () => {
+  const next = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+  localStorage.setItem("theme", next);
+  theme(next);
+};
+system.onchange = () => theme(localStorage.getItem("theme"));
+new ResizeObserver(() => { dirty = true; }).observe(canvas);
+
+// What a measurement of this page reads: totals, and the transform from metres to pixels of the canvas.
+window.murmurate = { counts, view: null, heard: () => performance.now() - heardAt };
+theme(localStorage.getItem("theme"));
+requestAnimationFrame(draw);

@@ -1,0 +1,183 @@
+//! One request of a browser: its header, read within a time limit, and the response to it.
+
+use std::io::{self, Read};
+use std::net::{SocketAddr, TcpStream};
+use std::time::{Duration, Instant};
+
+use tungstenite::handshake::derive_accept_key;
+
+use super::access::{self, Access};
+
+/// Largest header of a request \[bytes\].
+pub const MAX_HEADER_BYTES: usize = 8192;
+/// Largest number of header lines.
+const MAX_HEADERS: usize = 64;
+/// Longest time for the whole header, however slowly its bytes come.
+pub const HEADER_TIME: Duration = Duration::from_secs(5);
+
+/// Subprotocol of the page's WebSockets.
+const PROTOCOL: &str = "murmurate";
+
+/// Headers of every response: nothing is cached, framed, guessed or loaded from elsewhere.
+const SECURITY: &str = "Cache-Control: no-store\r\n\
+    X-Content-Type-Options: nosniff\r\n\
+    X-Frame-Options: DENY\r\n\
+    Referrer-Policy: no-referrer\r\n\
+    Cross-Origin-Resource-Policy: same-origin\r\n\
+    Content-Security-Policy: default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
+    frame-ancestors 'none'; base-uri 'none'; form-action 'none'\r\n";
+
+/// Files of the page: path, type and content.
+const FILES: [(&str, &str, &str); 3] = [
+    ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
+    ("/page.css", "text/css; charset=utf-8", include_str!("page/page.css")),
+    ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
+];
+
+/// WebSocket of a page.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Socket {
+    /// Snapshots, from the server alone.
+    View,
+    /// States from the server and commands from the browser, beside the snapshots and never behind them.
+    Control {
+        /// Whether the browser has shown the token.
+        holder: bool,
+    },
+}
+
+/// Response to a request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Response {
+    /// A file or an error: all bytes of the response.
+    Whole(Vec<u8>),
+    /// A WebSocket: the bytes of the handshake's end.
+    Upgrade(Socket, Vec<u8>),
+}
+
+/// Reads the header of a request. The second part are bytes behind it. The error is the response to a header that is
+/// too large, or `None` if the connection has ended or was too slow.
+pub fn read_header(stream: &mut TcpStream) -> Result<(Vec<u8>, Vec<u8>), Option<Vec<u8>>> {
+    let until = Instant::now() + HEADER_TIME;
+    let mut bytes = Vec::new();
+    let mut part = [0; 1024];
+    loop {
+        let left = until.saturating_duration_since(Instant::now());
+        if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
+            return Err(None);
+        }
+        let count = match stream.read(&mut part) {
+            Ok(0) => return Err(None),
+            Ok(count) => count,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(_) => return Err(None),
+        };
+        // The end may lie across two reads.
+        let from = bytes.len().saturating_sub(3);
+        bytes.extend_from_slice(&part[..count]);
+        if let Some(end) = bytes[from..].windows(4).position(|four| four == b"\r\n\r\n") {
+            let rest = bytes.split_off(from + end + 4);
+            return if bytes.len() > MAX_HEADER_BYTES { Err(Some(too_large())) } else { Ok((bytes, rest)) };
+        }
+        if bytes.len() > MAX_HEADER_BYTES {
+            return Err(Some(too_large()));
+        }
+    }
+}
+
+fn too_large() -> Vec<u8> {
+    refusal("431 Request Header Fields Too Large", "the header is larger than 8 kB")
+}
+
+/// Response to a connection beyond the limit.
+pub fn too_many() -> Vec<u8> {
+    refusal("503 Service Unavailable", "too many connections: close other pages")
+}
+
+/// Returns the response to the request with this header, on a connection to the server's address `local`.
+pub fn respond(header: &[u8], local: SocketAddr, access: &Access) -> Response {
+    let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
+    let mut request = httparse::Request::new(&mut headers);
+    if !matches!(request.parse(header), Ok(httparse::Status::Complete(_))) {
+        return refused("400 Bad Request", "this is no HTTP request");
+    }
+    let request = Request(&request);
+    let host = request.header("host").unwrap_or_default();
+    if !access::is_host(host, local) {
+        let why = format!("the request is for another host; open http://{local}/ (a tunnel keeps the port number)");
+        return refused("421 Misdirected Request", &why);
+    }
+    if request.0.method != Some("GET") {
+        return refused("405 Method Not Allowed", "this server answers to GET alone");
+    }
+    let path = request.0.path.unwrap_or_default();
+    if let Some((_, kind, content)) = FILES.iter().find(|(name, ..)| *name == path) {
+        return Response::Whole(response("200 OK", kind, content));
+    }
+    let token = access.token.is_among(request.header("sec-websocket-protocol").unwrap_or_default());
+    match path {
+        "/view" if access.guarded && !token => request.upgrade(host, None),
+        "/view" => request.upgrade(host, Some(Socket::View)),
+        "/control" => request.upgrade(host, Some(Socket::Control { holder: token })),
+        _ => refused("404 Not Found", "there is no such page"),
+    }
+}
+
+struct Request<'a>(&'a httparse::Request<'a, 'a>);
+
+impl Request<'_> {
+    /// Value of a header that is given exactly once.
+    fn header(&self, name: &str) -> Option<&str> {
+        let mut all = self.0.headers.iter().filter(|header| header.name.eq_ignore_ascii_case(name));
+        let first = all.next().filter(|_| all.next().is_none())?;
+        std::str::from_utf8(first.value).ok().map(str::trim)
+    }
+
+    /// Whether a header lists this word.
+    fn lists(&self, name: &str, word: &str) -> bool {
+        self.header(name).is_some_and(|all| all.split(',').any(|one| one.trim().eq_ignore_ascii_case(word)))
+    }
+
+    /// Returns the end of a WebSocket's handshake; without a `socket`, the token is missing.
+    fn upgrade(&self, host: &str, socket: Option<Socket>) -> Response {
+        if !self.header("origin").is_some_and(|origin| access::is_origin(origin, host)) {
+            return refused("403 Forbidden", "a WebSocket comes from the page of this server alone");
+        }
+        let Some(socket) = socket else {
+            return refused("401 Unauthorized", "no token: open the address that the program printed");
+        };
+        let version = self.header("sec-websocket-version") == Some("13");
+        let upgrades = self.lists("connection", "upgrade") && self.lists("upgrade", "websocket") && version;
+        match self.header("sec-websocket-key").filter(|_| upgrades) {
+            None => refused("400 Bad Request", "this path is a WebSocket"),
+            Some(key) => {
+                let accept = derive_accept_key(key.as_bytes());
+                let chosen = match self.lists("sec-websocket-protocol", PROTOCOL) {
+                    true => format!("Sec-WebSocket-Protocol: {PROTOCOL}\r\n"),
+                    false => String::new(),
+                };
+                let text = format!(
+                    "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n\
+                     Sec-WebSocket-Accept: {accept}\r\n{chosen}\r\n"
+                );
+                Response::Upgrade(socket, text.into_bytes())
+            }
+        }
+    }
+}
+
+fn refused(status: &str, why: &str) -> Response {
+    Response::Whole(refusal(status, why))
+}
+
+fn refusal(status: &str, why: &str) -> Vec<u8> {
+    response(status, "text/plain; charset=utf-8", &format!("{status}: {why}\n"))
+}
+
+fn response(status: &str, kind: &str, body: &str) -> Vec<u8> {
+    let length = body.len();
+    format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\n{SECURITY}Connection: close\r\n\r\n{body}"
+    )
+    .into_bytes()
+}

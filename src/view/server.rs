@@ -1,0 +1,264 @@
+//! Server of the page: a thread that accepts, and one for each connection, at most 32.
+//!
+//! The thread that drives the team never waits here. It leaves the newest snapshot and status in slots with `try_lock`,
+//! wakes nobody, and takes commands from a bounded queue; the serving threads look every 20 ms.
+
+use std::io::{self, Write};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError, TryLockError};
+use std::thread::Builder;
+use std::time::{Duration, Instant};
+
+use tungstenite::{Bytes, Utf8Bytes};
+
+use super::access::Access;
+use super::command::Command;
+use super::request::{self, Response};
+use super::session;
+
+/// Largest number of connections at once. A page has two, and three more while it loads.
+pub const MAX_CONNECTIONS: usize = 32;
+/// Number of commands that wait for the thread that drives the team; further ones are refused.
+const MAX_COMMANDS: usize = 64;
+/// Period at which serving threads look for something new.
+pub(super) const LOOK: Duration = Duration::from_millis(20);
+/// Longest time for which a client may not read before its connection is closed.
+const WRITE_TIME: Duration = Duration::from_secs(5);
+/// Longest time for connections to send the last status when the server closes.
+const CLOSING: Duration = Duration::from_millis(500);
+
+/// Value of which the newest counts, with the number of its changes.
+pub(super) struct Slot<T> {
+    number: AtomicU64,
+    value: Mutex<T>,
+}
+
+impl<T: Clone> Slot<T> {
+    fn new(value: T) -> Slot<T> {
+        Slot { number: AtomicU64::new(0), value: Mutex::new(value) }
+    }
+
+    /// Leaves a newer value, unless a reader has the slot at this instant; returns whether it did.
+    fn offer(&self, value: T) -> bool {
+        let mut place = match self.value.try_lock() {
+            Ok(place) => place,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return false,
+        };
+        *place = value;
+        self.number.fetch_add(1, Ordering::Release);
+        true
+    }
+
+    /// Returns the value if it is newer than the one with the number `seen`.
+    pub fn newer(&self, seen: &mut u64) -> Option<T> {
+        let number = self.number.load(Ordering::Acquire);
+        if number == *seen {
+            return None;
+        }
+        *seen = number;
+        Some(self.value.lock().unwrap_or_else(PoisonError::into_inner).clone())
+    }
+}
+
+/// What all threads of a server share.
+pub(super) struct Shared {
+    pub access: Access,
+    pub scene: Utf8Bytes,
+    pub snapshot: Slot<Bytes>,
+    pub goals: Slot<Utf8Bytes>,
+    pub status: Slot<Utf8Bytes>,
+    /// A stop that was asked for: it has no place in a queue that can be full.
+    pub stop: AtomicBool,
+    pub commands: SyncSender<Command>,
+    pub closing: AtomicBool,
+    connections: AtomicUsize,
+    refused: AtomicU64,
+}
+
+impl Shared {
+    /// Counts something that was refused.
+    pub fn refuse(&self) {
+        self.refused.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Running server of a page.
+pub struct Server {
+    shared: Arc<Shared>,
+    address: SocketAddr,
+}
+
+/// End of a server for the thread that drives or watches the team. No method but `wait` takes time.
+pub struct Publisher {
+    shared: Arc<Shared>,
+    commands: Receiver<Command>,
+}
+
+impl Server {
+    /// Opens a server at `listen` (port 0 for any free one) and starts its thread. `scene` is the message that every
+    /// page gets first.
+    pub fn open(listen: SocketAddr, access: Access, scene: String) -> io::Result<(Server, Publisher)> {
+        let listener = TcpListener::bind(listen)?;
+        let address = listener.local_addr()?;
+        let (sender, commands) = sync_channel(MAX_COMMANDS);
+        let shared = Arc::new(Shared {
+            access,
+            scene: scene.into(),
+            snapshot: Slot::new(Bytes::new()),
+            goals: Slot::new(Utf8Bytes::default()),
+            status: Slot::new(Utf8Bytes::default()),
+            stop: AtomicBool::new(false),
+            commands: sender,
+            closing: AtomicBool::new(false),
+            connections: AtomicUsize::new(0),
+            refused: AtomicU64::new(0),
+        });
+        let accepting = Arc::clone(&shared);
+        Builder::new().name("page".to_owned()).spawn(move || accept(&listener, &accepting))?;
+        let server = Server { shared: Arc::clone(&shared), address };
+        Ok((server, Publisher { shared, commands }))
+    }
+
+    /// Address at which it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Number of connections at present.
+    pub fn connections(&self) -> usize {
+        self.shared.connections.load(Ordering::Relaxed)
+    }
+
+    /// Number of requests and commands that were refused.
+    pub fn refused(&self) -> u64 {
+        self.shared.refused.load(Ordering::Relaxed)
+    }
+
+    /// Ends the server. Pages get the last status if they take it within half a second.
+    pub fn close(self) {
+        self.shared.closing.store(true, Ordering::Release);
+        // Wakes the thread that accepts.
+        let _ = TcpStream::connect_timeout(&self.address, CLOSING);
+        let until = Instant::now() + CLOSING;
+        while self.connections() > 0 && Instant::now() < until {
+            std::thread::park_timeout(LOOK);
+        }
+    }
+}
+
+impl Publisher {
+    /// Leaves the newest snapshot for the pages; `false` if a page took one at this very instant.
+    pub fn snapshot(&self, bytes: Vec<u8>) -> bool {
+        self.shared.snapshot.offer(bytes.into())
+    }
+
+    /// Leaves the newest goals; `false` as for snapshots.
+    pub fn goals(&self, json: String) -> bool {
+        self.shared.goals.offer(json.into())
+    }
+
+    /// Leaves the newest status; `false` as for snapshots.
+    pub fn status(&self, json: String) -> bool {
+        self.shared.status.offer(json.into())
+    }
+
+    /// Returns the next command; a stop comes before all others.
+    pub fn command(&self) -> Option<Command> {
+        if self.shared.stop.swap(false, Ordering::AcqRel) {
+            return Some(Command::Stop);
+        }
+        self.commands.try_recv().ok()
+    }
+
+    /// Waits for the next command, at most for `limit`. For a run under virtual time, which waits for real time anyway.
+    pub fn wait(&self, limit: Duration) -> Option<Command> {
+        if let Some(command) = self.command() {
+            return Some(command);
+        }
+        match self.commands.recv_timeout(limit) {
+            Ok(command) => {
+                let stop = self.shared.stop.swap(false, Ordering::AcqRel);
+                Some(if stop { Command::Stop } else { command })
+            }
+            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => None,
+        }
+    }
+}
+
+/// Accepts connections until the server closes.
+fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
+    for stream in listener.incoming() {
+        if shared.closing.load(Ordering::Acquire) {
+            return;
+        }
+        let Ok(stream) = stream else {
+            // Out of descriptors, most likely: the next attempt may do better.
+            std::thread::park_timeout(LOOK);
+            continue;
+        };
+        if shared.connections.fetch_add(1, Ordering::AcqRel) >= MAX_CONNECTIONS {
+            shared.connections.fetch_sub(1, Ordering::AcqRel);
+            turn_away(stream, shared);
+            continue;
+        }
+        let taken = Taken(Arc::clone(shared));
+        // Without a thread the connection is dropped, and counted down.
+        let _ = Builder::new().name("page client".to_owned()).spawn(move || serve(stream, &taken.0));
+    }
+}
+
+/// Answers a connection beyond the limit without waiting for it.
+fn turn_away(mut stream: TcpStream, shared: &Shared) {
+    shared.refuse();
+    if stream.set_nonblocking(true).is_ok() {
+        let _ = stream.write_all(&request::too_many());
+    }
+}
+
+/// Counts a connection until it is dropped.
+struct Taken(Arc<Shared>);
+
+impl Drop for Taken {
+    fn drop(&mut self) {
+        self.0.connections.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+/// Serves one connection to its end.
+fn serve(mut stream: TcpStream, shared: &Shared) {
+    let Ok(local) = stream.local_addr() else { return };
+    if stream.set_write_timeout(Some(WRITE_TIME)).is_err() || stream.set_nodelay(true).is_err() {
+        return;
+    }
+    let (header, rest) = match request::read_header(&mut stream) {
+        Ok(read) => read,
+        Err(answer) => {
+            shared.refuse();
+            answer.iter().for_each(|answer| finish(&mut stream, answer));
+            return;
+        }
+    };
+    match request::respond(&header, local, &shared.access) {
+        Response::Whole(bytes) => {
+            if !bytes.starts_with(b"HTTP/1.1 200") {
+                shared.refuse();
+            }
+            finish(&mut stream, &bytes);
+        }
+        Response::Upgrade(socket, bytes) => {
+            if stream.write_all(&bytes).is_ok() {
+                session::run(stream, rest, socket, shared);
+            }
+        }
+    }
+}
+
+/// Sends a whole response and ends the connection.
+fn finish(stream: &mut TcpStream, bytes: &[u8]) {
+    // A client that has gone needs no answer.
+    let _ = stream.write_all(bytes);
+    let _ = stream.shutdown(Shutdown::Write);
+}

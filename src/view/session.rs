@@ -1,0 +1,138 @@
+//! One WebSocket of a page: the newest snapshots, or states and commands. One thread reads and writes it.
+
+use std::io;
+use std::net::TcpStream;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+use tungstenite::protocol::{Role, WebSocketConfig};
+use tungstenite::{Message, WebSocket};
+
+use super::command::{Command, MAX_BYTES};
+use super::request::Socket;
+use super::server::{LOOK, Shared};
+
+/// Time for which a client that says nothing is believed to be there: then it is asked, by a status that it must take.
+const REPEAT: Duration = Duration::from_millis(500);
+/// Most messages of a client that are taken before it is sent something again.
+const AT_ONCE: usize = 8;
+
+/// Serves a WebSocket until either side ends it. `rest` are bytes that came with the request.
+pub(super) fn run(stream: TcpStream, rest: Vec<u8>, socket: Socket, shared: &Shared) {
+    if stream.set_read_timeout(Some(LOOK)).is_err() {
+        return;
+    }
+    let limit = Some(MAX_BYTES);
+    let config = WebSocketConfig::default().read_buffer_size(MAX_BYTES).max_message_size(limit).max_frame_size(limit);
+    let mut socket_ = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
+    let mut session = Session { seen: [0; 3], told_at: None, answers: Vec::new() };
+    // An error of any kind ends the connection: the page opens another.
+    let _ = session.serve(&mut socket_, socket, shared);
+    let _ = socket_.close(None);
+    let _ = socket_.flush();
+}
+
+/// State of a connection.
+struct Session {
+    /// Numbers of the last snapshot, goals and status that were sent.
+    seen: [u64; 3],
+    /// Time of the last status.
+    told_at: Option<Instant>,
+    /// Answers to commands that are to be sent.
+    answers: Vec<String>,
+}
+
+type Client = WebSocket<TcpStream>;
+
+impl Session {
+    fn serve(&mut self, client: &mut Client, socket: Socket, shared: &Shared) -> tungstenite::Result<()> {
+        if let Socket::Control { holder } = socket {
+            let hello = json!({ "kind": "hello", "body": { "holder": holder } });
+            client.send(Message::text(hello.to_string()))?;
+            if holder || !shared.access.guarded {
+                client.send(Message::Text(shared.scene.clone()))?;
+            }
+        }
+        loop {
+            // Looked at before the last status is sent.
+            let closing = shared.closing.load(Ordering::Acquire);
+            match socket {
+                Socket::View => {
+                    if let Some(bytes) = shared.snapshot.newer(&mut self.seen[0]) {
+                        client.send(Message::Binary(bytes))?;
+                    }
+                }
+                Socket::Control { holder } => self.tell(client, holder, shared)?,
+            }
+            if closing {
+                return Ok(());
+            }
+            for _ in 0..AT_ONCE {
+                match client.read() {
+                    Ok(message) => self.take(&message, socket, shared)?,
+                    Err(tungstenite::Error::Io(error)) if is_nothing(&error) => break,
+                    Err(error) => return Err(error),
+                }
+            }
+        }
+    }
+
+    /// Sends answers, goals and status, as far as there is news.
+    fn tell(&mut self, client: &mut Client, holder: bool, shared: &Shared) -> tungstenite::Result<()> {
+        for answer in self.answers.drain(..) {
+            client.send(Message::text(answer))?;
+        }
+        if shared.access.guarded && !holder {
+            return Ok(());
+        }
+        if let Some(goals) = shared.goals.newer(&mut self.seen[1]) {
+            client.send(Message::Text(goals))?;
+        }
+        if let Some(status) = shared.status.newer(&mut self.seen[2]) {
+            client.send(Message::Text(status))?;
+            self.told_at = Some(Instant::now());
+        }
+        if self.told_at.is_some_and(|at| at.elapsed() >= 4 * REPEAT) {
+            self.told_at = Some(Instant::now());
+            client.send(Message::Ping(tungstenite::Bytes::new()))?;
+        }
+        Ok(())
+    }
+
+    /// Takes one message of the client.
+    fn take(&mut self, message: &Message, socket: Socket, shared: &Shared) -> tungstenite::Result<()> {
+        let holder = match (message, socket) {
+            (Message::Close(_), _) => return Err(tungstenite::Error::ConnectionClosed),
+            (Message::Text(_), Socket::Control { holder }) => holder,
+            (Message::Ping(_) | Message::Pong(_), _) => return Ok(()),
+            // The page sends nothing else.
+            _ => {
+                shared.refuse();
+                return Err(tungstenite::Error::ConnectionClosed);
+            }
+        };
+        let result = Command::parse(message.to_text()?).and_then(|command| {
+            match shared.access.refuses(&command, holder) {
+                Some(why) => Err(why.to_owned()),
+                None if command == Command::Stop => {
+                    shared.stop.store(true, Ordering::Release);
+                    // It wakes a run that waits for real time; if the queue is full, the run is awake.
+                    let _ = shared.commands.try_send(command);
+                    Ok(())
+                }
+                None => shared.commands.try_send(command).map_err(|_| "too many commands wait: try again".to_owned()),
+            }
+        });
+        if let Err(why) = result {
+            shared.refuse();
+            self.answers.push(json!({ "kind": "refused", "body": { "why": why } }).to_string());
+        }
+        Ok(())
+    }
+}
+
+/// Whether an error of a read says that nothing has come.
+fn is_nothing(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut)
+}

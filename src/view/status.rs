@@ -1,0 +1,181 @@
+//! Messages to the page as JSON: the scene, once; goals, at each episode; the status, twice a second.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use serde::Serialize;
+
+use crate::scenario::arena::Arena;
+
+/// Number of log lines that a status has.
+pub const LOG_LINES: usize = 40;
+/// Longest log line \[characters\].
+const LINE: usize = 300;
+
+/// Everything of a run that does not change.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Scene {
+    /// Name of the scenario, the team's task.
+    pub scenario: String,
+    /// Name of the deployment's mode.
+    pub mode: String,
+    /// Name of the policy.
+    pub policy: String,
+    /// Number of robots.
+    pub robots: usize,
+    /// Number of episodes; zero if unknown.
+    pub episodes: u32,
+    /// Half the size of the ground along x and y \[m\].
+    pub half_extent: [f32; 2],
+    /// Solid blocks: smallest x and y, then largest x and y \[m\], world frame.
+    pub walls: Vec<[f32; 4]>,
+    /// Radius of a robot's hull \[m\].
+    pub hull_m: f32,
+    /// Communication range \[m\]; null if it is unlimited.
+    pub range_m: Option<f32>,
+    /// Length of one step of a position in snapshots \[m\].
+    pub scale_m: f32,
+    /// Commands that the process takes: none but the stop, those to the team, or faults as well.
+    pub control: &'static str,
+    /// Names of the links, for faults of an emulated team.
+    pub links: Vec<String>,
+    /// Whether links between robots are known here.
+    pub hears_links: bool,
+    /// Whether results of episodes are known here.
+    pub hears_results: bool,
+}
+
+impl Scene {
+    /// Makes the scene of an arena; positions are encoded up to 2 m beyond its ground.
+    pub fn of_arena(arena: &Arena) -> Scene {
+        let half = arena.half_extent.to_array();
+        let wall = |block: &crate::scenario::arena::KeepOut| {
+            let ([x, y], [far_x, far_y]) = (block.min.to_array(), block.max.to_array());
+            [x, y, far_x, far_y]
+        };
+        Scene {
+            half_extent: half,
+            walls: arena.keep_outs.iter().map(wall).collect(),
+            hull_m: arena.robot_radius_m,
+            scale_m: super::snapshot::scale_m(half[0].max(half[1]) + 2.0),
+            control: "stop",
+            ..Scene::default()
+        }
+    }
+
+    /// Returns the message for the page.
+    pub fn to_json(&self) -> String {
+        message("scene", self)
+    }
+}
+
+/// Goals of the robots of one episode.
+#[derive(Clone, Debug, Serialize)]
+pub struct Goals {
+    /// Goal of each robot \[m\], world frame; null for a robot whose goal was not heard.
+    pub goals: Vec<Option<[f32; 2]>>,
+}
+
+impl Goals {
+    /// Returns the message for the page.
+    pub fn to_json(&self) -> String {
+        message("goals", self)
+    }
+}
+
+/// Number of successful episodes with its Wilson interval.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Success {
+    /// Number of successful episodes.
+    pub successes: usize,
+    /// Number of episodes with a result.
+    pub episodes: usize,
+    /// Lower and upper end of the 95 % interval of the success rate, 0 to 1.
+    pub interval: [f64; 2],
+}
+
+/// Faults that a page has put on one link.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct LinkImpairment {
+    /// Whether the link loses every frame.
+    pub cut: bool,
+    /// Additional delay of every frame \[ms\].
+    pub delay_ms: f64,
+    /// Probability, 0 to 1, that a frame is lost.
+    pub loss: f64,
+}
+
+/// State of the team in words and numbers.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Status {
+    /// Time of the run \[s\].
+    pub time_s: f64,
+    /// Simulated time per real time over the last second; null in real time.
+    pub speed: Option<f64>,
+    /// Number of the current episode, from 1; null before the first one.
+    pub episode: Option<u32>,
+    /// Phase of the team, as the state server says; null before it was heard.
+    pub phase: Option<u8>,
+    /// Emergency stop of the team: clear, held or stopped.
+    pub latch: &'static str,
+    /// Number of robots that follow this state.
+    pub confirmed: usize,
+    /// Number of robots.
+    pub robots: usize,
+    /// Whether an order is in progress.
+    pub ordering: bool,
+    /// Pause after the current episode: no, asked or yes.
+    pub pause: &'static str,
+    /// Number of episodes by verdict.
+    pub verdicts: BTreeMap<String, u32>,
+    /// Successes so far.
+    pub success: Option<Success>,
+    /// Late control ticks by robot, for those that have any.
+    pub late: Vec<(u16, u64)>,
+    /// Last reason for which a robot's guard has stopped or slowed it, by robot.
+    pub guard: Vec<(u16, &'static str)>,
+    /// Battery charge \[%\] by robot, where it is known.
+    pub battery: Vec<(u16, u8)>,
+    /// Actors that a page has crashed, in words.
+    pub killed: Vec<String>,
+    /// Faults that a page has put on links, by the link's name.
+    pub impaired: BTreeMap<String, LinkImpairment>,
+    /// Newest lines of the log, each with its number and its time of the run \[s\].
+    pub log: VecDeque<(u64, f64, String)>,
+    /// Whether the run is over.
+    pub over: bool,
+}
+
+impl Status {
+    /// Returns the message for the page.
+    pub fn to_json(&self) -> String {
+        message("status", self)
+    }
+}
+
+/// Log of a run: its newest lines.
+#[derive(Clone, Debug, Default)]
+pub struct Log {
+    lines: VecDeque<(u64, f64, String)>,
+    count: u64,
+}
+
+impl Log {
+    /// Adds a line at this time of the run \[s\].
+    pub fn add(&mut self, time_s: f64, line: &str) {
+        self.count += 1;
+        self.lines.push_back((self.count, time_s, line.chars().take(LINE).collect()));
+        if self.lines.len() > LOG_LINES {
+            self.lines.pop_front();
+        }
+    }
+
+    /// The newest lines, each with its number and its time.
+    pub fn lines(&self) -> &VecDeque<(u64, f64, String)> {
+        &self.lines
+    }
+}
+
+/// Returns a message with its kind.
+fn message(kind: &str, body: &impl Serialize) -> String {
+    serde_json::json!({ "kind": kind, "body": body }).to_string()
+}

@@ -1,0 +1,419 @@
+//! Picture of a team, from what a process hears: pure. What is not heard is not made up.
+
+use std::collections::BTreeMap;
+
+use super::heard::Heard;
+use super::snapshot::{LinkState, MAX_LINKS, RobotState, Snapshot};
+use super::status::{Goals, Log, Scene, Status, Success};
+use crate::cells::Cells;
+use crate::messages::geometry::{Pose, Vec2};
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::latch::{self, Latch};
+use crate::messages::local::Truth;
+use crate::messages::wire::{Mode, Phase, Wire};
+use crate::report::episode::Episode;
+use crate::report::statistics::wilson_95;
+use crate::safety::guard::SafetyCounts;
+use crate::scenario::judge::Verdict;
+use crate::time::{Span, Time};
+
+/// Age from which a heading is not drawn: it belongs to an earlier position.
+const HEADING_AGE: Span = Span::from_millis(1000);
+/// Time between two messages of a robot from which a missing one is logged.
+const SILENT: Span = Span::from_millis(1500);
+
+/// What is known of one robot.
+#[derive(Clone, Debug, Default)]
+struct RobotView {
+    position: Option<Vec2>,
+    heading: Option<(Time, f32)>,
+    /// Whether the position is true: of a simulated robot.
+    is_true: bool,
+    touches: bool,
+    phase: Option<Phase>,
+    heard: Option<Time>,
+    /// Whether the log says that it is silent.
+    silent: bool,
+    controller: Option<Latch>,
+    body: Option<Latch>,
+    battery: Option<u8>,
+    safety: SafetyCounts,
+    guard: Option<&'static str>,
+}
+
+/// Picture of a team, made from messages, true states of simulated robots and results.
+#[derive(Clone, Debug)]
+pub struct TeamView {
+    scene: Scene,
+    /// Host of each robot's agent.
+    homes: Vec<HostId>,
+    robots: Vec<RobotView>,
+    heard: Heard,
+    goals: Vec<Option<[f32; 2]>>,
+    /// Number of changes of the goals.
+    goals_changed: u64,
+    leader: Option<(Phase, u32, Latch)>,
+    verdicts: BTreeMap<String, u32>,
+    episodes: usize,
+    successes: usize,
+    log: Log,
+}
+
+impl TeamView {
+    /// Makes a view of a team of which nothing was heard. `homes` are the hosts of the robots' agents, in the order of
+    /// robot ids; `hosts` is the number of hosts.
+    pub fn new(scene: Scene, homes: Vec<HostId>, hosts: usize) -> TeamView {
+        let robots = scene.robots;
+        TeamView {
+            scene,
+            homes,
+            robots: vec![RobotView::default(); robots],
+            heard: Heard::new(robots, hosts),
+            goals: vec![None; robots],
+            goals_changed: 0,
+            leader: None,
+            verdicts: BTreeMap::new(),
+            episodes: 0,
+            successes: 0,
+            log: Log::default(),
+        }
+    }
+
+    /// The part that does not change.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Number of changes of the goals, and the goals.
+    pub fn goals(&self) -> (u64, Goals) {
+        (self.goals_changed, Goals { goals: self.goals.clone() })
+    }
+
+    /// Number of changes of the goals.
+    pub fn goals_changed(&self) -> u64 {
+        self.goals_changed
+    }
+
+    /// Takes a message that a robot or another host has sent.
+    pub fn hear(&mut self, now: Time, message: &Wire) {
+        match message {
+            Wire::Reading(m) => self.measured(now, m.robot, m.pose),
+            Wire::Latent(m) if m.robot.index() < self.robots.len() => {
+                self.heard.published(m.robot);
+                let robot = &mut self.robots[m.robot.index()];
+                robot.heard = Some(now);
+                if !robot.is_true {
+                    robot.position = Some(m.motion.position);
+                }
+            }
+            Wire::Heartbeat(m) => self.robot(m.robot, |robot| {
+                (robot.heard, robot.phase, robot.controller) = (Some(now), Some(m.phase), Some(m.latch));
+            }),
+            Wire::Mode(m) => self.led(now, m),
+            Wire::Status(m) => {
+                for following in &m.robots {
+                    self.robot(following.robot, |robot| {
+                        robot.controller = following.controller.or(robot.controller);
+                        robot.body = following.body.or(robot.body);
+                    });
+                }
+            }
+            Wire::Telemetry(m) => {
+                for condition in &m.robots {
+                    if let Some(seen) = condition.seen {
+                        let age = Span::from_millis(seen.age_ms.into());
+                        self.measured(Time::ZERO + now.since(Time::ZERO + age), condition.robot, seen.pose);
+                    }
+                    self.robot(condition.robot, |robot| {
+                        robot.heard = Some(now);
+                        robot.phase = condition.phase.or(robot.phase);
+                        robot.battery = condition.battery.or(robot.battery);
+                    });
+                }
+            }
+            Wire::Latent(_) | Wire::MotorCommand(_) | Wire::Stop(_) | Wire::Observe(_) => {}
+        }
+    }
+
+    /// Notes that a message has arrived at a host of the team.
+    pub fn arrived(&mut self, now: Time, at: HostId, message: &Wire) {
+        if let Wire::Latent(latent) = message
+            && latent.robot.index() < self.robots.len()
+        {
+            self.heard.arrived(now, at, latent.robot);
+        }
+    }
+
+    fn robot(&mut self, id: RobotId, change: impl FnOnce(&mut RobotView)) {
+        if let Some(robot) = self.robots.get_mut(id.index()) {
+            change(robot);
+        }
+    }
+
+    fn measured(&mut self, at: Time, id: RobotId, pose: Pose) {
+        self.robot(id, |robot| {
+            robot.heard = robot.heard.max(Some(at));
+            if !robot.is_true {
+                robot.position = Some(pose.position);
+                robot.heading = pose.heading.map(|heading| (at, heading));
+            }
+        });
+    }
+
+    fn led(&mut self, now: Time, mode: &Mode) {
+        let before = self.leader.replace((mode.phase, mode.round.episode, mode.latch));
+        if before.is_none_or(|(.., latch)| latch != mode.latch) && (before.is_some() || !mode.latch.is_clear()) {
+            self.note(now, &format!("emergency stop: {}", mode.latch.word()));
+        }
+        if before.is_none_or(|(_, episode, _)| episode != mode.round.episode) {
+            self.goals.fill(None);
+        }
+        let first = mode.first.index();
+        for (offset, task) in mode.tasks.iter().enumerate() {
+            let Some(goal) = self.goals.get_mut(first + offset) else { continue };
+            let heard = Some(task.goal.to_array());
+            if *goal != heard {
+                (*goal, self.goals_changed) = (heard, self.goals_changed + 1);
+            }
+        }
+    }
+
+    /// Takes the true states of simulated robots.
+    pub fn see(&mut self, truth: &Truth) {
+        for sample in truth.samples.iter() {
+            self.robot(sample.robot, |robot| {
+                (robot.position, robot.is_true) = (Some(sample.motion.position), true);
+                robot.heading = Some((Time::MAX, sample.heading));
+                robot.touches = sample.contacts.robot || sample.contacts.wall;
+            });
+        }
+    }
+
+    /// Takes the result of an episode.
+    pub fn judged(&mut self, now: Time, episode: &Episode) {
+        let verdict = serde_json::to_value(episode.verdict).ok();
+        let verdict = verdict.as_ref().and_then(|value| value.as_str()).unwrap_or("unknown").to_owned();
+        let took = episode.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));
+        self.note(now, &format!("episode {}: {verdict}{took}", episode.episode + 1));
+        *self.verdicts.entry(verdict).or_default() += 1;
+        self.episodes += 1;
+        self.successes += usize::from(episode.verdict == Verdict::Success);
+    }
+
+    /// Takes the counts of a robot's guard, and logs what has begun to act.
+    pub fn guarded(&mut self, now: Time, id: RobotId, counts: SafetyCounts) {
+        let Some(robot) = self.robots.get_mut(id.index()) else { return };
+        let count = |counts: &SafetyCounts, name: &str| {
+            counts.reasons().find(|(_, reason)| *reason == name).map_or(0, |(times, _)| times)
+        };
+        let begun: Vec<&'static str> =
+            counts.reasons().filter(|(times, name)| *times > count(&robot.safety, name)).map(|(_, name)| name).collect();
+        robot.guard = begun.last().copied().or(robot.guard);
+        robot.safety = counts;
+        for name in begun {
+            self.note(now, &format!("{id}: {name}"));
+        }
+    }
+
+    /// Takes the battery charge \[%\] of a robot.
+    pub fn charged(&mut self, id: RobotId, percent: u8) {
+        self.robot(id, |robot| robot.battery = Some(percent));
+    }
+
+    /// Adds a line to the log.
+    pub fn note(&mut self, now: Time, line: &str) {
+        self.log.add(now.as_secs(), line);
+    }
+
+    /// Emergency stop of the team, as its state server and its robots say.
+    pub fn latch(&self) -> Latch {
+        let latches = self.robots.iter().filter_map(|robot| robot.controller);
+        let known = self.leader.map(|(.., latch)| latch).or_else(|| latches.clone().min()).unwrap_or_default();
+        latch::latest(known, latches)
+    }
+
+    /// Phase of the team, and number of its episode, counted from 0; `None` before the state server was heard.
+    pub fn phase(&self) -> Option<(Phase, u32)> {
+        self.leader.map(|(phase, episode, _)| (phase, episode))
+    }
+
+    /// Number of robots that follow the team's emergency stop, hold or release. A stop needs motors and controller.
+    pub fn confirmed(&self) -> usize {
+        let latch = self.latch();
+        let follows = |own: Latch| own.word() == latch.word();
+        let confirms = |robot: &&RobotView| {
+            let body = |body: Latch| !latch.is_engaged() || follows(body);
+            robot.controller.is_some_and(follows) && (!latch.is_engaged() || robot.body.is_some_and(body))
+        };
+        self.robots.iter().filter(confirms).count()
+    }
+
+    /// Returns the picture of this time.
+    pub fn snapshot(&self, now: Time) -> Snapshot {
+        let state = |robot: &RobotView| RobotState {
+            position: robot.position,
+            heading: robot.heading.filter(|(at, _)| now.since(*at) <= HEADING_AGE).map(|(_, heading)| heading),
+            phase: robot.phase,
+            age: robot.heard.map(|at| now.since(at)),
+            touches: robot.touches,
+            latched: robot.controller.is_some_and(|latch| !latch.is_clear()),
+        };
+        let (links, left_out) = if self.scene.hears_links { self.links(now) } else { (Vec::new(), 0) };
+        Snapshot { now, robots: self.robots.iter().map(state).collect(), links, left_out }
+    }
+
+    /// Returns the links between robots within range; of too many, the shortest. Second, the number of the others.
+    fn links(&self, now: Time) -> (Vec<LinkState>, usize) {
+        let known: Vec<(usize, Vec2)> =
+            self.robots.iter().enumerate().filter_map(|(at, robot)| Some((at, robot.position?))).collect();
+        let range_m = self.scene.range_m.unwrap_or(f32::INFINITY);
+        let grid = Cells::new(range_m, known.iter().map(|(_, at)| *at));
+        let (mut pairs, mut near) = (Vec::new(), Vec::new());
+        for (place, (_, at)) in known.iter().enumerate() {
+            match &grid {
+                Some(grid) => grid.near(*at, &mut near),
+                None => near = (0..known.len()).collect(),
+            }
+            for &other in near.iter().filter(|other| **other > place) {
+                let apart_m = (known[other].1 - *at).norm();
+                if apart_m <= range_m {
+                    pairs.push((apart_m, place, other));
+                }
+            }
+        }
+        let left_out = pairs.len().saturating_sub(MAX_LINKS);
+        if left_out > 0 {
+            pairs.select_nth_unstable_by(MAX_LINKS, |a, b| a.0.total_cmp(&b.0).then((a.1, a.2).cmp(&(b.1, b.2))));
+            pairs.truncate(MAX_LINKS);
+        }
+        let link = |&(_, one, other): &(f32, usize, usize)| {
+            let (one, other) = (known[one].0, known[other].0);
+            let way = |from: usize, to: usize| self.heard.link(now, self.homes[to], RobotId(from as u16));
+            let both = [way(one, other), way(other, one)];
+            LinkState {
+                one: one as u16,
+                other: other as u16,
+                age: both[0].zip(both[1]).map(|(a, b)| a.0.max(b.0)),
+                loss: both.iter().flatten().map(|(_, loss)| *loss).max(),
+            }
+        };
+        (pairs.iter().map(link).collect(), left_out)
+    }
+
+    /// Returns the state in words and numbers. Fields that only the process knows are left at their defaults.
+    pub fn status(&mut self, now: Time) -> Status {
+        self.note_silence(now);
+        let numbered = || self.robots.iter().enumerate().map(|(at, robot)| (at as u16, robot));
+        Status {
+            time_s: now.as_secs(),
+            episode: self.leader.map(|(_, episode, _)| episode + 1),
+            phase: self.leader.map(|(phase, ..)| phase.into()),
+            latch: self.latch().word(),
+            confirmed: self.confirmed(),
+            robots: self.robots.len(),
+            pause: "no",
+            verdicts: self.verdicts.clone(),
+            success: self.scene.hears_results.then(|| Success {
+                successes: self.successes,
+                episodes: self.episodes,
+                interval: wilson_95(self.successes, self.episodes),
+            }),
+            late: numbered().map(|(at, robot)| (at, robot.safety.late_tick)).filter(|(_, ticks)| *ticks > 0).collect(),
+            guard: numbered().filter_map(|(at, robot)| Some((at, robot.guard?))).collect(),
+            battery: numbered().filter_map(|(at, robot)| Some((at, robot.battery?))).collect(),
+            log: self.log.lines().clone(),
+            ..Status::default()
+        }
+    }
+
+    /// Logs each robot that falls silent or is heard again.
+    fn note_silence(&mut self, now: Time) {
+        let mut lines = Vec::new();
+        for (at, robot) in self.robots.iter_mut().enumerate() {
+            let silent = robot.heard.is_some_and(|heard| now.since(heard) >= SILENT);
+            if silent != robot.silent {
+                robot.silent = silent;
+                let id = RobotId(at as u16);
+                lines.push(format!("{id}: {}", if silent { "silent" } else { "heard again" }));
+            }
+        }
+        lines.iter().take(8).for_each(|line| self.note(now, line));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::messages::geometry::Motion;
+    use crate::messages::wire::{Features, Following, Heartbeat, Latent, Round};
+    use crate::messages::wire;
+
+    fn view() -> TeamView {
+        let scene = Scene { robots: 3, range_m: Some(1.0), hears_links: true, hears_results: true, ..Scene::default() };
+        TeamView::new(scene, vec![HostId(0), HostId(1), HostId(2)], 3)
+    }
+
+    fn at(ms: u64) -> Time {
+        Time::ZERO + Span::from_millis(ms)
+    }
+
+    fn latent(robot: u16, x: f32) -> Wire {
+        let motion = Motion::at_rest(Vec2::new(x, 0.0));
+        let (round, phase) = (Round::default(), Phase::Running);
+        Wire::Latent(Latent { robot: RobotId(robot), round, phase, motion, features: Features(Vec::new().into()) })
+    }
+
+    #[test]
+    fn what_was_not_heard_is_not_drawn() {
+        let mut view = view();
+        view.hear(at(10), &latent(0, 0.5));
+        view.hear(at(10), &latent(77, 0.5));
+        let snapshot = view.snapshot(at(40));
+        assert_eq!(snapshot.robots[0].position, Some(Vec2::new(0.5, 0.0)));
+        assert_eq!((snapshot.robots[0].heading, snapshot.robots[0].age), (None, Some(Span::from_millis(30))));
+        assert_eq!(snapshot.robots[1], RobotState::default());
+        assert!(snapshot.links.is_empty());
+    }
+
+    #[test]
+    fn links_join_robots_within_range_and_have_the_age_of_the_older_direction() {
+        let mut view = view();
+        for (robot, x) in [(0, 0.0), (1, 0.9), (2, 2.0)] {
+            view.hear(at(0), &latent(robot, x));
+        }
+        assert_eq!(view.snapshot(at(0)).links, [LinkState { one: 0, other: 1, age: None, loss: None }]);
+        view.arrived(at(5), HostId(0), &latent(1, 0.9));
+        view.arrived(at(20), HostId(1), &latent(0, 0.0));
+        let link = view.snapshot(at(30)).links[0];
+        assert_eq!((link.age, link.loss), (Some(Span::from_millis(25)), Some(0)));
+    }
+
+    #[test]
+    fn a_stop_is_confirmed_by_controller_and_motors() {
+        let mut view = view();
+        let (clear, stopped) = (Latch::clear(0), Latch::engaged(1));
+        let heartbeat = |robot: u16, latch| {
+            Wire::Heartbeat(Heartbeat { robot: RobotId(robot), round: Round::default(), phase: Phase::Running, latch })
+        };
+        (0..3).for_each(|robot| view.hear(at(0), &heartbeat(robot, clear)));
+        assert_eq!((view.confirmed(), view.latch().word()), (3, "clear"));
+        view.hear(at(10), &heartbeat(1, stopped));
+        assert_eq!((view.confirmed(), view.latch().word()), (0, "stopped"), "its motors may turn");
+        let robots = vec![Following { robot: RobotId(1), controller: Some(stopped), body: Some(stopped) }];
+        view.hear(at(20), &Wire::Status(wire::Status { host: HostId(1), leaves: false, robots, leading: None }));
+        assert_eq!(view.confirmed(), 1);
+        assert!(view.snapshot(at(20)).robots[1].latched);
+    }
+
+    #[test]
+    fn guards_and_silence_are_logged_once() {
+        let mut view = view();
+        view.hear(at(0), &latent(2, 0.0));
+        view.guarded(at(0), RobotId(2), SafetyCounts { late_tick: 2, ..SafetyCounts::default() });
+        view.guarded(at(0), RobotId(2), SafetyCounts { late_tick: 2, fence: 1, ..SafetyCounts::default() });
+        let status = view.status(at(2000));
+        assert_eq!((status.late, status.guard), (vec![(2, 2)], vec![(2, "geofence")]));
+        let lines: Vec<String> = view.status(at(2500)).log.into_iter().map(|(.., line)| line).collect();
+        assert_eq!(lines, ["robot 2: late ticks", "robot 2: geofence", "robot 2: silent"]);
+    }
+}
