@@ -114,6 +114,9 @@ pub enum TrialError {
 pub enum Proceed {
     /// The trial continues with the next event.
     Continue,
+    /// The trial continues, and the time until its next event does not count toward the time at which it is given up:
+    /// a person holds the team.
+    Hold,
     /// The trial stops; the report holds the results up to that time.
     Stop,
 }
@@ -293,15 +296,19 @@ impl Trial {
             let shared = Rc::clone(&shared);
             move |output| shared.borrow_mut().note(output)
         };
-        let deadline = self.deadline();
+        let (mut deadline, mut held_since) = (self.deadline(), None);
         let (graph, end) = run_virtual(
             |clock| graph::wire(clock, plan, report, sink),
             |graph, now| {
                 let mut report = shared.borrow_mut();
                 report.simulated = now.since(Time::ZERO);
                 let closed = self.until.is_some_and(|until| now >= until);
-                let stops = proceed(graph, now, &report.episodes) == Proceed::Stop;
-                report.finished || closed || now >= deadline || stops
+                if let Some(since) = held_since.take() {
+                    deadline += now.since(since);
+                }
+                let proceed = proceed(graph, now, &report.episodes);
+                held_since = (proceed == Proceed::Hold).then_some(now);
+                report.finished || closed || now >= deadline || proceed == Proceed::Stop
             },
         );
         assert_eq!(end, End::Done, "a team with heartbeats never falls idle");

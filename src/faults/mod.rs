@@ -156,6 +156,17 @@ pub struct Targets<'a> {
     pub links: Vec<(&'a str, &'a [Kind])>,
 }
 
+/// Fault of one link that a person sets while a simulation runs. It acts on every frame, until it is changed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ManualLinkFault {
+    /// Whether the link loses every frame.
+    pub cut: bool,
+    /// Additional delay of every frame.
+    pub delay: Span,
+    /// Probability, 0 to 1, that a receiver loses a frame, in addition to other losses.
+    pub loss: f64,
+}
+
 /// All faults of actors and links to inject in a trial (a run of several episodes), with their times.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FaultPlan {

@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use crate::actors::{agent, body, cache, controller, localizer, network, recorder, state_server, status, world};
 use crate::deploy::{Deployment, Link, Routes};
-use crate::faults::{ActorFault, Role};
+use crate::faults::{ActorFault, ManualLinkFault, Role};
 use crate::graph::Plan;
 use crate::graph::devices::Devices;
 use crate::graph::inputs::{DeviceId, Input};
@@ -246,20 +246,46 @@ impl Graph {
         self.take(host, Input::Leave);
     }
 
-    pub(super) fn inject(&self, fault: ActorFault) {
-        let robot = fault.robot.index();
-        match fault.role {
-            Role::Cache => self.caches[robot].inject(fault),
-            Role::Agent => self.agents[robot].inject(fault),
-            Role::Controller => self.controllers[robot].inject(fault),
+    /// Injects a fault into an actor that runs here, from now on; the time in `fault` is not used.
+    pub fn inject(&self, fault: ActorFault) {
+        self.change_fault(fault.role, fault.robot, Some(&fault));
+    }
+
+    /// Ends all faults of an actor that runs here; if it has crashed, it restarts.
+    pub fn recover(&self, role: Role, robot: RobotId) {
+        self.change_fault(role, robot, None);
+    }
+
+    /// Sets the manual fault of an emulated link.
+    pub fn impair(&self, link: LinkId, fault: ManualLinkFault) {
+        self.transports[usize::from(link.0)].send(transport::In::Manual(fault));
+    }
+
+    /// Publishes an emergency stop, a re-arm, a resume or a question, through a host that runs here.
+    pub fn publish_stop(&self, through: HostId, stop: Stop) {
+        self.networks[usize::from(through.0)].send(network::In::Publish(Wire::Stop(stop)));
+    }
+
+    fn change_fault(&self, role: Role, robot: RobotId, fault: Option<&ActorFault>) {
+        fn change<I>(mailbox: &Mailbox<I>, fault: Option<&ActorFault>) {
+            match fault {
+                Some(fault) => mailbox.inject(fault.clone()),
+                None => mailbox.recover(),
+            }
+        }
+        let at = robot.index();
+        match role {
+            Role::Cache => change(&self.caches[at], fault),
+            Role::Agent => change(&self.agents[at], fault),
+            Role::Controller => change(&self.controllers[at], fault),
             // Measurement and motors of a robot fail together: both are its body.
             Role::Body => {
-                self.sensors[robot].inject(fault.clone());
-                self.bodies[robot].inject(fault);
+                change(&self.sensors[at], fault);
+                change(&self.bodies[at], fault);
             }
-            Role::World => self.worlds[robot].inject(fault),
-            Role::StateServer => self.server.inject(fault),
-            Role::Network => self.network_of(self.routes.agent_host(fault.robot)).inject(fault),
+            Role::World => change(&self.worlds[at], fault),
+            Role::StateServer => change(&self.server, fault),
+            Role::Network => change(&self.network_of(self.routes.agent_host(robot)), fault),
         }
     }
 }

@@ -46,6 +46,8 @@ mod team;
 mod temporary;
 #[cfg(feature = "train")]
 mod train;
+#[cfg(feature = "watch")]
+mod watch;
 #[cfg(any(feature = "completions", feature = "sim"))]
 mod whole_file;
 

@@ -4,7 +4,12 @@ use std::io::Write;
 
 use crate::messages::geometry::Vec2;
 use crate::report::trial::Step;
+#[cfg(feature = "sim")]
+use crate::report::trial::TrialReport;
 use anyhow::{Context, Result};
+
+#[cfg(feature = "sim")]
+use crate::program::whole_file::WholeFile;
 
 /// Columns; positions and velocities in the world frame.
 const COLUMNS: [&str; 11] = [
@@ -50,4 +55,14 @@ impl<W: Write> Paths<W> {
     pub fn flush(&mut self) -> Result<()> {
         self.0.flush().context("cannot write the trajectories")
     }
+}
+
+/// Writes the steps of several reports into a file.
+#[cfg(feature = "sim")]
+pub fn write_all(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
+    let mut paths = Paths::new(std::io::BufWriter::new(file.writer()))?;
+    for (repeat, report) in reports.iter().enumerate() {
+        report.steps.iter().try_for_each(|step| paths.write(repeat, step))?;
+    }
+    paths.flush()
 }

@@ -104,6 +104,16 @@ impl Simulated {
         trial: &crate::trial::Trial,
         mut proceed: impl FnMut(&[crate::report::episode::Episode]) -> crate::trial::Proceed,
     ) -> crate::trial::TrialReport {
+        self.run_observed(trial, |_, _| {}, |_, _, episodes| proceed(episodes))
+    }
+
+    /// Runs a trial with a record of it, and reports what happens as `Trial::run_observed` does.
+    pub fn run_observed(
+        &self,
+        trial: &crate::trial::Trial,
+        report: impl Fn(HostId, ProcessEvent) + 'static,
+        mut proceed: impl FnMut(&Graph, Time, &[crate::report::episode::Episode]) -> crate::trial::Proceed,
+    ) -> crate::trial::TrialReport {
         let mut beginning = self.beginning.clone();
         beginning.identity.repeat = trial.repeat;
         let topics = Topics::new(Stage::of(&trial.plan()), Scope::Simulation, 0);
@@ -117,14 +127,15 @@ impl Simulated {
         };
         let (events, turns) = (recording.inlet(), recording.inlet());
         let report = trial.run_observed(
-            move |host, event| {
-                if let Some(event) = Event::of(Scope::Simulation, host, event) {
+            move |host, observed| {
+                if let Some(event) = Event::of(Scope::Simulation, host, observed) {
                     events.push(event);
                 }
+                report(host, observed);
             },
-            |_, now, episodes| {
+            |graph, now, episodes| {
                 turns.turn(now);
-                proceed(episodes)
+                proceed(graph, now, episodes)
             },
         );
         if let Err(error) = recording.finish(None) {

@@ -33,12 +33,14 @@ use crate::program::deployment::ModeParser;
 use crate::program::drive;
 use crate::program::jobs;
 use crate::program::output::{print, read_text, talk};
-use crate::program::paths::Paths;
+use crate::program::paths;
 use crate::program::picture;
 use crate::program::picture::Pictures;
 use crate::program::policy;
 use crate::program::progress::{progress, watched};
 use crate::program::recording;
+#[cfg(feature = "watch")]
+use crate::program::watch;
 use crate::program::whole_file::WholeFile;
 
 /// Flags of `murmurate sim`.
@@ -67,9 +69,9 @@ pub struct Args {
     /// Number of episodes of a trial, each with a reset before it
     #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     episodes: u32,
-    /// Number of trials: the same episodes with other random numbers
-    #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    repeats: u32,
+    /// Number of trials: the same episodes with other random numbers [default: 12, or 1 with --watch]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    repeats: Option<u32>,
     /// File with starts and goals: {"episodes": [[{"start": [x, y], "goal": [x, y]}, ...], ...]}
     #[arg(long, value_name = "FILE.json")]
     episodes_file: Option<PathBuf>,
@@ -154,12 +156,25 @@ pub struct Args {
     drive: drive::DriveFlags,
     #[command(flatten)]
     pictures: picture::Flags,
+    #[cfg(feature = "watch")]
+    #[command(flatten)]
+    page: watch::trial::PacedPage,
     /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
     /// Prints only errors and interruptions on stderr
     #[arg(long)]
     quiet: bool,
+}
+
+impl Args {
+    fn repeats(&self) -> u32 {
+        #[cfg(feature = "watch")]
+        if self.page.is_on() {
+            return 1;
+        }
+        self.repeats.unwrap_or(12)
+    }
 }
 
 /// Returns the parser of a flag that takes one of these names.
@@ -178,6 +193,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     // Errors of every policy must show before the first one runs.
     let trials: Vec<(Trial, String)> =
         named.iter().map(|policy| trial(args, *policy, registry)).collect::<Result<_>>()?;
+    #[cfg(feature = "watch")]
+    args.page.check(trials.len(), args.repeats)?;
     let pictures = Pictures::open(&args.pictures, args.episodes)?;
     if trials.len() > 1 && (args.trajectories.is_some() || pictures.any() || args.record.record.is_some()) {
         return bad("--policy: trajectories, pictures and records are of one policy; name one".to_owned());
@@ -186,13 +203,13 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let stop = Arc::new(AtomicBool::new(false));
     let signal = Arc::clone(&stop);
     ctrlc::set_handler(move || signal.store(true, Ordering::Relaxed)).context("cannot listen for Ctrl-C")?;
-    tracing::info!("{} repeats of {} episodes; Ctrl-C prints the results so far", args.repeats, args.episodes);
+    tracing::info!("{} repeats of {} episodes; Ctrl-C prints the results so far", args.repeats(), args.episodes);
 
     let records = records(args, &trials)?;
     let mut results = Vec::new();
     for (trial, policy) in &trials {
         let began = Instant::now();
-        let reports = run_all(args, trial, &pictures, &stop, records.as_ref())?;
+        let reports = run_all(args, (trial, policy), &pictures, &stop, records.as_ref())?;
         let summary = summary(args, trial, policy, &reports, began.elapsed());
         results.push((summary, reports));
         if stop.load(Ordering::Relaxed) {
@@ -204,7 +221,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         let (summary, reports) = results.swap_remove(0);
         show(args, &summary)?;
         if let Some(mut file) = paths.take() {
-            write_paths(&mut file, &reports)?;
+            paths::write_all(&mut file, &reports)?;
             file.keep()?;
         }
         pictures.draw(trial, policy, &reports)?;
@@ -231,20 +248,26 @@ fn summary(args: &Args, trial: &Trial, policy: &str, reports: &[TrialReport], to
         network: deployment::conditions(args.delay_ms, args.loss, args.impair.as_deref() == Some("all"), &args.radio),
         faults: trial.faults.describe(),
         // A Ctrl-C that comes after the last episode has interrupted nothing.
-        interrupted: reports.len() < args.repeats as usize || reports.iter().any(|report| !report.finished),
+        interrupted: reports.len() < args.repeats() as usize || reports.iter().any(|report| !report.finished),
     };
     Summary::of(run, reports)
 }
 
 fn run_all(
     args: &Args,
-    trial: &Trial,
+    (trial, _policy): (&Trial, &str),
     pictures: &Pictures,
     stop: &AtomicBool,
     records: Option<&recording::Simulated>,
 ) -> Result<Vec<TrialReport>> {
-    let bar = progress(u64::from(args.episodes) * u64::from(args.repeats), args.quiet);
-    let repeats = args.repeats as usize;
+    #[cfg(feature = "watch")]
+    if args.page.is_on() {
+        let trial = Trial { steps: pictures.steps(0, trial.steps), ..trial.clone() };
+        let report = watch::trial::run(&trial, _policy, &args.page, stop, records)?;
+        return records.map_or(Ok(()), recording::Simulated::finish).map(|()| vec![report]);
+    }
+    let bar = progress(u64::from(args.episodes) * u64::from(args.repeats()), args.quiet);
+    let repeats = args.repeats() as usize;
     let work = |repeat: usize| {
         let repeat = u32::try_from(repeat).expect("repeats were counted in u32");
         let steps = pictures.steps(repeat, trial.steps);
@@ -266,7 +289,7 @@ fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<recording::
     let named = [&args.deployment, &args.episodes_file].into_iter().flatten().chain(&args.policy).cloned();
     let texts = args.faults.iter().chain([&args.radio]).map(PathBuf::from);
     let files = named.chain(texts).collect();
-    recording::Simulated::open(folder, files, trial.model.digest(), args.repeats).map(Some)
+    recording::Simulated::open(folder, files, trial.model.digest(), args.repeats()).map(Some)
 }
 
 /// Returns the trial of a record, from the arguments of the command that made it.
@@ -412,12 +435,4 @@ fn faults(given: &str, trial: &Trial) -> Result<FaultPlan> {
     }
     let text = read_text(Path::new(given), "fault plan (a seed would be a whole number)")?;
     FaultPlan::from_toml(&text).map_err(|e| BadInput(format!("the fault plan '{given}': {e}")).into())
-}
-
-fn write_paths(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
-    let mut paths = Paths::new(std::io::BufWriter::new(file.writer()))?;
-    for (repeat, report) in reports.iter().enumerate() {
-        report.steps.iter().try_for_each(|step| paths.write(repeat, step))?;
-    }
-    paths.flush()
 }

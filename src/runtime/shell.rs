@@ -30,6 +30,7 @@ const PANIC_STATUS: i32 = 101;
 enum Envelope<I> {
     Deliver(I),
     Inject(ActorFault),
+    Recover,
 }
 
 /// Address of one actor on this thread, with the queue of its messages. Clones are cheap and share the queue. A mailbox
@@ -76,6 +77,11 @@ impl<I> Mailbox<I> {
     /// Injects a fault, such as a crash or a delay, into the actor of the mailbox.
     pub fn inject(&self, fault: ActorFault) {
         self.post(Envelope::Inject(fault));
+    }
+
+    /// Ends all injected faults of the actor of the mailbox; a crashed actor restarts.
+    pub fn recover(&self) {
+        self.post(Envelope::Recover);
     }
 
     /// Number of messages that were dropped because the mailbox was full.
@@ -214,6 +220,7 @@ impl<C: Core + 'static> Shell<C> {
                 None => break,
                 Some(Envelope::Deliver(input)) => self.take_in(now, input),
                 Some(Envelope::Inject(fault)) => self.inject(now, &fault),
+                Some(Envelope::Recover) => self.faults = Faults::default(),
             }
         }
         self.turn(now);

@@ -103,7 +103,8 @@ mod tests {
         for fine in ["127.0.0.1:8137", "localhost:8137", "[::1]:8137"] {
             assert!(is_host(fine, local), "{fine}");
         }
-        for wrong in ["", "127.0.0.1", "127.0.0.1:80", "evil.example:8137", "localhost.evil.example:8137", "localhost"] {
+        for wrong in ["", "127.0.0.1", "127.0.0.1:80", "evil.example:8137", "localhost.evil.example:8137", "localhost"]
+        {
             assert!(!is_host(wrong, local), "{wrong}");
         }
         let far: SocketAddr = "192.168.1.5:8137".parse().unwrap();
@@ -115,7 +116,9 @@ mod tests {
     #[test]
     fn origins_are_this_server_alone() {
         assert!(is_origin("http://localhost:81", "localhost:81"));
-        for wrong in ["", "null", "https://localhost:81", "http://localhost", "http://evil.example", "http://localhost:812"] {
+        for wrong in
+            ["", "null", "https://localhost:81", "http://localhost", "http://evil.example", "http://localhost:812"]
+        {
             assert!(!is_origin(wrong, "localhost:81"), "{wrong}");
         }
     }
@@ -125,7 +128,9 @@ mod tests {
         let token = Token::new(&[0xab; TOKEN_BYTES]);
         let digits = "ab".repeat(16);
         assert!(token.is_among(&format!("murmurate, token.{digits}")));
-        for wrong in ["", "murmurate", "token.", &digits, &format!("token.{}", &digits[1..]), &format!("token.{digits}0")] {
+        for wrong in
+            ["", "murmurate", "token.", &digits, &format!("token.{}", &digits[1..]), &format!("token.{digits}0")]
+        {
             assert!(!token.is_among(wrong), "{wrong}");
         }
     }

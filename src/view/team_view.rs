@@ -206,8 +206,11 @@ impl TeamView {
         let count = |counts: &SafetyCounts, name: &str| {
             counts.reasons().find(|(_, reason)| *reason == name).map_or(0, |(times, _)| times)
         };
-        let begun: Vec<&'static str> =
-            counts.reasons().filter(|(times, name)| *times > count(&robot.safety, name)).map(|(_, name)| name).collect();
+        let begun: Vec<&'static str> = counts
+            .reasons()
+            .filter(|(times, name)| *times > count(&robot.safety, name))
+            .map(|(_, name)| name)
+            .collect();
         robot.guard = begun.last().copied().or(robot.guard);
         robot.safety = counts;
         for name in begun {
@@ -345,8 +348,8 @@ impl TeamView {
 mod tests {
     use super::*;
     use crate::messages::geometry::Motion;
-    use crate::messages::wire::{Features, Following, Heartbeat, Latent, Round};
     use crate::messages::wire;
+    use crate::messages::wire::{Features, Following, Heartbeat, Latent, Round};
 
     fn view() -> TeamView {
         let scene = Scene { robots: 3, range_m: Some(1.0), hears_links: true, hears_results: true, ..Scene::default() };

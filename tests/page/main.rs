@@ -1,1 +1,10 @@
-//! The live page.
+//! The live page: its server against everything that it refuses, and the page in a real browser.
+
+mod browser;
+mod http;
+mod pixels;
+#[path = "../program/mod.rs"]
+mod program;
+mod refusals;
+mod run;
+mod slow;

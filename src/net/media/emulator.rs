@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 use rand::RngExt;
 
-use crate::faults::{LinkFault, LinkFaultKind};
+use crate::faults::{LinkFault, LinkFaultKind, ManualLinkFault};
 use crate::messages::ids::HostId;
 use crate::messages::wire::Kind;
 use crate::net::protocol::codec::{Frame, HEADER_BYTES};
@@ -32,6 +32,7 @@ pub struct Impairment {
 pub struct LinkEmulator {
     impairment: Impairment,
     faults: Vec<LinkFault>,
+    manual: ManualLinkFault,
     /// Start times of episodes, for faults that are timed from them.
     began: BTreeMap<u32, Time>,
     stream: Stream,
@@ -41,7 +42,12 @@ impl LinkEmulator {
     /// Returns the emulator of one link. `impairment` gives delay and loss, and `faults` are the faults planned for
     /// this link. All random numbers are drawn from `stream`.
     pub fn new(impairment: Impairment, faults: Vec<LinkFault>, stream: Stream) -> LinkEmulator {
-        LinkEmulator { impairment, faults, began: BTreeMap::new(), stream }
+        LinkEmulator { impairment, faults, manual: ManualLinkFault::default(), began: BTreeMap::new(), stream }
+    }
+
+    /// Sets the fault that a person has chosen, in addition to all others.
+    pub fn set_manual(&mut self, manual: ManualLinkFault) {
+        self.manual = manual;
     }
 
     /// Records that the episode with index `episode` begins at time `now`, for faults that are timed from its start.
@@ -68,6 +74,11 @@ impl LinkEmulator {
             }
             at += self.impairment.delay;
         }
+        let ManualLinkFault { cut, delay, loss } = self.manual;
+        if cut || loss > 0.0 && self.stream.random_bool(loss.min(1.0)) {
+            return;
+        }
+        at += delay;
         let first = arrivals.len();
         arrivals.push((at, frame.clone()));
         for fault in self.faults.iter().filter(|fault| fault.hits(now, &self.began, kind, (from, to))) {
@@ -123,6 +134,21 @@ mod tests {
         let arrived = (0..2000).filter(|_| !carry(&mut emulator, Kind::Latent).is_empty()).count();
         assert!((1340..1460).contains(&arrived), "{arrived} of 2000 arrived at 30 % loss");
         assert_eq!(carry(&mut emulator, Kind::Mode)[0].0, Time::ZERO, "other kinds pass at once");
+    }
+
+    #[test]
+    fn a_manual_fault_acts_on_every_frame_until_it_is_taken_back() {
+        let mut emulator = LinkEmulator::new(Impairment::default(), Vec::new(), Seed::of_run(1).stream("link"));
+        let delay = Span::from_millis(20);
+        emulator.set_manual(ManualLinkFault { delay, ..ManualLinkFault::default() });
+        assert_eq!(carry(&mut emulator, Kind::Mode)[0].0, Time::ZERO + delay);
+        emulator.set_manual(ManualLinkFault { cut: true, ..ManualLinkFault::default() });
+        assert!(carry(&mut emulator, Kind::Mode).is_empty());
+        emulator.set_manual(ManualLinkFault { loss: 0.5, ..ManualLinkFault::default() });
+        let arrived = (0..2000).filter(|_| !carry(&mut emulator, Kind::Stop).is_empty()).count();
+        assert!((900..1100).contains(&arrived), "{arrived} of 2000 arrived at 50 % loss");
+        emulator.set_manual(ManualLinkFault::default());
+        assert_eq!(carry(&mut emulator, Kind::Mode)[0].0, Time::ZERO);
     }
 
     #[test]

@@ -114,6 +114,7 @@ impl Core for Ether {
                 self.reach.iter_mut().for_each(|reach| reach.locate(&truth));
             }
             In::EpisodeBegins(episode) => self.emulator.begin(now, episode),
+            In::Manual(fault) => self.emulator.set_manual(fault),
             In::Admit(_) => unreachable!("an ether has no socket"),
         }
     }

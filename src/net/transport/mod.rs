@@ -18,6 +18,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 
 use crate::config::ConfigError;
+use crate::faults::ManualLinkFault;
 use crate::messages::ids::HostId;
 use crate::messages::local::Truth;
 use crate::net::protocol::codec::Frame;
@@ -89,6 +90,8 @@ pub enum In {
     Truth(Truth),
     /// An episode that begins: for an emulated link with faults that are timed from its start.
     EpisodeBegins(u32),
+    /// A fault that a person has chosen: for an emulated link.
+    Manual(ManualLinkFault),
     /// A host whose address is in no file, to be sent to for a while; only unicast links use it.
     Admit(Guest),
 }

@@ -275,7 +275,7 @@ impl Transport for Udp {
         match input {
             In::Transmit(transmit) => self.transmit(now, &transmit),
             In::Admit(guest) => self.to.admit(now, guest),
-            In::Truth(_) | In::EpisodeBegins(_) => {}
+            In::Truth(_) | In::EpisodeBegins(_) | In::Manual(_) => {}
         }
     }
 

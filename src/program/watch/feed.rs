@@ -1,0 +1,81 @@
+//! Feed of a page: snapshots at 20 Hz, the status twice a second and at each change, goals at each episode.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::time::{Duration, Instant};
+
+use crate::time::Time;
+use crate::view::server::Publisher;
+use crate::view::status::Status;
+use crate::view::team_view::TeamView;
+
+/// Period of snapshots.
+const SNAPSHOT: Duration = Duration::from_millis(50);
+/// Period of snapshots of a large team.
+const SNAPSHOT_LARGE: Duration = Duration::from_millis(100);
+/// Number of robots from which a team is large.
+const LARGE: usize = 400;
+/// Period of the status.
+const STATUS: Duration = Duration::from_millis(500);
+/// Period at which changes are looked for.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// State whose change is told at once: emergency stop, its confirmations, the episode, and the process's own.
+type Change = (&'static str, usize, Option<u32>, &'static str);
+
+/// Feed of one page.
+pub(super) struct Feed {
+    view: Rc<RefCell<TeamView>>,
+    period: Duration,
+    snapshot_at: Instant,
+    status_at: Instant,
+    look_at: Instant,
+    told: Option<Change>,
+    goals_told: u64,
+}
+
+impl Feed {
+    /// Makes a feed of this view that has told nothing.
+    pub fn new(view: Rc<RefCell<TeamView>>) -> Feed {
+        let now = Instant::now();
+        let period = if view.borrow().scene().robots >= LARGE { SNAPSHOT_LARGE } else { SNAPSHOT };
+        Feed { view, period, snapshot_at: now, status_at: now, look_at: now, told: None, goals_told: 0 }
+    }
+
+    /// Makes the next news be told at once.
+    pub fn at_once(&mut self) {
+        (self.look_at, self.snapshot_at) = (Instant::now(), Instant::now());
+    }
+
+    /// Leaves what is due for the pages, without waiting. `now` is the time of the run; `own` is a state of the
+    /// process whose change is told at once; `fill` adds to the status what only the process knows.
+    pub fn tell(&mut self, publisher: &Publisher, now: Time, own: &'static str, fill: impl FnOnce(&mut Status)) {
+        let present = Instant::now();
+        if present < self.look_at {
+            return;
+        }
+        self.look_at = present + LOOK;
+        let mut view = self.view.borrow_mut();
+        if present >= self.snapshot_at {
+            let bytes = view.snapshot(now).encode(view.scene().scale_m);
+            if publisher.snapshot(bytes) {
+                self.snapshot_at = (self.snapshot_at + self.period).max(present);
+            }
+        }
+        if view.goals_changed() != self.goals_told {
+            let (number, goals) = view.goals();
+            if publisher.goals(goals.to_json()) {
+                self.goals_told = number;
+            }
+        }
+        let change = (view.latch().word(), view.confirmed(), view.phase().map(|(_, episode)| episode), own);
+        if present < self.status_at && self.told == Some(change) {
+            return;
+        }
+        let mut status = view.status(now);
+        fill(&mut status);
+        if publisher.status(status.to_json()) {
+            (self.status_at, self.told) = (present + STATUS, Some(change));
+        }
+    }
+}

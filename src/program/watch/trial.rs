@@ -1,0 +1,340 @@
+//! A trial at the pace of real time, with its page. Without a command of the page, its report is that of the same trial
+//! without a page.
+
+use std::cell::{Cell, RefCell};
+use std::collections::{BTreeMap, BTreeSet};
+use std::rc::Rc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+
+use super::feed::Feed;
+use super::{OPERATOR, OptionalPage};
+use crate::actors::order::OrderKind;
+use crate::actors::recorder;
+use crate::deploy::Routes;
+use crate::faults::{ActorFault, ActorFaultKind, ManualLinkFault, Role};
+use crate::graph::process::{Graph, ProcessEvent};
+use crate::messages::ids::{HostId, LinkId, RobotId};
+use crate::messages::wire::{Kind, Phase, Wire};
+use crate::net::protocol::codec::{self, Content, Frame};
+use crate::program::bad;
+use crate::program::recording::Simulated;
+use crate::report::episode::Episode;
+use crate::time::{Span, Time};
+use crate::trial::{Proceed, Trial, TrialReport};
+use crate::view::access::Control;
+use crate::view::command::Command;
+use crate::view::orders::Orders;
+use crate::view::server::Publisher;
+use crate::view::status::{LinkImpairment, Scene, Status};
+use crate::view::team_view::TeamView;
+
+/// Flags of a simulation's page.
+#[derive(clap::Args)]
+pub struct PacedPage {
+    #[command(flatten)]
+    page: OptionalPage,
+    /// Simulated seconds a second, with --watch; a large team may reach less
+    #[arg(long, default_value_t = 1.0)]
+    speed: f64,
+}
+
+impl PacedPage {
+    /// Whether there is a page.
+    pub fn is_on(&self) -> bool {
+        self.page.watch
+    }
+
+    /// Checks the flags of a simulation of this many policies; errors name the flag.
+    pub fn check(&self, policies: usize, repeats: Option<u32>) -> Result<()> {
+        self.page.check()?;
+        match self.speed {
+            speed if !(0.01..=1000.0).contains(&speed) => bad(format!("--speed: {speed} is not 0.01 to 1000")),
+            _ if !self.is_on() => Ok(()),
+            _ if policies > 1 => bad("--watch: the page is of one policy; name one".to_owned()),
+            _ if repeats.is_some_and(|repeats| repeats > 1) => {
+                bad("--watch: the page is of one trial; leave out --repeats".to_owned())
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Longest wait for real time, after which pages get their news.
+const TURN: Duration = Duration::from_millis(10);
+/// Delay behind real time that is not made up for.
+const BEHIND: Duration = Duration::from_millis(250);
+/// Period of the measurement of the speed.
+const MEASURED: Duration = Duration::from_secs(1);
+/// Duration of a crash that lasts until somebody restarts the actor.
+const FOR_GOOD: Span = Span::from_millis(1 << 40);
+
+/// Runs a trial at the speed of the flags, with a page, until its end or until `stop` is set.
+pub fn run(trial: &Trial, policy: &str, flags: &PacedPage, stop: &AtomicBool, records: Option<&Simulated>) -> Result<TrialReport> {
+    let routes = Routes::of(&trial.deployment);
+    let robots = trial.scenario.robots();
+    let homes = RobotId::team(robots).map(|robot| routes.agent_host(robot)).collect();
+    let scene = scene(trial, policy);
+    let (server, publisher) = flags.page.page.open(scene.clone(), Control::Emulation)?;
+    let view = Rc::new(RefCell::new(TeamView::new(scene, homes, trial.deployment.hosts.len())));
+    let clock = Rc::new(Cell::new(Time::ZERO));
+    let mut desk = Desk {
+        trial,
+        leader: routes.server_host(),
+        publisher,
+        feed: Feed::new(Rc::clone(&view)),
+        view: Rc::clone(&view),
+        orders: Rc::new(RefCell::new(Orders::new(OPERATOR, robots))),
+        pause: Pause::No,
+        finished: 0,
+        killed: BTreeSet::new(),
+        impaired: BTreeMap::new(),
+        pace: Pace::new(flags.speed),
+    };
+    let orders = Rc::clone(&desk.orders);
+    let time = Rc::clone(&clock);
+    let hear = move |host: HostId, event: ProcessEvent| {
+        heard(&mut view.borrow_mut(), &mut orders.borrow_mut(), time.get(), host, event);
+    };
+    let turn = |graph: &Graph, now: Time, episodes: &[Episode]| {
+        clock.set(now);
+        desk.turn(graph, now, episodes, stop)
+    };
+    let report = match records {
+        Some(records) => records.run_observed(trial, hear, turn),
+        None => trial.run_observed(hear, turn),
+    };
+    desk.feed.at_once();
+    desk.tell(clock.get(), true);
+    server.close();
+    Ok(report)
+}
+
+/// The scene of a trial.
+fn scene(trial: &Trial, policy: &str) -> Scene {
+    let range_m = trial.range.map_or(trial.model.interface().radius_m, |range| range.mean_m);
+    Scene {
+        scenario: trial.scenario.name().to_owned(),
+        mode: trial.deployment.mode.clone(),
+        policy: policy.to_owned(),
+        robots: trial.scenario.robots(),
+        episodes: trial.layouts.len(),
+        hull_m: trial.physics.wall_radius_m,
+        range_m: Some(range_m).filter(|range_m| range_m.is_finite()),
+        links: trial.deployment.links.iter().map(|link| link.name.clone()).collect(),
+        hears_links: true,
+        hears_results: true,
+        ..Scene::of_arena(trial.scenario.arena())
+    }
+}
+
+/// Takes an event of the trial.
+fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, event: ProcessEvent) {
+    match event {
+        ProcessEvent::Published(frame) => {
+            let Some(message) = wanted(frame) else { return };
+            if let Wire::Status(status) = &message {
+                orders.hear(now, status);
+            }
+            view.hear(now, &message);
+        }
+        ProcessEvent::Message(message) => view.arrived(now, host, message),
+        ProcessEvent::Truth(truth) => view.see(truth),
+        ProcessEvent::Recorded(recorder::Out::Episode(episode, _)) => view.judged(now, episode),
+        ProcessEvent::Safety(robot, counts) => view.guarded(now, robot, counts),
+        ProcessEvent::Hardware(robot, hardware) => {
+            hardware.battery.into_iter().for_each(|percent| view.charged(robot, percent));
+        }
+        _ => {}
+    }
+}
+
+/// Decodes a published message of which the page shows something.
+fn wanted(frame: &Frame) -> Option<Wire> {
+    let kinds = [Kind::Latent, Kind::Heartbeat, Kind::Mode, Kind::Status];
+    match codec::first(frame).ok()? {
+        Content::Message(kind) if kinds.contains(&kind) => codec::decode(frame).ok().map(|(_, message)| message),
+        _ => None,
+    }
+}
+
+/// Pause after the current episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Pause {
+    No,
+    Asked,
+    /// Time stands still.
+    Yes,
+}
+
+/// Relation of simulated to real time.
+struct Pace {
+    speed: f64,
+    origin: (Instant, Time),
+    measured: (Instant, Time),
+    /// Simulated time per real time, as last measured.
+    reached: f64,
+}
+
+impl Pace {
+    fn new(speed: f64) -> Pace {
+        let origin = (Instant::now(), Time::ZERO);
+        Pace { speed, origin, measured: origin, reached: speed }
+    }
+
+    /// Returns the real time to wait until this time of the trial has come.
+    fn ahead(&mut self, now: Time) -> Duration {
+        let present = Instant::now();
+        let (origin, from) = self.origin;
+        let due = origin + Duration::from_secs_f64(now.since(from).as_secs() / self.speed);
+        if present.saturating_duration_since(due) > BEHIND {
+            self.origin = (present, now);
+        }
+        let since = present - self.measured.0;
+        if since >= MEASURED {
+            self.reached = now.since(self.measured.1).as_secs() / since.as_secs_f64();
+            self.measured = (present, now);
+        }
+        due.saturating_duration_since(present)
+    }
+}
+
+/// What happens between two instants of a trial: commands, orders, news for the pages, and the wait for real time.
+struct Desk<'a> {
+    trial: &'a Trial,
+    /// Host of the state server, through which orders are sent.
+    leader: HostId,
+    publisher: Publisher,
+    feed: Feed,
+    view: Rc<RefCell<TeamView>>,
+    orders: Rc<RefCell<Orders>>,
+    pause: Pause,
+    /// Number of episodes with a result.
+    finished: usize,
+    killed: BTreeSet<String>,
+    impaired: BTreeMap<String, LinkImpairment>,
+    pace: Pace,
+}
+
+impl Desk<'_> {
+    fn turn(&mut self, graph: &Graph, now: Time, episodes: &[Episode], stop: &AtomicBool) -> Proceed {
+        let ended = episodes.len() > std::mem::replace(&mut self.finished, episodes.len());
+        loop {
+            while let Some(command) = self.publisher.command() {
+                self.obey(graph, now, command);
+            }
+            self.take_pause(now, ended);
+            let message = self.orders.borrow_mut().turn(now);
+            message.into_iter().for_each(|message| graph.publish_stop(self.leader, message));
+            if let Some(result) = self.orders.borrow_mut().take_result() {
+                self.view.borrow_mut().note(now, &result);
+            }
+            self.tell(now, false);
+            if stop.load(Ordering::Relaxed) {
+                return Proceed::Stop;
+            }
+            let ahead = self.pace.ahead(now);
+            if self.pause != Pause::Yes && ahead.is_zero() {
+                break;
+            }
+            let wait = if self.pause == Pause::Yes { TURN } else { ahead.min(TURN) };
+            if let Some(command) = self.publisher.wait(wait) {
+                self.obey(graph, now, command);
+            }
+        }
+        if self.view.borrow().latch().is_clear() { Proceed::Continue } else { Proceed::Hold }
+    }
+
+    /// Begins a pause that was asked for, between two episodes.
+    fn take_pause(&mut self, now: Time, ended: bool) {
+        let phase = self.view.borrow().phase().map(|(phase, _)| phase);
+        let between = !matches!(phase, Some(Phase::Running | Phase::FinishedRunning));
+        if self.pause == Pause::Asked && (ended || between) {
+            self.pause = Pause::Yes;
+            self.view.borrow_mut().note(now, "paused, until it is resumed");
+        }
+    }
+
+    fn tell(&mut self, now: Time, over: bool) {
+        let Desk { killed, impaired, pace, orders, .. } = self;
+        let pause = match self.pause {
+            Pause::No => "no",
+            Pause::Asked => "asked",
+            Pause::Yes => "yes",
+        };
+        let fill = |status: &mut Status| {
+            status.speed = Some(pace.reached);
+            status.ordering = orders.borrow().is_running();
+            status.pause = pause;
+            status.killed = killed.iter().cloned().collect();
+            status.impaired = impaired.clone();
+            status.over = over;
+        };
+        self.feed.tell(&self.publisher, now, if over { "over" } else { pause }, fill);
+    }
+
+    fn obey(&mut self, graph: &Graph, now: Time, command: Command) {
+        let note = |line: &str| self.view.borrow_mut().note(now, line);
+        match command {
+            Command::Stop => {
+                // A stop needs time to go on.
+                self.pause = Pause::No;
+                note("page: STOP");
+                self.order(now, OrderKind::Stop);
+            }
+            Command::Rearm => self.order(now, OrderKind::Rearm),
+            Command::Resume if self.pause != Pause::No => {
+                self.pause = Pause::No;
+                note("page: goes on");
+            }
+            Command::Resume => self.order(now, OrderKind::Resume),
+            Command::Pause => {
+                self.pause = Pause::Asked;
+                note("page: pause after this episode");
+            }
+            Command::Kill { role, robot } => self.kill(graph, now, role, robot),
+            Command::Restart { role, robot } => {
+                if robot.index() < self.trial.scenario.robots() {
+                    graph.recover(role, robot);
+                    self.killed.remove(&name(role, robot));
+                    note(&format!("page: {} restarts", name(role, robot)));
+                }
+            }
+            Command::Link { link, cut, delay_ms, loss } => {
+                let links = &self.trial.deployment.links;
+                let Some(at) = links.iter().position(|other| other.name == link) else {
+                    return note("page: no link has that name");
+                };
+                let fault = ManualLinkFault { cut, delay: Span::from_secs(delay_ms / 1e3), loss };
+                graph.impair(LinkId(u16::try_from(at).expect("links are counted in u16")), fault);
+                let state = if cut { "cut" } else { "not cut" };
+                note(&format!("page: link {link} {state}, delay {delay_ms} ms, loss {:.0} %", 100.0 * loss));
+                self.impaired.insert(link, LinkImpairment { cut, delay_ms, loss });
+            }
+        }
+    }
+
+    fn order(&self, now: Time, kind: OrderKind) {
+        if let Err(why) = self.orders.borrow_mut().give(now, kind) {
+            self.view.borrow_mut().note(now, &format!("page: refused, {why}"));
+        }
+    }
+
+    fn kill(&mut self, graph: &Graph, now: Time, role: Role, robot: RobotId) {
+        if robot.index() >= self.trial.scenario.robots() {
+            return;
+        }
+        let (kind, at, lasts, by, episode) = (ActorFaultKind::Crash, now, FOR_GOOD, Span::ZERO, None);
+        graph.inject(ActorFault { role, robot, kind, at, lasts, by, episode });
+        self.killed.insert(name(role, robot));
+        self.view.borrow_mut().note(now, &format!("page: {} is killed", name(role, robot)));
+    }
+}
+
+/// Returns the name of an actor in words.
+fn name(role: Role, robot: RobotId) -> String {
+    let word = serde_json::to_value(role).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default();
+    if role == Role::StateServer { word } else { format!("{word} of {robot}") }
+}

@@ -1,0 +1,175 @@
+//! `sim --watch` with a real browser: the emergency stop, a halted program, other pages; and the same report as without.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Stdio};
+
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+
+use crate::browser::Browser;
+use crate::program::{murmurate, run, text};
+
+/// A running `sim --watch`, and the address of its page.
+struct Watched {
+    child: Child,
+    url: String,
+}
+
+impl Watched {
+    fn start(flags: &[&str]) -> Watched {
+        let mut command = murmurate(&[&["sim", "--watch", "--control", "--quiet"], flags].concat());
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        lines.read_line(&mut line).unwrap();
+        let url = line.trim().strip_prefix("watch: ").unwrap_or_else(|| panic!("{line}")).to_owned();
+        std::thread::spawn(move || std::io::copy(&mut lines, &mut std::io::sink()));
+        Watched { child, url }
+    }
+
+    fn signal(&self, signal: Signal) {
+        kill(Pid::from_raw(self.child.id().cast_signed()), signal).unwrap();
+    }
+
+    fn end(mut self) -> Option<i32> {
+        self.signal(Signal::SIGINT);
+        self.child.wait().unwrap().code()
+    }
+}
+
+const STATE: &str = "document.getElementById('state').textContent";
+const CONFIRMED: &str = "document.getElementById('confirmed').textContent";
+
+#[test]
+fn the_space_bar_stops_the_team_and_a_halted_program_is_grey_within_a_second() {
+    let Some(mut browser) = Browser::start() else { return };
+    let watched = Watched::start(&["--mode", "offboard", "--episodes", "100"]);
+    browser.open(&watched.url);
+    browser.until(&format!("{STATE} === 'running' && {CONFIRMED} === '5/5' && murmurate.counts.drawn > 40"));
+    assert_eq!(browser.eval("location.hash"), "", "the token leaves the address");
+    pictures(&mut browser, "");
+    browser.press_space();
+    let stopped = browser.until(&format!("{STATE} === 'STOPPED' && {CONFIRMED} === '5/5'"));
+    eprintln!("stop seen and confirmed on the page after {stopped:.0} ms");
+    assert!(stopped < 2000.0, "{stopped} ms");
+    pictures(&mut browser, "stopped-");
+    browser.until("!document.getElementById('rearm').disabled");
+    browser.eval("document.getElementById('rearm').click()");
+    browser.until(&format!("{STATE} === 'HELD'"));
+    browser.until("!document.getElementById('resume').disabled");
+    browser.eval("document.getElementById('resume').click()");
+    browser.until(&format!("{STATE} === 'running'"));
+
+    watched.signal(Signal::SIGSTOP);
+    let grey = "new Promise(done => { const look = () => document.documentElement.classList.contains('stale') ? \
+                done(murmurate.heard()) : setTimeout(look, 4); look(); })";
+    let age = browser.eval(grey).as_f64().unwrap();
+    eprintln!("grey {age:.0} ms after the last snapshot");
+    assert!(age <= 1000.0, "{age} ms");
+    watched.signal(Signal::SIGCONT);
+    browser.until("!document.documentElement.classList.contains('stale')");
+
+    let (host, _) = watched.url.trim_start_matches("http://").split_once('/').unwrap();
+    browser.open("data:text/html,<title>another page</title>");
+    for path in ["view", "control"] {
+        let script = format!(
+            "new Promise(done => {{ const w = new WebSocket('ws://{host}/{path}'); w.onopen = () => done('open'); \
+             w.onerror = () => done('refused'); }})"
+        );
+        assert_eq!(browser.eval(&script), "refused");
+    }
+    let read = format!("fetch('http://{host}/').then(() => 'read', () => 'refused')");
+    assert_eq!(browser.eval(&read), "refused");
+    assert_eq!(watched.end(), Some(130), "interrupted, with the results until then");
+}
+
+/// Writes pictures of the page to the folder that MURMURATE_PICTURES names, or to a temporary one.
+fn pictures(browser: &mut Browser, name: &str) {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = std::env::var_os("MURMURATE_PICTURES").map_or(temporary.path().to_owned(), std::path::PathBuf::from);
+    for (look, width, height, scheme) in
+        [("light", 1280, 800, "light"), ("dark", 1280, 800, "dark"), ("phone", 390, 844, "light")]
+    {
+        browser.look_like(width, height, scheme);
+        let drawn = browser.eval("murmurate.counts.drawn").as_f64().unwrap();
+        browser.until(&format!(
+            "murmurate.counts.drawn > {} && document.documentElement.dataset.theme === '{scheme}'",
+            drawn + 5.0
+        ));
+        let picture = browser.picture();
+        assert!(picture.starts_with(b"\x89PNG") && picture.len() > 5_000, "{} bytes", picture.len());
+        std::fs::write(folder.join(format!("{name}{look}.png")), picture).unwrap();
+    }
+    browser.look_like(1280, 800, "light");
+}
+
+#[test]
+fn a_trial_that_nobody_touches_has_the_report_of_a_trial_without_a_page() {
+    let flags = ["sim", "--mode", "offboard", "--episodes", "2", "--repeats", "1", "--seed", "5", "--json", "--quiet"];
+    let report = |more: &[&str]| {
+        let output = run(&[&flags[..], more].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let mut report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        report["wall_s"] = serde_json::Value::Null;
+        report
+    };
+    let alone = report(&[]);
+    assert!(alone["trace_hash"].is_string(), "{alone}");
+    assert_eq!(alone, report(&["--watch", "--speed", "20"]));
+}
+
+#[test]
+fn flags_of_the_page_are_refused_where_they_make_no_sense() {
+    use crate::program::refuses;
+    refuses(&["sim", "--control"], &["--control", "--watch"]);
+    refuses(&["sim", "--watch", "--repeats", "2"], &["--watch", "--repeats"]);
+    refuses(&["sim", "--watch", "--speed", "0"], &["--speed"]);
+    refuses(&["sim", "--watch", "--listen", "0.0.0.0:0"], &["--listen", "token"]);
+}
+
+/// Figures of the page for large teams: `cargo test --release --test page large -- --nocapture` with MURMURATE_LARGE=1.
+#[test]
+fn large_teams_are_drawn_in_time() {
+    let teams: &[(&str, &str)] = match std::env::var_os("MURMURATE_LARGE") {
+        Some(_) => &[("20", "60"), ("100", "60"), ("1000", "200")],
+        None => &[("20", "60")],
+    };
+    let Some(mut browser) = Browser::start() else { return };
+    for (robots, frames) in teams {
+        let watched = Watched::start(&[
+            "--mode",
+            "offboard",
+            "--scenario",
+            "swap",
+            "--policy",
+            "orca",
+            "--robots",
+            robots,
+            "--link-range-m",
+            "3",
+            "--comm-range-m",
+            "2",
+            "--episodes",
+            "100",
+        ]);
+        browser.open(&watched.url);
+        browser.until(&format!("murmurate.counts.drawn > {frames}"));
+        let before = browser.eval("[{...murmurate.counts}, performance.now()]");
+        browser.until(&format!("murmurate.counts.snapshots > {}", before[0]["snapshots"].as_f64().unwrap() + 50.0));
+        let after = browser.eval("[{...murmurate.counts}, performance.now()]");
+        let more = |name: &str| after[0][name].as_f64().unwrap() - before[0][name].as_f64().unwrap();
+        let seconds = (after[1].as_f64().unwrap() - before[1].as_f64().unwrap()) / 1000.0;
+        let (ms, kb_s) = (more("drawMs") / more("drawn"), more("bytes") / seconds / 1000.0);
+        browser.press_space();
+        let stopped = browser.until(&format!("{STATE} === 'STOPPED'"));
+        let all = browser.until(&format!("{CONFIRMED} === '{robots}/{robots}'"));
+        eprintln!(
+            "{robots} robots: {ms:.2} ms a drawn frame, {:.1} snapshots/s, {kb_s:.0} kB/s, stop seen after {stopped:.0} \
+             ms, confirmed {all:.0} ms later, {}",
+            more("snapshots") / seconds,
+            browser.eval("document.getElementById('clock').textContent"),
+        );
+        pictures(&mut browser, &format!("{robots}-"));
+        watched.end();
+    }
+}
