@@ -57,7 +57,10 @@ pub fn wire(
         // Stops of others are for a wiggle, which ends at one.
         Kind::Stop => Route { local: true, leaves: stop.map(|link| (link, Audience::All)) },
         Kind::Observe => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
-        Kind::Heartbeat | Kind::Mode | Kind::Status | Kind::Telemetry => Route { local: true, leaves: None },
+        // Latents and readings are for a page, where this link carries them.
+        Kind::Heartbeat | Kind::Mode | Kind::Status | Kind::Telemetry | Kind::Latent | Kind::Reading => {
+            Route { local: true, leaves: None }
+        }
         _ => Route::default(),
     });
     let router = router.with_publishers(publishers);

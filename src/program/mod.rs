@@ -112,6 +112,9 @@ enum Command {
     Doctor(Box<doctor::Args>),
     /// Engages a team's emergency stop, or takes it back with --rearm.
     Stop(stop::Args),
+    #[cfg(feature = "watch")]
+    /// Shows a running team on a page in the browser, with its emergency stop.
+    Watch(watch::team::Args),
     /// Lets a team go on that was stopped and re-armed: the next episode begins.
     Resume(stop::ResumeArgs),
     /// Makes the key that a team's messages are authenticated with.
@@ -247,6 +250,8 @@ fn run(command: Command, registry: &Registry) -> anyhow::Result<Ended> {
         Command::Replay(args) => replay::run(&args, registry),
         Command::Doctor(args) => doctor::run(&args, registry),
         Command::Stop(args) => stop::run(&args, registry),
+        #[cfg(feature = "watch")]
+        Command::Watch(args) => watch::team::run(&args, registry),
         Command::Resume(args) => stop::resume(&args, registry),
         Command::Key(args) => key::run(&args),
         Command::Config(args) => config::run(&args, registry),

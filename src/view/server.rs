@@ -6,7 +6,7 @@
 use std::io::{self, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 use std::thread::Builder;
 use std::time::{Duration, Instant};
@@ -167,25 +167,26 @@ impl Publisher {
 
     /// Returns the next command; a stop comes before all others.
     pub fn command(&self) -> Option<Command> {
-        if self.shared.stop.swap(false, Ordering::AcqRel) {
-            return Some(Command::Stop);
-        }
-        self.commands.try_recv().ok()
+        self.stop().or_else(|| std::iter::from_fn(|| self.commands.try_recv().ok()).find(is_queued))
     }
 
     /// Waits for the next command, at most for `limit`. For a run under virtual time, which waits for real time anyway.
     pub fn wait(&self, limit: Duration) -> Option<Command> {
-        if let Some(command) = self.command() {
-            return Some(command);
-        }
-        match self.commands.recv_timeout(limit) {
-            Ok(command) => {
-                let stop = self.shared.stop.swap(false, Ordering::AcqRel);
-                Some(if stop { Command::Stop } else { command })
-            }
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => None,
-        }
+        let command = match self.command() {
+            None => self.commands.recv_timeout(limit).ok()?,
+            command => return command,
+        };
+        self.stop().or(Some(command).filter(is_queued))
     }
+
+    fn stop(&self) -> Option<Command> {
+        self.shared.stop.swap(false, Ordering::AcqRel).then_some(Command::Stop)
+    }
+}
+
+/// Whether a command of the queue is to be carried out. A stop there only wakes the thread that waits for commands.
+fn is_queued(command: &Command) -> bool {
+    *command != Command::Stop
 }
 
 /// Accepts connections until the server closes.

@@ -213,7 +213,8 @@ impl TeamView {
             .collect();
         robot.guard = begun.last().copied().or(robot.guard);
         robot.safety = counts;
-        for name in begun {
+        // A stop of the team is in the log once.
+        for name in begun.into_iter().filter(|name| *name != "emergency stops") {
             self.note(now, &format!("{id}: {name}"));
         }
     }

@@ -75,9 +75,11 @@ impl Browser {
     /// Opens a page in a tab of its own.
     pub fn open(&mut self, url: &str) {
         self.session = None;
-        let target = self.call("Target.createTarget", json!({ "url": url }))["targetId"].clone();
+        let target = self.call("Target.createTarget", json!({ "url": "about:blank" }))["targetId"].clone();
         let session = self.call("Target.attachToTarget", json!({ "targetId": target, "flatten": true }));
         self.session = session["sessionId"].as_str().map(str::to_owned);
+        // Returns once the page has replaced the empty one.
+        self.call("Page.navigate", json!({ "url": url }));
     }
 
     /// Evaluates JavaScript, and waits for what it promises.

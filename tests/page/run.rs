@@ -17,12 +17,19 @@ struct Watched {
 
 impl Watched {
     fn start(flags: &[&str]) -> Watched {
-        let mut command = murmurate(&[&["sim", "--watch", "--control", "--quiet"], flags].concat());
+        Watched::of(murmurate(&[&["sim", "--watch", "--control", "--quiet"], flags].concat()))
+    }
+
+    fn of(mut command: std::process::Command) -> Watched {
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stderr.take().unwrap());
-        let mut line = String::new();
-        lines.read_line(&mut line).unwrap();
-        let url = line.trim().strip_prefix("watch: ").unwrap_or_else(|| panic!("{line}")).to_owned();
+        let url = loop {
+            let mut line = String::new();
+            assert!(lines.read_line(&mut line).unwrap() > 0, "the program ended without an address");
+            if let Some(url) = line.trim().strip_prefix("watch: ") {
+                break url.to_owned();
+            }
+        };
         std::thread::spawn(move || std::io::copy(&mut lines, &mut std::io::sink()));
         Watched { child, url }
     }
@@ -116,6 +123,32 @@ fn a_trial_that_nobody_touches_has_the_report_of_a_trial_without_a_page() {
     let alone = report(&[]);
     assert!(alone["trace_hash"].is_string(), "{alone}");
     assert_eq!(alone, report(&["--watch", "--speed", "20"]));
+}
+
+#[test]
+fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
+    let Some(mut browser) = Browser::start() else { return };
+    let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
+    let own = ["--set", "team=4117", "--set", "episodes=100", "--control"];
+    let launched = Watched::of(murmurate(&[&["launch", team, "--watch"], &own[..]].concat()));
+    let joined = Watched::of(murmurate(&["watch", team, "--set", "team=4117", "--control"]));
+    browser.open(&launched.url);
+    browser.until(&format!("{STATE} === 'running' && {CONFIRMED} === '5/5' && murmurate.counts.drawn > 40"));
+    let note = "document.getElementById('note').textContent.includes('position')";
+    browser.until(&format!("!{note}"));
+    pictures(&mut browser, "launch-");
+    browser.press_space();
+    let stopped = browser.until(&format!("{STATE} === 'STOPPED' && {CONFIRMED} === '5/5'"));
+    eprintln!("launch: stop seen and confirmed on the page after {stopped:.0} ms");
+    browser.open(&joined.url);
+    browser.until(&format!("{STATE} === 'STOPPED' && {CONFIRMED} === '5/5'"));
+    browser.until("!document.getElementById('rearm').disabled");
+    browser.eval("document.getElementById('rearm').click()");
+    browser.until(&format!("{STATE} === 'HELD' && !document.getElementById('resume').disabled"));
+    browser.eval("document.getElementById('resume').click()");
+    browser.until(&format!("{STATE} === 'running'"));
+    assert_eq!(joined.end(), Some(0));
+    assert_eq!(launched.end(), Some(130));
 }
 
 #[test]

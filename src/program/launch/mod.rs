@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use crate::deploy::team::Team;
+use crate::deploy::team::{Team, TeamFile};
 use crate::registry::Registry;
 use crate::report::episode::Episode;
 use crate::report::event::{Counted, HostEvent, Unwritten};
@@ -26,6 +26,8 @@ use crate::program::Ended;
 use crate::program::output::{colour, log_lines_dropped, print, talk};
 use crate::program::recording;
 use crate::program::team;
+#[cfg(feature = "watch")]
+use crate::program::watch;
 use supervisor::{Limits, Outcome, Output, Process, Response, Supervisor};
 
 /// Flags of `murmurate launch`.
@@ -38,6 +40,9 @@ pub struct Args {
     team: team::TeamArgs,
     #[command(flatten)]
     record: recording::RecordFlags,
+    #[cfg(feature = "watch")]
+    #[command(flatten)]
+    page: watch::OptionalPage,
     /// Prints one JSON object instead of the table
     #[arg(long)]
     json: bool,
@@ -51,6 +56,8 @@ const COLOURS: [u8; 10] = [36, 32, 33, 35, 34, 96, 92, 93, 95, 94];
 
 /// Starts the team, waits for it, and prints the results.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    #[cfg(feature = "watch")]
+    args.page.check()?;
     let file = args.team.read(registry)?;
     let teams: Vec<Team> = file.hosts().map(|host| args.team.for_host(&file, host)).collect::<Result<_>>()?;
     let policy = checked(&teams, registry)?;
@@ -78,7 +85,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
 
     let names: Vec<String> = file.deployment().hosts.iter().map(|host| host.name.clone()).collect();
     let mut results = Results::new(&names, teams[0].episodes, args.quiet);
-    let outcome = supervisor.run(|at, output| results.handle(at, &output));
+    let outcome = supervise(args, registry, &file, supervisor, &mut results)?;
     if let Outcome::Refused(why) = outcome {
         return Err(BadInput(why).into());
     }
@@ -114,6 +121,34 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
         }
         _ => Ok(if interrupted { Ended::Interrupted } else { Ended::Done }),
     }
+}
+
+/// Runs the processes to their end, with a page beside them if there is to be one.
+fn supervise(
+    args: &Args,
+    _registry: &Registry,
+    _file: &TeamFile,
+    supervisor: Supervisor,
+    results: &mut Results,
+) -> Result<Outcome> {
+    #[cfg(feature = "watch")]
+    if args.page.watch {
+        let (sender, receiver) = std::sync::mpsc::channel();
+        results.page = Some(sender);
+        let page = watch::team::Page::open(_file, &args.team, &args.page.page, _registry, Some(receiver))?;
+        let over = AtomicBool::new(false);
+        return Ok(std::thread::scope(|scope| {
+            scope.spawn(|| {
+                if let Err(error) = page.run(&args.team, _registry, || over.load(Ordering::Relaxed)) {
+                    talk(&format!("warning: the page has ended: {error:#}"));
+                }
+            });
+            let outcome = supervisor.run(|at, output| results.handle(at, &output));
+            over.store(true, Ordering::Relaxed);
+            outcome
+        }));
+    }
+    Ok(supervisor.run(|at, output| results.handle(at, &output)))
 }
 
 /// Returns the arguments that name the team file and its flags, for another process of this program.
@@ -155,6 +190,9 @@ struct Results {
     counted: Vec<Counted>,
     /// Counts of earlier incarnations.
     past: Vec<Counted>,
+    /// Takes the results for the page.
+    #[cfg(feature = "watch")]
+    page: Option<std::sync::mpsc::Sender<Episode>>,
 }
 
 impl Results {
@@ -170,6 +208,8 @@ impl Results {
             episodes: BTreeMap::new(),
             counted: vec![Counted::default(); names.len()],
             past: Vec::new(),
+            #[cfg(feature = "watch")]
+            page: None,
         }
     }
 
@@ -209,6 +249,11 @@ impl Results {
             return;
         }
         self.episodes.insert(episode.episode, episode);
+        #[cfg(feature = "watch")]
+        if let Some(page) = &self.page {
+            // A page that has ended shows no more results.
+            let _ = page.send(episode);
+        }
         let verdict = serde_json::to_value(episode.verdict).expect("a verdict is JSON");
         let verdict = verdict.as_str().unwrap_or_default();
         let makespan = episode.makespan_s.map_or_else(String::new, |makespan| format!(" in {makespan:.2} s"));

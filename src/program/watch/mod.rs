@@ -1,6 +1,7 @@
 //! The live page of a command: its flags, its server, and the feed of what the page shows.
 
 mod feed;
+pub mod team;
 #[cfg(feature = "sim")]
 pub mod trial;
 

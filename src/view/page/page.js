@@ -5,12 +5,13 @@ const PHASES = ["needs reset", "resetting", "in place", "running", "at goal", "a
 const HEADER = 16, ROBOT = 9, LINK = 6, UNKNOWN = -32768;
 const STALE_MS = 800;      // Grey from here: with the timer's period below, within a second of the last snapshot.
 const TRAIL_MS = 150, TRAIL_LENGTH = 30;
+const MANY = 500;          // Links from which they are drawn in the simplest way.
 const BINS = 20, BIN_MS = 25;
 const $ = id => document.getElementById(id);
 const canvas = $("canvas"), pen = canvas.getContext("2d");
 
 let scene = null, goals = [], status = null, holder = false;
-let world = null, heardAt = -Infinity, dirty = true, stale = true;
+let world = null, links = null, heardAt = -Infinity, dirty = true, stale = true;
 let chosen = null, colours = {}, trails = [], trailAt = 0, view = { k: 1, x: 0, y: 0 };
 let histogram = new Float32Array(BINS + 1);
 const counts = { bytes: 0, snapshots: 0, drawn: 0, drawMs: 0 };
@@ -36,6 +37,7 @@ connect("view", () => {}, data => {
   counts.bytes += data.byteLength;
   if (data.byteLength < HEADER) return;
   world = new DataView(data);
+  links = readLinks(world);
   heardAt = performance.now();
   counts.snapshots++;
   dirty = true;
@@ -79,6 +81,8 @@ function setUp() {
   $("ages").hidden = !scene.hears_links;
   for (const id of ["link", "cut", "delay", "loss"]) $(id).closest(".row").hidden = scene.links.length === 0;
   $("histogram").replaceChildren(...Array.from({ length: BINS + 1 }, () => document.createElement("div")));
+  const margin = scene.hull_m + 0.15, half = scene.half_extent;
+  canvas.style.setProperty("--aspect", `${half[0] + margin} / ${half[1] + margin}`);
   dirty = true;
 }
 
@@ -126,7 +130,7 @@ function showStatus() {
   const may = holder && scene && scene.control !== "stop";
   $("rearm").disabled = !may || s.latch !== "stopped";
   $("resume").disabled = !may || !(s.latch === "held" || s.pause !== "no");
-  $("pause").disabled = !may || s.latch !== "clear" || s.pause !== "no";
+  $("pause").disabled = !may || scene.control !== "emulation" || s.latch !== "clear" || s.pause !== "no";
   set($("killed"), s.killed.length ? `down: ${s.killed.join(", ")}` : "");
   showRows();
   showLog();
@@ -158,20 +162,25 @@ function showRows() {
   }
 }
 
-function* linksOf(snapshot) {
+// Ends, ages and losses of a snapshot's links, as arrays.
+function readLinks(snapshot) {
   const n = snapshot.getUint16(2, true), m = snapshot.getUint16(8, true), base = HEADER + n * ROBOT;
-  for (let link = 0; link < m; link++) {
-    const at = base + link * LINK;
-    yield [snapshot.getUint16(at, true), snapshot.getUint16(at + 2, true), snapshot.getUint8(at + 4),
-      snapshot.getUint8(at + 5)];
+  const links = { m, one: new Uint16Array(m), other: new Uint16Array(m), age: new Uint8Array(m), loss: new Uint8Array(m) };
+  for (let link = 0, at = base; link < m; link++, at += LINK) {
+    links.one[link] = snapshot.getUint16(at, true);
+    links.other[link] = snapshot.getUint16(at + 2, true);
+    links.age[link] = snapshot.getUint8(at + 4);
+    links.loss[link] = snapshot.getUint8(at + 5);
   }
+  return links;
 }
 
 function worstAges(n) {
   const worst = new Int16Array(n).fill(-1);
-  for (const [one, other, age] of linksOf(world)) {
-    worst[one] = Math.max(worst[one], age);
-    worst[other] = Math.max(worst[other], age);
+  const { m, one, other, age } = links;
+  for (let link = 0; link < m; link++) {
+    if (age[link] > worst[one[link]]) worst[one[link]] = age[link];
+    if (age[link] > worst[other[link]]) worst[other[link]] = age[link];
   }
   return worst;
 }
@@ -181,7 +190,8 @@ function showLinks() {
   place.hidden = chosen === null || !world;
   if (place.hidden) return;
   const lines = [];
-  for (const [one, other, age, loss] of linksOf(world)) {
+  for (let link = 0; link < links.m; link++) {
+    const one = links.one[link], other = links.other[link], age = links.age[link], loss = links.loss[link];
     if (one !== chosen && other !== chosen) continue;
     const item = document.createElement("li");
     const old = age === 255 ? "never" : `${(age / 100).toFixed(2)} s`;
@@ -200,7 +210,7 @@ function showAges() {
   if (!world || !scene || !scene.hears_links) return;
   let total = 0;
   histogram = histogram.map(times => times * 0.8);
-  for (const [, , age] of linksOf(world)) {
+  for (const age of links.age) {
     histogram[age === 255 ? BINS : Math.min(BINS, Math.floor(age * 10 / BIN_MS))]++;
   }
   for (const times of histogram) total += times;
@@ -236,7 +246,7 @@ function showLog() {
 function readColours() {
   const style = getComputedStyle(document.documentElement);
   for (const name of ["ground", "wall", "robot", "done", "hit", "halted", "silent", "on-robot", "goal", "trail",
-    "fresh", "old", "late", "none", "line", "accent", "dim"]) {
+    "fresh", "old", "late", "none", "line", "accent", "dim", "nose"]) {
     colours[name] = style.getPropertyValue("--" + name).trim();
   }
   dirty = true;
@@ -316,17 +326,18 @@ function drawRange(at, n, pixel) {
 function drawLinks(at, pixel) {
   const byLoss = $("colour").value === "loss", names = ["fresh", "old", "late", "none"];
   const paths = names.map(() => []);
-  for (const link of linksOf(world)) {
-    if (chosen !== null && link[0] !== chosen && link[1] !== chosen) continue;
-    const [age, loss] = [link[2], link[3]];
+  for (let link = 0; link < links.m; link++) {
+    const one = links.one[link], other = links.other[link], age = links.age[link], loss = links.loss[link];
+    if (chosen !== null && one !== chosen && other !== chosen) continue;
     const kind = age === 255 ? 3 : byLoss ? (loss <= 5 ? 0 : loss <= 30 ? 1 : 2) : age <= 10 ? 0 : age <= 30 ? 1 : 2;
-    paths[kind].push(link[0], link[1]);
+    paths[kind].push(one, other);
   }
   pen.globalAlpha = at.length > 400 ? 0.45 : 0.75;
   for (let kind = 3; kind >= 0; kind--) {
     pen.strokeStyle = colours[names[kind]];
-    pen.lineWidth = (kind === 3 ? 1 : 1.6) * pixel;
-    pen.setLineDash(kind === 3 ? [4 * pixel, 4 * pixel] : []);
+    pen.lineWidth = (kind === 3 || links.m > MANY ? 1 : 1.6) * pixel;
+    // Dashes of thousands of lines would take most of a frame.
+    pen.setLineDash(kind === 3 && links.m <= MANY ? [4 * pixel, 4 * pixel] : []);
     pen.beginPath();
     const path = paths[kind];
     for (let end = 0; end < path.length; end += 2) {
@@ -340,8 +351,8 @@ function drawLinks(at, pixel) {
 }
 
 function drawTrails(n, pixel) {
-  const step = n > 200 ? 4 : 1;
-  pen.strokeStyle = colours.trail; pen.globalAlpha = 0.3; pen.lineWidth = 2 * pixel;
+  const step = n > 200 ? 6 : 1;
+  pen.strokeStyle = colours.trail; pen.globalAlpha = 0.3; pen.lineWidth = (n > 200 ? 1 : 2) * pixel;
   pen.beginPath();
   for (let robot = 0; robot < n; robot++) {
     if (chosen !== null && robot !== chosen) continue;
@@ -403,20 +414,26 @@ function drawRobots(at, n, hull, pixel) {
   if (chosen !== null) {
     pen.strokeStyle = colours.accent; pen.lineWidth = 3 * pixel; circles([chosen], hull + 4 * pixel); pen.stroke();
   }
-  pen.strokeStyle = colours["on-robot"]; pen.lineWidth = Math.max(hull * 0.14, pixel); pen.lineCap = "round";
-  pen.beginPath();
-  for (let nose = 0; nose < noses.length; nose += 2) {
-    const x = at[2 * noses[nose]], y = at[2 * noses[nose] + 1], c = Math.cos(noses[nose + 1]), s = Math.sin(noses[nose + 1]);
-    pen.moveTo(x + 0.45 * hull * c, y + 0.45 * hull * s); pen.lineTo(x + 0.86 * hull * c, y + 0.86 * hull * s);
-  }
-  pen.stroke();
-  pen.lineCap = "butt";
+  drawNoses(at, noses, hull, pixel);
   if (hull / pixel >= 9) drawNumbers(at, n, hull);
   const left = world.getUint16(10, true);
   set($("note"), [unseen ? `${unseen} of ${n} robots: no position heard` : "",
     unseen < n && headings === 0 ? "no heading heard: none is drawn" : "",
     scene.hears_links ? "" : "links between robots are not heard here",
     left ? `the ${left} longest links are left out` : ""].filter(Boolean).join("; "));
+}
+
+// A pointer at each hull, to where the robot faces.
+function drawNoses(at, noses, hull, pixel) {
+  pen.fillStyle = colours.nose;
+  pen.beginPath();
+  for (let nose = 0; nose < noses.length; nose += 2) {
+    const x = at[2 * noses[nose]], y = at[2 * noses[nose] + 1], heading = noses[nose + 1], tip = 1.3 * hull + pixel;
+    pen.moveTo(x + tip * Math.cos(heading), y + tip * Math.sin(heading));
+    pen.lineTo(x + hull * Math.cos(heading + 0.45), y + hull * Math.sin(heading + 0.45));
+    pen.lineTo(x + hull * Math.cos(heading - 0.45), y + hull * Math.sin(heading - 0.45));
+  }
+  pen.fill();
 }
 
 function drawNumbers(at, n, hull) {

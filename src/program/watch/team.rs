@@ -1,0 +1,204 @@
+//! `murmurate watch`: the page of a real team, from what an operator hears of it; `launch --watch` serves the same page.
+
+use std::cell::RefCell;
+use std::io::Read;
+use std::rc::Rc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::Receiver;
+use std::time::Instant;
+
+use anyhow::Result;
+
+use super::PageFlags;
+use super::feed::Feed;
+use crate::actors::network;
+use crate::actors::order::OrderKind;
+use crate::deploy::Routes;
+use crate::deploy::team::TeamFile;
+use crate::graph::operator::{self, Operator};
+use crate::graph::process::ProcessEvent;
+use crate::live::links::{self, ProcessIdentity};
+use crate::messages::ids::{HostId, RobotId};
+use crate::messages::wire::{Stop, Wire};
+use crate::net::protocol::key::Key;
+use crate::program::{BadInput, Ended, signals, team};
+use crate::registry::Registry;
+use crate::report::episode::Episode;
+use crate::runtime::clock::Clock;
+use crate::runtime::real::run_real;
+use crate::runtime::shell::Mailbox;
+use crate::scenario::Settings;
+use crate::time::{Span, Time};
+use crate::view::access::Control;
+use crate::view::command::Command;
+use crate::view::orders::Orders;
+use crate::view::server::{Publisher, Server};
+use crate::view::status::Scene;
+use crate::view::team_view::TeamView;
+
+/// Period at which commands are taken, orders are repeated and pages get their news.
+const BEAT: Span = Span::from_millis(10);
+/// Period at which hosts are asked which emergency stop their robots follow.
+const ASK: Span = Span::from_millis(1000);
+
+/// Flags of `murmurate watch`.
+#[derive(clap::Args)]
+#[command(after_help = "Runs on any machine that reaches the link which carries 'stop'. Ctrl-C ends the page and \
+    changes nothing for the team.\nExit codes: 0 ended by Ctrl-C; 1 the link or the page cannot be opened; 2 a flag, the \
+    team file, the key or the token is wrong.")]
+pub struct Args {
+    #[command(flatten)]
+    team: team::TeamArgs,
+    #[command(flatten)]
+    page: PageFlags,
+}
+
+/// Serves the page until Ctrl-C.
+pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
+    let (signal, waker) = signals::listen()?;
+    let file = args.team.read(registry)?;
+    let page = Page::open(&file, &args.team, &args.page, registry, None)?;
+    page.run(&args.team, registry, || {
+        // Empties the pipe that wakes this thread.
+        let _ = (&*waker).read(&mut [0; 16]);
+        signal.load(Ordering::Relaxed) != 0
+    })?;
+    Ok(Ended::Done)
+}
+
+/// Open page of a team, which hears nothing yet.
+pub struct Page {
+    view: TeamView,
+    server: Server,
+    publisher: Publisher,
+    results: Option<Receiver<Episode>>,
+}
+
+impl Page {
+    /// Opens the page and prints its address. `results` are the results of episodes, where they are known.
+    pub fn open(
+        file: &TeamFile,
+        team: &team::TeamArgs,
+        flags: &PageFlags,
+        registry: &Registry,
+        results: Option<Receiver<Episode>>,
+    ) -> Result<Page> {
+        let deployment = file.deployment();
+        let some = team.for_host(file, HostId(0))?;
+        let settings = Settings::of(deployment.robots);
+        let scenario = registry.scenario(&some.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
+        // An operator's machine need not have the policy; without it the communication range is unknown.
+        let policy = team::policy(&some, registry).ok();
+        let routes = Routes::of(deployment);
+        let range_m = policy.as_ref().map(|policy| policy.model.interface().radius_m);
+        let scene = Scene {
+            scenario: some.scenario.clone(),
+            mode: deployment.mode.clone(),
+            policy: policy.map_or_else(String::new, |policy| policy.name),
+            robots: deployment.robots,
+            episodes: some.episodes,
+            range_m: range_m.filter(|range_m| range_m.is_finite()),
+            hears_links: false,
+            hears_results: results.is_some(),
+            ..Scene::of_arena(scenario.arena())
+        };
+        let homes = RobotId::team(deployment.robots).map(|robot| routes.agent_host(robot)).collect();
+        let (server, publisher) = flags.open(scene.clone(), Control::Team)?;
+        Ok(Page { view: TeamView::new(scene, homes, deployment.hosts.len()), server, publisher, results })
+    }
+
+    /// Joins the team as an operator, and serves the page on this thread until `over`.
+    pub fn run(self, team: &team::TeamArgs, registry: &Registry, over: impl Fn() -> bool) -> Result<()> {
+        let Page { view, server, publisher, results } = self;
+        let file = team.read(registry)?;
+        let access = file.operator_access().map_err(|error| team.wrong(&error))?;
+        let (deployment, identity) = (file.deployment(), ProcessIdentity::draw()?);
+        let me = identity.operator_of(access.number);
+        let link = &deployment.links[usize::from(access.link.0)];
+        let operator = Operator {
+            me,
+            seed: identity.seed,
+            robots: deployment.robots,
+            publishers: Routes::of(deployment).publishers(),
+            key: team::key_of(access.key_file.as_deref())?.map(Key::new),
+            links: links::of_operator(deployment, links::places_of(&access, deployment)),
+            transports: links::join(&access, link, me.host, team.names_interface())?,
+            stop: Some(access.link),
+        };
+        let view = Rc::new(RefCell::new(view));
+        let orders = Rc::new(RefCell::new(Orders::new(me.host, deployment.robots)));
+        let (feed, ask_at) = (Feed::new(Rc::clone(&view)), Time::ZERO);
+        run_real(
+            Instant::now(),
+            |clock, readers| {
+                let (seen, given, time) = (Rc::clone(&view), Rc::clone(&orders), clock.clone());
+                let network = operator::wire((clock, readers), operator, move |event| {
+                    let ProcessEvent::Message(message) = event else { return };
+                    if let Wire::Status(status) = message {
+                        given.borrow_mut().hear(time.now(), status);
+                    }
+                    seen.borrow_mut().hear(time.now(), message);
+                });
+                operator::observe(clock, &network, me.host);
+                Desk { me: me.host, network, view, orders, publisher, results, feed, ask_at }.beat(clock);
+            },
+            |(), _| over(),
+        );
+        server.close();
+        Ok(())
+    }
+}
+
+/// What happens every few milliseconds: commands, orders, and news for the pages.
+struct Desk {
+    me: HostId,
+    network: Mailbox<network::In>,
+    view: Rc<RefCell<TeamView>>,
+    orders: Rc<RefCell<Orders>>,
+    publisher: Publisher,
+    results: Option<Receiver<Episode>>,
+    feed: Feed,
+    /// Time of the next question to all hosts.
+    ask_at: Time,
+}
+
+impl Desk {
+    fn beat(mut self, clock: &Clock) {
+        let now = clock.now();
+        while let Some(command) = self.publisher.command() {
+            self.obey(now, command);
+        }
+        while let Some(episode) = self.results.as_ref().and_then(|results| results.try_recv().ok()) {
+            self.view.borrow_mut().judged(now, &episode);
+        }
+        let mut message = self.orders.borrow_mut().turn(now);
+        if let Some(result) = self.orders.borrow_mut().take_result() {
+            self.view.borrow_mut().note(now, &result);
+        }
+        if message.is_none() && now >= self.ask_at {
+            (message, self.ask_at) = (Some(Stop::ask(self.me)), now + ASK);
+        }
+        message.into_iter().for_each(|stop| self.network.send(network::In::Publish(Wire::Stop(stop))));
+        let ordering = self.orders.borrow().is_running();
+        self.feed.tell(&self.publisher, now, "", |status| status.ordering = ordering);
+        let again = clock.clone();
+        clock.call(now + BEAT, Box::new(move || self.beat(&again)));
+    }
+
+    fn obey(&self, now: Time, command: Command) {
+        let kind = match command {
+            Command::Stop => OrderKind::Stop,
+            Command::Rearm => OrderKind::Rearm,
+            Command::Resume => OrderKind::Resume,
+            Command::Pause | Command::Kill { .. } | Command::Restart { .. } | Command::Link { .. } => {
+                return self.view.borrow_mut().note(now, "page: refused, that is for simulations");
+            }
+        };
+        if kind == OrderKind::Stop {
+            self.view.borrow_mut().note(now, "page: STOP");
+        }
+        if let Err(why) = self.orders.borrow_mut().give(now, kind) {
+            self.view.borrow_mut().note(now, &format!("page: refused, {why}"));
+        }
+    }
+}
