@@ -53,7 +53,7 @@ fn sources(folder: &str) -> Vec<Source> {
 }
 
 /// Rooms of the library, each after those that it may use.
-const ROOMS: [&str; 33] = [
+const ROOMS: [&str; 34] = [
     "time",
     "random",
     "config",

@@ -7,6 +7,8 @@
 #![allow(rustdoc::broken_intra_doc_links, rustdoc::invalid_html_tags)]
 
 mod background_writer;
+#[cfg(feature = "sim")]
+mod conditions;
 mod config;
 #[cfg(feature = "sim")]
 mod deployment;

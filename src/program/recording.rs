@@ -9,7 +9,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::Result;
 
 use crate::deploy::team::Team;
-use crate::graph::process::ProcessEvent;
+use crate::graph::process::{Graph, ProcessEvent};
 use crate::live::LiveHost;
 use crate::messages::ids::HostId;
 use crate::program::BadInput;

@@ -8,8 +8,6 @@ use std::time::{Duration, Instant};
 
 use crate::actors::recorder::Steps;
 use crate::deploy::{Deployment, Impair};
-use crate::faults::FaultPlan;
-use crate::hearing::CommRange;
 use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::registry::Registry;
@@ -28,6 +26,7 @@ use serde::Serialize;
 use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::bad;
+use crate::program::conditions;
 use crate::program::deployment;
 use crate::program::deployment::ModeParser;
 use crate::program::drive;
@@ -328,7 +327,7 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
 
 /// The first trial of a policy, of which all others are repeats, and the policy's name in the report.
 fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
-    let file = args.deployment.as_deref().map(read_deployment).transpose()?;
+    let file = args.deployment.as_deref().map(conditions::deployment).transpose()?;
     let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
     let scenario = registry
         .scenario(&args.scenario, &Settings { robots, gap_m: None })
@@ -372,9 +371,9 @@ fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Tri
         None => format!("mode '{}'", args.mode),
     };
     trial.check().map_err(|e| BadInput(format!("{place}: {e}")))?;
-    trial.range = range(args, &trial)?;
+    trial.range = conditions::range(args.comm_range_m, args.comm_range_std_m, &trial)?;
     if let Some(given) = &args.faults {
-        trial.faults = faults(given, &trial)?;
+        trial.faults = conditions::faults(given, &trial)?;
         trial.check().map_err(|e| BadInput(format!("the fault plan '{given}': {e}")))?;
     }
     if args.trajectories.is_some() {
@@ -401,38 +400,4 @@ fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
             .map_err(|error| BadInput(format!("{}: {error}", flag(error.field))))?;
     }
     Ok(trial)
-}
-
-fn read_deployment(path: &Path) -> Result<Deployment> {
-    let text = read_text(path, "deployment file")?;
-    let wrong = |error| BadInput(format!("the deployment file '{}': {error}", path.display()));
-    let deployment = Deployment::from_toml(&text).map_err(wrong)?;
-    deployment.check_simulated().map_err(wrong)?;
-    Ok(deployment)
-}
-
-fn range(args: &Args, trial: &Trial) -> Result<Option<CommRange>> {
-    let std_m = args.comm_range_std_m;
-    if !(0.0..=1e3).contains(&std_m) {
-        return Err(BadInput(format!("--comm-range-std-m: {std_m} is not 0 to 1000")).into());
-    }
-    if let Some(mean_m) = args.comm_range_m.filter(|mean| mean.is_nan() || *mean < 0.0) {
-        return Err(BadInput(format!("--comm-range-m: {mean_m} is not a distance")).into());
-    }
-    if std_m > 0.0 && args.comm_range_m == Some(f32::INFINITY) {
-        return Err(BadInput("--comm-range-std-m: an infinite range has no deviation".to_owned()).into());
-    }
-    if args.comm_range_m.is_none() && std_m == 0.0 {
-        return Ok(None);
-    }
-    let mean_m = args.comm_range_m.unwrap_or(trial.model.interface().radius_m);
-    Ok(Some(CommRange { mean_m, std_m }))
-}
-
-fn faults(given: &str, trial: &Trial) -> Result<FaultPlan> {
-    if let Ok(seed) = given.parse::<u64>() {
-        return Ok(trial.clone().random_faults(seed).faults);
-    }
-    let text = read_text(Path::new(given), "fault plan (a seed would be a whole number)")?;
-    FaultPlan::from_toml(&text).map_err(|e| BadInput(format!("the fault plan '{given}': {e}")).into())
 }

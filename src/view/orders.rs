@@ -118,7 +118,9 @@ mod tests {
         assert_eq!(orders.take_result().as_deref(), Some("stop: confirmed by all 1 after 0.030 s"));
         assert!(orders.turn(at(499)).is_some() && orders.turn(at(501)).is_none() && !orders.is_running());
         orders.give(at(600), OrderKind::Rearm).unwrap();
-        (0..200).for_each(|turn| drop(orders.turn(at(600 + 20 * turn))));
+        for turn in 0..200 {
+            orders.turn(at(600 + 20 * turn));
+        }
         assert!(orders.take_result().unwrap().contains("robots 0 have not confirmed"));
     }
 }

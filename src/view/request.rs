@@ -55,9 +55,18 @@ pub enum Response {
     Upgrade(Socket, Vec<u8>),
 }
 
-/// Reads the header of a request. The second part are bytes behind it. The error is the response to a header that is
-/// too large, or `None` if the connection has ended or was too slow.
-pub fn read_header(stream: &mut TcpStream) -> Result<(Vec<u8>, Vec<u8>), Option<Vec<u8>>> {
+/// Header of a request, as it came.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// Bytes of the header, with the empty line at its end.
+    pub bytes: Vec<u8>,
+    /// Bytes that came behind it.
+    pub rest: Vec<u8>,
+}
+
+/// Reads the header of a request. The error is the response to a header that is too large, or `None` if the connection
+/// has ended or was too slow.
+pub fn read_header(stream: &mut TcpStream) -> Result<Header, Option<Vec<u8>>> {
     let until = Instant::now() + HEADER_TIME;
     let mut bytes = Vec::new();
     let mut part = [0; 1024];
@@ -77,7 +86,7 @@ pub fn read_header(stream: &mut TcpStream) -> Result<(Vec<u8>, Vec<u8>), Option<
         bytes.extend_from_slice(&part[..count]);
         if let Some(end) = bytes[from..].windows(4).position(|four| four == b"\r\n\r\n") {
             let rest = bytes.split_off(from + end + 4);
-            return if bytes.len() > MAX_HEADER_BYTES { Err(Some(too_large())) } else { Ok((bytes, rest)) };
+            return if bytes.len() > MAX_HEADER_BYTES { Err(Some(too_large())) } else { Ok(Header { bytes, rest }) };
         }
         if bytes.len() > MAX_HEADER_BYTES {
             return Err(Some(too_large()));

@@ -234,7 +234,7 @@ fn serve(mut stream: TcpStream, shared: &Shared) {
     if stream.set_write_timeout(Some(WRITE_TIME)).is_err() || stream.set_nodelay(true).is_err() {
         return;
     }
-    let (header, rest) = match request::read_header(&mut stream) {
+    let header = match request::read_header(&mut stream) {
         Ok(read) => read,
         Err(answer) => {
             shared.refuse();
@@ -242,7 +242,7 @@ fn serve(mut stream: TcpStream, shared: &Shared) {
             return;
         }
     };
-    match request::respond(&header, local, &shared.access) {
+    match request::respond(&header.bytes, local, &shared.access) {
         Response::Whole(bytes) => {
             if !bytes.starts_with(b"HTTP/1.1 200") {
                 shared.refuse();
@@ -251,7 +251,7 @@ fn serve(mut stream: TcpStream, shared: &Shared) {
         }
         Response::Upgrade(socket, bytes) => {
             if stream.write_all(&bytes).is_ok() {
-                session::run(stream, rest, socket, shared);
+                session::run(stream, header.rest, socket, shared);
             }
         }
     }

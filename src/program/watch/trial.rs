@@ -72,7 +72,13 @@ const MEASURED: Duration = Duration::from_secs(1);
 const FOR_GOOD: Span = Span::from_millis(1 << 40);
 
 /// Runs a trial at the speed of the flags, with a page, until its end or until `stop` is set.
-pub fn run(trial: &Trial, policy: &str, flags: &PacedPage, stop: &AtomicBool, records: Option<&Simulated>) -> Result<TrialReport> {
+pub fn run(
+    trial: &Trial,
+    policy: &str,
+    flags: &PacedPage,
+    stop: &AtomicBool,
+    records: Option<&Simulated>,
+) -> Result<TrialReport> {
     let routes = Routes::of(&trial.deployment);
     let robots = trial.scenario.robots();
     let homes = RobotId::team(robots).map(|robot| routes.agent_host(robot)).collect();

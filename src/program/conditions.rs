@@ -1,0 +1,48 @@
+//! Conditions of a simulation that flags name: a deployment file, a communication range, a fault plan.
+
+use std::path::Path;
+
+use anyhow::Result;
+
+use crate::deploy::Deployment;
+use crate::faults::FaultPlan;
+use crate::hearing::CommRange;
+use crate::program::BadInput;
+use crate::program::output::read_text;
+use crate::trial::Trial;
+
+/// Reads a deployment file of simulated robots.
+pub fn deployment(path: &Path) -> Result<Deployment> {
+    let text = read_text(path, "deployment file")?;
+    let wrong = |error| BadInput(format!("the deployment file '{}': {error}", path.display()));
+    let deployment = Deployment::from_toml(&text).map_err(wrong)?;
+    deployment.check_simulated().map_err(wrong)?;
+    Ok(deployment)
+}
+
+/// Returns the communication range that the flags set; `None` for that of the policy.
+pub fn range(mean_m: Option<f32>, std_m: f32, trial: &Trial) -> Result<Option<CommRange>> {
+    if !(0.0..=1e3).contains(&std_m) {
+        return Err(BadInput(format!("--comm-range-std-m: {std_m} is not 0 to 1000")).into());
+    }
+    if let Some(mean_m) = mean_m.filter(|mean| mean.is_nan() || *mean < 0.0) {
+        return Err(BadInput(format!("--comm-range-m: {mean_m} is not a distance")).into());
+    }
+    if std_m > 0.0 && mean_m == Some(f32::INFINITY) {
+        return Err(BadInput("--comm-range-std-m: an infinite range has no deviation".to_owned()).into());
+    }
+    if mean_m.is_none() && std_m == 0.0 {
+        return Ok(None);
+    }
+    let mean_m = mean_m.unwrap_or(trial.model.interface().radius_m);
+    Ok(Some(CommRange { mean_m, std_m }))
+}
+
+/// Returns the fault plan of a seed or a file.
+pub fn faults(given: &str, trial: &Trial) -> Result<FaultPlan> {
+    if let Ok(seed) = given.parse::<u64>() {
+        return Ok(trial.clone().random_faults(seed).faults);
+    }
+    let text = read_text(Path::new(given), "fault plan (a seed would be a whole number)")?;
+    FaultPlan::from_toml(&text).map_err(|e| BadInput(format!("the fault plan '{given}': {e}")).into())
+}
