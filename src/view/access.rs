@@ -35,8 +35,8 @@ impl Token {
         &self.0
     }
 
-    /// Whether one of the WebSocket subprotocols that a browser offers carries this token. The comparison takes the same
-    /// time wherever the first difference is.
+    /// Whether one of the WebSocket subprotocols that a browser offers carries this token. The comparison takes the
+    /// same time wherever the first difference is.
     pub fn is_among(&self, protocols: &str) -> bool {
         let offered = protocols.split(',').filter_map(|one| one.trim().strip_prefix(TOKEN_PROTOCOL));
         offered.fold(false, |found, token| found | same(token.as_bytes(), self.0.as_bytes()))

@@ -13,6 +13,7 @@ pub mod orders;
 pub mod request;
 pub mod server;
 mod session;
+mod shared;
 pub mod snapshot;
 pub mod status;
 pub mod team_view;

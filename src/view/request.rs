@@ -186,7 +186,8 @@ fn refusal(status: &str, why: &str) -> Vec<u8> {
 fn response(status: &str, kind: &str, body: &str) -> Vec<u8> {
     let length = body.len();
     format!(
-        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\n{SECURITY}Connection: close\r\n\r\n{body}"
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {length}\r\n{SECURITY}\
+         Connection: close\r\n\r\n{body}"
     )
     .into_bytes()
 }

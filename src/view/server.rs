@@ -5,85 +5,29 @@
 
 use std::io::{self, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError, TryLockError};
+use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::Builder;
 use std::time::{Duration, Instant};
 
-use tungstenite::{Bytes, Utf8Bytes};
+use tungstenite::Bytes;
+use tungstenite::Utf8Bytes;
 
 use super::access::Access;
 use super::command::Command;
 use super::request::{self, Response};
 use super::session;
+use super::shared::{LOOK, Shared, Slot};
 
 /// Largest number of connections at once. A page has two, and three more while it loads.
 pub const MAX_CONNECTIONS: usize = 32;
 /// Number of commands that wait for the thread that drives the team; further ones are refused.
 const MAX_COMMANDS: usize = 64;
-/// Period at which serving threads look for something new.
-pub(super) const LOOK: Duration = Duration::from_millis(20);
 /// Longest time for which a client may not read before its connection is closed.
 const WRITE_TIME: Duration = Duration::from_secs(5);
 /// Longest time for connections to send the last status when the server closes.
 const CLOSING: Duration = Duration::from_millis(500);
-
-/// Value of which the newest counts, with the number of its changes.
-pub(super) struct Slot<T> {
-    number: AtomicU64,
-    value: Mutex<T>,
-}
-
-impl<T: Clone> Slot<T> {
-    fn new(value: T) -> Slot<T> {
-        Slot { number: AtomicU64::new(0), value: Mutex::new(value) }
-    }
-
-    /// Leaves a newer value, unless a reader has the slot at this instant; returns whether it did.
-    fn offer(&self, value: T) -> bool {
-        let mut place = match self.value.try_lock() {
-            Ok(place) => place,
-            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
-            Err(TryLockError::WouldBlock) => return false,
-        };
-        *place = value;
-        self.number.fetch_add(1, Ordering::Release);
-        true
-    }
-
-    /// Returns the value if it is newer than the one with the number `seen`.
-    pub fn newer(&self, seen: &mut u64) -> Option<T> {
-        let number = self.number.load(Ordering::Acquire);
-        if number == *seen {
-            return None;
-        }
-        *seen = number;
-        Some(self.value.lock().unwrap_or_else(PoisonError::into_inner).clone())
-    }
-}
-
-/// What all threads of a server share.
-pub(super) struct Shared {
-    pub access: Access,
-    pub scene: Utf8Bytes,
-    pub snapshot: Slot<Bytes>,
-    pub goals: Slot<Utf8Bytes>,
-    pub status: Slot<Utf8Bytes>,
-    /// A stop that was asked for: it has no place in a queue that can be full.
-    pub stop: AtomicBool,
-    pub commands: SyncSender<Command>,
-    pub closing: AtomicBool,
-    connections: AtomicUsize,
-    refused: AtomicU64,
-}
-
-impl Shared {
-    /// Counts something that was refused.
-    pub fn refuse(&self) {
-        self.refused.fetch_add(1, Ordering::Relaxed);
-    }
-}
 
 /// Running server of a page.
 pub struct Server {

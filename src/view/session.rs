@@ -11,7 +11,7 @@ use tungstenite::{Message, WebSocket};
 
 use super::command::{Command, MAX_BYTES};
 use super::request::Socket;
-use super::server::{LOOK, Shared};
+use super::shared::{LOOK, Shared};
 
 /// Time for which a client that says nothing is believed to be there: then it is asked, by a status that it must take.
 const REPEAT: Duration = Duration::from_millis(500);

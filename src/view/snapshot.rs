@@ -1,9 +1,10 @@
 //! Snapshot: one picture of the team, and its encoding for the page.
 //!
 //! All numbers are little-endian. A header of 16 bytes: version (1), a byte of zero, number of robots (2), time of the
-//! run \[ms\] (4), number of links (2), links left out (2), four bytes of zero. Then 9 bytes a robot: x (2) and y (2) in
-//! units of the scene's `scale_m`, heading (2) in 1e-4 rad, phase (1), age (1) in 20 ms, flags (1). Then 6 bytes a link:
-//! the two robots (2, 2), age (1) in 10 ms, loss (1) in %.
+//! run \[ms\] (4), number of links (2), links left out (2), four bytes of zero.
+//!
+//! Then 9 bytes a robot: x (2) and y (2) in units of the scene's `scale_m`, heading (2) in 1e-4 rad, phase (1), age (1)
+//! in 20 ms, flags (1). Then 6 bytes a link: the two robots (2, 2), age (1) in 10 ms, loss (1) in %.
 
 use crate::messages::geometry::Vec2;
 use crate::messages::wire::Phase;
@@ -57,7 +58,8 @@ pub struct LinkState {
     pub one: u16,
     /// Number of the other robot, larger than the first.
     pub other: u16,
-    /// Age of the newest message, of the direction in which it is older; `None` if nothing has arrived in one direction.
+    /// Age of the newest message, of the direction in which it is older; `None` if nothing has arrived in one
+    /// direction.
     pub age: Option<Span>,
     /// Share of recent messages that did not arrive \[%\], of the worse direction; `None` before the first arrival.
     pub loss: Option<u8>,

@@ -95,7 +95,8 @@ impl Browser {
         let script = format!(
             "new Promise((done, fail) => {{ const began = performance.now(), look = () => {{ let holds = false; \
              try {{ holds = {condition} }} catch {{}} const ms = performance.now() - began; if (holds) done(ms); \
-             else if (ms > 30000) fail(document.body.innerText.slice(0, 300)); else setTimeout(look, 4); }}; look(); }})"
+             else if (ms > 30000) fail(document.body.innerText.slice(-900)); else setTimeout(look, 4); }}; \
+             look(); }})"
         );
         self.eval(&script).as_f64().unwrap_or_else(|| panic!("never: {condition}"))
     }

@@ -16,8 +16,8 @@ use crate::http::server;
 const PLACES: [[Vec2; 2]; 2] =
     [[Vec2::new(-1.0, 0.5), Vec2::new(1.25, -0.75)], [Vec2::new(0.5, 1.0), Vec2::new(-1.5, -1.0)]];
 
-/// Function of the page that returns the colour of the canvas at a point of the world \[m\]. The transform is worked out
-/// from the size of the canvas: 2.25 m and 1.75 m with the margin from the middle to the edges.
+/// Function of the page that returns the colour of the canvas at a point of the world \[m\]. The transform is worked
+/// out from the size of the canvas: 2.25 m and 1.75 m with the margin from the middle to the edges.
 const PIXEL: &str = "window.pixel = (x, y) => { const c = document.querySelector('canvas'), \
     k = Math.min(c.width / (2 * 2.35), c.height / (2 * 1.85)); \
     return [...c.getContext('2d').getImageData(c.width / 2 + k * x, c.height / 2 - k * y, 1, 1).data].join() }; \

@@ -1,4 +1,5 @@
-//! `sim --watch` with a real browser: the emergency stop, a halted program, other pages; and the same report as without.
+//! `sim --watch` and `launch --watch` with a real browser: the emergency stop, a halted program, other pages; and the
+//! same report as without a page.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Stdio};
@@ -23,10 +24,11 @@ impl Watched {
     fn of(mut command: std::process::Command) -> Watched {
         let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stderr.take().unwrap());
+        let mut said = String::new();
         let url = loop {
-            let mut line = String::new();
-            assert!(lines.read_line(&mut line).unwrap() > 0, "the program ended without an address");
-            if let Some(url) = line.trim().strip_prefix("watch: ") {
+            let before = said.len();
+            assert!(lines.read_line(&mut said).unwrap() > 0, "the program ended without an address: {said}");
+            if let Some(url) = said[before..].trim().strip_prefix("watch: ") {
                 break url.to_owned();
             }
         };
@@ -41,6 +43,17 @@ impl Watched {
     fn end(mut self) -> Option<i32> {
         self.signal(Signal::SIGINT);
         self.child.wait().unwrap().code()
+    }
+}
+
+impl Drop for Watched {
+    fn drop(&mut self) {
+        // A test that has failed leaves no team behind.
+        if self.child.try_wait().is_ok_and(|ended| ended.is_none()) {
+            self.signal(Signal::SIGCONT);
+            self.signal(Signal::SIGINT);
+            let _ = self.child.wait();
+        }
     }
 }
 
@@ -90,10 +103,10 @@ fn the_space_bar_stops_the_team_and_a_halted_program_is_grey_within_a_second() {
     assert_eq!(watched.end(), Some(130), "interrupted, with the results until then");
 }
 
-/// Writes pictures of the page to the folder that MURMURATE_PICTURES names, or to a temporary one.
+/// Writes pictures of the page to the folder that PAGE_PICTURES names, or to a temporary one.
 fn pictures(browser: &mut Browser, name: &str) {
     let temporary = tempfile::tempdir().unwrap();
-    let folder = std::env::var_os("MURMURATE_PICTURES").map_or(temporary.path().to_owned(), std::path::PathBuf::from);
+    let folder = std::env::var_os("PAGE_PICTURES").map_or(temporary.path().to_owned(), std::path::PathBuf::from);
     for (look, width, height, scheme) in
         [("light", 1280, 800, "light"), ("dark", 1280, 800, "dark"), ("phone", 390, 844, "light")]
     {
@@ -129,9 +142,11 @@ fn a_trial_that_nobody_touches_has_the_report_of_a_trial_without_a_page() {
 fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     let Some(mut browser) = Browser::start() else { return };
     let team = concat!(env!("CARGO_MANIFEST_DIR"), "/teams/offboard.toml");
-    let own = ["--set", "team=4117", "--set", "episodes=100", "--control"];
+    // No other run of this test has the number.
+    let number = format!("team={}", 1000 + std::process::id() % 60_000);
+    let own = ["--set", &number, "--set", "episodes=100", "--control"];
     let launched = Watched::of(murmurate(&[&["launch", team, "--watch"], &own[..]].concat()));
-    let joined = Watched::of(murmurate(&["watch", team, "--set", "team=4117", "--control"]));
+    let joined = Watched::of(murmurate(&["watch", team, "--set", &number, "--control"]));
     browser.open(&launched.url);
     browser.until(&format!("{STATE} === 'running' && {CONFIRMED} === '5/5' && murmurate.counts.drawn > 40"));
     let note = "document.getElementById('note').textContent.includes('position')";
@@ -140,6 +155,8 @@ fn the_page_of_a_real_team_stops_it_and_so_does_a_page_that_joins_later() {
     browser.press_space();
     let stopped = browser.until(&format!("{STATE} === 'STOPPED' && {CONFIRMED} === '5/5'"));
     eprintln!("launch: stop seen and confirmed on the page after {stopped:.0} ms");
+    // A stop is repeated for half a second; a re-arm from elsewhere would be overtaken by it.
+    browser.until("!status.ordering && !document.getElementById('rearm').disabled");
     browser.open(&joined.url);
     browser.until(&format!("{STATE} === 'STOPPED' && {CONFIRMED} === '5/5'"));
     browser.until("!document.getElementById('rearm').disabled");
@@ -160,10 +177,10 @@ fn flags_of_the_page_are_refused_where_they_make_no_sense() {
     refuses(&["sim", "--watch", "--listen", "0.0.0.0:0"], &["--listen", "token"]);
 }
 
-/// Figures of the page for large teams: `cargo test --release --test page large -- --nocapture` with MURMURATE_LARGE=1.
+/// Figures of the page for large teams: `cargo test --release --test page large -- --nocapture` with PAGE_LARGE=1.
 #[test]
 fn large_teams_are_drawn_in_time() {
-    let teams: &[(&str, &str)] = match std::env::var_os("MURMURATE_LARGE") {
+    let teams: &[(&str, &str)] = match std::env::var_os("PAGE_LARGE") {
         Some(_) => &[("20", "60"), ("100", "60"), ("1000", "200")],
         None => &[("20", "60")],
     };
@@ -197,8 +214,8 @@ fn large_teams_are_drawn_in_time() {
         let stopped = browser.until(&format!("{STATE} === 'STOPPED'"));
         let all = browser.until(&format!("{CONFIRMED} === '{robots}/{robots}'"));
         eprintln!(
-            "{robots} robots: {ms:.2} ms a drawn frame, {:.1} snapshots/s, {kb_s:.0} kB/s, stop seen after {stopped:.0} \
-             ms, confirmed {all:.0} ms later, {}",
+            "{robots} robots: {ms:.2} ms a drawn frame, {:.1} snapshots/s, {kb_s:.0} kB/s, stop seen after \
+             {stopped:.0} ms, confirmed {all:.0} ms later, {}",
             more("snapshots") / seconds,
             browser.eval("document.getElementById('clock').textContent"),
         );

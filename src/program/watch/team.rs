@@ -1,4 +1,5 @@
-//! `murmurate watch`: the page of a real team, from what an operator hears of it; `launch --watch` serves the same page.
+//! `murmurate watch`: the page of a real team, from what an operator hears of it. `launch --watch` serves the same
+//! page.
 
 use std::cell::RefCell;
 use std::io::Read;
@@ -44,8 +45,8 @@ const ASK: Span = Span::from_millis(1000);
 /// Flags of `murmurate watch`.
 #[derive(clap::Args)]
 #[command(after_help = "Runs on any machine that reaches the link which carries 'stop'. Ctrl-C ends the page and \
-    changes nothing for the team.\nExit codes: 0 ended by Ctrl-C; 1 the link or the page cannot be opened; 2 a flag, the \
-    team file, the key or the token is wrong.")]
+    changes nothing for the team.\nExit codes: 0 ended by Ctrl-C; 1 the link or the page cannot be opened; 2 a flag, \
+    the team file, the key or the token is wrong.")]
 pub struct Args {
     #[command(flatten)]
     team: team::TeamArgs,
@@ -180,7 +181,8 @@ impl Desk {
         }
         message.into_iter().for_each(|stop| self.network.send(network::In::Publish(Wire::Stop(stop))));
         let ordering = self.orders.borrow().is_running();
-        self.feed.tell(&self.publisher, now, "", |status| status.ordering = ordering);
+        let own = if ordering { "ordering" } else { "" };
+        self.feed.tell(&self.publisher, now, own, |status| status.ordering = ordering);
         let again = clock.clone();
         clock.call(now + BEAT, Box::new(move || self.beat(&again)));
     }

@@ -278,7 +278,12 @@ impl Desk<'_> {
             status.impaired = impaired.clone();
             status.over = over;
         };
-        self.feed.tell(&self.publisher, now, if over { "over" } else { pause }, fill);
+        let own = match (over, orders.borrow().is_running()) {
+            (true, _) => "over",
+            (_, true) => "ordering",
+            _ => pause,
+        };
+        self.feed.tell(&self.publisher, now, own, fill);
     }
 
     fn obey(&mut self, graph: &Graph, now: Time, command: Command) {

@@ -3,7 +3,7 @@
 
 const PHASES = ["needs reset", "resetting", "in place", "running", "at goal", "aborted", "finished", "waiting"];
 const HEADER = 16, ROBOT = 9, LINK = 6, UNKNOWN = -32768;
-const STALE_MS = 800;      // Grey from here: with the timer's period below, within a second of the last snapshot.
+const STALE_MS = 700;      // Grey from here: with the timer's period below, within a second of the last snapshot.
 const TRAIL_MS = 150, TRAIL_LENGTH = 30;
 const MANY = 500;          // Links from which they are drawn in the simplest way.
 const BINS = 20, BIN_MS = 25;
@@ -63,7 +63,8 @@ function send(command) {
 function stop() {
   stopWanted = true;
   if (!send({ do: "stop" })) {
-    notice("STOP is not sent: no connection. It is sent once there is one; use 'murmurate stop' or the robots' switch.");
+    notice("STOP is not sent: no connection. It is sent once there is one; " +
+      "use 'murmurate stop' or the robots' switch.");
   }
 }
 
@@ -77,7 +78,8 @@ function setUp() {
   $("rows").replaceChildren(...Array.from({ length: scene.robots }, (_, robot) => row(robot)));
   $("faults").hidden = scene.control !== "emulation";
   $("link").replaceChildren(...scene.links.map(name => new Option(name)));
-  $("robot").replaceChildren(...Array.from({ length: scene.robots }, (_, robot) => new Option(`robot ${robot}`, robot)));
+  const names = Array.from({ length: scene.robots }, (_, robot) => new Option(`robot ${robot}`, robot));
+  $("robot").replaceChildren(...names);
   $("ages").hidden = !scene.hears_links;
   for (const id of ["link", "cut", "delay", "loss"]) $(id).closest(".row").hidden = scene.links.length === 0;
   $("histogram").replaceChildren(...Array.from({ length: BINS + 1 }, () => document.createElement("div")));
@@ -128,7 +130,7 @@ function showStatus() {
   $("success").title = Object.entries(s.verdicts).map(([verdict, times]) => `${verdict}: ${times}`).join(", ");
   set($("clock"), `${s.time_s.toFixed(1)} s` + (s.speed === null ? "" : `, ${s.speed.toFixed(1)}×`));
   const may = holder && scene && scene.control !== "stop";
-  $("rearm").disabled = !may || s.latch !== "stopped";
+  $("rearm").disabled = !may || s.latch !== "stopped" || s.ordering;
   $("resume").disabled = !may || !(s.latch === "held" || s.pause !== "no");
   $("pause").disabled = !may || scene.control !== "emulation" || s.latch !== "clear" || s.pause !== "no";
   set($("killed"), s.killed.length ? `down: ${s.killed.join(", ")}` : "");
@@ -154,7 +156,8 @@ function showRows() {
     set(cells[3], !scene.hears_links || link < 0 ? "–" : link === 255 ? "never" : link === 250 ? "> 2.5 s" :
       `${(link / 100).toFixed(2)} s`);
     cells[3].className = link > 50 ? "bad" : "";
-    set(cells[4], String(late.get(robot) || 0));
+    // Where guards are not heard, none is said to be fine.
+    set(cells[4], scene.hears_links ? String(late.get(robot) || 0) : "–");
     cells[5].hidden = noBattery;
     set(cells[5], battery.has(robot) ? `${battery.get(robot)} %` : "–");
     set(cells[6], guard.get(robot) || "–");
@@ -165,7 +168,8 @@ function showRows() {
 // Ends, ages and losses of a snapshot's links, as arrays.
 function readLinks(snapshot) {
   const n = snapshot.getUint16(2, true), m = snapshot.getUint16(8, true), base = HEADER + n * ROBOT;
-  const links = { m, one: new Uint16Array(m), other: new Uint16Array(m), age: new Uint8Array(m), loss: new Uint8Array(m) };
+  const [words, bytes] = [() => new Uint16Array(m), () => new Uint8Array(m)];
+  const links = { m, one: words(), other: words(), age: bytes(), loss: bytes() };
   for (let link = 0, at = base; link < m; link++, at += LINK) {
     links.one[link] = snapshot.getUint16(at, true);
     links.other[link] = snapshot.getUint16(at + 2, true);
@@ -409,7 +413,11 @@ function drawRobots(at, n, hull, pixel) {
       pen.moveTo(x + radius, y); pen.arc(x, y, radius, 0, 2 * Math.PI);
     }
   };
-  for (const [name, robots] of Object.entries(kinds)) { pen.fillStyle = colours[name]; circles(robots, hull); pen.fill(); }
+  for (const [name, robots] of Object.entries(kinds)) {
+    pen.fillStyle = colours[name];
+    circles(robots, hull);
+    pen.fill();
+  }
   pen.strokeStyle = colours.hit; pen.lineWidth = 3 * pixel; circles(hit, hull + 2 * pixel); pen.stroke();
   if (chosen !== null) {
     pen.strokeStyle = colours.accent; pen.lineWidth = 3 * pixel; circles([chosen], hull + 4 * pixel); pen.stroke();
@@ -480,24 +488,29 @@ document.addEventListener("keydown", event => {
 document.addEventListener("keyup", event => { if (event.code === "Space") event.preventDefault(); });
 for (const id of ["show-links", "show-trails", "show-goals", "show-range"]) $(id).onchange = () => { dirty = true; };
 $("colour").onchange = () => {
-  const loss = $("colour").value === "loss";
-  ["≤ 0.1 s", "≤ 0.3 s", "older"].forEach((text, at) => set($(`legend-${at}`), loss ? ["≤ 5 %", "≤ 30 %", "more"][at] : text));
+  const words = $("colour").value === "loss" ? ["≤ 5 %", "≤ 30 %", "more"] : ["≤ 0.1 s", "≤ 0.3 s", "older"];
+  words.forEach((text, at) => set($(`legend-${at}`), text));
   dirty = true;
 };
 
 const onLink = () => {
   set($("delay-text"), `${$("delay").value} ms`);
   set($("loss-text"), `${$("loss").value} %`);
-  send({ do: "link", link: $("link").value, cut: $("cut").checked, delay_ms: +$("delay").value, loss: $("loss").value / 100 });
+  const fault = { cut: $("cut").checked, delay_ms: +$("delay").value, loss: $("loss").value / 100 };
+  send({ do: "link", link: $("link").value, ...fault });
 };
 for (const id of ["cut", "delay", "loss"]) $(id).onchange = onLink;
-for (const id of ["delay", "loss"]) $(id).oninput = () => set($(`${id}-text`), $(id).value + (id === "delay" ? " ms" : " %"));
+for (const [id, unit] of [["delay", "ms"], ["loss", "%"]]) {
+  $(id).oninput = () => set($(`${id}-text`), `${$(id).value} ${unit}`);
+}
 $("link").onchange = () => {
   const now = status && status.impaired[$("link").value] || { cut: false, delay_ms: 0, loss: 0 };
   $("cut").checked = now.cut; $("delay").value = now.delay_ms; $("loss").value = 100 * now.loss;
   set($("delay-text"), `${now.delay_ms} ms`); set($("loss-text"), `${Math.round(100 * now.loss)} %`);
 };
-for (const id of ["kill", "restart"]) $(id).onclick = () => send({ do: id, role: $("role").value, robot: +$("robot").value });
+for (const id of ["kill", "restart"]) {
+  $(id).onclick = () => send({ do: id, role: $("role").value, robot: +$("robot").value });
+}
 
 const system = matchMedia("(prefers-color-scheme: dark)");
 function theme(name) {

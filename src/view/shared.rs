@@ -1,0 +1,70 @@
+//! What the threads of a server share: the newest values for pages, and the way back for commands.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::mpsc::SyncSender;
+use std::sync::{Mutex, PoisonError, TryLockError};
+use std::time::Duration;
+
+use tungstenite::{Bytes, Utf8Bytes};
+
+use super::access::Access;
+use super::command::Command;
+
+/// Period at which serving threads look for something new.
+pub(super) const LOOK: Duration = Duration::from_millis(20);
+
+/// Value of which the newest counts, with the number of its changes.
+pub(super) struct Slot<T> {
+    number: AtomicU64,
+    value: Mutex<T>,
+}
+
+impl<T: Clone> Slot<T> {
+    pub fn new(value: T) -> Slot<T> {
+        Slot { number: AtomicU64::new(0), value: Mutex::new(value) }
+    }
+
+    /// Leaves a newer value, unless a reader has the slot at this instant; returns whether it did.
+    pub fn offer(&self, value: T) -> bool {
+        let mut place = match self.value.try_lock() {
+            Ok(place) => place,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return false,
+        };
+        *place = value;
+        self.number.fetch_add(1, Ordering::Release);
+        true
+    }
+
+    /// Returns the value if it is newer than the one with the number `seen`.
+    pub fn newer(&self, seen: &mut u64) -> Option<T> {
+        let number = self.number.load(Ordering::Acquire);
+        if number == *seen {
+            return None;
+        }
+        *seen = number;
+        Some(self.value.lock().unwrap_or_else(PoisonError::into_inner).clone())
+    }
+}
+
+/// What all threads of a server share.
+pub(super) struct Shared {
+    pub access: Access,
+    pub scene: Utf8Bytes,
+    pub snapshot: Slot<Bytes>,
+    pub goals: Slot<Utf8Bytes>,
+    pub status: Slot<Utf8Bytes>,
+    /// A stop that was asked for: it has no place in a queue that can be full.
+    pub stop: AtomicBool,
+    pub commands: SyncSender<Command>,
+    pub closing: AtomicBool,
+    pub connections: AtomicUsize,
+    pub refused: AtomicU64,
+}
+
+impl Shared {
+    /// Counts something that was refused.
+    pub fn refuse(&self) {
+        self.refused.fetch_add(1, Ordering::Relaxed);
+    }
+}
