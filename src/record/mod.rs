@@ -2,7 +2,7 @@
 //! for a replay.
 //!
 //! The thread that runs the actors puts [`Event`]s into a bounded queue ([`queue`]); it never waits for a disk. A
-//! writer's thread makes the messages of the record's topics of them ([`topics`]) and writes the file ([`file`]). A
+//! writer's thread makes the messages of the record's topics of them ([`topics`]) and writes the file ([`mod@file`]). A
 //! replay makes the same messages and compares them with the file ([`compare`]). docs/record.md lists the topics.
 
 mod drawing;
