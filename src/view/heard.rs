@@ -82,7 +82,7 @@ mod tests {
             }
         }
         let (age, loss) = heard.link(at(50 * 199), host, robot).unwrap();
-        assert_eq!((age, loss), (Span::from_millis(50), 23), "one in four, and the newest may be on its way");
+        assert_eq!((age, loss), (Span::from_millis(50), 25), "one in four, and the newest may be on its way");
         (0..500).for_each(|_| heard.published(robot));
         assert_eq!(heard.link(at(50 * 199), host, robot).unwrap().1, 100, "all of the last 64");
     }

@@ -9,10 +9,13 @@ use tempfile::TempDir;
 /// Commands of every build.
 const ALWAYS: [&str; 7] = ["policy", "host", "doctor", "stop", "resume", "key", "config"];
 /// Commands that depend on a feature, and whether this build has it.
-const WITH: [(&str, bool); 7] = [
+const WITH: [(&str, bool); 10] = [
     ("sim", cfg!(feature = "sim")),
     ("deployment", cfg!(feature = "sim")),
     ("launch", cfg!(feature = "sim")),
+    ("record", cfg!(feature = "sim")),
+    ("replay", cfg!(feature = "sim")),
+    ("watch", cfg!(feature = "watch")),
     ("study", cfg!(feature = "study")),
     ("train", cfg!(feature = "train")),
     ("completions", cfg!(feature = "completions")),
