@@ -34,11 +34,13 @@ const NOT_RUN: &[(&str, &str)] = &[
         "murmurate study network --rows room/rows.json --fit my-room.toml --medium wifi",
         "a fit takes minutes; tests/cli/study_network.rs has one",
     ),
+    ("murmurate replay runs/team", "needs the records of a team in real time; tests/record has some"),
+    ("murmurate record merge runs/team -o runs/team.mcap", "needs the records of a team in real time"),
 ];
 
 /// Subcommands that run until they are ended, or need a team that runs. Their flags are checked against the help, and
 /// their team file with `config check`.
-const LIVE: [&str; 5] = ["host", "launch", "doctor", "stop", "resume"];
+const LIVE: [&str; 6] = ["host", "launch", "doctor", "stop", "resume", "watch"];
 
 /// Pages that a new reader reads first.
 const FIRST: [&str; 6] = [
@@ -270,7 +272,7 @@ impl Args {
 
 /// Checks that the help of a subcommand has all flags of a command.
 fn check_flags(args: &Args) -> Result<(), String> {
-    let depth = if ["study", "config", "key", "policy"].contains(&args.0[0].as_str()) { 2 } else { 1 };
+    let depth = if ["study", "config", "key", "policy", "record"].contains(&args.0[0].as_str()) { 2 } else { 1 };
     let words = args.0.iter().take(depth).filter(|arg| !arg.starts_with('-'));
     let names: Vec<&str> = words.map(String::as_str).chain(["--help"]).collect();
     let output = run(&names);
