@@ -1,4 +1,5 @@
-//! Actions of a host with another policy on the same inputs, step by step beside those in its record.
+//! Comparison of two policies on the recorded inputs of one host: the motor commands of the record and those of the
+//! other policy, step by step.
 
 use std::collections::BTreeMap;
 
@@ -9,14 +10,14 @@ use crate::messages::geometry::Vec2;
 use crate::messages::wire::Wire;
 use crate::net::protocol::codec;
 
-/// Commands of one host: by robot, the time \[ns\] and the commanded velocity \[m/s\].
+/// Motor commands of one host: for each robot, time of publication \[ns\] and commanded velocity \[m/s\], world frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Commands(BTreeMap<u16, Vec<(u64, Vec2)>>);
 
-/// Difference of one robot's actions at one step.
+/// Motor command of one robot at one control step, with the recorded and with the other policy.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StepDifference {
-    /// Time of the run \[s\].
+    /// Time since the start of the run \[s\].
     pub at_s: f64,
     /// The robot.
     pub robot: u16,
@@ -27,39 +28,40 @@ pub struct StepDifference {
 }
 
 impl StepDifference {
-    /// Size of the difference \[m/s\].
+    /// Norm of the difference between both velocities \[m/s\].
     pub fn size(&self) -> f64 {
         let [x, y] = [0, 1].map(|axis| f64::from(self.recorded[axis] - self.replayed[axis]));
         (x * x + y * y).sqrt()
     }
 }
 
-/// Differences of one robot in numbers.
+/// Statistics of the differences between the motor commands of two policies, for one robot.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RobotDifference {
     /// The robot.
     pub robot: u16,
-    /// Steps that both have.
+    /// Number of steps at which both policies gave a command.
     pub steps: usize,
-    /// Steps that only one of both has.
+    /// Number of steps at which only one of the policies gave a command.
     pub unpaired: usize,
-    /// Time of the first step that differs \[s\].
+    /// Time since the start of the run of the first step with different commands \[s\]; `None` if there is none.
     pub first_s: Option<f64>,
-    /// Mean size of the difference \[m/s\].
+    /// Mean norm of the velocity difference over the paired steps \[m/s\].
     pub mean_m_s: f64,
-    /// Largest size of the difference \[m/s\].
+    /// Largest norm of the velocity difference \[m/s\].
     pub most_m_s: f64,
 }
 
 impl Commands {
-    /// Takes a published datagram, if it is a motor command.
+    /// Adds the command of a published datagram, if it is a motor command; ignores other datagrams.
     pub fn take(&mut self, at_ns: u64, datagram: &[u8]) {
         if let Ok((_, Wire::MotorCommand(command))) = codec::decode(datagram) {
             self.0.entry(command.robot.0).or_default().push((at_ns, command.velocity));
         }
     }
 
-    /// Reads the commands of a record; times count from `anchor_ns`.
+    /// Reads the motor commands of a record. Their times are relative to `anchor_ns`, the wall clock at the run's
+    /// start.
     pub fn read(mut messages: Messages, anchor_ns: u64) -> Result<Commands, ReadError> {
         let mut commands = Commands::default();
         while let Some(message) = messages.next_message()? {
@@ -70,7 +72,7 @@ impl Commands {
         Ok(commands)
     }
 
-    /// Pairs the commands of equal times, and returns each step, and each robot in numbers.
+    /// Pairs commands of equal time, and returns each paired step and the statistics of each robot.
     pub fn beside(&self, replayed: &Commands) -> (Vec<StepDifference>, Vec<RobotDifference>) {
         let (mut steps, mut robots) = (Vec::new(), Vec::new());
         for (robot, recorded) in &self.0 {

@@ -1,4 +1,4 @@
-//! Comparison of a run with its record, message by message. It ends at the first difference and names it.
+//! Comparison of a replay with its record, message by message, up to the first difference.
 
 use std::fmt;
 
@@ -12,13 +12,13 @@ use crate::net::protocol::codec;
 /// First difference between a record and a replay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// Time of the run at which they differ \[s\].
+    /// Time since the start of the run at which they differ \[s\].
     pub at_s: f64,
     /// Topic of the message.
     pub topic: String,
-    /// The message in the record, in words.
+    /// The record's message, decoded as text.
     pub recorded: String,
-    /// The message of the replay, in words.
+    /// The replay's message, decoded as text.
     pub replayed: String,
 }
 
@@ -29,18 +29,19 @@ impl fmt::Display for Difference {
     }
 }
 
-/// Comparison of a run that is replayed with its record.
+/// Comparison of a running replay with the messages of its record, in order.
 pub struct Comparison {
     recorded: Messages,
     topics: Topics,
     anchor_ns: u64,
-    /// Whether tags of datagrams are made of zeros, so that digests of what was sent differ.
+    /// Whether digests of sent datagrams are ignored: the replay has no key, so its tags are zeros and the digests
+    /// differ.
     tagless: bool,
     instant: Vec<Event>,
     messages: u64,
-    /// Whether a crash has cut the record, and the replay has come to there.
+    /// Whether the replay has reached the end of a record that a crash has cut.
     cut: bool,
-    /// Time at which the record lacks events \[s\].
+    /// Time since the start of the run at which the record lacks events \[s\]; `None` if no event was dropped.
     gap_s: Option<f64>,
     difference: Option<Difference>,
     error: Option<ReadError>,
@@ -49,13 +50,13 @@ pub struct Comparison {
 /// Result of a comparison.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Compared {
-    /// Messages that are equal.
+    /// Number of messages that are equal in record and replay.
     pub messages: u64,
     /// The first difference, if there is one.
     pub difference: Option<Difference>,
-    /// Whether a crash has cut the record; the replay is compared up to there.
+    /// Whether a crash has cut the record. If so, only the messages before the cut are compared.
     pub cut: bool,
-    /// Time at which the record lacks events \[s\]; nothing after it is compared.
+    /// Time since the start of the run at which the record lacks events \[s\]. Nothing after it is compared.
     pub gap_s: Option<f64>,
 }
 
@@ -76,13 +77,13 @@ impl Comparison {
         }
     }
 
-    /// Leaves out the digests of datagrams that were sent: a replay without the key cannot make their tags.
+    /// Ignores the digests of sent datagrams. For a replay without the key, which cannot make the tags of datagrams.
     pub fn without_tags(mut self) -> Comparison {
         self.tagless = true;
         self
     }
 
-    /// Takes an event of the replay.
+    /// Adds an event of the replay. The end of a turn compares all events of that turn with the record.
     pub fn push(&mut self, event: Event) {
         let Event::Turn(now) = event else {
             self.instant.push(event);
@@ -133,12 +134,12 @@ impl Comparison {
         self.instant.clear();
     }
 
-    /// Whether there is nothing left to compare: a difference was found, or the record is over.
+    /// Whether the comparison has ended: at a difference, a gap, a cut or an error of the record.
     pub fn is_over(&self) -> bool {
         self.cut || self.gap_s.is_some() || self.difference.is_some() || self.error.is_some()
     }
 
-    /// Ends the comparison. A record that goes on after the replay has ended is a difference.
+    /// Ends the comparison. Messages of the record after the end of the replay count as a difference.
     pub fn finish(mut self) -> Result<Compared, ReadError> {
         if let Some(error) = self.error {
             return Err(error);
@@ -162,14 +163,14 @@ impl Comparison {
     }
 }
 
-/// Whether a message says that events before it are missing.
+/// Whether a message reports that the recording dropped events before it.
 fn is_gap(message: &Message) -> bool {
     message.channel.topic == "/counts"
         && serde_json::from_slice::<serde_json::Value>(&message.data)
             .is_ok_and(|said| said["recording_dropped"].is_u64())
 }
 
-/// Returns a message in words.
+/// Describes a message in a line of text: its time, topic and decoded content.
 fn words(topic: &str, at_s: f64, data: &[u8]) -> String {
     let what = if topic.starts_with("/wire/") {
         match codec::decode(data) {

@@ -1,5 +1,5 @@
-//! The picture of a team at an instant, as messages of Foxglove: walls and goals, bodies and headings, names, and lines
-//! between robots in communication range.
+//! Drawing of a team as Foxglove messages: walls, goals, hulls, headings, robot numbers, and lines between robots in
+//! communication range.
 
 use super::foxglove::{self, Colour, MAP};
 use super::protobuf::Message;
@@ -7,14 +7,14 @@ use crate::graph::Plan;
 use crate::messages::geometry::Vec2;
 use crate::scenario::Arena;
 
-/// What a drawing needs to know of a run.
+/// Constant properties of a run that its drawings need.
 #[derive(Clone, Debug)]
 pub struct Stage {
     /// Names of the hosts, in the order of the deployment.
     pub hosts: Vec<String>,
     /// Number of robots.
     pub robots: usize,
-    /// Ground and walls.
+    /// Ground and keep-outs of the scenario.
     pub arena: Arena,
     /// Radius of a robot's hull \[m\].
     pub hull_m: f32,
@@ -23,7 +23,7 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Returns what a drawing needs to know of a run with this plan.
+    /// Returns the properties of a run with this plan.
     pub fn of(plan: &Plan) -> Stage {
         Stage {
             hosts: plan.deployment.hosts.iter().map(|host| host.name.clone()).collect(),
@@ -35,7 +35,7 @@ impl Stage {
     }
 }
 
-/// A robot in the picture.
+/// Pose of a robot as it is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Body {
     /// Position \[m\], world frame.
@@ -49,7 +49,7 @@ const WALL_HEIGHT_M: f64 = 0.5;
 const GREY: Colour = [0.5, 0.5, 0.5, 1.0];
 const DARK: Colour = [0.1, 0.1, 0.1, 1.0];
 const LINK: Colour = [0.1, 0.7, 0.2, 0.8];
-/// Colours of robots, again from the first after the last: those of the pictures of `sim`.
+/// Colours of the robots by number, repeated after the last. The pictures of `sim` use the same.
 const ROBOTS: [Colour; 6] = [
     [0.12, 0.47, 0.71, 1.0],
     [1.0, 0.5, 0.05, 1.0],
@@ -67,7 +67,7 @@ fn point(at: Vec2, height_m: f64) -> [f64; 3] {
     [f64::from(at.x), f64::from(at.y), height_m]
 }
 
-/// Writes a scene update with what stands: walls, and the goals of an episode.
+/// Writes a scene update with the walls, and the goals of an episode.
 pub fn walls_and_goals(out: &mut Message, at: u64, stage: &Stage, goals: &[Vec2]) {
     foxglove::entity(out, at, "walls", |entity| {
         for block in &stage.arena.keep_outs {
@@ -88,7 +88,7 @@ pub fn walls_and_goals(out: &mut Message, at: u64, stage: &Stage, goals: &[Vec2]
     });
 }
 
-/// Writes a scene update with what moves: bodies with headings and numbers, and lines between robots in range.
+/// Writes a scene update with the robots, their headings and numbers, and lines between robots in communication range.
 pub fn team(out: &mut Message, at: u64, stage: &Stage, team: &[Option<Body>]) {
     let width = f64::from(stage.hull_m) * 2.0;
     for (robot, body) in team.iter().enumerate() {
@@ -128,7 +128,7 @@ pub fn team(out: &mut Message, at: u64, stage: &Stage, team: &[Option<Body>]) {
     });
 }
 
-/// Positions of the pairs of robots within a range. Of large teams only the pairs of the first 64 robots are drawn.
+/// Returns the positions of the pairs of robots within a range \[m\], among the first 64 robots of the team.
 fn pairs(team: &[Option<Body>], range_m: f32) -> impl Iterator<Item = (Vec2, Vec2)> {
     let seen: Vec<Vec2> = team.iter().take(64).flatten().map(|body| body.position).collect();
     let all = (0..seen.len()).flat_map(move |one| (one + 1..seen.len()).map(move |other| (one, other)));
@@ -146,7 +146,7 @@ fn disc(entity: &mut Message, at: [f64; 3], size: [f64; 3], colour: Colour) {
     });
 }
 
-/// Writes the robots as a point cloud: position, and the robot's number.
+/// Writes the robots as a point cloud: each point has a position and the robot's number.
 pub fn cloud(out: &mut Message, at: u64, team: &[Option<Body>]) {
     const FLOAT32: u64 = 7;
     const UINT32: u64 = 5;
@@ -172,7 +172,8 @@ pub fn cloud(out: &mut Message, at: u64, team: &[Option<Body>]) {
     out.bytes(6, &points);
 }
 
-/// Writes the transforms from the world frame to the robots' frames `robot_N/base_link`.
+/// Writes the transforms from the world frame to the robots' frames `robot_N/base_link`. An unknown heading is written
+/// as 0.
 pub fn transforms(out: &mut Message, at: u64, team: &[Option<Body>]) {
     for (robot, body) in team.iter().enumerate() {
         let Some(body) = body else { continue };
@@ -186,7 +187,7 @@ pub fn transforms(out: &mut Message, at: u64, team: &[Option<Body>]) {
     }
 }
 
-/// Writes a robot's pose. A robot whose heading is unknown has the heading of the x axis.
+/// Writes a robot's pose in the world frame. An unknown heading is written as 0.
 pub fn pose(out: &mut Message, at: u64, body: Body) {
     foxglove::time(out, 1, at);
     out.text(2, MAP);

@@ -1,5 +1,5 @@
-//! The file of a record: MCAP in chunks without compression, each written whole, so that what was flushed before a
-//! crash can be read. The writer has a thread of its own.
+//! The writer of record files, with a thread of its own. A record is MCAP in uncompressed chunks, each written whole,
+//! so that all flushed data can be read after a crash.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -21,13 +21,14 @@ use super::topics::{Stage, Topic, Topics};
 
 /// Size of a chunk \[bytes\].
 const CHUNK: u64 = 1 << 18;
-/// Time after which a file in real time is flushed. A crash loses this, the writer's pause, and what has just happened.
+/// Period of flushes in real time. A crash loses up to this, one pause of the writer, and the events still in the
+/// queue.
 const FLUSH: Duration = Duration::from_millis(100);
 
-/// Error of a record's file.
+/// Error while a record is written.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
-    /// The file cannot be made.
+    /// The file cannot be created.
     #[error("cannot write the record '{}': {error}", path.display())]
     Create {
         /// The file.
@@ -35,7 +36,7 @@ pub enum RecordError {
         /// The reason.
         error: std::io::Error,
     },
-    /// The file could not be written on.
+    /// A write has failed after the file was created.
     #[error("the record '{}' ends early: {reason}; what was written before can be read", path.display())]
     Write {
         /// The file.
@@ -45,10 +46,10 @@ pub enum RecordError {
     },
 }
 
-/// File that is put into a record.
+/// File that is stored in a record as an MCAP attachment.
 #[derive(Clone, Debug)]
 pub struct Attached {
-    /// Its name: the path as the command was given it.
+    /// Name of the attachment: the path as given on the command line.
     pub name: String,
     /// Its media type.
     pub media_type: &'static str,
@@ -56,12 +57,12 @@ pub struct Attached {
     pub content: Vec<u8>,
 }
 
-/// Beginning of a record: its identity, and the files that the run was made of.
+/// First part of a record: its identity, and the input files of the run.
 #[derive(Clone, Debug)]
 pub struct Beginning {
     /// The identity.
     pub identity: Identity,
-    /// The files.
+    /// The input files of the run.
     pub attached: Vec<Attached>,
 }
 
@@ -74,7 +75,7 @@ pub struct RecordFile {
 }
 
 impl RecordFile {
-    /// Creates a file, which must not exist, and writes its beginning.
+    /// Creates the file and writes its beginning. Fails if the file exists.
     pub fn create(path: &Path, beginning: &Beginning) -> Result<RecordFile, RecordError> {
         let failed = |error| RecordError::Create { path: path.to_owned(), error };
         let file = OpenOptions::new().write(true).create_new(true).open(path).map_err(failed)?;
@@ -133,12 +134,12 @@ impl RecordFile {
         Ok(channel)
     }
 
-    /// Ends the chunk and hands all to the operating system.
+    /// Ends the current chunk and passes everything to the operating system.
     pub fn flush(&mut self) -> Result<(), McapError> {
         self.writer.flush()
     }
 
-    /// Writes the end, with the summary that lets readers seek.
+    /// Writes the end of the file with the summary that lets readers seek, and syncs the file to disk.
     pub fn finish(mut self) -> Result<(), McapError> {
         self.writer.finish()?;
         let mut file = self.writer.into_inner().into_inner();
@@ -148,7 +149,7 @@ impl RecordFile {
     }
 }
 
-/// Record that is being made: its queue, and the thread that writes its file.
+/// Recording in progress: its event queue, and the thread that writes its file.
 pub struct Recording {
     inlet: Rc<Inlet>,
     thread: JoinHandle<()>,
@@ -157,7 +158,7 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Creates the file and starts the writer's thread.
+    /// Creates the file and starts the writer thread.
     pub fn start(
         path: &Path,
         beginning: &Beginning,
@@ -180,19 +181,19 @@ impl Recording {
         Ok(Recording { inlet: Rc::new(inlet), thread, path: path.to_owned(), failure })
     }
 
-    /// Returns the end of the queue at the thread that runs actors.
+    /// Returns the sending end of the event queue, for the thread that runs the actors.
     pub fn inlet(&self) -> Rc<Inlet> {
         Rc::clone(&self.inlet)
     }
 
-    /// Reason why the file could not be written on, once.
+    /// Returns the reason why writing has failed, the first time it is called after the failure; `None` otherwise.
     pub fn failure(&self) -> Option<RecordError> {
         let reason = self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take()?;
         Some(RecordError::Write { path: self.path.clone(), reason })
     }
 
-    /// Ends the record and waits for the writer: at most for `most`, or as long as it takes. Returns the number of
-    /// events that the record lacks.
+    /// Ends the record and waits for the writer: at most for `most`, or without limit if it is `None`. Returns the
+    /// number of dropped events.
     pub fn finish(self, most: Option<Duration>) -> Result<u64, RecordError> {
         self.inlet.close();
         let until = most.map(|most| (most, Instant::now() + most));
@@ -210,7 +211,7 @@ impl Recording {
     }
 }
 
-/// Returns the reason of an error: what the operating system said, where it said something.
+/// Returns the text of an error; of an I/O error, that of the operating system.
 fn reason(error: &McapError) -> String {
     match error {
         McapError::Io(error) => error.to_string(),
@@ -218,7 +219,8 @@ fn reason(error: &McapError) -> String {
     }
 }
 
-/// Writes what comes through the queue until its other end is closed.
+/// Loop of the writer thread: writes the events of the queue until its sending end is closed. `flush` is the period of
+/// flushes.
 fn serve(mut file: RecordFile, outlet: &Outlet, mut topics: Topics, flush: Option<Duration>) -> Result<(), McapError> {
     let (mut taken, mut instant) = (Vec::new(), Vec::new());
     let (mut flushed, mut written) = (Instant::now(), false);

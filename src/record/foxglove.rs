@@ -1,9 +1,9 @@
-//! Messages of Foxglove, as Protobuf: Foxglove, Lichtblick and Rerun draw them without help. Only the fields that are
-//! written are described. Frame `map` is the world frame.
+//! Foxglove's message types as Protobuf, which Foxglove, Lichtblick and Rerun draw without plug-ins. Only the fields
+//! that records use are described.
 
 use super::protobuf::{EnumType, Message, MessageType, Type};
 
-/// The world frame.
+/// Name of the world frame in messages.
 pub const MAP: &str = "map";
 
 /// Colour: red, green, blue and opacity, 0 to 1.
@@ -15,7 +15,7 @@ const POSE: Type = Type::One(".foxglove.Pose");
 const VECTOR: Type = Type::One(".foxglove.Vector3");
 const COLOUR: Type = Type::One(".foxglove.Color");
 
-/// Message types.
+/// Message types of the package `foxglove`: each with its fields and their numbers.
 pub const MESSAGES: &[MessageType] = &[
     ("Vector3", &[("x", 1, Type::Double), ("y", 2, Type::Double), ("z", 3, Type::Double)]),
     ("Point3", &[("x", 1, Type::Double), ("y", 2, Type::Double), ("z", 3, Type::Double)]),
@@ -123,23 +123,23 @@ pub const MESSAGES: &[MessageType] = &[
     ),
 ];
 
-/// Enumerations.
+/// Enumerations of the package `foxglove`: each with its values in order.
 pub const ENUMS: &[EnumType] = &[
     ("Level", &["UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"]),
     ("LineType", &["LINE_STRIP", "LINE_LOOP", "LINE_LIST"]),
     ("NumericType", &["NUMERIC_UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"]),
 ];
 
-/// Level of a line of the log.
+/// Severity of a log message, with Foxglove's numbers.
 #[derive(Clone, Copy)]
 pub enum Level {
-    /// Usual news.
+    /// Normal event.
     Info = 2,
-    /// Something to look at.
+    /// Event that needs attention.
     Warning = 3,
 }
 
-/// Writes a time \[ns\] since 1970, or a duration \[ns\].
+/// Writes a time \[ns\] since 1970, or a duration \[ns\], as field `field`.
 pub fn time(out: &mut Message, field: u32, nanos: u64) {
     out.message(field, |stamp| {
         stamp.uint(1, nanos / 1_000_000_000);
@@ -147,7 +147,7 @@ pub fn time(out: &mut Message, field: u32, nanos: u64) {
     });
 }
 
-/// Writes a vector or a point.
+/// Writes a vector or a point as field `field`.
 pub fn vector(out: &mut Message, field: u32, [x, y, z]: [f64; 3]) {
     out.message(field, |vector| {
         vector.double(1, x);
@@ -156,7 +156,7 @@ pub fn vector(out: &mut Message, field: u32, [x, y, z]: [f64; 3]) {
     });
 }
 
-/// Writes the rotation about the vertical axis by `yaw` \[rad\].
+/// Writes the rotation about the vertical axis by `yaw` \[rad\] as a quaternion.
 pub fn rotation(out: &mut Message, field: u32, yaw: f64) {
     out.message(field, |quaternion| {
         quaternion.double(3, libm::sin(yaw / 2.0));
@@ -164,7 +164,7 @@ pub fn rotation(out: &mut Message, field: u32, yaw: f64) {
     });
 }
 
-/// Writes a pose.
+/// Writes a pose: position \[m\], and yaw \[rad\] counter-clockwise from x.
 pub fn pose(out: &mut Message, field: u32, at: [f64; 3], yaw: f64) {
     out.message(field, |pose| {
         vector(pose, 1, at);
@@ -182,7 +182,7 @@ pub fn colour(out: &mut Message, field: u32, [red, green, blue, opacity]: Colour
     });
 }
 
-/// Writes an entity of a scene update: `write` writes its primitives.
+/// Writes an entity with the id `id` into a scene update; `write` adds its primitives. `at` is the time \[ns\].
 pub fn entity(update: &mut Message, at: u64, id: &str, write: impl FnOnce(&mut Message)) {
     update.message(2, |entity| {
         time(entity, 1, at);
@@ -192,7 +192,7 @@ pub fn entity(update: &mut Message, at: u64, id: &str, write: impl FnOnce(&mut M
     });
 }
 
-/// Writes a line of the log.
+/// Writes a log message.
 pub fn log(out: &mut Message, at: u64, level: Level, name: &str, text: &str) {
     time(out, 1, at);
     out.uint(2, level as u64);

@@ -1,5 +1,5 @@
-//! Identity of a record: which program, flags, host and seed it is of. It is the metadata `murmurate.run` of the file,
-//! and what a replay needs to run the same again. A key is never in it.
+//! Identity of a record: program, arguments, host and seed of the run. It is the metadata `murmurate.run` of the file.
+//! A replay starts the same run from it. It never holds a key.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::messages::ids::HostId;
 
-/// Name of the metadata in a file.
+/// Name of the MCAP metadata that holds the identity.
 pub const METADATA: &str = "murmurate.run";
 /// Version of the format of records.
 pub const FORMAT: u32 = 1;
@@ -17,15 +17,15 @@ pub const BUILD: &str = env!("SOURCE_DIGEST");
 /// Identity of a record.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Version of the format.
+    /// Version of the record format.
     pub format: u32,
     /// Version of the program.
     pub version: String,
-    /// Digest of the program's sources: another program may run differently.
+    /// Digest of the program's sources. Another build may behave differently.
     pub build: String,
-    /// Arguments of the command, from its name on.
+    /// Arguments of the command, without the program's name.
     pub arguments: Vec<String>,
-    /// Variables of the environment that override fields of the team file.
+    /// Environment variables that override fields of the team file: name and value.
     pub variables: Vec<(String, String)>,
     /// Wall clock at the run's time zero \[ns\] since 1970; 0 in a simulation.
     pub anchor_ns: u64,
@@ -33,11 +33,11 @@ pub struct Identity {
     pub policy: String,
     /// Index of the repeat, in a simulation.
     pub repeat: u32,
-    /// The host, in a record of one.
+    /// The recorded host; `None` in a record of a simulation.
     pub host: Option<HostIdentity>,
 }
 
-/// Identity of the process of a host.
+/// Identity of a recorded host process.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HostIdentity {
     /// Name of the host.
@@ -50,17 +50,17 @@ pub struct HostIdentity {
     pub seed: String,
     /// Number of transports of each link, in the order of the deployment.
     pub transports: Vec<usize>,
-    /// Whether the team had a key. The key itself is in no record.
+    /// Whether the team had a key. Records never hold the key itself.
     pub keyed: bool,
 }
 
-/// Wrong metadata of a record.
+/// Error: the metadata of a record cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[error("its metadata '{METADATA}' cannot be used: {0}")]
 pub struct WrongIdentity(String);
 
 impl Identity {
-    /// Returns the identity of a record that this program makes now.
+    /// Returns the identity of a simulation that this program records, without variables, host and anchor.
     pub fn here(arguments: Vec<String>, policy: &str) -> Identity {
         Identity {
             format: FORMAT,
@@ -75,7 +75,7 @@ impl Identity {
         }
     }
 
-    /// Returns the identity as metadata: each field as JSON, texts as they are.
+    /// Returns the identity as metadata: each field as JSON, strings without quotes.
     pub fn to_metadata(&self) -> BTreeMap<String, String> {
         let serde_json::Value::Object(fields) = serde_json::to_value(self).expect("an identity is JSON") else {
             unreachable!("an identity is an object")
@@ -87,7 +87,7 @@ impl Identity {
         fields.into_iter().map(|(name, value)| (name, text(value))).collect()
     }
 
-    /// Reads the identity from metadata.
+    /// Reads the identity from metadata. Fails if the format is another or a field is wrong.
     pub fn of_metadata(metadata: &BTreeMap<String, String>) -> Result<Identity, WrongIdentity> {
         const TEXTS: [&str; 3] = ["version", "build", "policy"];
         let format = metadata.get("format").map_or("", String::as_str);

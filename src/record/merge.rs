@@ -1,11 +1,11 @@
-//! Records of a team's hosts on one time. Clocks of hosts differ; the records themselves say by how much.
+//! Alignment of the records of a team's hosts on one clock. The offsets of the hosts' clocks are estimated from the
+//! records.
 //!
 //! Every datagram that one host has published and another has received gives a bound: it cannot arrive before it was
-//! sent. Of the datagrams between two hosts within ten seconds, the fastest in each direction bound the difference of
-//! the clocks from both sides; the middle is the estimate, and half of the width its uncertainty (Cristian, 1989). A
-//! time in a record is that at which a turn of the event loop began, so single times are early by up to a turn's
-//! length: the fastest two in a hundred are left out of the estimate, and widen the uncertainty where they disagree
-//! with it.
+//! sent. Of the datagrams between two hosts within ten seconds, the fastest in each direction bound the clock offset
+//! from both sides; the middle is the estimate, and half of the width its uncertainty (Cristian, 1989). A recorded time
+//! is that at which a turn of the event loop began, so single times are early by up to a turn's length. Therefore the
+//! fastest 2 % are left out of the estimate; where they contradict it, the uncertainty grows.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,13 +17,13 @@ use super::tape;
 use crate::graph::inputs::Input;
 use crate::net::protocol::codec;
 
-/// Span of one estimate \[ns\].
+/// Length of the window of one offset estimate \[ns\].
 const WINDOW_NS: i64 = 10_000_000_000;
 
-/// Identity of a datagram: sender, incarnation, number, and a digest of its message.
+/// Identity of a datagram: sender, incarnation, sequence number, digest of its message.
 type DatagramKey = (u16, u32, u32, u64);
 
-/// Times of a record's datagrams, on its own clock \[ns\] since 1970.
+/// Times of a record's datagrams on the clock of its host \[ns\] since 1970.
 #[derive(Default)]
 pub struct Traffic {
     published: BTreeMap<DatagramKey, i64>,
@@ -31,7 +31,7 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// Reads the datagrams of a host's record.
+    /// Reads the times of datagrams from a host's record.
     pub fn read(path: &Path) -> Result<Traffic, ReadError> {
         let mut opened = reader::open(path)?;
         let mut traffic = Traffic::default();
@@ -60,8 +60,8 @@ impl Traffic {
         self.arrived.extend(key(datagram).map(|key| (key, at)));
     }
 
-    /// Time from sending here to arrival at `other` that two datagrams in a hundred beat, each time on its own clock,
-    /// by windows of the time here.
+    /// Apparent delay \[ns\] of the fastest datagrams from this host to `other`, for each window of this host's clock:
+    /// the 2 % quantile of arrival on the clock of `other` minus publication on this host's.
     fn fastest(&self, other: &Traffic) -> BTreeMap<i64, i64> {
         let mut took: BTreeMap<i64, Vec<i64>> = BTreeMap::new();
         for (key, arrived) in &other.arrived {
@@ -76,7 +76,7 @@ impl Traffic {
     }
 }
 
-/// Returns the identity of a datagram of a message; `None` for one of the link layer, and for junk.
+/// Returns the identity of a datagram with a message; `None` if it has only link-layer content or is invalid.
 fn key(datagram: &[u8]) -> Option<DatagramKey> {
     let header = codec::peek(datagram).ok()?;
     let (content, bytes) = codec::blocks(datagram).next()?.ok()?;
@@ -84,32 +84,32 @@ fn key(datagram: &[u8]) -> Option<DatagramKey> {
         .then(|| (header.sender.0, header.incarnation, header.sequence, xxh3_64(bytes)))
 }
 
-/// Difference of two clocks during one window.
+/// Offset of a clock from the reference clock during one window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Estimate {
-    /// Middle of the window \[ns\].
+    /// Middle of the window \[ns\], on the clock of the host from which the estimate was made.
     at: i64,
-    /// What the one clock is ahead of the reference \[ns\].
+    /// Time by which the clock is ahead of the reference \[ns\].
     ahead: i64,
-    /// Bound on the error of it \[ns\].
+    /// Bound on the error of `ahead` \[ns\].
     uncertainty: i64,
 }
 
-/// A host's clock against the reference, over time.
+/// Offset of a host's clock from the reference clock, over time.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ClockDifference(Vec<Estimate>);
 
 impl ClockDifference {
-    /// The clock of the reference itself.
+    /// The offset of the reference clock itself: zero.
     fn reference() -> ClockDifference {
         ClockDifference(vec![Estimate { at: 0, ahead: 0, uncertainty: 0 }])
     }
 
-    /// How far `there` is ahead of `here`.
+    /// Estimates the offset of the clock of `there` from that of `here`, window by window.
     fn between(here: &Traffic, there: &Traffic) -> ClockDifference {
         let (forth, back) = (here.fastest(there), there.fastest(here));
         let estimates = forth.iter().filter_map(|(window, forth)| {
-            // Windows of both clocks are the same up to their difference.
+            // A window of the other clock may be shifted by up to one, as the clocks differ.
             let back = (window - 1..=window + 1).filter_map(|near| back.get(&near)).min()?;
             let (ahead, uncertainty) = ((forth - back) / 2, (forth + back) / 2);
             Some(Estimate { at: window * WINDOW_NS + WINDOW_NS / 2, ahead, uncertainty: uncertainty.max(0) })
@@ -117,12 +117,13 @@ impl ClockDifference {
         ClockDifference(estimates.collect())
     }
 
-    /// Largest uncertainty \[ns\]; `None` without an estimate.
+    /// Largest uncertainty of the estimates \[ns\]; `None` without an estimate.
     pub fn uncertainty_ns(&self) -> Option<i64> {
         self.0.iter().map(|estimate| estimate.uncertainty).max()
     }
 
-    /// How far the clock is ahead at `at` \[ns\]: between estimates on a straight line.
+    /// Time by which the clock is ahead of the reference at time `at` \[ns\]: linear interpolation between the
+    /// estimates.
     pub fn ahead_ns(&self, at: i64) -> i64 {
         let later = self.0.partition_point(|estimate| estimate.at <= at);
         match (later.checked_sub(1).map(|before| self.0[before]), self.0.get(later)) {
@@ -136,13 +137,14 @@ impl ClockDifference {
         }
     }
 
-    /// The same with a larger uncertainty.
+    /// Returns the same offsets with the uncertainty increased by `by_ns`.
     fn widened(mut self, by_ns: i64) -> ClockDifference {
         self.0.iter_mut().for_each(|estimate| estimate.uncertainty += by_ns);
         self
     }
 
-    /// The difference to a reference to which this clock's own reference has the difference `base`.
+    /// Returns the offset from the common reference, given the offset `base` from it of the clock that this is relative
+    /// to.
     fn after(&self, base: &ClockDifference) -> ClockDifference {
         let uncertainty = base.uncertainty_ns().unwrap_or(0);
         let moved = |estimate: &Estimate| Estimate {
@@ -154,25 +156,25 @@ impl ClockDifference {
     }
 }
 
-/// Clocks of records against that of the first.
+/// Offsets of the records' clocks from that of the first record.
 #[derive(Debug)]
 pub struct Alignment {
-    /// By record: its clock's difference; `None` if no datagrams join it with the others in both directions.
+    /// Offset of each record's clock; `None` if no datagrams in both directions connect it with the reference.
     pub clocks: Vec<Option<ClockDifference>>,
-    /// Datagrams that were matched.
+    /// Number of datagrams that were found both at their sender and at a receiver.
     pub matched: u64,
-    /// Largest time by which a datagram arrived before its sending on the common time, beyond the uncertainty of the
-    /// estimates \[ns\]; the uncertainties of both clocks contain it.
+    /// Largest time by which an aligned arrival precedes its publication by more than the uncertainties of both clocks
+    /// \[ns\]; 0 if none does. The uncertainties in `clocks` already include it.
     pub beyond_ns: i64,
 }
 
-/// Estimates the clocks of records from their datagrams. The first one is the reference.
+/// Estimates the offsets of the records' clocks from their datagrams. The first record is the reference.
 pub fn align(all: &[Traffic]) -> Alignment {
     let mut clocks: Vec<Option<ClockDifference>> = vec![None; all.len()];
     if let Some(first) = clocks.first_mut() {
         *first = Some(ClockDifference::reference());
     }
-    // From the clocks that are known, the best next one.
+    // Adds the clock with the smallest uncertainty to the known ones, until none is left.
     while let Some((place, clock)) = best(all, &clocks) {
         clocks[place] = Some(clock);
     }
@@ -197,7 +199,7 @@ fn pairs(count: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..count).flat_map(move |here| (0..count).map(move |there| (here, there))).filter(|(here, there)| here != there)
 }
 
-/// Returns the unknown clock with the smallest uncertainty to a known one.
+/// Returns the index and offset of the unknown clock that has the smallest uncertainty relative to a known one.
 fn best(all: &[Traffic], clocks: &[Option<ClockDifference>]) -> Option<(usize, ClockDifference)> {
     let mut found: Option<(i64, usize, ClockDifference)> = None;
     for (here, there) in pairs(all.len()) {
@@ -212,13 +214,13 @@ fn best(all: &[Traffic], clocks: &[Option<ClockDifference>]) -> Option<(usize, C
     found.map(|(_, there, clock)| (there, clock))
 }
 
-/// Record that goes into a merged one.
+/// A record to be merged.
 pub struct Part {
     /// The file.
     pub path: PathBuf,
     /// Name of the host.
     pub host: String,
-    /// The host's clock.
+    /// Offset of the host's clock from the reference.
     pub clock: ClockDifference,
 }
 

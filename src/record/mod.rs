@@ -1,8 +1,8 @@
-//! Records of runs, as MCAP files: what a host or a simulation did, for people, for programs of others, and to the bit
-//! for a replay.
+//! Records of runs as MCAP files. They hold what a host or a simulation did, for inspection, for other programs, and
+//! for a bit-exact replay.
 //!
-//! The thread that runs the actors puts [`Event`]s into a bounded queue ([`queue`]); it never waits for a disk. A
-//! writer's thread makes the messages of the record's topics of them ([`topics`]) and writes the file ([`mod@file`]). A
+//! The thread that runs the actors puts [`Event`]s into a bounded queue ([`queue`]) and never waits for the disk. The
+//! writer thread turns them into messages of the record's topics ([`topics`]) and writes the file ([`mod@file`]). A
 //! replay makes the same messages and compares them with the file ([`compare`]). docs/record.md lists the topics.
 
 mod drawing;
@@ -37,46 +37,47 @@ use crate::report::episode::Episode;
 use crate::safety::guard::SafetyCounts;
 use crate::time::Time;
 
-/// Event of a run, as it is put into a record.
+/// Event of a run that a record stores.
 #[derive(Clone, Debug)]
 pub enum Event {
     /// Message that an actor of a host has published: its datagram, without a tag.
     Published(HostId, Frame),
-    /// Datagram that left the host on a link. Only records of hosts have these.
+    /// Datagram that the host has sent on a link. Only in records of hosts.
     Sent(LinkId, Frame),
-    /// Input from outside the graph. Only records of hosts have these.
+    /// Input from outside the actor graph: a datagram, a packet of a device's worker or an order. Only in records of
+    /// hosts.
     Input(Input),
-    /// Message that reached actors of the host. Only records of hosts have these.
+    /// Message that was delivered to actors of the host. Only in records of hosts.
     Delivered(Wire),
     /// True states of simulated robots.
     Truth(Truth),
     /// Result of an episode.
     Episode(Episode),
-    /// Number of times that a robot's guard has stopped or slowed it.
+    /// Counts of stops and reduced velocities by a robot's guard, by cause.
     Guard(RobotId, SafetyCounts),
     /// Condition of a real robot's hardware.
     Hardware(RobotId, Box<Hardware>),
-    /// Counts of a host's links since its Network was started.
+    /// Counts of datagrams on a host's links since its Network was started.
     Counts(HostId, Box<LinkCounts>),
-    /// Summaries of the other hosts as a host sees them.
+    /// State of the other hosts as the link layer of a host sees them.
     Peers(HostId, Vec<Peer>),
-    /// Number of events before this one that the queue had no room for.
+    /// Number of events before this one that were dropped because the queue was full.
     Dropped(u64),
-    /// End of the events of an instant: a turn of the event loop.
+    /// End of a turn of the event loop, at this time.
     Turn(Time),
 }
 
-/// Which events of a run a record takes.
+/// Kind of run that is recorded; it determines which events are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// Those of one host in real time: enough to run this host again alone.
+    /// One host in real time: all its inputs, so that this host can be replayed alone.
     Host,
-    /// Those of a simulation of the whole team, which runs again from its seed.
+    /// A simulation of the whole team: a replay repeats it from its seed, so inputs are not stored.
     Simulation,
 }
 
 impl Event {
-    /// Makes the event of a record from an event of a process; `None` if a record of this scope does not have it.
+    /// Converts an event of a process; `None` if records of this scope do not store it.
     pub fn of(scope: Scope, host: HostId, event: ProcessEvent) -> Option<Event> {
         let of_host = scope == Scope::Host;
         Some(match event {

@@ -1,4 +1,5 @@
-//! Protocol Buffers: a writer of the few types that records use, and the descriptors of message types, written with it.
+//! Writer of Protocol Buffers messages with the few field types that records use, and of the descriptors of message
+//! types.
 
 /// Writer of one message. Fields with the default value are left out, as in proto3.
 #[derive(Default)]
@@ -17,7 +18,7 @@ impl Message {
         self.varint(u64::from(field << 3 | wire_type));
     }
 
-    /// Writes an unsigned integer, a boolean or an enumerator.
+    /// Writes an unsigned integer, a boolean or an enum value as a varint.
     pub fn uint(&mut self, field: u32, value: u64) {
         if value != 0 {
             self.key(field, 0);
@@ -25,7 +26,7 @@ impl Message {
         }
     }
 
-    /// Writes a number of 64 bits.
+    /// Writes a 64-bit floating-point number.
     pub fn double(&mut self, field: u32, value: f64) {
         if value != 0.0 {
             self.key(field, 1);
@@ -33,7 +34,7 @@ impl Message {
         }
     }
 
-    /// Writes an integer of fixed size.
+    /// Writes a 32-bit unsigned integer of fixed size.
     pub fn fixed32(&mut self, field: u32, value: u32) {
         if value != 0 {
             self.key(field, 5);
@@ -41,7 +42,7 @@ impl Message {
         }
     }
 
-    /// Writes a text.
+    /// Writes a string.
     pub fn text(&mut self, field: u32, value: &str) {
         self.bytes(field, value.as_bytes());
     }
@@ -53,7 +54,7 @@ impl Message {
         self.0.extend_from_slice(value);
     }
 
-    /// Writes a message in this one; `write` writes its fields.
+    /// Writes an embedded message; `write` adds its fields.
     pub fn message(&mut self, field: u32, write: impl FnOnce(&mut Message)) {
         self.key(field, 2);
         // Most messages are shorter than 128 bytes, and their length takes one byte.
@@ -74,32 +75,32 @@ impl Message {
 /// Type of a field.
 #[derive(Clone, Copy)]
 pub enum Type {
-    /// A number of 64 bits.
+    /// 64-bit floating-point number.
     Double,
-    /// A boolean.
+    /// Boolean.
     Bool,
-    /// A text.
+    /// String.
     Text,
-    /// A byte string.
+    /// Byte string.
     Bytes,
-    /// An unsigned integer of fixed size.
+    /// 32-bit unsigned integer of fixed size.
     Fixed32,
-    /// An unsigned integer of 32 bits.
+    /// 32-bit unsigned integer as a varint.
     Uint32,
-    /// A message of a type with this name.
+    /// Embedded message of the type with this name.
     One(&'static str),
-    /// Any number of messages of a type with this name.
+    /// Repeated embedded message of the type with this name.
     Many(&'static str),
-    /// An enumerator of a type with this name.
+    /// Value of the enumeration with this name.
     Enum(&'static str),
 }
 
 /// Message type: its name, and its fields with their numbers.
 pub type MessageType = (&'static str, &'static [(&'static str, u32, Type)]);
-/// Enumeration: its name, and its enumerators from 0.
+/// Enumeration: its name, and its values from 0.
 pub type EnumType = (&'static str, &'static [&'static str]);
 
-/// Returns the description of a package's types as a `FileDescriptorSet`, with those of `google.protobuf` that they
+/// Returns the descriptors of a package's types as a `FileDescriptorSet`, with those of `google.protobuf` that they
 /// use.
 pub fn describe(package: &str, messages: &[MessageType], enums: &[EnumType]) -> Vec<u8> {
     let mut set = Message::default();
@@ -122,7 +123,7 @@ pub fn describe(package: &str, messages: &[MessageType], enums: &[EnumType]) -> 
                 for (number, value) in (0..).zip(*values) {
                     entry.message(2, |one| {
                         one.text(1, value);
-                        // An enumerator's number is written even if it is 0.
+                        // Proto3 needs the number of an enum value even if it is 0.
                         one.key(2, 0);
                         one.varint(number);
                     });
@@ -155,7 +156,7 @@ fn field(out: &mut Message, name: &str, number: u32, of: Type) {
     type_name.into_iter().for_each(|name| out.text(6, name));
 }
 
-/// Writes the description of a type of seconds and nanoseconds.
+/// Writes the descriptor of `Timestamp` or `Duration`: seconds and nanoseconds.
 fn well_known(file: &mut Message, name: &str, path: &str) {
     const INT64: u64 = 3;
     const INT32: u64 = 5;
@@ -181,7 +182,8 @@ mod tests {
 
     #[test]
     fn messages_are_as_in_the_specification() {
-        // The example of the encoding guide: field 1 is 150, field 2 "testing", field 3 a message with field 1 150.
+        // The example of the Protobuf encoding guide: field 1 is 150, field 2 "testing", field 3 a message with field 1
+        // 150.
         let mut message = Message::default();
         message.uint(1, 150);
         message.text(2, "testing");

@@ -3,18 +3,18 @@
 /// Value of a field.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Value<'a> {
-    /// Integer, boolean or enumerator.
+    /// Varint: integer, boolean or enum value.
     Uint(u64),
-    /// Number of 64 bits.
+    /// 64-bit floating-point number.
     Double(f64),
-    /// Text, byte string or message.
+    /// String, byte string or embedded message.
     Bytes(&'a [u8]),
-    /// Integer of fixed size.
+    /// 32-bit integer of fixed size.
     Fixed32(u32),
 }
 
 impl<'a> Value<'a> {
-    /// The number, if it is one.
+    /// The value as a number; `None` for bytes and integers of fixed size.
     pub fn number(self) -> Option<f64> {
         match self {
             Value::Double(number) => Some(number),
@@ -23,7 +23,7 @@ impl<'a> Value<'a> {
         }
     }
 
-    /// The bytes, if it has some.
+    /// The bytes of a string, byte string or embedded message; `None` for a number.
     pub fn bytes(self) -> Option<&'a [u8]> {
         match self {
             Value::Bytes(bytes) => Some(bytes),
@@ -32,7 +32,7 @@ impl<'a> Value<'a> {
     }
 }
 
-/// Fields of a message, in their order; ends early where the bytes are no message.
+/// Iterator over the fields of an encoded message: number and value. It ends early at invalid bytes.
 pub struct Fields<'a>(pub &'a [u8]);
 
 impl<'a> Iterator for Fields<'a> {

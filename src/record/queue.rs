@@ -1,7 +1,7 @@
-//! The bounded queue between the thread that runs actors and the writer of a record.
+//! The bounded event queue between the thread that runs the actors and the writer thread of a record.
 //!
-//! In real time the control thread never waits and never wakes the writer, which looks every 20 ms: events that do not
-//! fit are dropped and counted. A simulation waits for the writer instead and loses nothing.
+//! In real time the control thread never waits and never wakes the writer, which polls every 20 ms. Events that do not
+//! fit are dropped and counted. A simulation waits for the writer instead and drops nothing.
 
 use std::cell::{Cell, RefCell};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, TryLockError};
@@ -10,54 +10,54 @@ use std::time::Duration;
 use super::Event;
 use crate::time::Time;
 
-/// Most events in the queue: about ten seconds of a host of a team of five, some 2 MB.
+/// Capacity of the queue \[events\]: about ten seconds of a host of a team of five, some 2 MB.
 const CAPACITY: usize = 16_384;
-/// Events that a simulation collects before it hands them to the writer.
+/// Number of events that a simulation collects before it passes them to the writer.
 const BATCH: usize = 2048;
-/// Time after which a writer without events looks again.
+/// Longest time that the writer waits for events before it checks the queue again.
 pub const POLL: Duration = Duration::from_millis(20);
 
-/// What to do with events that the queue has no room for.
+/// Behaviour when the queue is full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WhenFull {
-    /// Drop and count them: in real time.
+    /// Drop events and count them. Used in real time.
     Drop,
-    /// Wait for the writer: in a simulation.
+    /// Wait for the writer. Used in simulations.
     Wait,
 }
 
-/// End of the queue at the thread that runs actors.
+/// Sending end of the queue, used by the thread that runs the actors.
 pub struct Inlet {
     when_full: WhenFull,
     shared: Arc<Shared>,
     events: RefCell<Vec<Event>>,
-    /// Dropped events that no `Event::Dropped` in the queue counts yet.
+    /// Dropped events that are not yet reported by an `Event::Dropped` in the queue.
     missing: Cell<u64>,
     dropped: Cell<u64>,
-    /// Whether the writer was found to have ended.
+    /// Whether the writer is known to have ended.
     abandoned: Cell<bool>,
 }
 
-/// End of the queue at the writer.
+/// Receiving end of the queue, used by the writer thread.
 pub struct Outlet(Arc<Shared>);
 
 struct Shared {
     state: Mutex<State>,
-    /// Notified when events are taken, in a simulation.
+    /// Notified after the writer has taken events; a simulation waits on it.
     room: Condvar,
-    /// Notified when events are there, in a simulation.
+    /// Notified when events were added by a simulation or the inlet was closed.
     filled: Condvar,
 }
 
 struct State {
     events: Vec<Event>,
-    /// Whether the inlet is gone.
+    /// Whether the inlet was closed.
     closed: bool,
-    /// Whether the outlet is gone.
+    /// Whether the outlet was dropped.
     abandoned: bool,
 }
 
-/// Makes a queue and returns both ends.
+/// Creates a queue and returns its two ends.
 pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
     let room = if when_full == WhenFull::Drop { CAPACITY } else { BATCH * 2 };
     let state = State { events: Vec::with_capacity(room), closed: false, abandoned: false };
@@ -75,7 +75,7 @@ pub fn queue(when_full: WhenFull) -> (Inlet, Outlet) {
 }
 
 impl Inlet {
-    /// Takes an event of the present instant.
+    /// Adds an event of the current turn of the event loop.
     pub fn push(&self, event: Event) {
         let mut events = self.events.borrow_mut();
         if self.when_full == WhenFull::Drop && events.len() >= CAPACITY {
@@ -86,12 +86,12 @@ impl Inlet {
         events.push(event);
     }
 
-    /// Ends the present instant, and hands the events to the writer.
+    /// Ends the current turn at time `now` and passes the collected events to the writer.
     pub fn turn(&self, now: Time) {
         if self.missing.get() > 0 && self.events.borrow().len() + 1 < CAPACITY {
             self.events.borrow_mut().push(Event::Dropped(self.missing.replace(0)));
         }
-        // An instant without events is of no use to a simulation's record.
+        // A simulation's record has no use for a turn without events.
         let idle = |events: &[Event]| matches!(events.last(), None | Some(Event::Turn(_)));
         if self.when_full == WhenFull::Wait && idle(&self.events.borrow()) {
             return;
@@ -104,7 +104,7 @@ impl Inlet {
         }
     }
 
-    /// Hands over what is left and closes the queue; what comes later is lost.
+    /// Passes on the remaining events and closes the queue. Later events are lost.
     pub fn close(&self) {
         if self.when_full == WhenFull::Wait {
             self.wait();
@@ -115,17 +115,17 @@ impl Inlet {
         self.shared.filled.notify_one();
     }
 
-    /// Number of events that were dropped so far.
+    /// Number of events dropped so far.
     pub fn dropped(&self) -> u64 {
         self.dropped.get()
     }
 
-    /// Whether the writer has ended, because its file could not be written.
+    /// Whether the writer thread has ended because its file could not be written.
     pub fn is_abandoned(&self) -> bool {
         self.abandoned.get()
     }
 
-    /// Hands over what fits, unless the writer is at the queue at this moment.
+    /// Passes all collected events to the writer if they fit and the lock is free; otherwise keeps them.
     fn offer(&self) {
         let mut state = match self.shared.state.try_lock() {
             Ok(state) => state,
@@ -142,7 +142,7 @@ impl Inlet {
         }
     }
 
-    /// Hands over all events once the writer has taken those before.
+    /// Waits until the writer has taken the previous events, then passes on all collected ones.
     fn wait(&self) {
         let busy = |state: &mut State| !state.events.is_empty() && !state.abandoned;
         let mut state = self.shared.room.wait_while(self.shared.lock(), busy).unwrap_or_else(|e| e.into_inner());
@@ -166,8 +166,8 @@ impl Drop for Inlet {
 }
 
 impl Outlet {
-    /// Puts the waiting events into `events`, which must be empty. Waits for some at most [`POLL`]. Returns `false`
-    /// once the inlet is gone and all events were taken.
+    /// Moves the queued events into `events`, which must be empty. Waits for events for at most [`POLL`]. Returns
+    /// `false` once the inlet is closed and no events are left.
     pub fn take(&self, events: &mut Vec<Event>) -> bool {
         let mut state = self.0.lock();
         if state.events.is_empty() && !state.closed {

@@ -1,5 +1,4 @@
-//! Reader of records, from the first byte to the last. A file that a crash has cut is read up to its last whole
-//! message.
+//! Sequential reader of record files. A file cut by a crash is read up to its last complete message.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -13,10 +12,10 @@ use mcap::{McapError, parse_record};
 
 use super::identity::{Identity, METADATA, WrongIdentity};
 
-/// Longest record that is accepted \[bytes\], so that a damaged length takes no memory.
+/// Longest MCAP record that is accepted \[bytes\]. It bounds the memory that a damaged length can claim.
 const LONGEST: usize = 1 << 27;
 
-/// Error of a file that is read.
+/// Error while a record is read.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
     /// The file cannot be opened or read.
@@ -27,7 +26,7 @@ pub enum ReadError {
         /// The reason.
         error: std::io::Error,
     },
-    /// The file is not MCAP, or it is damaged.
+    /// The file is not MCAP, or is damaged.
     #[error("the record '{}' cannot be read: {error}", path.display())]
     Damaged {
         /// The file.
@@ -35,7 +34,7 @@ pub enum ReadError {
         /// The reason.
         error: McapError,
     },
-    /// The file has no usable identity.
+    /// The identity in the file cannot be used by this program.
     #[error("'{}' is no record of this program: {error}", path.display())]
     Foreign {
         /// The file.
@@ -43,7 +42,7 @@ pub enum ReadError {
         /// The reason.
         error: WrongIdentity,
     },
-    /// The file ends before its identity.
+    /// The file has no identity.
     #[error("'{}' is no record of this program: it has no metadata '{METADATA}'", path.display())]
     Nameless {
         /// The file.
@@ -51,44 +50,44 @@ pub enum ReadError {
     },
 }
 
-/// Channel of a file.
+/// MCAP channel of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Channel {
-    /// Its topic.
+    /// Topic of the channel.
     pub topic: String,
-    /// Encoding of its messages.
+    /// Encoding of the channel's messages.
     pub encoding: String,
-    /// Number of its schema in the file, 0 for none.
+    /// Id of the schema in the file; 0 for none.
     pub schema: u16,
 }
 
-/// Message of a file.
+/// Message of a record file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Message {
-    /// Its channel.
+    /// Channel of the message.
     pub channel: Rc<Channel>,
-    /// Its time \[ns\] since 1970, or since the start of a simulation.
+    /// Time of the message \[ns\]: since 1970, or since the start of a simulation.
     pub at: u64,
-    /// Its bytes.
+    /// Encoded content.
     pub data: Vec<u8>,
 }
 
-/// Part of a file.
+/// Element of an MCAP file.
 #[derive(Clone, Debug)]
 pub enum Item {
-    /// Metadata with its name.
+    /// Metadata: its name and its values.
     Metadata(String, BTreeMap<String, String>),
-    /// A file in the file: name, media type, content.
+    /// Attached file: name, media type, content.
     Attachment(String, String, Vec<u8>),
-    /// Schema with its number: name, encoding, data.
+    /// Schema: header with id, name and encoding; and the schema's data.
     Schema(SchemaHeader, Vec<u8>),
-    /// Channel with its number.
+    /// Channel with its id.
     Channel(u16, Rc<Channel>),
     /// A message.
     Message(Message),
 }
 
-/// Reader of a file.
+/// Sequential reader of an MCAP file.
 pub struct Reader {
     path: PathBuf,
     file: Box<dyn Read>,
@@ -105,7 +104,7 @@ impl Reader {
         Ok(Reader::of(path, BufReader::with_capacity(1 << 18, file)))
     }
 
-    /// Reads a file from any source; `path` is its name in errors.
+    /// Reads from any source. `path` is the name of the file in errors.
     pub fn of(path: &Path, source: impl Read + 'static) -> Reader {
         let options = LinearReaderOptions::default().with_skip_end_magic(true).with_record_length_limit(LONGEST);
         Reader {
@@ -118,12 +117,12 @@ impl Reader {
         }
     }
 
-    /// Whether the end of the data was found: the file was finished and not cut.
+    /// Whether the end-of-data mark was read: the file was finished and not cut by a crash.
     pub fn is_complete(&self) -> bool {
         self.complete
     }
 
-    /// Returns the next part of the file; `None` at its end.
+    /// Returns the next element of the file; `None` at its end.
     pub fn next_item(&mut self) -> Result<Option<Item>, ReadError> {
         while !self.over {
             match self.inner.next_event() {
@@ -144,7 +143,7 @@ impl Reader {
                         return Ok(Some(item));
                     }
                 }
-                // A crash cuts the file anywhere, in a record or in a chunk.
+                // A crash can cut the file anywhere, even inside an MCAP record or a chunk.
                 Some(Err(McapError::UnexpectedEof | McapError::UnexpectedEoc)) => self.over = true,
                 Some(Err(error)) => {
                     self.over = true;
@@ -166,7 +165,7 @@ impl Reader {
     }
 }
 
-/// Returns the part that a record is; `None` for an index.
+/// Converts an MCAP record to an element; `None` for index records.
 fn item(channels: &mut BTreeMap<u16, Rc<Channel>>, record: Record<'_>) -> Option<Item> {
     match record {
         Record::Metadata(metadata) => Some(Item::Metadata(metadata.name, metadata.metadata)),
@@ -188,17 +187,17 @@ fn item(channels: &mut BTreeMap<u16, Rc<Channel>>, record: Record<'_>) -> Option
     }
 }
 
-/// A record whose beginning was read.
+/// A record file after its first part was read.
 pub struct Opened {
-    /// Its identity.
+    /// Identity of the record.
     pub identity: Identity,
-    /// The files in it: name and content.
+    /// Attached files: name and content.
     pub attached: Vec<(String, Vec<u8>)>,
-    /// Its messages, from the first.
+    /// Messages of the record, from the first on.
     pub messages: Messages,
 }
 
-/// Messages of a record.
+/// Iterator over the messages of a record file.
 pub struct Messages {
     reader: Reader,
     next: Option<Message>,
@@ -213,23 +212,24 @@ impl Messages {
         }
     }
 
-    /// Whether the end of the data was found: the file was finished and not cut.
+    /// Whether the end-of-data mark was read: the file was finished and not cut by a crash.
     pub fn is_complete(&self) -> bool {
         self.reader.is_complete()
     }
 }
 
-/// Opens a record and reads its beginning.
+/// Opens a record and reads up to its first message. Fails if the file has no identity.
 pub fn open(path: &Path) -> Result<Opened, ReadError> {
     let (identity, attached, messages) = open_any(path)?;
     let identity = identity.ok_or_else(|| ReadError::Nameless { path: path.to_owned() })?;
     Ok(Opened { identity, attached, messages })
 }
 
-/// Beginning of any MCAP file: its identity if it is a record, the files in it, and its messages.
+/// First part of any MCAP file: its identity if it is a record, its attached files (name and content), and its
+/// messages.
 pub type Beginning = (Option<Identity>, Vec<(String, Vec<u8>)>, Messages);
 
-/// Opens an MCAP file and reads its beginning. A merged record has no identity of its own.
+/// Opens an MCAP file and reads up to its first message. A merged record has no identity.
 pub fn open_any(path: &Path) -> Result<Beginning, ReadError> {
     let mut reader = Reader::open(path)?;
     let (mut identity, mut attached, mut next) = (None, Vec::new(), None);

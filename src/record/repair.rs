@@ -1,5 +1,5 @@
-//! Repair of a record that a crash has cut: its whole messages in a new file with an end and an index, which every
-//! reader takes.
+//! Repair of a record that a crash has cut: copies its complete messages to a new file with an end and an index, which
+//! every MCAP reader accepts.
 
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
@@ -9,19 +9,19 @@ use mcap::{Attachment, McapError, WriteOptions, Writer};
 
 use super::reader::{Item, ReadError, Reader};
 
-/// What a repair has found.
+/// Result of a repair.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Repaired {
-    /// Messages that were kept.
+    /// Number of messages that were copied.
     pub messages: u64,
-    /// Whether the file was whole already.
+    /// Whether the file was complete and needed no repair.
     pub was_complete: bool,
 }
 
 /// Error of a repair.
 #[derive(Debug, thiserror::Error)]
 pub enum RepairError {
-    /// The file cannot be read.
+    /// The damaged file cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
     /// The new file cannot be written.
@@ -29,7 +29,7 @@ pub enum RepairError {
     Write(#[from] McapError),
 }
 
-/// Copies all whole messages of a file to `to`.
+/// Copies all complete messages of a file to `to`.
 pub fn repair(from: &mut Reader, to: impl Write + Seek) -> Result<Repaired, RepairError> {
     let mut copy = Copy::begin(to)?;
     while let Some(item) = from.next_item()? {
@@ -39,7 +39,7 @@ pub fn repair(from: &mut Reader, to: impl Write + Seek) -> Result<Repaired, Repa
     Ok(Repaired { messages, was_complete: from.is_complete() })
 }
 
-/// Copy of a file, item by item.
+/// Copy of an MCAP file, element by element.
 pub(super) struct Copy<W: Write + Seek> {
     writer: Writer<W>,
     schemas: BTreeMap<u16, u16>,
@@ -48,14 +48,14 @@ pub(super) struct Copy<W: Write + Seek> {
 }
 
 impl<W: Write + Seek> Copy<W> {
-    /// Begins the new file.
+    /// Creates the new file.
     pub fn begin(to: W) -> Result<Copy<W>, McapError> {
         let library = concat!("murmurate ", env!("CARGO_PKG_VERSION"));
         let writer = WriteOptions::new().compression(None).library(library).create(to)?;
         Ok(Copy { writer, schemas: BTreeMap::new(), channels: BTreeMap::new(), messages: 0 })
     }
 
-    /// Writes an item of the old file.
+    /// Writes an element of the original file.
     pub fn item(&mut self, item: Item) -> Result<(), McapError> {
         match item {
             Item::Metadata(name, metadata) => {
@@ -85,7 +85,7 @@ impl<W: Write + Seek> Copy<W> {
         Ok(())
     }
 
-    /// Writes the end; returns the number of messages.
+    /// Writes the end of the file. Returns the number of copied messages.
     pub fn finish(mut self) -> Result<u64, McapError> {
         self.writer.finish()?;
         Ok(self.messages)

@@ -1,4 +1,4 @@
-//! Schemas of the record's own messages: true states as Protobuf, and JSON for what people look up.
+//! Schemas of Murmurate's own message types: Protobuf for true states, JSON for the rest.
 
 use super::protobuf::{MessageType, Type};
 
@@ -26,7 +26,7 @@ pub const MESSAGES: &[MessageType] = &[
     ),
 ];
 
-/// Results and phases of episodes.
+/// JSON schema of phases and results of episodes.
 pub const EPISODE: &str = r#"{"title":"murmurate.Episode","type":"object","properties":{
 "repeat":{"type":"integer"},"episode":{"type":"integer","description":"from 0"},
 "phase":{"type":"string","description":"phase that begins; absent in a result"},
@@ -35,7 +35,7 @@ pub const EPISODE: &str = r#"{"title":"murmurate.Episode","type":"object","prope
 "reset_s":{"type":"number"},"min_separation_m":{"type":["number","null"]},
 "judged":{"type":"string"}},"required":["repeat","episode"]}"#;
 
-/// Links of a host to each other host.
+/// JSON schema of the links from one host to each other host.
 pub const LINKS: &str = r#"{"title":"murmurate.Links","type":"object","properties":{
 "host":{"type":"string","description":"who measures"},
 "peers":{"type":"array","items":{"type":"object","properties":{
@@ -45,18 +45,18 @@ pub const LINKS: &str = r#"{"title":"murmurate.Links","type":"object","propertie
 "uncertainty_s":{"type":["number","null"]},"round_trip_s":{"type":["number","null"]},
 "twins":{"type":"integer"}}}}},"required":["host","peers"]}"#;
 
-/// Stops and slowdowns of a robot's guard since its Controller was started.
+/// JSON schema of the stops and reduced velocities of a robot's guard since its Controller was started.
 pub const GUARD: &str = r#"{"title":"murmurate.Guard","type":"object","properties":{
 "robot":{"type":"integer"},"stop":{"type":"integer"},"silence":{"type":"integer"},"output":{"type":"integer"},
 "late_tick":{"type":"integer"},"own_state":{"type":"integer"},"hardware":{"type":"integer"},
 "outside":{"type":"integer"},"fence":{"type":"integer"},"distance":{"type":"integer"}},"required":["robot"]}"#;
 
-/// Counts of a host's links, and of what this record lacks.
+/// JSON schema of the counts of a host's links, and of events that the record lacks.
 pub const COUNTS: &str = r#"{"title":"murmurate.Counts","type":"object","properties":{
 "host":{"type":"string"},"links":{"type":"object","description":"datagrams, by what became of them"},
 "recording_dropped":{"type":"integer","description":"events before this one that the record lacks"}},
 "required":["host"]}"#;
 
-/// Condition of a real robot's hardware.
+/// JSON schema of the condition of a real robot's hardware.
 pub const HARDWARE: &str = r#"{"title":"murmurate.Hardware","type":"object","properties":{
 "robot":{"type":"integer"},"condition":{"type":"object"}},"required":["robot"]}"#;

@@ -1,4 +1,5 @@
-//! Records that are shared without the team's key: a list says which datagrams had a valid tag, and a replay trusts it.
+//! Records for sharing without the team's key: an attached list states which datagrams had a valid tag, and a replay
+//! uses it instead of the key.
 
 use std::collections::BTreeSet;
 use std::io::{Seek, Write};
@@ -10,19 +11,19 @@ use crate::graph::inputs::Input;
 use crate::messages::ids::HostId;
 use crate::net::protocol::key::{Key, digest};
 
-/// Name of the list in a file: digests of 16 bytes each.
+/// Name of the attachment with the list: 16-byte digests of the accepted datagrams.
 pub const ACCEPTED: &str = "murmurate.accepted";
 
-/// Datagrams of a record, by their tags.
+/// Result of checking the tags of a record's datagrams.
 #[derive(Clone, Debug, Default)]
 pub struct Found {
-    /// Digests of those with a valid tag.
+    /// Digests of the datagrams with a valid tag.
     pub accepted: BTreeSet<[u8; 16]>,
-    /// Number of the others.
+    /// Number of datagrams without a valid tag.
     pub refused: u64,
 }
 
-/// Checks the tags of the datagrams that reached the host with the number `host`.
+/// Checks the tags of all datagrams received by the host with the id `host`.
 pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found, ReadError> {
     let mut found = Found::default();
     while let Some(message) = messages.next_message()? {
@@ -41,7 +42,7 @@ pub fn accepted(mut messages: Messages, key: &Key, host: HostId) -> Result<Found
     Ok(found)
 }
 
-/// Copies a record with the list of its accepted datagrams.
+/// Copies a record and attaches the list of its accepted datagrams.
 pub fn copy(from: &mut Reader, accepted: &BTreeSet<[u8; 16]>, to: impl Write + Seek) -> Result<(), RepairError> {
     let mut copy = Copy::begin(to)?;
     let list: Vec<u8> = accepted.iter().flatten().copied().collect();
@@ -53,7 +54,7 @@ pub fn copy(from: &mut Reader, accepted: &BTreeSet<[u8; 16]>, to: impl Write + S
     Ok(())
 }
 
-/// Returns the key that trusts a list, from the files of a record; `None` if it has no list.
+/// Returns a key that accepts exactly the listed datagrams, from the attachments of a record; `None` if it has no list.
 pub fn trusted(attached: &[(String, Vec<u8>)]) -> Option<Key> {
     let (_, list) = attached.iter().find(|(name, _)| name == ACCEPTED)?;
     let (digests, _) = list.as_chunks::<16>();

@@ -1,5 +1,5 @@
-//! Turns of a host's event loop as bytes: the time of each, and its inputs in their order. With them the host runs
-//! again. Little-endian; docs/record.md has the layout.
+//! Binary format of the turns of a host's event loop: the time of each, and its inputs in order. A replay of the host
+//! needs nothing else. Little-endian; docs/record.md has the layout.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -14,20 +14,20 @@ use crate::time::Time;
 /// One turn of a host's event loop.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Turn {
-    /// The host's time in it.
+    /// The host's clock at the turn.
     pub now: Time,
-    /// Digest of the datagrams that left in it, in their order; 0 if none did.
+    /// Digest of the datagrams sent in the turn, in order; 0 if there were none.
     pub sent: u64,
-    /// What came in, in its order. Orders of the host's process come last.
+    /// Inputs in order of arrival. Orders from the host's own process come last.
     pub inputs: Vec<Input>,
 }
 
-/// Digest of the datagrams that leave in a turn.
+/// Running digest of the datagrams that a host sends in one turn.
 #[derive(Default)]
 pub struct SentDigest(Option<Xxh3>);
 
 impl SentDigest {
-    /// Adds a datagram.
+    /// Adds a sent datagram and its link.
     pub fn add(&mut self, link: LinkId, frame: &[u8]) {
         let digest = self.0.get_or_insert_default();
         digest.update(&link.0.to_le_bytes());
@@ -35,7 +35,7 @@ impl SentDigest {
         digest.update(frame);
     }
 
-    /// Returns the digest of the turn, 0 if no datagram was added, and begins the next turn.
+    /// Returns the digest of the turn and starts the next one. The digest is 0 if no datagram was added.
     pub fn take(&mut self) -> u64 {
         self.0.take().map_or(0, |digest| digest.digest().max(1))
     }
@@ -50,13 +50,13 @@ const SOURCE_ENDED: u8 = 6;
 const LEAVE: u8 = 7;
 const STOP: u8 = 8;
 
-/// Appends a turn without its inputs.
+/// Appends the header of a turn: its time and the digest of its sent datagrams.
 pub fn begin(out: &mut Vec<u8>, now: Time, sent: u64) {
     out.extend(now.as_nanos().to_le_bytes());
     out.extend(sent.to_le_bytes());
 }
 
-/// Appends an input of the turn.
+/// Appends an input to the turn.
 pub fn add(out: &mut Vec<u8>, input: &Input) {
     match input {
         Input::Frame(link, frame, from) => {
@@ -113,7 +113,7 @@ fn block(out: &mut Vec<u8>, bytes: &[u8]) {
     out.extend_from_slice(bytes);
 }
 
-/// Reads a turn; `None` if the bytes are not one.
+/// Decodes a turn; `None` if the bytes are invalid.
 pub fn read(bytes: &[u8]) -> Option<Turn> {
     let mut rest = bytes;
     let (now, sent) = (Time::from_nanos(u64_of(&mut rest)?), u64_of(&mut rest)?);

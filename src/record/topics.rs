@@ -1,5 +1,5 @@
-//! From events of a run to the messages of a record's topics. Equal events give equal messages, so a replay can be
-//! compared with a record message by message.
+//! Conversion of events to the messages of a record's topics. Equal events give equal messages, so a replay can be
+//! compared with its record message by message.
 
 use std::collections::BTreeMap;
 
@@ -22,54 +22,54 @@ use crate::report::episode::Episode;
 use crate::safety::guard::SafetyCounts;
 use crate::time::{Span, Time};
 
-/// Shortest time between two drawings.
+/// Shortest time between two drawings of the team.
 const DRAWING_PERIOD: Span = Span::from_millis(50);
-/// Time after which what stands is drawn again, for a reader that begins in the middle.
+/// Period with which walls and goals are drawn again, for viewers that start in the middle of a record.
 const STANDING_PERIOD: Span = Span::from_millis(5000);
 
 /// Topic of a record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Topic {
-    /// Turns of the host's event loop, with their inputs (`tape`).
+    /// Turns of the host's event loop with their inputs ([`tape`]).
     Turn,
-    /// Datagrams as a host has published them, without tags.
+    /// Datagrams that a host has published, without tags.
     Wire(HostId),
     /// True states of simulated robots.
     Truth,
-    /// Walls, goals, bodies, links.
+    /// Drawing of walls, goals, robots and links.
     Scene,
-    /// The robots as points.
+    /// Positions of the robots as a point cloud.
     Robots,
-    /// Transforms to the robots' frames.
+    /// Transforms from the world frame to the robots' frames.
     Transforms,
-    /// A robot's own estimate of its pose.
+    /// Position that a robot's own estimate has, with its last measured heading.
     Pose(RobotId),
-    /// Phases, verdicts and stops in words.
+    /// Log: phases, verdicts and stops as text.
     Log,
     /// Phases and results of episodes.
     Episode,
-    /// Links of the host.
+    /// State of the host's links to other hosts.
     Links,
-    /// Stops and slowdowns of robots.
+    /// Stops and reduced velocities by the robots' guards.
     Guard,
     /// Counts of the host's links, and of events that the record lacks.
     Counts,
-    /// Conditions of real robots.
+    /// Condition of real robots' hardware.
     Hardware,
 }
 
-/// Schema of a topic: its name, its encoding and its text or bytes.
+/// Schema of a topic's messages.
 pub struct Schema {
     /// Name of the message type.
     pub name: String,
     /// Encoding of the schema, as MCAP names it.
     pub encoding: &'static str,
-    /// The schema.
+    /// Content of the schema: text or binary.
     pub data: Vec<u8>,
 }
 
 impl Topic {
-    /// Returns the topic's name in a file.
+    /// Returns the topic's name in the file.
     pub fn name(self, stage: &Stage) -> String {
         match self {
             Topic::Turn => "/tape/turn".to_owned(),
@@ -88,7 +88,7 @@ impl Topic {
         }
     }
 
-    /// Returns the encoding of the topic's messages, as MCAP names it, or a name of our own.
+    /// Returns the encoding of the topic's messages: MCAP's name, or our own for our binary formats.
     pub fn encoding(self) -> &'static str {
         match self {
             Topic::Turn => "murmurate-turn-1",
@@ -98,7 +98,7 @@ impl Topic {
         }
     }
 
-    /// Returns the topic's schema; `None` for our own encodings.
+    /// Returns the topic's schema; `None` for our own binary formats.
     pub fn schema(self) -> Option<Schema> {
         let foxglove = |name: &str| Schema {
             name: format!("foxglove.{name}"),
@@ -131,10 +131,10 @@ impl Topic {
     }
 }
 
-/// Function that takes a message: its topic, its time \[ns\] since 1970, and its bytes.
+/// Callback that receives a message: its topic, its time \[ns\] since 1970, and its bytes.
 pub type Take<'a> = &'a mut dyn FnMut(Topic, u64, &[u8]);
 
-/// Maker of a record's messages.
+/// Converter from events to the messages of a record.
 pub struct Topics {
     stage: Stage,
     scope: Scope,
@@ -143,12 +143,12 @@ pub struct Topics {
     sent: SentDigest,
     turn: Vec<u8>,
     team: Vec<Option<Body>>,
-    /// Whether positions are true ones, and not what robots report.
+    /// Whether `team` holds true states and not reported ones.
     true_states: bool,
-    /// Whether a robot has moved since the last drawing.
+    /// Whether a robot's pose has changed since the last drawing.
     moved: bool,
     drawn: Option<Time>,
-    /// When what stands is drawn next.
+    /// Time at which walls and goals are drawn next.
     standing_due: Time,
     goals: BTreeMap<RobotId, Vec2>,
     followed: Option<(Round, Phase)>,
@@ -156,7 +156,7 @@ pub struct Topics {
 }
 
 impl Topics {
-    /// Makes the maker of a record that begins. `anchor_ns` is the wall clock \[ns\] since 1970 at the run's time zero.
+    /// Creates the converter of a new record. `anchor_ns` is the wall clock \[ns\] since 1970 at the run's time zero.
     pub fn new(stage: Stage, scope: Scope, anchor_ns: u64) -> Topics {
         Topics {
             team: vec![None; stage.robots],
@@ -175,12 +175,13 @@ impl Topics {
         }
     }
 
-    /// What the record is about.
+    /// Constant properties of the recorded run.
     pub fn stage(&self) -> &Stage {
         &self.stage
     }
 
-    /// Passes the messages of one instant on to `take`: of all its events, without the `Event::Turn` that ends them.
+    /// Passes the messages of one turn at time `now` to `take`. `events` are all of its events except the final
+    /// `Event::Turn`.
     pub fn instant(&mut self, now: Time, events: &[Event], take: Take) {
         let at = self.anchor_ns + now.as_nanos();
         if self.scope == Scope::Host {
@@ -268,7 +269,7 @@ impl Topics {
         }
     }
 
-    /// Takes what a robot reports of itself, unless true states are known.
+    /// Sets the pose of a robot from a report, unless true states are known.
     fn place(&mut self, robot: RobotId, body: Body) {
         if let Some(place) = self.team.get_mut(robot.index()).filter(|_| !self.true_states) {
             self.moved |= *place != Some(body);
@@ -305,7 +306,7 @@ impl Topics {
         take(Topic::Truth, at, &out.0);
     }
 
-    /// Follows the state server's instructions.
+    /// Records a change of goals or phase in an instruction of the state server.
     fn follow(&mut self, now: Time, at: u64, mode: &Mode, take: Take) {
         for (robot, task) in (mode.first.0..).zip(mode.tasks.iter()) {
             if self.goals.insert(RobotId(robot), task.goal) != Some(task.goal) {
