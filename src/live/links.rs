@@ -1,5 +1,5 @@
-//! Links of a process: from the team file to open transports, with the identity of the process on them. Does not
-//! interpret frames.
+//! Opens the network links of a process as its team file describes them, and draws the identity that it has on them.
+//! Does not interpret frames.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::net::transport::{Endpoint, Filter, OpenError, Place, Transport};
 use crate::random::Seed;
 use crate::time::Span;
 
-/// Reason for which a process cannot open its links, the team's network connections.
+/// Reason why a process cannot open its links.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
     /// The team file does not fit this machine; the text says why.
@@ -23,7 +23,7 @@ pub enum LinkError {
     NotNow(String),
 }
 
-/// Link number with an open transport, which carries the link's datagrams.
+/// Id of a link, and an open transport that carries its datagrams.
 pub type Open = (LinkId, Box<dyn Transport>);
 
 /// Random numbers of the operating system that identify a process.
@@ -54,19 +54,20 @@ impl ProcessIdentity {
         })
     }
 
-    /// Identity of this process as an operator of the team with the number `team`.
+    /// Returns the identity of this process as an operator of the team with the number `team`.
     pub fn operator_of(&self, team: u16) -> Identity {
         Identity { host: self.operator, team, incarnation: self.incarnation }
     }
 }
 
-/// Returns the setups of the links that have a place: the deployment's, overridden by the team file's.
+/// Returns the setup of each link in which the process takes part: that of the deployment, overridden by the team file.
 pub fn setups<'a>(deployment: &Deployment, places: impl IntoIterator<Item = Option<&'a Place>>) -> Vec<Option<Setup>> {
     let setup = |(link, place): (&Link, Option<&Place>)| place.map(|place| place.setup(&link.reliability));
     deployment.links.iter().zip(places).map(setup).collect()
 }
 
-/// Returns the setups for an operator, which is to be accepted at once: a report goes with every datagram.
+/// Returns the link setups of an operator. Every datagram carries a link report, so that hosts accept the operator at
+/// once.
 pub fn of_operator<'a>(
     deployment: &Deployment,
     places: impl IntoIterator<Item = Option<&'a Place>>,
@@ -75,18 +76,18 @@ pub fn of_operator<'a>(
     setups.map(|setup| setup.map(|setup| Setup { report_piggyback_age: Span::ZERO, ..setup })).collect()
 }
 
-/// Returns the places of an operator that takes part only in the link that carries `Stop`.
+/// Returns the places of an operator, which takes part only in the link that carries `Stop`.
 pub fn places_of<'a>(access: &'a OperatorAccess, deployment: &Deployment) -> impl Iterator<Item = Option<&'a Place>> {
     let at = usize::from(access.link.0);
     (0..deployment.links.len()).map(move |link| (link == at).then(|| &access.places[0]))
 }
 
-/// Returns the filter for the frames of the team.
+/// Returns the packet filter for the datagrams of the team.
 pub fn filter(team: &Team) -> Filter {
     Filter::Team { number: team.number, tagged: team.key_file.is_some() }
 }
 
-/// Opens the links of the team's host, for `me`.
+/// Opens the links of the team's host. `me` is the id of the sender.
 pub fn open(team: &Team, me: HostId) -> Result<Vec<Open>, LinkError> {
     let mut open = Vec::new();
     for (at, (link, place)) in team.deployment.links.iter().zip(&team.links).enumerate() {
@@ -105,14 +106,14 @@ fn failed(link: &str, error: OpenError) -> LinkError {
     }
 }
 
-/// Opens the link that carries `Stop` for an operator: on every interface of the team file that this machine has; if it
-/// has none of those, on all that it has. If a flag has `named` the interface, only on that one.
+/// Opens the link that carries `Stop` for an operator, on every interface of the team file that this machine has. If it
+/// has none of those, opens it on all interfaces. If a flag has `named` the interface, opens it only there.
 pub fn join(access: &OperatorAccess, link: &Link, me: HostId, named: bool) -> Result<Vec<Open>, LinkError> {
     let all = || access.places.iter().map(|place| &place.endpoint);
     let mut endpoints: Vec<Arc<dyn Endpoint>> = all().filter(|endpoint| endpoint.is_available()).cloned().collect();
     if endpoints.is_empty() {
         let first = &access.places[0].endpoint;
-        // An interface named by a flag has no substitute.
+        // An interface that a flag names is not replaced by others.
         endpoints = if named { vec![Arc::clone(first)] } else { first.on_all_interfaces() };
     }
     let filter = Filter::Team { number: access.number, tagged: access.key_file.is_some() };

@@ -1,5 +1,5 @@
-//! One host of a team in real time: from its team file, on this machine's clock and sockets, to its end. The command
-//! `host` is made of it, and `examples/host.rs` is a whole team.
+//! One host of a team in real time, from its team file to the end of its run, on this machine's clock and sockets. The
+//! command `host` uses it, and `examples/host.rs` runs a whole team with it.
 
 pub mod links;
 mod observer;
@@ -29,27 +29,27 @@ use crate::trial::Trial;
 
 /// Time that a host runs on after the last episode, so that hosts that missed the end receive it again.
 const GRACE: Span = Span::from_millis(500);
-/// The same for the host of the state server, which announces the end.
+/// Time that the host of the state server runs on after the last episode; it announces the end, so it stays longer.
 const SERVER_GRACE: Span = Span::from_millis(2000);
 
-/// Time for which the team's host runs on after the last episode, so that hosts that missed the end receive it again.
+/// Time that the team's host runs on after the last episode, so that hosts that missed the end receive it again.
 pub fn grace(team: &Team) -> Span {
     if team.deployment.hosts[usize::from(team.host.0)].state_server { SERVER_GRACE } else { GRACE }
 }
 
-/// Reason for which a host cannot be opened.
+/// Reason why a host cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// A link of the host cannot be opened.
     #[error(transparent)]
     Link(#[from] LinkError),
-    /// A driver or source of the host cannot be made or started.
+    /// A driver or source of the host cannot be created or started.
     #[error(transparent)]
     Device(#[from] DeviceError),
 }
 
 impl OpenError {
-    /// Whether a file of the user is at fault, and not the machine.
+    /// Whether the cause is a file of the user, and not the machine.
     pub fn is_wrong_input(&self) -> bool {
         matches!(self, OpenError::Link(LinkError::Wrong(_)) | OpenError::Device(DeviceError::Config(_)))
     }
@@ -66,8 +66,8 @@ pub struct LiveHost {
 }
 
 impl LiveHost {
-    /// Opens the sockets of the team's host for its part of the trial, and its drivers and sources by their names in
-    /// the registry. A team without a key may have no link that leaves the machine.
+    /// Opens the sockets, drivers and sources of the team's host. Drivers and sources are looked up in `registry` by
+    /// name. Fails if a link that leaves the machine has no key.
     pub fn open(team: &Team, trial: &Trial, key: Option<Key>, registry: &Registry) -> Result<LiveHost, OpenError> {
         let links = links::setups(&team.deployment, team.links.iter().map(Option::as_ref));
         let transports = links::open(team, team.host)?;
@@ -78,21 +78,21 @@ impl LiveHost {
         Ok(LiveHost { host, workers, plan: trial.plan(), grace: grace(team), seed })
     }
 
-    /// Inputs of the actor graph that the host runs a part of.
+    /// Plan of the actor graph; this host runs its part of it.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
 
-    /// Returns what a replay needs to know of this process: its incarnation, the seed of its link layer's random
-    /// streams, and the number of transports of each link.
+    /// Returns what a replay needs of this process: its incarnation, the seed of its link layer's random streams, and
+    /// the number of transports of each link.
     pub fn process(&self) -> (u32, [u8; 32], Vec<usize>) {
         let transports = |link: usize| self.host.transports.iter().filter(|(id, _)| usize::from(id.0) == link).count();
         (self.host.incarnation, self.seed, (0..self.host.links.len()).map(transports).collect())
     }
 
-    /// Runs the host on this thread, with its time counted from `origin`. `heard` receives the events of its Network,
-    /// `said` the output of the Recorder, which runs on the host that judges (`Deployment::judge`). `begun` is called
-    /// once its actors have started, with the time; `done` is called after every turn.
+    /// Runs the host on this thread. Its time counts from `origin`. `heard` receives the events of its Network, `said`
+    /// the output of the Recorder, which runs on the host that judges (`Deployment::judge`). `begun` is called once its
+    /// actors have started, with the time; `done` is called after every turn and ends the run by returning `true`.
     pub fn run(
         self,
         origin: Instant,
@@ -122,8 +122,8 @@ impl LiveHost {
         graph
     }
 
-    /// Runs the host on this thread until its team has finished. The report has episodes on the host that judges
-    /// (`Deployment::judge`); its counters are those of this host alone.
+    /// Runs the host on this thread until its team has finished all episodes. The report has episodes only on the host
+    /// that judges (`Deployment::judge`); its counters are those of this host alone.
     pub fn run_to_the_end(self) -> TrialReport {
         let (report, news) = (Rc::new(RefCell::new(TrialReport::default())), Rc::new(Cell::new(false)));
         let (told, grace) = (Rc::clone(&news), self.grace);

@@ -1,4 +1,4 @@
-//! Observer: passes what a host hears of its team on to the publication for programs of others.
+//! Observer: forwards messages that a host receives to a worker, which publishes them for other programs.
 
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
@@ -12,27 +12,28 @@ use crate::messages::wire::{Features, Wire};
 use crate::ros2::observe::Observation;
 use crate::time::{Span, Time};
 
-/// Period of the team's state and latents; poses follow their readings.
+/// Period at which the team's state and latents are published; a pose is published with each reading.
 const PERIOD: Span = Span::from_millis(100);
 
-/// Observer of one host.
+/// Forwards the messages of one host to the publishing worker.
 pub(super) struct Observer {
     observation: Rc<Observation>,
     gate: Rc<RefCell<Gate>>,
     team: RefCell<BTreeMap<RobotId, Motion>>,
     latents: RefCell<BTreeMap<RobotId, Features>>,
-    /// Time of the next state.
+    /// Time at which the state is published next.
     next: Cell<Time>,
 }
 
 impl Observer {
-    /// Makes one that has heard nothing.
+    /// Creates an observer that has received nothing.
     pub fn new((observation, gate): (Rc<Observation>, Rc<RefCell<Gate>>)) -> Observer {
         let (team, latents) = (RefCell::default(), RefCell::default());
         Observer { observation, gate, team, latents, next: Cell::new(Time::ZERO) }
     }
 
-    /// Takes a message that has reached this host. It never waits: what the worker has no room for is dropped.
+    /// Forwards a message that has reached this host. Never waits: packets that do not fit into the worker's queue are
+    /// dropped.
     pub fn hear(&self, now: Time, message: &Wire) {
         let send = |packet: Option<Vec<u8>>| packet.into_iter().for_each(|one| self.gate.borrow_mut().send(one.into()));
         match message {
@@ -53,7 +54,7 @@ impl Observer {
         let latents = self.latents.borrow();
         let rows: Vec<(RobotId, &[f32])> = latents.iter().map(|(robot, features)| (*robot, &features.0[..])).collect();
         send(self.observation.latents(&rows));
-        // What the worker says of its topics is in its log.
+        // The worker's answers are discarded: they are in its own log.
         self.gate.borrow_mut().take(|_| {});
     }
 }

@@ -1,5 +1,5 @@
-//! A host that runs again from its record: the same actors, with recorded times and inputs, and without sockets,
-//! drivers and sources.
+//! Replay of a host from its record: the same actors with the recorded times and inputs, without sockets, drivers and
+//! sources.
 
 use std::os::fd::AsFd;
 use std::rc::Rc;
@@ -22,7 +22,7 @@ use crate::runtime::replay::run_replayed;
 use crate::time::Time;
 use crate::trial::Trial;
 
-/// Transport that hears nothing and whose frames go nowhere.
+/// Transport that receives nothing and discards every frame.
 struct Silent(Rc<EventFd>);
 
 impl Transport for Silent {
@@ -40,8 +40,8 @@ impl Transport for Silent {
 }
 
 impl LiveHost {
-    /// Makes the team's host as it was in an earlier process, to be run again with [`LiveHost::run_again`]. Nothing is
-    /// opened. `transports` has the number of transports of each link.
+    /// Creates the host of an earlier process without opening anything, for [`LiveHost::run_again`]. `transports` has
+    /// the number of transports of each link.
     pub fn closed(
         team: &Team,
         trial: &Trial,
@@ -70,7 +70,7 @@ impl LiveHost {
         Ok(LiveHost { host, workers: Workers::none(), plan: trial.plan(), grace: grace(team), seed: identity.bytes })
     }
 
-    /// Runs the host through recorded turns: the time of each and its inputs. `heard` receives the events of the host,
+    /// Replays the host from recorded turns: the time of each, and its inputs. `heard` receives the events of the host,
     /// `said` the output of its Recorder; `ended` is called at the end of each turn.
     pub fn run_again(
         self,
@@ -86,7 +86,7 @@ impl LiveHost {
             begun,
             |clock, readers| host::wire((clock, readers), plan, host, heard, said),
             turns,
-            // Orders of the host's process came at the end of its turns.
+            // Orders of the host's own process were recorded at the end of their turn.
             |graph, inputs| inputs.extract_if(.., |input| !input.is_order()).for_each(|input| graph.take(id, input)),
             |graph, now, orders| {
                 orders.into_iter().for_each(|order| graph.take(id, order));

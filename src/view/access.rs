@@ -1,67 +1,67 @@
-//! Access to the page: the token, and the hosts and origins that a request may name. Pure.
+//! Access control of the live page: the token, and the `Host` and `Origin` headers that a request may have. Pure.
 
 use std::net::{IpAddr, SocketAddr};
 
 use crate::view::command::{Command, Right};
 
-/// Length of a drawn token \[bytes\]: 128 bits.
+/// Length of a newly drawn token \[bytes\]: 128 bits.
 pub const TOKEN_BYTES: usize = 16;
 /// Prefix of the WebSocket subprotocol that carries the token.
 const TOKEN_PROTOCOL: &str = "token.";
 
-/// Commands that a process takes from pages.
+/// Commands that the process accepts from browsers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Control {
-    /// The emergency stop alone.
+    /// Only the emergency stop.
     StopOnly,
-    /// Commands to the team: stop, re-arm, resume and pause.
+    /// Orders to the team: stop, re-arm, resume and pause.
     Team,
-    /// Commands to the team, and faults of an emulated team.
+    /// Orders to the team, and faults of an emulated team.
     Emulation,
 }
 
-/// Secret that a browser shows for every command but the emergency stop, as hexadecimal digits.
+/// Secret of one run, as hexadecimal digits. A browser has to send it for every command except the emergency stop.
 #[derive(Clone)]
 pub struct Token(String);
 
 impl Token {
-    /// Makes a token of these bytes.
+    /// Creates a token from random bytes.
     pub fn new(bytes: &[u8]) -> Token {
         Token(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
     }
 
-    /// The digits, for the address of the page. They belong into no log.
+    /// Hexadecimal digits of the token, for the address of the page. They must not be logged.
     pub fn digits(&self) -> &str {
         &self.0
     }
 
-    /// Whether one of the WebSocket subprotocols that a browser offers carries this token. The comparison takes the
-    /// same time wherever the first difference is.
+    /// Whether the token is in a list of WebSocket subprotocols that a browser offers, separated by commas. The
+    /// comparison takes constant time.
     pub fn is_among(&self, protocols: &str) -> bool {
         let offered = protocols.split(',').filter_map(|one| one.trim().strip_prefix(TOKEN_PROTOCOL));
         offered.fold(false, |found, token| found | same(token.as_bytes(), self.0.as_bytes()))
     }
 }
 
-/// Compares all bytes, whatever the first difference.
+/// Compares two byte strings in constant time.
 fn same(one: &[u8], other: &[u8]) -> bool {
     let differences = one.iter().zip(other).fold(0, |differences, (a, b)| differences | (a ^ b));
     one.len() == other.len() && std::hint::black_box(differences) == 0
 }
 
-/// Rules of one server.
+/// Access rules of a server.
 #[derive(Clone)]
 pub struct Access {
-    /// Secret for every command but the emergency stop.
+    /// Secret for every command except the emergency stop.
     pub token: Token,
-    /// Commands that the process takes.
+    /// Commands that the process accepts.
     pub control: Control,
-    /// Whether pictures and states need the token as well: for a server that other machines reach.
+    /// Whether snapshots and states need the token as well; for a server that other machines can reach.
     pub guarded: bool,
 }
 
 impl Access {
-    /// Reason why a browser may not give a command; `None` if it may. `holder` is whether it has shown the token.
+    /// Returns the reason why a command is refused; `None` if it is allowed. `holder`: the browser has sent the token.
     pub fn refuses(&self, command: &Command, holder: bool) -> Option<&'static str> {
         match (command.right(), self.control) {
             (Right::Anyone, _) => None,
@@ -73,18 +73,20 @@ impl Access {
     }
 }
 
-/// Whether a request may name `host` in its header `Host`, at a server that was reached at `local`: that very address,
-/// or a loopback name if it is a loopback address. A page of another origin cannot choose either (DNS rebinding).
+/// Whether a request to the server address `local` may have `host` in its header `Host`: that address itself, or a
+/// loopback name if `local` is a loopback address. A page of another origin can set neither, which prevents DNS
+/// rebinding.
 pub fn is_host(host: &str, local: SocketAddr) -> bool {
     let port = local.port();
     let own = SocketAddr::new(canonical(local.ip()), port).to_string();
     let loopback = [format!("127.0.0.1:{port}"), format!("localhost:{port}"), format!("[::1]:{port}")];
     let named = host == own || canonical(local.ip()).is_loopback() && loopback.iter().any(|name| name == host);
-    // A browser leaves out the port of its scheme.
+    // Browsers leave out port 80, the default of HTTP.
     named || port == 80 && !host.contains(":80") && is_host(&format!("{host}:80"), local)
 }
 
-/// Whether a WebSocket may come from a page of `origin`, for a request to `host`: from this server's own page only.
+/// Whether a WebSocket request to `host` may have the header `Origin: origin`. Only this server's own page may open
+/// one.
 pub fn is_origin(origin: &str, host: &str) -> bool {
     origin.strip_prefix("http://").is_some_and(|from| from == host)
 }

@@ -1,44 +1,44 @@
-//! Command of a page: what a browser may ask of the process that serves it.
+//! Commands that a browser sends to the process that serves the live page.
 
 use serde::Deserialize;
 
 use crate::faults::Role;
 use crate::messages::ids::RobotId;
 
-/// Largest message of a browser \[bytes\].
+/// Largest message accepted from a browser \[bytes\].
 pub const MAX_BYTES: usize = 4096;
-/// Largest delay that a page may set \[ms\].
+/// Largest delay that a page may set on a link \[ms\].
 pub const MAX_DELAY_MS: f64 = 5000.0;
-/// Largest number of bytes in the name of a link.
+/// Largest length of a link's name in a command \[bytes\].
 const MAX_NAME: usize = 64;
 
-/// Command of a page to the process that drives or watches the team.
+/// Command of a browser to the process that runs or watches the team.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(tag = "do", rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Command {
-    /// Engage the emergency stop.
+    /// Engages the emergency stop.
     Stop,
-    /// Take the emergency stop back; the team stays held.
+    /// Re-arms after an emergency stop; the team stays held until it is resumed.
     Rearm,
-    /// Let a held or paused team go on.
+    /// Resumes a held or paused team.
     Resume,
-    /// Hold the team after the current episode, until it is resumed.
+    /// Holds the team after the current episode until it is resumed.
     Pause,
-    /// Crash an actor of a robot until it is restarted. In emulation only.
+    /// Crashes an actor of a robot, which then stays down until `Restart`. Only under emulation.
     Kill {
         /// Role of the actor.
         role: Role,
         /// Robot of the actor.
         robot: RobotId,
     },
-    /// Restart an actor that was crashed. In emulation only.
+    /// Restarts a crashed actor. Only under emulation.
     Restart {
         /// Role of the actor.
         role: Role,
         /// Robot of the actor.
         robot: RobotId,
     },
-    /// Set what a link does to its frames, in addition to what the deployment says. In emulation only.
+    /// Sets faults of a link, in addition to those of the deployment. Only under emulation.
     Link {
         /// Name of the link.
         link: String,
@@ -51,19 +51,19 @@ pub enum Command {
     },
 }
 
-/// Right that a command needs.
+/// Permission that a command needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Right {
-    /// None: whoever sees the page may give the command.
+    /// None: every browser that can open the page may give the command.
     Anyone,
-    /// The token of the page, and a process that was started with control.
+    /// The browser has sent the token, and the process accepts orders to the team.
     Control,
-    /// The same, and a team that is emulated.
+    /// As `Control`, and the team is emulated.
     Emulation,
 }
 
 impl Command {
-    /// Reads a command from a browser's message. The error says what is wrong with it.
+    /// Parses a command from a browser's message. The error is a text for the user.
     pub fn parse(text: &str) -> Result<Command, String> {
         let command: Command = serde_json::from_str(text).map_err(|error| format!("no command: {error}"))?;
         if let Command::Link { link, delay_ms, loss, .. } = &command {
@@ -77,7 +77,7 @@ impl Command {
         Ok(command)
     }
 
-    /// Right that the command needs.
+    /// Permission that the command needs.
     pub fn right(&self) -> Right {
         match self {
             Command::Stop => Right::Anyone,

@@ -1,44 +1,44 @@
-//! Table of robots' messages by receiving host: age of the newest, and share of the last 64 that did not arrive.
+//! Reception statistics by receiving host and sending robot: age of the newest message, and loss of the last 64.
 
 use std::collections::BTreeMap;
 
 use crate::messages::ids::{HostId, RobotId};
 use crate::time::{Span, Time};
 
-/// Messages of one robot as they arrive at one host.
+/// Messages of one robot at one receiving host.
 #[derive(Clone, Copy, Debug)]
 struct Arrivals {
     /// Time of the last arrival.
     last: Time,
-    /// Number of the sender's messages up to the last arrival.
+    /// Number of messages that the robot had published at the last arrival.
     number: u64,
-    /// The sender's newest 64 messages up to `number`: a bit is set for each arrival.
+    /// Bit mask of the last 64 messages up to `number`, newest in bit 0; a set bit is an arrival.
     bits: u64,
-    /// Number of messages that `bits` covers.
+    /// Number of messages that `bits` covers, at most 64.
     covered: u32,
 }
 
-/// Arrivals of all robots' messages at all hosts.
+/// Reception statistics of all robots' messages at all hosts.
 #[derive(Clone, Debug)]
 pub(super) struct Heard {
-    /// Number of messages that each robot has published.
+    /// Number of messages published by each robot.
     published: Vec<u64>,
-    /// By host and sending robot.
+    /// For each receiving host: the arrivals by sending robot.
     arrivals: Vec<BTreeMap<RobotId, Arrivals>>,
 }
 
 impl Heard {
-    /// Makes an empty table.
+    /// Creates an empty table.
     pub fn new(robots: usize, hosts: usize) -> Heard {
         Heard { published: vec![0; robots], arrivals: vec![BTreeMap::new(); hosts] }
     }
 
-    /// Notes that a robot has published a message.
+    /// Counts a message that a robot has published.
     pub fn published(&mut self, robot: RobotId) {
         self.published[robot.index()] += 1;
     }
 
-    /// Notes that a message of a robot has arrived at a host.
+    /// Counts the arrival of a robot's newest message at the host `at`.
     pub fn arrived(&mut self, now: Time, at: HostId, robot: RobotId) {
         let number = self.published[robot.index()];
         let Some(table) = self.arrivals.get_mut(usize::from(at.0)) else { return };
@@ -50,11 +50,11 @@ impl Heard {
         (entry.last, entry.number) = (now, number);
     }
 
-    /// Returns the age of a robot's newest message at a host, and the share of messages lost \[%\]; `None` if none has
-    /// arrived.
+    /// Returns the age of a robot's newest message at a host, and the share of lost messages \[%\] among the last 64;
+    /// `None` before the first arrival.
     pub fn link(&self, now: Time, at: HostId, robot: RobotId) -> Option<(Span, u8)> {
         let entry = self.arrivals.get(usize::from(at.0))?.get(&robot)?;
-        // The newest message may still be on its way.
+        // The newest message may still be in flight, so it does not count as lost.
         let passed = (self.published[robot.index()] - entry.number).saturating_sub(1).min(64) as u32;
         let covered = (entry.covered + passed).min(u64::BITS);
         let got = shifted(entry.bits, passed).count_ones();

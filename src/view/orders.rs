@@ -1,4 +1,5 @@
-//! Orders of pages: one stop, re-arm, resume or hold at a time, by the same state machine as `murmurate stop`.
+//! Orders from the live page, one at a time: stop, re-arm, resume or hold. They use the same state machine as
+//! `murmurate stop`.
 
 use crate::actor::Core;
 use crate::actors::order::{Order, OrderKind};
@@ -6,28 +7,29 @@ use crate::messages::ids::HostId;
 use crate::messages::wire::{Status, Stop};
 use crate::time::{Span, Time};
 
-/// Longest time that robots have to confirm.
+/// Longest time that an order waits for the robots' confirmations.
 const PATIENCE: Span = Span::from_millis(3000);
-/// Shortest time for which an order is repeated, so that it reaches hosts that have missed it.
+/// Shortest time for which an order is repeated, so that hosts that missed it receive it.
 const AT_LEAST: Span = Span::from_millis(500);
 
-/// The order in progress, with what is said about it.
+/// The order in progress, and the result of the last one.
 #[derive(Debug)]
 pub struct Orders {
     me: HostId,
     robots: usize,
     running: Option<(Order, OrderKind, Time)>,
-    /// Result of the last order, until it is taken.
+    /// Result of the last order as text, until it is taken.
     result: Option<String>,
 }
 
 impl Orders {
-    /// Makes one without orders. `me` is the sender's number as an operator, `robots` the size of the team.
+    /// Creates it without an order. `me` is this process's host id as an operator, `robots` the number of robots.
     pub fn new(me: HostId, robots: usize) -> Orders {
         Orders { me, robots, running: None, result: None }
     }
 
-    /// Begins an order. It replaces the one in progress, except that only a stop replaces a stop.
+    /// Starts an order. It replaces the order in progress, but an unconfirmed stop is replaced by nothing else; the
+    /// error says so.
     pub fn give(&mut self, now: Time, kind: OrderKind) -> Result<(), &'static str> {
         match &self.running {
             Some((order, OrderKind::Stop, _)) if kind != OrderKind::Stop && order.confirmed_at().is_none() => {
@@ -41,7 +43,7 @@ impl Orders {
         }
     }
 
-    /// Takes the answer of a host.
+    /// Handles a host's status, which confirms the order for its robots.
     pub fn hear(&mut self, now: Time, status: &Status) {
         let Some((order, kind, began)) = &mut self.running else { return };
         let before = order.confirmed_at();
@@ -52,7 +54,8 @@ impl Orders {
         }
     }
 
-    /// Returns the message that is to be sent now, if any. To be called at least every 20 ms while an order runs.
+    /// Returns the message that is to be sent now, if any. Must be called at least every 20 ms while an order is in
+    /// progress.
     pub fn turn(&mut self, now: Time) -> Option<Stop> {
         let (order, kind, began) = self.running.as_mut()?;
         let lasted = now.since(*began);
@@ -83,7 +86,7 @@ impl Orders {
         self.running.is_some()
     }
 
-    /// Returns what has become of the last order, once.
+    /// Returns the result of the last order as text, and clears it.
     pub fn take_result(&mut self) -> Option<String> {
         self.result.take()
     }

@@ -1,4 +1,4 @@
-//! One request of a browser: its header, read within a time limit, and the response to it.
+//! HTTP requests of the live page: reads a header within a time limit, and makes the response.
 
 use std::io::{self, Read};
 use std::net::{SocketAddr, TcpStream};
@@ -12,13 +12,14 @@ use super::access::{self, Access};
 pub const MAX_HEADER_BYTES: usize = 8192;
 /// Largest number of header lines.
 const MAX_HEADERS: usize = 64;
-/// Longest time for the whole header, however slowly its bytes come.
+/// Longest time to receive the whole header.
 pub const HEADER_TIME: Duration = Duration::from_secs(5);
 
-/// Subprotocol of the page's WebSockets.
+/// WebSocket subprotocol of the page.
 const PROTOCOL: &str = "murmurate";
 
-/// Headers of every response: nothing is cached, framed, guessed or loaded from elsewhere.
+/// Headers of every response. They forbid caching, content sniffing, embedding in other pages and loading from
+/// elsewhere.
 const SECURITY: &str = "Cache-Control: no-store\r\n\
     X-Content-Type-Options: nosniff\r\n\
     X-Frame-Options: DENY\r\n\
@@ -27,45 +28,46 @@ const SECURITY: &str = "Cache-Control: no-store\r\n\
     Content-Security-Policy: default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
     frame-ancestors 'none'; base-uri 'none'; form-action 'none'\r\n";
 
-/// Files of the page: path, type and content.
+/// Files of the page: path, media type, content.
 const FILES: [(&str, &str, &str); 3] = [
     ("/", "text/html; charset=utf-8", include_str!("page/index.html")),
     ("/page.css", "text/css; charset=utf-8", include_str!("page/page.css")),
     ("/page.js", "text/javascript; charset=utf-8", include_str!("page/page.js")),
 ];
 
-/// WebSocket of a page.
+/// WebSocket of a page, by its path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Socket {
-    /// Snapshots, from the server alone.
+    /// Snapshots of the team, binary; the server alone sends.
     View,
-    /// States from the server and commands from the browser, beside the snapshots and never behind them.
+    /// States from the server and commands from the browser. Separate from the snapshots, so that it never queues
+    /// behind them.
     Control {
-        /// Whether the browser has shown the token.
+        /// Whether the browser has sent the token.
         holder: bool,
     },
 }
 
-/// Response to a request.
+/// Response to an HTTP request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Response {
-    /// A file or an error: all bytes of the response.
+    /// The whole response: a file or an error.
     Whole(Vec<u8>),
-    /// A WebSocket: the bytes of the handshake's end.
+    /// An accepted WebSocket: its kind, and the bytes of the handshake's response.
     Upgrade(Socket, Vec<u8>),
 }
 
-/// Header of a request, as it came.
+/// Received header of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Header {
     /// Bytes of the header, with the empty line at its end.
     pub bytes: Vec<u8>,
-    /// Bytes that came behind it.
+    /// Bytes received after the header.
     pub rest: Vec<u8>,
 }
 
-/// Reads the header of a request. The error is the response to a header that is too large, or `None` if the connection
-/// has ended or was too slow.
+/// Reads the header of a request within [`HEADER_TIME`]. The error is the response to a header that is too large, or
+/// `None` if the connection has ended or was too slow.
 pub fn read_header(stream: &mut TcpStream) -> Result<Header, Option<Vec<u8>>> {
     let until = Instant::now() + HEADER_TIME;
     let mut bytes = Vec::new();
@@ -81,7 +83,7 @@ pub fn read_header(stream: &mut TcpStream) -> Result<Header, Option<Vec<u8>>> {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
             Err(_) => return Err(None),
         };
-        // The end may lie across two reads.
+        // The end of the header may span two reads.
         let from = bytes.len().saturating_sub(3);
         bytes.extend_from_slice(&part[..count]);
         if let Some(end) = bytes[from..].windows(4).position(|four| four == b"\r\n\r\n") {
@@ -98,12 +100,12 @@ fn too_large() -> Vec<u8> {
     refusal("431 Request Header Fields Too Large", "the header is larger than 8 kB")
 }
 
-/// Response to a connection beyond the limit.
+/// Returns the response to a connection beyond the limit of connections.
 pub fn too_many() -> Vec<u8> {
     refusal("503 Service Unavailable", "too many connections: close other pages")
 }
 
-/// Returns the response to the request with this header, on a connection to the server's address `local`.
+/// Returns the response to a request with this header, received at the server's address `local`.
 pub fn respond(header: &[u8], local: SocketAddr, access: &Access) -> Response {
     let mut headers = [httparse::EMPTY_HEADER; MAX_HEADERS];
     let mut request = httparse::Request::new(&mut headers);
@@ -135,19 +137,20 @@ pub fn respond(header: &[u8], local: SocketAddr, access: &Access) -> Response {
 struct Request<'a>(&'a httparse::Request<'a, 'a>);
 
 impl Request<'_> {
-    /// Value of a header that is given exactly once.
+    /// Returns the value of a header that occurs exactly once; otherwise `None`.
     fn header(&self, name: &str) -> Option<&str> {
         let mut all = self.0.headers.iter().filter(|header| header.name.eq_ignore_ascii_case(name));
         let first = all.next().filter(|_| all.next().is_none())?;
         std::str::from_utf8(first.value).ok().map(str::trim)
     }
 
-    /// Whether a header lists this word.
+    /// Whether a header's list contains this word.
     fn lists(&self, name: &str, word: &str) -> bool {
         self.header(name).is_some_and(|all| all.split(',').any(|one| one.trim().eq_ignore_ascii_case(word)))
     }
 
-    /// Returns the end of a WebSocket's handshake; without a `socket`, the token is missing.
+    /// Returns the response to a WebSocket handshake. `socket` is `None` if the request lacks the token; it is then
+    /// refused.
     fn upgrade(&self, host: &str, socket: Option<Socket>) -> Response {
         if !self.header("origin").is_some_and(|origin| access::is_origin(origin, host)) {
             return refused("403 Forbidden", "a WebSocket comes from the page of this server alone");

@@ -1,7 +1,7 @@
-//! Server of the page: a thread that accepts, and one for each connection, at most 32.
+//! HTTP server of the live page: one thread accepts connections, and each connection has its own, at most 32.
 //!
-//! The thread that drives the team never waits here. It leaves the newest snapshot and status in slots with `try_lock`,
-//! wakes nobody, and takes commands from a bounded queue; the serving threads look every 20 ms.
+//! The thread that drives the team never waits. It stores the newest snapshot and status with `try_lock`, without
+//! waking another thread, and takes commands from a bounded queue. The serving threads poll every 20 ms.
 
 use std::io::{self, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -20,13 +20,13 @@ use super::request::{self, Response};
 use super::session;
 use super::shared::{LOOK, Shared, Slot};
 
-/// Largest number of connections at once. A page has two, and three more while it loads.
+/// Largest number of simultaneous connections. A page has two, and three more while it loads.
 pub const MAX_CONNECTIONS: usize = 32;
-/// Number of commands that wait for the thread that drives the team; further ones are refused.
+/// Capacity of the command queue. Further commands are refused.
 const MAX_COMMANDS: usize = 64;
-/// Longest time for which a client may not read before its connection is closed.
+/// Write timeout: a connection is closed if its client does not read for this long.
 const WRITE_TIME: Duration = Duration::from_secs(5);
-/// Longest time for connections to send the last status when the server closes.
+/// Longest time that the closing server waits for connections to send the last status.
 const CLOSING: Duration = Duration::from_millis(500);
 
 /// Running server of a page.
@@ -35,15 +35,15 @@ pub struct Server {
     address: SocketAddr,
 }
 
-/// End of a server for the thread that drives or watches the team. No method but `wait` takes time.
+/// End of a server that the thread that drives or watches the team uses. Only `wait` blocks.
 pub struct Publisher {
     shared: Arc<Shared>,
     commands: Receiver<Command>,
 }
 
 impl Server {
-    /// Opens a server at `listen` (port 0 for any free one) and starts its thread. `scene` is the message that every
-    /// page gets first.
+    /// Opens a server at `listen` (port 0 selects any free port) and starts its thread. `scene` is the JSON message
+    /// that every page gets first.
     pub fn open(listen: SocketAddr, access: Access, scene: String) -> io::Result<(Server, Publisher)> {
         let listener = TcpListener::bind(listen)?;
         let address = listener.local_addr()?;
@@ -66,25 +66,25 @@ impl Server {
         Ok((server, Publisher { shared, commands }))
     }
 
-    /// Address at which it listens.
+    /// Address at which the server listens.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Number of connections at present.
+    /// Current number of connections.
     pub fn connections(&self) -> usize {
         self.shared.connections.load(Ordering::Relaxed)
     }
 
-    /// Number of requests and commands that were refused.
+    /// Number of refused requests and commands.
     pub fn refused(&self) -> u64 {
         self.shared.refused.load(Ordering::Relaxed)
     }
 
-    /// Ends the server. Pages get the last status if they take it within half a second.
+    /// Closes the server. Pages receive the last status if they read it within half a second.
     pub fn close(self) {
         self.shared.closing.store(true, Ordering::Release);
-        // Wakes the thread that accepts.
+        // The connection unblocks the accepting thread.
         let _ = TcpStream::connect_timeout(&self.address, CLOSING);
         let until = Instant::now() + CLOSING;
         while self.connections() > 0 && Instant::now() < until {
@@ -94,27 +94,28 @@ impl Server {
 }
 
 impl Publisher {
-    /// Leaves the newest snapshot for the pages; `false` if a page took one at this very instant.
+    /// Publishes the newest snapshot to the pages. Returns `false`, without waiting, if a page is reading at this
+    /// moment.
     pub fn snapshot(&self, bytes: Vec<u8>) -> bool {
         self.shared.snapshot.offer(bytes.into())
     }
 
-    /// Leaves the newest goals; `false` as for snapshots.
+    /// Publishes the newest goals as JSON. Returns `false` as [`Publisher::snapshot`] does.
     pub fn goals(&self, json: String) -> bool {
         self.shared.goals.offer(json.into())
     }
 
-    /// Leaves the newest status; `false` as for snapshots.
+    /// Publishes the newest status as JSON. Returns `false` as [`Publisher::snapshot`] does.
     pub fn status(&self, json: String) -> bool {
         self.shared.status.offer(json.into())
     }
 
-    /// Returns the next command; a stop comes before all others.
+    /// Returns the next command without waiting; a stop comes before all others.
     pub fn command(&self) -> Option<Command> {
         self.stop().or_else(|| std::iter::from_fn(|| self.commands.try_recv().ok()).find(is_queued))
     }
 
-    /// Waits for the next command, at most for `limit`. For a run under virtual time, which waits for real time anyway.
+    /// Waits for the next command for at most `limit`. For a simulation at real-time pace, which waits anyway.
     pub fn wait(&self, limit: Duration) -> Option<Command> {
         let command = match self.command() {
             None => self.commands.recv_timeout(limit).ok()?,
@@ -128,19 +129,20 @@ impl Publisher {
     }
 }
 
-/// Whether a command of the queue is to be carried out. A stop there only wakes the thread that waits for commands.
+/// Whether a queued command is to be executed. A queued stop is not: it only wakes the waiting thread, and its flag
+/// counts.
 fn is_queued(command: &Command) -> bool {
     *command != Command::Stop
 }
 
-/// Accepts connections until the server closes.
+/// Loop of the accepting thread, until the server closes.
 fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
     for stream in listener.incoming() {
         if shared.closing.load(Ordering::Acquire) {
             return;
         }
         let Ok(stream) = stream else {
-            // Out of descriptors, most likely: the next attempt may do better.
+            // Probably no file descriptors are left: try again later.
             std::thread::park_timeout(LOOK);
             continue;
         };
@@ -150,12 +152,12 @@ fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
             continue;
         }
         let taken = Taken(Arc::clone(shared));
-        // Without a thread the connection is dropped, and counted down.
+        // If no thread can be started, the connection is closed and no longer counted.
         let _ = Builder::new().name("page client".to_owned()).spawn(move || serve(stream, &taken.0));
     }
 }
 
-/// Answers a connection beyond the limit without waiting for it.
+/// Refuses a connection beyond the limit, without waiting for the client.
 fn turn_away(mut stream: TcpStream, shared: &Shared) {
     shared.refuse();
     if stream.set_nonblocking(true).is_ok() {
@@ -163,7 +165,7 @@ fn turn_away(mut stream: TcpStream, shared: &Shared) {
     }
 }
 
-/// Counts a connection until it is dropped.
+/// Guard value that counts a connection until it is dropped.
 struct Taken(Arc<Shared>);
 
 impl Drop for Taken {
@@ -172,7 +174,7 @@ impl Drop for Taken {
     }
 }
 
-/// Serves one connection to its end.
+/// Serves one connection until it ends.
 fn serve(mut stream: TcpStream, shared: &Shared) {
     let Ok(local) = stream.local_addr() else { return };
     if stream.set_write_timeout(Some(WRITE_TIME)).is_err() || stream.set_nodelay(true).is_err() {
@@ -201,9 +203,9 @@ fn serve(mut stream: TcpStream, shared: &Shared) {
     }
 }
 
-/// Sends a whole response and ends the connection.
+/// Sends a complete response and ends the connection.
 fn finish(stream: &mut TcpStream, bytes: &[u8]) {
-    // A client that has gone needs no answer.
+    // Write errors are ignored: the client is gone.
     let _ = stream.write_all(bytes);
     let _ = stream.shutdown(Shutdown::Write);
 }

@@ -1,4 +1,4 @@
-//! One WebSocket of a page: the newest snapshots, or states and commands. One thread reads and writes it.
+//! One WebSocket connection of a page: snapshots, or states and commands. One thread reads and writes it.
 
 use std::io;
 use std::net::TcpStream;
@@ -13,12 +13,12 @@ use super::command::{Command, MAX_BYTES};
 use super::request::Socket;
 use super::shared::{LOOK, Shared};
 
-/// Time for which a client that says nothing is believed to be there: then it is asked, by a status that it must take.
+/// A quarter of the interval after which a ping checks an otherwise idle connection.
 const REPEAT: Duration = Duration::from_millis(500);
-/// Most messages of a client that are taken before it is sent something again.
+/// Largest number of client messages that are handled before something is sent again.
 const AT_ONCE: usize = 8;
 
-/// Serves a WebSocket until either side ends it. `rest` are bytes that came with the request.
+/// Serves a WebSocket until either side ends it. `rest` are the bytes received after the request's header.
 pub(super) fn run(stream: TcpStream, rest: Vec<u8>, socket: Socket, shared: &Shared) {
     if stream.set_read_timeout(Some(LOOK)).is_err() {
         return;
@@ -27,19 +27,19 @@ pub(super) fn run(stream: TcpStream, rest: Vec<u8>, socket: Socket, shared: &Sha
     let config = WebSocketConfig::default().read_buffer_size(MAX_BYTES).max_message_size(limit).max_frame_size(limit);
     let mut socket_ = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
     let mut session = Session { seen: [0; 3], told_at: None, answers: Vec::new() };
-    // An error of any kind ends the connection: the page opens another.
+    // Any error ends the connection; the page then opens another.
     let _ = session.serve(&mut socket_, socket, shared);
     let _ = socket_.close(None);
     let _ = socket_.flush();
 }
 
-/// State of a connection.
+/// State of one connection.
 struct Session {
-    /// Numbers of the last snapshot, goals and status that were sent.
+    /// Version numbers of the snapshot, goals and status that were sent last.
     seen: [u64; 3],
-    /// Time of the last status.
+    /// Time of the last status or ping.
     told_at: Option<Instant>,
-    /// Answers to commands that are to be sent.
+    /// Responses to refused commands that are still to be sent.
     answers: Vec<String>,
 }
 
@@ -55,7 +55,7 @@ impl Session {
             }
         }
         loop {
-            // Looked at before the last status is sent.
+            // Read before the status is sent, so that the last status is sent before the connection ends.
             let closing = shared.closing.load(Ordering::Acquire);
             match socket {
                 Socket::View => {
@@ -78,7 +78,7 @@ impl Session {
         }
     }
 
-    /// Sends answers, goals and status, as far as there is news.
+    /// Sends refusals, and goals and status if they have changed.
     fn tell(&mut self, client: &mut Client, holder: bool, shared: &Shared) -> tungstenite::Result<()> {
         for answer in self.answers.drain(..) {
             client.send(Message::text(answer))?;
@@ -100,13 +100,13 @@ impl Session {
         Ok(())
     }
 
-    /// Takes one message of the client.
+    /// Handles one message of the client.
     fn take(&mut self, message: &Message, socket: Socket, shared: &Shared) -> tungstenite::Result<()> {
         let holder = match (message, socket) {
             (Message::Close(_), _) => return Err(tungstenite::Error::ConnectionClosed),
             (Message::Text(_), Socket::Control { holder }) => holder,
             (Message::Ping(_) | Message::Pong(_), _) => return Ok(()),
-            // The page sends nothing else.
+            // The page sends no other messages, so this client is not the page.
             _ => {
                 shared.refuse();
                 return Err(tungstenite::Error::ConnectionClosed);
@@ -117,7 +117,8 @@ impl Session {
                 Some(why) => Err(why.to_owned()),
                 None if command == Command::Stop => {
                     shared.stop.store(true, Ordering::Release);
-                    // It wakes a run that waits for real time; if the queue is full, the run is awake.
+                    // The queued copy wakes a thread that waits for commands; if the queue is full, that thread is not
+                    // waiting.
                     let _ = shared.commands.try_send(command);
                     Ok(())
                 }
@@ -132,7 +133,7 @@ impl Session {
     }
 }
 
-/// Whether an error of a read says that nothing has come.
+/// Whether a read error only means that no data has arrived.
 fn is_nothing(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut)
 }

@@ -1,4 +1,4 @@
-//! What the threads of a server share: the newest values for pages, and the way back for commands.
+//! State shared by the threads of a server: the newest values for pages, and the queue of commands.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::SyncSender;
@@ -10,10 +10,10 @@ use tungstenite::{Bytes, Utf8Bytes};
 use super::access::Access;
 use super::command::Command;
 
-/// Period at which serving threads look for something new.
+/// Period at which serving threads poll for new values.
 pub(super) const LOOK: Duration = Duration::from_millis(20);
 
-/// Value of which the newest counts, with the number of its changes.
+/// Slot for the newest value of one kind, with a version number.
 pub(super) struct Slot<T> {
     number: AtomicU64,
     value: Mutex<T>,
@@ -24,7 +24,7 @@ impl<T: Clone> Slot<T> {
         Slot { number: AtomicU64::new(0), value: Mutex::new(value) }
     }
 
-    /// Leaves a newer value, unless a reader has the slot at this instant; returns whether it did.
+    /// Stores a newer value unless a reader holds the lock; returns whether it was stored.
     pub fn offer(&self, value: T) -> bool {
         let mut place = match self.value.try_lock() {
             Ok(place) => place,
@@ -36,7 +36,7 @@ impl<T: Clone> Slot<T> {
         true
     }
 
-    /// Returns the value if it is newer than the one with the number `seen`.
+    /// Returns the value if its version is not `seen`, and updates `seen`.
     pub fn newer(&self, seen: &mut u64) -> Option<T> {
         let number = self.number.load(Ordering::Acquire);
         if number == *seen {
@@ -47,14 +47,14 @@ impl<T: Clone> Slot<T> {
     }
 }
 
-/// What all threads of a server share.
+/// State shared by all threads of a server.
 pub(super) struct Shared {
     pub access: Access,
     pub scene: Utf8Bytes,
     pub snapshot: Slot<Bytes>,
     pub goals: Slot<Utf8Bytes>,
     pub status: Slot<Utf8Bytes>,
-    /// A stop that was asked for: it has no place in a queue that can be full.
+    /// A requested stop. It is a flag and not in the queue, because the queue can be full.
     pub stop: AtomicBool,
     pub commands: SyncSender<Command>,
     pub closing: AtomicBool,
@@ -63,7 +63,7 @@ pub(super) struct Shared {
 }
 
 impl Shared {
-    /// Counts something that was refused.
+    /// Counts a refused request or command.
     pub fn refuse(&self) {
         self.refused.fetch_add(1, Ordering::Relaxed);
     }

@@ -1,10 +1,11 @@
-//! Snapshot: one picture of the team, and its encoding for the page.
+//! Snapshot of a team at one time, and its binary encoding for the page.
 //!
-//! All numbers are little-endian. A header of 16 bytes: version (1), a byte of zero, number of robots (2), time of the
-//! run \[ms\] (4), number of links (2), links left out (2), four bytes of zero.
+//! All numbers are little-endian. The header has 16 bytes: version (1 byte), a zero byte, number of robots (2), time of
+//! the run \[ms\] (4), number of links (2), number of omitted links (2), four zero bytes.
 //!
-//! Then 9 bytes a robot: x (2) and y (2) in units of the scene's `scale_m`, heading (2) in 1e-4 rad, phase (1), age (1)
-//! in 20 ms, flags (1). Then 6 bytes a link: the two robots (2, 2), age (1) in 10 ms, loss (1) in %.
+//! Then follow 9 bytes for each robot: x (2) and y (2) in units of the scene's `scale_m`, heading (2) in 1e-4 rad,
+//! phase (1), age (1) in 20 ms, flags (1). Then 6 bytes for each link: the two robots (2, 2), age (1) in 10 ms, loss
+//! (1) in %.
 
 use crate::messages::geometry::Vec2;
 use crate::messages::wire::Phase;
@@ -12,29 +13,29 @@ use crate::time::{Span, Time};
 
 /// Version of the encoding.
 pub const VERSION: u8 = 1;
-/// Bytes of the header.
+/// Length of the header \[bytes\].
 pub const HEADER_BYTES: usize = 16;
-/// Bytes of one robot.
+/// Length of one robot's entry \[bytes\].
 pub const ROBOT_BYTES: usize = 9;
-/// Bytes of one link.
+/// Length of one link's entry \[bytes\].
 pub const LINK_BYTES: usize = 6;
-/// Largest number of links in a snapshot: 36 kB, which ten times a second is 360 kB/s.
+/// Largest number of links in a snapshot: 36 kB, or 360 kB/s at ten snapshots a second.
 pub const MAX_LINKS: usize = 6000;
 
-/// Number of steps of a position from the middle to the edge of the scene.
+/// Largest encoded coordinate: number of steps from the origin to the edge of the scene.
 const STEPS: f32 = 32_000.0;
-/// Position or heading that is not known.
+/// Code of an unknown position or heading.
 const NO_NUMBER: i16 = i16::MIN;
-/// Age, phase or loss that is not known.
+/// Code of an unknown age, phase or loss.
 const NO_BYTE: u8 = 255;
-/// Largest age that is encoded.
+/// Largest encoded age \[units\]; older is encoded as this.
 const OLDEST: u64 = 250;
-/// Unit of a robot's age.
+/// Unit of a robot's encoded age.
 const ROBOT_AGE: Span = Span::from_millis(20);
-/// Unit of a link's age.
+/// Unit of a link's encoded age.
 const LINK_AGE: Span = Span::from_millis(10);
 
-/// State of one robot in a picture of the team. A field is `None` if it is not known.
+/// State of one robot in a snapshot. A field is `None` if it is unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RobotState {
     /// Position of the robot's centre \[m\], world frame.
@@ -43,7 +44,7 @@ pub struct RobotState {
     pub heading: Option<f32>,
     /// Phase of the episode that the robot is in.
     pub phase: Option<Phase>,
-    /// Time since the last message of the robot.
+    /// Time since this process last received a message about the robot.
     pub age: Option<Span>,
     /// Whether the robot touches another robot or a wall, in a simulation.
     pub touches: bool,
@@ -51,40 +52,40 @@ pub struct RobotState {
     pub latched: bool,
 }
 
-/// Link between two robots within communication range of each other.
+/// Link between two robots within communication range.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkState {
-    /// Number of the first robot.
+    /// Id of the first robot.
     pub one: u16,
-    /// Number of the other robot, larger than the first.
+    /// Id of the second robot, larger than the first.
     pub other: u16,
-    /// Age of the newest message, of the direction in which it is older; `None` if nothing has arrived in one
-    /// direction.
+    /// Age of the newest message in the direction where it is older; `None` until a message has arrived in both
+    /// directions.
     pub age: Option<Span>,
-    /// Share of recent messages that did not arrive \[%\], of the worse direction; `None` before the first arrival.
+    /// Share of recent messages that were lost \[%\], in the worse direction; `None` before the first arrival.
     pub loss: Option<u8>,
 }
 
-/// Picture of the team at one time.
+/// State of a team at one time, as the page shows it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
-    /// Time of the run.
+    /// Time since the start of the run.
     pub now: Time,
     /// States of the robots, in the order of robot ids.
     pub robots: Vec<RobotState>,
     /// Links between robots within range, at most `MAX_LINKS` (6000).
     pub links: Vec<LinkState>,
-    /// Number of links that were left out, because there are more than `MAX_LINKS`.
+    /// Number of links omitted because there are more than `MAX_LINKS`.
     pub left_out: usize,
 }
 
-/// Returns the length of one step of an encoded position \[m\], for positions up to `reach_m` \[m\] from the origin.
+/// Returns the unit of encoded coordinates \[m\] for positions up to `reach_m` \[m\] from the origin.
 pub fn scale_m(reach_m: f32) -> f32 {
     reach_m / STEPS
 }
 
 impl Snapshot {
-    /// Returns the bytes for the page. `scale_m` is the length of one step of a position \[m\].
+    /// Encodes the snapshot for the page. `scale_m` is the unit of encoded coordinates \[m\].
     pub fn encode(&self, scale_m: f32) -> Vec<u8> {
         let small = |number: usize| u16::try_from(number).unwrap_or(u16::MAX).to_le_bytes();
         let mut bytes =
@@ -115,7 +116,7 @@ impl Snapshot {
     }
 }
 
-/// Returns a number as a step, limited to the range of steps.
+/// Rounds a number and limits it to the encoded range.
 fn step(number: f32) -> i16 {
     number.round().clamp(-STEPS, STEPS) as i16
 }

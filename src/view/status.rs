@@ -1,4 +1,4 @@
-//! Messages to the page as JSON: the scene, once; goals, at each episode; the status, twice a second.
+//! JSON messages to the page: the scene once, goals at each episode, and the status twice a second.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -6,15 +6,15 @@ use serde::Serialize;
 
 use crate::scenario::arena::Arena;
 
-/// Number of log lines that a status has.
+/// Largest number of log lines in a status.
 pub const LOG_LINES: usize = 40;
 /// Longest log line \[characters\].
 const LINE: usize = 300;
 
-/// Everything of a run that does not change.
+/// Properties of a run that do not change.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Scene {
-    /// Name of the scenario, the team's task.
+    /// Name of the scenario.
     pub scenario: String,
     /// Name of the deployment's mode.
     pub mode: String,
@@ -22,9 +22,9 @@ pub struct Scene {
     pub policy: String,
     /// Number of robots.
     pub robots: usize,
-    /// Number of episodes; zero if unknown.
+    /// Number of episodes of the run; 0 if unknown.
     pub episodes: u32,
-    /// Half the size of the ground along x and y \[m\].
+    /// Half the size of the ground along x and y \[m\]; its middle is the origin.
     pub half_extent: [f32; 2],
     /// Solid blocks: smallest x and y, then largest x and y \[m\], world frame.
     pub walls: Vec<[f32; 4]>,
@@ -32,20 +32,20 @@ pub struct Scene {
     pub hull_m: f32,
     /// Communication range \[m\]; null if it is unlimited.
     pub range_m: Option<f32>,
-    /// Length of one step of a position in snapshots \[m\].
+    /// Unit of encoded coordinates in snapshots \[m\].
     pub scale_m: f32,
-    /// Commands that the process takes: none but the stop, those to the team, or faults as well.
+    /// Commands that the process accepts: the stop alone, orders to the team, or faults as well.
     pub control: &'static str,
-    /// Names of the links, for faults of an emulated team.
+    /// Names of the links, on which the page can put faults if the team is emulated.
     pub links: Vec<String>,
-    /// Whether links between robots are known here.
+    /// Whether this process receives enough to show links between robots.
     pub hears_links: bool,
-    /// Whether results of episodes are known here.
+    /// Whether this process knows the results of episodes.
     pub hears_results: bool,
 }
 
 impl Scene {
-    /// Makes the scene of an arena; positions are encoded up to 2 m beyond its ground.
+    /// Makes the scene of an arena. Encoded positions reach 2 m beyond its ground; the other fields have defaults.
     pub fn of_arena(arena: &Arena) -> Scene {
         let half = arena.half_extent.to_array();
         let wall = |block: &crate::scenario::arena::KeepOut| {
@@ -62,7 +62,7 @@ impl Scene {
         }
     }
 
-    /// Returns the message for the page.
+    /// Encodes the scene as JSON for the page.
     pub fn to_json(&self) -> String {
         message("scene", self)
     }
@@ -71,12 +71,12 @@ impl Scene {
 /// Goals of the robots of one episode.
 #[derive(Clone, Debug, Serialize)]
 pub struct Goals {
-    /// Goal of each robot \[m\], world frame; null for a robot whose goal was not heard.
+    /// Goal of each robot \[m\], world frame; null if it is unknown.
     pub goals: Vec<Option<[f32; 2]>>,
 }
 
 impl Goals {
-    /// Returns the message for the page.
+    /// Encodes the goals as JSON for the page.
     pub fn to_json(&self) -> String {
         message("goals", self)
     }
@@ -93,7 +93,7 @@ pub struct Success {
     pub interval: [f64; 2],
 }
 
-/// Faults that a page has put on one link.
+/// Faults that a page has set on one link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct LinkImpairment {
     /// Whether the link loses every frame.
@@ -104,55 +104,55 @@ pub struct LinkImpairment {
     pub loss: f64,
 }
 
-/// State of the team in words and numbers.
+/// State of the team as the page shows it beside the picture.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Status {
-    /// Time of the run \[s\].
+    /// Time since the start of the run \[s\].
     pub time_s: f64,
-    /// Simulated time per real time over the last second; null in real time.
+    /// Simulated seconds per second of real time, over the last second; null on real robots.
     pub speed: Option<f64>,
-    /// Number of the current episode, from 1; null before the first one.
+    /// Number of the current episode, from 1; null before an instruction of the state server was received.
     pub episode: Option<u32>,
-    /// Phase of the team, as the state server says; null before it was heard.
+    /// Phase of the episode according to the state server; null before an instruction of it was received.
     pub phase: Option<u8>,
     /// Emergency stop of the team: clear, held or stopped.
     pub latch: &'static str,
-    /// Number of robots that follow this state.
+    /// Number of robots that follow this emergency stop state.
     pub confirmed: usize,
     /// Number of robots.
     pub robots: usize,
-    /// Whether an order is in progress.
+    /// Whether an order of a page is not yet confirmed by all robots.
     pub ordering: bool,
-    /// Pause after the current episode: no, asked or yes.
+    /// Whether the team pauses after the current episode: `no`, `asked`, or `yes` once it has paused.
     pub pause: &'static str,
     /// Number of episodes by verdict.
     pub verdicts: BTreeMap<String, u32>,
-    /// Successes so far.
+    /// Successful episodes so far; null if this process does not know results.
     pub success: Option<Success>,
-    /// Late control ticks by robot, for those that have any.
+    /// Robots with late control ticks: robot and number of late ticks.
     pub late: Vec<(u16, u64)>,
-    /// Last reason for which a robot's guard has stopped or slowed it, by robot.
+    /// Last reason why a robot's guard has stopped or slowed it, by robot.
     pub guard: Vec<(u16, &'static str)>,
-    /// Battery charge \[%\] by robot, where it is known.
+    /// Battery charge by robot \[%\], where it is known.
     pub battery: Vec<(u16, u8)>,
-    /// Actors that a page has crashed, in words.
+    /// Descriptions of the actors that a page has crashed.
     pub killed: Vec<String>,
-    /// Faults that a page has put on links, by the link's name.
+    /// Faults that a page has set on links, by the link's name.
     pub impaired: BTreeMap<String, LinkImpairment>,
-    /// Newest lines of the log, each with its number and its time of the run \[s\].
+    /// Newest log lines: number of the line, time since the start of the run \[s\], text.
     pub log: VecDeque<(u64, f64, String)>,
     /// Whether the run is over.
     pub over: bool,
 }
 
 impl Status {
-    /// Returns the message for the page.
+    /// Encodes the status as JSON for the page.
     pub fn to_json(&self) -> String {
         message("status", self)
     }
 }
 
-/// Log of a run: its newest lines.
+/// Newest log lines of a run, for the page.
 #[derive(Clone, Debug, Default)]
 pub struct Log {
     lines: VecDeque<(u64, f64, String)>,
@@ -160,7 +160,7 @@ pub struct Log {
 }
 
 impl Log {
-    /// Adds a line at this time of the run \[s\].
+    /// Adds a line at the time `time_s` \[s\] of the run.
     pub fn add(&mut self, time_s: f64, line: &str) {
         self.count += 1;
         self.lines.push_back((self.count, time_s, line.chars().take(LINE).collect()));
@@ -169,13 +169,13 @@ impl Log {
         }
     }
 
-    /// The newest lines, each with its number and its time.
+    /// The newest lines: number, time of the run \[s\], text.
     pub fn lines(&self) -> &VecDeque<(u64, f64, String)> {
         &self.lines
     }
 }
 
-/// Returns a message with its kind.
+/// Encodes a message with its kind.
 fn message(kind: &str, body: &impl Serialize) -> String {
     serde_json::json!({ "kind": kind, "body": body }).to_string()
 }

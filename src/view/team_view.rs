@@ -1,4 +1,4 @@
-//! Picture of a team, from what a process hears: pure. What is not heard is not made up.
+//! State of a team, built from the messages that a process receives. Pure. Values that were not received stay unknown.
 
 use std::collections::BTreeMap;
 
@@ -17,22 +17,22 @@ use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
 
-/// Age from which a heading is not drawn: it belongs to an earlier position.
+/// Age from which a heading is no longer drawn, because the robot may have turned since.
 const HEADING_AGE: Span = Span::from_millis(1000);
-/// Time between two messages of a robot from which a missing one is logged.
+/// Time without a message of a robot after which the log calls it silent.
 const SILENT: Span = Span::from_millis(1500);
 
-/// What is known of one robot.
+/// Known state of one robot.
 #[derive(Clone, Debug, Default)]
 struct RobotView {
     position: Option<Vec2>,
     heading: Option<(Time, f32)>,
-    /// Whether the position is true: of a simulated robot.
+    /// Whether the position is the true one of a simulated robot.
     is_true: bool,
     touches: bool,
     phase: Option<Phase>,
     heard: Option<Time>,
-    /// Whether the log says that it is silent.
+    /// Whether the log has reported the robot as silent.
     silent: bool,
     controller: Option<Latch>,
     body: Option<Latch>,
@@ -41,16 +41,16 @@ struct RobotView {
     guard: Option<&'static str>,
 }
 
-/// Picture of a team, made from messages, true states of simulated robots and results.
+/// State of a team, built from messages, true states of simulated robots, and results.
 #[derive(Clone, Debug)]
 pub struct TeamView {
     scene: Scene,
-    /// Host of each robot's agent.
+    /// Host of each robot's agent, by robot id.
     homes: Vec<HostId>,
     robots: Vec<RobotView>,
     heard: Heard,
     goals: Vec<Option<[f32; 2]>>,
-    /// Number of changes of the goals.
+    /// Number of changes of the goals so far.
     goals_changed: u64,
     leader: Option<(Phase, u32, Latch)>,
     verdicts: BTreeMap<String, u32>,
@@ -60,8 +60,8 @@ pub struct TeamView {
 }
 
 impl TeamView {
-    /// Makes a view of a team of which nothing was heard. `homes` are the hosts of the robots' agents, in the order of
-    /// robot ids; `hosts` is the number of hosts.
+    /// Creates a view of a team without any received message. `homes` are the hosts of the robots' agents, in the order
+    /// of robot ids; `hosts` is the number of hosts.
     pub fn new(scene: Scene, homes: Vec<HostId>, hosts: usize) -> TeamView {
         let robots = scene.robots;
         TeamView {
@@ -79,22 +79,22 @@ impl TeamView {
         }
     }
 
-    /// The part that does not change.
+    /// Properties of the run that do not change.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// Number of changes of the goals, and the goals.
+    /// Returns the number of changes of the goals so far, and the goals.
     pub fn goals(&self) -> (u64, Goals) {
         (self.goals_changed, Goals { goals: self.goals.clone() })
     }
 
-    /// Number of changes of the goals.
+    /// Number of changes of the goals so far.
     pub fn goals_changed(&self) -> u64 {
         self.goals_changed
     }
 
-    /// Takes a message that a robot or another host has sent.
+    /// Updates the view from a message that a robot or another host has published.
     pub fn hear(&mut self, now: Time, message: &Wire) {
         match message {
             Wire::Reading(m) => self.measured(now, m.robot, m.pose),
@@ -135,7 +135,7 @@ impl TeamView {
         }
     }
 
-    /// Notes that a message has arrived at a host of the team.
+    /// Counts the arrival of a message at a host of the team, for age and loss of its link.
     pub fn arrived(&mut self, now: Time, at: HostId, message: &Wire) {
         if let Wire::Latent(latent) = message
             && latent.robot.index() < self.robots.len()
@@ -178,7 +178,7 @@ impl TeamView {
         }
     }
 
-    /// Takes the true states of simulated robots.
+    /// Updates the view from the true states of simulated robots.
     pub fn see(&mut self, truth: &Truth) {
         for sample in truth.samples.iter() {
             self.robot(sample.robot, |robot| {
@@ -189,7 +189,7 @@ impl TeamView {
         }
     }
 
-    /// Takes the result of an episode.
+    /// Counts and logs the result of an episode.
     pub fn judged(&mut self, now: Time, episode: &Episode) {
         let verdict = serde_json::to_value(episode.verdict).ok();
         let verdict = verdict.as_ref().and_then(|value| value.as_str()).unwrap_or("unknown").to_owned();
@@ -200,7 +200,7 @@ impl TeamView {
         self.successes += usize::from(episode.verdict == Verdict::Success);
     }
 
-    /// Takes the counts of a robot's guard, and logs what has begun to act.
+    /// Updates the counts of a robot's guard, and logs the reasons whose counts have grown.
     pub fn guarded(&mut self, now: Time, id: RobotId, counts: SafetyCounts) {
         let Some(robot) = self.robots.get_mut(id.index()) else { return };
         let count = |counts: &SafetyCounts, name: &str| {
@@ -213,35 +213,37 @@ impl TeamView {
             .collect();
         robot.guard = begun.last().copied().or(robot.guard);
         robot.safety = counts;
-        // A stop of the team is in the log once.
+        // An emergency stop of the team is logged once, not for each robot.
         for name in begun.into_iter().filter(|name| *name != "emergency stops") {
             self.note(now, &format!("{id}: {name}"));
         }
     }
 
-    /// Takes the battery charge \[%\] of a robot.
+    /// Sets the battery charge \[%\] of a robot.
     pub fn charged(&mut self, id: RobotId, percent: u8) {
         self.robot(id, |robot| robot.battery = Some(percent));
     }
 
-    /// Adds a line to the log.
+    /// Adds a line to the log, at the time `now`.
     pub fn note(&mut self, now: Time, line: &str) {
         self.log.add(now.as_secs(), line);
     }
 
-    /// Emergency stop of the team, as its state server and its robots say.
+    /// Newest state of the emergency stop that the state server or a robot has reported.
     pub fn latch(&self) -> Latch {
         let latches = self.robots.iter().filter_map(|robot| robot.controller);
         let known = self.leader.map(|(.., latch)| latch).or_else(|| latches.clone().min()).unwrap_or_default();
         latch::latest(known, latches)
     }
 
-    /// Phase of the team, and number of its episode, counted from 0; `None` before the state server was heard.
+    /// Phase of the current episode and its number, from 0; `None` before an instruction of the state server was
+    /// received.
     pub fn phase(&self) -> Option<(Phase, u32)> {
         self.leader.map(|(phase, episode, _)| (phase, episode))
     }
 
-    /// Number of robots that follow the team's emergency stop, hold or release. A stop needs motors and controller.
+    /// Number of robots that follow the team's emergency stop state. For a stop, both Controller and Body must follow
+    /// it.
     pub fn confirmed(&self) -> usize {
         let latch = self.latch();
         let follows = |own: Latch| own.word() == latch.word();
@@ -252,7 +254,7 @@ impl TeamView {
         self.robots.iter().filter(confirms).count()
     }
 
-    /// Returns the picture of this time.
+    /// Returns the snapshot of the team at the time `now`.
     pub fn snapshot(&self, now: Time) -> Snapshot {
         let state = |robot: &RobotView| RobotState {
             position: robot.position,
@@ -266,7 +268,8 @@ impl TeamView {
         Snapshot { now, robots: self.robots.iter().map(state).collect(), links, left_out }
     }
 
-    /// Returns the links between robots within range; of too many, the shortest. Second, the number of the others.
+    /// Returns the links between robots within range, the shortest [`MAX_LINKS`] of them, and the number of omitted
+    /// ones.
     fn links(&self, now: Time) -> (Vec<LinkState>, usize) {
         let known: Vec<(usize, Vec2)> =
             self.robots.iter().enumerate().filter_map(|(at, robot)| Some((at, robot.position?))).collect();
@@ -304,7 +307,7 @@ impl TeamView {
         (pairs.iter().map(link).collect(), left_out)
     }
 
-    /// Returns the state in words and numbers. Fields that only the process knows are left at their defaults.
+    /// Returns the status at the time `now`. Fields that only the calling process knows keep their defaults.
     pub fn status(&mut self, now: Time) -> Status {
         self.note_silence(now);
         let numbered = || self.robots.iter().enumerate().map(|(at, robot)| (at as u16, robot));
@@ -330,7 +333,7 @@ impl TeamView {
         }
     }
 
-    /// Logs each robot that falls silent or is heard again.
+    /// Logs each robot that falls silent or is received again.
     fn note_silence(&mut self, now: Time) {
         let mut lines = Vec::new();
         for (at, robot) in self.robots.iter_mut().enumerate() {

@@ -1,11 +1,11 @@
-// The live page: draws snapshots as they come, and sends commands. No library, no address but this server's.
+// The live page: draws received snapshots and sends commands. It uses no library and connects only to its own server.
 "use strict";
 
 const PHASES = ["needs reset", "resetting", "in place", "running", "at goal", "aborted", "finished", "waiting"];
 const HEADER = 16, ROBOT = 9, LINK = 6, UNKNOWN = -32768;
-const STALE_MS = 700;      // Grey from here: with the timer's period below, within a second of the last snapshot.
+const STALE_MS = 700;      // Snapshot age [ms] at which the page turns grey; checked every 100 ms, so within 1 s.
 const TRAIL_MS = 150, TRAIL_LENGTH = 30;
-const MANY = 500;          // Links from which they are drawn in the simplest way.
+const MANY = 500;          // Number of links above which they are drawn thin and without dashes.
 const BINS = 20, BIN_MS = 25;
 const $ = id => document.getElementById(id);
 const canvas = $("canvas"), pen = canvas.getContext("2d");
@@ -16,9 +16,9 @@ let chosen = null, colours = {}, trails = [], trailAt = 0, view = { k: 1, x: 0, 
 let histogram = new Float32Array(BINS + 1);
 const counts = { bytes: 0, snapshots: 0, drawn: 0, drawMs: 0 };
 
-// ---- connections
+// ---- WebSockets
 
-// The token comes in the address and leaves it at once; a reload of this tab keeps it.
+// The token is in the address of the first load. It is removed from there, and kept for reloads of this tab.
 const given = location.hash.slice(1);
 if (given) { sessionStorage.setItem("token", given); history.replaceState(null, "", location.pathname); }
 const token = sessionStorage.getItem("token") || "";
@@ -106,7 +106,7 @@ function choose(robot) {
   showLinks();
 }
 
-// ---- state in words
+// ---- status as text
 
 function set(node, text) { if (node.textContent !== text) node.textContent = text; }
 
@@ -156,7 +156,7 @@ function showRows() {
     set(cells[3], !scene.hears_links || link < 0 ? "–" : link === 255 ? "never" : link === 250 ? "> 2.5 s" :
       `${(link / 100).toFixed(2)} s`);
     cells[3].className = link > 50 ? "bad" : "";
-    // Where guards are not heard, none is said to be fine.
+    // A process that does not receive the guards' counts shows a dash and not 0.
     set(cells[4], scene.hears_links ? String(late.get(robot) || 0) : "–");
     cells[5].hidden = noBattery;
     set(cells[5], battery.has(robot) ? `${battery.get(robot)} %` : "–");
@@ -165,7 +165,7 @@ function showRows() {
   }
 }
 
-// Ends, ages and losses of a snapshot's links, as arrays.
+// Decodes a snapshot's links: robots at both ends, ages and losses, as arrays.
 function readLinks(snapshot) {
   const n = snapshot.getUint16(2, true), m = snapshot.getUint16(8, true), base = HEADER + n * ROBOT;
   const [words, bytes] = [() => new Uint16Array(m), () => new Uint8Array(m)];
@@ -340,7 +340,7 @@ function drawLinks(at, pixel) {
   for (let kind = 3; kind >= 0; kind--) {
     pen.strokeStyle = colours[names[kind]];
     pen.lineWidth = (kind === 3 || links.m > MANY ? 1 : 1.6) * pixel;
-    // Dashes of thousands of lines would take most of a frame.
+    // Dashing thousands of lines would take most of a frame's time.
     pen.setLineDash(kind === 3 && links.m <= MANY ? [4 * pixel, 4 * pixel] : []);
     pen.beginPath();
     const path = paths[kind];
@@ -431,7 +431,7 @@ function drawRobots(at, n, hull, pixel) {
     left ? `the ${left} longest links are left out` : ""].filter(Boolean).join("; "));
 }
 
-// A pointer at each hull, to where the robot faces.
+// Draws the heading of each robot as a pointer at its hull.
 function drawNoses(at, noses, hull, pixel) {
   pen.fillStyle = colours.nose;
   pen.beginPath();
@@ -455,7 +455,7 @@ function drawNumbers(at, n, hull) {
   pen.setTransform(view.k, 0, 0, -view.k, view.x, view.y);
 }
 
-// ---- staleness, by this page's own clock
+// ---- age of the last snapshot, on this page's clock
 
 function checkStale() {
   const age = performance.now() - heardAt;
@@ -475,7 +475,7 @@ function checkStale() {
 }
 setInterval(checkStale, 100);
 
-// ---- hands
+// ---- buttons and keys
 
 $("stop").onclick = stop;
 for (const name of ["rearm", "resume", "pause"]) $(name).onclick = () => send({ do: name });
@@ -484,7 +484,7 @@ document.addEventListener("keydown", event => {
   event.preventDefault();
   stop();
 });
-// A button that has the focus would be pressed when the space bar is let go.
+// Without this, releasing the space bar would press the button that has the focus.
 document.addEventListener("keyup", event => { if (event.code === "Space") event.preventDefault(); });
 for (const id of ["show-links", "show-trails", "show-goals", "show-range"]) $(id).onchange = () => { dirty = true; };
 $("colour").onchange = () => {
@@ -525,7 +525,7 @@ $("theme").onclick = () => {
 system.onchange = () => theme(localStorage.getItem("theme"));
 new ResizeObserver(() => { dirty = true; }).observe(canvas);
 
-// What a measurement of this page reads: totals, and the transform from metres to pixels of the canvas.
+// Read by tests of this page: totals, and the transform from metres to pixels of the canvas.
 window.murmurate = { counts, view: null, heard: () => performance.now() - heardAt };
 theme(localStorage.getItem("theme"));
 requestAnimationFrame(draw);
