@@ -26,16 +26,16 @@ pub const START_M: f32 = 0.05;
 /// the round before.
 pub const SETTLING: Span = Span::from_millis(300);
 
-/// Input of an Agent.
+/// Input message of an Agent.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Percept of one of its robots.
+    /// Percept of one of the Agent's robots.
     Percept(Percept),
     /// Instruction of the state server.
     Mode(Mode),
 }
 
-/// Output of an Agent.
+/// Output message of an Agent.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// Latent for the neighbours of one of its robots.
@@ -44,15 +44,15 @@ pub enum Out {
     Action(Action),
 }
 
-/// Policies of one robot, with their random streams.
+/// Policies of one robot and their random streams, given to its Agent.
 pub struct RobotPolicies {
     /// The robot.
     pub robot: RobotId,
-    /// The policy under test.
+    /// Policy under test, used in running episodes.
     pub run: Box<dyn Policy>,
-    /// The policy that drives the robot to its start.
+    /// Policy that drives the robot to its start in a reset.
     pub reset: Box<dyn Policy>,
-    /// Random stream from which the policy draws when it acts.
+    /// Random stream for the sampled actions of both policies.
     pub actions: Stream,
     /// Random stream of the communication ranges between this robot and the others of the same Agent.
     pub ranges: Stream,
@@ -63,21 +63,21 @@ struct Slot {
     policies: RobotPolicies,
     task: Option<Task>,
     percept: Option<Percept>,
-    /// Features that the robot broadcasts in this step.
+    /// Latent features that the robot broadcasts in the current step.
     features: Vec<f32>,
     /// Whether the features are a valid latent. If not, the policy has failed and its actions are not used.
     valid: bool,
-    /// Lengths of latents: of the policy under test, and of the reset policy.
+    /// Expected lengths of the latent features: of the policy under test, and of the reset policy.
     widths: [usize; 2],
 }
 
-/// Data of one robot that the others of its Agent read in the current step. Small and contiguous: each robot reads the
-/// data of all that are near it.
+/// Data of one robot that the other robots of its Agent read in the current step. Small and contiguous, because each
+/// robot reads it for all robots nearby.
 #[derive(Clone, Copy)]
 struct SharedData {
     robot: RobotId,
     motion: Motion,
-    /// Start and end of its features in `Agent::features`; none if it broadcasts nothing.
+    /// Range of the robot's features in `Agent::features`; `None` if it broadcasts nothing.
     features: Option<[u32; 2]>,
 }
 
@@ -96,28 +96,29 @@ impl Slot {
 pub struct Agent {
     scenario: Arc<dyn Scenario>,
     range: CommRange,
-    /// Longest wait of a joint step for the last percept.
+    /// Longest wait of a joint step for the last percept. After it, the step runs without the missing robots.
     max_wait: Span,
     slots: Vec<Slot>,
     rounds: RoundFollower,
-    /// The round in progress.
+    /// Round of the last instruction that the Agent follows.
     round: Round,
     phase: Phase,
-    /// Local start time of the round.
+    /// Time at which the Agent began to follow the round.
     began: Time,
     waiting_since: Option<Time>,
-    /// Number of its robots whose percepts are missing.
+    /// Number of the Agent's robots without a percept for the next step.
     missing: usize,
-    /// Data shared in the current step, by slot, of the robots with a percept; and the features of all of them.
+    /// Data shared in the current step for each slot (`None` without a percept), and the features of all robots.
     shared: Vec<Option<SharedData>>,
     features: Vec<f32>,
-    /// Grid of its robots' positions in the current step; none if the range is unlimited or drawn, or for few robots.
+    /// Grid of the robots' positions in the current step; `None` for few robots, or if the range is unlimited or
+    /// random.
     grid: Option<Cells>,
     near: Vec<usize>,
 }
 
 impl Agent {
-    /// Makes an agent of these robots, which must be in the order of their ids. `range` is the communication range
+    /// Creates an Agent of these robots, which must be in the order of their ids. `range` is the communication range
     /// between them, and `max_wait` the longest wait of a joint step for late percepts.
     pub fn new(scenario: Arc<dyn Scenario>, range: CommRange, max_wait: Span, robots: Vec<RobotPolicies>) -> Agent {
         assert!(robots.is_sorted_by_key(|policies| policies.robot), "sums run over robots in the order of their ids");
@@ -156,7 +157,7 @@ impl Agent {
         }
     }
 
-    /// Runs one step of all robots with a percept.
+    /// Runs one step for all robots with a percept.
     fn step(&mut self, now: Time, out: &mut Vec<Out>) {
         self.waiting_since = None;
         if matches!(self.phase, Phase::Resetting | Phase::Running) {
@@ -172,8 +173,8 @@ impl Agent {
         self.missing = self.slots.len();
     }
 
-    /// Grid of the positions of all robots with a percept, so that only neighbours and robots nearby are examined. A
-    /// range that is drawn per message has no bound.
+    /// Returns a grid of the positions of all robots with a percept, so that each robot examines only those nearby.
+    /// Returns `None` for few robots and for a range drawn per message, which has no bound.
     fn locate(&self) -> Option<Cells> {
         if self.slots.len() <= cells::LINEAR_SEARCH_MAX || self.range.std_m > 0.0 {
             return None;
@@ -209,7 +210,7 @@ impl Agent {
         let task = bound_for(phase, task);
         let policy = if phase == Phase::Running { &mut slot.policies.run } else { &mut slot.policies.reset };
         let width = policy.interface().features;
-        // The policy fills the width that it declares now, even if that has changed since the start.
+        // The policy declares its width anew in each step; it may differ from that at the start.
         slot.features.resize(width, 0.0);
         policy.encode(&self.scenario.observe(&task, &percept.estimate), &mut slot.features);
         let valid = width == declared && width <= MAX_FEATURES && all_sound(&slot.features);
@@ -269,7 +270,7 @@ impl Agent {
         let seen = self.scenario.observe(&task, &own);
         let velocity = match slot.valid {
             true => policy.act(&seen, &slot.features, &neighbours, &mut slot.policies.actions),
-            // Left for the Controller to stop, as any other output that is not finite.
+            // The Controller stops the robot for it, as for any output that is not finite.
             false => Vec2::repeat(f32::NAN),
         };
         let limit = policy.interface().limit_m_s;
@@ -294,7 +295,8 @@ impl Agent {
     }
 }
 
-/// Position further from the goal by twice its standard deviation: a robot has arrived only where it is sure of it.
+/// Moves a position away from the goal by twice its standard deviation \[m\], so that arrival counts only if it is
+/// certain.
 fn farther(position: Vec2, goal: Vec2, deviation_m: f32) -> Vec2 {
     match (position - goal).try_normalize(0.0) {
         Some(direction) if deviation_m > 0.0 => position + direction * (2.0 * deviation_m),
@@ -302,12 +304,13 @@ fn farther(position: Vec2, goal: Vec2, deviation_m: f32) -> Vec2 {
     }
 }
 
-/// Task in the current phase: during a reset, to reach the start.
+/// Returns the task in a phase: in a reset, the goal is the start.
 fn bound_for(phase: Phase, task: &Task) -> Task {
     if phase == Phase::Running { *task } else { Task { start: task.start, goal: task.start } }
 }
 
-/// Clamps each axis to the policy's own limit. A non-finite velocity is left for the Controller to stop.
+/// Limits each component of a velocity to the policy's limit \[m/s\]. A non-finite velocity is returned as it is; the
+/// Controller stops the robot for it.
 fn limited(velocity: Vec2, limit: f32) -> Vec2 {
     if is_finite(velocity) { velocity.map(|axis| axis.clamp(-limit, limit)) } else { velocity }
 }
@@ -338,7 +341,7 @@ impl Core for Agent {
         self.waiting_since.map(|since| since + self.max_wait)
     }
 
-    /// Steps without the robots whose percepts are late.
+    /// Runs the step without the robots whose percepts are late.
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.step(now, out);
     }

@@ -1,9 +1,9 @@
 //! Body: the motors of one robot, reached through its driver. It runs where the motors are attached: on the robot, or
 //! beside the World that simulates it.
 //!
-//! A Body stops its motors when the last command expires, whichever actor upstream has crashed. It also follows the
-//! emergency stop by itself, so a command that is delivered after a stop moves no robot. It stands while the battery or
-//! the temperature is beyond its limit. Nothing bypasses it.
+//! A Body stops its motors when the last command expires, even if other actors have crashed. It follows the emergency
+//! stop itself, so that a command delivered after a stop does not move the robot. It stops while the battery or the
+//! temperature is beyond its limit. All motor commands pass through it.
 
 use crate::actor::Core;
 use crate::chassis::Chassis;
@@ -16,79 +16,80 @@ use crate::messages::wire::{Hardware, Health, MotorCommand, Reading, Stop};
 use crate::safety::hardware::{HardwareLimits, HardwareWatch, Permit};
 use crate::time::{Span, Time};
 
-/// Shortest period at which a Body corrects a state server that lacks a stop.
+/// Shortest interval between two messages in which a Body reports a stop to a state server that lacks it.
 const CORRECTION_PERIOD: Span = Span::from_millis(200);
 
-/// Shortest interval between two commands to a driver of which the second only follows a new heading: trackers of
-/// 100 Hz and more would flood a robot.
+/// Shortest interval between repetitions of a command for a new heading. Without it, a tracker of 100 Hz or more would
+/// flood the robot.
 const FOLLOW_PERIOD: Span = Span::from_millis(20);
 
-/// Input of a Body.
+/// Input message of a Body.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Velocity for its motors.
+    /// Velocity command from the robot's Controller.
     MotorCommand(MotorCommand),
-    /// Measured pose of a robot that is not simulated.
+    /// Measured pose of the Body's robot, which is not simulated.
     Reading(Reading),
-    /// Packet from its driver's worker.
+    /// Packet from the worker of the robot's driver.
     Packet(Box<[u8]>),
-    /// Its driver's worker has ended.
+    /// The worker of the robot's driver has ended.
     WorkerEnded,
-    /// Emergency stop: engaged or re-armed.
+    /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
-    /// Latch that the state server repeats.
+    /// Emergency stop latch in an instruction of the state server.
     Latch(Latch),
-    /// Its host is shutting down.
+    /// The Body's host is shutting down.
     Leave,
 }
 
-/// Output of a Body.
+/// Output message of a Body.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// Command for its World.
+    /// Command for the World that simulates the robot.
     Drive(Drive),
-    /// Packet for its driver's worker.
+    /// Packet for the worker of the robot's driver.
     Send(Box<[u8]>),
-    /// Pose and velocity that the robot has measured itself, for the source of its host.
+    /// Pose and velocity from the robot's own sensors, for the Localizer of its host.
     Odometry(Reading),
-    /// Condition of the robot, for the host's Status and for its results.
+    /// Condition of the robot's hardware, for the host's Status and the results.
     Condition(Hardware),
-    /// Whether battery and temperature permit motion, after a change, for the Controller of the same host.
+    /// Whether battery and temperature permit motion, sent on a change to the Controller of the same host.
     Permit(Permit),
-    /// Latch that the Body follows, for the host's Status.
+    /// Emergency stop latch that the Body follows, for the host's Status.
     Follows(Latch),
-    /// Stop for the whole team: the state server has lost one.
+    /// Emergency stop for the whole team, because the state server does not know of it.
     Stop(Stop),
 }
 
 /// Body of one robot.
 pub struct Body {
     robot: RobotId,
-    /// The host that it runs on.
+    /// Host of the Body.
     host: HostId,
     driver: Box<dyn Driver>,
     outputs: Vec<drivers::Out>,
     chassis: Chassis,
-    /// Last measured heading \[rad\], and its arrival time.
+    /// Last measured heading \[rad\] in the world frame, and its arrival time.
     heading: Option<(Time, f32)>,
-    /// Command in force of a robot that is not simulated, and the time at which the driver last got it.
+    /// Command in force of a robot that moves by its measured heading, and the time at which the driver last received
+    /// it.
     driven: Option<(Drive, Time)>,
     hardware: HardwareWatch,
-    /// Whether it was said that a value with a limit is not known.
+    /// Whether a warning was logged that a hardware value with a limit is unknown.
     warned: bool,
-    /// Number of packets from the driver's worker that were not understood.
+    /// Number of packets from the driver's worker that could not be decoded.
     refused: u64,
-    /// Expiry of the command in force.
+    /// Time at which the command in force expires; `None` without a command.
     expires: Option<Time>,
     latch: LatchFollower,
-    /// Time of the last correction of a state server.
+    /// Time at which the Body last reported a stop to the state server.
     corrected: Option<Time>,
-    /// Whether its host is shutting down.
+    /// Whether the host is shutting down.
     leaves: bool,
 }
 
 impl Body {
-    /// Makes a body at rest with this driver and chassis.
+    /// Creates a Body at rest with this driver and chassis.
     pub fn new((host, robot): (HostId, RobotId), driver: Box<dyn Driver>, chassis: Chassis) -> Body {
         Body {
             robot,
@@ -108,19 +109,19 @@ impl Body {
         }
     }
 
-    /// Returns the body with limits of its battery and its temperature.
+    /// Returns the Body with these limits of battery and temperature.
     pub fn limited(self, limits: HardwareLimits) -> Body {
         Body { hardware: HardwareWatch::new(limits), ..self }
     }
 
-    /// Whether its motors may turn: the state server was heard, no stop is engaged or held, its host is not leaving,
-    /// and its hardware permits it.
+    /// Whether the motors may turn: the state server was heard, no stop is engaged or held, the host is not shutting
+    /// down, and the hardware permits motion.
     fn may_move(&self) -> bool {
         let permit = self.hardware.permit() == Permit::Granted;
         self.latch.is_informed() && self.latch.latch().is_clear() && !self.leaves && permit
     }
 
-    /// Takes the condition that the driver reports, and stands if it is beyond a limit.
+    /// Handles the hardware condition that the driver reports, and stops the robot if it is beyond a limit.
     fn condition(&mut self, now: Time, hardware: Hardware, out: &mut Vec<Out>) {
         let before = self.hardware.permit();
         self.hardware.take(&hardware);
@@ -140,7 +141,7 @@ impl Body {
         }
     }
 
-    /// Says once that the robot is commanded to move while a value with a limit is not known.
+    /// Logs once that the robot is commanded to move although a hardware value with a limit is unknown.
     fn warn_unknown(&mut self, command: &MotorCommand) {
         let unknown = self.hardware.permit() == Permit::Unknown && command.velocity != Vec2::zeros();
         if unknown && !std::mem::replace(&mut self.warned, true) {
@@ -166,14 +167,14 @@ impl Body {
     fn drive(&mut self, now: Time, drive: Drive, out: &mut Vec<Out>) {
         let heading = self.heading.filter(|(arrived, _)| now.since(*arrived) <= self.chassis.heading_age);
         let body = self.chassis.twist(drive.velocity, heading.map(|(_, heading)| heading));
-        // Only a robot that moves by a measured heading is driven again before its next command.
+        // Only a robot that moves by a measured heading gets its command again when the heading changes.
         let moves = drive.velocity != Vec2::zeros() && heading.is_some();
         self.driven = moves.then_some((drive, now));
         self.driver.drive(now, &Command { drive, body }, &mut self.outputs);
         self.forward(now, out);
     }
 
-    /// Takes a measured heading; a robot that moves is driven by it at once.
+    /// Stores a measured heading. If the robot moves, repeats its command with the new heading.
     fn measured(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
         if let Some(heading) = reading.pose.heading {
             self.heading = Some((now, heading));
@@ -184,10 +185,10 @@ impl Body {
         }
     }
 
-    /// Time at which the heading of a robot that moves is too old.
+    /// Returns the time at which the heading of a moving robot becomes too old.
     fn heading_lapses(&self) -> Option<Time> {
         let (arrived, _) = self.heading?;
-        // The first instant at which it is older.
+        // One nanosecond after the largest permitted age.
         self.driven.map(|_| arrived + self.chassis.heading_age + Span::from_nanos(1))
     }
 
@@ -200,7 +201,7 @@ impl Body {
                 drivers::Out::Condition(hardware) => self.condition(now, hardware, out),
                 drivers::Out::Refused(why) => {
                     self.refused += 1;
-                    // Log the counts 1, 2, 4, 8, ...: a broken robot may send nothing else.
+                    // Log only the counts 1, 2, 4, 8, ...: a faulty robot may send nothing else.
                     if self.refused.is_power_of_two() {
                         tracing::warn!(refused = self.refused, "output of the driver's worker is refused: {why}");
                     }
@@ -215,7 +216,7 @@ impl Body {
         }
     }
 
-    /// Sends the latch to a state server that was restarted and lacks it. So a hold survives that only Bodies remember.
+    /// Sends the latch to a restarted state server that lacks it. So a hold that only Bodies remember survives.
     fn correct(&mut self, now: Time, heard: Latch, out: &mut Vec<Out>) {
         let own = self.latch.latch();
         let due = self.corrected.is_none_or(|at| now.since(at) >= CORRECTION_PERIOD);
@@ -272,7 +273,7 @@ impl Core for Body {
             self.stand(now, out);
         }
         match self.driven {
-            // The driver learns that there is no heading any more.
+            // The driver is told that the heading is unknown.
             Some((drive, _)) if self.heading_lapses().is_some_and(|lapses| lapses <= now) => {
                 self.drive(now, drive, out)
             }

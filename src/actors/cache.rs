@@ -1,7 +1,7 @@
-//! Cache: the knowledge of one robot: its own estimate, and the newest latent of each neighbour within range.
+//! Cache: stores what one robot knows: its own estimate, and the newest latent of each neighbour within range.
 //!
-//! A datagram that arrives changes this memory and nothing else. At each tick of its agent the Cache sends a `Percept`.
-//! Ages count from arrival, on this host's clock.
+//! An arriving message only updates the Cache. At each tick of the robot's control period it sends a `Percept` to the
+//! Agent. Ages count from arrival, on this host's clock.
 
 use std::collections::BTreeMap;
 
@@ -14,13 +14,13 @@ use crate::messages::wire::{Latent, Reading};
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// Largest number of neighbours kept; far more than fit within any communication range.
+/// Largest number of neighbours stored; far more than fit within any communication range.
 pub const MAX_NEIGHBOURS: usize = 256;
 
-/// Input of a Cache.
+/// Input message of a Cache.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Reading of its own robot.
+    /// Reading of the Cache's robot.
     Reading(Reading),
     /// Latent of another robot.
     Latent(Latent),
@@ -29,49 +29,49 @@ pub enum In {
 /// Configuration of a Cache.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
-    /// The robot.
+    /// Robot of the Cache.
     pub robot: RobotId,
-    /// Control period of the robot's agent.
+    /// Control period of the robot.
     pub period: Span,
-    /// Offset of the tick within each period.
+    /// Offset of the control tick within each period.
     pub phase: Span,
-    /// Communication range.
+    /// Communication range; may be drawn at random for each message.
     pub range: CommRange,
-    /// Hold time of a latent.
+    /// Hold time: largest age at which a latent is used.
     pub hold: Span,
-    /// Treatment of latents within the hold time.
+    /// Whether a latent is used in every step within the hold time, or only once.
     pub handling: Handling,
-    /// Estimator from readings to the robot's state.
+    /// Estimator that computes the robot's state from its readings.
     pub estimator: estimation::Entry,
-    /// Known time from the measurement of a reading to its arrival.
+    /// Known delay from the measurement of a reading to its arrival.
     pub sensor_delay: Span,
-    /// Largest age of the robot's newest reading at which the robot acts. Beyond it the Cache sends no percept.
+    /// Largest age of the robot's newest reading. If it is older, the Cache sends no percept, so that the robot stops.
     pub own_age: Span,
 }
 
-/// Output of a Cache.
+/// Output message of a Cache.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
     /// Percept for the robot's Agent.
     Percept(Percept),
-    /// For the robot's Controller: its own state was measured anew.
+    /// Notice to the robot's Controller that a new measurement of the robot has arrived.
     Fresh,
 }
 
-/// Cache and estimator of one robot.
+/// Stored messages and estimator of one robot.
 #[derive(Debug)]
 pub struct Cache {
     config: Config,
     stream: Stream,
     next: Time,
-    /// Arrival time and stamp of the last new reading.
+    /// Arrival time and stamp \[ns\] of the last new reading.
     own: Option<(Time, u64)>,
     estimator: Box<dyn Estimator>,
     latents: BTreeMap<RobotId, (Time, Latent)>,
 }
 
 impl Cache {
-    /// Makes an empty cache that draws random ranges from `stream`.
+    /// Creates an empty Cache. `stream` is the random stream of the communication ranges.
     pub fn new(config: Config, stream: Stream) -> Cache {
         let settings = estimation::Settings { delay: config.sensor_delay };
         let (next, estimator) = (Time::ZERO + config.phase, (config.estimator.make)(&settings));
@@ -106,8 +106,8 @@ impl Core for Cache {
         match input {
             In::Reading(reading) => {
                 self.estimator.take(now, &reading);
-                // A repeated stamp is the same measurement and does not renew the estimate. (A robot that is placed is
-                // measured twice at one instant, at two places.)
+                // A repeated stamp is the same measurement and does not make the state newer. (A robot that is placed
+                // is measured twice at one instant, at two places.)
                 if self.own.is_none_or(|(_, stamp_ns)| stamp_ns != reading.stamp_ns) {
                     self.own = Some((now, reading.stamp_ns));
                     out.push(Out::Fresh);

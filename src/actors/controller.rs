@@ -1,7 +1,7 @@
-//! Controller: the last stage before one robot's motors, and its progress in the episode.
+//! Controller: last stage before the motors of one robot. It also tracks the robot's progress in the episode.
 //!
-//! Its guard (`safety::guard`) checks every action and alone grants motor commands. The Controller follows the state
-//! server's instructions. It reports to it the robot's progress and the emergency stop that it knows of. When its host
+//! Its guard (`safety::guard`) checks every action and grants all motor commands. The Controller follows the
+//! instructions of the state server, and reports the robot's progress and latch to it in heartbeats. When its host
 //! shuts down, it stops the robot for good.
 
 use crate::actor::Core;
@@ -17,46 +17,46 @@ use crate::time::{Span, Time};
 /// Period of a robot's heartbeats.
 pub const HEARTBEAT_PERIOD: Span = Span::from_millis(200);
 
-/// Input of a Controller.
+/// Input message of a Controller.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Action of the policy.
+    /// Action of the robot's Agent.
     Action(Action),
-    /// The robot's own state was measured anew.
+    /// A new measurement of the robot has arrived at its Cache.
     Fresh,
     /// Instruction of the state server.
     Mode(Mode),
-    /// Emergency stop: engaged or re-armed.
+    /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
-    /// Whether battery and temperature permit motion.
+    /// Whether battery and temperature permit motion, from the Body of the same host.
     Permit(Permit),
-    /// Its host is shutting down.
+    /// The Controller's host is shutting down.
     Leave,
 }
 
-/// Output of a Controller.
+/// Output message of a Controller.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// Command for the robot's Body.
     MotorCommand(MotorCommand),
     /// Heartbeat for the StateServer.
     Heartbeat(Heartbeat),
-    /// Latch that the Controller follows, for the host's Status.
+    /// Emergency stop latch that the Controller follows, for the host's Status.
     Follows(Latch),
-    /// For the Recorder, after a change: number of times that the guard has stopped or slowed the robot.
+    /// Counts of stops and reduced velocities by the guard, for the Recorder; sent after a change.
     Counts(SafetyCounts),
 }
 
 /// Configuration of a Controller.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
-    /// The robot.
+    /// Robot of the Controller.
     pub robot: RobotId,
     /// Configuration of the robot's guard.
     pub guard: guard::Config,
-    /// Validity of a command.
+    /// Validity of a motor command, from its arrival at the Body.
     pub valid_for: Span,
-    /// Offset of the heartbeat within each period.
+    /// Offset of the heartbeats within their period.
     pub phase: Span,
 }
 
@@ -66,19 +66,19 @@ pub struct Controller {
     config: Config,
     guard: Guard,
     round: RoundFollower,
-    /// Phase of the team.
+    /// Phase of the team in the last instruction.
     team: Phase,
-    /// Progress of this robot in that phase.
+    /// Phase of this robot, which it reports in heartbeats.
     own: Phase,
-    /// Whether its host is shutting down.
+    /// Whether the host is shutting down.
     leaves: bool,
-    /// Guard counts last sent.
+    /// Guard counts that were sent last.
     counts_sent: SafetyCounts,
     next_heartbeat: Time,
 }
 
 impl Controller {
-    /// Makes a controller that has received nothing yet.
+    /// Creates a Controller that has received nothing yet.
     pub fn new(config: Config) -> Controller {
         Controller {
             config,
@@ -93,13 +93,13 @@ impl Controller {
     }
 
     fn follow(&mut self, now: Time, mode: &Mode, out: &mut Vec<Out>) {
-        // The latch counts in every instruction, whichever robots it is for and however old it is.
+        // The latch is taken from every instruction, even one for other robots or of an earlier round.
         let changed = self.guard.learn_latch(mode.latch);
         self.latched(now, changed, out);
         if !self.round.admits(mode.round) {
             return;
         }
-        // Any instruction shows that the server is alive. One for other robots may be older than what is known.
+        // Any instruction shows that the server is alive. One for other robots may be outdated.
         self.guard.server_heard(now);
         if mode.task_of(self.config.robot).is_none() {
             return;
@@ -146,7 +146,7 @@ impl Controller {
         }
     }
 
-    /// Acts on a change of the emergency stop: motors stop first, then the state server gets a heartbeat at once.
+    /// Acts on a changed latch: first stops the motors, then sends a heartbeat at once.
     fn latched(&mut self, now: Time, changed: bool, out: &mut Vec<Out>) {
         if changed {
             self.next_heartbeat = now;
@@ -156,7 +156,7 @@ impl Controller {
         }
     }
 
-    /// Gives up a running episode; a reset continues once the cause is gone.
+    /// Stops the robot, and aborts the episode if one is running. A reset continues once the cause is gone.
     fn give_up(&mut self, out: &mut Vec<Out>) {
         if matches!(self.own, Phase::Running | Phase::FinishedRunning) {
             self.own = Phase::AbortRunning;

@@ -1,4 +1,4 @@
-//! Localizer: publishes the readings of some robots from their source. It runs where they are measured.
+//! Localizer: publishes readings of robots from one source. It runs on the host of the source.
 
 use std::rc::Rc;
 
@@ -9,30 +9,30 @@ use crate::messages::local::Sample;
 use crate::messages::wire::Reading;
 use crate::time::Time;
 
-/// Input of a Localizer.
+/// Input message of a Localizer.
 #[derive(Clone, Debug)]
 pub enum In {
     /// True state of a simulated robot.
     Sample(Sample),
-    /// Packet from the source's worker.
+    /// Packet from the worker of the source.
     Packet(Box<[u8]>),
-    /// Pose and velocity that a robot of this host has measured itself.
+    /// Pose and velocity from the own sensors of a robot whose Body runs on this host.
     Odometry(Reading),
 }
 
-/// Localizer of one source.
+/// Localizer that publishes the readings of one source.
 pub struct Localizer {
     source: Box<dyn Source>,
-    /// Chassis of each robot that is not simulated, by its number.
+    /// Chassis of each robot that is not simulated, indexed by robot id.
     chassis: Rc<[Chassis]>,
-    /// Number of packets that were not understood.
+    /// Number of refused packets and readings.
     refused: u64,
     outputs: Vec<localization::Out>,
 }
 
 impl Localizer {
-    /// Makes a localizer without a measurement. The source measures the centres of robots; the Localizer publishes the
-    /// points that their policies command, which `chassis` gives for each robot.
+    /// Creates a Localizer without a measurement. The source measures the centres of robots. The Localizer publishes
+    /// the points that policies command; `chassis` has their offset for each robot.
     pub fn new(source: Box<dyn Source>, chassis: Rc<[Chassis]>) -> Localizer {
         Localizer { source, chassis, refused: 0, outputs: Vec::new() }
     }
@@ -53,7 +53,7 @@ impl Localizer {
     }
 }
 
-/// Counts an output that is refused, and logs the counts 1, 2, 4, 8, ...: a broken tracker may send nothing else.
+/// Counts a refused output and logs the counts 1, 2, 4, 8, ...: a faulty tracker may send nothing else.
 fn refuse(refused: &mut u64, why: &str) {
     *refused += 1;
     if refused.is_power_of_two() {

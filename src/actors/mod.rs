@@ -1,6 +1,6 @@
-//! Actors: pure state machines without a clock or I/O. Their only randomness is the streams that they are given.
+//! Actors: pure state machines without a clock and without I/O. Their random numbers come from streams passed to them.
 //!
-//! `runtime` runs them, and `graph` connects them.
+//! `runtime` executes them, and `graph` connects them.
 
 pub mod agent;
 pub mod body;

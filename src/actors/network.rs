@@ -1,8 +1,8 @@
-//! Network: the one way out of a host and into it. For every wire message it decides whether actors of this host take
-//! it, which link it leaves on, or both.
+//! Network: passes all wire messages from and to one host. For each message it decides whether actors of this host
+//! receive it, on which link it leaves, or both.
 //!
-//! Each published message is encoded once; the same bytes go to the links and to the Recorder. A datagram that arrives
-//! is checked, decoded and delivered, or counted and dropped. `net::protocol::link` decides on sending, retransmission
+//! Each published message is encoded once; the same bytes go to the links and to the Recorder. An arriving datagram is
+//! checked, decoded and delivered, or counted and dropped. `net::protocol::link` handles transmission, retransmission
 //! and authentication.
 
 use std::collections::BTreeMap;
@@ -22,39 +22,39 @@ use crate::net::protocol::sender::Peer;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// Input of a Network.
+/// Input message of a Network.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Message of an actor of this host.
+    /// Message that an actor of this host publishes.
     Publish(Wire),
-    /// Datagram that has arrived, with its source address unless the link is emulated.
+    /// Received datagram, with its source address unless the link is emulated.
     Frame(LinkId, Frame, Option<SocketAddr>),
     /// Number of datagrams that a transport has dropped because a queue was full.
     Dropped(LinkId, u64),
 }
 
-/// Output of a Network.
+/// Output message of a Network.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// Message for the actors of this host that take it.
+    /// Message for those actors of this host that handle its kind.
     Deliver(Wire),
-    /// Frame for a link's transport.
+    /// Datagram for a link's transport.
     Transmit(LinkId, Audience, Frame),
-    /// Copy of every published message for the Recorder, one per datagram, without a tag.
+    /// Copy of a published datagram for the Recorder, without a tag.
     Tap(Frame),
-    /// Counts of all links together, for the Recorder. Boxed: every output is moved, and this one is large and rare.
+    /// Sum of the counts of all links, for the Recorder. Boxed because it is large and rare.
     Counts(Box<LinkCounts>),
-    /// Summaries of the other hosts, on links with reports, for display.
+    /// State of the other hosts, for display. Only of links with link reports.
     Peers(Vec<Peer>),
-    /// Another live host has the id of this one and was started before it. Sent once.
+    /// Another live host has the id of this one and was started earlier. Sent once.
     Duplicate(DuplicateId),
-    /// For a link's transport: an operator of the team sends from an address that is in no file.
+    /// Address of an operator that is in no team file, for a link's transport, which then sends to it.
     Admit(LinkId, Guest),
 }
 
-/// Largest delay of a link's timer to share a wake-up with another: a tenth of the period of a report.
+/// Largest delay of a link's timer, by which several timers share a wake-up: a tenth of the report period.
 const MAX_LATE: Span = Span::from_millis(25);
-/// Period at which a Network sends the counts of its links.
+/// Period at which a Network sends the counts of its links to the Recorder.
 pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 
 /// Configuration of a Network.
@@ -62,12 +62,12 @@ pub const COUNTS_PERIOD: Span = Span::from_millis(1000);
 pub struct Config {
     /// Identity of this host.
     pub me: Identity,
-    /// The team's key; with `None`, every sender is accepted.
+    /// Key of the team; with `None`, every sender is accepted.
     pub key: Option<Key>,
     /// Setup of each link, in the order of the deployment; `None` for a link on which this host neither sends nor
     /// receives.
     pub links: Vec<Option<Setup>>,
-    /// Routing table.
+    /// Routing table of this host.
     pub router: Router,
 }
 
@@ -76,30 +76,30 @@ pub struct Config {
 pub struct Network {
     router: Router,
     links: Vec<Option<LinkState>>,
-    /// Next due time of each link. It is read after every message, and links are large.
+    /// Time at which each link is due. Kept apart from the links, which are large, as it is read after every message.
     due: Vec<Option<Time>>,
-    /// By link: whether every datagram reaches all hosts.
+    /// Whether a link's datagrams all reach every host, by link.
     shared: Vec<bool>,
-    /// Header of the next datagram that is published but leaves on no link, and the counts of such datagrams.
+    /// Header of the next datagram that leaves on no link, and the counts of such datagrams.
     local_header: Header,
     local_counts: LinkCounts,
     stream: Stream,
     outgoing: Vec<Outbound>,
     next_counts: Time,
-    /// Whether it has reported a duplicate id.
+    /// Whether a duplicate id was reported.
     duplicate_reported: bool,
     unauthorized: UnauthorizedPublishers,
 }
 
-/// Numbers of messages that members sent without being their publisher, by sender and kind.
+/// Counts of messages that hosts of the team sent without the right to publish them, by sender and kind.
 #[derive(Debug, Default)]
 struct UnauthorizedPublishers(BTreeMap<(String, Kind), u64>);
 
 impl UnauthorizedPublishers {
-    /// Largest number of entries.
+    /// Largest number of counted pairs of sender and kind.
     const MAX_ENTRIES: usize = 256;
 
-    /// Counts one such message and logs the counts 1, 2, 4, 8, ...
+    /// Counts a message, and logs the counts 1, 2, 4, 8, ...
     #[cold]
     fn note(&mut self, name: &str, message: &Wire) {
         let (key, full) = ((name.to_owned(), message.kind()), self.0.len() >= UnauthorizedPublishers::MAX_ENTRIES);
@@ -116,8 +116,8 @@ impl UnauthorizedPublishers {
 }
 
 impl Network {
-    /// Makes a network at the start of its host's incarnation. Backoffs of requests and replies are drawn from
-    /// `stream`.
+    /// Creates a Network at the start of its host's incarnation. `stream` is the random stream of the backoffs of
+    /// requests and replies.
     pub fn new(config: Config, mut stream: Stream) -> Network {
         let Config { me, key, links, router } = config;
         let shared =
@@ -176,7 +176,7 @@ impl Network {
         }
     }
 
-    /// Counts a message of this host that cannot be encoded, and logs the first.
+    /// Counts a message of this host that cannot be encoded, and logs the first one.
     #[cold]
     fn count_unencodable(&mut self, leaves: Option<LinkId>, message: &Wire, error: &codec::EncodeError) {
         let state = leaves.and_then(|link| self.links[usize::from(link.0)].as_mut());
@@ -205,7 +205,7 @@ impl Network {
             let Content::Message(kind) = content else { continue };
             let message = match codec::message(kind, body) {
                 Ok(message) => message,
-                // After one malformed message the rest of a datagram is not accepted.
+                // The rest of a datagram is not accepted after a malformed message.
                 Err(error) => return state.refuse(&error),
             };
             if let Some(name) = self.router.forbids(header.sender, &message) {
@@ -219,7 +219,7 @@ impl Network {
                     out.push(Out::Deliver(message));
                 }
             } else if self.shared[at] || !header.flags.has(Flags::DIRECT) {
-                // Sent to all hosts, or on a link where all hosts receive everything.
+                // Not for an actor of this host, but it reaches every host: counted as not addressed to it.
                 state.counts().aside += 1;
             } else {
                 state.counts().misrouted += 1;
@@ -253,7 +253,7 @@ impl Core for Network {
     }
 
     fn tolerance(&self, ahead: Span) -> Span {
-        // In proportion: a retransmission due in 4 ms may be 0.5 ms late, soft state due much later 12 ms.
+        // Proportional to the wait: a retransmission due in 4 ms may be 0.5 ms late, soft state due much later 12 ms.
         Span::from_nanos(ahead.as_nanos() / 8).min(MAX_LATE)
     }
 

@@ -1,7 +1,7 @@
 //! Order: one operator's stop, re-arm or resume, from its first message to the last confirmation.
 //!
-//! It repeats its message, takes the answers of hosts, and tracks which robots have confirmed. A re-arm or a resume
-//! first asks for the state of the latch; a stop does not wait.
+//! It repeats its message, handles the answers of hosts, and tracks which robots have confirmed. Before a re-arm or a
+//! resume it asks for the state of the latch; a stop is sent at once.
 
 use std::collections::BTreeMap;
 
@@ -11,25 +11,25 @@ use crate::messages::latch::{self, Latch};
 use crate::messages::wire::{Following, Hindrance, Leading, Status, Stop};
 use crate::time::{Span, Time};
 
-/// Period of repetition.
+/// Period at which an order repeats its message.
 pub const PERIOD: Span = Span::from_millis(20);
 
-/// Wait for further answers after the first one, before the operator fixes which stop or hold it means.
+/// Wait after the first answer for those of other hosts. Then the order fixes which stop or hold it refers to.
 const SETTLING: Span = Span::from_millis(200);
 
-/// Kind of an order.
+/// Kind of an operator's order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OrderKind {
     /// All robots stop.
     Stop,
-    /// The stop is taken back; the team stays held.
+    /// Re-arm: the stop ends, and the team stays held.
     Rearm,
-    /// The hold ends and the next episode begins.
+    /// Resume: the hold ends, and the next episode begins.
     Resume,
 }
 
 impl OrderKind {
-    /// Whether an actor that follows this latch has carried out the order.
+    /// Whether an actor with this latch has carried out the order.
     fn is_done_by(self, latch: Latch) -> bool {
         match self {
             OrderKind::Stop => latch.is_engaged(),
@@ -39,20 +39,20 @@ impl OrderKind {
     }
 }
 
-/// Reason why a robot has not confirmed.
+/// Reason why a robot has not confirmed an order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unconfirmed {
-    /// Neither its controller nor its body has answered.
+    /// Neither the robot's Controller nor its Body has answered.
     Silent,
-    /// Its body has confirmed; its controller has not.
+    /// The Body has confirmed; the Controller has not.
     Controller,
-    /// Its controller has confirmed; its body has not.
+    /// The Controller has confirmed; the Body has not.
     Body,
-    /// Both have answered, and neither has confirmed.
+    /// Controller and Body have answered, and neither has confirmed.
     Both,
 }
 
-/// One order of one operator.
+/// State of one operator's order.
 #[derive(Debug)]
 pub struct Order {
     me: HostId,
@@ -61,16 +61,16 @@ pub struct Order {
     controllers: BTreeMap<RobotId, Latch>,
     bodies: BTreeMap<RobotId, Latch>,
     leading: Option<Leading>,
-    /// The stop to take back or the hold to end. Fixed once, so that a later stop is not meant.
+    /// The stop to re-arm, or the hold to end. Fixed once, so that the order does not apply to a later stop.
     target: Option<Latch>,
-    /// Time of the first answer of a host.
+    /// Time of the first answer of a host; `None` before it.
     first_answer: Option<Time>,
     next: Time,
     confirmed_at: Option<Time>,
 }
 
 impl Order {
-    /// Makes an order of which nothing was sent yet.
+    /// Creates an order of which nothing was sent yet. `me` is the operator's host id, `robots` the number of robots.
     pub fn new(me: HostId, kind: OrderKind, robots: usize) -> Order {
         let (controllers, bodies) = (BTreeMap::new(), BTreeMap::new());
         Order {
@@ -87,17 +87,17 @@ impl Order {
         }
     }
 
-    /// Time at which all robots had confirmed.
+    /// Time at which all robots had confirmed; `None` before that.
     pub fn confirmed_at(&self) -> Option<Time> {
         self.confirmed_at
     }
 
-    /// Latch and hindrances from the state server's last answer.
+    /// Latch and reasons against a resume in the state server's last answer; `None` before one.
     pub fn leading(&self) -> Option<&Leading> {
         self.leading.as_ref()
     }
 
-    /// The team's latch: the latest that is known, without one that a single robot claims and that is out of reach.
+    /// Newest known latch of the team. Ignores a latch with a number out of reach that only one robot claims.
     pub fn latch(&self) -> Option<Latch> {
         let latches = self.controllers.values().chain(self.bodies.values()).copied();
         let known = match &self.leading {
@@ -107,13 +107,13 @@ impl Order {
         Some(latch::latest(known, latches))
     }
 
-    /// Whether others have stopped, re-armed or resumed the team since this order was given.
+    /// Whether another operator has stopped, re-armed or resumed the team since this order was given.
     pub fn is_superseded(&self) -> bool {
         let meant = self.target.map(|target| target.number() + 1);
         meant.zip(self.latch()).is_some_and(|(meant, latch)| latch.number() > meant)
     }
 
-    /// The robots that have not confirmed, with the reasons.
+    /// Returns the robots that have not confirmed, each with the reason.
     pub fn unconfirmed(&self) -> Vec<(RobotId, Unconfirmed)> {
         let reason = |robot: RobotId| {
             let done = |parts: &BTreeMap<RobotId, Latch>| parts.get(&robot).map(|latch| self.kind.is_done_by(*latch));
@@ -128,7 +128,7 @@ impl Order {
         RobotId::team(self.robots).filter_map(|robot| Some((robot, reason(robot)?))).collect()
     }
 
-    /// The robots for which the state server refuses a resume.
+    /// Returns the robots that prevent a resume according to the state server, each with the reason.
     pub fn hindrances(&self) -> &[(RobotId, Hindrance)] {
         self.leading.as_ref().map_or(&[], |leading| &leading.hindrances)
     }
@@ -140,14 +140,14 @@ impl Order {
         }
         self.leading = status.leading.or(self.leading.take());
         self.first_answer = self.first_answer.or(Some(now));
-        // A stop holds without a state server; only the state server can confirm that a team goes on.
+        // A stop needs no confirmation by the state server; a re-arm or a resume does.
         let led = self.kind == OrderKind::Stop || self.leading.as_ref().is_some_and(|l| self.kind.is_done_by(l.latch));
         if self.confirmed_at.is_none() && led && self.unconfirmed().is_empty() {
             self.confirmed_at = Some(now);
         }
     }
 
-    /// Fixes the target once all robots have answered, or should have.
+    /// Fixes the stop or hold that the order refers to, once all robots have answered or have had the time to.
     fn fix_target(&mut self, now: Time) {
         let silent = || self.unconfirmed().iter().any(|(_, reason)| *reason == Unconfirmed::Silent);
         let waited = self.first_answer.is_some_and(|heard| now.since(heard) >= SETTLING);
@@ -156,12 +156,12 @@ impl Order {
         }
     }
 
-    /// The message to repeat now.
+    /// Returns the message to send now.
     fn message(&self) -> Stop {
         let me = self.me;
         match (self.kind, self.target) {
             (OrderKind::Stop, _) => match self.latch() {
-                // It is engaged: a later number would only make it grow.
+                // The stop is already engaged. A new number would only increase with every repetition.
                 Some(latch) if latch.is_engaged() => Stop { by: me, latch },
                 known => Stop::engage(me, known.unwrap_or_default()),
             },

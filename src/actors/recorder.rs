@@ -1,12 +1,11 @@
-//! Recorder: receives everything that is published and all true states, and produces the trial's report.
+//! Recorder: receives all published messages and true states, and produces the report of the trial.
 //!
 //! It digests both into the run's trace, follows the state server's instructions, and passes each step of a running
-//! episode to the judge. Nothing that it finds goes back into the graph.
+//! episode to the judge. No actor of the graph receives its results.
 //!
-//! Where one World simulates the whole team, the judge gets true states. Elsewhere there are none, and it gets the
-//! readings of each robot (`Judged::Readings`; `scenario::sightings` describes their quality). A robot that is measured
-//! within its radius of a wall then counts as touching it. Readings do not show a motion that a World blocks before a
-//! wall.
+//! If one World simulates the whole team, the judge gets true states. Otherwise it gets the readings of each robot
+//! (`Judged::Readings`; `scenario::sightings` describes their quality). A robot measured within its radius of a wall
+//! then counts as touching it. Readings do not show a motion that a World blocks before a wall.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -33,12 +32,12 @@ use crate::scenario::sightings::{Sighting, Sightings, Spot};
 use crate::scenario::{Arena, Rules};
 use crate::time::{Span, Time};
 
-/// Input of a Recorder.
+/// Input message of a Recorder.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Message that a Network has published.
+    /// Datagram that a Network of this process has published.
     Tap(Frame),
-    /// Message that another process has published and that has arrived here.
+    /// Message that another process has published and this one has received.
     Received(Wire),
     /// True states after a step of a World.
     Truth(Truth),
@@ -46,15 +45,15 @@ pub enum In {
     Counts(HostId, Box<LinkCounts>),
     /// Counts of a link's radio since the start of the run.
     Radio(LinkId, Box<RadioCounts>),
-    /// Number of times that a robot's guard has stopped or slowed it since its Controller was started.
+    /// Counts of stops and reduced velocities by a robot's guard, since its Controller was started.
     Safety(RobotId, SafetyCounts),
-    /// The run ends, during an episode or not.
+    /// The run ends now, even if an episode is running.
     Closing,
-    /// Datagram that has arrived at a host of this process.
+    /// Datagram that a host of this process has received.
     Arrived(HostId, Frame),
-    /// Percept that a robot's Cache has sent at a host: the neighbours in it, and the ages of their messages.
+    /// Percept of a robot at a host: the neighbours in it, and the ages of their messages.
     Perceived(HostId, RobotId, Box<[(RobotId, Span)]>),
-    /// Reading that has arrived at the state server's host, where readings are judged.
+    /// Reading that the state server's host has received; readings are judged there.
     Reading(Reading),
 }
 
@@ -65,33 +64,34 @@ pub struct Config {
     pub layouts: Layouts,
     /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// Rules of an episode.
+    /// Rules by which an episode is judged.
     pub rules: Rules,
-    /// Use of each step.
+    /// Whether steps are reported.
     pub steps: Steps,
-    /// Number of other hosts that should receive each message to neighbours.
+    /// Number of other hosts that each message to neighbours should reach.
     pub receivers: u64,
-    /// Source of the states that are judged.
+    /// Whether true states or readings are judged.
     pub judged: Judged,
-    /// Whether robots are placed at their starts (`true`) or drive there.
+    /// Whether robots are placed at their starts (`true`) or drive there (`false`).
     pub placed: bool,
-    /// Arena of the scenario, with its walls.
+    /// Ground and walls of the scenario.
     pub arena: Arena,
-    /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\]. It counts where
-    /// verdicts come from readings.
+    /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\]. Used only where
+    /// readings are judged.
     pub wall_radius_m: f32,
-    /// Chassis of each robot, by its number.
+    /// Chassis of each robot, indexed by robot id.
     pub chassis: Rc<[Chassis]>,
 }
 
-/// Use of each step of a trial.
+/// Whether the report of a trial contains its steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Steps {
-    /// Steps are in the report.
+    /// The report contains the steps.
     Reported,
-    /// Likewise, with the messages that robots hear of each other: several times the memory, for pictures.
+    /// The report contains the steps and, for each, the messages that robots use of each other. Takes several times the
+    /// memory; for pictures.
     WithHearing,
-    /// Steps are judged and dropped.
+    /// Steps are judged, and not in the report.
     Discarded,
 }
 
@@ -102,20 +102,20 @@ impl Steps {
     }
 }
 
-/// Time without a control step after which a robot counts as hearing none of the others.
+/// Time since a robot's last control step after which it counts as using no messages.
 const HEARING_TIMEOUT: Span = Span::from_millis(250);
 
-/// Recorder of one trial: it makes the report, with a digest that is equal for equal runs.
+/// Recorder of one trial. Its report has a digest that is equal for equal runs.
 pub struct Recorder {
     config: Config,
     digest: Xxh3,
     messages: u64,
     published: [Said; KINDS.len()],
     team: Vec<Option<Sample>>,
-    /// Robots seen since the whole team was last seen.
+    /// Whether each robot was seen since the last complete step of the team.
     seen: Vec<bool>,
     commanded: Vec<Time>,
-    /// Last counts of each host; those of a crashed Network start again at zero.
+    /// Last counts of each host. Those of a restarted Network begin at zero.
     counts: BTreeMap<HostId, LinkCounts>,
     radio: BTreeMap<LinkId, RadioCounts>,
     /// Last counts of each robot's guard.
@@ -123,20 +123,20 @@ pub struct Recorder {
     oldest_command: Span,
     sightings: Sightings,
     listener: Listener,
-    /// By robot: time of its last control step, and the neighbours that it had messages of, with their ages.
+    /// For each robot: time of its last control step, and the neighbours whose messages it used, with their ages.
     heard: Vec<(Time, Vec<(RobotId, Span)>)>,
     round: Round,
     phase: Phase,
     since: Time,
     reset: Span,
     judge: Option<Judge>,
-    /// First episode without a result.
+    /// First episode without a verdict.
     open: u32,
     finished: bool,
 }
 
 impl Recorder {
-    /// Makes a recorder of a trial with `robots` robots.
+    /// Creates the Recorder of a trial with `robots` robots.
     pub fn new(config: Config, robots: usize) -> Recorder {
         Recorder {
             listener: Listener::new(config.receivers),
@@ -182,7 +182,7 @@ impl Recorder {
         self.receive(now, &codec::decode(frame).expect("a Network publishes whole datagrams").1, out);
     }
 
-    /// Whether messages between robots are followed: it takes some time, and only kept steps use it.
+    /// Whether messages are followed from sender to control step. It takes time, and only kept steps use it.
     fn follows_messages(&self) -> bool {
         self.config.steps.kept() && self.phase == Phase::Running
     }
@@ -199,7 +199,7 @@ impl Recorder {
         if (round, phase) == (self.round, self.phase) || self.finished {
             return;
         }
-        // An earlier episode without a result was given up; a result stands.
+        // An earlier episode without a verdict was given up; a verdict is final.
         let behind = if phase == Phase::AbortRunning { round.episode + 1 } else { round.episode };
         while self.open < behind.min(self.config.layouts.len()) {
             let after = now.since(self.since);
@@ -211,7 +211,7 @@ impl Recorder {
             self.close(now, finding, out);
         }
         if phase == Phase::Waiting {
-            // A host has left: this episode runs again, and is judged then.
+            // A host has left: the episode will be repeated, and judged then.
             self.judge = None;
         }
         let goes_on = (phase, round.episode) == (self.phase, self.round.episode);
@@ -229,12 +229,12 @@ impl Recorder {
         if !goes_on {
             self.heard.iter_mut().for_each(|(_, heard)| heard.clear());
         }
-        // A later incarnation of the server with the same instruction changes nothing.
+        // A restarted server that repeats the instruction does not begin the phase anew.
         self.since = if goes_on { self.since } else { now };
         (self.round, self.phase) = (round, phase);
     }
 
-    /// Totals of the trial so far.
+    /// Returns the totals of the trial so far.
     fn totals(&self, now: Time) -> Totals {
         Totals {
             messages: self.messages,
@@ -279,7 +279,7 @@ impl Recorder {
             }
             let robot = sample.robot.index();
             let mut sample = *sample;
-            // Keep contacts that the judge has not seen yet.
+            // Keep contacts of an earlier sample that were not judged yet.
             if let Some(before) = self.team[robot].filter(|_| self.seen[robot]) {
                 sample.contacts.wall |= before.contacts.wall;
                 sample.contacts.robot |= before.contacts.robot;
@@ -287,14 +287,14 @@ impl Recorder {
             self.team[robot] = Some(sample);
             self.seen[robot] = true;
         }
-        // Several Worlds may step at different instants: the team is complete once each has sent its robots.
+        // Worlds may step at different instants. The team's step is complete once each World has sent its robots.
         if self.seen.iter().all(|&seen| seen) {
             self.seen.fill(false);
             self.judge_step(now, out);
         }
     }
 
-    /// Judges the step of a team that is complete at this instant.
+    /// Judges a step for which the states of all robots are known.
     fn judge_step(&mut self, now: Time, out: &mut Vec<Out>) {
         let samples: Vec<Sample> = self.team.iter().flatten().copied().collect();
         if self.phase == Phase::Running
@@ -316,7 +316,7 @@ impl Recorder {
         }
     }
 
-    /// Takes a reading, and judges the step that it completes.
+    /// Handles a reading, and judges the step that it completes.
     fn take_reading(&mut self, now: Time, reading: &Reading, out: &mut Vec<Out>) {
         let centre = self.config.chassis[reading.robot.index()].centre(reading);
         let Some(Sighting { at, robots, lapsed }) = self.sightings.see(now, reading, centre) else { return };
@@ -335,7 +335,7 @@ impl Recorder {
         }
     }
 
-    /// Messages between robots that are in use at this instant, if they are reported.
+    /// Returns the messages between robots that are in use at this instant, if they are to be reported.
     fn hearing(&self, now: Time) -> Vec<Hearing> {
         if self.config.steps != Steps::WithHearing || self.phase != Phase::Running {
             return Vec::new();
@@ -350,7 +350,7 @@ impl Recorder {
     }
 }
 
-/// Identity of a datagram; a copy has the same one.
+/// Returns the identity of a datagram; copies of it have the same.
 fn datagram(header: &Header) -> Datagram {
     (header.sender, header.incarnation, header.sequence, header.flags.has(Flags::DIRECT))
 }
@@ -376,7 +376,8 @@ impl Core for Recorder {
             In::Reading(reading) => self.take_reading(now, &reading, out),
             In::Closing => out.push(Out::Closed(self.totals(now))),
             In::Arrived(to, frame) => {
-                // A corrupted frame is no arrival; a frame published in time may arrive after the end.
+                // A corrupted datagram does not count as received. A datagram published in time counts even if it
+                // arrives after the episode.
                 if let Ok(header) = codec::peek(&frame) {
                     self.listener.arrived(now, to, datagram(&header));
                 }

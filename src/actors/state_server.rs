@@ -1,10 +1,10 @@
-//! StateServer: leads the team through its episodes, unattended (paper, section IV).
+//! StateServer: leads the team through its episodes without a person (paper, section IV).
 //!
-//! It takes heartbeats and sends an instruction several times a second: reset, run, or stop. It asks nothing, and waits
-//! for no answer. While the emergency stop is engaged, and after it until a resume, it holds the team. While a host
-//! that has announced its leave is away, the team stands and waits for it. After a failed reset of real robots it holds
-//! the team until a person has looked after them and resumes it. A restarted server takes the team's state
-//! from the heartbeats, gives up an episode that was running, and continues with the next.
+//! It receives heartbeats, and sends an instruction several times a second: reset, run or stop. It never waits for an
+//! answer. While the emergency stop is engaged, and then until a resume, it holds the team. While a host that announced
+//! its shutdown is away, the team stops and waits for it. After a failed reset of real robots it holds the team until a
+//! person resumes it. A restarted server takes the team's state from heartbeats, aborts a running episode, and
+//! continues with the next.
 
 use std::collections::BTreeSet;
 
@@ -19,42 +19,42 @@ use crate::scenario::layout::Layouts;
 use crate::time::{Span, Time};
 use crate::world::Placement;
 
-/// Period of the StateServer's decisions: one World step.
+/// Period of the StateServer's decisions: one step of a World.
 pub const TICK: Span = Span::from_millis(50);
 /// Period at which the StateServer repeats an unchanged instruction. In a team of several blocks of robots, each
-/// repetition is for one block.
+/// repetition has the tasks of one block.
 pub const MODE_PERIOD: Span = Span::from_millis(100);
-/// Number of times that a new instruction is sent to all blocks of robots, so that loss of all of them is unlikely.
-/// Then it is sent to one block at a time.
+/// Number of times that a new instruction is sent for all blocks of robots, so that the loss of all of them is
+/// unlikely. Later repetitions are for one block each.
 pub const NEW_MODE_REPEATS: u32 = 3;
-/// Silence after which a robot is missing: five heartbeats.
+/// Time without a heartbeat after which a robot counts as missing: five heartbeat periods.
 pub const MISSING_AFTER: Span = Span::from_millis(1000);
-/// Longest wait for missing robots before the StateServer goes on without them.
+/// Longest wait for missing robots. After it, the StateServer continues without them.
 pub const MUSTER_LIMIT: Span = Span::from_millis(10_000);
-/// Longest duration of a reset.
+/// Longest duration of a reset; after it, the reset has failed.
 pub const RESET_LIMIT: Span = Span::from_millis(60_000);
-/// Extra time of a running episode beyond the rules' limit, for late heartbeats.
+/// Time beyond the rules' limit for which an episode may run on, because heartbeats arrive late.
 pub const GRACE: Span = Span::from_millis(500);
 
-/// Input of a StateServer.
+/// Input message of a StateServer.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Progress of a robot.
+    /// Progress and latch of a robot.
     Heartbeat(Heartbeat),
-    /// Emergency stop, re-arm or resume.
+    /// Emergency stop message: engage, re-arm or resume.
     Stop(Stop),
-    /// Message of a host that leaves or is present.
+    /// Report of a host that it shuts down or is present.
     Status(Status),
-    /// The server's own host is shutting down.
+    /// The StateServer's host is shutting down.
     Leave,
 }
 
-/// Output of a StateServer.
+/// Output message of a StateServer.
 #[derive(Clone, Debug)]
 pub enum Out {
     /// Instruction for the team.
     Mode(Mode),
-    /// Answer to operators, for the host's Status.
+    /// Answer to an operator, sent through the Status of its host.
     Leading(Leading),
 }
 
@@ -65,14 +65,13 @@ pub struct Config {
     pub layouts: Layouts,
     /// Index of this repeat of the experiment.
     pub repeat: u32,
-    /// Way of bringing robots to their starts: they are placed there, or they drive.
+    /// Whether robots are placed at their starts or drive there.
     pub placement: Placement,
     /// Longest duration of an episode.
     pub limit: Span,
-    /// Robots whose agents or bodies each host runs.
+    /// For each host: the robots whose Agents or Bodies it runs.
     pub hosts: Vec<Vec<RobotId>>,
-    /// Robots that no World simulates, by ascending number. They reach their starts by driving there or by hand only;
-    /// nothing can place them.
+    /// Robots that no World simulates, in ascending order of ids. They reach their starts only by driving or by hand.
     pub real: Vec<RobotId>,
 }
 
@@ -81,30 +80,30 @@ pub struct Config {
 pub struct StateServer {
     config: Config,
     robots: Vec<Option<(Time, Heartbeat)>>,
-    /// Number of its incarnation; a later one never starts from an earlier term.
+    /// Number of this incarnation of the server; each later one begins with a higher term.
     incarnation: u32,
-    /// Whether it started without a heartbeat.
+    /// Whether the server started its episodes without a heartbeat.
     started_unheard: bool,
     latch: Latch,
-    /// Hosts that have left and are not back.
+    /// Hosts that have announced their shutdown and are not back.
     left: BTreeSet<HostId>,
-    /// Whether its own host is shutting down.
+    /// Whether the server's own host is shutting down.
     leaves: bool,
-    /// Number of heartbeats with numbers out of reach.
+    /// Number of heartbeats whose term or latch number is too far ahead to be accepted.
     beyond_reach: u64,
     round: Round,
     phase: Phase,
-    /// Start of the phase; none before the first tick.
+    /// Start of the phase; `None` before the first decision.
     since: Option<Time>,
     sent_at: Option<Time>,
-    /// Number of times that the instruction was sent, and the block of robots that is repeated next.
+    /// Number of times that the instruction was sent, and the block of robots for the next repetition.
     times_sent: u32,
     turn: usize,
     next: Time,
 }
 
 impl StateServer {
-    /// Makes a state server that does not know the team's state yet.
+    /// Creates a StateServer that does not know the team's state yet. `incarnation` counts the server's restarts.
     pub fn new(config: Config, robots: usize, incarnation: u32) -> StateServer {
         StateServer {
             config,
@@ -125,7 +124,7 @@ impl StateServer {
         }
     }
 
-    /// Last heartbeat of each robot, if it is recent.
+    /// Returns the last heartbeat of each robot; `None` for a missing robot.
     fn present(&self, now: Time) -> impl Iterator<Item = Option<&Heartbeat>> + Clone {
         self.robots.iter().map(move |last| {
             let (at, beat) = last.as_ref()?;
@@ -152,7 +151,7 @@ impl StateServer {
         self.enter(now, phase);
     }
 
-    /// Continues from the team's state: from the beginning, or from where a former incarnation has stopped.
+    /// Starts from the team's state: with the first episode, or where an earlier incarnation of the server stopped.
     fn take_up(&mut self, now: Time) {
         let beats: Vec<Heartbeat> = self.present(now).flatten().cloned().collect();
         let last = self.latest_round(now);
@@ -167,7 +166,7 @@ impl StateServer {
         if beats.iter().any(|beat| beat.round == last && beat.phase == Phase::EpisodesFinished) {
             self.enter(now, Phase::EpisodesFinished);
         } else if waits {
-            // A former incarnation waited for a host. Which one is unknown, so all robots have to follow first.
+            // An earlier incarnation waited for a host. Its id is unknown, so all robots must report this phase first.
             self.enter(now, Phase::Waiting);
         } else if last.term > 0 && beats.iter().any(is_running) {
             tracing::warn!(episode = last.episode, "a running episode is given up: the state server was restarted");
@@ -177,8 +176,8 @@ impl StateServer {
         }
     }
 
-    /// Takes a later term if a robot follows a later round, of a former incarnation or after corruption on its way.
-    /// The robot would refuse every earlier round.
+    /// Takes a later term if a robot follows a later round, from an earlier incarnation or a corrupted message. That
+    /// robot would refuse all earlier rounds.
     fn overtake(&mut self, now: Time) {
         let latest = self.latest_round(now);
         if self.round.term == 0 || latest <= self.round {
@@ -192,18 +191,18 @@ impl StateServer {
         }
     }
 
-    /// Latest round of the present robots, without rounds out of reach.
+    /// Returns the latest round of the present robots, ignoring rounds too far ahead.
     fn latest_round(&self, now: Time) -> Round {
         Round::latest(self.round, self.present(now).flatten().map(|beat| beat.round))
     }
 
-    /// Joins the latches of the present robots, without those out of reach.
+    /// Takes the latest latch of the present robots, ignoring latches too far ahead.
     fn join_latches(&mut self, now: Time) {
         let latest = latch::latest(self.latch, self.present(now).flatten().map(|beat| beat.latch));
         self.latched(latest);
     }
 
-    /// Counts a heartbeat with numbers out of reach, and logs the robot at the counts 1, 2, 4, 8, ...
+    /// Counts a heartbeat with a term or latch number too far ahead, and logs the counts 1, 2, 4, 8, ...
     fn count_beyond_reach(&mut self, beat: &Heartbeat) {
         self.beyond_reach += 1;
         if self.beyond_reach.is_power_of_two() {
@@ -215,7 +214,7 @@ impl StateServer {
         }
     }
 
-    /// The robots that prevent a resume, with the reasons.
+    /// Returns the robots that prevent a resume, each with the reason.
     fn hindrances(&self, now: Time) -> Vec<(RobotId, Hindrance)> {
         let of = |(robot, beat): (RobotId, Option<&Heartbeat>)| {
             let hindrance = match beat {
@@ -248,7 +247,7 @@ impl StateServer {
     fn take_status(&mut self, status: &Status) {
         let Status { host, leaves, .. } = *status;
         if self.robots_of(host).is_empty() {
-            // No robot depends on it.
+            // The host runs no robot.
             return;
         }
         if leaves && self.left.insert(host) {
@@ -259,7 +258,7 @@ impl StateServer {
         }
     }
 
-    /// Stops the team until all hosts that have left are back; then the episode that was running is run again.
+    /// Stops the team until all hosts that have left are back. Then the interrupted episode is repeated.
     fn wait(&mut self, now: Time) {
         match self.phase {
             Phase::EpisodesFinished => {}
@@ -268,7 +267,7 @@ impl StateServer {
         }
     }
 
-    /// Stops the team: no episode begins until the latch is clear and the team is ready.
+    /// Stops the team. The next episode begins once the latch is clear and the team is ready.
     fn hold(&mut self, now: Time) {
         match self.phase {
             Phase::Resetting | Phase::Running => self.enter(now, Phase::AbortRunning),
@@ -276,7 +275,7 @@ impl StateServer {
         }
     }
 
-    /// Takes a new latch, and sends it at once.
+    /// Follows a new latch, and sends it at once.
     fn latched(&mut self, latch: Latch) {
         if latch != self.latch {
             tracing::warn!(state = latch.word(), number = latch.number(), "emergency stop");
@@ -284,8 +283,8 @@ impl StateServer {
         }
     }
 
-    /// Gives up a reset that takes too long. Simulated robots are then put at their next starts; a real one may be
-    /// stuck, so a person has to look after it.
+    /// Ends a reset that takes too long. Simulated robots are then placed at their next starts. A real robot may be
+    /// stuck, so the team is held until a person resumes it.
     fn fail_reset(&mut self, now: Time) {
         let is_late = |(_, beat): &(RobotId, Option<&Heartbeat>)| {
             beat.is_none_or(|beat| beat.round != self.round || beat.phase != Phase::FinishedResetting)
@@ -302,7 +301,7 @@ impl StateServer {
         self.enter(now, Phase::AbortRunning);
     }
 
-    /// Decides on the next phase.
+    /// Chooses the next phase of the team.
     fn decide(&mut self, now: Time) {
         if self.leaves {
             return self.wait(now);
@@ -349,8 +348,8 @@ impl StateServer {
         }
     }
 
-    /// Sends the instruction: a new one to all robots, a repeated one with the tasks of one block. So the traffic that
-    /// a robot receives does not grow with the team.
+    /// Sends the instruction: a new one with the tasks of all robots, a repeated one with those of one block. So the
+    /// traffic that a robot receives does not grow with the team.
     fn send_mode(&mut self, out: &mut Vec<Out>) {
         let last = self.config.layouts.len() - 1;
         let tasks = self.config.layouts.episode(self.round.episode.min(last));
@@ -405,9 +404,9 @@ impl Core for StateServer {
 
     fn wake(&mut self, now: Time, out: &mut Vec<Out>) {
         self.decide(now);
-        // Before it knows the team's state, the only instruction is to stand.
+        // Before the server knows the team's state, it only sends instructions to stop.
         let may_send = self.round.term > 0 || !self.latch.is_clear() || self.leaves;
-        // While it is leaving, send at every tick.
+        // While its host is shutting down, it sends at every decision.
         let period = if self.leaves { Span::ZERO } else { MODE_PERIOD };
         if may_send && self.sent_at.is_none_or(|at| now.since(at) >= period) {
             self.send_mode(out);

@@ -1,9 +1,8 @@
-//! Status: the reporter of one host. It tells operators which latch the host's robots follow, and the state server that
-//! the host leaves or is back.
+//! Status: reports of one host to operators and to the state server: which latch the host's robots follow, and whether
+//! the host shuts down or is present.
 //!
-//! It answers every message of an operator, so that confirmations reach operators in every deployment, even where
-//! heartbeats cross no link. While an observer is present, it sends telemetry: positions and conditions of the host's
-//! robots.
+//! It answers every message of an operator, so that operators get confirmations in every deployment, even if heartbeats
+//! cross no link. While an observer is present, it sends telemetry: positions and conditions of the host's robots.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,82 +13,83 @@ use crate::messages::latch::Latch;
 use crate::messages::wire::{self, Condition, Following, Hardware, Leading, MAX_BLOCK, Phase, Seen, Stop, Telemetry};
 use crate::time::{Span, Time};
 
-/// Wait for the host's actors to react to an operator's message.
+/// Wait before an answer, so that the host's actors have handled the operator's message.
 const GATHER_TIME: Span = Span::from_millis(1);
-/// Shortest period of answers to operators: the period of one operator's messages.
+/// Shortest interval of answers to operators: the period of one operator's messages.
 const ANSWER_PERIOD: Span = Span::from_millis(20);
-/// Period at which a leaving host repeats its message until it ends.
+/// Period at which a host that shuts down repeats this until it ends.
 const LEAVE_PERIOD: Span = Span::from_millis(30);
-/// Period at which a host reports its presence while the team waits for another.
+/// Period at which a host reports its presence while the team waits for another host.
 const PRESENCE_PERIOD: Span = Span::from_millis(200);
-/// Age from which an actor's latch is not reported: two of a controller's heartbeats and some.
+/// Age after which an actor's latch is not reported: over two heartbeat periods.
 const STALE: Span = Span::from_millis(500);
 
-/// Time after an observer's last message for which it counts as present: one message may be lost.
+/// Time after an observer's last message for which it counts as present. One message may be lost.
 const OBSERVER_TIMEOUT: Span = Span::from_millis(2500);
-/// Period of telemetry for one robot, and for several. A host's telemetry takes less than 330 bytes a second, tag
-/// included: what the budget of soft state leaves in a team of 50 (docs/wire.md).
+/// Period of telemetry messages of a host with one robot, and with several. They take less than 330 bytes a second with
+/// tags: what the budget of soft state leaves in a team of 50 (docs/wire.md).
 const TELEMETRY_PERIODS: [Span; 2] = [Span::from_millis(250), Span::from_millis(300)];
-/// Largest number of robots in one telemetry message; more robots take turns.
+/// Largest number of robots in one telemetry message. More robots take turns.
 const ROBOTS_PER_MESSAGE: usize = 2;
-/// Period of reasons of faults, of all robots of a host together. The pause after one is doubled, for the same budget.
+/// Shortest interval between two reasons of faults, over all robots of a host. The pause after one is doubled, for the
+/// same budget.
 const REASON_PERIOD: Span = Span::from_millis(1000);
 
-/// Input of a Status.
+/// Input message of a Status.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Question, stop or re-arm of an operator.
+    /// Message of an operator: question, stop, re-arm or resume.
     Stop(Stop),
-    /// Latch that a robot's controller follows.
+    /// Emergency stop latch that a robot's Controller follows.
     Controller(RobotId, Latch),
-    /// Latch that a robot's body follows.
+    /// Emergency stop latch that a robot's Body follows.
     Body(RobotId, Latch),
     /// Measured pose of a robot, on the host that runs its agent.
     Seen(RobotId, Pose),
     /// Progress of a robot whose agent runs on this host.
     Phase(RobotId, Phase),
-    /// Answer of the state server, where it runs on this host.
+    /// Answer of the state server to an operator, if it runs on this host.
     Leading(Leading),
-    /// Phase of the team.
+    /// Phase of the team in an instruction.
     Mode(Phase),
-    /// Condition of the hardware of a robot of this host.
+    /// Condition of the hardware of a robot whose Body runs on this host.
     Condition(RobotId, Hardware),
-    /// Message of an observer.
+    /// Message of an observer, which asks for telemetry.
     Observe,
-    /// The host is shutting down.
+    /// The Status's host is shutting down.
     Leave,
 }
 
-/// Configuration of a Status: the parts of robots that its host runs.
+/// Configuration of a Status.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// The host.
+    /// Host of the Status.
     pub host: HostId,
-    /// Robots whose controllers run here.
+    /// Robots whose Controllers run on this host.
     pub controllers: Vec<RobotId>,
-    /// Robots whose bodies run here.
+    /// Robots whose Bodies run on this host.
     pub bodies: Vec<RobotId>,
 }
 
 /// Value with its arrival time.
 type Stamped<T> = (Time, T);
 
-/// Telemetry of one robot.
+/// Newest values of one robot for telemetry.
 #[derive(Clone, Debug, Default)]
 struct RobotTelemetry {
     seen: Option<Stamped<Pose>>,
     phase: Option<Phase>,
     hardware: Option<Hardware>,
-    /// Time at which the reason of its fault was last sent.
+    /// Time at which the reason of its fault was last sent; `None` if never.
     reason_sent: Option<Time>,
 }
 
-/// Output of a Status.
+/// Output message of a Status.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Out {
     /// Message for operators and the state server.
     Status(wire::Status),
-    /// Telemetry for observers.
+    /// Telemetry of robots for observers.
     Telemetry(Telemetry),
 }
 
@@ -102,11 +102,11 @@ pub struct Status {
     bodies: BTreeMap<RobotId, Stamped<Latch>>,
     leading: Option<Stamped<Leading>>,
     leaves: bool,
-    /// Whether the team waits for a host.
+    /// Whether the team waits for a host that shut down.
     waits: bool,
     sent_at: Option<Time>,
     due: Option<Time>,
-    /// By index in `robots`.
+    /// Telemetry by index in `robots`.
     telemetry: Vec<RobotTelemetry>,
     /// Time until which an observer counts as present.
     observed_until: Option<Time>,
@@ -118,7 +118,7 @@ pub struct Status {
 }
 
 impl Status {
-    /// Makes a status without data.
+    /// Creates a Status that has received nothing yet.
     pub fn new(config: &Config) -> Status {
         let robots: BTreeSet<RobotId> = config.controllers.iter().chain(&config.bodies).copied().collect();
         Status {
@@ -139,14 +139,14 @@ impl Status {
         }
     }
 
-    /// Updates the telemetry of a robot of this host.
+    /// Changes the telemetry of a robot of this host; ignores other robots.
     fn update(&mut self, robot: RobotId, change: impl FnOnce(&mut RobotTelemetry)) {
         if let Ok(place) = self.robots.binary_search(&robot) {
             change(&mut self.telemetry[place]);
         }
     }
 
-    /// Sends telemetry of the next robots in turn.
+    /// Sends telemetry of the next robots, which take turns.
     fn send_telemetry(&mut self, now: Time, out: &mut Vec<Out>) {
         let count = self.robots.len();
         let first = self.next_robot;
@@ -175,7 +175,7 @@ impl Status {
         self.next_telemetry = if explained.is_some() { now + period + period } else { now + period };
     }
 
-    /// Returns the robot whose fault this message explains, of those at `places`: the one that has waited longest.
+    /// Returns the robot at `places` whose fault reason is sent in this message: the one that has waited longest.
     fn explain(&mut self, now: Time, places: impl Iterator<Item = usize>) -> Option<usize> {
         let faulty = |place: &usize| self.telemetry[*place].hardware.as_ref().is_some_and(|h| h.reason.is_some());
         let next = places.filter(faulty).min_by_key(|place| self.telemetry[*place].reason_sent);
@@ -185,7 +185,7 @@ impl Status {
         Some(next)
     }
 
-    /// Plans a message after `wait`, or one `period` after the last one if that is later.
+    /// Schedules a message after `wait`, and no earlier than one `period` after the last message.
     fn plan(&mut self, now: Time, wait: Span, period: Span) {
         let due = self.sent_at.map_or(now + wait, |at| (at + period).max(now + wait));
         self.due = Some(self.due.map_or(due, |before| before.min(due)));

@@ -1,70 +1,70 @@
-//! Verdicts on a robot that was driven a short way: where it went, against where it should have gone.
+//! Verdicts on a short test drive of one robot: its measured displacement compared with the commanded one.
 
 use crate::messages::geometry::{Vec2, wrapped};
 use crate::messages::ids::RobotId;
 use crate::safety::guard::SafetyCounts;
 
-/// Distance that a robot is driven \[m\]: several times the noise of a tracker, and safe on a bench.
+/// Length of a test drive \[m\]: several times the noise of a tracker, and safe on a table.
 pub const DISTANCE_M: f32 = 0.1;
-/// Largest distance between two positions of a robot that stands \[m\]: beyond it, 10 cm cannot be judged.
+/// Largest displacement of a robot at rest \[m\]. With more noise, a drive of 10 cm cannot be judged.
 pub const NOISE_M: f32 = 0.05;
-/// Largest difference of directions \[rad\]. Mistakes in the axes give 45 degrees or more; the rest is for noise.
+/// Largest deviation of the direction \[rad\]. Mistakes in the axes give at least 45 degrees; the margin is for noise.
 const DIRECTION_RAD: f32 = 30.0 * std::f32::consts::PI / 180.0;
-/// Largest difference of distances, as a share.
+/// Largest deviation of the distance, as a share of the commanded distance.
 const SHARE: f32 = 0.5;
-/// Least displacement that counts as motion \[m\]: three standard deviations of RTK, 1 cm.
+/// Smallest displacement that counts as motion \[m\]: three standard deviations of RTK GNSS (1 cm).
 const MOVED_M: f32 = 0.03;
-/// The same as a share of the robot's noise.
+/// Smallest displacement that counts as motion, in multiples of the robot's measured noise.
 const MOVED_NOISES: f32 = 1.2;
 
-/// Result of one robot.
+/// Result of a robot's test drive.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Verdict {
-    /// It went where it should: distance \[m\], and angle to the left of the right direction \[rad\].
+    /// The robot moved correctly: distance \[m\], and deviation to the left \[rad\].
     Right(f32, f32),
-    /// No reading of it has arrived, or none any more.
+    /// No reading of the robot has arrived, or none recently.
     Unseen,
-    /// Its driver reports that it does not follow commands, with the reason.
+    /// The robot's driver reports that it cannot follow commands, with the reason if it gave one.
     Unfit(Option<String>),
-    /// Its position varies by so much while it stands \[m\]: its motion cannot be judged.
+    /// The measured position of the robot at rest varies by this distance \[m\], too much to judge its motion.
     Noisy(f32),
-    /// There is no direction without a wall, the edge of the ground or another robot near it.
+    /// Every direction leads too close to a wall, the edge of the ground or another robot.
     NoRoom,
-    /// It did not move, and these did.
+    /// The robot did not move; these other robots did.
     Still(Vec<RobotId>),
-    /// It moved, and these did, too.
+    /// The robot moved, and these other robots did as well.
     Together(Vec<RobotId>),
-    /// It went in the direction that this mistake in the axes gives; angle to the left of the right direction \[rad\].
+    /// The robot moved in the direction that this mistake in the axes causes; deviation to the left \[rad\].
     Astray(Axes, f32),
-    /// It went so far instead of `DISTANCE_M` \[m\].
+    /// The robot moved this distance \[m\] instead of `DISTANCE_M`.
     Distance(f32),
-    /// Its guard has stopped or slowed it, for these reasons.
+    /// The robot's guard stopped or slowed it, for these reasons.
     Held(String),
 }
 
-/// Mistake in the axes of a robot or of its source.
+/// Mistake in the axes of a robot or of its source, as a map of vectors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axes {
-    /// None of the others.
+    /// No mistake.
     Right,
     /// The sign of x is wrong.
     MirroredX,
     /// The sign of y is wrong.
     MirroredY,
-    /// Both signs are wrong: half a turn.
+    /// Both signs are wrong: rotation by half a turn.
     Reversed,
     /// x and y are swapped.
     Swapped,
-    /// A quarter turn to the left.
+    /// Rotation by a quarter turn to the left.
     Left,
-    /// A quarter turn to the right.
+    /// Rotation by a quarter turn to the right.
     RightTurn,
-    /// Swapped, and both signs are wrong.
+    /// x and y are swapped, and both signs are wrong.
     SwappedReversed,
 }
 
 impl Axes {
-    /// All of them.
+    /// All values.
     pub const ALL: [Axes; 8] = [
         Axes::Right,
         Axes::MirroredX,
@@ -76,7 +76,7 @@ impl Axes {
         Axes::SwappedReversed,
     ];
 
-    /// The vector that this mistake makes of a vector.
+    /// Applies the mistake to a vector.
     pub fn apply(self, Vec2 { x, y }: Vec2) -> Vec2 {
         match self {
             Axes::Right => Vec2::new(x, y),
@@ -90,24 +90,24 @@ impl Axes {
         }
     }
 
-    /// The mistake whose direction is nearest to the measured one.
+    /// Returns the mistake that turns `wanted` closest to the measured direction.
     fn of(wanted: Vec2, measured: Vec2) -> Axes {
         let near = |axes: &Axes| axes.apply(wanted).dot(&measured);
         Axes::ALL.into_iter().max_by(|one, other| near(one).total_cmp(&near(other))).expect("there are eight")
     }
 }
 
-/// Whether a robot with this noise \[m\] has moved.
+/// Whether a displacement \[m\] exceeds the noise \[m\] of its robot, so that the robot has moved.
 pub fn has_moved(way: Vec2, noise_m: f32) -> bool {
     way.norm() > MOVED_M.max(MOVED_NOISES * noise_m)
 }
 
-/// Judges a robot that was commanded to drive 0.1 m in the direction `along`, of any length, world frame. `way` is the
-/// robot's measured displacement \[m\], world frame; `None` if it has not moved (see [`has_moved`]). `others` are the
-/// other robots that have moved meanwhile; `counts` says how often the robot's guard stopped or slowed it meanwhile.
+/// Judges a robot that was commanded to drive 0.1 m in the direction `along`, of any length, world frame. `way` is its
+/// measured displacement \[m\], world frame; `None` if it has not moved (see [`has_moved`]). `others` are the other
+/// robots that moved during the drive, and `counts` are the interventions of its guard.
 pub fn judge(along: Vec2, way: Option<Vec2>, others: Vec<RobotId>, counts: &SafetyCounts) -> Verdict {
     let held: Vec<&str> = counts.reasons().map(|(_, reason)| reason).collect();
-    // A robot that was held is not one that cannot move.
+    // The guard is the cause if it held the robot.
     let or_held = |verdict| if held.is_empty() { verdict } else { Verdict::Held(held.join(", ")) };
     let Some(way) = way else {
         return if others.is_empty() { or_held(Verdict::Still(others)) } else { Verdict::Still(others) };

@@ -1,9 +1,9 @@
-//! Wiggle: drives the robots of one host a short way out and back, one at a time, and judges from their readings
-//! whether each went where it should. `doctor` shows with it whether ids, signs and axes are right.
+//! Wiggle: drives the robots of one host a short way out and back, one at a time, and judges from readings whether each
+//! moved correctly. `doctor` uses it to check robot ids and the signs and order of axes.
 //!
-//! The direction is 22.5 degrees off an axis of the world. So each of the seven ways to swap or mirror axes gives
-//! another direction, 45 degrees or more from the right one. Velocities pass through a guard. They do not depend on
-//! readings: with a mirrored axis, a controller would drive the robot further and further off.
+//! The direction is 22.5 degrees off an axis of the world frame. So each of the seven ways to swap or mirror axes gives
+//! another direction, 45 degrees or more from the commanded one. Velocities pass through a guard. They are open-loop:
+//! with a mirrored axis, feedback would drive the robot further and further off.
 
 use std::collections::BTreeMap;
 
@@ -19,109 +19,111 @@ use crate::safety::guard::{self, Decision, Guard};
 use crate::scenario::arena::Arena;
 use crate::time::{Span, Time};
 
-/// Fastest that it is driven \[m/s\]: two steps of the speeds that a RoboMaster follows (`drivers::robomaster`).
+/// Speed of the test drive \[m/s\], if the robot's limits permit it: two steps of the speeds of a RoboMaster
+/// (`drivers::robomaster`).
 pub const SPEED_M_S: f32 = 0.2;
-/// Longest time that it is driven in one direction.
+/// Longest time that a robot is driven in one direction \[s\].
 const LONGEST_S: f32 = 5.0;
-/// Period of commands: that of the policies.
+/// Period of motor commands: that of policies.
 const PERIOD: Span = Span::from_millis(50);
-/// Time from the end of a drive until its result: latency of the robot and of its tracker, and braking.
+/// Time from the end of a drive until it is judged, for the delay of robot and tracker and for braking.
 const SETTLE: Span = Span::from_millis(400);
-/// Age of a reading from which the robot counts as lost.
+/// Age of its newest reading from which a robot counts as not measured.
 const LOST: Span = Span::from_millis(600);
 
-/// Input of a Wiggle.
+/// Input message of a Wiggle.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Measured pose of a robot, its own or another.
+    /// Measured pose of any robot.
     Reading(Reading),
-    /// Condition of one of its robots.
+    /// Condition of the hardware of a robot to be driven.
     Hardware(RobotId, Hardware),
-    /// The first robot is driven now.
+    /// Starts the test drives with the first robot.
     Begin,
-    /// The wiggle ends here: all robots stand.
+    /// Ends the wiggle at once: all robots stop.
     End,
 }
 
-/// Output of a Wiggle.
+/// Output message of a Wiggle.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// Command for the Body of a robot.
+    /// Command for a robot's Body.
     Command(MotorCommand),
-    /// This robot is driven next.
+    /// This robot's test drive begins.
     Begins(RobotId),
-    /// Result of a robot.
+    /// Result of a robot's test drive.
     Result(RobotId, Verdict),
     /// All robots have a result, or the wiggle was ended.
     Over,
 }
 
-/// Robot to be driven.
+/// Robot to be tested.
 #[derive(Clone, Copy, Debug)]
 pub struct Driven {
-    /// The robot.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// Its chassis.
+    /// Chassis of the robot.
     pub chassis: Chassis,
-    /// Fastest that its driver drives it \[m/s\].
+    /// Largest speed of the robot's driver \[m/s\].
     pub limit_m_s: f32,
 }
 
 /// Configuration of a Wiggle.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Robots to be driven, in order.
+    /// Robots to be tested, in order.
     pub robots: Vec<Driven>,
-    /// Configuration of the guard of each.
+    /// Configuration of each robot's guard.
     pub guard: guard::Config,
     /// Arena; robots are not driven toward its walls.
     pub arena: Arena,
-    /// Validity of a command.
+    /// Validity of a motor command.
     pub valid_for: Span,
 }
 
-/// Stage of the robot that is driven.
+/// Stage of the test drive of the current robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Stage {
-    /// All robots stand until this time.
+    /// All robots stand still until this time.
     Rest(Time),
-    /// It is driven at this velocity, from one time until another.
+    /// The robot drives out: velocity \[m/s\] in the world frame, start time, end time.
     Drive(Vec2, Time, Time),
-    /// It has been driven, and is judged at this time.
+    /// The robot settles after the drive: its velocity \[m/s\], the drive's duration, and the time at which it is
+    /// judged.
     Settle(Vec2, Span, Time),
-    /// It is driven back until this time.
+    /// The robot drives back with this velocity \[m/s\] until this time.
     Back(Vec2, Time),
     /// All robots have a result.
     Over,
 }
 
-/// Positions of one robot.
+/// Measured positions of one robot.
 #[derive(Clone, Debug)]
 struct Track {
     last: Reading,
     at: Time,
-    /// First position while it stood, and the largest distance from it \[m\].
+    /// First position while the robot stood still, and the largest distance from it \[m\].
     rest: Vec2,
     noise_m: f32,
 }
 
-/// Wiggle of one host's robots.
+/// Test drives of one host's robots.
 #[derive(Debug)]
 pub struct Wiggle {
     config: Config,
     stage: Stage,
-    /// Index of the robot that is driven.
+    /// Index of the current robot in the configuration.
     turn: usize,
     guard: Guard,
     tracks: BTreeMap<RobotId, Track>,
     hardware: BTreeMap<RobotId, Hardware>,
-    /// Position of each robot when the present one began.
+    /// Position of each robot when the current test drive began.
     before: BTreeMap<RobotId, Vec2>,
     next: Time,
 }
 
 impl Wiggle {
-    /// Makes a wiggle that waits for its beginning. Until then all robots must stand.
+    /// Creates a Wiggle that waits for [`In::Begin`]. Until then all robots must stand still.
     pub fn new(config: Config) -> Wiggle {
         let guard = Guard::new(config.guard);
         let (tracks, hardware, before) = Default::default();
@@ -134,7 +136,7 @@ impl Wiggle {
 
     fn reading(&mut self, now: Time, reading: Reading) {
         let position = reading.pose.position;
-        // Later, a robot that has been driven still brakes.
+        // Only readings before the first drive measure noise: later, a driven robot may still brake.
         let rests = self.turn == 0 && matches!(self.stage, Stage::Rest(_));
         let driven = self.robot().is_some_and(|driven| driven.robot == reading.robot);
         let track = self.tracks.entry(reading.robot).or_insert_with(|| Track {
@@ -153,12 +155,12 @@ impl Wiggle {
         }
     }
 
-    /// Position of a robot that is measured \[m\].
+    /// Returns the track of a robot with a recent reading.
     fn seen(&self, now: Time, robot: RobotId) -> Option<&Track> {
         self.tracks.get(&robot).filter(|track| now.since(track.at) < LOST)
     }
 
-    /// Other robots, as its guard takes them.
+    /// Returns the other robots in the form that the guard takes.
     fn others(&self, now: Time, robot: RobotId) -> Vec<OtherRobot> {
         let other = |(&robot, track): (&RobotId, &Track)| OtherRobot {
             robot,
@@ -168,7 +170,8 @@ impl Wiggle {
         self.tracks.iter().filter(|(other, _)| **other != robot).map(other).collect()
     }
 
-    /// Direction with the most room for a robot at `from`; none if it would come too near to something in all of them.
+    /// Returns the direction with the most room for a robot at `from` (unit vector, world frame); `None` if every
+    /// direction leads too close to an obstacle.
     fn direction(&self, robot: RobotId, from: Vec2) -> Option<Vec2> {
         let (sin, cos) = libm::sincosf(22.5f32.to_radians());
         let all = [Vec2::new(cos, sin), Vec2::new(-sin, cos), Vec2::new(-cos, -sin), Vec2::new(sin, -cos)];
@@ -178,7 +181,7 @@ impl Wiggle {
             let to = from + along * DISTANCE_M;
             let edge = -distance_outside(arena.half_extent, to);
             let others = self.tracks.iter().filter(|(other, _)| **other != robot);
-            // Half as far again as it is driven, so that the guard need not slow it.
+            // Half of the distance as margin, so that the guard need not slow the robot.
             let others = others.map(|(_, track)| (track.last.pose.position - to).norm() - least - DISTANCE_M / 2.0);
             others.fold(edge.min(arena.clearance(to) - arena.robot_radius_m), f32::min)
         };
@@ -186,7 +189,7 @@ impl Wiggle {
         (room(best) > 0.0).then_some(best)
     }
 
-    /// Begins with the next robot, or ends.
+    /// Begins the next robot's test drive, or ends after the last.
     fn begin(&mut self, now: Time, out: &mut Vec<Out>) {
         while let Some(driven) = self.robot() {
             match self.ready(now, driven) {
@@ -205,7 +208,7 @@ impl Wiggle {
         out.push(Out::Over);
     }
 
-    /// Velocity of a robot and the time that it is driven; the verdict if it cannot be driven.
+    /// Returns the velocity of a robot's test drive and its duration; the verdict if it cannot be driven.
     fn ready(&mut self, now: Time, driven: Driven) -> Result<(Vec2, Span), Verdict> {
         let Driven { robot, chassis, limit_m_s } = driven;
         if let Some(hardware) = self.hardware.get(&robot).filter(|hardware| hardware.health != Health::Ready) {
@@ -218,7 +221,7 @@ impl Wiggle {
         let pose = track.last.pose;
         let along = self.direction(robot, pose.position).ok_or(Verdict::NoRoom)?;
         let most = SPEED_M_S.min(limit_m_s).min(chassis.speed_m_s).min(self.config.guard.limit_m_s);
-        // A differential drive at its limits reduces the velocity of its point.
+        // A differential drive at its limits moves its commanded point more slowly.
         let twist = pose.heading.and_then(|_| chassis.twist(along * most, pose.heading));
         let moves =
             twist.map(|twist| Vec2::new(twist.forward, twist.left + twist.yaw_rate * chassis.point_ahead_m).norm());
@@ -231,11 +234,11 @@ impl Wiggle {
         Ok((along * speed, Span::from_secs(f64::from(DISTANCE_M / speed))))
     }
 
-    /// Passes a velocity through the guard to the Body.
+    /// Passes a velocity through the guard to the robot's Body.
     fn drive(&mut self, now: Time, velocity: Vec2, out: &mut Vec<Out>) {
         let Some(Driven { robot, .. }) = self.robot() else { return };
         let motion = self.tracks.get(&robot).map(|track| track.last.motion());
-        // The doctor takes the place of the state server.
+        // No state server runs during `doctor`; this stands in for it.
         self.guard.server_heard(now);
         let action = Action {
             robot,
@@ -265,7 +268,7 @@ impl Wiggle {
         }
     }
 
-    /// Judges the robot that was driven along a direction.
+    /// Judges the test drive of a robot along a direction.
     fn judge(&self, now: Time, robot: RobotId, along: Vec2) -> Verdict {
         let way = |robot: &RobotId, track: &Track| {
             let way = track.last.pose.position - *self.before.get(robot)?;
@@ -279,7 +282,7 @@ impl Wiggle {
         }
     }
 
-    /// Goes on to the next stage if it is time.
+    /// Advances to the next stage if it is due.
     fn advance(&mut self, now: Time, out: &mut Vec<Out>) {
         match self.stage {
             Stage::Rest(until) if now >= until => self.begin(now, out),

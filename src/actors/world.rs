@@ -1,11 +1,11 @@
-//! World: one Plant and its clock. It steps the Plant, and sends true states to each Body and to the Recorder.
+//! World: one Plant with its step period. It steps the Plant, and sends true states to each Body and to the Recorder.
 //!
-//! Robots of the team that it does not simulate, real ones above all, stand in its Plant where their readings say, so
-//! that its own robots touch them.
+//! Robots that it does not simulate, for example real ones, stand in its Plant where their readings say, so that
+//! simulated robots collide with them.
 //!
 //! It enforces the validity of every command itself, in case a Body has crashed. It also repairs failed resets, as a
-//! person would: it places the robots of a simulated plant at their next starts. Some plants let two robots block each
-//! other for good.
+//! person would: it places simulated robots at their next starts. This is needed because some plants let two robots
+//! block each other for good.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -19,50 +19,50 @@ use crate::messages::wire::{Mode, Phase, Reading, Round};
 use crate::time::{Span, Time};
 use crate::world::{Placement, Plant, PlantState};
 
-/// Age of a reading up to which a robot that the World does not simulate is moved on by its velocity; after that it
-/// stands there. It is twice the age at which a robot without readings of its own stops (`safety`).
+/// Age of a reading up to which a robot that the World does not simulate is extrapolated with its velocity; then it
+/// stands still. It is twice the age at which a robot without own readings stops (`safety`).
 const MOVED_ON: Span = Span::from_millis(200);
 
-/// Input of a World.
+/// Input message of a World.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// Command of one of its Bodies.
+    /// Command from the Body of a simulated robot.
     Drive(Drive),
     /// Instruction of the state server.
     Mode(Mode),
-    /// Reading of a robot that it does not simulate.
+    /// Reading of a robot that the World does not simulate.
     Reading(Reading),
 }
 
-/// Output of a World.
+/// Output message of a World.
 #[derive(Clone, Debug)]
 pub enum Out {
-    /// True state for one of its Bodies.
+    /// True state for the Body of a simulated robot.
     Sample(Sample),
     /// True states for the Recorder.
     Truth(Truth),
 }
 
-/// State that outlives the actor, as real robots outlive the process that watches them: the plant, and the round for
-/// which each robot was last placed. Without a World it does not advance.
+/// State that survives a crash of the World actor: the plant, and the round for which each robot was last placed. Real
+/// robots survive a crash of a process, too. Without a World the plant does not advance.
 pub struct PersistentPlant {
     plant: Box<dyn Plant>,
     placed: Vec<Round>,
-    /// Last instruction to the team.
+    /// Round and phase of the last instruction.
     last_mode: (Round, Phase),
-    /// First episode for which robots are placed because the reset before it has failed.
+    /// Episode from which on robots are placed, because the reset before it has failed.
     repair_from: Option<u32>,
 }
 
 impl PersistentPlant {
-    /// Makes the state of a plant in which no robot was placed yet.
+    /// Creates the state of a plant in which no robot was placed yet.
     pub fn new(plant: Box<dyn Plant>) -> PersistentPlant {
         let placed = vec![Round::default(); plant.states().len()];
         PersistentPlant { plant, placed, last_mode: (Round::default(), Phase::NeedReset), repair_from: None }
     }
 }
 
-/// World of some robots.
+/// World that simulates some robots of a team.
 pub struct World {
     persistent: Rc<RefCell<PersistentPlant>>,
     period: Span,
@@ -73,7 +73,7 @@ pub struct World {
     placed_at: Option<Time>,
 }
 
-/// A robot that the World simulates.
+/// Robot that the World simulates, with its last command and the command's expiry.
 #[derive(Clone, Copy, Debug)]
 struct Attached {
     robot: RobotId,
@@ -81,19 +81,19 @@ struct Attached {
     until: Time,
 }
 
-/// A robot of the team that the World does not simulate.
+/// Robot of the team that the World does not simulate.
 #[derive(Clone, Debug)]
 struct Other {
     robot: RobotId,
     chassis: Chassis,
-    /// Its index in the plant.
+    /// Index of the robot in the plant.
     index: usize,
-    /// Its newest reading, with the time of arrival. Before the first it stands at its first start.
+    /// Newest reading of the robot, with its arrival time. Before the first one, it stands at its first start.
     seen: Option<(Time, Reading)>,
 }
 
 impl Other {
-    /// State of its centre at this time, with its heading.
+    /// Returns motion of its centre and heading \[rad\] at `now`, extrapolated from the newest reading.
     fn motion(&self, now: Time) -> Option<(Motion, f32)> {
         let (arrived, reading) = self.seen.as_ref()?;
         let age = now.since(*arrived);
@@ -106,8 +106,8 @@ impl Other {
 }
 
 impl World {
-    /// Makes a world that simulates `robots`, and in which `others` stand where their readings say. Both are in the
-    /// order of their ids. The plant holds the robots first, then the others, in the same order.
+    /// Creates a World that simulates `robots`; `others` stand where their readings say. Both are in the order of their
+    /// ids. The plant holds the robots first, then the others, in the same order.
     pub fn new(
         persistent: Rc<RefCell<PersistentPlant>>,
         placement: Placement,
