@@ -1,4 +1,4 @@
-//! Robots of a deployment that are not simulated, the chassis of all, and the limits of their hardware.
+//! Real robots of a deployment, chassis of all robots, and limits of their hardware.
 
 use std::rc::Rc;
 
@@ -10,7 +10,7 @@ use crate::safety::hardware::HardwareLimits;
 use crate::world::{self, Placement};
 
 impl Deployment {
-    /// Checks that every robot is simulated, as one process under virtual time requires; an error names the field.
+    /// Checks that every robot is simulated, as a process under virtual time requires. An error names the field.
     pub fn check_simulated(&self) -> Result<(), ConfigError> {
         let real = |host: &&Host| !host.actuates.is_empty() || !host.localizes.is_empty();
         self.hosts.iter().find(real).map_or(Ok(()), |host| {
@@ -19,7 +19,7 @@ impl Deployment {
         })
     }
 
-    /// Checks that real robots drive to their starts: nothing can place them.
+    /// Checks that real robots drive to their starts, as they cannot be placed.
     pub(super) fn check_placement(&self) -> Result<(), ConfigError> {
         let real = self.hosts.iter().find(|host| !host.actuates.is_empty());
         match real.filter(|_| self.placement == Placement::Exact) {
@@ -32,12 +32,12 @@ impl Deployment {
         }
     }
 
-    /// Chassis of a robot of a checked deployment.
+    /// Returns the chassis of a robot. The deployment must be checked.
     pub fn chassis(&self, robot: RobotId) -> Chassis {
         self.body_settings(robot).chassis().expect("a checked deployment has sound chassis")
     }
 
-    /// Limits of the hardware of a robot of a checked deployment.
+    /// Returns the hardware limits of a robot. The deployment must be checked.
     pub fn hardware_limits(&self, robot: RobotId) -> HardwareLimits {
         HardwareLimits::of(&self.body_settings(robot)).expect("a checked deployment has sound limits")
     }
@@ -47,12 +47,12 @@ impl Deployment {
         own.map_or_else(|| self.body.clone(), |own| own.or(&self.body))
     }
 
-    /// Chassis of all robots of a checked deployment, by their numbers.
+    /// Returns the chassis of all robots, indexed by robot. The deployment must be checked.
     pub fn team_chassis(&self) -> Rc<[Chassis]> {
         RobotId::team(self.robots).map(|robot| self.chassis(robot)).collect()
     }
 
-    /// Checks that a plant simulates the drives of all simulated robots.
+    /// Checks that a plant can simulate the drive of every simulated robot. An error names the robot.
     pub fn check_drives(&self, plant: &world::Entry) -> Result<(), ConfigError> {
         let mut simulated = self.hosts.iter().flat_map(|host| &host.simulates);
         let other = |robot: &&u16| !plant.drives.contains(&self.chassis(RobotId(**robot)).drive);
@@ -62,7 +62,7 @@ impl Deployment {
         })
     }
 
-    /// Checks the chassis of all robots.
+    /// Checks the chassis and hardware limits of all robots.
     pub(super) fn check_bodies(&self) -> Result<(), ConfigError> {
         let team = |number: &String| number.parse::<usize>().is_ok_and(|robot| robot < self.robots);
         if let Some(number) = self.bodies.keys().find(|number| !team(number)) {
@@ -73,7 +73,7 @@ impl Deployment {
         self.bodies.iter().try_for_each(|(number, own)| {
             check(&own.or(&self.body)).map_err(|error| error.within(&format!("bodies.{number}")))
         })?;
-        // Where every robot differs, what they have in common need not be complete.
+        // If every robot has settings of its own, the common ones need not be complete.
         match self.bodies.len() == self.robots {
             true => Ok(()),
             false => check(&self.body).map_err(|error| error.within("body")),
@@ -82,7 +82,7 @@ impl Deployment {
 }
 
 impl Host {
-    /// Checks that there is a driver for the robots that it actuates, and a source for those that it localizes.
+    /// Checks that the host has a driver if it actuates robots, and a source if it localizes robots.
     pub(super) fn check_devices(&self) -> Result<(), ConfigError> {
         for (robots, settings, role, what) in [
             (&self.actuates, &self.driver, "actuates", "driver"),

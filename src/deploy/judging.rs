@@ -1,4 +1,4 @@
-//! Selection of the host that judges a deployment's episodes, and of its data: true states or readings.
+//! Selection of the host that judges episodes, and whether it judges true states or readings.
 
 use super::{Deployment, Host};
 use crate::messages::ids::HostId;
@@ -6,7 +6,7 @@ use crate::messages::wire::Kind;
 use crate::report::episode::Judged;
 
 impl Deployment {
-    /// Source of verdicts: true states if one World simulates all robots, readings otherwise.
+    /// Data from which episodes are judged: true states if one World simulates all robots, otherwise readings.
     pub fn judged(&self) -> Judged {
         match self.hosts.iter().any(|host| host.simulates.len() == self.robots) {
             true => Judged::Truth,
@@ -14,8 +14,8 @@ impl Deployment {
         }
     }
 
-    /// The host that judges episodes: the one whose World simulates all robots, or else the host of the state server,
-    /// which then receives all readings. The deployment must have a state server, as `check` ensures.
+    /// Host that judges episodes: the one whose World simulates all robots, or else the host of the state server, which
+    /// then receives all readings. Panics without a state server, which [`Deployment::check`] excludes.
     pub fn judge(&self) -> HostId {
         let judges = |host: &Host| match self.judged() {
             Judged::Truth => host.simulates.len() == self.robots,
@@ -25,12 +25,12 @@ impl Deployment {
         HostId(u16::try_from(found).expect("a checked deployment has few hosts"))
     }
 
-    /// The host that judges episodes from readings and so needs those of all robots; `None` if true states are judged.
+    /// Host that judges episodes from readings, and so receives those of all robots; `None` if true states are judged.
     pub fn judge_of_readings(&self) -> Option<HostId> {
         (self.judged() == Judged::Readings).then(|| self.judge())
     }
 
-    /// Explanation for an error, if a kind must cross hosts only for the judge; empty otherwise.
+    /// Returns an explanation for errors if messages of this kind must cross hosts only for the judge; empty otherwise.
     pub(super) fn needed_by_judge(&self, kind: Kind) -> String {
         match (kind, self.judged()) {
             (Kind::Reading, Judged::Readings) => {
@@ -56,7 +56,7 @@ mod tests {
         deployment.hosts[3].simulates = vec![0];
         deployment.hosts.push(Host { name: "other".to_owned(), simulates: vec![1, 2], ..Host::default() });
         assert_eq!((deployment.judged(), deployment.judge()), (Judged::Readings, world));
-        // Each World has to know where the robots of the other are.
+        // Each World needs the positions of the robots that the other one simulates.
         assert_eq!(Routes::of(&deployment).listeners(Kind::Reading), [0, 1, 2, 3, 4].map(HostId));
         deployment.links[0].carries.retain(|kind| *kind != Kind::Reading);
         let refused = deployment.check().unwrap_err().to_string();

@@ -1,8 +1,7 @@
-//! Deployments: hosts with the parts that each runs, and links with the kinds of messages that each carries. The modes
-//! of the paper are presets of this data. Nothing else in the program refers to a mode or a link by its name.
+//! Deployments: hosts with the actors that each runs, and links with the kinds of messages that each carries. The modes
+//! of the paper are presets of this data. No other module refers to a mode or link by name.
 //!
-//! A deployment is read from and written to TOML. `presets` holds the paper's modes, `routes` the route of every
-//! message.
+//! Deployments are read from and written as TOML. `presets` has the paper's modes, `routes` the route of every message.
 
 mod bodies;
 mod judging;
@@ -29,29 +28,29 @@ use crate::net::protocol::reliability::Reliabilities;
 use crate::time::Span;
 use crate::world::{self, Placement};
 
-/// Times at which agents step.
+/// Times at which Agents step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stepping {
-    /// All at once, halfway between two World steps, as in training.
+    /// All at the same time, halfway between two World steps, as in training.
     Lockstep,
-    /// Each at an offset of its own, drawn from the seed.
+    /// Each with its own offset within the period, drawn from the seed.
     Seeded,
 }
 
-/// A process of the team, with the parts of the team that it runs.
+/// Process of the team, with the actors that it runs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Host {
-    /// Its name.
+    /// Name of the host.
     pub name: String,
-    /// Agents of this host, each as a list of robots. The Caches and Controllers of these run on this host, too.
+    /// Agents of this host, each as a list of robots. Their Caches and Controllers also run on this host.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub agents: Vec<Vec<u16>>,
-    /// Robots that the World of this host simulates; empty for no World. The host also drives and measures them.
+    /// Robots that the World of this host simulates; empty for none. Their Bodies and Localizers also run on this host.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub simulates: Vec<u16>,
-    /// Real robots whose motors are attached to this host. Their Bodies run on it, too.
+    /// Real robots whose motors this host drives. Their Bodies run on this host.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub actuates: Vec<u16>,
     /// Real robots whose poses this host measures.
@@ -63,26 +62,27 @@ pub struct Host {
     /// Source of the readings of the robots in `localizes`; `None` if that is empty.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<Settings>,
-    /// Publication of what the host hears of the team, for programs of others.
+    /// Publication of received messages for other programs, such as ROS tools; `None` for none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub observe: Option<Settings>,
-    /// Whether this host runs the team's StateServer.
+    /// Whether this host runs the team's state server.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub state_server: bool,
 }
 
-/// Medium of a link. It decides which simulated effects the link's frames have; the sockets are set in the team file.
+/// Medium of a link. It determines which effects are simulated on the link's frames. Real sockets are set in the team
+/// file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkMedium {
-    /// Radio through an access point.
+    /// Radio through an access point (infrastructure mode).
     #[default]
     AccessPoint,
-    /// Radio from robot to robot, without an access point.
+    /// Radio between robots, without an access point (ad hoc mode).
     AdHoc,
-    /// Cables, such as those to a simulated World: never impaired, and without a radio.
+    /// Cable, such as to a simulated World: never impaired, and without a radio.
     Cable,
-    /// Loopback interface between processes of one machine: it can be impaired, but has no radio.
+    /// Loopback interface between processes of one machine: can be impaired, but has no radio.
     Loopback,
 }
 
@@ -97,63 +97,63 @@ impl LinkMedium {
     }
 }
 
-/// Link between all hosts.
+/// Link between hosts, with its kinds of messages and its emulated properties.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Link {
-    /// Its name.
+    /// Name of the link.
     pub name: String,
-    /// Its medium.
+    /// Medium of the link.
     #[serde(default)]
     pub medium: LinkMedium,
-    /// Kinds of messages that the link carries.
+    /// Kinds of messages that the link carries. Each kind is carried by one link.
     pub carries: Vec<Kind>,
-    /// Delay of impaired frames \[s\].
+    /// Emulated delay of frames of the kinds in `impairs` \[s\].
     #[serde(default)]
     pub delay_s: f64,
-    /// Probability that a receiver loses an impaired frame, 0 to 1.
+    /// Probability that a receiver loses a frame of the kinds in `impairs`, 0 to 1.
     #[serde(default)]
     pub loss: f64,
-    /// Kinds that are impaired.
+    /// Kinds of messages to which `delay_s` and `loss` apply.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub impairs: Vec<Kind>,
-    /// Reliability mode of each kind; kinds not named are best effort.
+    /// Reliability mode of each kind of message; kinds not listed are best effort.
     #[serde(default, skip_serializing_if = "Reliabilities::is_empty")]
     pub reliability: Reliabilities,
-    /// Transmission range of a robot's frames \[m\]; `None` for unlimited. On a link with a radio, the range of the
-    /// radio counts instead.
+    /// Transmission range of a robot's frames under emulation \[m\]; `None` for unlimited. A link with a radio uses the
+    /// radio's range instead.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range_m: Option<f32>,
-    /// Radio channel that the link's frames share; `None` for a link without contention.
+    /// Radio channel that the link's frames share under emulation; `None` for a link without contention.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radio: Option<Radio>,
 }
 
-/// Hosts with their parts, and links with their kinds of messages.
+/// Configuration of a team: hosts with their actors, and links with their kinds of messages.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Deployment {
-    /// Its name in reports.
+    /// Name of the mode in reports.
     pub mode: String,
-    /// The size of the team.
+    /// Number of robots.
     pub robots: usize,
-    /// Way of bringing robots to their starts: they are placed there, or they drive.
+    /// Whether robots are placed at their starts or drive there.
     pub placement: Placement,
-    /// Times at which agents step.
+    /// Times at which Agents step.
     pub stepping: Stepping,
-    /// Plant of the simulated robots.
+    /// Name of the plant that simulates robots.
     #[serde(default = "kinematic")]
     pub plant: String,
-    /// Chassis of all robots, unless `bodies` has another one for a robot.
+    /// Chassis and hardware limits of all robots, unless `bodies` overrides them.
     #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
     pub body: chassis::Settings,
-    /// Chassis of single robots that differ from `body`, by robot number.
+    /// Chassis and hardware limits of single robots that differ from `body`, by robot id.
     #[serde(default, skip_serializing_if = "chassis::ByRobot::is_empty")]
     pub bodies: chassis::ByRobot,
-    /// The processes.
+    /// Hosts of the team; the index of a host is its id.
     #[serde(rename = "host")]
     pub hosts: Vec<Host>,
-    /// The links.
+    /// Links between the hosts; the index of a link is its id.
     #[serde(default, rename = "link", skip_serializing_if = "Vec::is_empty")]
     pub links: Vec<Link>,
 }
@@ -162,18 +162,18 @@ fn kinematic() -> String {
     world::KINEMATIC.to_owned()
 }
 
-/// Largest number of hosts, and of links: their ids have 16 bits.
+/// Largest number of hosts, and of links. Their ids have 16 bits.
 const MAX_NAMES: usize = 10_000;
 
-/// Error of links that cannot be impaired.
+/// Error when links are given a delay, loss or range.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ImpairError {
-    /// No message would be affected.
+    /// No message would be affected, because none of these kinds crosses a link.
     #[error("nothing to act on in mode '{mode}': no {kinds} message crosses a link there")]
     NothingCrosses {
-        /// The deployment's name.
+        /// Name of the deployment's mode.
         mode: String,
-        /// The kinds that would have to cross.
+        /// Kinds of messages to be impaired.
         kinds: &'static str,
     },
     /// A delay or a probability is out of range.
@@ -181,18 +181,18 @@ pub enum ImpairError {
     Config(#[from] ConfigError),
 }
 
-/// Messages that an impairment affects.
+/// Selection of the messages to which an impairment applies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Impair {
-    /// Messages between robots.
+    /// Latents, the messages between robots.
     Latent,
-    /// All messages on every link but cables.
+    /// All messages on every link except cables.
     All,
 }
 
 impl Deployment {
-    /// Reads a deployment from TOML and checks it; an error names the line or the field.
+    /// Reads and checks a deployment from TOML. An error names the line or the field.
     pub fn from_toml(text: &str) -> Result<Deployment, ConfigError> {
         let deployment: Deployment = config::from_toml(text)?;
         deployment.check()?;
@@ -204,8 +204,8 @@ impl Deployment {
         toml::to_string(self).expect("a deployment is TOML")
     }
 
-    /// Checks that every robot has one agent and one body, and every message a route; an error names the field. The
-    /// registry checks the plant's name.
+    /// Checks that every robot has one Agent and one Body, and every message a route. An error names the field. The
+    /// plant's name is checked by the registry.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if self.robots == 0 || self.robots > usize::from(u16::MAX) {
@@ -252,7 +252,7 @@ impl Deployment {
         Ok(())
     }
 
-    /// Checks that every kind that must cross hosts is carried by one link.
+    /// Checks that every kind of message that must cross hosts is carried by exactly one link.
     fn check_ways(&self) -> Result<(), ConfigError> {
         let wrong = |reason: String| Err(ConfigError::field("link.carries", reason));
         let routes = Routes::of(self);
@@ -296,14 +296,14 @@ impl Deployment {
         }
     }
 
-    /// Targets for faults in this deployment.
+    /// Returns the actors and links at which faults of a plan can aim.
     pub fn targets(&self) -> Targets<'_> {
         let links = self.links.iter().map(|link| (link.name.as_str(), link.carries.as_slice())).collect();
         Targets { robots: self.robots, hosts: self.hosts.len(), links }
     }
 
-    /// Puts the radio on every link whose medium is a radio, each with a channel of its own. Only ad hoc links keep the
-    /// radio's range; on the others frames go through an access point.
+    /// Adds the radio to every link whose medium is a radio; each link has a channel of its own. The radio's range
+    /// applies only to ad hoc links, because other frames go through an access point.
     pub fn with_radio(mut self, radio: &Radio) -> Deployment {
         for link in &mut self.links {
             let Some(channel) = link.medium.topology() else { continue };
@@ -325,8 +325,8 @@ impl Deployment {
         Ok(self)
     }
 
-    /// Sets delay \[s\] and loss (0 to 1) of the links that carry messages of the kinds in `impair`, except cables.
-    /// `None` leaves a value as it is. Fails if no such message crosses a link.
+    /// Sets delay \[s\] and loss (0 to 1) of all links that carry messages of the kinds in `impair`, except cables.
+    /// `None` leaves a value unchanged. Fails if no such message crosses a link.
     pub fn impaired(
         mut self,
         delay_s: Option<f64>,
@@ -358,7 +358,7 @@ impl Deployment {
 }
 
 impl Link {
-    /// Checks its numbers, and that it carries the kinds that it impairs or makes reliable.
+    /// Checks the numbers of the link, and that it carries the kinds that it impairs or makes reliable.
     fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if !(0.0..=1.0).contains(&self.loss) {
@@ -395,7 +395,7 @@ impl Link {
         Ok(())
     }
 
-    /// Impairment of the link's frames: delay, loss, and the kinds of messages that they act on.
+    /// Returns the emulated impairment of the link's frames: delay, loss, and the kinds of messages that they apply to.
     pub fn impairment(&self) -> Impairment {
         Impairment { delay: Span::from_secs(self.delay_s), loss: self.loss, kinds: self.impairs.clone() }
     }

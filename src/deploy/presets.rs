@@ -1,4 +1,4 @@
-//! Modes of the paper as deployments (section IV): the only place that refers to them and their links by name.
+//! Modes of the paper as deployments (section IV). No other module refers to modes and their links by name.
 
 use super::{Deployment, Host, Link, LinkMedium, Stepping, kinematic};
 use crate::messages::ids::RobotId;
@@ -6,11 +6,11 @@ use crate::messages::wire::Kind;
 use crate::net::protocol::reliability::Reliabilities;
 use crate::world::Placement;
 
-/// Names of the presets.
+/// Names of the preset modes.
 pub const MODES: [&str; 5] = ["sim", "centralized", "offboard", "onboard-infra", "onboard-adhoc"];
 
 impl Deployment {
-    /// Returns the deployment of the mode with this name for a team of `robots`; `None` if there is no such mode.
+    /// Returns the deployment of a mode for a team of `robots` robots; `None` if there is no mode of this name.
     pub fn preset(mode: &str, robots: usize) -> Option<Deployment> {
         use Kind::*;
         let everyone: Vec<u16> = RobotId::team(robots).map(|robot| robot.0).collect();

@@ -1,5 +1,5 @@
-//! Routes of a deployment: publisher, receivers and link of every message. Memory and time grow no faster than the
-//! team, except for queries over every host.
+//! Routes of a deployment: publishers, receivers and link of every message. Memory and time are linear in the size of
+//! the team, except for queries over all hosts.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -9,34 +9,35 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{KINDS, Kind};
 use crate::net::protocol::router::{Audience, Publishers, Route, Router};
 
-/// Placement of all parts in a checked deployment, and the routes of all messages.
+/// Hosts of all actors in a checked deployment, and the routes of all messages.
 #[derive(Clone, Debug)]
 pub struct Routes {
     robots: usize,
-    /// By robot: host of its agent, and the robots of that agent in the order of their ids.
+    /// For each robot: host of its Agent, and the robots of that Agent in the order of their ids.
     agent_host: Vec<HostId>,
     agent_robots: Vec<Arc<[RobotId]>>,
-    /// By robot: hosts of its motors, of its measurement and, if it is simulated, of its World.
+    /// For each robot: hosts of its motors, of its measurement and, if it is simulated, of its World.
     actuator_host: Vec<HostId>,
     localizer_host: Vec<HostId>,
     world_host: Vec<Option<HostId>>,
-    /// By robot: hosts that receive its readings, in order.
+    /// For each robot: hosts that receive its readings, in order.
     reading_hosts: Vec<Vec<HostId>>,
     server_host: HostId,
-    /// By host: robots whose agent it runs, or which it drives or measures.
+    /// For each host: robots whose Agents it runs, or which it drives or measures.
     robots_of: Vec<Vec<RobotId>>,
-    /// By host: number of robots whose agents it runs.
+    /// For each host: number of robots whose Agents it runs.
     agent_counts: Vec<usize>,
-    /// Hosts with an agent; all hosts, which end with the team; hosts with an agent or a body, and the state server's.
+    /// Hosts with an Agent; all hosts, which receive instructions; hosts with an Agent or a Body, and the state
+    /// server's.
     agent_hosts: Vec<HostId>,
     mode_hosts: Vec<HostId>,
     stop_hosts: Vec<HostId>,
     publishers: Arc<Publishers>,
-    /// By kind: link that carries it.
+    /// For each kind of message: link that carries it.
     links: Vec<Option<LinkId>>,
 }
 
-/// Receivers of a message: all of these hosts, in order, except one.
+/// Receivers of a message: all hosts of a sorted list except one.
 #[derive(Clone, Copy, Debug)]
 struct Receivers<'a> {
     hosts: &'a [HostId],
@@ -53,8 +54,8 @@ impl Receivers<'_> {
     }
 }
 
-/// Hosts that need a robot's readings to move robots: that of its agent; that of its driver, for the heading; and those
-/// whose Worlds simulate other robots, which may touch it.
+/// Returns the hosts that need a robot's readings for control: that of its Agent; that of its driver, for the heading;
+/// and those whose Worlds simulate other robots, which may touch it.
 fn readers(agent: HostId, driver: HostId, own_world: Option<HostId>, worlds: &[HostId]) -> Vec<HostId> {
     let driver = Some(driver).filter(|_| own_world.is_none());
     let worlds = worlds.iter().copied().filter(|host| own_world != Some(*host));
@@ -62,7 +63,8 @@ fn readers(agent: HostId, driver: HostId, own_world: Option<HostId>, worlds: &[H
 }
 
 impl Routes {
-    /// Makes the routes of a deployment. Panics if a robot has no agent or no body, which `Deployment::check` excludes.
+    /// Computes the routes of a deployment. Panics if a robot has no Agent or no Body, which `Deployment::check`
+    /// excludes.
     pub fn of(deployment: &Deployment) -> Routes {
         let robots = deployment.robots;
         let number = |index: usize| u16::try_from(index).expect("a checked deployment has few hosts and links");
@@ -89,7 +91,7 @@ impl Routes {
                 mark(hosts, &host.simulates);
             }
             let bodies = host.simulates.iter().chain(&host.actuates).chain(&host.localizes);
-            // Each once: a host may run a robot's agent and its body.
+            // A set, as a host may run both the Agent and the Body of a robot.
             let robots: BTreeSet<RobotId> = host.agents.iter().flatten().chain(bodies).copied().map(RobotId).collect();
             robots_of.push(robots.into_iter().collect());
         }
@@ -115,7 +117,7 @@ impl Routes {
             agent_counts: deployment.hosts.iter().map(|host| host.agents.iter().map(Vec::len).sum()).collect(),
             agent_hosts: hosts(&agent_host, &[]),
             mode_hosts: (0..deployment.hosts.len()).filter_map(|host| u16::try_from(host).ok()).map(HostId).collect(),
-            // All hosts that move a robot, and the state server's.
+            // All hosts that move robots, and the state server's.
             stop_hosts: hosts(&hosts(&agent_host, &actuator_host), &[server_host]),
             publishers: Arc::new(Publishers {
                 names: deployment.hosts.iter().map(|host| host.name.clone()).collect(),
@@ -145,7 +147,7 @@ impl Routes {
             Kind::Stop | Kind::Observe => hosts = &self.stop_hosts,
             Kind::Telemetry => hosts = &[],
             Kind::Latent => {
-                // Robots of one agent exchange latents within its step.
+                // Robots of one Agent exchange latents within its step, without messages.
                 let host = self.agent_host(robot);
                 except = (self.agent_robots(robot).len() == self.agent_counts[usize::from(host.0)]).then_some(host);
             }
@@ -153,47 +155,47 @@ impl Routes {
         Receivers { hosts, except }
     }
 
-    /// The robots whose agents or bodies a host runs.
+    /// Returns the robots whose Agents or Bodies a host runs, or which it measures.
     pub fn robots_of(&self, host: usize) -> &[RobotId] {
         &self.robots_of[host]
     }
 
-    /// Hosts with the messages that each may publish.
+    /// Returns the messages that each host may publish.
     pub fn publishers(&self) -> Arc<Publishers> {
         Arc::clone(&self.publishers)
     }
 
-    /// The host that runs the robot's agent.
+    /// Returns the host that runs the robot's Agent.
     pub fn agent_host(&self, robot: RobotId) -> HostId {
         self.agent_host[robot.index()]
     }
 
-    /// The host that the robot's motors are attached to.
+    /// Returns the host that drives the robot's motors.
     pub fn actuator_host(&self, robot: RobotId) -> HostId {
         self.actuator_host[robot.index()]
     }
 
-    /// The host that measures the robot.
+    /// Returns the host that measures the robot.
     pub fn localizer_host(&self, robot: RobotId) -> HostId {
         self.localizer_host[robot.index()]
     }
 
-    /// The host whose World simulates the robot; `None` for a real robot.
+    /// Returns the host whose World simulates the robot; `None` for a real robot.
     pub fn world_host(&self, robot: RobotId) -> Option<HostId> {
         self.world_host[robot.index()]
     }
 
-    /// The host that runs the StateServer.
+    /// Returns the host that runs the state server.
     pub fn server_host(&self) -> HostId {
         self.server_host
     }
 
-    /// All robots of the agent that drives `robot`, including `robot`, in the order of their ids.
+    /// Returns all robots of the Agent that drives `robot`, including `robot`, in the order of their ids.
     pub fn agent_robots(&self, robot: RobotId) -> &[RobotId] {
         &self.agent_robots[robot.index()]
     }
 
-    /// The host that publishes messages of this kind about this robot; `None` if any may.
+    /// Returns the host that publishes messages of this kind about this robot; `None` if any host may.
     fn publisher(&self, kind: Kind, robot: RobotId) -> Option<HostId> {
         match kind {
             Kind::Reading => Some(self.localizer_host(robot)),
@@ -203,16 +205,16 @@ impl Routes {
         }
     }
 
-    /// Whether any message of this kind crosses hosts.
+    /// Whether messages of this kind are sent from one host to another.
     pub fn crosses(&self, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let from = self.publisher(kind, robot);
-            // A kind that any host may publish crosses as soon as there are two.
+            // Messages that any host may publish cross hosts if there is more than one host.
             self.robots_of.len() > 1 && self.receivers(kind, robot).iter().any(|to| Some(to) != from)
         })
     }
 
-    /// Whether `host` sends messages of this kind to other hosts or receives them from other hosts.
+    /// Whether `host` exchanges messages of this kind with other hosts.
     pub fn exchanges(&self, host: HostId, kind: Kind) -> bool {
         RobotId::team(self.robots).any(|robot| {
             let (from, receivers) = (self.publisher(kind, robot), self.receivers(kind, robot));
@@ -221,10 +223,10 @@ impl Routes {
         })
     }
 
-    /// The hosts that receive messages of this kind.
+    /// Returns the hosts that receive messages of this kind.
     pub fn listeners(&self, kind: Kind) -> Vec<HostId> {
         let receivers = |robot| self.receivers(kind, robot);
-        // These lists serve the whole team; a host is left out for one robot at the most.
+        // These lists are the same for all robots, except that one host may be left out for a robot.
         let of_all = match kind {
             Kind::Reading | Kind::MotorCommand | Kind::Heartbeat | Kind::Status => {
                 RobotId::team(self.robots).flat_map(|robot| receivers(robot).hosts).copied().collect()
@@ -237,14 +239,14 @@ impl Routes {
         of_all.into_iter().collect()
     }
 
-    /// The routing table of a host.
+    /// Returns the routing table of a host.
     pub fn router(&self, host: HostId) -> Router {
         let router = Router::of(self.robots, self.robots_of[usize::from(host.0)].clone(), |kind, robot| {
             let receivers = self.receivers(kind, robot);
             let local = receivers.has(host);
             let mut others = receivers.iter().filter(|&taker| taker != host);
             let audience = match (others.next(), others.next()) {
-                // Operators receive it, on any machine.
+                // Operators on any machine receive it.
                 _ if matches!(kind, Kind::Status | Kind::Telemetry) => self.links[kind as usize].map(|_| Audience::All),
                 (None, _) => None,
                 (Some(only), None) => Some(Audience::Host(only)),

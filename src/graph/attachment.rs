@@ -1,5 +1,5 @@
-//! Attachment: the Network of one host on its links. The one place that starts a Network and connects it with its
-//! transports. The owner handles the Network's other output.
+//! Attachment: starts the Network of one host and connects it with the transports of its links. The caller handles the
+//! Network's other output.
 
 use std::rc::Rc;
 
@@ -50,9 +50,9 @@ pub enum Out {
     Sent(LinkId, Frame),
     /// Traffic counts of all links of this host together.
     Counts(Box<LinkCounts>),
-    /// Summaries of the other hosts, from links on which hosts report.
+    /// State of the other hosts, from links with link reports.
     Peers(Vec<Peer>),
-    /// Another running host uses the number of this host and was started earlier.
+    /// Another running host uses the id of this host and was started earlier.
     Duplicate(DuplicateId),
 }
 

@@ -1,6 +1,5 @@
-//! Bodies and Localizer of one host by themselves, in real time, without a Network or a team: for checks of its
-//! devices.
-//! A Wiggle may drive the robots; otherwise they are told to stand.
+//! Bodies and Localizer of one host without a Network or a team, in real time, for checks of its devices. A Wiggle may
+//! drive the robots; otherwise they stand still.
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -22,7 +21,7 @@ use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 use crate::time::Span;
 
-/// Period of commands to stand: twice in the validity of a command.
+/// Period and validity of commands to stand still. A command expires just when the next one is sent.
 const STAND_PERIOD: Span = Span::from_millis(100);
 
 /// Event of a bench, the operation of one host's devices without a team, for checks.
@@ -36,11 +35,11 @@ pub enum Event {
     Hardware(RobotId, Hardware),
     /// The worker (I/O thread) of the source of readings has ended.
     SourceEnded,
-    /// The Wiggle, a check that drives each robot a little, now drives this robot.
+    /// The Wiggle, a check that drives each robot a short way, now drives this robot.
     Begins(RobotId),
-    /// The Wiggle, a check that drives each robot a little, has judged a robot.
+    /// The Wiggle, a check that drives each robot a short way, has judged a robot.
     Result(RobotId, Verdict),
-    /// The Wiggle, a check that drives each robot a little, is over.
+    /// The Wiggle, a check that drives each robot a short way, has ended.
     Over,
 }
 
@@ -49,17 +48,17 @@ pub struct Bench {
     bodies: BTreeMap<RobotId, Mailbox<body::In>>,
     wiggle: Option<Mailbox<wiggle::In>>,
     source: Mailbox<localizer::In>,
-    /// Whether the host has a source. Otherwise the robots' own odometry takes its place.
+    /// Whether the host has a source. If not, the robots' odometry is used instead.
     localizes: bool,
 }
 
 impl Bench {
-    /// Begins the Wiggle, a check that drives each robot a little; without a configured Wiggle nothing happens.
+    /// Starts the Wiggle, a check that drives each robot a short way. Does nothing without a configured Wiggle.
     pub fn begin(&self) {
         self.send(wiggle::In::Begin);
     }
 
-    /// Ends the check and makes all robots stand for good.
+    /// Ends the check and stops all robots for good.
     pub fn leave(&self) {
         self.send(wiggle::In::End);
         self.bodies.values().for_each(|body| body.send(body::In::Leave));
@@ -81,7 +80,7 @@ impl Bench {
 }
 
 /// Starts the bench: the given devices of one host, without a team. If `wiggle` is given, that check drives the robots
-/// after `begin` is called. The function `report` is called with each event.
+/// after [`Bench::begin`] is called. `report` is called with each event.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     (deployment, host): (&Deployment, HostId),
@@ -101,7 +100,8 @@ pub fn wire(
         let (robot, mailbox) = (*robot, bench.bodies[robot].clone());
         let out = of_body(&bench, robot, Rc::clone(&report));
         start_body(clock, &mailbox, (host, robot), device, deployment, out);
-        // Only a Wiggle commands motion here. It takes the place of the state server, whose latch was looked at before.
+        // Bodies move only after a clear latch. The caller has checked the team's latch before; only a Wiggle commands
+        // motion here.
         mailbox.send(body::In::Latch(Latch::default()));
         let ended = mailbox.clone();
         let take = move |packet| mailbox.send(body::In::Packet(packet));
@@ -124,7 +124,7 @@ pub fn wire(
     bench
 }
 
-/// Commands all robots to stand, again and again: so a driver that has ended is noticed.
+/// Commands all robots to stand still, periodically, so that a driver that has ended is noticed.
 fn stand(clock: &Clock, bench: &Rc<Bench>) {
     for (robot, body) in &bench.bodies {
         let velocity = Vec2::zeros();
@@ -134,7 +134,7 @@ fn stand(clock: &Clock, bench: &Rc<Bench>) {
     clock.call(clock.now() + STAND_PERIOD, Box::new(move || stand(&again, &bench)));
 }
 
-/// Makes the function that takes the output of a Body.
+/// Returns the function that handles the output of a Body.
 fn of_body(bench: &Rc<Bench>, robot: RobotId, report: Rc<dyn Fn(Event)>) -> impl FnMut(body::Out) + use<> {
     let bench = Rc::clone(bench);
     move |out| match out {

@@ -1,4 +1,4 @@
-//! Wiring of motors and measurement: Bodies with their drivers, Localizers with their sources, and Worlds.
+//! Wiring of Bodies with their drivers, Localizers with their sources, and Worlds.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -57,7 +57,7 @@ pub(super) fn wire_body(clock: &Clock, plan: &Plan, graph: &Graph, robot: RobotI
     }
 }
 
-/// Starts the Body of a real robot. `out` takes all of its output but packets, which go to the driver's worker.
+/// Starts the Body of a real robot. `out` receives its output except packets, which go to the driver's worker.
 pub(super) fn start_body(
     clock: &Clock,
     mailbox: &Mailbox<body::In>,
@@ -89,7 +89,7 @@ pub(super) fn wire_sensor(clock: &Clock, plan: &Plan, graph: &Graph, robot: Robo
     });
 }
 
-/// Starts the Localizer of a source of this process.
+/// Starts the Localizer of this process's source, if it has one.
 pub(super) fn wire_source(clock: &Clock, plan: &Plan, graph: &Graph, process: &Process) {
     let (Some(host), Some(device)) = (process.only, &process.devices.source) else { return };
     let network = graph.network_of(host);
@@ -98,7 +98,7 @@ pub(super) fn wire_source(clock: &Clock, plan: &Plan, graph: &Graph, process: &P
     });
 }
 
-/// Starts the Localizer of a source; `out` takes its readings.
+/// Starts the Localizer of a source; `out` receives its readings.
 pub(super) fn start_source(
     clock: &Clock,
     mailbox: &Mailbox<localizer::In>,
@@ -124,7 +124,7 @@ pub(super) fn wire_world(
     let ranged = ranged_ethers(plan, graph, process);
     let others: Vec<RobotId> =
         RobotId::team(plan.deployment.robots).filter(|robot| simulated.binary_search(robot).is_err()).collect();
-    // Robots are at their first starts before anything runs, as people would place them.
+    // Robots stand at their first starts before the run begins, as if people had placed them.
     let task = |robot: &RobotId| plan.layouts.episode(0)[robot.index()];
     let starts: Vec<Vec2> = simulated.iter().chain(&others).map(|robot| task(robot).start).collect();
     let others: Vec<(RobotId, Chassis)> =
@@ -150,7 +150,7 @@ pub(super) fn wire_world(
     });
 }
 
-/// Emulated links that depend on the robots' positions.
+/// Returns the mailboxes of the emulated links whose reception depends on the robots' positions.
 fn ranged_ethers(plan: &Plan, graph: &Graph, process: &Process) -> Vec<Mailbox<transport::In>> {
     let links = plan.deployment.links.iter().zip(graph.transports.iter()).filter(|_| process.only.is_none());
     let ranged = links.filter(|(link, _)| link.range_m.or(link.radio.as_ref().and_then(|r| r.range_m)).is_some());

@@ -1,4 +1,4 @@
-//! Wiring of the state server, of the delivery of messages within a host, and of the host's Status. It holds no logic.
+//! Wiring of the state server, of message delivery within a host, and of the host's Status. Contains no logic.
 
 use std::cell::Cell;
 use std::collections::BTreeSet;
@@ -16,7 +16,7 @@ use crate::messages::wire::{Mode, Stop, Wire};
 use crate::runtime::clock::Clock;
 use crate::runtime::shell::{Mailbox, start};
 
-/// The actors of one host that follow the state server and the emergency stop.
+/// Actors of one host that follow the state server and the emergency stop.
 struct Followers {
     agents: Vec<Mailbox<agent::In>>,
     controllers: Vec<Mailbox<controller::In>>,
@@ -26,7 +26,7 @@ struct Followers {
 }
 
 impl Followers {
-    /// Delivers an instruction of the state server.
+    /// Delivers an instruction of the state server to all of them.
     fn follow(&self, mode: &Mode) {
         self.world.iter().for_each(|world| world.send(world::In::Mode(mode.clone())));
         self.agents.iter().for_each(|agent| agent.send(agent::In::Mode(mode.clone())));
@@ -35,7 +35,7 @@ impl Followers {
         self.status.send(status::In::Mode(mode.phase));
     }
 
-    /// Delivers an emergency stop, a re-arm or an operator's question.
+    /// Delivers an emergency stop message to those that follow the stop.
     fn stop(&self, stop: Stop) {
         self.controllers.iter().for_each(|controller| controller.send(controller::In::Stop(stop)));
         self.bodies.iter().for_each(|body| body.send(body::In::Stop(stop)));
@@ -43,7 +43,8 @@ impl Followers {
     }
 }
 
-/// Makes the function that delivers a message to the actors of a host with these robots.
+/// Returns the function that delivers a message to the actors of a host. `agents`, `bodies` and `simulated` are the
+/// robots whose Agents, Bodies and simulations the host runs.
 pub(super) fn deliveries(
     graph: &Graph,
     host: HostId,
@@ -60,7 +61,7 @@ pub(super) fn deliveries(
     let leads = graph.routes.server_host() == host;
     let driven: BTreeSet<RobotId> = bodies.iter().copied().collect();
     let real: BTreeSet<RobotId> = driven.iter().copied().filter(|robot| !simulated.contains(robot)).collect();
-    // Robots that the host's World simulates.
+    // Robots that this host's World simulates.
     let own: BTreeSet<RobotId> = simulated.iter().copied().collect();
     let decided: BTreeSet<RobotId> = agents.iter().copied().collect();
     let team = Followers {
@@ -70,7 +71,7 @@ pub(super) fn deliveries(
         world: simulated.first().map(|robot| graph.worlds[robot.index()].clone()),
         status: graph.status_of(host),
     };
-    // Readings go to the Status only after the first message of an observer: they are many.
+    // Readings are many, so the Status gets them only after an observer's first message.
     let observed = Cell::new(false);
     move |message| match message {
         Wire::Reading(m) => {
@@ -106,7 +107,7 @@ pub(super) fn deliveries(
             observed.set(true);
             team.status.send(status::In::Observe);
         }
-        // Telemetry is for observers, which are no hosts of the deployment.
+        // Telemetry is for observers, which are outside the deployment.
         Wire::Telemetry(_) => {}
     }
 }

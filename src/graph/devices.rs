@@ -1,4 +1,4 @@
-//! Drivers, sources and observation of one process, made from the deployment. Their workers run on threads of their
+//! Drivers, sources and observation of one process, created from the deployment. Their workers run on threads of their
 //! own.
 
 use std::cell::{Cell, RefCell};
@@ -19,7 +19,7 @@ use crate::runtime::real::Readers;
 
 /// Driver or source of readings: a constructor of its logic, and the channel to its worker (I/O thread).
 pub struct Device<T: ?Sized> {
-    /// Makes a new driver or source; called at each start of the actor that uses it.
+    /// Creates a new driver or source; called at each start of the actor that uses it.
     pub make: Rc<dyn Fn() -> Box<T>>,
     /// Channel to the worker (I/O thread) of the driver or source; `None` if there is no worker.
     pub gate: Option<Rc<RefCell<Gate>>>,
@@ -51,7 +51,7 @@ impl<T: ?Sized> Clone for Device<T> {
 pub struct Devices {
     /// Driver of each real robot whose motors this process drives.
     pub drivers: BTreeMap<RobotId, Device<dyn Driver>>,
-    /// Source of readings that localizes the robots of this process; `None` if there is none.
+    /// Source of readings of the robots that this process localizes; `None` if there is none.
     pub source: Option<Device<dyn Source>>,
     /// Publication of received messages as ROS messages, with the channel to its worker (I/O thread); `None` if not
     /// configured.
@@ -62,12 +62,12 @@ pub struct Devices {
 pub struct Workers(Vec<JoinHandle<()>>);
 
 impl Workers {
-    /// Returns no workers at all.
+    /// Returns an empty set of workers.
     pub fn none() -> Workers {
         Workers(Vec::new())
     }
 
-    /// Waits until all worker threads have ended, for about a second at most. The [`Devices`] must be dropped before.
+    /// Waits for up to a second until all worker threads have ended. The [`Devices`] must be dropped before.
     pub fn join(self) {
         let mut rests = (0..200).map(|_| thread::park_timeout(Duration::from_millis(5)));
         for worker in self.0 {
@@ -82,7 +82,7 @@ impl Workers {
     }
 }
 
-/// Error when drivers and sources are made and started.
+/// Error while drivers and sources are created and started.
 #[derive(Debug, thiserror::Error)]
 pub enum DeviceError {
     /// A setting of a driver or source is wrong.
@@ -93,7 +93,7 @@ pub enum DeviceError {
     Machine(#[from] std::io::Error),
 }
 
-/// Makes the drivers and the source of one host of a checked deployment without their workers, for a replay.
+/// Creates the drivers and the source of one host of a checked deployment without their workers, for a replay.
 pub fn closed(host: &Host, registry: &Registry) -> Result<Devices, DeviceError> {
     let mut devices = Devices::default();
     for &robot in &host.actuates {
@@ -110,8 +110,8 @@ pub fn closed(host: &Host, registry: &Registry) -> Result<Devices, DeviceError> 
     Ok(devices)
 }
 
-/// Makes the drivers and the source of one host of a checked deployment, and starts their workers (I/O threads).
-/// `robots` is the size of the team.
+/// Creates the drivers and the source of one host of a checked deployment, and starts their workers (I/O threads).
+/// `robots` is the number of robots of the team.
 pub fn open(host: &Host, robots: usize, registry: &Registry) -> Result<(Devices, Workers), DeviceError> {
     let (mut devices, mut workers) = (Devices::default(), Workers(Vec::new()));
     for &robot in &host.actuates {

@@ -1,5 +1,5 @@
-//! One host of a deployment as a process of its own: its part of the graph, in real time, on sockets. It holds neither
-//! the logic of actors nor output for people.
+//! One host of a deployment as a process: its part of the actor graph, in real time, on sockets. Contains no logic of
+//! actors and no output for people.
 
 use std::rc::Rc;
 
@@ -20,7 +20,7 @@ use crate::runtime::real::Readers;
 
 /// Identity, links and devices of one host that runs as a process of its own.
 pub struct Host {
-    /// Number of the host in the deployment.
+    /// Id of the host: its index in the deployment.
     pub id: HostId,
     /// Number of the team, which keeps teams on the same network apart.
     pub team: u16,
@@ -38,13 +38,12 @@ pub struct Host {
     pub transports: Vec<(LinkId, Box<dyn Transport>)>,
 }
 
-/// Makes the actors of one host in a team that runs in real time, and connects them; whoever runs `readers` runs them.
+/// Creates and connects the actors of one host of a team. The event loop that watches `readers` runs them in real time.
 ///
-/// `clock` is the host's clock, `readers` the set of file descriptors to which the host's sockets and devices are
-/// added, `plan` the settings of the whole team, `host` the number of this host with its links and devices. `report`
-/// is called with each event of the link layer (actor `Network`) and of the robots' guards (see [`ProcessEvent`]).
-/// `output` is called with results of episodes, only on the host that judges them. The returned graph has the
-/// mailboxes of all actors.
+/// `clock` is the host's clock. The host's sockets and devices are added to `readers`, the file descriptors that the
+/// event loop watches. `plan` has the settings of the whole team, `host` the identity, links and devices of this host.
+/// `report` is called with each event of the process (see [`ProcessEvent`]), `output` with results of episodes, on the
+/// host that judges them. The returned graph has the mailboxes of all actors.
 pub fn wire(
     (clock, readers): (&Clock, &mut Readers),
     plan: Plan,
@@ -76,7 +75,7 @@ pub fn wire(
     graph
 }
 
-/// Connects the workers of the devices with the graph.
+/// Connects the devices' workers with their actors.
 fn wire_gates((clock, readers): (&Clock, &mut Readers), plan: &Plan, graph: &Graph, process: &Process, take: &Take) {
     for (robot, device) in &process.devices.drivers {
         watch(readers, device, DeviceId::Driver(*robot), take);

@@ -1,4 +1,4 @@
-//! Injection of planned faults: at times of the trial, and at times since an episode began.
+//! Injection of planned faults, at times from the start of the trial or of an episode.
 
 use std::rc::Rc;
 
@@ -9,12 +9,12 @@ use crate::net::transport;
 use crate::runtime::clock::Clock;
 use crate::time::Time;
 
-/// Schedules all faults of a plan. Faults of links that are timed by the trial are known to the links themselves.
+/// Schedules the faults of a plan. Links handle faults timed from the start of the trial themselves.
 pub(super) fn schedule(clock: &Clock, plan: &Rc<Plan>, graph: &Rc<Graph>) {
     for fault in plan.faults.actors.iter().filter(|fault| fault.episode.is_none()) {
         inject(clock, graph, fault, fault.at);
     }
-    // Weak, because the graph holds the listener.
+    // A weak reference, because the graph holds this listener.
     let (later, plan, weak) = (clock.clone(), Rc::clone(plan), Rc::downgrade(graph));
     let began = move |episode| {
         let Some(graph) = weak.upgrade() else { return };

@@ -1,5 +1,5 @@
-//! Inputs of a host from outside its graph: datagrams, packets of its devices' workers, and orders of its own process.
-//! All of them come in through `Graph::take`, so that a record of a host has them all and a replay gives them again.
+//! Inputs of a host from outside its actor graph: datagrams, packets of devices' workers, and orders of its own
+//! process. All pass through `Graph::take`, so that a record holds all of them and a replay can repeat them.
 
 use std::net::SocketAddr;
 
@@ -7,7 +7,7 @@ use crate::edge::Packet;
 use crate::messages::ids::{LinkId, RobotId};
 use crate::net::protocol::codec::Frame;
 
-/// Driver or source of a host, whose worker does its I/O.
+/// Identity of a device of a host: a driver or the source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DeviceId {
     /// The driver of a robot's motors.
@@ -16,7 +16,7 @@ pub enum DeviceId {
     Source,
 }
 
-/// Input of a host from outside its graph.
+/// Input of a host from outside its actor graph.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Input {
     /// Datagram that has arrived on a link, with its source address if the transport has addresses.
@@ -27,7 +27,7 @@ pub enum Input {
     Packet(DeviceId, Packet),
     /// The worker of a device has ended.
     Ended(DeviceId),
-    /// Order of the host's process to leave the team: its robots stop, then it announces the leave.
+    /// Order of the host's process to shut down: its robots stop, and then it announces this.
     Leave,
     /// Order of the host's process to engage the team's emergency stop.
     Stop,

@@ -1,4 +1,4 @@
-//! Wiring of the whole actor graph: the one place that connects actors. It holds no logic.
+//! Wiring of the whole actor graph. Only this module connects actors. Contains no logic.
 
 pub mod attachment;
 pub mod bench;
@@ -57,11 +57,11 @@ pub const COMMAND_VALIDITY: Span = Span::from_millis(200);
 /// All inputs from which the actor graph of a run is made.
 #[derive(Clone)]
 pub struct Plan {
-    /// Hosts with the actors that they run, and the links between hosts.
+    /// Hosts with their actors, and links between hosts.
     pub deployment: Deployment,
-    /// Task of the team, such as driving through a passage.
+    /// Scenario of the team.
     pub scenario: Arc<dyn Scenario>,
-    /// Simulator of the robots that are not real.
+    /// Plant that simulates the robots that are not real.
     pub plant: Entry,
     /// Properties of the simulated robots.
     pub physics: Physics,
@@ -69,21 +69,21 @@ pub struct Plan {
     pub run: Model,
     /// Policy that drives robots to their starts.
     pub reset: Model,
-    /// Range within which robots receive neighbours' messages.
+    /// Communication range: largest distance at which a robot uses a neighbour's message.
     pub range: CommRange,
-    /// Longest time for which a neighbour's message is used after its arrival.
+    /// Hold time: age up to which a neighbour's message is used.
     pub hold: Span,
-    /// Whether a neighbour's message is used for the whole hold time or for one control step.
+    /// Whether a neighbour's message is used for the whole hold time or in one control step.
     pub handling: Handling,
-    /// Estimator that filters readings into a robot's state.
+    /// Estimator that computes a robot's state from its readings.
     pub estimator: estimation::Entry,
     /// Known delay of readings, from the measurement to the arrival.
     pub sensor_delay: Span,
-    /// Limit that Controllers put on the policies' output.
+    /// Limit of the policies' output in Controllers.
     pub clamp: Clamp,
     /// Conditions in which robots are stopped or slowed.
     pub safety: Safety,
-    /// Emergency stops and re-arms of the run, with the times at which a host sends them.
+    /// Emergency stop messages to send during the run, with their times.
     pub stops: Vec<(Time, Stop)>,
     /// Starts and goals of the robots in each episode.
     pub layouts: Layouts,
@@ -95,12 +95,12 @@ pub struct Plan {
     pub faults: FaultPlan,
     /// Time at which the run ends, even during an episode; `None` to end with the last episode.
     pub until: Option<Time>,
-    /// Whether every control step is reported or discarded.
+    /// Whether steps are reported, and with which messages.
     pub steps: recorder::Steps,
 }
 
-/// Starts all actors of a plan on `clock` and connects them. The function `report` is called with each event of the
-/// process, `output` with each output of the Recorder, such as the result of an episode.
+/// Starts and connects all actors of a plan on `clock`. `report` is called with each event of the process, `output`
+/// with each output of the Recorder, such as the result of an episode.
 pub fn wire(clock: &Clock, plan: Plan, report: Report, output: impl FnMut(recorder::Out) + 'static) -> Rc<Graph> {
     let plan = &Rc::new(plan);
     let process = Process::all_hosts(report);
@@ -120,7 +120,7 @@ pub fn wire(clock: &Clock, plan: Plan, report: Report, output: impl FnMut(record
     graph
 }
 
-/// Starts the actors of the hosts that run here.
+/// Starts the actors of the hosts that run in this process.
 pub(super) fn wire_hosts(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, process: &Process) {
     let here = |host: HostId| process.only.is_none_or(|only| only == host);
     let chassis = plan.deployment.team_chassis();
@@ -175,7 +175,7 @@ pub(super) fn wire_recorder(
     });
 }
 
-/// Offset of a robot's tick or heartbeat within each period.
+/// Returns the offset of a robot's tick or heartbeat within its period.
 fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     match plan.deployment.stepping {
         Stepping::Lockstep => Span::from_nanos(period.as_nanos() / 2),
@@ -187,8 +187,9 @@ fn phase(plan: &Plan, name: &str, robot: RobotId, period: Span) -> Span {
     }
 }
 
-/// Configuration of the guard of a robot of a team with these chassis. It knows the points that policies command, about
-/// which the hulls of differential robots are wider: least distances grow by that, and the ground shrinks.
+/// Returns the configuration of a robot's guard. `chassis` are those of the team. The guard sees commanded points,
+/// which lie ahead of the centre of a differential drive. Therefore its least distances are larger by that offset, and
+/// its geofence smaller.
 fn guard_config(plan: &Plan, robot: RobotId, chassis: &[Chassis]) -> guard::Config {
     let interface = plan.run.interface();
     let own = &chassis[robot.index()];
@@ -198,15 +199,15 @@ fn guard_config(plan: &Plan, robot: RobotId, chassis: &[Chassis]) -> guard::Conf
     guard::Config {
         safety: Safety { distance_min_m, ..plan.safety },
         half_extent: plan.scenario.arena().half_extent.add_scalar(-own.point_ahead_m),
-        // No more than the chassis carries out, so that the guard judges the velocity that is driven.
+        // At most the speed of the chassis, so that the guard judges the velocity that is really driven.
         limit_m_s: interface.limit_m_s.min(own.speed_m_s),
         clamp: plan.clamp,
         period: interface.period,
     }
 }
 
-/// Starts Cache and Controller of one robot of a team with these chassis, and its Agent if the robot is the first of
-/// that Agent.
+/// Starts Cache and Controller of one robot, and its Agent if the robot is the first of that Agent. `chassis` are those
+/// of the team.
 fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, chassis: &[Chassis], process: &Process) {
     let at = robot.index();
     let (id, seed) = (robot.0, plan.seed);
@@ -217,7 +218,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, cha
     let config = cache::Config {
         robot,
         period: interface.period,
-        // All robots of an agent have one tick, for a synchronous joint step.
+        // All robots of an Agent tick at the same time, for a synchronous joint step.
         phase: phase(plan, "agent", first, interface.period),
         range: plan.range,
         hold: plan.hold,
@@ -239,7 +240,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, cha
             }
             agent.send(agent::In::Percept(percept));
         }
-        // Dropped where own state is not watched: it would be a fifth of all messages.
+        // Not sent if the age of own state is not checked: it would be a fifth of all messages.
         cache::Out::Fresh if watched => controller.send(controller::In::Fresh),
         cache::Out::Fresh => {}
     });
@@ -271,7 +272,7 @@ fn wire_robot(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId, cha
     });
 }
 
-/// Starts the Agent whose first robot this is.
+/// Starts the Agent that has `robot` as its first robot.
 fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let id = robot.0;
     let network = graph.network_of(graph.routes.agent_host(robot));
@@ -282,7 +283,7 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
     let plan = Rc::clone(plan);
     let make = move |incarnation: u32| {
         let policies = |&robot: &RobotId| {
-            // A policy knows the point that it commands, about which the hull of a differential robot is wider.
+            // A policy sees the commanded point, so the hull of a differential drive is wider for it.
             let arena = plan.scenario.arena().about_point(plan.deployment.chassis(robot).point_ahead_m);
             RobotPolicies {
                 robot,
@@ -303,7 +304,7 @@ fn wire_agent(clock: &Clock, plan: &Rc<Plan>, graph: &Graph, robot: RobotId) {
 /// Starts Network, Status and World of one host.
 fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &Process) {
     let entry = &plan.deployment.hosts[usize::from(host.0)];
-    // In the order of ids, whatever the order in the deployment: a plant moves its robots in this order.
+    // Sorted by id, as a plant moves its robots in this order.
     let here = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<BTreeSet<_>>().into_iter().collect();
     let (agents, simulated): (Vec<RobotId>, Vec<RobotId>) = (here(&entry.agents.concat()), here(&entry.simulates));
     let bodies: Vec<RobotId> = here(&[&entry.simulates[..], &entry.actuates].concat());
@@ -315,7 +316,7 @@ fn wire_host(clock: &Clock, plan: &Plan, graph: &Graph, host: HostId, process: &
     }
 }
 
-/// Starts the Network of a host; messages that arrive go to `deliver`.
+/// Starts the Network of a host; received messages are passed to `deliver`.
 fn wire_network(
     clock: &Clock,
     plan: &Plan,
@@ -339,7 +340,7 @@ fn wire_network(
     attachment.start(clock, &graph.networks[usize::from(host.0)], Rc::clone(&graph.transports), move |out| match out {
         attachment::Out::Deliver(message) => {
             report(host, ProcessEvent::Message(&message));
-            // The Recorder of this process has no other copy of what other processes publish.
+            // The Recorder of this process gets no other copy of messages from other processes.
             if alone && matches!(message, Wire::Mode(_) | Wire::MotorCommand(_)) {
                 record(recorder::In::Received(message.clone()));
             }

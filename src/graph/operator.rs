@@ -1,6 +1,6 @@
-//! Operator: a host outside the deployment, with a Network on one or more links of a team and no robot. It may give
-//! orders (`order`) or only listen. Every operator process has a number of its own, so any number of operators can act
-//! at once. This module holds no output for people.
+//! Operator: a host outside the deployment, with a Network on one or more links of a team and without robots. It may
+//! give orders (`order`) or only receive. Every operator process has an id of its own, so several can act at once.
+//! Contains no output for people.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -54,10 +54,10 @@ pub fn wire(
 ) -> Mailbox<network::In> {
     let Operator { me, seed, robots, publishers, key, links, transports, stop } = operator;
     let router = Router::new(robots, |kind, _| match kind {
-        // Stops of others are for a wiggle, which ends at one.
+        // A wiggle ends when another host stops the team.
         Kind::Stop => Route { local: true, leaves: stop.map(|link| (link, Audience::All)) },
         Kind::Observe => Route { local: false, leaves: stop.map(|link| (link, Audience::All)) },
-        // Latents and readings are for a page, where this link carries them.
+        // The live page shows latents and readings if this link carries them.
         Kind::Heartbeat | Kind::Mode | Kind::Status | Kind::Telemetry | Kind::Latent | Kind::Reading => {
             Route { local: true, leaves: None }
         }
@@ -76,7 +76,7 @@ pub fn wire(
     })
 }
 
-/// Period of an observer's messages.
+/// Period at which an observer asks for telemetry.
 const OBSERVE_PERIOD: Span = Span::from_millis(1000);
 
 /// Makes the operator `by` an observer: it asks all hosts for telemetry through `network` while the process runs.

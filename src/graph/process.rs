@@ -1,4 +1,4 @@
-//! The part of a deployment that runs in this process, and the mailboxes of all actors. `graph` connects them.
+//! The part of a deployment that runs in one process, and the mailboxes of all actors. `graph` connects them.
 
 use std::cell::{Cell, OnceCell};
 use std::collections::BTreeMap;
@@ -24,7 +24,7 @@ use crate::random::Seed;
 use crate::runtime::shell::Mailbox;
 use crate::safety::guard::SafetyCounts;
 
-/// Team number of one-process runs, which have no other team.
+/// Team number of runs in one process, where no other team can interfere.
 const TEAM: u16 = 0;
 
 /// Part of a deployment that runs in one process, with its identity on the links.
@@ -34,14 +34,14 @@ pub struct Process {
     pub only: Option<HostId>,
     /// Number of the team, which keeps teams on the same network apart.
     pub team: u16,
-    /// Incarnation: a random number that differs between processes of the same host.
+    /// Incarnation: random number that differs between processes of the same host, such as before and after a restart.
     pub incarnation: u32,
     /// Secret seed of the link layer's random streams; `None` to use the seed of the run.
     pub secret: Option<Seed>,
     /// Key that authenticates the team's datagrams, if any.
     pub key: Option<Key>,
-    /// Setup of each link, `None` for a link without part in it. The whole list is `None` for the links of the emulated
-    /// network.
+    /// Setup of each link, `None` for a link in which the host does not take part. The whole list is `None` if links
+    /// are emulated.
     pub links: Option<Vec<Option<Setup>>>,
     /// Drivers and source of readings of real robots; empty if all robots are simulated.
     pub devices: Devices,
@@ -54,35 +54,35 @@ pub struct Process {
 /// Function that is called with each event of a process, and the host of this process where it happened.
 pub type Report = Rc<dyn Fn(HostId, ProcessEvent)>;
 
-/// Event in a process, as the process's owner hears of it.
+/// Event in a process, reported to the code that started it.
 #[derive(Clone, Copy, Debug)]
 pub enum ProcessEvent<'a> {
     /// An actor of this process has published a message: its datagram, without a tag.
     Published(&'a Frame),
     /// A datagram leaves on a link, with its tag if the team has a key.
     Sent(LinkId, &'a Frame),
-    /// Input from outside the graph. In a run of one process with emulated links there is none.
+    /// Input from outside the graph. Does not occur if all hosts run in one process with emulated links.
     Input(&'a Input),
     /// True states of simulated robots after a step of their World.
     Truth(&'a Truth),
     /// Output of the Recorder: the result of an episode, a step, or the end of the run.
     Recorded(&'a recorder::Out),
-    /// Message that has arrived for actors of this process.
+    /// Message that was delivered to actors of this process.
     Message(&'a Wire),
-    /// Summaries of the other hosts, from links on which hosts report.
+    /// State of the other hosts, from links with link reports.
     Peers(&'a [Peer]),
-    /// Counts of the links since the Network was started.
+    /// Counts of datagrams on the links since the Network was started.
     Counts(&'a LinkCounts),
-    /// Another running host uses the number of this host and was started earlier.
+    /// Another running host uses the id of this host and was started earlier.
     Duplicate(DuplicateId),
-    /// Number of times that a robot's guard has stopped or slowed it since its Controller was started.
+    /// Counts of stops and reduced velocities by a robot's guard since its Controller was started.
     Safety(RobotId, SafetyCounts),
     /// Condition of the hardware of a real robot, as its driver reports it.
     Hardware(RobotId, &'a Hardware),
 }
 
 impl Process {
-    /// Makes the process that runs every host of a deployment.
+    /// Creates the process that runs every host of a deployment.
     pub(super) fn all_hosts(report: Report) -> Process {
         Process {
             only: None,
@@ -97,7 +97,7 @@ impl Process {
         }
     }
 
-    /// Setup of the links of a host; none where it neither sends nor receives.
+    /// Returns the setup of each link for a host; `None` for a link in which it neither sends nor receives.
     pub(super) fn setups(&self, deployment: &Deployment, routes: &Routes, host: HostId) -> Vec<Option<Setup>> {
         let emulated = |link: &Link| {
             let partakes = link.carries.iter().any(|kind| routes.exchanges(host, *kind));
@@ -111,33 +111,33 @@ impl Process {
 pub struct Graph {
     pub(super) routes: Routes,
     pub(super) caches: Rc<[Mailbox<cache::In>]>,
-    /// By robot; the robots of one agent share a mailbox.
+    /// Indexed by robot; the robots of one Agent share a mailbox.
     pub(super) agents: Vec<Mailbox<agent::In>>,
     pub(super) controllers: Rc<[Mailbox<controller::In>]>,
     pub(super) bodies: Rc<[Mailbox<body::In>]>,
-    /// By robot: the localizers of simulated robots.
+    /// Localizers of simulated robots, indexed by robot.
     pub(super) sensors: Rc<[Mailbox<localizer::In>]>,
-    /// The localizer of this process's source.
+    /// Localizer of this process's source.
     pub(super) source: Mailbox<localizer::In>,
-    /// By robot; the robots of one World share a mailbox.
+    /// Indexed by robot; the robots of one World share a mailbox.
     pub(super) worlds: Vec<Mailbox<world::In>>,
     pub(super) server: Mailbox<state_server::In>,
-    /// By host.
+    /// Indexed by host.
     pub(super) statuses: Rc<[Mailbox<status::In>]>,
     pub(super) networks: Rc<[Mailbox<network::In>]>,
     pub(super) transports: Rc<[Mailbox<transport::In>]>,
-    /// None in a process without a Recorder.
+    /// `None` in a process without a Recorder.
     pub(super) recorder: Option<Mailbox<recorder::In>>,
-    /// Notice of each episode that begins, for faults that are timed from it.
+    /// Notifies of each episode that begins, for faults timed from its start.
     pub(super) episodes: EpisodeNotice,
-    /// Called with each event of this process.
+    /// Function that is called with each event of this process.
     pub(super) report: Report,
 }
 
-/// Function of an episode that begins.
+/// Function that is called with the number of an episode when it begins.
 type EpisodeListener = Box<dyn Fn(u32)>;
 
-/// Notice of each episode that begins, for one listener.
+/// Notifies one listener of each episode that begins.
 #[derive(Clone, Default)]
 pub(super) struct EpisodeNotice {
     listener: Rc<OnceCell<EpisodeListener>>,
@@ -145,7 +145,7 @@ pub(super) struct EpisodeNotice {
 }
 
 impl EpisodeNotice {
-    /// Notes that an episode runs; the first time, the listener is called.
+    /// Reports that an episode runs. The listener is called at the first report of each episode.
     pub(super) fn runs(&self, episode: u32) {
         if self.newest.get() < Some(episode) {
             self.newest.set(Some(episode));
@@ -153,7 +153,7 @@ impl EpisodeNotice {
         }
     }
 
-    /// Sets the listener.
+    /// Sets the listener; may be called once.
     pub(super) fn listen(&self, listener: impl Fn(u32) + 'static) {
         assert!(self.listener.set(Box::new(listener)).is_ok(), "a plan is scheduled once");
     }
@@ -171,7 +171,7 @@ impl Graph {
         for robot in team() {
             let agent = agents.get(routes.agent_robots(robot)[0].index());
             agents.push(agent.cloned().unwrap_or_else(|| Mailbox::new(named("agent")(robot))));
-            // A real robot gets a mailbox that no actor reads.
+            // A real robot gets a mailbox without an actor.
             let host = routes.world_host(robot).ok_or(robot);
             let world = by_host.entry(host).or_insert_with(|| Mailbox::new(named("world")(robot)));
             worlds.push(world.clone());
@@ -204,7 +204,7 @@ impl Graph {
         self.statuses[usize::from(host.0)].clone()
     }
 
-    /// Returns the function that sends to the Recorder, or does nothing where there is none.
+    /// Returns the function that sends to the Recorder; it does nothing in a process without one.
     pub(super) fn record(&self) -> impl Fn(recorder::In) + use<> {
         let recorder = self.recorder.clone();
         move |input| {
@@ -214,12 +214,12 @@ impl Graph {
         }
     }
 
-    /// Numbers of messages refused by full mailboxes and lost in crashes, so far.
+    /// Numbers of messages that full mailboxes have refused and that crashes have lost, so far.
     pub fn undelivered(&self) -> (u64, u64) {
         fn of<I>(mailboxes: &[Mailbox<I>]) -> impl Iterator<Item = (&str, (u64, u64))> {
             mailboxes.iter().map(|mailbox| (mailbox.name(), (mailbox.refused(), mailbox.lost())))
         }
-        // By name, because some robots share an agent or a World.
+        // Counted by name, because some robots share an Agent or a World.
         let counts: BTreeMap<&str, (u64, u64)> = of(&self.caches)
             .chain(of(&self.agents))
             .chain(of(&self.controllers))
@@ -236,32 +236,32 @@ impl Graph {
         counts.values().fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1))
     }
 
-    /// Engages the team's emergency stop in the name of a host that runs here.
+    /// Engages the team's emergency stop on behalf of a host of this process.
     pub fn stop(&self, by: HostId) {
         self.take(by, Input::Stop);
     }
 
-    /// Makes a host that runs here leave the team: its robots stop, then it announces the leave.
+    /// Shuts down a host of this process: its robots stop, and then it announces this.
     pub fn leave(&self, host: HostId) {
         self.take(host, Input::Leave);
     }
 
-    /// Injects a fault into an actor that runs here, from now on; the time in `fault` is not used.
+    /// Injects a fault into an actor of this process at once. The time in `fault` is ignored.
     pub fn inject(&self, fault: ActorFault) {
         self.change_fault(fault.role, fault.robot, Some(&fault));
     }
 
-    /// Ends all faults of an actor that runs here; if it has crashed, it restarts.
+    /// Ends all faults of an actor of this process; a crashed actor restarts.
     pub fn recover(&self, role: Role, robot: RobotId) {
         self.change_fault(role, robot, None);
     }
 
-    /// Sets the manual fault of an emulated link.
+    /// Replaces the manually set faults of an emulated link.
     pub fn impair(&self, link: LinkId, fault: ManualLinkFault) {
         self.transports[usize::from(link.0)].send(transport::In::Manual(fault));
     }
 
-    /// Publishes an emergency stop, a re-arm, a resume or a question, through a host that runs here.
+    /// Publishes an emergency stop message through a host of this process.
     pub fn publish_stop(&self, through: HostId, stop: Stop) {
         self.networks[usize::from(through.0)].send(network::In::Publish(Wire::Stop(stop)));
     }
@@ -278,7 +278,7 @@ impl Graph {
             Role::Cache => change(&self.caches[at], fault),
             Role::Agent => change(&self.agents[at], fault),
             Role::Controller => change(&self.controllers[at], fault),
-            // Measurement and motors of a robot fail together: both are its body.
+            // The body fault of a robot covers its measurement and its motors.
             Role::Body => {
                 change(&self.sensors[at], fault);
                 change(&self.bodies[at], fault);
@@ -291,7 +291,7 @@ impl Graph {
 }
 
 impl Graph {
-    /// Passes an input on to the actors of a host that runs here, and reports it.
+    /// Reports an input, and passes it to the actors of a host of this process.
     pub fn take(&self, host: HostId, input: Input) {
         (self.report)(host, ProcessEvent::Input(&input));
         match input {

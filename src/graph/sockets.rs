@@ -1,4 +1,4 @@
-//! Open transports of a process as actors, between its Network and the event loop of real time. It does not read the
+//! Open transports of a process as actors, between its Network and the real-time event loop. Does not interpret the
 //! messages that they carry.
 
 use std::cell::{Cell, RefCell};
@@ -17,12 +17,12 @@ use crate::runtime::real::Readers;
 use crate::runtime::shell::{Mailbox, start};
 use crate::time::{Span, Time};
 
-/// Function that takes what arrives from outside the graph.
+/// Function that receives inputs from outside the graph.
 pub type Take = Rc<dyn Fn(Input)>;
 
-/// Starts the transports of a host behind the mailboxes of their links, in the order of the deployment. Frames that
-/// arrive go to `take`. A link may have several transports, one per interface; each frame leaves through all of
-/// them.
+/// Starts the transports of a host, each behind the mailbox of its link. `mailboxes` are in the order of the
+/// deployment. Received frames are passed to `take`. A link may have several transports, one per interface; each frame
+/// is sent through all of them.
 pub fn wire_all(
     (clock, readers): (&Clock, &mut Readers),
     open: Vec<(LinkId, Box<dyn Transport>)>,
@@ -59,7 +59,7 @@ pub fn wire_all(
     }
 }
 
-/// Starts the one transport of a link behind its mailbox; frames that arrive go to `take`.
+/// Starts the only transport of a link behind its mailbox; received frames are passed to `take`.
 fn wire(
     (clock, readers): (&Clock, &mut Readers),
     (link, transport): (LinkId, Box<dyn Transport>),
@@ -72,7 +72,7 @@ fn wire(
     let transport = Rc::new(RefCell::new(transport));
     let (flooded, receiver, inside) = (Rc::clone(&transport), Rc::clone(&transport), span.clone());
     let reported = Cell::new(0);
-    // Read frames at the notification itself: a turn of the actor for it would add a tenth to the cost of a delivery.
+    // Frames are read in the notification: an additional turn of the actor would add a tenth to the cost of a delivery.
     let ring = move || {
         let _inside = inside.enter();
         let mut receiver = receiver.borrow_mut();
@@ -86,7 +86,7 @@ fn wire(
     start(clock, mailbox, span, move |_| Transmitter(Rc::clone(&transport)), |never| match never {});
 }
 
-/// Actor that hands frames to a transport.
+/// Actor that passes frames to a transport.
 struct Transmitter(Rc<RefCell<Box<dyn Transport>>>);
 
 impl Core for Transmitter {
@@ -104,7 +104,7 @@ impl Core for Transmitter {
     fn wake(&mut self, _: Time, _: &mut Vec<Infallible>) {}
 }
 
-/// Actor that passes its input on to each of a link's transports.
+/// Actor that copies its input to each of a link's transports.
 struct Fan;
 
 impl Core for Fan {
@@ -122,7 +122,7 @@ impl Core for Fan {
     fn wake(&mut self, _: Time, _: &mut Vec<transport::In>) {}
 }
 
-/// State machine of an actor (a [`Core`]) that its owner can still read while the actor runs and after its end.
+/// State machine of an actor (a [`Core`]) that its owner can read while the actor runs and after it has ended.
 pub struct Shared<C>(pub Rc<RefCell<C>>);
 
 impl<C: Core> Core for Shared<C> {

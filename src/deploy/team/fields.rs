@@ -1,5 +1,5 @@
-//! Fields of a team file with their types and defaults: those of the whole team, and those of a link, most of which
-//! belong to its transport.
+//! Fields of a team file with their types and defaults: those of the whole team, and those of links, most of which
+//! belong to transports.
 
 use crate::config::fields::FieldType;
 use crate::deploy::MODES;
@@ -7,10 +7,10 @@ use crate::net::protocol::reliability::Reliability;
 use crate::net::transport;
 use crate::world::Sensor;
 
-/// Name, type and default of a field, as written in a file.
+/// Name, type and default of a field; the default is written as in a file.
 type Field = (&'static str, FieldType, Option<&'static str>);
 
-/// Name of the field that sets every link's interface in flags and in the environment.
+/// Name of the field in flags and in the environment that sets the interface of every link.
 pub const EVERY_INTERFACE: &str = "interface";
 
 /// Names of the reliability modes.
@@ -47,7 +47,7 @@ const TEAM: [Field; 18] = [
     ("record", FieldType::Text, None),
 ];
 
-/// Fields of the team that a robot or a host may override, besides its links.
+/// Fields of the team that can be overridden for a robot or a host, in addition to those of its links.
 const OVERRIDES: [&str; 3] = ["key_file", "policy", "record"];
 
 /// Names of the fields of the whole team.
@@ -55,15 +55,15 @@ pub fn team_fields() -> impl Iterator<Item = &'static str> {
     TEAM.iter().map(|(name, ..)| *name)
 }
 
-/// Fields of a team file.
+/// Permitted fields of a team file.
 #[derive(Clone, Debug)]
 pub struct Fields {
-    /// Fields of links that belong to transports, each once.
+    /// Fields of links that transports define, each name once.
     own: Vec<transport::Field>,
 }
 
 impl Fields {
-    /// Returns the fields of teams whose links have these transports.
+    /// Returns the permitted fields if links may use these transports.
     pub fn of(transports: &[transport::Entry]) -> Fields {
         let mut own: Vec<transport::Field> = Vec::new();
         for field in transports.iter().flat_map(|entry| entry.fields) {
@@ -74,12 +74,12 @@ impl Fields {
         Fields { own }
     }
 
-    /// Names of the fields of a link that have one value, not one for each host.
+    /// Returns the names of the fields of a link that have a single value.
     pub fn of_link(&self) -> impl Iterator<Item = &'static str> {
         ["transport"].into_iter().chain(self.own.iter().filter(|field| !field.by_host).map(|field| field.name))
     }
 
-    /// Names of the tables of a link that have a value for each host.
+    /// Returns the names of the fields of a link that have a value for each host.
     pub fn by_host(&self) -> impl Iterator<Item = &'static str> {
         self.own.iter().filter(|field| field.by_host).map(|field| field.name)
     }
@@ -89,8 +89,8 @@ impl Fields {
         self.own.iter().find(named).map(|field| field.takes)
     }
 
-    /// Type and default of the field with this key; `None` if there is no such field. Defaults of a transport's own
-    /// fields are in the transport's entry.
+    /// Returns type and default of the field with this key; `None` if there is no such field. Defaults of a transport's
+    /// fields are not included; they are in the transport's entry.
     pub fn field(&self, key: &str) -> Option<(FieldType, Option<&'static str>)> {
         let of_team =
             |name: &str| TEAM.iter().find(|(field, ..)| *field == name).map(|(_, takes, default)| (*takes, *default));
@@ -110,7 +110,7 @@ impl Fields {
         }
     }
 
-    /// List of the permitted fields, for the error about an unknown field.
+    /// Returns the list of permitted fields at the place of `key`, for the error about an unknown field.
     pub fn siblings(&self, key: &str) -> String {
         let names = match key.split('.').collect::<Vec<_>>()[..] {
             ["link", _, "reliability", ..] => return "a kind of message is followed by its reliability".to_owned(),
@@ -124,7 +124,7 @@ impl Fields {
         format!("there are {}", names.collect::<Vec<_>>().join(", "))
     }
 
-    /// Whether a table of this name holds fields.
+    /// Whether a table with this key contains fields.
     pub fn holds_fields(&self, key: &str) -> bool {
         let parts: Vec<&str> = key.split('.').collect();
         match parts[..] {

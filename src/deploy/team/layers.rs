@@ -1,5 +1,5 @@
-//! Values of a team file in layers: flag over environment over file, each with its origin. `fields` has the fields and
-//! their types; `team` has their meaning.
+//! Values of a team file in layers. A flag overrides an environment variable, which overrides the file. Each value has
+//! its origin. `fields` has the fields and their types, `team` their meaning.
 //!
 //! Pure: the caller passes the file's text, the environment and the flags.
 
@@ -18,13 +18,13 @@ use crate::net::transport;
 /// Origin of a value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// Flag of this name.
+    /// Command line flag with this name.
     Flag(&'static str),
-    /// Environment variable of this name.
+    /// Environment variable with this name.
     Environment(String),
-    /// Line of the team file.
+    /// Team file, at this line.
     File(usize),
-    /// Not set anywhere.
+    /// Default of the field.
     Default,
 }
 
@@ -39,30 +39,30 @@ impl fmt::Display for Origin {
     }
 }
 
-/// Value with its origin.
+/// Value of a field with its origin.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerValue {
     /// The value.
     pub value: Value,
-    /// Its origin.
+    /// Origin of the value.
     pub origin: Origin,
 }
 
-/// Value that a flag sets.
+/// Value that a command line flag sets.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Flag {
-    /// Name of the flag, for errors and as an origin.
+    /// Name of the flag, for errors and as the origin of the value.
     pub flag: &'static str,
-    /// The field.
+    /// Key of the field.
     pub key: String,
-    /// Its value as text.
+    /// Value as text.
     pub value: String,
 }
 
-/// Environment variables that are no fields.
+/// Environment variables with our prefix that set no field.
 const OTHER_VARIABLES: [&str; 1] = ["MURMURATE_LOG"];
 
-/// Name of a field in errors.
+/// Returns the name of a field in errors: its key or flag, with the origin of its value.
 pub fn place(key: &str, origin: &Origin) -> String {
     match origin {
         Origin::Default => key.to_owned(),
@@ -71,20 +71,20 @@ pub fn place(key: &str, origin: &Origin) -> String {
     }
 }
 
-/// Layers of values.
+/// Values of a team file, of the environment and of flags.
 #[derive(Clone, Debug)]
 pub struct Layers {
     fields: Fields,
     flags: BTreeMap<String, LayerValue>,
     environment: BTreeMap<String, LayerValue>,
     file: BTreeMap<String, LayerValue>,
-    /// Lines of the file's tables that are read as a whole, and of their fields.
+    /// Line numbers of the tables that are read as a whole, and of their fields.
     tables: BTreeMap<String, usize>,
 }
 
 impl Layers {
-    /// Reads the file and the flags; an error names the line, the field or the flag. The caller reads the tables in
-    /// `whole` itself, and the environment once the links are known.
+    /// Reads the file and the flags. An error names the line, the field or the flag. The tables in `whole` are left to
+    /// the caller. The environment is read later, when the links are known.
     pub fn read(
         text: &str,
         flags: &[Flag],
@@ -144,14 +144,14 @@ impl Layers {
         Ok(())
     }
 
-    /// Reads the fields of the whole team from the environment `variables`; an error names the variable.
+    /// Reads the fields of the whole team from environment variables. An error names the variable.
     pub fn read_environment(&mut self, variables: &[(String, String)]) -> Result<(), ConfigError> {
         let fields: Vec<String> = team_fields().map(str::to_owned).collect();
         self.take(variables, &fields)
     }
 
-    /// Reads `fields`, which belong to links, from the environment `variables`. Then refuses every unknown variable
-    /// that begins with `MURMURATE_`.
+    /// Reads the fields of links from environment variables. Refuses every unknown variable that begins with
+    /// `MURMURATE_`.
     pub fn read_link_environment(
         &mut self,
         variables: &[(String, String)],
@@ -184,7 +184,7 @@ impl Layers {
         Ok(())
     }
 
-    /// The permitted fields.
+    /// Returns the permitted fields.
     pub fn fields(&self) -> &Fields {
         &self.fields
     }
@@ -194,9 +194,10 @@ impl Layers {
         ConfigError::field(place, format!("there is no such field; {}", self.fields.siblings(key)))
     }
 
-    /// Value of a field, with its origin; `None` if it is set nowhere and has no default. `scopes` are prefixes such as
-    /// `host.pc.`, the narrowest first and the empty one last. A higher layer (flag, environment, file) takes
-    /// precedence over a narrower scope. Defaults of a transport's own fields are in the transport's entry.
+    /// Returns the value of a field with its origin; `None` if it is not set and has no default. `scopes` are prefixes
+    /// such as `host.pc.`, the narrowest first and the empty one last. A higher layer (flag, environment, file) takes
+    /// precedence over a narrower scope. Defaults of a transport's fields are not included; they are in the transport's
+    /// entry.
     pub fn find(&self, scopes: &[String], key: &str) -> Option<LayerValue> {
         let every = (key.starts_with("link.") && key.ends_with(".interface")).then_some(EVERY_INTERFACE);
         for layer in [&self.flags, &self.environment, &self.file] {
@@ -210,7 +211,7 @@ impl Layers {
         Some(LayerValue { value, origin: Origin::Default })
     }
 
-    /// Every field with this prefix that is set in any layer.
+    /// Returns every field with this prefix that is set in any layer.
     pub fn below<'a>(&'a self, prefix: &'a str) -> impl Iterator<Item = (&'a str, &'a LayerValue)> {
         let layers = [&self.flags, &self.environment, &self.file];
         layers
@@ -220,14 +221,14 @@ impl Layers {
             .map(|(key, entry)| (key.as_str(), entry))
     }
 
-    /// The line of a table that is read as a whole, or of its field `table.field`; `None` if the file has no such
-    /// table.
+    /// Returns the line of a table that is read as a whole, or of its field `table.field`; `None` if the file does not
+    /// contain it.
     pub fn table(&self, name: &str) -> Option<usize> {
         self.tables.get(name).copied()
     }
 }
 
-/// Name of the environment variable that sets a field.
+/// Returns the name of the environment variable that sets a field.
 pub fn variable(key: &str) -> String {
     let name = key.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_uppercase() } else { '_' });
     format!("MURMURATE_{}", name.collect::<String>())

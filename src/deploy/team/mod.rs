@@ -1,8 +1,8 @@
-//! Team files: a deployment, the team's task and the sockets of each link, resolved for one host.
+//! Team files: a deployment, its scenario and policy, and the sockets of each link, resolved for one host.
 //!
-//! Pure data and its checks: no file, socket or environment is accessed here. `fields` has the permitted fields,
+//! Pure data and checks: no file, socket or environment variable is accessed. `fields` has the permitted fields,
 //! `layers` the origins of values, `names` the check of names, `places` the host's place on each link, `show` the
-//! listing for people.
+//! listing of values.
 
 mod fields;
 pub mod layers;
@@ -36,55 +36,54 @@ use crate::scenario::{Scenario, Settings};
 use crate::time::Span;
 use crate::world::{Clamp, ContactRule, Overrides, Physics, Sensor};
 
-/// Configuration of one host of a team.
+/// Configuration of one host of a team, with all values resolved.
 #[derive(Clone, Debug)]
 pub struct Team {
-    /// The host.
+    /// Id of the host.
     pub host: HostId,
-    /// Hosts with their parts, and links with their kinds of messages.
+    /// Hosts and links of the team.
     pub deployment: Deployment,
-    /// The team's number on the wire.
+    /// Team number on the wire.
     pub number: u16,
-    /// Path of the team's key; `None` for a team on one machine, which needs no authentication.
+    /// Path of the team's key file; `None` for a team on one machine, which needs no authentication.
     pub key_file: Option<PathBuf>,
     /// Name of the team's scenario.
     pub scenario: String,
-    /// Policy of the team: a file or a name; `None` for the scenario's default.
+    /// Policy of the team: path of a file, or a name; `None` for the scenario's default.
     pub policy: Option<PathBuf>,
-    /// Number of episodes, one after the other with resets between.
+    /// Number of episodes of the trial.
     pub episodes: u32,
-    /// Root of all randomness.
+    /// Seed of the random numbers of the trial.
     pub seed: u64,
-    /// Simulated robots, and the treatment of messages and commands.
+    /// Properties of simulated robots, and the handling of messages and commands.
     pub simulated: SimulationSettings,
-    /// Estimator of the states of the host's robots.
+    /// Estimator that computes robots' states from readings on this host.
     pub estimator: estimation::Entry,
-    /// Known time from a measurement to the arrival of its reading; `None` for the latency of the simulated sensor.
+    /// Known delay from a measurement to the arrival of its reading; `None` for the latency of the simulated sensor.
     pub sensor_delay: Option<Span>,
-    /// Conditions in which robots are stopped or slowed.
+    /// Limits of motion, and conditions in which robots are stopped.
     pub safety: Safety,
-    /// Folder for the host's records; `None` for no record.
+    /// Folder for the host's records; `None` if nothing is recorded.
     pub record: Option<PathBuf>,
-    /// Place of this host on each link of the deployment; `None` for a link on which the host neither sends nor
-    /// receives.
+    /// Place of this host on each link of the deployment; `None` for a link on which it neither sends nor receives.
     pub links: Vec<Option<Place>>,
 }
 
-/// Simulated robots, and the treatment of messages and commands.
+/// Properties of simulated robots, and the handling of messages and commands.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimulationSettings {
-    /// Bodies and sensors of simulated robots, in the deployment's plant.
+    /// Properties of simulated robots and their sensors.
     pub physics: Physics,
-    /// Limit of the policy's output in Controllers. It also decides whether the World limits acceleration.
+    /// Limit of the policy's output in Controllers. Also determines whether the World limits acceleration.
     pub clamp: Clamp,
-    /// Time for which neighbours' messages are used: in one step, or until they are too old.
+    /// Whether a neighbour's message is used for the whole hold time or in one control step.
     pub handling: Handling,
 }
 
 /// Tables of a team file that are read as a whole, not field by field.
 const WHOLE_TABLES: [&str; 2] = ["deployment", "safety"];
 
-/// Team file with environment and flags, checked for all that concerns every host.
+/// Team file with environment and flags; all that concerns every host is checked.
 #[derive(Clone, Debug)]
 pub struct TeamFile {
     registry: Registry,
@@ -102,12 +101,12 @@ struct Inline {
 }
 
 impl TeamFile {
-    /// Reads a team file with the content `text` that lies in `folder`, from which relative paths in the file begin.
-    /// `registry` has the scenarios, policies, drivers and so on that the file may name. `variables` are names and
-    /// values of environment variables, which set fields over those of the file; `flags` set fields over both.
+    /// Reads a team file with the content `text`. Relative paths in it start from `folder`. `registry` has the
+    /// scenarios, policies, drivers and so on that the file may name. `variables` are names and values of environment
+    /// variables, which override fields of the file; `flags` override both.
     ///
     /// # Errors
-    /// A wrong field, by its name and the origin of its value: file, environment or flag.
+    /// Wrong field: its name and the origin of its value (file, environment variable or flag).
     pub fn read(
         registry: &Registry,
         text: &str,
@@ -135,22 +134,22 @@ impl TeamFile {
         Ok(file)
     }
 
-    /// The registry in which the file's names are looked up.
+    /// Registry in which names of the file are looked up.
     pub fn registry(&self) -> &Registry {
         &self.registry
     }
 
-    /// The deployment.
+    /// Deployment of the team.
     pub fn deployment(&self) -> &Deployment {
         &self.deployment
     }
 
-    /// All hosts.
+    /// Returns the ids of all hosts.
     pub fn hosts(&self) -> impl Iterator<Item = HostId> + use<> {
         (0..self.deployment.hosts.len()).map(|index| HostId(index as u16))
     }
 
-    /// The host of that name; an error lists all names.
+    /// Returns the host with this name. An error lists all names.
     pub fn host_named(&self, name: &str) -> Result<HostId, ConfigError> {
         let names: Vec<&str> = self.deployment.hosts.iter().map(|host| host.name.as_str()).collect();
         let found = names.iter().position(|host| *host == name);
@@ -159,7 +158,7 @@ impl TeamFile {
         found.map(|index| HostId(index as u16)).ok_or_else(unknown)
     }
 
-    /// The host that runs the robot's agent; an error if there is no such robot.
+    /// Returns the host that runs the robot's Agent. Fails if there is no such robot.
     pub fn host_of(&self, robot: RobotId) -> Result<HostId, ConfigError> {
         if robot.index() < self.deployment.robots {
             return Ok(Routes::of(&self.deployment).agent_host(robot));
@@ -167,12 +166,12 @@ impl TeamFile {
         Err(ConfigError::field("robot", format!("there is no {robot}; they are 0 to {}", self.deployment.robots - 1)))
     }
 
-    /// Checks the configuration of every host; an error names the field.
+    /// Checks the configuration of every host. An error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         self.hosts().try_for_each(|host| self.for_host(host).map(drop))
     }
 
-    /// Returns the team's configuration for this host; an error names the field.
+    /// Returns the configuration for this host. An error names the field.
     pub fn for_host(&self, host: HostId) -> Result<Team, ConfigError> {
         let scopes = self.scopes(Some(host));
         let find = |key: &str| self.layers.find(&scopes, key);
@@ -249,14 +248,14 @@ impl TeamFile {
         })
     }
 
-    /// Estimator of the host's robots.
+    /// Returns the estimator for this host's robots.
     fn estimator(&self, scopes: &[String]) -> Result<estimation::Entry, ConfigError> {
         let entry = self.layers.find(scopes, "estimator").expect("it has a default");
         let found = self.registry.estimator(text(&entry)).copied();
         found.map_err(|error| ConfigError::field(place("estimator", &entry.origin), error.to_string()))
     }
 
-    /// Prefixes under which a host finds its values, the narrowest first.
+    /// Returns the prefixes under which a host's values are looked up, the narrowest first.
     fn scopes(&self, host: Option<HostId>) -> Vec<String> {
         let host = host.map(|host| &self.deployment.hosts[usize::from(host.0)]);
         let robot = host.and_then(|host| only_robot(&host.agents)).map(|robot| format!("robot.{robot}."));
@@ -264,15 +263,15 @@ impl TeamFile {
         robot.into_iter().chain(host).chain([String::new()]).collect()
     }
 
-    /// Resolves a path: from the file's own folder for values of the file, from the working directory for flags and
-    /// environment.
+    /// Resolves a path: values of the file are relative to its folder, those of flags and environment to the working
+    /// directory.
     fn path(&self, entry: &LayerValue) -> PathBuf {
         let path = Path::new(text(entry));
         if matches!(entry.origin, Origin::File(_)) { self.folder.join(path) } else { path.to_owned() }
     }
 }
 
-/// The deployment of the file: a preset, or one written in it.
+/// Returns the deployment of the file: a preset mode, or the table `deployment`.
 fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) -> Result<Deployment, ConfigError> {
     let find = |key: &str| layers.find(&[String::new()], key);
     let (mode, robots, plant) = (find("mode"), find("robots"), find("plant"));
@@ -318,7 +317,7 @@ fn deployment(registry: &Registry, inline: Option<Deployment>, layers: &Layers) 
     }
 }
 
-/// Checks the settings of drivers and sources by making them; no worker is started.
+/// Checks the settings of drivers and sources by creating them; no worker is started.
 fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), ConfigError> {
     let ids = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<Vec<_>>();
     for host in &deployment.hosts {
@@ -339,20 +338,20 @@ fn check_devices(registry: &Registry, deployment: &Deployment) -> Result<(), Con
     Ok(())
 }
 
-/// Makes the scenario, for a team of this size or of its default size.
+/// Creates the scenario, for a team of `robots` robots or of its default size.
 fn build(registry: &Registry, entry: &LayerValue, robots: Option<usize>) -> Result<Arc<dyn Scenario>, ConfigError> {
     registry
         .scenario(text(entry), &Settings { robots, gap_m: None })
         .map_err(|error| ConfigError::field(place("scenario", &entry.origin), error.to_string()))
 }
 
-/// The robot of a host that runs exactly one.
+/// Returns the robot of a host that runs the Agents of exactly one robot.
 fn only_robot(agents: &[Vec<u16>]) -> Option<u16> {
     let robots = agents.concat();
     if let [only] = robots[..] { Some(only) } else { None }
 }
 
-/// Name of a kind in files.
+/// Returns the name of a kind of message in files.
 fn kebab(kind: Kind) -> String {
     match kind {
         Kind::Reading => "reading",

@@ -8,7 +8,7 @@ use crate::config::ConfigError;
 use crate::messages::ids::RobotId;
 
 impl TeamFile {
-    /// Checks that the hosts, robots, links and kinds in the names of fields exist.
+    /// Checks that hosts, robots, links and kinds in the keys of fields exist. An error names the field.
     pub(super) fn check_names(&self) -> Result<(), ConfigError> {
         let deployment = &self.deployment;
         let hosts: BTreeSet<&str> = deployment.hosts.iter().map(|host| host.name.as_str()).collect();
@@ -37,7 +37,7 @@ impl TeamFile {
                 ["link", link, "reliability", kind] => {
                     known("link", &links, link).and_then(|()| self.check_carries(link, kind))
                 }
-                // Table of its transport.
+                // A table that the link's transport defines.
                 ["link", link, _, host] => known("link", &links, link).and_then(|()| known("host", &hosts, host)),
                 ["link", link, ..] => known("link", &links, link),
                 _ => Ok(()),

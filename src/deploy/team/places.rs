@@ -15,35 +15,36 @@ use crate::net::transport;
 use crate::net::transport::settings::FieldValue;
 use crate::net::transport::{Field, LinkSettings, Place};
 
-/// Access of an operator to the link of the emergency stop, from any machine.
+/// Settings with which an operator joins the link of the emergency stop, from any machine.
 #[derive(Clone, Debug)]
 pub struct OperatorAccess {
-    /// The link.
+    /// Link that carries `Stop`.
     pub link: LinkId,
-    /// The team's number on the wire.
+    /// Team number on the wire.
     pub number: u16,
-    /// Path of the team's key; `None` for a team without one.
+    /// Path of the team's key file; `None` for a team without a key.
     pub key_file: Option<PathBuf>,
-    /// Places of the operator on the link: one for each network interface that any host uses on it, or a single one
-    /// that addresses every host.
+    /// Places of the operator on the link: one for each network interface that a host uses on it, or a single one if it
+    /// addresses every host.
     pub places: Vec<Place>,
 }
 
 impl TeamFile {
-    /// The transport of a link in these scopes.
+    /// Returns the transport of a link in these scopes.
     pub(super) fn transport(&self, scopes: &[String], link: &Link) -> &transport::Entry {
         let name = self.layers.find(scopes, &format!("link.{}.transport", link.name)).expect("it has a default");
         self.registry.transport(text(&name)).expect("its name was checked when the file was read")
     }
 
-    /// Names of the values of a field on a link: one, or one for each host.
+    /// Returns the names of a link's field: one, or one for each host.
     pub(super) fn names_of(&self, field: &Field) -> Vec<String> {
         let hosts = self.deployment.hosts.iter().filter(|_| field.by_host);
         let names: Vec<String> = hosts.map(|host| format!("{}.{}", field.name, host.name)).collect();
         if field.by_host { names } else { vec![field.name.to_owned()] }
     }
 
-    /// Value of a field of the transport of the link with index `at`.
+    /// Returns the value of a field of the transport of the link with index `at`; `None` if it is not set and has no
+    /// default.
     pub(super) fn of_link(&self, scopes: &[String], at: usize, (field, name): (&Field, &str)) -> Option<LayerValue> {
         let key = format!("link.{}.{name}", self.deployment.links[at].name);
         self.layers.find(scopes, &key).or_else(|| {
@@ -52,7 +53,7 @@ impl TeamFile {
         })
     }
 
-    /// The place of a host on the link with index `at`.
+    /// Returns the place of a host on the link with index `at`.
     pub(super) fn place(&self, host: HostId, at: usize) -> Result<Place, ConfigError> {
         let link = &self.deployment.links[at];
         let scopes = self.scopes(Some(host));
@@ -75,8 +76,8 @@ impl TeamFile {
         Ok(Place { endpoint, reliability: reliability.collect() })
     }
 
-    /// Returns the operator's access to the link that carries the emergency stop, the only one that an operator opens.
-    /// An error names the field, such as `carries` if no link carries `stop`.
+    /// Returns the operator's access to the link that carries the emergency stop. An operator opens no other link. An
+    /// error names the field, such as `carries` if no link carries `stop`.
     pub fn operator_access(&self) -> Result<OperatorAccess, ConfigError> {
         let carries = |link: &Link| link.carries.contains(&Kind::Stop);
         let at = self.deployment.links.iter().position(carries).ok_or_else(|| {
@@ -103,7 +104,7 @@ impl TeamFile {
         })
     }
 
-    /// Refuses two links of a host that would receive each other's frames.
+    /// Checks that no two links of a host would receive each other's frames. An error names the field.
     pub(super) fn check_apart(&self, host: HostId, places: &[Option<Place>]) -> Result<(), ConfigError> {
         let scopes = self.scopes(Some(host));
         let mut seen: BTreeMap<(String, String), &str> = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! Listing of every value in effect, with its origin.
+//! Listing of all values in effect, each with its origin.
 
 use super::fields::team_fields;
 use super::layers::Origin;
@@ -9,16 +9,16 @@ use crate::world::{ContactRule, Sensor};
 /// One line of `config show`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shown {
-    /// The field.
+    /// Key of the field.
     pub key: String,
-    /// Its value in effect.
+    /// Value in effect, as text.
     pub value: String,
-    /// Its origin.
+    /// Origin of the value.
     pub origin: Origin,
 }
 
 impl TeamFile {
-    /// Default of a property of simulated robots: that of the plant.
+    /// Returns the default of a property of simulated robots, which the plant defines.
     fn plant_default(&self, key: &str) -> Option<String> {
         let (plant, scenario) = (self.registry.plant(&self.deployment.plant).ok()?, self.scenario().ok()?);
         let physics = (plant.physics)(scenario.arena());
@@ -32,7 +32,7 @@ impl TeamFile {
         }
     }
 
-    /// Every value in effect with its origin; for the whole team if `host` is `None`.
+    /// Returns all values in effect with their origins: of a host, or of the whole team if `host` is `None`.
     pub fn values(&self, host: Option<HostId>) -> Vec<Shown> {
         let scopes = self.scopes(host);
         let mut all = Vec::new();
@@ -68,7 +68,7 @@ impl TeamFile {
                 show(format!("link.{}.reliability.{}", link.name, kebab(*kind)), None);
             }
         }
-        // TOML writes one line per field.
+        // The TOML of `safety` has one line per field.
         let safety = toml::to_string(&self.safety).expect("safety is TOML");
         all.extend(safety.lines().filter_map(|line| line.split_once(" = ")).map(|(field, value)| {
             let key = format!("safety.{field}");
