@@ -10,7 +10,7 @@ use crate::time::{Span, Time};
 /// Time for which acknowledgements are collected.
 const ACK_WITHIN: Span = Span::from_millis(2);
 
-/// Datagrams to acknowledge, by sender.
+/// Ids of received datagrams that are to be acknowledged, by sender.
 #[derive(Clone, Debug, Default)]
 pub struct Acks {
     pending: BTreeMap<HostId, Vec<DatagramId>>,
@@ -18,7 +18,7 @@ pub struct Acks {
 }
 
 impl Acks {
-    /// Notes a datagram that is to be acknowledged.
+    /// Adds a received datagram that is to be acknowledged.
     pub fn note(&mut self, now: Time, id: DatagramId) {
         let ids = self.pending.entry(id.host).or_default();
         if ids.len() < MAX_IDS {
@@ -42,7 +42,7 @@ impl Acks {
         self.pending.first_key_value().map(|(host, _)| *host)
     }
 
-    /// Moves acknowledgements into a datagram, as many as fit.
+    /// Appends acknowledgement blocks to a datagram to all hosts, as many as fit, and removes what it has appended.
     pub fn add_to(&mut self, bytes: &mut Vec<u8>) {
         while let Some(mut waiting) = self.pending.first_entry() {
             let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES) / ID_BYTES;
@@ -59,7 +59,7 @@ impl Acks {
         self.due = None;
     }
 
-    /// Moves the acknowledgements for one host into an empty datagram.
+    /// Appends the acknowledgements for one host to an empty datagram, and removes them.
     pub fn add_for(&mut self, host: HostId, bytes: &mut Vec<u8>) {
         if let Some(ids) = self.pending.remove(&host) {
             add(bytes, Content::Ack, |bytes| write_ids(&ids, bytes));

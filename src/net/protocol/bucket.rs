@@ -30,7 +30,7 @@ impl Bucket {
         self.at = self.at.max(now);
     }
 
-    /// Number of tokens.
+    /// Number of whole tokens at `now`.
     pub fn left(&mut self, now: Time, rate: &Rate) -> usize {
         self.fill(now, rate);
         self.tokens as usize

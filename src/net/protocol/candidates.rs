@@ -1,8 +1,9 @@
-//! Candidates: incarnations that have not proved their liveness yet. Each is echoed for a while, so that it can.
+//! Candidates: incarnations of hosts that have not proved their liveness yet. Reports echo their stamps for a while, so
+//! that they can.
 //!
-//! A recording of a former run stays a candidate for ever. So candidates are bounded, hosts of the team apart from
-//! guests, and those that were echoed least come first. A repeated recording expires, since only a stamp that has
-//! advanced keeps a candidate fresh.
+//! A recording of an earlier run can never prove it. Therefore the table is bounded, hosts of the team are kept apart
+//! from guests, and candidates echoed least come first. Only an advancing stamp keeps a candidate fresh, so a repeated
+//! recording expires.
 
 use std::collections::BTreeMap;
 
@@ -11,27 +12,28 @@ use super::report::Stamp;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// Most candidates that are hosts of the team.
+/// Largest number of candidates that are hosts of the team.
 const MAX_HOSTS: usize = 1024;
-/// Most candidates that are guests: operators, and hosts that the deployment does not know.
+/// Largest number of candidates that are guests: operators, and hosts that the deployment does not know.
 const MAX_GUESTS: usize = 256;
 /// Share of a full table that is removed at once, so that a flood does not cause a search for every datagram.
 const REMOVED_SHARE: usize = 16;
-/// Most candidates of one host: more former runs than are likely to have been recorded with the same key and link.
+/// Largest number of candidates of one host: more earlier runs than are likely to be recorded with the same key and
+/// link.
 pub const MAX_CANDIDATES: usize = 32;
-/// Difference beyond which two stamps are of two runs, even of one incarnation: an hour \[us\].
+/// Difference \[us\] beyond which two stamps belong to different runs, even with equal incarnations: an hour.
 const SAME_CLOCK_US: i64 = 3_600_000_000;
 
-/// An incarnation that has not proved its liveness yet.
+/// Incarnation of a host that has not proved its liveness yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate {
-    /// The incarnation.
+    /// Incarnation of the host.
     pub incarnation: u32,
-    /// Its largest stamp.
+    /// Largest stamp received from the incarnation.
     pub stamp: Stamp,
-    /// Time of arrival of that stamp.
+    /// Arrival time of that stamp.
     pub at: Time,
-    /// Number of times that a report has echoed the candidate.
+    /// Number of reports that have echoed the candidate.
     pub echoed: u32,
 }
 
@@ -40,17 +42,17 @@ impl Candidate {
         now.since(self.at) < FRESH
     }
 
-    /// Order of removal. First candidates that have expired, then those that were echoed most; of several, the one
-    /// whose stamp has not advanced for longest.
+    /// Sort key for removal: expired candidates first, then those echoed most; among equals, the one whose stamp has
+    /// not advanced for the longest time.
     fn removal_order(&self, now: Time) -> (bool, u32, Span) {
         (!self.is_fresh(now), self.echoed, now.since(self.at))
     }
 }
 
-/// Novelty of a candidate's stamp.
+/// Result of receiving a candidate's stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Novelty {
-    /// A new candidate, or its stamp has advanced: the sender may wait for an answer.
+    /// The candidate is new or its stamp has advanced, so the sender may wait for an echo.
     New,
     /// The stamp has not advanced; the candidate is still fresh.
     Repeated,
@@ -58,7 +60,7 @@ pub enum Novelty {
     Expired,
 }
 
-/// Candidates with a common bound.
+/// Candidates with a common limit on their number.
 #[derive(Clone, Debug)]
 struct Table {
     by_host: BTreeMap<HostId, Vec<Candidate>>,
@@ -97,7 +99,7 @@ impl Table {
         Novelty::New
     }
 
-    /// Removes the first candidates in order of removal, whichever host they are of.
+    /// Removes the first candidates in the order of removal, of any hosts.
     fn make_room(&mut self, now: Time) {
         let each = self.by_host.iter().flat_map(|(&host, all)| all.iter().map(move |one| (host, *one)));
         let mut all: Vec<(HostId, Candidate)> = each.collect();
@@ -117,7 +119,7 @@ impl Table {
         }
     }
 
-    /// Returns the fresh candidates: those that were echoed least first, then the newest.
+    /// Returns the fresh candidates, those echoed least first, among equals the newest.
     fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let each = self.by_host.iter().flat_map(|(&host, all)| all.iter().map(move |one| (host, *one)));
         let mut waiting: Vec<(HostId, Candidate)> = each.filter(|(_, one)| one.is_fresh(now)).collect();
@@ -135,7 +137,7 @@ pub struct Candidates {
 }
 
 impl Candidates {
-    /// Returns an empty table. Hosts of the team have numbers below `first_guest`.
+    /// Returns an empty table. Hosts of the team have ids below `first_guest`.
     pub fn new(first_guest: HostId) -> Candidates {
         Candidates { hosts: Table::new(MAX_HOSTS), guests: Table::new(MAX_GUESTS), first_guest }
     }
@@ -144,13 +146,12 @@ impl Candidates {
         if host < self.first_guest { &mut self.hosts } else { &mut self.guests }
     }
 
-    /// Notes the stamp of a report.
+    /// Records the stamp of a report.
     pub fn note(&mut self, now: Time, host: HostId, incarnation: u32, stamp: Stamp) -> Novelty {
         self.table(host).note(now, host, Candidate { incarnation, stamp, at: now, echoed: 0 })
     }
 
-    /// Removes an incarnation that has proved its liveness. Returns its entry; `None` if the incarnation was not a
-    /// candidate.
+    /// Removes an incarnation that has proved its liveness. Returns the removed candidate; `None` if it was none.
     pub fn forget(&mut self, host: HostId, incarnation: u32) -> Option<Candidate> {
         let table = self.table(host);
         let all = table.by_host.get(&host)?.iter();
@@ -159,8 +160,8 @@ impl Candidates {
         known
     }
 
-    /// Returns the fresh candidates, guests and hosts of the team alternately, so that neither delay the other. Within
-    /// each group, those that were echoed least come first, then the newest.
+    /// Returns the fresh candidates, guests and hosts of the team alternately, so that neither group delays the other.
+    /// Within each group, those echoed least come first, then the newest.
     pub fn waiting(&self, now: Time) -> Vec<(HostId, Candidate)> {
         let [mut guests, mut hosts] = [&self.guests, &self.hosts].map(|table| table.waiting(now).into_iter());
         let mut waiting = Vec::with_capacity(guests.len() + hosts.len());
@@ -171,7 +172,7 @@ impl Candidates {
         waiting
     }
 
-    /// Counts a report that echoes this stamp.
+    /// Counts a report that echoes this stamp of the host.
     pub fn echoed(&mut self, host: HostId, stamp: Stamp) {
         let all = self.table(host).by_host.get_mut(&host);
         if let Some(one) = all.and_then(|all| all.iter_mut().find(|one| one.stamp == stamp)) {
@@ -179,7 +180,7 @@ impl Candidates {
         }
     }
 
-    /// Returns the candidate of each host whose stamp advanced last.
+    /// Returns for each host the candidate whose stamp has advanced last.
     pub fn newest(&self) -> impl Iterator<Item = (HostId, Candidate)> {
         let all = self.hosts.by_host.iter().chain(&self.guests.by_host);
         all.filter_map(|(&host, all)| Some((host, *all.iter().max_by_key(|one| one.at)?)))

@@ -1,4 +1,4 @@
-//! Encoder and decoder of the wire format; there are no others.
+//! Encoder and decoder of the wire format, for all datagrams.
 //!
 //! A datagram is a header of 14 bytes, little-endian, then blocks, then a tag where the team has a key (`key`):
 //!
@@ -9,11 +9,11 @@
 //! | 2..4 | team |
 //! | 4..6 | sending host |
 //! | 6..10 | the sender's incarnation, a random number |
-//! | 10..14 | sequence number, counted on this link for all hosts, or for the one that it is for |
+//! | 10..14 | sequence number, counted on this link: one count for datagrams to all hosts, one for each single receiver
+//! |
 //!
 //! A block is a content byte, a length of 2 bytes and a body: a message as one MessagePack array, or a control block of
-//! the link layer (`report`). Decoding never panics, whatever the bytes, and never allocates more than the length of
-//! the datagram.
+//! the link layer (`report`). Decoding never panics, and never allocates more than the length of the datagram.
 
 use std::sync::Arc;
 
@@ -25,38 +25,38 @@ use crate::messages::wire::{KINDS, Kind, Unfit, Wire};
 
 /// Version of the wire format; a receiver refuses all others.
 pub const VERSION: u8 = 4;
-/// Bytes of a tag: keyed BLAKE3, truncated to 128 bits.
+/// Length of a tag \[bytes\]: keyed BLAKE3, truncated to 128 bits.
 pub const TAG_BYTES: usize = 16;
-/// Bytes of the header.
+/// Length of the header \[bytes\].
 pub const HEADER_BYTES: usize = 14;
-/// Offset of the flags in the header.
+/// Offset of the flags in the header \[bytes\].
 pub const FLAGS_AT: usize = 1;
-/// Bytes before the body of a block.
+/// Length of a block's header: content byte and body length \[bytes\].
 pub const BLOCK_BYTES: usize = 3;
-/// Largest datagram, tag included: below the 1280 bytes that every IPv6 link carries (RFC 8200, section 5), with room
-/// for the headers of IP and UDP.
+/// Largest datagram with its tag \[bytes\]. It is below the 1280 bytes that every IPv6 link carries (RFC 8200, section
+/// 5), with room for the headers of IP and UDP.
 pub const MAX_FRAME_BYTES: usize = 1200;
-/// Largest datagram before its tag.
+/// Largest datagram without its tag \[bytes\].
 pub const MAX_PLAIN_BYTES: usize = MAX_FRAME_BYTES - TAG_BYTES;
 
-/// An encoded datagram, shared without copies.
+/// Encoded datagram, shared without copies.
 pub type Frame = Arc<[u8]>;
 
-/// Flags of a datagram, one bit each.
+/// Flags of a datagram, one bit for each.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Flags(pub u8);
 
 impl Flags {
-    /// A tag follows.
+    /// The datagram ends with a tag.
     pub const TAGGED: u8 = 1;
-    /// The datagram is for one host, and numbered in that host's sequence space.
+    /// The datagram is for one host, and numbered in the sequence space of that host.
     pub const DIRECT: u8 = 2;
-    /// Retransmission.
+    /// The datagram is a retransmission.
     pub const COPY: u8 = 4;
-    /// The receiver shall acknowledge the datagram.
+    /// The sender asks the receiver to acknowledge the datagram.
     pub const ACK: u8 = 8;
 
-    /// Whether this bit is set.
+    /// Whether the flag `bit` is set.
     pub fn has(self, bit: u8) -> bool {
         self.0 & bit != 0
     }
@@ -65,34 +65,34 @@ impl Flags {
 /// Header of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// Flags.
+    /// Flags of the datagram.
     pub flags: Flags,
-    /// Number of the sender's team.
+    /// Team number of the sender.
     pub team: u16,
-    /// The host that sent the datagram.
+    /// Host that sent the datagram.
     pub sender: HostId,
-    /// The sender's incarnation; a restarted host has a new one.
+    /// Incarnation of the sender; a restarted host has a new one.
     pub incarnation: u32,
-    /// Number of the datagram in its sequence space. Each link and incarnation has one for datagrams to all hosts, and
-    /// one for each single receiver.
+    /// Sequence number of the datagram. Each incarnation has on each link one sequence space for datagrams to all
+    /// hosts, and one for each single receiver.
     pub sequence: u32,
 }
 
-/// Content of a block.
+/// Type of a block's content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// A message.
+    /// Message of this kind.
     Message(Kind),
-    /// A link report.
+    /// Link report.
     Report,
-    /// A link report of a link with unicast datagrams: each entry has the number of the next datagram to its host
-    /// alone.
+    /// Link report on a link with unicast datagrams: each entry also has the number of the next unicast datagram to its
+    /// host.
     NumberedReport,
-    /// Acknowledgements.
+    /// Acknowledgements of datagrams.
     Ack,
     /// Requests to retransmit.
     Nack,
-    /// Numbers of earlier datagrams that may be requested.
+    /// Sequence numbers of earlier datagrams that receivers may request.
     Held,
 }
 
@@ -126,50 +126,50 @@ impl Content {
     }
 }
 
-/// Reason for which a message cannot be sent.
+/// Reason why a message cannot be sent.
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
-    /// The message breaks its own ranges.
+    /// The message is outside the ranges of its kind.
     #[error("a {0:?} is unfit to send: {1}")]
     Unfit(Kind, Unfit),
-    /// The frame would not fit into one datagram.
+    /// The message does not fit into one datagram; its size \[bytes\].
     #[error("a {0:?} takes {1} bytes; there is room for {MAX_PLAIN_BYTES}")]
     TooLong(Kind, usize),
 }
 
-/// Reason for which bytes are not a frame.
+/// Reason why bytes are not a valid datagram.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
-    /// Shorter than a header or longer than a datagram.
+    /// The length is below that of a header or above that of the largest datagram \[bytes\].
     #[error("{0} bytes are no frame")]
     Length(usize),
-    /// Another version of the wire format.
+    /// The datagram has another version of the wire format.
     #[error("version {0} of the wire format; this program speaks {VERSION}")]
     Version(u8),
-    /// Flags that do not exist.
+    /// The datagram has undefined flags.
     #[error("no datagram has the flags {0:#04x}")]
     Flags(u8),
-    /// A kind of message that does not exist.
+    /// The kind of message or the content of a block is undefined.
     #[error("no message has the kind {0}")]
     Kind(u8),
-    /// The datagram ends within a block, or holds none, or more than one where one is expected.
+    /// A block is longer than the datagram, or the number of blocks is wrong.
     #[error("the blocks are not what their lengths say")]
     Blocks,
-    /// A control block does not have the form of its content.
+    /// The body of a control block does not match its content byte.
     #[error("the body is not a {0:?}")]
     Link(Content),
-    /// The body is not a message of the kind that its block names.
+    /// The body of a message does not match its kind.
     #[error("the body is not a {0:?}")]
     Body(Kind),
-    /// Bytes follow the message.
+    /// Bytes follow the message within its block.
     #[error("bytes follow the {0:?}")]
     Trailing(Kind),
-    /// The message breaks its own ranges.
+    /// The message is outside the ranges of its kind.
     #[error("the {0:?} is unfit: {1}")]
     Unfit(Kind, Unfit),
 }
 
-/// Starts a datagram.
+/// Returns a new datagram that contains only the header.
 pub fn start(header: &Header) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(256);
     bytes.extend_from_slice(&[VERSION, header.flags.0]);
@@ -180,7 +180,7 @@ pub fn start(header: &Header) -> Vec<u8> {
     bytes
 }
 
-/// Adds a block, whose body `write` appends.
+/// Appends a block to a datagram; `write` appends the block's body.
 pub fn add(datagram: &mut Vec<u8>, content: Content, write: impl FnOnce(&mut Vec<u8>)) {
     let at = datagram.len();
     datagram.extend_from_slice(&[content.byte(), 0, 0]);
@@ -189,7 +189,7 @@ pub fn add(datagram: &mut Vec<u8>, content: Content, write: impl FnOnce(&mut Vec
     datagram[at + 1..at + BLOCK_BYTES].copy_from_slice(&length.to_le_bytes());
 }
 
-/// Encodes a message behind its header, without a tag.
+/// Encodes a message as a datagram without a tag.
 pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
     let kind = message.kind();
     message.check().map_err(|unfit| EncodeError::Unfit(kind, unfit))?;
@@ -214,7 +214,7 @@ pub fn encode(header: &Header, message: &Wire) -> Result<Frame, EncodeError> {
     Ok(bytes.into())
 }
 
-/// Reads a datagram's header alone.
+/// Decodes only the header of a datagram.
 pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
     let header = datagram.first_chunk::<HEADER_BYTES>().filter(|_| datagram.len() <= MAX_FRAME_BYTES);
     let Some(&[version, flags, t0, t1, s0, s1, e0, e1, e2, e3, n0, n1, n2, n3]) = header else {
@@ -232,7 +232,7 @@ pub fn peek(datagram: &[u8]) -> Result<Header, DecodeError> {
     Ok(Header { flags, team, sender, incarnation, sequence })
 }
 
-/// Returns the blocks of a datagram without its tag, up to the first error.
+/// Returns the blocks of a datagram without tag. Ends at the first error.
 pub fn blocks(plain: &[u8]) -> impl Iterator<Item = Result<(Content, &[u8]), DecodeError>> {
     let mut rest = plain.get(HEADER_BYTES..).unwrap_or_default();
     std::iter::from_fn(move || {
@@ -252,12 +252,12 @@ fn split(bytes: &[u8]) -> Result<(Content, &[u8], &[u8]), DecodeError> {
     Ok((content, body, rest))
 }
 
-/// Returns the content of a datagram's first block, which decides how an emulated medium treats the datagram.
+/// Returns the content type of a datagram's first block, which determines how an emulated medium handles the datagram.
 pub fn first(datagram: &[u8]) -> Result<Content, DecodeError> {
     split(datagram.get(HEADER_BYTES..).unwrap_or_default()).map(|(content, ..)| content)
 }
 
-/// Decodes the body of a message.
+/// Decodes the body of a message and checks its ranges.
 pub fn message(kind: Kind, bytes: &[u8]) -> Result<Wire, DecodeError> {
     let message = match kind {
         Kind::Reading => Wire::Reading(body(kind, bytes)?),
@@ -274,7 +274,7 @@ pub fn message(kind: Kind, bytes: &[u8]) -> Result<Wire, DecodeError> {
     Ok(message)
 }
 
-/// Decodes a datagram of exactly one message, without a tag.
+/// Decodes a datagram without tag that contains exactly one message.
 pub fn decode(plain: &[u8]) -> Result<(Header, Wire), DecodeError> {
     let header = peek(plain)?;
     let mut all = blocks(plain);

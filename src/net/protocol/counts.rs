@@ -1,4 +1,4 @@
-//! Counters of a host on a link: everything sent, accepted or dropped, each by its cause. No decisions.
+//! Counters of one host on one link: datagrams sent, messages accepted, and everything dropped, by cause.
 
 use std::iter::Sum;
 
@@ -22,60 +22,60 @@ macro_rules! counts {
 }
 
 counts! {
-    /// Datagrams sent with data, each counted once; and messages that stayed on the host.
+    /// Datagrams sent with data, retransmissions not counted; and messages that stayed on the host.
     sent,
-    /// Datagrams retransmitted: timed repeats, requested repairs, retries without an acknowledgement.
+    /// Retransmissions: timed repeats, requested ones, and retries without an acknowledgement.
     copies,
-    /// Datagrams sent with nothing but soft state: heartbeats, modes, link reports, acknowledgements, requests.
+    /// Datagrams sent with only soft state: heartbeats, instructions, link reports, acknowledgements, requests.
     soft,
-    /// Given up: sent with all retries and never acknowledged by all receivers.
+    /// Messages given up: not acknowledged by all receivers after all retries.
     lapsed,
-    /// Not sent: out of the ranges of their kind.
+    /// Messages not sent, because they are outside the ranges of their kind.
     unfit,
-    /// Messages received and accepted.
+    /// Messages that were received and accepted.
     accepted,
-    /// Messages accepted from a retransmission: the first transmission was lost.
+    /// Messages accepted from a retransmission, because the first transmission was lost.
     repaired,
-    /// Ignored: for another host of the same multicast group. Not a fault.
+    /// Messages ignored, because they are for other hosts that receive the same datagrams. Not a fault.
     aside,
-    /// Refused: datagrams of this process, received back.
+    /// Datagrams refused: sent by this process itself.
     own,
-    /// Refused: the tag is missing or wrong, or there is one and no key to check it.
+    /// Datagrams refused: the tag is missing or wrong, or there is a tag and no key to check it.
     auth,
-    /// Refused: too old to tell whether it is new, or of a former incarnation, on a link with authentication.
+    /// Datagrams refused on a link with authentication: older than the replay window, or of an earlier incarnation.
     replay,
-    /// Refused: delayed. It was sent before a report that arrived long before it, or is a report that was long in
+    /// Datagrams refused: delayed. Either sent before a report that arrived long ago, or a report that was long in
     /// transit.
     late,
-    /// Refused: the sender has not proved its liveness yet.
+    /// Datagrams refused: their sender has not proved its liveness yet.
     unproven,
-    /// Refused: from a second live host with the same id.
+    /// Datagrams refused: from a second live host with the same id.
     #[serde(rename = "twin")]
     duplicate_id,
-    /// Refused: of another team.
+    /// Datagrams refused: from another team.
     team,
-    /// Refused: of another version.
+    /// Datagrams refused: another version of the wire format.
     version,
-    /// Refused: numbers out of the ranges of their kind.
+    /// Messages refused: outside the ranges of their kind.
     range,
-    /// Refused: duplicate of a datagram.
+    /// Datagrams and messages refused: received before.
     duplicate,
-    /// Refused: older than the newest message of its stream.
+    /// Messages refused: older than the newest message of their stream.
     stale,
-    /// Refused: the sender exceeds its rate limit.
+    /// Datagrams refused: their sender exceeds its rate limit.
     rate,
-    /// Refused: the table of senders is full.
+    /// Datagrams refused: the table of senders is full.
     crowd,
-    /// Dropped: a queue of the transport was full.
+    /// Datagrams dropped: a queue of the transport was full.
     queue,
-    /// Refused: not a message.
+    /// Datagrams refused: malformed.
     malformed,
-    /// Refused: about a robot that is not on this host.
+    /// Messages refused: from a host that may not publish them, or about a robot that is not on this host.
     misrouted,
 }
 
 impl LinkCounts {
-    /// Everything refused or dropped on arrival, whatever the cause.
+    /// Number of datagrams and messages that were refused or dropped on arrival, for any cause.
     pub fn refused(&self) -> u64 {
         let forged = self.own + self.auth + self.replay + self.unproven + self.duplicate_id + self.team + self.version;
         let late = self.duplicate + self.stale + self.late + self.rate + self.crowd + self.queue;

@@ -1,30 +1,31 @@
-//! Duplicate ids: of two live hosts with one id, the one that was started later has to end. Ends nothing itself.
+//! Detection of duplicate ids: if two live hosts have the same id, the one that started later has to end. The caller
+//! ends it.
 //!
-//! Each lists the other in its reports with the other's stamp and its own uptime. So the later one learns of the
-//! earlier one within a few reports of its start.
+//! Each process lists the other in its link reports, with the other's stamp and its own uptime. So the later one learns
+//! of the earlier one within a few reports after its start.
 
 use super::report::MAX_HELD_FOR;
 use crate::messages::ids::{HostId, LinkId};
 use crate::time::{Span, Time};
 
-/// Uptime from which a process no longer ends because of a duplicate id. Any member with the key can claim to be an
-/// earlier process, and a false claim must not end a team.
+/// Uptime after which a process no longer ends because of a duplicate id. Every member with the key can claim an
+/// earlier start, and a false claim must not end a team.
 pub const SETTLED: Span = Span::from_millis(10_000);
-/// Difference of uptime below which two are ordered by their incarnations.
+/// Difference of uptimes below which the incarnations decide which process ends.
 const TIE_MARGIN: Span = Span::from_millis(50);
 
-/// Another live host with the id of this one, which was started earlier.
+/// Report of another live host with the id of this one that started earlier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DuplicateId {
     /// Link on which the other host was received.
     pub link: LinkId,
-    /// The id.
+    /// Common id of both hosts.
     pub host: HostId,
     /// Incarnation of the other process.
     pub incarnation: u32,
 }
 
-/// Other processes that use the id of this process on one link.
+/// State of the detection of duplicate ids on one link.
 #[derive(Clone, Copy, Debug)]
 pub struct DuplicateIds {
     me: (LinkId, HostId, u32),
@@ -34,19 +35,19 @@ pub struct DuplicateIds {
 }
 
 impl DuplicateIds {
-    /// Returns the initial state. `incarnation` is this process's incarnation.
+    /// Returns the initial state. `host` is this process's id, and `incarnation` its incarnation.
     pub fn new(link: LinkId, host: HostId, incarnation: u32) -> DuplicateIds {
         const { assert!(SETTLED.as_nanos() < MAX_HELD_FOR.as_nanos(), "a report can say that it has run for so long") };
         DuplicateIds { me: (link, host, incarnation), began: None, claims: 0, duplicate: None }
     }
 
-    /// Uptime of this process on this link, counted from the first call.
+    /// Uptime of this process, counted from the first call.
     pub fn uptime(&mut self, now: Time) -> Span {
         now.since(*self.began.get_or_insert(now))
     }
 
-    /// Handles the claim of another process with this id that its uptime is `theirs`. The claim must echo a recent
-    /// stamp.
+    /// Handles the claim of another process with this id that its uptime is `theirs`. The caller has checked that the
+    /// claim echoes a recent stamp of this process.
     pub fn claim(&mut self, now: Time, incarnation: u32, theirs: Span) {
         let ours = self.uptime(now);
         let (link, host, mine) = self.me;
@@ -55,14 +56,14 @@ impl DuplicateIds {
             let times = self.claims;
             tracing::error!("a second live host has the id {} of this one (noticed {times} times)", host.0);
         }
-        // The claim was in transit for a while; both sides allow for it such that exactly one of the two ends.
+        // The claim was in transit for a while. Both sides allow for it so that exactly one of the two ends.
         let later = if mine < incarnation { theirs + TIE_MARGIN > ours } else { theirs > ours + TIE_MARGIN };
         if later && ours < SETTLED && self.duplicate.is_none() {
             self.duplicate = Some(DuplicateId { link, host, incarnation });
         }
     }
 
-    /// Returns the earlier process with the same id, so that this one has to end; `None` if there is none.
+    /// Returns the other process if that started earlier, so that this one has to end; `None` otherwise.
     pub fn duplicate(&self) -> Option<DuplicateId> {
         self.duplicate
     }

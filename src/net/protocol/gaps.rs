@@ -1,4 +1,4 @@
-//! Missing datagrams: which to request, and when. Sends nothing.
+//! Missing datagrams of one link: which ones to request, and when. The caller sends the requests.
 
 use std::collections::BTreeMap;
 
@@ -8,27 +8,30 @@ use super::report::DatagramId;
 use super::window::Window;
 use crate::time::{Span, Time};
 
-/// Most missing datagrams that are tracked.
+/// Largest number of missing datagrams that are tracked.
 const MAX_GAPS: usize = 256;
-/// Requests for a missing datagram: at 30 % loss of requests and answers alike, 7 % stay missing.
+/// Largest number of requests for a datagram. At 30 % loss of requests and answers, 7 % of the missing datagrams stay
+/// missing.
 const ASKS: u32 = 4;
-/// Largest random backoff before a request, so that one receiver requests for all (RFC 5401, section 3.2).
+/// Largest random backoff before a request. The first receiver that requests a datagram suppresses the requests of
+/// others (RFC 5401, section 3.2).
 pub const BACKOFF: Span = Span::from_millis(10);
 
-/// A missing datagram.
+/// State of a missing datagram.
 #[derive(Clone, Copy, Debug)]
 struct Gap {
     due: Time,
     asked: u32,
 }
 
-/// All missing datagrams of one link.
+/// Missing datagrams of one link.
 #[derive(Clone, Debug, Default)]
 pub struct Gaps(BTreeMap<DatagramId, Gap>);
 
 impl Gaps {
-    /// Adds the numbers that a new datagram offers for retransmission and that have not arrived. `backoff` draws the
-    /// wait before a request. Only offered datagrams are requested, so lost requests cause no further requests.
+    /// Removes a received datagram, and adds the numbers in `held` that have not arrived: those that the datagram
+    /// offers for retransmission. `backoff` draws the wait before a request. Only offered datagrams are requested, so
+    /// that lost requests cause no further requests.
     pub fn note(
         &mut self,
         now: Time,
@@ -46,18 +49,18 @@ impl Gaps {
         }
     }
 
-    /// Whether no datagram is known to be missing.
+    /// Whether no datagram is missing.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Whether the datagram is a retransmission that this host has requested. It is accepted however old it is.
+    /// Whether the datagram is a retransmission that this host has requested. Such a datagram is accepted at any age.
     pub fn awaits(&self, header: &Header) -> bool {
         header.flags.has(Flags::COPY) && self.0.contains_key(&DatagramId::of(header))
     }
 
-    /// Postpones requests for datagrams that another host has requested. Unicast datagrams have a sequence space for
-    /// each receiver, so another host's request says nothing about this host's.
+    /// Postpones requests for datagrams that another host has just requested. Only for datagrams to all hosts: each
+    /// receiver has its own sequence space for unicast datagrams.
     pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
         for id in ids.iter().filter(|id| !id.direct) {
             if let Some(gap) = self.0.get_mut(id) {
@@ -71,7 +74,7 @@ impl Gaps {
         self.0.values().map(|gap| gap.due).min()
     }
 
-    /// Returns the datagrams to request now, at most `room`.
+    /// Returns the datagrams to request now, at most `room`. `backoff` draws the wait before the next request.
     pub fn ask(&mut self, now: Time, room: usize, mut backoff: impl FnMut() -> Span) -> Vec<DatagramId> {
         let mut ids = Vec::new();
         self.0.retain(|_, gap| gap.asked < ASKS || gap.due > now);

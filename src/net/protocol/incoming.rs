@@ -1,9 +1,9 @@
-//! Reception on a link: which incarnations are accepted, which datagrams are new, which are missing. Sends nothing.
+//! Reception on a link: which incarnations are accepted, and which datagrams are new or missing. Pure; sends nothing.
 //!
-//! On a link with a key a sender is accepted once it proves its liveness: it echoes a stamp of this host that is no
-//! older than `FRESH`. So a recording proves nothing, not even to a host that has just restarted. Of a host of the
-//! deployment one incarnation is accepted; another replaces it after it has fallen silent. Operators are identified by
-//! incarnation, and any number are accepted at once.
+//! On a link with a key, a sender is accepted once it proves its liveness: it echoes a stamp of this host that is at
+//! most `FRESH` old. So a recording is never accepted, not even by a host that has just restarted. Of each host of the
+//! deployment, one incarnation is accepted; another replaces it after it has fallen silent. Operators are identified by
+//! incarnation, and any number of them are accepted at the same time.
 
 use super::bucket::Rate;
 use super::candidates::{Candidates, Novelty};
@@ -23,58 +23,60 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// Datagrams of a second live host from which it is logged: a host restarted within `SILENT` sends fewer.
+/// Number of datagrams of a second live host from which on it is logged. A host that restarts within `SILENT` causes
+/// fewer.
 const DUPLICATES_TO_LOG: u64 = 8;
 
-/// Urgency of a report for another host.
+/// How soon another host needs a report of this host.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Urgency {
-    /// With the next regular report.
+    /// In the next regular report.
     #[default]
     Regular,
     /// Piggybacked on the next datagram.
     NextDatagram,
-    /// Immediately.
+    /// Immediately, in an urgent report.
     Immediate,
 }
 
 /// Outcome of the admission of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// It is new.
+    /// The datagram is new.
     New(Urgency),
-    /// It is a duplicate; if its sender wants acknowledgements, one was lost.
+    /// The datagram is a duplicate. If its sender asks for acknowledgements, one was lost.
     Duplicate,
-    /// It is refused: its sender has to prove its liveness first, and may wait for a report to do so.
+    /// The datagram is refused, because its sender has to prove its liveness first. For that it needs a report of this
+    /// host.
     Candidate(Urgency),
-    /// It is refused.
+    /// The datagram is refused.
     Refused,
 }
 
-/// This host's identity and settings on one link.
+/// Identity and settings of this host on one link.
 #[derive(Clone, Copy, Debug)]
 pub struct LocalEnd {
-    /// The host.
+    /// Id of this host.
     pub host: HostId,
-    /// Its incarnation.
+    /// Incarnation of this host.
     pub incarnation: u32,
-    /// The link.
+    /// Id of the link.
     pub link: LinkId,
-    /// Whether senders have to prove their liveness, as on a link with a key.
+    /// Whether senders have to prove their liveness; so on links with a key.
     pub authenticated: bool,
-    /// Smallest host number of a guest; hosts of the team have smaller ones.
+    /// Smallest id of a guest; hosts of the team have smaller ids.
     pub first_guest: HostId,
-    /// Bytes of one entry in this host's reports.
+    /// Length of an entry in this host's reports \[bytes\].
     pub entry_bytes: usize,
     /// Clock of this host's stamps.
     pub stamps: Stamps,
 }
 
-/// Liveness proof: an entry about this host that echoes a recent stamp of it.
+/// Liveness proof of another host: an entry of its report that echoes a recent stamp of this host.
 #[derive(Clone, Copy, Debug)]
 struct LivenessProof {
     entry: Entry,
-    /// Age of the echoed stamp.
+    /// Time since this host sent the echoed stamp.
     age: Span,
 }
 
@@ -85,15 +87,15 @@ pub struct Incoming {
     rate: Option<Rate>,
     senders: Senders,
     candidates: Candidates,
-    /// Missing datagrams.
+    /// Missing datagrams that can be requested.
     pub gaps: Gaps,
     schedule: ReportSchedule,
-    /// Other processes with the id of this host.
+    /// Detection of other processes with the id of this host.
     pub duplicate_ids: DuplicateIds,
 }
 
 impl Incoming {
-    /// Returns the initial state.
+    /// Returns the initial state. `rate` limits the datagrams of each sender.
     pub fn new(local: LocalEnd, rate: Option<Rate>) -> Incoming {
         let schedule = ReportSchedule::new(local.host, local.authenticated, local.entry_bytes);
         let duplicate_ids = DuplicateIds::new(local.link, local.host, local.incarnation);
@@ -101,7 +103,7 @@ impl Incoming {
         Incoming { local, rate, senders, candidates, gaps: Gaps::default(), schedule, duplicate_ids }
     }
 
-    /// Admits a datagram of this team with a valid tag.
+    /// Decides on a datagram of this team with a valid tag. `report` is the report in it.
     pub fn admit(&mut self, now: Time, header: &Header, report: Option<&Report>, counts: &mut LinkCounts) -> Verdict {
         let proof = report.and_then(|report| self.liveness_proof(now, report));
         let known = match self.local.authenticated {
@@ -129,7 +131,7 @@ impl Incoming {
                 counts.replay += 1;
                 return Verdict::Refused;
             }
-            // Without a key replays are not detected, and the newest message of a stream counts anyway.
+            // Without a key replays are not detected; only the newest message of each stream is accepted anyway.
             Position::Behind => {}
         }
         if let Some(rate) = &self.rate
@@ -160,7 +162,8 @@ impl Incoming {
         })
     }
 
-    /// Checks that this incarnation is accepted, on a link with a key; accepts it if the datagram proves its liveness.
+    /// Checks on a link with a key that the sender's incarnation is accepted. Accepts it if the datagram proves its
+    /// liveness.
     fn check_accepted(
         &mut self,
         now: Time,
@@ -170,7 +173,7 @@ impl Incoming {
         counts: &mut LinkCounts,
     ) -> Result<(), Verdict> {
         let id = (header.sender, header.incarnation);
-        // A unicast report would not show where the sequence to all hosts stands.
+        // A unicast datagram does not tell the sequence number of datagrams to all hosts.
         let proof = proof.filter(|_| !header.flags.has(Flags::DIRECT));
         let accepted = self.senders.get_mut(id).filter(|sender| now.since(sender.proved) <= PROOF_VALIDITY);
         match (accepted, report) {
@@ -180,7 +183,7 @@ impl Incoming {
                     counts.late += 1;
                     return Err(Verdict::Refused);
                 } else if off {
-                    // The echo shows that the report is recent although its stamp is not: the sender's clock has
+                    // The echo shows that the report is recent although its stamp is old: the sender's clock has
                     // paused.
                     sender.offsets = Offsets::default();
                 }
@@ -195,8 +198,7 @@ impl Incoming {
         }
     }
 
-    /// Notes a datagram of an incarnation without a liveness proof. It needs a report of this host to prove its
-    /// liveness.
+    /// Records an incarnation without a liveness proof as a candidate. Returns how soon it needs a report of this host.
     #[cold]
     fn note_candidate(
         &mut self,
@@ -212,7 +214,7 @@ impl Incoming {
             return Verdict::Refused;
         }
         counts.unproven += 1;
-        // Without a report there is nothing to echo, and a stamp that is known adds nothing. So a repeated recording
+        // Without a report there is no stamp to echo, and a known stamp needs no further echo. So a repeated recording
         // gets no answer.
         let novelty = report.map(|report| self.candidates.note(now, header.sender, header.incarnation, report.stamp));
         match novelty {
@@ -238,7 +240,7 @@ impl Incoming {
         if let Some(current_id) = self.senders.other_incarnation((header.sender, header.incarnation)) {
             let current = self.senders.get_mut(current_id).expect("it was found");
             if proof.age >= now.since(current.since) {
-                // The echoed stamp predates the accepted incarnation: a recording.
+                // The echoed stamp is older than the accepted incarnation, so the datagram is a recording.
                 counts.replay += 1;
                 return Err(Verdict::Refused);
             }
@@ -271,7 +273,7 @@ impl Incoming {
         Ok(())
     }
 
-    /// The same without a key: every sender is accepted, one incarnation of a host at a time.
+    /// Checks a sender on a link without a key: all are accepted, but only one incarnation of a host at a time.
     fn check_without_key(&mut self, now: Time, header: &Header, counts: &mut LinkCounts) -> Result<(), Verdict> {
         let id = (header.sender, header.incarnation);
         if self.senders.get(id).is_some() {
@@ -316,8 +318,8 @@ impl Incoming {
             .find(|proof| proof.age <= FRESH)
     }
 
-    /// Returns whether a message about `robot` is the newest of its stream, and records it if so. All kinds are state,
-    /// so older messages are useless.
+    /// Returns whether a message about `robot` is the newest of its stream, and records it if so. All kinds of messages
+    /// are state, so older messages are useless.
     pub fn accept(&mut self, header: &Header, kind: Kind, robot: RobotId, counts: &mut LinkCounts) -> bool {
         let Some(sender) = self.senders.get_mut((header.sender, header.incarnation)) else { return false };
         let newest = &mut sender.spaces[usize::from(header.flags.has(Flags::DIRECT))].newest;
@@ -337,7 +339,7 @@ impl Incoming {
         true
     }
 
-    /// Notes the numbers that a new datagram offers and that have not arrived.
+    /// Records which of the datagrams that a new datagram offers for retransmission have not arrived.
     pub fn note_gaps(&mut self, now: Time, header: &Header, held: &[u32], backoff: impl FnMut() -> Span) {
         if held.is_empty() && self.gaps.is_empty() {
             return;
@@ -347,13 +349,13 @@ impl Incoming {
         self.gaps.note(now, header, held, &space.window, backoff);
     }
 
-    /// Notes that another host has asked at `now` for these datagrams to be retransmitted, so that this host does not
-    /// ask for the same ones at once.
+    /// Records that another host requested these datagrams at `now`, so that this host does not request them at the
+    /// same time.
     pub fn asked_by_others(&mut self, now: Time, ids: &[DatagramId]) {
         self.gaps.asked_by_others(now, ids);
     }
 
-    /// Returns the next report, in at most `room` bytes; `None` if there is too little room.
+    /// Returns the next report of at most `room` bytes; `None` if not even its stamp fits.
     pub fn report(&mut self, now: Time, room: usize, occasion: Occasion) -> Option<Report> {
         let places = room.checked_sub(REPORT_BYTES)? / self.local.entry_bytes;
         let uptime = self.duplicate_ids.uptime(now);
@@ -362,13 +364,12 @@ impl Incoming {
         Some(Report { stamp: self.local.stamps.of(now), heard })
     }
 
-    /// Returns how often a message to these hosts is repeated, from the loss that they report: 0 to 2.
+    /// Returns how many times a message to `audience` is repeated, 0 to 2, from the loss that those hosts report.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         self.senders.repeats(now, audience)
     }
 
-    /// Returns summaries of all other hosts. For a host without an accepted incarnation, the summary is of its newest
-    /// candidate.
+    /// Returns the state of each other host: of its accepted incarnations, or else of its newest candidate.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let link = self.local.link;
         let accepted = self.senders.iter().map(move |(id, sender)| {

@@ -1,8 +1,7 @@
-//! Team key: the keyed tag on every datagram. No other file makes or checks tags.
+//! Team key and the keyed tags of datagrams. No other module makes or checks tags.
 //!
-//! The tag covers the whole datagram, and the link and the host that it is for, which take no bytes in it: a datagram
-//! of one link is not valid on another. Nothing is encrypted. Where keys come from and how they are stored is decided
-//! elsewhere.
+//! A tag covers the whole datagram, its link and its receiver. The latter two take no bytes in the datagram, but a
+//! datagram of one link is not valid on another. Nothing is encrypted. Generation and storage of keys are elsewhere.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -11,33 +10,33 @@ use std::sync::Arc;
 use super::codec::{FLAGS_AT, Flags, HEADER_BYTES, MAX_FRAME_BYTES, TAG_BYTES};
 use crate::messages::ids::{HostId, LinkId};
 
-/// Bytes of the link and the host that a datagram is for.
+/// Length of the link and the receiver in the hashed data \[bytes\].
 const ASSOCIATED_BYTES: usize = 4;
 
-/// Secret of a team, known to all its members; or in a replay, a list of the datagrams that had a valid tag.
+/// Secret of a team, known to all its members. In a replay: a list of the datagrams that had a valid tag.
 #[derive(Clone)]
 pub struct Key(Secret);
 
 #[derive(Clone)]
 enum Secret {
     Bytes([u8; 32]),
-    /// Digests of the datagrams that are accepted.
+    /// Digests of the accepted datagrams.
     Accepted(Arc<BTreeSet<[u8; 16]>>),
 }
 
 impl Key {
-    /// Returns the key with these bytes.
+    /// Creates the key from its bytes.
     pub fn new(bytes: [u8; 32]) -> Key {
         Key(Secret::Bytes(bytes))
     }
 
-    /// Returns the stand-in for a key that accepts these datagrams, by their [`digest`], and makes tags of zeros. It is
-    /// for replays of records: on a link it protects from nothing.
+    /// Creates a substitute for a key, for replays of records only: it accepts the datagrams with these [`digest`]s,
+    /// and makes tags of zeros. It gives no protection on a link.
     pub fn trusting(accepted: BTreeSet<[u8; 16]>) -> Key {
         Key(Secret::Accepted(Arc::new(accepted)))
     }
 
-    /// Appends the tag to a datagram for the host `to`, or for all hosts if that is `None`.
+    /// Appends the tag to a datagram for the host `to`, or for all hosts if `to` is `None`.
     pub fn seal(&self, datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) {
         datagram[FLAGS_AT] |= Flags::TAGGED;
         match &self.0 {
@@ -49,8 +48,8 @@ impl Key {
         }
     }
 
-    /// Returns the datagram without its tag; `None` unless the tag is valid for `link` and, in a datagram to one host,
-    /// for `here`.
+    /// Returns the datagram without its tag; `None` if the tag is not valid. It is valid for `link` and, for a unicast
+    /// datagram, for the host `here`.
     pub fn open<'a>(&self, datagram: &'a [u8], link: LinkId, here: HostId) -> Option<&'a [u8]> {
         if datagram.len() < HEADER_BYTES + TAG_BYTES || datagram.len() > MAX_FRAME_BYTES {
             return None;
@@ -60,18 +59,18 @@ impl Key {
             Secret::Bytes(secret) => secret,
             Secret::Accepted(accepted) => return accepted.contains(&digest(datagram, link)).then_some(plain),
         };
-        // The flag is not authenticated yet; it only says which of two tags to expect.
+        // The flag is not authenticated yet; it only selects the tag to expect.
         let to = (plain[FLAGS_AT] & Flags::DIRECT != 0).then_some(here);
-        // Clearing a buffer of the longest frame's length would take longer than allocating this one.
+        // This allocation is faster than clearing a buffer of the largest size.
         let mut hashed = Vec::with_capacity(plain.len() + ASSOCIATED_BYTES);
         hashed.extend_from_slice(plain);
         let expected = tag_of(secret, &mut hashed, link, to);
-        // Hashes compare in constant time; the half that is not sent is zero in both.
+        // Hashes are compared in constant time; the bytes that are not sent are zero in both.
         (half(&expected.as_bytes()[..TAG_BYTES]) == half(tag)).then_some(plain)
     }
 }
 
-/// Returns the whole hash of a datagram, its link and its receiver; the buffer grows for these if needed.
+/// Returns the keyed hash of a datagram, its link and its receiver. `datagram` is the same afterwards.
 fn tag_of(secret: &[u8; 32], datagram: &mut Vec<u8>, link: LinkId, to: Option<HostId>) -> blake3::Hash {
     let length = datagram.len();
     datagram.extend_from_slice(&associated(link, to));
@@ -80,7 +79,7 @@ fn tag_of(secret: &[u8; 32], datagram: &mut Vec<u8>, link: LinkId, to: Option<Ho
     hash
 }
 
-/// Returns the digest of a datagram with its tag, and of its link, by which a replay knows it.
+/// Returns the digest of a datagram with its tag and of its link, by which a replay identifies it.
 pub fn digest(datagram: &[u8], link: LinkId) -> [u8; 16] {
     let mut all = datagram.to_vec();
     all.extend_from_slice(&link.0.to_le_bytes());

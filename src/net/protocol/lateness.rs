@@ -1,30 +1,30 @@
-//! Detection of late datagrams: one numbered below a report that arrived long ago was held back. No bytes, no clock.
+//! Detection of datagrams that were held back: their number is below that of a report which arrived long ago. Pure.
 //!
-//! Otherwise a relay without the key could release a datagram long after it was sent, as long as nothing newer of its
+//! Without it, a relay without the key could release a datagram long after it was sent, as long as nothing newer of its
 //! stream has arrived. The sequence numbers give the order, so this costs no bytes.
 
 use std::collections::VecDeque;
 
 use crate::time::{Span, Time};
 
-/// Time after a report during which datagrams sent before it may arrive: jitter of 100 ms, and all retransmissions of a
-/// lost one. Those take 155 ms, or 174 ms where each timer is an eighth late to share a wake-up.
+/// Time after a report during which datagrams sent before it are accepted. It covers a jitter of 100 ms, and all
+/// retransmissions of a lost datagram: these take 155 ms, or 174 ms if each timer is an eighth late to share a wake-up.
 pub const LATE: Span = Span::from_millis(280);
-/// Smallest interval of remembered reports, which bounds their number.
+/// Smallest interval between stored reports, which bounds their number.
 const MIN_SPACING: Span = Span::from_nanos(LATE.as_nanos() / 16);
 
-/// Admitted reports of one sender, in order of arrival.
+/// Recent reports of one sender, and the datagram numbers that are late.
 #[derive(Clone, Debug, Default)]
 pub struct Lateness {
-    /// Time of arrival; numbers of the next datagrams to all hosts and to this host.
+    /// For each report: its arrival time, and the numbers of the next datagrams to all hosts and to this host.
     reports: VecDeque<(Time, [Option<u32>; 2])>,
-    /// Smallest numbers that are not late.
+    /// Smallest numbers that are not late: of datagrams to all hosts, and to this host.
     least: [Option<u32>; 2],
 }
 
 impl Lateness {
-    /// Notes a report: datagrams with smaller numbers were sent before it. `numbers` are the next ones to all hosts and
-    /// to this host, each `None` if unknown.
+    /// Records a report. Datagrams with smaller numbers than `numbers` were sent before it: the numbers of the next
+    /// datagrams to all hosts and to this host, each `None` if unknown.
     pub fn reported(&mut self, now: Time, numbers: [Option<u32>; 2]) {
         self.advance(now);
         if self.reports.back().is_none_or(|(at, _)| now.since(*at) >= MIN_SPACING) {
@@ -44,14 +44,15 @@ impl Lateness {
         }
     }
 
-    /// Whether the datagram with this number, to all hosts (0) or to this host (1), is late.
+    /// Whether the datagram with this number is late. `space` is 0 for datagrams to all hosts, 1 for those to this
+    /// host.
     pub fn is_late(&mut self, now: Time, space: usize, sequence: u32) -> bool {
         self.advance(now);
         self.least[space].is_some_and(|least| is_before(sequence, least))
     }
 }
 
-/// Serial number arithmetic (RFC 1982): half of the numbers are ahead, half behind.
+/// Whether `one` is before `other` in serial number arithmetic (RFC 1982).
 fn is_before(one: u32, other: u32) -> bool {
     one != other && other.wrapping_sub(one) <= u32::MAX / 2
 }

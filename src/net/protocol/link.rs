@@ -1,4 +1,5 @@
-//! One link of one host: sending (`outgoing`), reception (`incoming`) and counters. Pure; no sockets, no clock.
+//! State of one link of one host: transmission (`outgoing`), reception (`incoming`) and counters. Pure, without sockets
+//! and clock.
 
 use std::net::SocketAddr;
 
@@ -24,31 +25,31 @@ use crate::time::{Span, Time};
 /// Identity of a host on its links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity {
-    /// The host.
+    /// Id of the host.
     pub host: HostId,
-    /// Its team.
+    /// Team number of the host.
     pub team: u16,
-    /// Its incarnation: a random number drawn at each start of the host.
+    /// Incarnation of the host: a random number drawn at each start.
     pub incarnation: u32,
 }
 
-/// State of an operator on a link.
+/// Whether a link accepts an operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// It has to prove its liveness, and needs the reports of this host to do so.
+    /// The operator has to prove its liveness first, and needs reports of this host to do so.
     Candidate,
-    /// It is accepted, and its newest datagram is new.
+    /// The operator is accepted, and its newest datagram was new.
     Accepted,
 }
 
-/// A host whose address is in no file.
+/// Host whose address is not in the team file, such as an operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Guest {
-    /// The host.
+    /// Id of the host.
     pub host: HostId,
-    /// Address from which the host's datagram came.
+    /// Source address of the host's datagram.
     pub at: SocketAddr,
-    /// Whether the host is accepted, or still a candidate.
+    /// Whether the host is accepted, or has to prove its liveness first.
     pub standing: Standing,
 }
 
@@ -62,15 +63,17 @@ pub struct LinkState {
     incoming: Incoming,
     outgoing: Outgoing,
     counts: LinkCounts,
-    /// Time of the next action; cached, since it is read far more often than it changes.
+    /// Time at which the next action is due; cached, since it is read far more often than it changes.
     due: Option<Time>,
-    /// Operator that sent the newest datagram, if the transport should send to its address.
+    /// Operator that sent the last datagram; `None` if another host sent it, or if it was neither new nor of a
+    /// candidate.
     operator: Option<(HostId, Standing)>,
 }
 
 impl LinkState {
-    /// Returns the state of a link at the start of this host's incarnation. With a key there are always reports, since
-    /// they prove liveness. Stamps start at a number drawn from `stream`, which must be unpredictable on a real host.
+    /// Returns the state of a link at the start of this host's incarnation. With a key, link reports are always on,
+    /// since they prove liveness. Stamps start at a number drawn from `stream`, which must be unpredictable on a real
+    /// host.
     pub fn new(me: Identity, id: LinkId, key: Option<Key>, mut setup: Setup, stream: &mut Stream) -> LinkState {
         if key.is_some() {
             setup.reports = Reports::On;
@@ -110,8 +113,8 @@ impl LinkState {
         self.due = [self.outgoing.due(), self.incoming.gaps.due()].into_iter().flatten().min();
     }
 
-    /// Sends a message to these hosts: appends the datagrams that are due to `out`. Returns the encoded message; an
-    /// error if it is out of range.
+    /// Sends a message to the hosts in `audience`: appends the datagrams that are due to `out`. Returns the encoded
+    /// message. Fails if the message is out of range or too long.
     pub fn send(
         &mut self,
         now: Time,
@@ -125,8 +128,8 @@ impl LinkState {
         encoded
     }
 
-    /// Checks a received datagram. Returns its header and its bytes without the tag; `None` unless it is accepted and
-    /// new. Replies are appended to `out`.
+    /// Handles a received datagram. Returns its header and its bytes without the tag; `None` if it is refused or a
+    /// duplicate. Appends replies to `out`.
     pub fn admit<'a>(
         &mut self,
         now: Time,
@@ -176,7 +179,7 @@ impl LinkState {
             return Ok(None);
         }
         let blocks = ControlBlocks::read(plain)?;
-        // Operator numbers are drawn at random, and two operators may have drawn the same.
+        // Operators draw their ids at random, so two of them may have the same.
         if header.sender == self.me.host && !header.sender.is_operator() {
             self.note_duplicate_id(now, &header, &blocks);
             return Ok(None);
@@ -208,7 +211,7 @@ impl LinkState {
         Ok(Some((header, plain)))
     }
 
-    /// Notes a datagram of another process with the id of this host.
+    /// Handles a datagram of another process with the id of this host.
     #[cold]
     fn note_duplicate_id(&mut self, now: Time, header: &Header, blocks: &ControlBlocks) {
         match (&self.key, &blocks.report) {
@@ -218,7 +221,7 @@ impl LinkState {
         }
     }
 
-    /// Handles the acknowledgements and requests of `from`.
+    /// Handles the acknowledgements and retransmission requests of the host `from`.
     #[inline(never)]
     fn answer(&mut self, now: Time, from: HostId, blocks: ControlBlocks, out: &mut Vec<Outbound>) {
         let mine = |ids: Vec<DatagramId>| -> (Vec<DatagramId>, Vec<DatagramId>) {
@@ -234,7 +237,7 @@ impl LinkState {
         }
     }
 
-    /// Returns the other live host with the id of this one if that was started earlier; `None` if there is none.
+    /// Returns the other live host with the id of this one, if that started earlier; `None` otherwise.
     pub fn duplicate(&self) -> Option<DuplicateId> {
         self.incoming.duplicate_ids.duplicate()
     }
@@ -244,13 +247,13 @@ impl LinkState {
         self.incoming.accept(header, kind, robot, &mut self.counts)
     }
 
-    /// Returns the operator that sent the newest datagram; `None` if a host sent it, or if the datagram was neither new
-    /// nor of a candidate. The transport needs its address, so that reports reach the operator.
+    /// Returns the operator that sent the last datagram; `None` if another host sent it, or if it was neither new nor
+    /// of a candidate. The transport stores its address, so that reports reach the operator.
     pub fn operator(&self) -> Option<(HostId, Standing)> {
         self.operator
     }
 
-    /// Counts bytes that are not a message.
+    /// Counts a datagram that could not be decoded.
     #[cold]
     pub fn refuse(&mut self, error: &DecodeError) {
         match error {
@@ -260,17 +263,17 @@ impl LinkState {
         }
     }
 
-    /// Counters, mutable.
+    /// Counters of the link, to be changed.
     pub fn counts(&mut self) -> &mut LinkCounts {
         &mut self.counts
     }
 
-    /// Counters so far.
+    /// Counters of the link so far.
     pub fn counted(&self) -> LinkCounts {
         self.counts
     }
 
-    /// Returns a summary of each other host; empty on a link without reports.
+    /// Returns the state of each other host; nothing on a link without reports.
     pub fn peers(&self, now: Time) -> impl Iterator<Item = Peer> {
         let told = self.reports == Reports::On;
         self.incoming.peers(now).filter(move |_| told)
@@ -281,7 +284,7 @@ impl LinkState {
         self.due
     }
 
-    /// Performs the actions that are due.
+    /// Performs the actions that are due at `now`, and appends datagrams to `out`.
     pub fn wake(&mut self, now: Time, stream: &mut Stream, out: &mut Vec<Outbound>) {
         self.incoming.duplicate_ids.uptime(now);
         self.outgoing.wake(now, &mut self.incoming, &mut self.counts, out);
@@ -323,10 +326,10 @@ impl ControlBlocks {
     }
 }
 
-/// Draws the wait before a request for a repair: mostly long, rarely short, so that few receivers ask (RFC 5401,
-/// section 3.2, `RandomBackoff`).
+/// Draws the backoff before a request for a retransmission: mostly long, rarely short, so that few receivers send one
+/// (RFC 5401, section 3.2, `RandomBackoff`).
 fn backoff(stream: &mut Stream) -> Span {
-    /// Assumed group size.
+    /// Assumed number of receivers.
     const GROUP: f64 = 10.0;
     let (lambda, longest) = (libm::log(GROUP) + 1.0, BACKOFF.as_secs());
     let scale = lambda / (longest * (libm::exp(lambda) - 1.0));

@@ -1,4 +1,4 @@
-//! Protocol of hosts: encoding, authentication, retransmission and routing. All pure.
+//! Protocol between hosts: encoding, authentication, retransmission and routing. Pure.
 
 pub mod acks;
 pub mod bucket;

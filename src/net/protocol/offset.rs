@@ -1,38 +1,39 @@
 //! Clock offset between the stamps of two hosts, from echoed stamps (RFC 5905, section 8).
 //!
-//! Stamps start at a random value, so the offset itself means nothing; it shows how long a report was in transit.
+//! Stamps start at a random value, so the offset itself has no meaning. It is used to find how long a report was in
+//! transit.
 
 use std::collections::VecDeque;
 
 use super::report::{Entry, Stamp};
 use crate::time::{Span, Time};
 
-/// Measurements that are kept, of which the best counts (RFC 5905, section 10: the clock filter has 8).
+/// Number of measurements kept. The one with the smallest error is used (RFC 5905, section 10: the clock filter has 8).
 const KEPT: usize = 8;
-/// Largest drift between two clocks (RFC 5905: 15 ppm for one).
+/// Largest drift between two clocks \[s/s\] (RFC 5905: 15 ppm for one clock).
 const DRIFT: f64 = 30e-6;
 
 /// Offset of another host's stamps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Offset {
-    /// The other host's stamps minus those of this host \[s\].
+    /// Stamps of the other host minus those of this host \[s\].
     pub ahead_s: f64,
-    /// Bound on the error of the offset \[s\]: half of the round trip, and drift since.
+    /// Bound on the error of the offset \[s\]: half of the round trip, and the drift since the measurement.
     pub uncertainty_s: f64,
-    /// Shortest recent round trip \[s\].
+    /// Round trip of the measurement \[s\].
     pub round_trip_s: f64,
 }
 
-/// Newest measurements: time, offset \[s\], round trip \[s\].
+/// Newest measurements of the offset from another host: time, offset \[s\], round trip \[s\].
 #[derive(Clone, Debug, Default)]
 pub struct Offsets(VecDeque<(Time, f64, f64)>);
 
 impl Offsets {
-    /// Adds a measurement from an entry about this host. The other host wrote the report at `theirs` on its clock;
-    /// `here` is `now` on this host's clock.
+    /// Adds a measurement from a report's entry about this host. `theirs` is the stamp of the report; `here` is this
+    /// host's stamp at `now`.
     pub fn measure(&mut self, now: Time, here: Stamp, theirs: Stamp, entry: &Entry) {
         let round_trip = here.ahead_us(entry.echo) as f64 * 1e-6 - entry.held.as_secs();
-        // A sender that claims to have held the stamp for longer than the round trip is wrong.
+        // A negative round trip means that the sender claims to have held the stamp for longer than possible.
         if round_trip >= -1e-5 {
             let round_trip = round_trip.max(0.0);
             if self.0.len() == KEPT {
@@ -42,16 +43,15 @@ impl Offsets {
         }
     }
 
-    /// Whether a report with the sender's stamp `theirs`, received at this host's stamp `here`, was certainly in
-    /// transit for longer than `most`, or was stamped by another clock than the estimated one. False without an
-    /// estimate.
+    /// Whether a report was certainly in transit for longer than `most`, or was stamped by another clock than the
+    /// measured one. `theirs` is its stamp, `here` this host's stamp at its arrival. `false` without a measurement.
     pub fn is_off(&self, now: Time, here: Stamp, theirs: Stamp, most: Span) -> bool {
         let Some(offset) = self.estimate(now) else { return false };
         let delay_s = offset.ahead_s - theirs.ahead_us(here) as f64 * 1e-6;
         delay_s.abs() > most.as_secs() + offset.uncertainty_s
     }
 
-    /// Returns the estimate with the smallest error bound; `None` without a measurement.
+    /// Returns the measurement with the smallest error bound at `now`; `None` if there is none.
     pub fn estimate(&self, now: Time) -> Option<Offset> {
         let of = |&(at, ahead_s, round_trip_s): &(Time, f64, f64)| {
             let uncertainty_s = 0.5 * round_trip_s + DRIFT * now.since(at).as_secs() + 1e-6;
@@ -72,7 +72,7 @@ mod tests {
         let mut offsets = Offsets::default();
         let (here, there) = (Stamps::beginning_at(1 << 47), Stamps::beginning_at((1 << 47) + 3_000_000));
         let at_us = |us: u64| Time::ZERO + Span::from_nanos(us * 1000);
-        // The other clock is 3 s ahead; 200 us there, 5 ms held, 600 us and then 100 us back.
+        // The other clock is 3 s ahead. Delays: 200 us there, 5 ms held, 600 us back, then 100 us back.
         for (start, back) in [(1_000_000, 600), (2_000_000, 100)] {
             let theirs = there.of(at_us(start + 200 + 5000));
             let (host, held, echo) = (HostId(0), Span::from_millis(5), here.of(at_us(start)));

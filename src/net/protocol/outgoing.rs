@@ -1,5 +1,5 @@
-//! Transmission on a link: sequence numbers, piggybacking, reports and retransmission. Knows other hosts only through
-//! `incoming`.
+//! Transmission on a link: sequence numbers, piggybacking, reports and retransmission. Uses `incoming` for all it needs
+//! of other hosts.
 
 use std::collections::BTreeMap;
 
@@ -20,24 +20,24 @@ use crate::messages::ids::{HostId, LinkId};
 use crate::messages::wire::{Kind, Wire};
 use crate::time::{Span, Time};
 
-/// Longest time soft state waits to be piggybacked on data, where data was sent within this time: data twelve times a
-/// second carries all of it. Messages that may not wait, such as `Stop`, are not soft state and are sent at once.
+/// Longest time that soft state waits to be piggybacked, if data was sent within this time. With data twelve times a
+/// second all of it is piggybacked. Messages that may not wait, such as `Stop`, are no soft state and are sent at once.
 pub const PIGGYBACK_WAIT: Span = Span::from_millis(100);
-/// Smallest interval between datagrams with only soft state; half of it if there are modes among it.
+/// Smallest interval between datagrams with only soft state; half of it if they contain an instruction (`Mode`).
 pub const SOFT_PERIOD: Span = Span::from_millis(200);
-/// Age of the last report at which the next one is sent alone.
+/// Age of the last report at which the next one is sent, alone if need be.
 pub const REPORT_PERIOD: Span = Span::from_millis(250);
-/// Age of the last report from which a pending one may be piggybacked.
+/// Age of the last report from which on a report that another host waits for may be piggybacked.
 const PENDING_PIGGYBACK_AGE: Span = Span::from_millis(10);
-/// Smallest interval between urgent reports: a flood of recordings causes no flood of answers.
+/// Smallest interval between urgent reports, so that a flood of recordings does not cause a flood of answers.
 const URGENT_PERIOD: Span = Span::from_millis(20);
-/// Sustained rate and burst of urgent reports. Ten operators that act at one instant take about ten of them; sequences
-/// of recordings cause no more than there are regular reports.
+/// Rate limit of urgent reports. Ten operators that act at the same time need about ten of them. Sequences of
+/// recordings cause no more urgent reports than there are regular ones.
 const URGENT_RATE: Rate = Rate { per_s: 4.0, burst: 25.0 };
-/// Interval of urgent reports from an operator, which a whole team has to accept soon.
+/// Interval of urgent reports of an operator, which a whole team has to accept soon.
 const EAGER_PERIOD: Span = Span::from_millis(5);
 
-/// A sealed datagram for a transport.
+/// Datagram with its tag, and its receivers, for a transport.
 pub type Outbound = (Audience, Frame);
 
 /// Transmission state of one link.
@@ -50,30 +50,30 @@ pub struct Outgoing {
     to_all: u32,
     direct: BTreeMap<HostId, u32>,
     retransmitter: Retransmitter,
-    /// Pending soft state: for the newest message of each stream its receivers and its encoding.
+    /// Pending soft state: for each stream the receivers of its newest message and its encoding.
     soft: BTreeMap<StreamId, (Audience, Frame)>,
     soft_due: Option<Time>,
-    /// Time since which any is pending.
+    /// Time since which soft state is pending; `None` if there is none.
     soft_since: Option<Time>,
-    /// Time at which the soft state last sent alone became pending: periods count from there, so that waits do not add
-    /// up.
+    /// Time from which the soft state that was last sent alone had been pending. Periods count from there, so that
+    /// waits do not add up.
     soft_sent: Option<Time>,
     data_sent: Option<Time>,
     report_sent: Option<Time>,
     report_due: Option<Time>,
     /// Whether another host waits for a report.
     report_pending: bool,
-    /// Time at which a pending urgent report is sent, and that of the last one.
+    /// Time at which the pending urgent report is due, and time of the last one.
     urgent_due: Option<Time>,
     urgent_sent: Option<Time>,
     urgent_bucket: Bucket,
-    /// Whether report entries have the number of the next datagram to their host alone.
+    /// Whether report entries contain the number of the next unicast datagram to their host.
     numbered: bool,
     acks: Acks,
 }
 
 impl Outgoing {
-    /// Returns the initial state. `first_report` is the latest time of the first report.
+    /// Returns the initial state. `first_report` is the time until the first report.
     pub fn new(me: Header, link: LinkId, key: Option<Key>, setup: Setup, first_report: Span) -> Outgoing {
         let report_due = (setup.reports == Reports::On).then_some(Time::ZERO + first_report);
         let numbered = key.is_some() && setup.is_addressed();
@@ -101,8 +101,8 @@ impl Outgoing {
         }
     }
 
-    /// Sends a message: at once, or with the next datagram if it is soft state. Returns the encoded message; an error
-    /// if it is out of range.
+    /// Sends a message: at once, or with the next datagram if it is soft state. Returns the encoded message. Fails if
+    /// it is out of range or too long.
     pub fn send(
         &mut self,
         now: Time,
@@ -124,7 +124,7 @@ impl Outgoing {
             self.send_soft(now, incoming, counts, out);
             return Ok(frame);
         }
-        // A pending repeat of the same stream is sent before the new message or never.
+        // A pending repeat of the same stream is sent before the new message, since after it the repeat would be stale.
         if let Some(datagram) = self.retransmitter.supersede(now, stream) {
             self.send_copy(datagram, counts, out);
         }
@@ -162,7 +162,7 @@ impl Outgoing {
         *next = next.wrapping_add(1);
     }
 
-    /// Returns the datagram as sent: with additional flags, and a tag if there is a key.
+    /// Returns the final datagram: with additional flags, and with a tag if there is a key.
     fn seal(&self, plain: &Frame, audience: Audience, flags: u8) -> Frame {
         if self.key.is_none() && flags == 0 {
             return plain.clone();
@@ -177,7 +177,7 @@ impl Outgoing {
         bytes.into()
     }
 
-    /// Returns the datagram with piggybacked blocks.
+    /// Returns the datagram with piggybacked blocks appended.
     fn with_piggybacked(
         &mut self,
         now: Time,
@@ -199,7 +199,7 @@ impl Outgoing {
         bytes.into()
     }
 
-    /// Piggybacks all pending blocks that may share the datagram and fit into it.
+    /// Appends all pending blocks that have the same receivers and fit into the datagram.
     fn piggyback(&mut self, now: Time, audience: Audience, bytes: &mut Vec<u8>, incoming: &mut Incoming) {
         let any = self.setup.piggyback == Piggyback::Any;
         self.soft.retain(|_, (to, frame)| {
@@ -219,7 +219,8 @@ impl Outgoing {
         if audience == Audience::All && self.may_piggyback_report(now) {
             let urgent = self.urgent_due;
             self.report(now, bytes, incoming, Occasion::Regular);
-            // Where datagrams are addressed, a candidate is sent only reports that are sent alone, and no data.
+            // On a link with unicast, candidates receive only separate reports and no data, so the urgent report stays
+            // due.
             self.urgent_due = urgent.filter(|_| !any);
         }
     }
@@ -247,7 +248,7 @@ impl Outgoing {
             && self.report_sent.is_none_or(|sent| now.since(sent) >= age)
     }
 
-    /// Adds a report, if it fits and, if urgent, lists any host. Returns whether it did.
+    /// Appends a report if it fits. An urgent one is only appended if it lists a host. Returns whether it was appended.
     fn report(&mut self, now: Time, bytes: &mut Vec<u8>, incoming: &mut Incoming, occasion: Occasion) -> bool {
         let room = MAX_PLAIN_BYTES.saturating_sub(bytes.len() + BLOCK_BYTES);
         let Some(mut report) = incoming.report(now, room, occasion) else { return false };
@@ -273,7 +274,7 @@ impl Outgoing {
         true
     }
 
-    /// Makes a report pending, for which another host waits to prove its liveness or to accept this host.
+    /// Schedules a report that another host needs, to prove its liveness or to accept this host.
     pub fn request_report(&mut self, now: Time, urgency: Urgency) {
         if urgency == Urgency::Regular || self.setup.reports == Reports::Off {
             return;
@@ -327,17 +328,17 @@ impl Outgoing {
         counts.copies += 1;
     }
 
-    /// Notes a datagram that is to be acknowledged.
+    /// Schedules the acknowledgement of a datagram.
     pub fn acknowledge(&mut self, now: Time, id: DatagramId) {
         self.acks.note(now, id);
     }
 
-    /// Handles acknowledgements of `from`.
+    /// Handles acknowledgements of the host `from`.
     pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
         self.retransmitter.acknowledged(now, from, ids);
     }
 
-    /// Retransmits datagrams that `from` requests.
+    /// Retransmits the datagrams that the host `from` requests.
     pub fn requested(
         &mut self,
         now: Time,
@@ -351,7 +352,7 @@ impl Outgoing {
         }
     }
 
-    /// Requests missing datagrams.
+    /// Sends a request for missing datagrams.
     pub fn ask(&mut self, ids: &[DatagramId], counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         let mut bytes = codec::start(&self.header(Audience::All, 0));
         add(&mut bytes, Content::Nack, |bytes| write_ids(ids, bytes));
@@ -365,7 +366,7 @@ impl Outgoing {
         Some(first).filter(|due| *due < Time::MAX)
     }
 
-    /// Performs the actions that are due.
+    /// Performs the actions that are due at `now`, and appends datagrams to `out`.
     pub fn wake(&mut self, now: Time, incoming: &mut Incoming, counts: &mut LinkCounts, out: &mut Vec<Outbound>) {
         while let Some(datagram) = self.retransmitter.next(now, counts) {
             self.send_copy(datagram, counts, out);
@@ -374,7 +375,7 @@ impl Outgoing {
         if self.acks.due().is_some_and(|due| due <= now) {
             self.send_acks(counts, out);
         }
-        // A regular report also lists the hosts that wait for an urgent one.
+        // A regular report includes what a due urgent one would list.
         if self.report_due.is_some_and(|due| due <= now) {
             self.send_report(now, Occasion::Regular, incoming, counts, out);
         }
@@ -387,7 +388,7 @@ impl Outgoing {
         }
     }
 
-    /// Sends a report alone, unless it is urgent and would list no host.
+    /// Sends a report in a datagram of its own, except an urgent one that would list no host.
     fn send_report(
         &mut self,
         now: Time,

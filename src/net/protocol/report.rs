@@ -1,8 +1,8 @@
-//! Control blocks of the link layer: link reports, acknowledgements, requests to retransmit. Bytes only, fixed width,
-//! little-endian; `link` acts on them.
+//! Control blocks of the link layer: link reports, acknowledgements, requests to retransmit. Encoding and decoding
+//! only; `link` uses them. Fields have fixed widths, little-endian.
 //!
-//! A report is the sender's stamp and an entry for each host that it receives from. Its receivers learn that the sender
-//! is alive (it echoes their own stamps), how much is lost, and the clock offset.
+//! A report has the sender's stamp, and an entry for each host from which the sender receives. From its entry, a host
+//! learns that the sender is alive (it echoes a stamp of the host), how many datagrams are lost, and the clock offset.
 
 use rand::RngExt;
 
@@ -11,42 +11,42 @@ use crate::messages::ids::HostId;
 use crate::random::Stream;
 use crate::time::{Span, Time};
 
-/// Bytes of a stamp.
+/// Length of a stamp \[bytes\].
 const STAMP_BYTES: usize = 6;
-/// Bits of a stamp: it wraps after 2^48 us, which is nine years.
+/// Length of a stamp \[bits\]. It wraps after 2^48 us, which is nine years.
 const STAMP_BITS: u32 = 48;
-/// Bytes of an entry in a report.
+/// Length of an entry in a report \[bytes\].
 pub const ENTRY_BYTES: usize = 12;
-/// Bytes of an entry that also has the number of the next datagram to its host alone.
+/// Length of an entry that also has the number of the next unicast datagram to its host \[bytes\].
 pub const NUMBERED_ENTRY_BYTES: usize = 16;
-/// Bytes of a report before its entries.
+/// Length of a report without entries \[bytes\].
 pub const REPORT_BYTES: usize = STAMP_BYTES;
-/// Bytes of a datagram's id.
+/// Length of a datagram's id \[bytes\].
 pub const ID_BYTES: usize = 11;
-/// Longest time that an entry can hold: three bytes of microseconds.
+/// Longest time that the field `held` of an entry can express: three bytes of microseconds.
 pub const MAX_HELD_FOR: Span = Span::from_nanos(0xff_ffff * 1000);
-/// Bit in the loss field of an entry that asks for a liveness proof.
+/// Bit in the loss field of an entry by which the sender asks for a liveness proof.
 const CHALLENGE: u8 = 0x80;
 
-/// Timestamp in a report \[us\], on the clock of the report's sender. That clock starts at a random value. Differences
-/// are taken modulo 2^48.
+/// Timestamp \[us\] on the clock of a report's sender. That clock starts at a random value. Differences are taken
+/// modulo 2^48. The default, zero, means no stamp.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamp(u64);
 
 impl Stamp {
-    /// Returns the stamp of a number of microseconds. It is never zero, which stands for no stamp.
+    /// Returns the stamp of a number of microseconds. It is never zero, because zero means no stamp.
     pub fn new(micros: u64) -> Stamp {
         Stamp((micros % (1 << STAMP_BITS)).max(1))
     }
 
-    /// Difference from another stamp of the same clock \[us\]; negative if this one is earlier.
+    /// Difference from another stamp of the same clock \[us\]; negative if this stamp is earlier.
     pub fn ahead_us(self, other: Stamp) -> i64 {
         let spare = u64::BITS - STAMP_BITS;
         (self.0.wrapping_sub(other.0) << spare).cast_signed() >> spare
     }
 }
 
-/// Clock of a host's stamps on one link. It starts at a random value, so that no stamp of a former run is valid.
+/// Clock for a host's stamps on one link. It starts at a random value, so that stamps of earlier runs are not valid.
 #[derive(Clone, Copy, Debug)]
 pub struct Stamps(u64);
 
@@ -66,44 +66,44 @@ impl Stamps {
         Stamp::new(self.0.wrapping_add(time.as_nanos() / 1000))
     }
 
-    /// Time since this host sent the stamp; `None` if the stamp is not of this clock.
+    /// Time since this host sent the stamp; `None` if the stamp is not from this clock.
     pub fn age(self, now: Time, stamp: Stamp) -> Option<Span> {
         let micros = u64::try_from(self.of(now).ahead_us(stamp)).ok()?;
         (stamp != Stamp::default() && micros <= now.as_nanos() / 1000).then(|| Span::from_nanos(micros * 1000))
     }
 }
 
-/// Entry of a report, about one host. The echo identifies the incarnation: each has stamps of its own.
+/// Entry of a report about one host. The echoed stamp also identifies the incarnation, as each has a clock of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// The host that the entry is about. If it is the report's sender, the entry is about another live process with the
+    /// Host that the entry is about. If it is the report's sender, the entry is about another live process with the
     /// sender's id.
     pub host: HostId,
-    /// Newest stamp of that host, on its own clock.
+    /// Newest stamp that the sender has received from that host.
     pub echo: Stamp,
-    /// Time since that stamp arrived. For another incarnation of the sender: the uptime of the sender, at most
-    /// `MAX_HELD_FOR`.
+    /// Time since the sender received that stamp. In an entry about another process with the sender's id: the uptime of
+    /// the sender. At most `MAX_HELD_FOR`.
     pub held: Span,
-    /// Number of the host's newest 64 datagrams that were lost.
+    /// Number of that host's newest 64 datagrams that the sender did not receive.
     pub lost: u8,
-    /// Whether the sender asks this host for a liveness proof.
+    /// Whether the sender asks that host for a liveness proof.
     pub challenge: bool,
-    /// Number of the next datagram to this host alone, on links with unicast datagrams.
+    /// Number of the sender's next unicast datagram to that host; `None` on links without unicast.
     pub direct: Option<u32>,
 }
 
-/// A link report.
+/// Link report of a host.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Report {
     /// Time at which the report was written, on its sender's clock.
     pub stamp: Stamp,
-    /// Entries of the hosts that the sender receives from.
+    /// Entries about hosts that the sender receives from.
     pub heard: Vec<Entry>,
 }
 
 impl Report {
-    /// Returns the content byte of the report's block. Either all entries have the number of the next unicast datagram
-    /// or none has.
+    /// Returns the content type of the report's block. Either all entries have the number of the next unicast datagram,
+    /// or none.
     pub fn content(&self) -> Content {
         if self.heard.iter().any(|entry| entry.direct.is_some()) { Content::NumberedReport } else { Content::Report }
     }
@@ -124,7 +124,7 @@ impl Report {
         }
     }
 
-    /// Reads the bytes of a block that holds a report.
+    /// Decodes the body of a report block.
     pub fn read(content: Content, bytes: &[u8]) -> Result<Report, DecodeError> {
         let wrong = DecodeError::Link(content);
         let Some((stamp, rest)) = bytes.split_first_chunk::<STAMP_BYTES>() else { return Err(wrong) };
@@ -141,7 +141,7 @@ impl Report {
                 let (entries, []) = rest.as_chunks::<ENTRY_BYTES>() else { return Err(wrong) };
                 entries.iter().map(|b| entry(b, None)).collect()
             }
-            // An empty report has no numbered form.
+            // A report without entries is never numbered.
             Content::NumberedReport if !rest.is_empty() => {
                 let (entries, []) = rest.as_chunks::<NUMBERED_ENTRY_BYTES>() else { return Err(wrong) };
                 entries.iter().map(|b| entry(b, Some(u32::from_le_bytes([b[12], b[13], b[14], b[15]])))).collect()
@@ -156,16 +156,16 @@ fn number(bytes: &[u8]) -> u64 {
     bytes.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte))
 }
 
-/// Id of a datagram: in acknowledgements and in requests to retransmit.
+/// Identity of a datagram in acknowledgements and requests to retransmit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct DatagramId {
-    /// The host that sent the datagram.
+    /// Host that sent the datagram.
     pub host: HostId,
-    /// That host's incarnation.
+    /// Incarnation of that host.
     pub incarnation: u32,
-    /// Whether the datagram is numbered in the sequence space of one receiver.
+    /// Whether the datagram is unicast, so that its number counts those to one receiver.
     pub direct: bool,
-    /// Its number.
+    /// Sequence number of the datagram.
     pub sequence: u32,
 }
 
@@ -177,10 +177,10 @@ impl DatagramId {
     }
 }
 
-/// Most ids in one block.
+/// Largest number of ids in one block.
 pub const MAX_IDS: usize = 64;
 
-/// Appends the bytes of some ids.
+/// Appends the encoded ids.
 pub fn write_ids(ids: &[DatagramId], bytes: &mut Vec<u8>) {
     for id in ids {
         bytes.extend_from_slice(&id.host.0.to_le_bytes());
@@ -190,7 +190,7 @@ pub fn write_ids(ids: &[DatagramId], bytes: &mut Vec<u8>) {
     }
 }
 
-/// Reads the ids in a block; an error if the block is malformed.
+/// Decodes the ids in the body of a block. Fails if it is malformed.
 pub fn read_ids(content: Content, bytes: &[u8]) -> Result<Vec<DatagramId>, DecodeError> {
     let (ids, []) = bytes.as_chunks::<ID_BYTES>() else { return Err(DecodeError::Link(content)) };
     if ids.is_empty() || ids.len() > MAX_IDS || ids.iter().any(|id| id[6] > 1) {
@@ -205,15 +205,15 @@ pub fn read_ids(content: Content, bytes: &[u8]) -> Result<Vec<DatagramId>, Decod
     Ok(ids.iter().map(id).collect())
 }
 
-/// Most numbers in one block of offered datagrams.
+/// Largest number of datagrams that one block offers for retransmission.
 pub const MAX_HELD: usize = 16;
 
-/// Appends the sequence numbers of datagrams that the sender still holds: a receiver may request them again.
+/// Appends the sequence numbers of datagrams that the sender still holds, so that receivers may request them.
 pub fn write_held(held: &[u32], bytes: &mut Vec<u8>) {
     held.iter().for_each(|sequence| bytes.extend_from_slice(&sequence.to_le_bytes()));
 }
 
-/// Reads the numbers of datagrams that may be requested.
+/// Decodes the sequence numbers of datagrams that may be requested.
 pub fn read_held(bytes: &[u8]) -> Result<Vec<u32>, DecodeError> {
     match bytes.as_chunks::<4>() {
         (held, []) if held.len() <= MAX_HELD => Ok(held.iter().map(|four| u32::from_le_bytes(*four)).collect()),

@@ -1,8 +1,8 @@
-//! Schedule of report entries: reports have a budget of bytes, so hosts take turns. Sends nothing.
+//! Schedule of report entries: reports have a byte budget, so hosts are listed in turn. Pure; sends nothing.
 //!
 //! Order of priority: candidates, which wait for an echo to prove their liveness; hosts that asked this one for a
-//! proof; hosts whose proof gets old, to ask them for one; hosts whose loss has changed since it was last reported; the
-//! others, those listed longest ago first.
+//! proof; hosts whose proof gets old, to ask them for a new one; hosts whose loss has changed since it was last
+//! reported; all others, the one listed longest ago first.
 
 use super::bucket::{Bucket, Rate};
 use super::candidates::{Candidate, Candidates};
@@ -13,48 +13,48 @@ use super::senders::Senders;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// Sustained budget of the entries of reports \[bytes/s\]: with headers, tags and heartbeats a host stays below 1.5
-/// kB/s of soft state.
+/// Sustained budget of report entries \[bytes/s\]. With headers, tags and heartbeats a host stays below 1.5 kB/s of
+/// soft state.
 const ENTRY_BYTES_PER_S: f64 = 900.0;
-/// Burst budget of the entries \[bytes\]: a team of 200 joins without waiting for the sustained rate.
+/// Burst budget of report entries \[bytes\]. A team of 200 joins without waiting for the sustained rate.
 const ENTRY_BYTES_AT_ONCE: f64 = 2400.0;
-/// Operators that an urgent report lists whatever the budget: more than ten of them hardly ever act at once.
+/// Number of operators that an urgent report lists regardless of the budget. More than ten rarely act at the same time.
 const URGENT_ENTRIES: usize = 8;
 /// Smallest interval between two entries about a host that ask for a proof or report a changed loss.
 const MIN_INTERVAL: Span = Span::from_millis(400);
-/// Change of loss that is reported before its turn, of 64.
+/// Change of loss \[of 64 datagrams\] that is reported with priority.
 const LOSS_STEP: u8 = 4;
 
-/// Reason for sending a report.
+/// Reason why a report is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Occasion {
-    /// It is time for the next one.
+    /// A regular report is due.
     Regular,
-    /// Another host needs it at once: it lists the hosts that wait and no others.
+    /// Another host needs a report at once. Only hosts that wait for an entry are listed.
     Urgent,
 }
 
-/// Turns and budget of the entries of one link's reports.
+/// Turns and byte budget of the entries in one link's reports.
 #[derive(Clone, Debug)]
 pub struct ReportSchedule {
     me: HostId,
     rate: Rate,
     budget: Bucket,
-    /// Whether candidates have the odd place of the next report.
+    /// Whether candidates get the remaining place of the next report if the number of places is odd.
     odd: bool,
     /// Whether hosts have to prove their liveness.
     authenticated: bool,
 }
 
 impl ReportSchedule {
-    /// Returns a full budget for entries of this size.
+    /// Returns the initial state with a full budget. `entry_bytes` is the length of an entry.
     pub fn new(me: HostId, authenticated: bool, entry_bytes: usize) -> ReportSchedule {
         let size = entry_bytes as f64;
         let rate = Rate { per_s: ENTRY_BYTES_PER_S / size, burst: ENTRY_BYTES_AT_ONCE / size };
         ReportSchedule { me, rate, budget: Bucket::full(Time::ZERO, &rate), odd: false, authenticated }
     }
 
-    /// Returns the entries of a report that is sent now, at most `places`. `uptime` is that of this process.
+    /// Returns the entries of a report that is sent now, at most `places`. `uptime` is the uptime of this process.
     pub fn entries(
         &mut self,
         (now, uptime): (Time, Span),
@@ -77,7 +77,7 @@ impl ReportSchedule {
         let mut entries = Vec::new();
         let room = self.budget.left(now, &self.rate).min(places);
         self.odd = !self.odd;
-        // Recordings must not displace accepted hosts, nor these the candidates.
+        // Places are shared, so that recordings cannot displace accepted hosts, nor these the candidates.
         let share = (room + usize::from(self.odd)) / 2;
         let mut share = share.max(room.saturating_sub(others.len()));
         for (host, candidate) in waiting {
@@ -116,7 +116,7 @@ impl ReportSchedule {
         Entry { host, echo, held: now.since(at), lost, challenge: self.challenges(now, sender), direct: None }
     }
 
-    /// Whether to ask a sender for a proof: after half of the validity of its last one.
+    /// Whether to ask a sender for a liveness proof: after half of the validity of its last one.
     fn challenges(&self, now: Time, sender: &Sender) -> bool {
         self.authenticated && now.since(sender.proved) > Span::from_nanos(PROOF_VALIDITY.as_nanos() / 2)
     }

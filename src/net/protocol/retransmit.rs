@@ -1,7 +1,6 @@
-//! Retransmission of the newest datagram of each stream, until it is out of date. Decides when; seals and sends
-//! nothing.
+//! Retransmission of the newest datagram of each stream. Decides when; the caller seals and sends.
 //!
-//! A newer message of a stream replaces the older one, so nothing fresh ever waits behind something old.
+//! A newer message of a stream replaces the older one, so that new messages never wait for the delivery of old ones.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,18 +14,18 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// Delay of a repeat, unless the next message of its stream is sent before.
+/// Delay of a repeat. It is sent earlier if the next message of its stream comes earlier.
 pub const REPEAT_AFTER: Span = Span::from_millis(4);
 /// Time without an acknowledgement after which a message is first retransmitted. Each further wait is twice as long.
 pub const RETRY_AFTER: Span = Span::from_millis(5);
-/// Most retransmissions of a message without an acknowledgement.
+/// Largest number of retransmissions of a message without an acknowledgement.
 pub const RETRIES: u8 = 5;
-/// Interval within which two requests for one datagram are answered once.
+/// Interval within which several requests for one datagram are answered once.
 const REQUEST_INTERVAL: Span = Span::from_millis(2);
 
-/// A stream: a kind about a robot.
+/// Stream of messages: one kind about one robot.
 pub type StreamId = (Kind, RobotId);
-/// A datagram to retransmit: its receivers, and its bytes without a tag.
+/// Datagram to retransmit: its receivers, and its bytes without a tag.
 pub type Untagged = (Audience, Frame);
 
 /// Newest datagram of a stream, kept for retransmission.
@@ -41,25 +40,25 @@ struct Kept {
     /// Number of retransmissions so far, and the most allowed.
     count: u8,
     limit: u8,
-    /// Index of the offer that last contained it.
+    /// Number of the offer that last included the datagram.
     offered: u64,
     acked: BTreeSet<HostId>,
 }
 
-/// All datagrams that may be retransmitted.
+/// Datagrams of one link that may be retransmitted.
 #[derive(Clone, Debug, Default)]
 pub struct Retransmitter {
     kept: BTreeMap<StreamId, Kept>,
     dues: BTreeSet<(Time, StreamId)>,
-    /// Hosts that have acknowledged anything, and the time of the last acknowledgement.
+    /// Hosts that have acknowledged any datagram, with the time of their last acknowledgement.
     ackers: BTreeMap<HostId, Time>,
-    /// Number of offers so far.
+    /// Number of offers for retransmission so far.
     offers: u64,
 }
 
 impl Retransmitter {
-    /// Forgets the kept datagram of a stream, because a newer message replaces it. Returns it if its repeat is still
-    /// pending: that is sent now or never.
+    /// Removes the kept datagram of a stream because a newer message replaces it. Returns it if a repeat of it is
+    /// pending, which has to be sent now.
     pub fn supersede(&mut self, now: Time, stream: StreamId) -> Option<Untagged> {
         let kept = self.kept.get(&stream)?;
         let before = kept.reliability == Reliability::Repeat && kept.due.is_some() && kept.sent_at < now;
@@ -74,7 +73,7 @@ impl Retransmitter {
         }
     }
 
-    /// Keeps a datagram that was sent with a message of this stream; `repeats` is the number of repeats that receivers
+    /// Keeps a datagram that was sent with a message of this stream. `repeats` is the number of repeats that receivers
     /// need.
     pub fn keep(
         &mut self,
@@ -110,7 +109,7 @@ impl Retransmitter {
         match kept.reliability {
             Reliability::Repeat if kept.count >= kept.limit => self.forget(stream),
             Reliability::Repeat => kept.due = Some(now + REPEAT_AFTER),
-            // Wait for the answer to the last retransmission as well.
+            // Includes the wait for the answer to the last retransmission.
             Reliability::Ack => kept.due = Some(now + RETRY_AFTER * (1 << kept.count.min(RETRIES))),
             Reliability::BestEffort | Reliability::Nack => {}
         }
@@ -118,8 +117,8 @@ impl Retransmitter {
         Some(datagram)
     }
 
-    /// Handles acknowledgements of the host `from`. A multicast datagram is done once every host that has acknowledged
-    /// anything lately has acknowledged it.
+    /// Handles acknowledgements of the host `from`. A multicast datagram is removed once every host that has recently
+    /// acknowledged any datagram has acknowledged it.
     pub fn acknowledged(&mut self, now: Time, from: HostId, ids: &[DatagramId]) {
         self.ackers.insert(from, now);
         self.ackers.retain(|_, at| now.since(*at) < FRESH);
@@ -133,7 +132,7 @@ impl Retransmitter {
         }
     }
 
-    /// Returns the stream of the datagram that `from` names: numbers count datagrams to all hosts, or to `from` alone.
+    /// Returns the stream of the datagram that the host `from` refers to: sent to all hosts, or only to `from`.
     fn find(&self, from: HostId, id: &DatagramId, reliability: Reliability) -> Option<StreamId> {
         let audience = if id.direct { Audience::Host(from) } else { Audience::All };
         let named = |kept: &Kept| kept.sequence == id.sequence && kept.audience == audience;
@@ -141,7 +140,7 @@ impl Retransmitter {
         found.map(|(stream, _)| *stream)
     }
 
-    /// Returns the datagrams that the host `from` requests, without those that newer messages have replaced.
+    /// Returns the datagrams that the host `from` requests, except those that newer messages have replaced.
     pub fn requested(&mut self, now: Time, from: HostId, ids: &[DatagramId]) -> Vec<Untagged> {
         let mut answer = |id: &DatagramId| {
             let stream = self.find(from, id, Reliability::Nack)?;
@@ -152,8 +151,8 @@ impl Retransmitter {
         ids.iter().filter_map(&mut answer).collect()
     }
 
-    /// Returns the numbers of the datagrams to these hosts that receivers may request, at most `MAX_HELD`. Those that
-    /// were offered longest ago come first.
+    /// Returns the numbers of the datagrams to `audience` that receivers may request, at most `MAX_HELD`. Those offered
+    /// longest ago come first.
     pub fn held(&mut self, audience: Audience) -> Vec<u32> {
         let repaired = |kept: &&mut Kept| kept.reliability == Reliability::Nack && kept.audience == audience;
         let mut all: Vec<&mut Kept> = self.kept.values_mut().filter(repaired).collect();
@@ -173,8 +172,8 @@ impl Retransmitter {
         self.dues.first().map(|(due, _)| *due)
     }
 
-    /// Returns the next datagram to retransmit now; `None` if none is due. One that has been retransmitted often enough
-    /// is dropped and counted.
+    /// Returns the next datagram that is due for retransmission; `None` if none is. Datagrams that have reached their
+    /// limit are removed and counted.
     pub fn next(&mut self, now: Time, counts: &mut LinkCounts) -> Option<Untagged> {
         while let Some(&(_, stream)) = self.dues.first().filter(|(due, _)| *due <= now) {
             if self.kept[&stream].count < self.kept[&stream].limit {

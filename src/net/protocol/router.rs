@@ -1,42 +1,42 @@
 //! Routing table of one host: whether a message is delivered on this host, and on which link it is sent.
 //!
-//! The table is data, made from the deployment; nothing here knows a deployment mode.
+//! The table is data made from the deployment, and independent of deployment modes.
 
 use std::sync::Arc;
 
 use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::{Condition, KINDS, Kind, Wire};
 
-/// Receivers of a frame.
+/// Receivers of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Audience {
     /// Every other host on the link.
     All,
-    /// One host.
+    /// The host with this id.
     Host(HostId),
 }
 
 /// Route of one message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Route {
-    /// It is delivered on this host.
+    /// Whether the message is delivered on this host.
     pub local: bool,
-    /// Link on which the message is sent, and the hosts that it is for; `None` if it stays on this host.
+    /// Link on which the message is sent, and its receivers; `None` if it stays on this host.
     pub leaves: Option<(LinkId, Audience)>,
 }
 
-/// The hosts of a team and the messages that each may publish: the same on all of them.
+/// Hosts of a team and the messages that each may publish. Equal on all hosts.
 #[derive(Clone, Debug)]
 pub struct Publishers {
-    /// By host: its name.
+    /// Names of the hosts, indexed by host id.
     pub names: Vec<String>,
-    /// By robot: the host that runs the robot's agent, which publishes `Latent`, `MotorCommand` and `Heartbeat`.
+    /// For each robot, the host of its Agent, which publishes `Latent`, `MotorCommand` and `Heartbeat`.
     pub agents: Vec<HostId>,
-    /// By robot: the host that drives the robot's motors, which reports the robot's health.
+    /// For each robot, the host that drives its motors and reports the condition of its hardware.
     pub actuators: Vec<HostId>,
-    /// By robot: the host that measures the robot, which publishes `Reading`.
+    /// For each robot, the host that measures it and publishes `Reading`.
     pub localizers: Vec<HostId>,
-    /// The host of the state server, which publishes `Mode`.
+    /// Host of the state server, which publishes `Mode`.
     pub server: HostId,
 }
 
@@ -48,7 +48,7 @@ impl Publishers {
             Wire::Reading(_) => of(&self.localizers),
             Wire::Latent(_) | Wire::MotorCommand(_) | Wire::Heartbeat(_) => of(&self.agents),
             Wire::Mode(_) => sender == self.server,
-            // A stop is never refused; only an operator or a host of the team takes one back.
+            // Every host may stop the team; only an operator or a host of the team may re-arm or resume it.
             Wire::Stop(stop) => {
                 stop.latch.is_engaged() || stop.by == sender && (self.knows(sender) || sender.is_operator())
             }
@@ -60,7 +60,7 @@ impl Publishers {
         }
     }
 
-    /// Whether this host may publish this condition of a robot.
+    /// Whether this host may report this condition of a robot.
     fn may_report(&self, host: HostId, told: &Condition) -> bool {
         let of = |hosts: &[HostId]| hosts.get(told.robot.index()) == Some(&host);
         let decided = told.phase.is_none() && told.seen.is_none() || of(&self.agents);
@@ -72,7 +72,7 @@ impl Publishers {
         usize::from(host.0) < self.names.len()
     }
 
-    /// Name of a host, for people.
+    /// Returns the name of a host for log messages.
     pub fn name(&self, host: HostId) -> String {
         match self.names.get(usize::from(host.0)) {
             Some(name) => format!("'{name}' (host {})", host.0),
@@ -86,21 +86,22 @@ impl Publishers {
 #[derive(Clone, Debug)]
 pub struct Router {
     robots: usize,
-    /// Robots that have their own routes on this host, in order.
+    /// Robots with routes of their own on this host, in order.
     mine: Vec<RobotId>,
-    /// By kind: the routes of those robots, and last that of all others.
+    /// For each kind: the routes of those robots, then that of all others.
     routes: Vec<Route>,
-    /// Hosts that may publish each message; none if there is no restriction.
+    /// Hosts that may publish each message; `None` if there is no restriction.
     publishers: Option<Arc<Publishers>>,
 }
 
 impl Router {
-    /// Returns a table for `robots` robots, filled in by `route`.
+    /// Creates a table for `robots` robots; `route` gives each route.
     pub fn new(robots: usize, route: impl FnMut(Kind, RobotId) -> Route) -> Router {
         Router::of(robots, RobotId::team(robots).collect(), route)
     }
 
-    /// Returns a table for `robots` robots, filled in by `route`, which must not distinguish robots outside `mine`.
+    /// Creates a table for `robots` robots; `route` gives each route, and must return the same one for all robots
+    /// outside `mine`.
     pub fn of(robots: usize, mut mine: Vec<RobotId>, mut route: impl FnMut(Kind, RobotId) -> Route) -> Router {
         mine.sort();
         mine.dedup();
@@ -131,8 +132,8 @@ impl Router {
         (!publishers.permit(sender, message)).then(|| publishers.name(sender))
     }
 
-    /// Returns the route of a message of this kind about this robot. Without such a robot, the message is delivered
-    /// nowhere.
+    /// Returns the route of a message of this kind about this robot. A message about an unknown robot is neither
+    /// delivered nor sent.
     pub fn route(&self, kind: Kind, robot: RobotId) -> Route {
         if robot.index() >= self.robots {
             return Route::default();

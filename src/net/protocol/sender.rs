@@ -1,6 +1,5 @@
 //! State of one sender on one link: its incarnation, its datagrams with their times, and its reports about this host.
-//!
-//! Every field is of a fixed size, or bounded by the size of the team. `incoming` decides on its basis.
+//! Every field has a fixed size, or is bounded by the size of the team. `incoming` makes the decisions.
 
 use std::collections::BTreeMap;
 
@@ -17,23 +16,24 @@ use crate::messages::ids::{HostId, LinkId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// Weight of a new interarrival time in the mean (as RFC 3550, section 6.4.1, weighs jitter).
+/// Weight of a new interarrival time in the running mean (as for jitter in RFC 3550, section 6.4.1).
 const WEIGHT: f64 = 1.0 / 16.0;
-/// Time for which a report of loss causes repeats: in a team of 200 the next report of the same host may take so long.
+/// Time for which a report of loss causes repeats. In a team of 200, the next report of the same host may come that
+/// late.
 const REPEATS_FOR: Span = Span::from_millis(4000);
-/// Time for which repeats go on after a report without loss.
+/// Time for which repeats continue after a report without loss.
 const STOPS_AFTER: Span = Span::from_millis(2000);
 
-/// Datagrams of a sender with common sequence numbers: those to all hosts, or those to this host alone.
+/// Datagrams of a sender with common sequence numbers: those to all hosts, or those to this host.
 #[derive(Clone, Debug, Default)]
 pub struct SequenceSpace {
-    /// Replay window.
+    /// Replay window of these datagrams.
     pub window: Window,
-    /// The newest sequence number of each stream: a kind about a robot.
+    /// Newest sequence number of each stream (kind and robot).
     pub newest: BTreeMap<(Kind, RobotId), u32>,
 }
 
-/// An accepted incarnation of a host.
+/// State of an accepted incarnation of a host.
 #[derive(Clone, Debug)]
 pub struct Sender {
     /// Time at which this host accepted the sender.
@@ -42,29 +42,29 @@ pub struct Sender {
     pub proved: Time,
     /// Time at which the sender's last report was admitted.
     pub reported: Time,
-    /// Its datagrams to all hosts and, second, to this host.
+    /// State of its datagrams to all hosts, and of those to this host.
     pub spaces: [SequenceSpace; 2],
     /// Detection of the sender's late datagrams.
     pub lateness: Lateness,
-    /// Rate limit of the sender's datagrams.
+    /// Rate limiter of the sender's datagrams.
     pub bucket: Bucket,
-    /// Its newest stamp, and the time of arrival.
+    /// Newest stamp of the sender, and its arrival time.
     pub stamp: Option<(Stamp, Time)>,
     /// Measured offset between the sender's stamps and this host's.
     pub offsets: Offsets,
     /// Time at which a report of this host last listed the sender; `None` if none has.
     pub listed: Option<Time>,
-    /// Its loss as stated in that report.
+    /// Loss of the sender's datagrams as stated in that report \[of 64 datagrams\].
     pub loss_sent: u8,
-    /// Whether the sender has asked for a proof that this host is alive.
+    /// Whether the sender waits for a proof that this host is alive.
     pub challenged: bool,
-    /// Number of this host's newest 64 datagrams that the sender says it has lost.
+    /// Number of this host's newest 64 datagrams that the sender reports as lost.
     pub reported_lost: u8,
-    /// Times until which the reported loss causes a first repeat, and a second one.
+    /// Times until which messages are repeated once and twice because of the reported loss.
     pub repeat_until: [Time; 2],
-    /// Incarnation that this one has replaced; `None` for the first.
+    /// Incarnation that this one has replaced; `None` if there was none.
     pub predecessor: Option<u32>,
-    /// Number of datagrams of a second live host with this id.
+    /// Number of datagrams refused because they are from a second live host with this id.
     pub duplicate_ids: u64,
     heard: Option<Time>,
     spacing_s: f64,
@@ -72,7 +72,7 @@ pub struct Sender {
 }
 
 impl Sender {
-    /// Returns the state of a sender that is accepted now.
+    /// Returns the state of a sender that is accepted at `now`.
     pub fn new(now: Time, rate: Option<&Rate>) -> Sender {
         Sender {
             since: now,
@@ -96,7 +96,7 @@ impl Sender {
         }
     }
 
-    /// Notes an admitted report written at `stamp`.
+    /// Records the arrival of an admitted report with this stamp.
     pub fn stamped(&mut self, now: Time, stamp: Stamp) {
         self.reported = now;
         if self.stamp.is_none_or(|(before, _)| stamp.ahead_us(before) > 0) {
@@ -104,7 +104,7 @@ impl Sender {
         }
     }
 
-    /// Notes the sender's report that it has lost `lost` of this host's newest 64 datagrams.
+    /// Records that the sender reports the loss of `lost` of this host's newest 64 datagrams.
     pub fn note_reported_loss(&mut self, now: Time, lost: u8) {
         self.reported_lost = lost.min(LOSS_SPAN as u8);
         for (until, bar) in self.repeat_until.iter_mut().zip([LOSS_TO_REPEAT, LOSS_TO_REPEAT_TWICE]) {
@@ -112,7 +112,7 @@ impl Sender {
         }
     }
 
-    /// Notes the arrival of a datagram.
+    /// Records the arrival of a datagram.
     pub fn heard(&mut self, now: Time) {
         if let Some(before) = self.heard.replace(now) {
             let gap = now.since(before).as_secs();
@@ -129,12 +129,12 @@ impl Sender {
         self.heard.map(|heard| now.since(heard))
     }
 
-    /// Number of the sender's newest 64 datagrams that were lost.
+    /// Number of the sender's newest 64 datagrams whose first transmission was lost.
     pub fn lost(&self) -> u8 {
         self.spaces.iter().map(|space| space.window.lost()).max().unwrap_or(0)
     }
 
-    /// Returns the summary of this sender; `accepted` says whether it is accepted at `now`.
+    /// Returns a summary of this sender. `accepted`: whether it is accepted at `now`.
     pub fn peer(&self, now: Time, link: LinkId, (host, incarnation): (HostId, u32), accepted: bool) -> Peer {
         let (passed, missing) = self
             .spaces
@@ -162,47 +162,47 @@ impl Sender {
 }
 
 impl Peer {
-    /// Returns the summary of a candidate, an incarnation that has not proved its liveness yet.
+    /// Returns a summary of a candidate: an incarnation that has not proved its liveness yet.
     pub fn candidate(now: Time, link: LinkId, host: HostId, candidate: &Candidate) -> Peer {
         let unknown = Sender::new(now, None).peer(now, link, (host, candidate.incarnation), false);
         Peer { age_s: Some(now.since(candidate.at).as_secs()), ..unknown }
     }
 }
 
-/// Summary of another host on one link, for people and reports.
+/// State of another host on one link, for display and reports.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Peer {
-    /// The link.
+    /// Id of the link.
     pub link: u16,
-    /// The other host.
+    /// Id of the other host.
     pub host: u16,
-    /// Its incarnation.
+    /// Incarnation of the other host.
     #[serde(rename = "epoch")]
     pub incarnation: u32,
-    /// Whether the host is accepted, because it has proved its liveness. Of another host nothing is accepted.
+    /// Whether the host is accepted, because it has proved its liveness. Messages of other hosts are refused.
     #[serde(rename = "proven")]
     pub accepted: bool,
     /// Time since the host's last datagram \[s\]; null if there was none.
     pub age_s: Option<f64>,
-    /// Mean interarrival time \[s\].
+    /// Mean time between datagrams of the host \[s\].
     pub spacing_s: f64,
-    /// Mean deviation of the interarrival time from `spacing_s` \[s\].
+    /// Mean deviation of the time between datagrams from `spacing_s` \[s\].
     pub jitter_s: f64,
     /// Share of the host's newest 64 datagrams whose first transmission was lost.
     pub loss: f64,
-    /// Number of the host's datagrams that should have arrived.
+    /// Number of the host's datagrams that should have arrived so far.
     pub passed: u64,
     /// Number of the host's datagrams that never arrived, not even as a retransmission.
     pub missing: u64,
-    /// Share of this host's newest 64 datagrams that the other host says it has lost.
+    /// Share of this host's newest 64 datagrams that the other host reports as lost.
     #[serde(rename = "told_loss")]
     pub reported_loss: f64,
-    /// Bound on the error of a one-way delay from the host \[s\]: half of the round trip, and the clocks' drift since;
+    /// Bound on the error of one-way delays from the host \[s\]: half of the round trip, and the clock drift since;
     /// null without a measurement.
     pub uncertainty_s: Option<f64>,
-    /// Round trip \[s\], half of which approximates the latency of the link; null without a measurement.
+    /// Round trip time \[s\]; half of it approximates the latency of the link. Null without a measurement.
     pub round_trip_s: Option<f64>,
-    /// Number of datagrams from a second live host with the same id.
+    /// Number of datagrams refused because they are from a second live host with the same id.
     #[serde(rename = "twins")]
     pub duplicate_ids: u64,
 }

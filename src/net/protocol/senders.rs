@@ -1,5 +1,5 @@
-//! Accepted senders of one link, in bounded tables: hosts of the team, and guests. Guests are operators and hosts that
-//! the deployment does not know; they replace each other and never a host.
+//! Accepted senders of one link, in two bounded tables: hosts of the team, and guests. Guests are operators and hosts
+//! that the deployment does not know. A new guest may replace an old one, but never a host.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::IterMut;
@@ -10,18 +10,18 @@ use super::sender::Sender;
 use crate::messages::ids::HostId;
 use crate::time::{Span, Time};
 
-/// Most hosts of the team that are accepted on a link.
+/// Largest number of hosts of the team that are accepted on a link.
 pub const MAX_SENDERS: usize = 1024;
-/// Most guests that are accepted beside the hosts of the team. More operators never act at once, and so few can be
-/// searched whenever one is accepted.
+/// Largest number of guests that are accepted in addition to the hosts of the team. Few enough to search all of them
+/// whenever one is accepted.
 pub const MAX_GUESTS: usize = 128;
-/// Silence after which a host is removed, once the table is full.
+/// Time without a datagram after which a host is removed if the table is full.
 const FORGET: Span = Span::from_millis(20_000);
 
-/// A sender: a host and its incarnation.
+/// Identity of a sender: host and incarnation.
 pub type SenderId = (HostId, u32);
 
-/// All accepted senders, by host and incarnation.
+/// Accepted senders of one link.
 #[derive(Clone, Debug)]
 pub struct Senders {
     all: BTreeMap<SenderId, Sender>,
@@ -29,13 +29,13 @@ pub struct Senders {
     forgot: Time,
 }
 
-/// Range of all incarnations of the hosts from one to another.
+/// Returns the range of all incarnations of the hosts `from` to `to`.
 fn ids(from: HostId, to: HostId) -> RangeInclusive<SenderId> {
     (from, 0)..=(to, u32::MAX)
 }
 
 impl Senders {
-    /// Returns an empty table. Hosts of the team have numbers below `first_guest`.
+    /// Returns an empty table. Hosts of the team have ids below `first_guest`.
     pub fn new(first_guest: HostId) -> Senders {
         Senders { all: BTreeMap::new(), first_guest, forgot: Time::ZERO }
     }
@@ -45,17 +45,17 @@ impl Senders {
         self.all.get(&id)
     }
 
-    /// Returns a sender, mutable; `None` if it is not accepted.
+    /// Returns a sender to be changed; `None` if it is not accepted.
     pub fn get_mut(&mut self, id: SenderId) -> Option<&mut Sender> {
         self.all.get_mut(&id)
     }
 
-    /// Returns all senders, mutable.
+    /// Returns all senders, to be changed.
     pub fn iter_mut(&mut self) -> IterMut<'_, SenderId, Sender> {
         self.all.iter_mut()
     }
 
-    /// Returns all senders, in order.
+    /// Returns all senders in the order of host and incarnation.
     pub fn iter(&self) -> impl Iterator<Item = (SenderId, &Sender)> {
         self.all.iter().map(|(id, sender)| (*id, sender))
     }
@@ -72,7 +72,7 @@ impl Senders {
         all.find(|id| id.1 != incarnation).filter(|_| !host.is_operator())
     }
 
-    /// Adds a sender.
+    /// Adds or replaces a sender.
     pub fn insert(&mut self, id: SenderId, sender: Sender) {
         self.all.insert(id, sender);
     }
@@ -82,9 +82,9 @@ impl Senders {
         self.all.remove(&id);
     }
 
-    /// Makes room for a new sender; returns `false` if there is none. If there are too many guests, the one that has
-    /// been silent longest leaves, and of several the one that was accepted first. A guest that is alive is accepted
-    /// again with its next datagram.
+    /// Makes room for a new sender; returns `false` if there is none. With too many guests, the one that has been
+    /// silent longest is removed, among equals the one accepted first. A live guest is accepted again with its next
+    /// datagram.
     pub fn make_room(&mut self, now: Time, host: HostId) -> bool {
         let guests = || ids(self.first_guest, HostId(u16::MAX));
         let count = self.all.range(guests()).count();
@@ -98,7 +98,7 @@ impl Senders {
             return true;
         }
         let full = |senders: &Senders| senders.all.len() - count >= MAX_SENDERS;
-        // Not for every datagram: forged senders must not cause a search each.
+        // Limited in frequency, so that forged senders do not cause a search each.
         if full(self) && now.since(self.forgot) >= FORGET {
             self.forgot = now;
             let (first_guest, silent) =
@@ -108,7 +108,7 @@ impl Senders {
         !full(self)
     }
 
-    /// Returns how often a message to these hosts is repeated, from the loss that they report: 0 to 2.
+    /// Returns how many times a message to `audience` is repeated, 0 to 2, from the loss that those hosts report.
     pub fn repeats(&self, now: Time, audience: Audience) -> u8 {
         let asked = |sender: &Sender| sender.repeat_until.iter().filter(|until| **until > now).count() as u8;
         let asking = match audience {

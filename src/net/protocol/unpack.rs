@@ -1,17 +1,17 @@
 //! Decoder of message bodies: the subset of MessagePack that the encoder uses.
 //!
 //! Numbers are unsigned, of any width; structs and tuples are arrays of at most 15 elements; lists are arrays of any
-//! length; floats are bytes (`messages::floats`). A body in any other form is refused. A general decoder has several
-//! times the code, through which every datagram would pass.
+//! length; floats are byte strings (`messages::floats`). All other forms are refused. A general decoder would put
+//! several times as much code in the path of every datagram.
 
 use std::fmt;
 
 use serde::de::{self, DeserializeSeed, Deserializer, SeqAccess, Visitor};
 
-/// Rest of a body.
+/// Decoder of a message body; holds the bytes that are not read yet.
 pub struct Reader<'de>(pub &'de [u8]);
 
-/// Error of decoding. It has no reason, because the sender gets no reply.
+/// Error while a message body is decoded. It has no details, because the sender gets no reply.
 #[derive(Debug)]
 pub struct Unreadable;
 
@@ -62,7 +62,7 @@ impl<'de> Reader<'de> {
         self.take(1).map(|byte| byte[0])
     }
 
-    /// Reads an unsigned big-endian number of `1 << log` bytes.
+    /// Reads a big-endian unsigned number of `1 << log` bytes.
     fn plain(&mut self, log: u8) -> Result<u64, Unreadable> {
         Ok(self.take(1 << log)?.iter().fold(0, |sum, byte| sum << 8 | u64::from(*byte)))
     }
@@ -85,7 +85,7 @@ impl<'de> Reader<'de> {
         self.take(usize::try_from(length).map_err(|_| Unreadable)?)
     }
 
-    /// Reads the length of an array of any length or (`short`) of at most 15.
+    /// Reads the length of an array; `short` permits at most 15 elements.
     #[inline(never)]
     fn array(&mut self, short: bool) -> Result<usize, Unreadable> {
         match self.marker()? {
@@ -210,7 +210,7 @@ mod tests {
 
     use super::*;
 
-    /// Decodes bytes that hold the value and nothing more.
+    /// Decodes bytes that contain exactly one value.
     fn read<T: for<'a> Deserialize<'a>>(bytes: &[u8]) -> Option<T> {
         let mut reader = Reader(bytes);
         T::deserialize(&mut reader).ok().filter(|_| reader.0.is_empty())

@@ -1,19 +1,19 @@
-//! Replay window of one sequence space, and its loss. No time, no bytes.
+//! Replay window of one sequence space, and measurement of loss. Pure.
 
 /// Size of the replay window \[datagrams\].
 pub const WINDOW: u32 = 1024;
 const WORDS: usize = WINDOW as usize / 64;
-/// Newest datagrams over which loss is measured.
+/// Number of newest datagrams over which loss is measured.
 pub const LOSS_SPAN: u32 = 64;
 
-/// Position of a datagram in the window.
+/// Position of a received datagram relative to the replay window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Position {
-    /// It has not arrived before.
+    /// The datagram has not arrived before.
     New,
-    /// It has arrived before.
+    /// The datagram has arrived before.
     Seen,
-    /// It is older than the window.
+    /// The datagram is older than the window.
     Behind,
 }
 
@@ -21,24 +21,24 @@ pub enum Position {
 #[derive(Clone, Debug, Default)]
 pub struct Window {
     newest: Option<u32>,
-    /// Arrivals by sequence number, modulo the size of the window.
+    /// Bit for each sequence number modulo the size of the window: whether the datagram has arrived.
     seen: [u64; WORDS],
-    /// The newest `LOSS_SPAN`, the lowest bit the newest: set where the first transmission arrived.
+    /// Bit for each of the newest `LOSS_SPAN` datagrams, newest in bit 0: whether its first transmission has arrived.
     originals: u64,
-    /// Count of numbers that have passed, and of those that arrived.
+    /// Number of datagrams that should have arrived, and of those that have.
     passed: u64,
     arrived: u64,
 }
 
 impl Window {
-    /// Returns a window that begins at number `first`; smaller numbers are behind it.
+    /// Returns a window that begins at the number `first`; smaller numbers are behind it.
     pub fn starting(first: u32) -> Window {
         let mut window = Window { newest: Some(first.wrapping_sub(1)), ..Window::default() };
         window.seen = [u64::MAX; WORDS];
         window
     }
 
-    /// Records a datagram and returns its position in the window. `copy` says that it is a retransmission.
+    /// Records a datagram and returns its position. `copy`: the datagram is a retransmission.
     pub fn record(&mut self, sequence: u32, copy: bool) -> Position {
         let Some(newest) = self.newest else {
             *self = Window::starting(sequence);
@@ -55,7 +55,7 @@ impl Window {
                 return Position::Behind;
             }
             if self.has(sequence) {
-                // The first transmission was overtaken by its retransmission, not lost.
+                // The retransmission has overtaken the first transmission, which was not lost.
                 self.mark_original(behind, copy);
                 return Position::Seen;
             }
@@ -92,18 +92,18 @@ impl Window {
         self.seen[word(sequence)] & bit(sequence) != 0
     }
 
-    /// Whether the datagram with this number lies within the window and has not arrived.
+    /// Whether the datagram with this number is within the window and has not arrived.
     pub fn misses(&self, sequence: u32) -> bool {
         self.newest.is_some_and(|newest| newest.wrapping_sub(sequence) < WINDOW) && !self.has(sequence)
     }
 
-    /// Number of the newest `LOSS_SPAN` first transmissions that did not arrive.
+    /// Number of the newest `LOSS_SPAN` datagrams whose first transmission was lost.
     pub fn lost(&self) -> u8 {
         let span = self.passed.min(u64::from(LOSS_SPAN)) as u32;
         (span - self.originals.count_ones().min(span)) as u8
     }
 
-    /// Returns the number of datagrams that should have arrived, and the number of those that never did, not even as a
+    /// Returns the number of datagrams that should have arrived, and the number of those that have not, not even as a
     /// retransmission.
     pub fn missing(&self) -> (u64, u64) {
         (self.passed, self.passed.saturating_sub(self.arrived))

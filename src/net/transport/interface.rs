@@ -1,4 +1,4 @@
-//! Network interfaces of this machine, and the choice of one for a link. Asks the kernel and nothing else.
+//! Network interfaces of this machine, and the choice of one for a link. Reads only from the kernel.
 
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
@@ -6,71 +6,71 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use nix::ifaddrs::getifaddrs;
 use nix::net::if_::{InterfaceFlags, if_nametoindex};
 
-/// The name of the loopback interface.
+/// Name of the loopback interface.
 pub const LOOPBACK: &str = "lo";
-/// Interface name that stands for the only suitable one.
+/// Interface name in a team file that selects the only suitable interface.
 pub const AUTO: &str = "auto";
 
-/// A network interface.
+/// Network interface of this machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Interface {
-    /// Its name.
+    /// Name of the interface.
     pub name: String,
-    /// Its index in the kernel.
+    /// Index of the interface in the kernel.
     pub index: u32,
-    /// Whether it is up and has a carrier.
+    /// Whether the interface is up and has a carrier.
     pub up: bool,
-    /// Whether it is a loopback interface.
+    /// Whether the interface is a loopback interface.
     pub loopback: bool,
-    /// Its IPv4 addresses.
+    /// IPv4 addresses of the interface.
     pub v4: Vec<Ipv4Addr>,
-    /// Its IPv6 addresses.
+    /// IPv6 addresses of the interface.
     pub v6: Vec<Ipv6Addr>,
 }
 
-/// Reason for which a link has no interface.
+/// Reason why no interface can be used for a link.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InterfaceError {
-    /// The kernel does not list them.
+    /// The kernel does not list the interfaces.
     #[error("cannot list the network interfaces: {0}")]
     Unknown(String),
-    /// There is none of this name.
+    /// There is no interface with the configured name.
     #[error("there is no network interface '{name}'; there are: {known}")]
     Missing {
         /// Configured name.
         name: String,
-        /// Existing interfaces.
+        /// List of the existing interfaces.
         known: String,
     },
-    /// It is down.
+    /// The configured interface is down.
     #[error("the network interface '{name}' is down; there are: {known}")]
     Down {
         /// Configured name.
         name: String,
-        /// Existing interfaces.
+        /// List of the existing interfaces.
         known: String,
     },
-    /// It has no address of the required family.
+    /// The configured interface has no address of the required family.
     #[error("the network interface '{name}' has no {family} address; there are: {known}")]
     Address {
         /// Configured name.
         name: String,
-        /// IPv4 or IPv6.
+        /// Required family: IPv4 or IPv6.
         family: &'static str,
-        /// Existing interfaces.
+        /// List of the existing interfaces.
         known: String,
     },
     /// `auto` matches several interfaces, or none.
     #[error("'auto' finds {found} interfaces that are up and no loopback; name one of: {known}")]
     Ambiguous {
-        /// Number of matches.
+        /// Number of suitable interfaces.
         found: usize,
-        /// Existing interfaces.
+        /// List of the existing interfaces.
         known: String,
     },
 }
 
-/// Returns all interfaces, by name.
+/// Returns all interfaces, sorted by name.
 pub fn interfaces() -> Result<Vec<Interface>, InterfaceError> {
     let mut all: BTreeMap<String, Interface> = BTreeMap::new();
     for address in getifaddrs().map_err(|errno| InterfaceError::Unknown(errno.to_string()))? {
@@ -96,7 +96,7 @@ pub fn interfaces() -> Result<Vec<Interface>, InterfaceError> {
     Ok(all.into_values().collect())
 }
 
-/// Formats the interfaces for an error.
+/// Lists the interfaces in an error.
 fn known(all: &[Interface]) -> String {
     let one = |interface: &Interface| {
         let addresses = interface.v4.iter().map(|v4| IpAddr::V4(*v4)).chain(interface.v6.iter().map(|v6| (*v6).into()));
@@ -109,7 +109,8 @@ fn known(all: &[Interface]) -> String {
     all.iter().map(one).collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the interface of this name, if it is up and has an address of the family.
+/// Returns the interface with this name (or the only suitable one for `auto`), which must be up. `v6`: an IPv6 address
+/// is required, otherwise an IPv4 address.
 pub fn find(all: &[Interface], name: &str, v6: bool) -> Result<Interface, InterfaceError> {
     let fits = |interface: &&Interface| {
         let addresses = if v6 { interface.v6.len() } else { interface.v4.len() };

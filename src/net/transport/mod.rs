@@ -1,8 +1,8 @@
-//! Transports, which move frames between hosts. A transport is a file or a folder here and one line in `REGISTRY`.
+//! Transports, which move frames between hosts. Each is a file or a folder in this module, and an entry in `REGISTRY`.
 //!
-//! An [`Entry`] reads its own fields of a team file into an [`Endpoint`], which is opened for one host as a
-//! [`Transport`]. Transports do not interpret frames, except that on a unicast link reports go to more addresses than
-//! data. The emulated link of one-process runs (`net/media/ether.rs`) takes the same [`In`].
+//! An [`Entry`] reads its fields of a team file into an [`Endpoint`], which is opened for one host as a [`Transport`].
+//! Transports do not interpret frames, with one exception: a unicast link sends reports to more addresses than data.
+//! The emulated link of one-process runs (`net/media/ether.rs`) takes the same [`In`].
 
 mod endpoint;
 pub mod interface;
@@ -26,94 +26,95 @@ use crate::net::protocol::link::Guest;
 use crate::net::protocol::router::Audience;
 use crate::time::Time;
 
-/// An open link of one host, on the thread that drives it: no method may block. Blocking work belongs on a thread of
-/// its own behind a channel of `edge`, whose event descriptor is then the one that is watched.
+/// Open link of one host, used by the thread that drives the robot: no method may block. Blocking work belongs on
+/// another thread, connected by a channel of `edge`, whose event descriptor is then watched.
 pub trait Transport {
-    /// Returns the descriptor to watch: `receive` is called while it is readable.
+    /// Returns the descriptor to watch; `receive` is called while it is readable.
     fn descriptor(&self) -> Rc<dyn AsFd>;
 
-    /// Passes on received frames, each with its source address if the transport has addresses. Takes a quarter of a
-    /// millisecond at most, so that the other actors have their turn; the descriptor stays readable while frames are
-    /// left.
+    /// Passes received frames to `take`, each with its source address if the transport has addresses. Runs for a
+    /// quarter of a millisecond at most, so that other actors are not delayed. The descriptor stays readable while
+    /// frames are left.
     fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8]));
 
-    /// Time until which `receive` is not to be called, because frames arrive too fast for a wake-up each.
+    /// Time until which `receive` must not be called, because frames arrive too fast for a wake-up each; `None`
+    /// otherwise.
     fn paused_until(&self) -> Option<Time> {
         None
     }
 
-    /// Handles an input of the Network: sends a frame to all hosts or to one, or adds a guest as a receiver. A frame
-    /// that cannot be sent is counted and dropped, like one lost on the medium.
+    /// Handles an input: sends a frame to all hosts or to one, or adds a guest as a receiver. A frame that cannot be
+    /// sent is counted and dropped.
     fn handle(&mut self, now: Time, input: In);
 
-    /// Returns its counters.
+    /// Returns the counters of the transport.
     fn counts(&self) -> Counts;
 }
 
 /// Counters of a transport.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Frames that could not be sent.
+    /// Number of frames that could not be sent.
     pub unsent: u64,
-    /// Frames that arrived and were dropped because a queue of the transport was full.
+    /// Number of received frames that were dropped because a queue of the transport was full.
     pub dropped: u64,
 }
 
 /// Registry entry of a transport.
 #[derive(Clone, Copy, Debug)]
 pub struct Entry {
-    /// Its name in a team file.
+    /// Name of the transport in a team file.
     pub name: &'static str,
-    /// One line on which hosts a frame reaches.
+    /// Description in one line: which hosts a frame reaches.
     pub about: &'static str,
-    /// Fields of a link that belong to this transport, beside `transport` and `reliability`.
+    /// Fields of a link that belong to this transport, in addition to `transport` and `reliability`.
     pub fields: &'static [Field],
-    /// Reads the endpoint of one host on a link; an error names the field.
+    /// Reads the endpoint of one host on a link. An error names the field.
     pub read: fn(&LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError>,
 }
 
-/// All transports.
+/// All transports of this crate.
 pub const REGISTRY: &[Entry] = &[udp::multicast::ENTRY, udp::unicast::ENTRY];
 
-/// Fields of a link that no transport may define.
+/// Names of a link's fields that no transport may define.
 pub const RESERVED: [&str; 2] = ["transport", "reliability"];
 
-/// Transport of a link that names none.
+/// Default transport of a link.
 pub const USUAL: &str = "multicast";
 
 /// Input of a transport.
 #[derive(Clone, Debug)]
 pub enum In {
-    /// A frame to send.
+    /// Frame to send.
     Transmit(Transmit),
-    /// True positions of the robots, from a simulated World: for an emulated link with a limited range.
+    /// True positions of the robots, from a simulated World. Only for emulated links with a limited range.
     Truth(Truth),
-    /// An episode that begins: for an emulated link with faults that are timed from its start.
+    /// Number of the episode that begins. Only for emulated links with faults timed from it.
     EpisodeBegins(u32),
-    /// A fault that a person has chosen: for an emulated link.
+    /// Fault set by hand. Only for emulated links.
     Manual(ManualLinkFault),
-    /// A host whose address is in no file, to be sent to for a while; only unicast links use it.
+    /// Host that is not in the team file, to which frames are sent for a while. Only for unicast links.
     Admit(Guest),
 }
 
-/// A frame to send.
+/// Frame to send, with its sender and its receivers.
 #[derive(Clone, Debug)]
 pub struct Transmit {
-    /// Host that sends it.
+    /// Host that sends the frame.
     pub from: HostId,
-    /// Its receivers.
+    /// Receivers of the frame.
     pub audience: Audience,
-    /// The bytes.
+    /// Bytes of the frame.
     pub frame: Frame,
 }
 
-/// A frame received on an emulated link or from a transport.
+/// Frame that an emulated link delivers to a host.
 #[derive(Clone, Debug)]
 pub struct Arrive {
-    /// Host that receives it.
+    /// Host that receives the frame.
     pub to: HostId,
-    /// Source address; none on an emulated link.
+    /// Source address of the frame; `None` on an emulated link.
     pub from: Option<SocketAddr>,
-    /// The bytes.
+    /// Bytes of the frame.
     pub frame: Frame,
 }

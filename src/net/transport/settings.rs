@@ -1,4 +1,4 @@
-//! Settings of a transport: the fields of a link that belong to it, and their values for one host.
+//! Settings of a transport: its fields in a team file, and their values for one host.
 
 use std::collections::BTreeMap;
 
@@ -6,16 +6,17 @@ use crate::config::ConfigError;
 use crate::config::fields::{FieldType, Value};
 use crate::messages::ids::HostId;
 
-/// A field of `[link.NAME]` that a transport reads. Transports with a field of the same name share it.
+/// Field of the table `[link.NAME]` that a transport reads. Transports with a field of the same name share it.
 #[derive(Clone, Copy, Debug)]
 pub struct Field {
-    /// Its name.
+    /// Name of the field.
     pub name: &'static str,
-    /// Values that it takes.
+    /// Type of the values that the field takes.
     pub takes: FieldType,
-    /// Default as it would be written, for the link with this index in the deployment.
+    /// Default as it would be written in a team file, for the link with this index in the deployment; `None` for no
+    /// default.
     pub default: Option<fn(usize) -> String>,
-    /// Whether it is a table with a value for each host of the team, by the host's name.
+    /// Whether the field is a table with a value for each host of the team, by the host's name.
     pub by_host: bool,
 }
 
@@ -25,42 +26,42 @@ impl Field {
         Field { name, takes, default: None, by_host: false }
     }
 
-    /// Whether both take the same values, as fields of one name must.
+    /// Whether two fields have the same name and type, as fields that share a name must.
     pub fn agrees(&self, other: &Field) -> bool {
         (self.name, self.by_host, self.takes) == (other.name, other.by_host, other.takes)
     }
 }
 
-/// A value, and the name of its field for errors: with the line, the flag or the variable that set it.
+/// Value of a field, with the field's name for errors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FieldValue {
-    /// The value.
+    /// Value of the field.
     pub value: Value,
-    /// Name of its field for errors.
+    /// Name of the field for errors, with the line, flag or variable that set it.
     pub place: String,
 }
 
 /// Settings of one link for one host of the team.
 #[derive(Clone, Debug)]
 pub struct LinkSettings<'a> {
-    /// The link's name.
+    /// Name of the link.
     pub link: &'a str,
-    /// The host.
+    /// Id of the host.
     pub host: HostId,
-    /// Names of all hosts, by number.
+    /// Names of all hosts, indexed by id.
     pub hosts: Vec<&'a str>,
-    /// Values of the transport's fields; those of a table by host as `peers.robot-0`. Fields that are not set and have
-    /// no default are left out.
+    /// Values of the transport's fields; those of a table by host have keys such as `peers.robot-0`. Fields that are
+    /// not set and have no default are left out.
     pub values: BTreeMap<String, FieldValue>,
 }
 
 impl LinkSettings<'_> {
-    /// Returns the value of a field, if it has one.
+    /// Returns the value of a field; `None` if it is not set and has no default.
     pub fn find(&self, field: &str) -> Option<&Value> {
         self.values.get(field).map(|field| &field.value)
     }
 
-    /// Returns the value of a required field; the error says that it is missing, and `advice`.
+    /// Returns the value of a required field. If it is missing, the error ends with `advice`.
     pub fn need(&self, field: &str, advice: impl FnOnce() -> String) -> Result<&Value, ConfigError> {
         self.find(field).ok_or_else(|| self.wrong(field, format!("missing{}", advice())))
     }
@@ -71,7 +72,7 @@ impl LinkSettings<'_> {
         ConfigError::field(place.unwrap_or_else(|| format!("link.{}.{field}", self.link)), why)
     }
 
-    /// Name of this host.
+    /// Returns the name of this host.
     pub fn host_name(&self) -> &str {
         self.hosts[usize::from(self.host.0)]
     }

@@ -1,4 +1,4 @@
-//! Reads datagrams from a socket, one or many with one call. Does not interpret them.
+//! Reads datagrams from a socket, one or several with one system call. Does not interpret them.
 
 use std::array;
 use std::io;
@@ -11,14 +11,15 @@ use nix::sys::socket::{MsgFlags, MultiHeaders, SockaddrStorage, recvmmsg};
 
 use crate::net::protocol::codec::MAX_FRAME_BYTES;
 
-/// Most datagrams that one call reads.
+/// Largest number of datagrams that one system call reads.
 const MANY: usize = 32;
-/// Most datagrams that the first call reads: usually there are no more, and each buffer is prepared for each call.
+/// Number of datagrams that the first system call reads. Usually there are no more, and each buffer costs time to
+/// prepare.
 const FEW: usize = 2;
-/// Buffer size for one datagram: one byte more than the longest, so that a longer one is recognized by its length.
+/// Size of the buffer for one datagram \[bytes\]: one more than the longest, so that a longer one is recognized.
 const ROOM: usize = MAX_FRAME_BYTES + 1;
 
-/// Receive buffers.
+/// Receive buffers for datagrams.
 #[derive(Debug)]
 pub(super) struct Batch {
     bytes: Box<[u8]>,
@@ -26,19 +27,19 @@ pub(super) struct Batch {
 }
 
 impl Batch {
-    /// Returns buffers for as many datagrams as one call reads.
+    /// Returns buffers for as many datagrams as one system call reads.
     pub(super) fn new() -> Batch {
         Batch { bytes: vec![0; MANY * ROOM].into_boxed_slice(), headers: MultiHeaders::preallocate(MANY, None) }
     }
 
-    /// Reads one datagram, if there is one. For a quiet socket: cheaper than reading many.
+    /// Reads one datagram, if there is one. On a quiet socket this is cheaper than reading several.
     pub(super) fn one(&mut self, socket: &UdpSocket, mut take: impl FnMut(SocketAddr, &[u8])) -> io::Result<()> {
         let (length, from) = socket.recv_from(&mut self.bytes[..ROOM])?;
         take(from, &self.bytes[..length]);
         Ok(())
     }
 
-    /// Reads datagrams until none is left or about `limit` are read; returns their number.
+    /// Reads datagrams until none is left or about `limit` were read. Returns their number.
     pub(super) fn many(
         &mut self,
         socket: &UdpSocket,
@@ -48,7 +49,7 @@ impl Batch {
         let mut read = self.some::<FEW>(socket, &mut take)?;
         let mut full = read == FEW;
         while full && read < limit {
-            // The next read returns an error that persists.
+            // If the error persists, the next read returns it.
             let count = self.some::<MANY>(socket, &mut take).unwrap_or(0);
             read += count;
             full = count == MANY;
@@ -56,7 +57,7 @@ impl Batch {
         Ok(read)
     }
 
-    /// Reads up to `MOST` datagrams with one call; returns their number.
+    /// Reads up to `MOST` datagrams with one system call. Returns their number.
     fn some<const MOST: usize>(
         &mut self,
         socket: &UdpSocket,

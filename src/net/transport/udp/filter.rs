@@ -1,5 +1,5 @@
-//! Packet filter of a link's socket: a program of classic BPF, which the kernel runs on every datagram before it wakes
-//! the process. It drops by length, version, team and source. Dropped datagrams are in no counter and no log.
+//! Packet filter of a link's socket: a classic BPF program that the kernel runs on every datagram before it wakes the
+//! process. It drops datagrams by length, version, team and source. They appear in no counter and no log.
 
 use std::net::SocketAddr;
 
@@ -9,11 +9,11 @@ use crate::net::protocol::codec::TAG_BYTES;
 use crate::net::protocol::codec::{HEADER_BYTES, MAX_FRAME_BYTES, VERSION};
 use crate::net::transport::Filter;
 
-/// Bytes of the UDP header, where the datagram begins for filters (RFC 768).
+/// Length of the UDP header \[bytes\]; a filter sees a datagram from there on (RFC 768).
 const UDP_BYTES: usize = 8;
-/// Offset of the IP header for filters (linux/filter.h, `SKF_NET_OFF`).
+/// Base offset of the IP header in filters (linux/filter.h, `SKF_NET_OFF`).
 const NETWORK: u32 = 0xfff0_0000;
-// Instructions (linux/bpf_common.h): load a byte, half a word, a word, the length; compare; return.
+// BPF instructions (linux/bpf_common.h): load a byte, half word, word, or the length; compare; return.
 const LOAD_BYTE: u16 = 0x30;
 const LOAD_HALF: u16 = 0x28;
 const LOAD_WORD: u16 = 0x20;
@@ -23,8 +23,8 @@ const GREATER: u16 = 0x25;
 const AT_LEAST: u16 = 0x35;
 const RETURN: u16 = 0x06;
 
-/// Attaches a filter to a socket. Datagrams from `own` are echoes of this process and are dropped, too. If the kernel
-/// refuses the filter, the link layer drops the same datagrams at a higher cost.
+/// Attaches a filter to a socket. Datagrams from the address `own` are those of this process, and are also dropped. If
+/// the kernel refuses the filter, the link layer drops the same datagrams at a higher cost.
 pub(super) fn attach(filter: Filter, socket: &Socket, own: Option<SocketAddr>) {
     if let Err(error) = socket.attach_filter(&program(filter, own)) {
         tracing::debug!("the kernel takes no filter: {error}");
@@ -38,7 +38,7 @@ fn program(filter: Filter, own: Option<SocketAddr>) -> Vec<SockFilter> {
     };
     if let Some(own) = own {
         let (offset, words) = source(own);
-        // On the first difference, jump to the accepting end: behind each comparison are two instructions for each
+        // On the first difference, jump to the final accept. After each comparison follow two instructions for each
         // further word, and the one that drops.
         let mut left = words.len() as u8;
         program.push(SockFilter::new(LOAD_HALF, 0, 0, 0));
@@ -67,14 +67,14 @@ fn of_team(number: u16, tagged: bool) -> Vec<SockFilter> {
         SockFilter::new(EQUAL, 1, 0, u32::from(VERSION)),
         SockFilter::new(RETURN, 0, 0, 0),
         SockFilter::new(LOAD_HALF, 0, 0, at(2)),
-        // Words are loaded as big-endian, and the team is written as little-endian.
+        // BPF loads words as big-endian, and the team number is little-endian.
         SockFilter::new(EQUAL, 1, 0, u32::from(number.swap_bytes())),
         SockFilter::new(RETURN, 0, 0, 0),
     ]
 }
 
-/// Returns the offset of the source address in the IP header, and its words (RFC 791, section 3.1; RFC 8200, section
-/// 3).
+/// Returns the offset of the source address in the IP header, and the address in words (RFC 791, section 3.1; RFC 8200,
+/// section 3).
 fn source(own: SocketAddr) -> (u32, Vec<u32>) {
     match own {
         SocketAddr::V4(v4) => (12, vec![u32::from(*v4.ip())]),

@@ -1,4 +1,4 @@
-//! Checks of this machine for the sockets of a link: interface, packet size, address, receive buffer.
+//! Checks of this machine for a link's UDP sockets: interface, packet size, address, receive buffer.
 
 use super::open::OpenError;
 use super::socket::{Addressing, SocketConfig};
@@ -8,7 +8,8 @@ use crate::net::protocol::codec::MAX_FRAME_BYTES;
 use crate::net::transport::interface;
 use crate::net::transport::{Finding, Fitness};
 
-/// Checks the sockets of this host on the link of this name; returns the findings.
+/// Checks the sockets of `host` on the link named `link`; returns the findings. `mtu` returns the largest packet of an
+/// interface \[bytes\], if known.
 pub(super) fn check(
     config: &SocketConfig,
     (host, link): (HostId, &str),

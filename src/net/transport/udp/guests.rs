@@ -1,8 +1,9 @@
-//! Guests of a unicast link: operators, whose address is in no file and to which it sends for a while. The link layer
-//! decides which are admitted.
+//! Guests of a unicast link: operators, whose addresses are not in the team file. The link sends to them for a while
+//! after each of their datagrams. The link layer decides which ones are admitted.
 //!
-//! A recording of an operator can be sent from any address. So only a new datagram changes the address of an accepted
-//! operator. All others have a table of their own and are sent reports only, which they need to prove their liveness.
+//! A recording of an operator's datagrams can be sent from any address. So only a new datagram changes the address of
+//! an accepted operator. All others are kept in a separate table and receive only reports, which they need to prove
+//! their liveness.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -11,16 +12,16 @@ use crate::messages::ids::HostId;
 use crate::net::protocol::link::{Guest, Standing};
 use crate::time::{Span, Time};
 
-/// Most accepted guests: each costs a datagram for every one that is sent to all, and a team has few operators.
+/// Largest number of accepted guests. Each costs an additional datagram for every one that is sent to all hosts.
 pub const MAX_GUESTS: usize = 32;
-/// Time for which a guest is kept after it was last admitted: at least a hundred datagrams of a live operator.
+/// Time for which an accepted guest is kept after its last datagram: at least a hundred datagrams of a live operator.
 pub const GUEST_LIFETIME: Span = Span::from_millis(10_000);
-/// Most addresses of guests that have not proved their liveness: each costs a datagram for every report.
+/// Largest number of addresses of guests that have not proved their liveness. Each costs a datagram for every report.
 pub const MAX_CANDIDATES: usize = 32;
-/// Time for which such an address is kept: as long as a stamp is echoed.
+/// Time for which the address of a guest that has not proved its liveness is kept: as long as a stamp is echoed.
 pub const CANDIDATE_LIFETIME: Span = Span::from_millis(2000);
 
-/// Guests of one link.
+/// Addresses of the guests of one link.
 #[derive(Clone, Debug, Default)]
 pub struct Guests {
     accepted: BTreeMap<HostId, (SocketAddr, Time)>,
@@ -28,10 +29,9 @@ pub struct Guests {
 }
 
 impl Guests {
-    /// Notes that a guest, a host that is no peer of the team file, was heard at `now`. An accepted guest, which has
-    /// proved that it is alive, is from now on sent datagrams at its address `at`. A candidate has yet to prove it,
-    /// and is sent what it needs for that. Where there is no room for an accepted guest, the one that was heard
-    /// longest ago gives way.
+    /// Records the address `at` of a guest that was received at `now`. An accepted guest, which has proved its
+    /// liveness, is sent all datagrams at this address from now on. A candidate is sent only what it needs to prove its
+    /// liveness. If there are too many accepted guests, the one received longest ago is removed.
     pub fn admit(&mut self, now: Time, Guest { host, at, standing }: Guest) {
         match standing {
             Standing::Accepted => {
@@ -51,7 +51,7 @@ impl Guests {
         }
     }
 
-    /// Removes expired addresses; if there are none, the oldest address of the host with the most addresses.
+    /// Removes expired candidate addresses; if there are none, the oldest address of the host with the most addresses.
     fn make_room(&mut self, now: Time) {
         self.candidates.retain(|_, admitted| now.since(*admitted) < CANDIDATE_LIFETIME);
         if self.candidates.len() < MAX_CANDIDATES {
@@ -63,18 +63,18 @@ impl Guests {
         weakest.and_then(|place| self.candidates.remove(&place));
     }
 
-    /// Returns the address of an accepted guest, unless it has expired.
+    /// Returns the address of an accepted guest; `None` if there is none or it has expired.
     pub fn find(&self, now: Time, host: HostId) -> Option<SocketAddr> {
         self.accepted.get(&host).filter(|(_, admitted)| now.since(*admitted) < GUEST_LIFETIME).map(|(at, _)| *at)
     }
 
-    /// Returns the addresses of all accepted guests, after removing expired ones.
+    /// Removes expired guests, and returns the addresses of all accepted ones.
     pub fn accepted(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
         self.accepted.retain(|_, (_, admitted)| now.since(*admitted) < GUEST_LIFETIME);
         self.accepted.values().map(|(at, _)| *at)
     }
 
-    /// Returns the addresses of guests that are not accepted yet, after removing expired ones.
+    /// Removes expired candidates, and returns the addresses of the remaining ones.
     pub fn candidates(&mut self, now: Time) -> impl Iterator<Item = SocketAddr> {
         self.candidates.retain(|_, admitted| now.since(*admitted) < CANDIDATE_LIFETIME);
         self.candidates.keys().map(|(_, at)| *at)

@@ -1,19 +1,19 @@
-//! Multicast loopback: whether the kernel also delivers a group's datagrams to the other processes of the machine. To
-//! do so for no receiver costs a robot a tenth of its sending.
+//! Multicast loopback: whether the kernel delivers a group's datagrams to other processes of the same machine. It is
+//! switched off if there are none, since it costs a robot a tenth of the time for sending.
 
 use crate::time::{Span, Time};
 
-/// Time for which another process of this machine counts as present after a datagram from it. With a key each sends at
-/// least four times a second.
+/// Time for which another process of this machine counts as present after a datagram of it. With a key each process
+/// sends at least four times a second.
 const PRESENT: Span = Span::from_millis(1000);
-/// Interval at which a datagram is looped in any case, so that a process that has just started receives one. Two
-/// processes that receive each other's datagrams keep the loop on.
+/// Interval at which a datagram is looped back in any case, so that a process that has just started receives one. Two
+/// processes that receive each other's datagrams keep the loopback on.
 const PROBE: Span = Span::from_millis(1000);
 
-/// Loopback state of one socket; it is on at first.
+/// Loopback state of one socket; the loopback is on at first.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Loopback {
-    /// Whether the socket is on the loopback interface.
+    /// Whether the loopback stays on, because the socket is on the loopback interface.
     always: bool,
     on: bool,
     heard: Option<Time>,
@@ -26,12 +26,12 @@ impl Loopback {
         Loopback { always, on: true, heard: None, probed: None }
     }
 
-    /// Notes a datagram of another process of this machine.
+    /// Records a datagram of another process of this machine.
     pub(super) fn heard(&mut self, now: Time) {
         self.heard = Some(now);
     }
 
-    /// Returns the setting to switch to before a datagram is sent now, if that is a change.
+    /// Returns the setting to switch to before a datagram is sent at `now`; `None` if it stays.
     pub(super) fn switch(&mut self, now: Time) -> Option<bool> {
         if self.always {
             return None;
@@ -40,7 +40,7 @@ impl Loopback {
         if probe {
             self.probed = Some(now);
         }
-        // A process that has just started has not been answered yet.
+        // At first, another process is assumed to be present, until it has had the time to answer.
         let heard = *self.heard.get_or_insert(now);
         let on = probe || now.since(heard) < PRESENT;
         (std::mem::replace(&mut self.on, on) != on).then_some(on)

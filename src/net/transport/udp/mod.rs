@@ -1,5 +1,5 @@
-//! UDP: the open sockets of one link of one host. `socket.rs` has their configuration, `multicast.rs` and `unicast.rs`
-//! are the transports made of them. Nothing here interprets frames or decides who may send them.
+//! UDP: the open sockets of one link of one host. `socket.rs` has their configuration; `multicast.rs` and `unicast.rs`
+//! are the two transports. Does not interpret frames or decide who may send them.
 
 mod batch;
 mod filter;
@@ -32,30 +32,30 @@ use crate::net::transport::udp::socket::{Addressing, SocketConfig};
 use crate::net::transport::{Counts, Filter, In, Transmit, Transport};
 use crate::time::{Span, Time};
 
-/// Datagrams that are read before the other actors have their turn: a quarter of a millisecond of work.
+/// Number of datagrams that are read before other actors run: a quarter of a millisecond of work.
 const READ_AT_ONCE: usize = 128;
-/// Interval of readiness events below which a link is busy. It is longer than a turn of the driver and than the delay
-/// by another link's flood. A link read once per event would otherwise fall behind for ever when more than one datagram
-/// arrives between two events.
+/// Interval between readiness events below which a link is busy, and is read until it is empty. It is longer than a
+/// turn of the event loop and than the delay by another link's flood. A link read once per event would otherwise never
+/// catch up if more than one datagram arrives between two events.
 const BUSY: Span = Span::from_millis(10);
-/// Pause of a flooded link after each read. With `READ_AT_ONCE` it bounds the cost of a flood: 128 000 datagrams a
-/// second, in 1000 turns. Datagrams for which the kernel has no room meanwhile are lost.
+/// Pause of a flooded link after each read. With `READ_AT_ONCE` it bounds the cost of a flood to 128 000 datagrams a
+/// second in 1000 turns. Further datagrams are lost once the kernel's buffer is full.
 pub const REST: Span = Span::from_millis(1);
-/// Datagrams within `REST` from which a link is flooded: four times what the fastest team sends.
+/// Number of datagrams within `REST` from which on a link is flooded: four times what the fastest team sends.
 const FLOOD: usize = 20;
-/// Datagrams of one read below which a flood is over.
+/// Number of datagrams in one read below which a flood has ended.
 const EBB: usize = 10;
 
-/// Sockets of one link on one host.
+/// Open sockets of one link on one host.
 #[derive(Debug)]
 struct Udp {
-    /// Receives; on a unicast link it also sends.
+    /// Socket that receives, and on a unicast link also sends.
     socket: Rc<UdpSocket>,
     to: To,
     /// Receive buffer that the kernel has granted \[bytes\].
     granted: usize,
     batch: Batch,
-    /// Time of the last read.
+    /// Time of the last read of the socket.
     looked: Time,
     flood: Flood,
     unsent: u64,
@@ -63,12 +63,12 @@ struct Udp {
 
 #[derive(Debug)]
 enum To {
-    /// Sends through a socket of its own, whose port distinguishes this process's frames from those of other processes
-    /// on the same machine.
+    /// Multicast. Sends through a separate socket, whose port distinguishes this process's frames from those of other
+    /// processes of the machine.
     Group { tx: UdpSocket, own: SocketAddr, loopback: Loopback },
     Peers {
         peers: BTreeMap<HostId, SocketAddr>,
-        /// None if this process is a guest itself: hosts answer it, and it answers no other guest.
+        /// `None` if this process is itself a guest, which only communicates with hosts.
         guests: Option<Guests>,
     },
 }
@@ -101,7 +101,7 @@ impl Udp {
         Udp::new(socket, to, config).map_err(failed("ask for the size of the buffer".to_owned()))
     }
 
-    /// Opens the socket of a host that is in no file: at any address of the machine, to all hosts of the link.
+    /// Opens the socket of a guest: at any address of the machine, to all hosts of the link.
     fn open_guest(
         (host, peers): (HostId, &BTreeMap<HostId, SocketAddr>),
         config: &SocketConfig,
@@ -141,7 +141,7 @@ impl Udp {
     fn transmit(&mut self, now: Time, transmit: &Transmit) {
         if let Err(error) = self.to.transmit(now, &self.socket, transmit) {
             self.unsent += 1;
-            // Log the first failure, the second, the fourth and so on: a link that is down must not fill the log.
+            // Log only the counts 1, 2, 4, 8, ...: a link that is down must not fill the log.
             if self.unsent.is_power_of_two() {
                 tracing::warn!(unsent = self.unsent, "a frame could not be sent: {error}");
             }
@@ -153,7 +153,7 @@ impl Udp {
 #[derive(Clone, Copy, Debug, Default)]
 struct Flood {
     on: bool,
-    /// Datagrams read since then.
+    /// Number of datagrams read since `since`.
     count: usize,
     since: Time,
 }
@@ -199,12 +199,12 @@ impl To {
                 socket.send_to(frame, at).map(drop)
             }
             (To::Peers { peers, guests }, Audience::All) => {
-                // An unreachable peer does not prevent sending to the others.
+                // Sending continues after an unreachable peer.
                 let mut all = Ok(());
                 for at in peers.values().copied().chain(guests.iter_mut().flat_map(|guests| guests.accepted(now))) {
                     all = all.and(socket.send_to(frame, at).map(drop));
                 }
-                // Candidates need only the echoes in reports.
+                // Candidates receive only reports, for the echoes in them.
                 if matches!(codec::first(frame), Ok(Content::Report | Content::NumberedReport)) {
                     for at in guests.iter_mut().flat_map(|guests| guests.candidates(now)) {
                         all = all.and(socket.send_to(frame, at).map(drop));
@@ -215,7 +215,8 @@ impl To {
         }
     }
 
-    /// Whether a datagram from this address is for this process. An echo that the kernel's filter has passed is not.
+    /// Whether to accept a datagram from this address. Own datagrams that the kernel's filter has passed are not
+    /// accepted.
     fn accepts(&mut self, now: Time, from: SocketAddr) -> bool {
         if let To::Group { own, loopback, .. } = self
             && own.ip() == from.ip()
@@ -229,7 +230,7 @@ impl To {
     }
 
     fn admit(&mut self, now: Time, guest: Guest) {
-        // An address in the file takes precedence, and every host receives what is sent to a group.
+        // Addresses in the team file take precedence. On a multicast link, guests receive everything anyway.
         if let To::Peers { peers, guests: Some(guests) } = self
             && !peers.contains_key(&guest.host)
         {
@@ -243,8 +244,8 @@ impl Transport for Udp {
         Rc::clone(&self.socket) as Rc<dyn AsFd>
     }
 
-    /// A read of an empty socket costs as much as one that succeeds. So a quiet link is read once per readiness event,
-    /// and only a busy one until it is empty or it is the others' turn.
+    /// A read of an empty socket costs as much as a successful one. So a quiet link is read once per readiness event,
+    /// and a busy one until it is empty or the limit is reached.
     fn receive(&mut self, now: Time, take: &mut dyn FnMut(Option<SocketAddr>, &[u8])) {
         let busy = now.since(self.looked) < BUSY || self.flood.on;
         self.looked = now;
@@ -262,7 +263,8 @@ impl Transport for Udp {
         match read {
             Ok(count) => self.flood.read(now, count),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => self.flood.read(now, 0),
-            // An error about an earlier datagram (a closed port, a lost route) says nothing of the next one.
+            // An error caused by an earlier datagram, such as a closed port or a lost route. It does not affect the
+            // next one.
             Err(error) => tracing::debug!("an error in place of a frame: {error}"),
         }
     }

@@ -1,4 +1,4 @@
-//! Multicast: sends to a group that all hosts of a link join.
+//! Multicast transport: sends to a multicast group that all hosts of a link join.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -9,10 +9,10 @@ use crate::config::fields::{FieldType, Value};
 use crate::net::transport::interface::LOOPBACK;
 use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 
-/// Port of the default groups.
+/// UDP port of the default groups.
 const PORT: u16 = 7700;
 
-/// The transport.
+/// Registry entry of the transport.
 pub const ENTRY: Entry = Entry {
     name: "multicast",
     about: "UDP to a group that all hosts listen to",
@@ -24,7 +24,7 @@ pub const ENTRY: Entry = Entry {
     read,
 };
 
-/// Returns the default group of a link: one for each link.
+/// Returns the default group of the link with index `at`; each link has its own.
 fn default_group(at: usize) -> String {
     let last = u8::try_from(at % 254).expect("it is below 254") + 1;
     SocketAddr::new(IpAddr::from([239, 255, 77, last]), PORT).to_string()
@@ -44,8 +44,8 @@ fn read(settings: &LinkSettings) -> Result<Arc<dyn Endpoint>, ConfigError> {
     Ok(Arc::new(SocketConfig { addressing: Addressing::Multicast(group), interface, receive_buffer_bytes }))
 }
 
-/// Returns an endpoint in this group on this interface, without a team file. The kernel is asked for a receive buffer
-/// of this size.
+/// Returns an endpoint in this group on this interface, without a team file. The receive buffer is requested from the
+/// kernel \[bytes\].
 pub fn endpoint(group: SocketAddr, interface: &str, receive_buffer_bytes: usize) -> Arc<dyn Endpoint> {
     let interface = interface.to_owned();
     Arc::new(SocketConfig { addressing: Addressing::Multicast(group), interface, receive_buffer_bytes })

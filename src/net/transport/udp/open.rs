@@ -1,5 +1,4 @@
-//! Opens UDP sockets for links: bound, restricted to an interface, joined to a group. Calls the kernel and nothing
-//! else.
+//! Opens UDP sockets for links: bound, restricted to an interface, joined to a group. Only makes system calls.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV6, UdpSocket};
@@ -9,21 +8,21 @@ use socket2::{Domain, Protocol, Socket, Type};
 use crate::net::transport;
 use crate::net::transport::interface::{Interface, InterfaceError};
 
-/// Reason for which a socket cannot be opened.
+/// Reason why a UDP socket cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// Its interface cannot be used.
+    /// The network interface cannot be used.
     #[error(transparent)]
     Interface(#[from] InterfaceError),
     /// The address is not a multicast group.
     #[error("{0} is no multicast group; choose one of 239.0.0.0/8 or ff02::/16")]
     NoGroup(SocketAddr),
-    /// The kernel refuses.
+    /// The kernel refuses an operation on the socket.
     #[error("cannot {what} on '{interface}': {error}")]
     Socket {
         /// Attempted operation.
         what: String,
-        /// Interface.
+        /// Name of the network interface.
         interface: String,
         /// Error of the kernel.
         error: io::Error,
@@ -41,7 +40,7 @@ impl From<OpenError> for transport::OpenError {
     }
 }
 
-/// Adds the interface to an IPv6 group, which is valid on one interface only.
+/// Returns the group with the interface, which an IPv6 group address requires.
 pub(super) fn scoped(group: SocketAddr, interface: &Interface) -> SocketAddr {
     match group {
         SocketAddr::V6(v6) => SocketAddrV6::new(*v6.ip(), v6.port(), 0, interface.index).into(),
@@ -58,7 +57,7 @@ fn socket(of: SocketAddr) -> io::Result<Socket> {
     Ok(socket)
 }
 
-/// Restricts a socket to one interface, where the kernel lets a program do so.
+/// Restricts a socket to one interface, if the process has the permission.
 fn pin(socket: &Socket, interface: &Interface) -> io::Result<()> {
     match socket.bind_device(Some(interface.name.as_bytes())) {
         Err(error) if error.kind() == io::ErrorKind::PermissionDenied => Ok(()),
@@ -70,7 +69,7 @@ fn first_v4(interface: &Interface) -> Ipv4Addr {
     interface.v4.first().copied().unwrap_or(Ipv4Addr::UNSPECIFIED)
 }
 
-/// Opens a socket that receives datagrams to `address`: a group, or an address of this host.
+/// Opens a socket that receives datagrams to `address`: a multicast group, or an address of this host.
 pub(super) fn receiving_socket(address: SocketAddr, interface: &Interface, buffer_bytes: usize) -> io::Result<Socket> {
     let socket = socket(address)?;
     pin(&socket, interface)?;
@@ -79,7 +78,7 @@ pub(super) fn receiving_socket(address: SocketAddr, interface: &Interface, buffe
         socket.bind(&address.into())?;
         return Ok(socket);
     }
-    // Every process of the machine that joins a group has to request address reuse.
+    // Every process of the machine that joins the group has to request address reuse.
     socket.set_reuse_address(true)?;
     socket.set_reuse_port(true)?;
     socket.bind(&scoped(address, interface).into())?;
@@ -96,8 +95,8 @@ pub(super) fn receiving_socket(address: SocketAddr, interface: &Interface, buffe
     Ok(socket)
 }
 
-/// Opens a socket that sends to the group. Connected, so that the kernel looks up the route once and not for each
-/// datagram.
+/// Opens a socket that sends to a multicast group. It is connected, so that the kernel looks up the route once and not
+/// for each datagram.
 pub(super) fn sending_socket(group: SocketAddr, interface: &Interface) -> io::Result<UdpSocket> {
     let socket = socket(group)?;
     pin(&socket, interface)?;
@@ -122,7 +121,7 @@ pub(super) fn sending_socket(group: SocketAddr, interface: &Interface) -> io::Re
     Ok(socket.into())
 }
 
-/// Opens a socket that sends and receives, at a port that the kernel chooses, on any interface with a route to the
+/// Opens a socket that sends and receives at a port that the kernel chooses, on any interface with a route to the
 /// peers.
 pub(super) fn guest_socket(v6: bool, buffer_bytes: usize) -> io::Result<Socket> {
     let any: IpAddr = if v6 { Ipv6Addr::UNSPECIFIED.into() } else { Ipv4Addr::UNSPECIFIED.into() };

@@ -1,4 +1,4 @@
-//! Configuration of a host's UDP sockets on a link, as data, and its properties as an endpoint.
+//! Configuration of a host's UDP sockets on a link, and its implementation of an endpoint.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -12,16 +12,16 @@ use crate::net::protocol::reliability::{Reliabilities, Setup};
 use crate::net::transport::interface::{self, LOOPBACK};
 use crate::net::transport::{Claim, Endpoint, Field, Filter, Finding, LinkSettings, OpenError, Transport};
 
-/// Field for the network interface of both transports.
+/// Field of the team file for the network interface, of both UDP transports.
 pub(super) const INTERFACE: Field = Field::new("interface", FieldType::Interface);
 
-/// Field for the receive buffer that is requested from the kernel \[bytes\].
+/// Field of the team file for the receive buffer that is requested from the kernel \[bytes\].
 pub(super) const RECEIVE_BUFFER: Field = Field {
     default: Some(|_| (4 << 20).to_string()),
     ..Field::new("receive_buffer_bytes", FieldType::Whole(4096, 1 << 30))
 };
 
-/// Reads both fields.
+/// Reads both fields: interface and receive buffer \[bytes\].
 pub(super) fn bound(settings: &LinkSettings) -> Result<(String, usize), ConfigError> {
     let advice = || {
         let (link, host) = (settings.link, settings.host_name());
@@ -32,31 +32,31 @@ pub(super) fn bound(settings: &LinkSettings) -> Result<(String, usize), ConfigEr
     Ok((interface, usize::try_from(bytes).expect("its range is smaller")))
 }
 
-/// Sockets of a host on a link.
+/// Configuration of a host's UDP sockets on a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SocketConfig {
-    /// Addresses of the link.
+    /// Addresses that the link uses.
     pub addressing: Addressing,
-    /// The network interface, by name.
+    /// Name of the network interface.
     pub interface: String,
     /// Requested receive buffer of the socket \[bytes\].
     pub receive_buffer_bytes: usize,
 }
 
-/// Addresses of a link.
+/// Addresses that a link uses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Addressing {
-    /// A multicast group.
+    /// Multicast group.
     Multicast(SocketAddr),
-    /// Unicast to each host.
+    /// Unicast to the address of each host.
     Unicast {
-        /// Address of this host.
+        /// Address at which this host receives.
         listen: SocketAddr,
         /// Addresses of the other hosts.
         peers: BTreeMap<HostId, SocketAddr>,
     },
-    /// Unicast to each host, from any address of the machine: a guest sends from a port of its own, on the interface
-    /// with a route to the host, and is answered there.
+    /// Unicast from a guest to each host. It uses a port that the kernel chooses, on the interface with a route to the
+    /// host; hosts answer to that port.
     Guest {
         /// Addresses of all hosts of the link.
         peers: BTreeMap<HostId, SocketAddr>,
@@ -80,7 +80,7 @@ impl Endpoint for SocketConfig {
                 let peers = peers.iter().map(|(host, at)| (*host, *at)).chain([(beside, *listen)]).collect();
                 self.with(Addressing::Guest { peers })
             }
-            // A guest may join a group like any host.
+            // A guest joins a multicast group like any host.
             _ => Arc::new(self.clone()),
         }
     }
@@ -129,7 +129,7 @@ impl Endpoint for SocketConfig {
     }
 
     fn is_available(&self) -> bool {
-        // If the kernel does not list its interfaces, opening reports the error.
+        // If the kernel does not list the interfaces, the error is reported when the endpoint is opened.
         let there = |all: Vec<interface::Interface>| all.iter().any(|one| one.up && one.name == self.interface);
         matches!(self.addressing, Addressing::Guest { .. }) || interface::interfaces().map_or(true, there)
     }

@@ -1,4 +1,4 @@
-//! Unicast: sends to each host of a link at its address in the team file.
+//! Unicast transport: sends to each host of a link at its address in the team file.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -10,7 +10,7 @@ use crate::config::fields::FieldType;
 use crate::messages::ids::HostId;
 use crate::net::transport::{Endpoint, Entry, Field, LinkSettings};
 
-/// The transport.
+/// Registry entry of the transport.
 pub const ENTRY: Entry = Entry {
     name: "unicast",
     about: "UDP to each host by itself",
