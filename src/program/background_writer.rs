@@ -1,6 +1,6 @@
-//! Background writer: a bounded queue to one destination (stderr, stdout, a file), written by its own thread. So the
-//! control thread never waits for a disk, a terminal or a pipe. A record that does not fit is dropped whole and
-//! counted.
+//! Background writer: a bounded queue of output to one destination (stderr, stdout, a file), written by a thread of its
+//! own. So the control thread never waits for a disk, a terminal or a pipe. A record that does not fit is dropped whole
+//! and counted.
 
 use std::collections::VecDeque;
 use std::fs::{File, OpenOptions};
@@ -25,8 +25,8 @@ const QUEUE_RECORDS: usize = 16_384;
 pub enum Target {
     /// An open file descriptor.
     Open(File),
-    /// A pipe that may have no reader yet: the writer's thread opens it and waits for one. The probe descriptor keeps
-    /// an existing reader from seeing an end of file before the first record.
+    /// A pipe that may have no reader yet: the writer's thread opens it and waits for one. The optional descriptor is
+    /// held until then, so that an existing reader does not see an end of file before the first record.
     Pipe(PathBuf, Option<File>),
 }
 
@@ -36,7 +36,7 @@ impl Target {
         open.as_fd().try_clone_to_owned().map(|fd| Target::Open(File::from(fd)))
     }
 
-    /// Creates or truncates a file, or opens an existing pipe or device; does not wait for a pipe's reader.
+    /// Creates or truncates a file, or opens an existing pipe or device. Does not wait for a pipe's reader.
     pub fn create(path: &Path) -> io::Result<Target> {
         let is_pipe = path.metadata().is_ok_and(|about| about.file_type().is_fifo());
         if !is_pipe {
@@ -75,7 +75,8 @@ struct Shared {
     not_empty: Condvar,
     /// Notified when everything is written.
     idle: Condvar,
-    /// Formats the line that reports dropped records to a reader; none where nothing may be inserted between records.
+    /// Formats the line that reports dropped records within the output; `None` if nothing may be inserted between
+    /// records.
     notice: Option<fn(u64) -> String>,
 }
 
@@ -85,14 +86,14 @@ struct State {
     bytes: usize,
     writing: bool,
     dropped: u64,
-    /// Dropped records that were already reported to the reader.
+    /// Number of dropped records that were already reported in the output.
     reported: u64,
     failure: Option<io::Error>,
     failed: bool,
 }
 
 impl BackgroundWriter {
-    /// Opens a destination and starts the thread, which ends with the process.
+    /// Opens a destination and starts the writer thread, which ends with the process.
     pub fn open(target: Target, notice: Option<fn(u64) -> String>) -> io::Result<BackgroundWriter> {
         let shared =
             Arc::new(Shared { state: Mutex::default(), not_empty: Condvar::new(), idle: Condvar::new(), notice });
@@ -121,13 +122,14 @@ impl BackgroundWriter {
         self.0.lock().dropped
     }
 
-    /// Returns the error that has ended the writer; `None` if there is none, or if it was returned before. A pipe
-    /// closed by its reader is not an error.
+    /// Returns the error that has ended the writer thread; `None` if there is none, or if it was returned before. A
+    /// pipe closed by its reader is not an error.
     pub fn failure(&self) -> Option<io::Error> {
         self.0.lock().failure.take()
     }
 
-    /// Waits until everything is written, at most for `most`. Records that are still queued then count as dropped.
+    /// Waits for at most `most` until everything is written. Records that are still queued then are dropped and
+    /// counted.
     pub fn flush(&self, most: Duration) {
         let busy = |state: &mut State| (state.writing || !state.queue.is_empty()) && !state.failed;
         let guard = self.0.lock();
@@ -141,11 +143,11 @@ impl BackgroundWriter {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
-        // A panic in another thread leaves the state valid, and the log of that panic needs this lock.
+        // A panic in another thread leaves the state valid, and logging that panic needs this lock.
         self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    /// Writes records until writing fails.
+    /// Loop of the writer thread: writes records until writing fails.
     fn serve(&self, target: Target) {
         let written = target.open().and_then(|file| {
             loop {
@@ -184,7 +186,7 @@ impl Shared {
     }
 }
 
-/// Writes all bytes, also to a descriptor that another program has made non-blocking.
+/// Writes all bytes, even to a descriptor that another program has made non-blocking.
 fn write_whole(mut file: &File, mut bytes: &[u8]) -> io::Result<()> {
     while !bytes.is_empty() {
         match file.write(bytes) {

@@ -1,4 +1,4 @@
-//! Conditions of a simulation that flags name: a deployment file, a communication range, a fault plan.
+//! Reads the conditions of a simulation that flags set: a deployment file, a communication range, a fault plan.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::program::BadInput;
 use crate::program::output::read_text;
 use crate::trial::Trial;
 
-/// Reads a deployment file of simulated robots.
+/// Reads a deployment file, in which all robots must be simulated.
 pub fn deployment(path: &Path) -> Result<Deployment> {
     let text = read_text(path, "deployment file")?;
     let wrong = |error| BadInput(format!("the deployment file '{}': {error}", path.display()));
@@ -20,7 +20,7 @@ pub fn deployment(path: &Path) -> Result<Deployment> {
     Ok(deployment)
 }
 
-/// Returns the communication range that the flags set; `None` for that of the policy.
+/// Returns the communication range that the flags set; `None` to use that of the policy.
 pub fn range(mean_m: Option<f32>, std_m: f32, trial: &Trial) -> Result<Option<CommRange>> {
     if !(0.0..=1e3).contains(&std_m) {
         return Err(BadInput(format!("--comm-range-std-m: {std_m} is not 0 to 1000")).into());
@@ -38,7 +38,7 @@ pub fn range(mean_m: Option<f32>, std_m: f32, trial: &Trial) -> Result<Option<Co
     Ok(Some(CommRange { mean_m, std_m }))
 }
 
-/// Returns the fault plan of a seed or a file.
+/// Returns the fault plan of `given`: a seed, or the path of a file.
 pub fn faults(given: &str, trial: &Trial) -> Result<FaultPlan> {
     if let Ok(seed) = given.parse::<u64>() {
         return Ok(trial.clone().random_faults(seed).faults);

@@ -1,4 +1,4 @@
-//! `murmurate config`: checks a team file, or shows the values in effect.
+//! The command `murmurate config`: checks a team file, or prints the values in effect.
 
 use std::collections::BTreeSet;
 

@@ -1,4 +1,5 @@
-//! `murmurate deployment`: prints a preset mode as a deployment file. Also puts the radio of `--radio` on links.
+//! The command `murmurate deployment`: prints a preset mode as a deployment file. Also adds the radio of `--radio` to
+//! links.
 
 use std::ffi::OsStr;
 use std::path::Path;
@@ -14,7 +15,7 @@ use crate::program::BadInput;
 use crate::program::Ended;
 use crate::program::output::{print, read_text};
 
-/// Parser of a preset mode's name. For the beginning of names, such as 'onboard', the error lists these.
+/// Parser of the name of a preset mode. If several modes begin with the given name, the error lists them.
 #[derive(Clone)]
 pub struct ModeParser;
 
@@ -50,7 +51,7 @@ pub struct Args {
     radio: String,
 }
 
-/// Prints the deployment.
+/// Runs `deployment`: prints the deployment.
 pub fn run(args: &Args) -> Result<Ended> {
     let deployment =
         Deployment::preset(&args.mode, usize::from(args.robots)).expect("the parser lets only modes through");
@@ -60,7 +61,8 @@ pub fn run(args: &Args) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Returns the deployment with a radio on its links. `given` is the name of a preset or the path of a file.
+/// Adds a radio to the links of a deployment. `given` is the name of a radio preset, the path of a radio file, or
+/// `none`.
 pub fn with_radio(deployment: Deployment, given: &str) -> Result<Deployment> {
     if given == "none" {
         return Ok(deployment);
@@ -82,8 +84,8 @@ pub fn with_radio(deployment: Deployment, given: &str) -> Result<Deployment> {
     Ok(deployment)
 }
 
-/// Describes the emulated network in words; `None` if it is ideal. Delay \[ms\] and loss are of all messages, or (`all`
-/// false) of those between robots.
+/// Describes the emulated network as text; `None` if it is ideal. `delay_ms` \[ms\] and `loss` (0 to 1) apply to all
+/// messages (`all`), or only to those between robots.
 pub fn conditions(delay_ms: f64, loss: f64, all: bool, radio: &str) -> Option<String> {
     let of = if all { "all messages" } else { "messages between robots" };
     let parts = [

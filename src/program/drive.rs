@@ -1,4 +1,4 @@
-//! Flags for the drive of robots, the same in `sim` and `train`.
+//! Flags for the drive of robots, shared by `sim` and `train`.
 
 use anyhow::Result;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -31,7 +31,7 @@ fn kind(name: String) -> DriveKind {
 }
 
 impl DriveFlags {
-    /// Whether none is given.
+    /// Whether no flag of the drive is given.
     pub fn is_empty(&self) -> bool {
         self.settings().is_empty()
     }
@@ -41,7 +41,7 @@ impl DriveFlags {
         Settings { drive, point_ahead_m, speed_m_s, yaw_rate_rad_s, ..Settings::default() }
     }
 
-    /// Returns the settings with these flags in place of their own. An error names the flag.
+    /// Returns `settings` with the given flags in place of their fields. An error names the flag.
     pub fn over(&self, settings: &Settings) -> Result<Settings> {
         let all = self.settings().or(settings);
         let flag = |error: ConfigError| match error {

@@ -1,4 +1,4 @@
-//! `murmurate host`: runs one host of a team in real time: its actors, on its sockets. A robot runs this.
+//! The command `murmurate host`: runs one host of a team in real time on its sockets. This runs on robots.
 
 use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::BTreeMap;
@@ -37,7 +37,7 @@ use crate::program::recording::{self, OfHost};
 use crate::program::signals;
 use crate::program::team;
 
-/// Time from a request to stop until the host ends, in which its last commands and its notice of leaving are sent.
+/// Time from a request to stop until the host ends, in which its last commands and its notice of shutdown are sent.
 const STOPPING: Span = Span::from_millis(200);
 
 /// Role that selects a host, in a team with one host of that role.
@@ -75,10 +75,10 @@ pub struct Args {
     launched: bool,
 }
 
-/// Period of the event with all counts, which remain known if the host is killed.
+/// Period of the event with all counts, so that they are known even if the host is killed.
 const COUNTED_PERIOD: Span = Span::from_millis(1000);
 
-/// Returns what the table of results says of the run.
+/// Returns the description of the run for the table of results.
 fn results_of(team: &Team, policy: String, began: Instant, interrupted: bool) -> Run {
     Run {
         mode: team.deployment.mode.clone(),
@@ -94,7 +94,7 @@ fn results_of(team: &Team, policy: String, began: Instant, interrupted: bool) ->
     }
 }
 
-/// Returns the flags of a record's team file, from the arguments of the command that made the record.
+/// Returns the team file and its flags, from the arguments of the command that made a record.
 #[cfg(feature = "sim")]
 pub fn of_record(arguments: &[String]) -> Result<team::TeamArgs> {
     use clap::{Args as _, FromArgMatches};
@@ -103,7 +103,7 @@ pub fn of_record(arguments: &[String]) -> Result<team::TeamArgs> {
     Ok(Args::from_arg_matches(&found).map_err(wrong)?.team)
 }
 
-/// State collected while the host runs.
+/// State that is collected while the host runs.
 struct Seen {
     report: RefCell<TrialReport>,
     over: Cell<bool>,
@@ -112,13 +112,13 @@ struct Seen {
     safety: RefCell<BTreeMap<RobotId, SafetyCounts>>,
     hardware: RefCell<BTreeMap<RobotId, RobotHardware>>,
     outlets: Outlets,
-    /// Another live host has the id of this one.
+    /// Report of another live host with the id of this one.
     duplicate: Cell<Option<DuplicateId>>,
-    /// Record of the run, if there is one.
+    /// Record of the run; `None` if nothing is recorded.
     record: OnceCell<Option<OfHost>>,
 }
 
-/// Runs the host until the team has finished, or until it is told to stop.
+/// Runs `host` until the team has finished or a stop is requested.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let began = Instant::now();
     let file = args.team.read(registry)?;
@@ -159,7 +159,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
                 let _ = (&*source).read(&mut [0; 16]);
             });
             if args.json {
-                // The process that started this host and read its events has died: its robot must not go on alone.
+                // If the process that reads this host's events has died, no one supervises the robot, so it must stop.
                 let gone = Rc::clone(&abandoned);
                 readers.watch_end(Rc::new(std::io::stdout()), move || gone.set(true));
             }
@@ -185,26 +185,26 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted && by_user { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Checks after every turn of the event loop: prints new events and decides whether the host ends.
+/// Checks that are made after every turn of the event loop. Prints new events, and decides whether the host ends.
 struct Watch {
     seen: Rc<Seen>,
     id: HostId,
     /// Time that the host runs on after the last episode.
     grace: Span,
     signal: Arc<AtomicUsize>,
-    /// True once the reader of its events has closed the pipe.
+    /// Whether the reader of the host's events has closed the pipe.
     abandoned: Rc<Cell<bool>>,
-    /// Watchdog timeout of the service manager.
+    /// Watchdog timeout of the service manager; `None` without one.
     watchdog: Option<Duration>,
     /// Number of episodes reported so far.
     reported: usize,
     /// Time of the last watchdog notification.
     notified: Time,
-    /// Time of the last event with counts.
+    /// Time of the last printed event with counts.
     counted: Time,
     over: Option<Time>,
     stopping: Option<Time>,
-    /// Error that has ended its output.
+    /// Error that has ended the host's output.
     lost: Option<anyhow::Error>,
 }
 
@@ -226,7 +226,7 @@ impl Watch {
         }
     }
 
-    /// Runs the checks once; returns whether the host ends.
+    /// Makes the checks once. Returns whether the host ends.
     fn turn(&mut self, graph: &Graph, now: Time) -> bool {
         let seen = Rc::clone(&self.seen);
         let outlets = &seen.outlets;
@@ -252,7 +252,7 @@ impl Watch {
             outlets.notify(&NotifyState::Stopping);
             graph.leave(self.id);
             if self.abandoned.get() {
-                // The process that supervised the whole team has died.
+                // The process that supervised the whole team has died, so the team is stopped.
                 graph.stop(self.id);
             }
         }
@@ -264,7 +264,7 @@ impl Watch {
             || self.stopping.is_some_and(|at| now.since(at) >= STOPPING)
     }
 
-    /// Returns an error if the host of that name has not ended as it should.
+    /// Returns an error if the host did not end regularly. `name` is the name of the host.
     fn failure(&mut self, name: &str) -> Result<()> {
         if let Some(error) = self.lost.take() {
             return Err(error);
@@ -290,12 +290,12 @@ impl Seen {
         Seen { report, over, messages, counts, safety, hardware, outlets, duplicate, record: OnceCell::new() }
     }
 
-    /// Record of the run, if there is one.
+    /// Record of the run; `None` if nothing is recorded.
     fn record(&self) -> Option<&OfHost> {
         self.record.get()?.as_ref()
     }
 
-    /// Ends a turn of the event loop in the record.
+    /// Marks the end of a turn of the event loop in the record.
     fn end_turn(&self, now: Time) {
         self.record().into_iter().for_each(|record| record.turn(now));
     }
@@ -330,7 +330,7 @@ impl Seen {
         report.simulated = report.totals.end.since(Time::ZERO);
     }
 
-    /// Returns all counts so far.
+    /// Returns the counts so far.
     fn counted(&self, graph: &Graph) -> Counted {
         let (refused, lost) = graph.undelivered();
         let robot = |(&robot, &counts): (&RobotId, &SafetyCounts)| RobotSafety { robot, counts };
@@ -380,7 +380,7 @@ impl Args {
     }
 }
 
-/// Refuses trajectories of a host that does not simulate the whole team.
+/// Fails unless the host simulates the whole team, since trajectories come from true states.
 fn sees_whole_team(team: &Team) -> Result<()> {
     let host = &team.deployment.hosts[usize::from(team.host.0)];
     if host.simulates.len() != team.deployment.robots {

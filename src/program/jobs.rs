@@ -1,17 +1,16 @@
-//! Independent jobs on several threads. Results do not depend on the number of threads.
+//! Runs independent jobs on several threads. Results do not depend on the number of threads.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// Returns the number of threads for `pieces` jobs: `asked`, or one per core if that is `None`, but at most one per
-/// job.
+/// Returns the number of threads for `pieces` jobs: `asked`, or one per core if that is `None`; at most one per job.
 pub fn threads(asked: Option<u16>, pieces: usize) -> usize {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     asked.map_or(cores, usize::from).min(pieces)
 }
 
 #[cfg(feature = "study")]
-/// Runs the jobs whose result in `found` is `None`, until all are done or `stop` is set. Returns the results by job,
-/// with `None` for a job that had no result or was not started. The first error stops all jobs.
+/// Runs the jobs whose entry in `found` is `None`, until all are done or `stop` is set. Returns the results by job;
+/// `None` for a job that was not started or gave no result. The first error stops all jobs.
 pub fn finish<T: Send>(
     mut found: Vec<Option<T>>,
     asked: Option<u16>,
@@ -19,7 +18,7 @@ pub fn finish<T: Send>(
     work: impl Fn(usize) -> anyhow::Result<Option<T>> + Sync,
 ) -> anyhow::Result<Vec<Option<T>>> {
     let open: Vec<usize> = (0..found.len()).filter(|at| found[*at].is_none()).collect();
-    // An error, such as a full disk, ends the study; files already written stay.
+    // An error, such as a full disk, ends the study. Files already written are kept.
     let work = |at: usize| work(open[at]).inspect_err(|_| stop.store(true, Ordering::Relaxed));
     for (at, done) in run(open.len(), threads(asked, open.len()), stop, work) {
         found[open[at]] = done?;
@@ -27,7 +26,8 @@ pub fn finish<T: Send>(
     Ok(found)
 }
 
-/// Runs each job once, until all are done or `stop` is set. Returns each finished job's index and result, by index.
+/// Runs each of `pieces` jobs once, until all are done or `stop` is set. Returns index and result of each finished job,
+/// by index.
 pub fn run<T: Send>(
     pieces: usize,
     threads: usize,

@@ -1,6 +1,6 @@
-//! `murmurate key`: the team key, 32 bytes as 64 hexadecimal digits in a file that only its owner may read.
+//! The command `murmurate key`: the team key, 32 bytes as 64 hexadecimal digits in a file that only its owner may read.
 //!
-//! A key is never printed; its fingerprint shows whether two robots have the same one.
+//! Keys are never printed. Their fingerprints show whether two hosts have the same key.
 
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Read, Write};
@@ -38,7 +38,7 @@ pub struct New {
     force: bool,
 }
 
-/// Creates a key file. Errors: the file exists and `--force` is missing, or it cannot be written.
+/// Runs `key new`: creates a key file. Fails if the file exists and `--force` is missing, or if it cannot be written.
 pub fn run(args: &Args) -> Result<Ended> {
     let Args::New(New { out, force }) = args;
     let shown = out.display();
@@ -56,7 +56,7 @@ pub fn run(args: &Args) -> Result<Ended> {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    // Only its owner can read it from the start (mode 0600), and it gets its name once it is complete.
+    // The file has mode 0600 from the start, and gets its name once it is complete.
     let mut file =
         Temporary::new_in(folder, 0o600).map_err(|e| refuse(format!("{e}; choose a folder that can be written")))?;
     let digits: String = key.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -71,11 +71,11 @@ pub fn run(args: &Args) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Reads a key file. Errors unless it belongs to this program's user or to root, has mode 0600 or less, and holds a
-/// key. Links are followed; owner and mode are those of the opened file.
+/// Reads a key file. Fails unless it belongs to this process's user or to root, has mode 0600 or less, and contains a
+/// key. Symbolic links are followed; owner and mode are checked on the opened file.
 pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     let refuse = |why: String| anyhow::Error::from(BadInput(format!("the key file '{}' {why}", path.display())));
-    // Non-blocking: opening a pipe would wait for its writer.
+    // Non-blocking, since opening a pipe would wait for its writer.
     let opened = OpenOptions::new().read(true).custom_flags(nix::libc::O_NONBLOCK | nix::libc::O_NOCTTY).open(path);
     let file = opened.map_err(|e| match e.kind() {
         ErrorKind::NotFound => {
@@ -100,7 +100,7 @@ pub fn read(path: &Path) -> Result<[u8; BYTES]> {
         return Err(refuse(format!("has mode {mode:04o}, so others than its owner may use it: chmod 600 it")));
     }
     let mut digits = Vec::new();
-    // Bounded: a file longer than this holds no key.
+    // Bounded: a longer file is not a key file.
     file.take(4 * BYTES as u64).read_to_end(&mut digits).map_err(|e| refuse(format!("cannot be read: {e}")))?;
     let key = parse(digits.trim_ascii()).ok_or_else(|| {
         refuse(format!("does not hold {} hexadecimal digits ({BYTES} bytes): copy the team's key again", 2 * BYTES))
@@ -108,7 +108,7 @@ pub fn read(path: &Path) -> Result<[u8; BYTES]> {
     Ok(key)
 }
 
-/// Whether `user` accepts a key file of `owner`: one's own or root's. So root accepts no key that an ordinary user
+/// Whether `user` accepts a key file that `owner` owns: its own or root's. So root accepts no key that another user
 /// could replace.
 fn may_own(owner: u32, user: u32) -> bool {
     owner == user || owner == 0
@@ -126,7 +126,7 @@ fn parse(digits: &[u8]) -> Option<[u8; BYTES]> {
     Some(key)
 }
 
-/// Returns 8 hexadecimal digits of a hash of the key, which reveal nothing else about the key.
+/// Returns the fingerprint of a key: 8 hexadecimal digits of a hash, which reveal nothing else about the key.
 pub fn fingerprint(key: &[u8; BYTES]) -> String {
     let mut digest = Hash::new();
     digest.update(b"murmurate team key\0");

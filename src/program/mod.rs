@@ -1,9 +1,9 @@
-//! The command-line program. Flags, files, progress and exit codes live here; what a run does never does.
+//! The command-line program: flags, files, progress and exit codes. The work of a run is done by other modules.
 //!
 //! Exit codes: 0 done; 1 the run, one of its processes, its output or a check of `doctor` failed; 2 a flag or a file is
 //! wrong, and nothing was run; 101 a bug (a panic); 130 interrupted, with the results until then printed.
 
-// The comments of flags are their help, for a terminal: [m] is a unit there and <FILE> a name.
+// Doc comments of flags are help texts for a terminal, where [m] is a unit and <FILE> a name.
 #![allow(rustdoc::broken_intra_doc_links, rustdoc::invalid_html_tags)]
 
 mod background_writer;
@@ -134,7 +134,7 @@ enum Command {
 }
 
 impl Command {
-    /// Whether robots move while it runs.
+    /// Whether the command drives robots in real time.
     fn in_real_time(&self) -> bool {
         match self {
             Command::Host(_) => true,
@@ -145,30 +145,30 @@ impl Command {
     }
 }
 
-/// How a command ended.
+/// How a command ended, if not with an error.
 pub enum Ended {
-    /// As asked.
+    /// Done as requested.
     Done,
-    /// As asked, and it was found that something is wrong; what, was printed.
+    /// Done as requested, and a check has failed; the output says which.
     Unfit,
-    /// By Ctrl-C, with the results until then printed.
+    /// Interrupted by Ctrl-C; the results until then were printed.
     Interrupted,
 }
 
-/// A flag or a file is wrong, and nothing was run.
+/// Error: a flag or a file is wrong, and nothing was run.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct BadInput(pub String);
 
-/// Refuses what was given.
+/// Returns the error about a wrong flag or file.
 fn bad<T>(why: String) -> anyhow::Result<T> {
     Err(BadInput(why).into())
 }
 
-/// Logs to stderr what `wanted` names: a level, or levels of modules as in `warn,murmurate::net=debug`. With `notes`,
-/// warnings are kept for the findings of `doctor` as well.
+/// Starts logging to stderr. `wanted` is a level, or levels of modules as in `warn,murmurate::net=debug`. With `notes`,
+/// warnings are also collected for the findings of `doctor`.
 fn log(wanted: &str, notes: bool) -> Result<(), String> {
-    // Left to itself, the parser takes a misspelt level for the name of a module.
+    // Without this check, the parser would take a misspelt level for a module's name.
     let odd = wanted.split(',').find(|part| !part.contains('=') && part.trim().parse::<LevelFilter>().is_err());
     if let Some(odd) = odd {
         return Err(format!("'{odd}' is no level; there are off, error, warn, info, debug and trace"));
@@ -180,16 +180,16 @@ fn log(wanted: &str, notes: bool) -> Result<(), String> {
         let notes = doctor::Notes.with_filter(LevelFilter::WARN);
         registry.with(lines.with_filter(targets)).with(notes).init();
     } else {
-        // One filter for all is the cheapest.
+        // A single filter for all is the cheapest.
         let lines = tracing_subscriber::fmt::layer().with_writer(|| output::LogLines).with_ansi(coloured);
         registry.with(targets).with(lines).init();
     }
     Ok(())
 }
 
-/// Runs the program on the flags that the process was started with: its commands with everything that the registry has.
+/// Runs the command in this process's arguments, with the parts of the registry. Returns the exit code.
 pub fn main(registry: &Registry) -> ExitCode {
-    // The DDS process of a ROS 2 driver or source, which only this program starts.
+    // The DDS process of a ROS 2 driver or source, which this program starts itself.
     #[cfg(feature = "ros2")]
     if std::env::args_os().nth(1).is_some_and(|word| word == crate::ros2::SUBCOMMAND) {
         return crate::ros2::node::run();
@@ -204,7 +204,7 @@ pub fn main(registry: &Registry) -> ExitCode {
         output::talk(&format!("error: cannot start a thread to write the log: {why}"));
         return ExitCode::from(1);
     }
-    // What a guard does to a robot is for its operator to see.
+    // Warnings are shown, since the operator of a robot has to see what its guard does.
     let notes = matches!(cli.command, Command::Doctor(_));
     let level = match (real_time, notes) {
         (true, _) => "warn",
@@ -221,7 +221,7 @@ pub fn main(registry: &Registry) -> ExitCode {
     status
 }
 
-/// All commands and flags, with the names that the registry has.
+/// Returns all commands and flags, with the names of the registry's entries.
 fn command(registry: &Registry) -> clap::Command {
     names::add(Cli::command(), registry)
 }
@@ -264,7 +264,7 @@ fn run(command: Command, registry: &Registry) -> anyhow::Result<Ended> {
     }
 }
 
-/// Says how a command has ended.
+/// Prints the error of a command, and returns its exit code.
 fn exit_code(ended: anyhow::Result<Ended>) -> ExitCode {
     match ended {
         Ok(Ended::Done) => ExitCode::SUCCESS,
@@ -279,16 +279,16 @@ fn exit_code(ended: anyhow::Result<Ended>) -> ExitCode {
     }
 }
 
-/// Name under which this program was started; a crate of someone's own has another than this one's.
+/// Returns the name of the running program. A program of another crate has its own name.
 fn own_name() -> String {
     let path = std::env::args_os().next().map(std::path::PathBuf::from);
     path.and_then(|path| Some(path.file_name()?.to_str()?.to_owned())).unwrap_or_else(|| "murmurate".to_owned())
 }
 
-/// Help and version as they are; anything wrong as one line.
+/// Prints help and version as they are, and errors of the command line as one line.
 fn refuse(error: &clap::Error) -> ExitCode {
     if !error.use_stderr() {
-        // Asked for, so it is data; a closed pipe is the reader's choice.
+        // Help was requested, so it is output; a pipe closed by its reader is not an error.
         let _ = error.print();
         return ExitCode::SUCCESS;
     }

@@ -1,12 +1,11 @@
-//! Names of the registry's entries as possible values of flags and in their help.
+//! Names of the registry's entries in the values and help texts of flags.
 
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Arg, Command};
 
 use crate::registry::Registry;
 
-/// Adds the names of the registry to the values and the help of the flags that take them, in a command and its
-/// subcommands.
+/// Adds the registry's names to the permitted values and help texts of flags, in a command and its subcommands.
 pub fn add(command: Command, registry: &Registry) -> Command {
     command.mut_args(|arg| named(arg, registry)).mut_subcommands(|below| add(below, registry))
 }

@@ -1,5 +1,5 @@
-//! Outlets of a running host, each with its own background writer: events or a table on stdout, trajectories, and
-//! states for the service manager. Writing never waits; dropped output is counted by kind.
+//! Outputs of a running host, each with its own background writer: events or a table on stdout, trajectories, and
+//! notifications of the service manager. Writing never waits; dropped output is counted by kind.
 
 use std::cell::{Cell, RefCell};
 use std::io::{self, Write};
@@ -20,10 +20,10 @@ use crate::program::background_writer::{BackgroundWriter, Target};
 use crate::program::output::{FLUSH_TIMEOUT, log_lines_dropped};
 use crate::program::paths::Paths;
 
-/// The outlets of a host.
+/// Outputs of a running host.
 pub struct Outlets {
     stdout: BackgroundWriter,
-    /// Whether stdout carries events.
+    /// Whether stdout carries events as JSON.
     json: bool,
     trajectories: Option<(BackgroundWriter, RefCell<Rows>)>,
     service: Option<BackgroundWriter>,
@@ -32,7 +32,7 @@ pub struct Outlets {
 }
 
 impl Outlets {
-    /// Opens all outputs of a host. Never waits for the reader of a trajectory pipe; the writer's thread does.
+    /// Opens all outputs of a host. Does not wait for the reader of a trajectory pipe.
     pub fn open(json: bool, trajectories: Option<&Path>) -> Result<Outlets> {
         let thread = "cannot start a thread to write";
         let stdout = Target::copy_of(io::stdout()).context("stdout is not open")?;
@@ -42,7 +42,7 @@ impl Outlets {
             Some(path) => {
                 let refuse = |e| BadInput(format!("cannot write '{}': {e}", path.display()));
                 let target = Target::create(path).map_err(refuse)?;
-                // Two threads that write to one pipe could mix their lines.
+                // One writer for both, as two threads could mix their lines.
                 let same = target.is_same(io::stdout());
                 let writer =
                     if same { stdout.clone() } else { BackgroundWriter::open(target, None).context(thread)? };
@@ -55,19 +55,19 @@ impl Outlets {
         Ok(Outlets { stdout, json, trajectories, service, events: Cell::new(0), steps: Cell::new(0) })
     }
 
-    /// Prints an event, with `--json`.
+    /// Prints an event, if the flag `--json` is given.
     pub fn print_event(&self, event: &HostEvent) {
         if self.json && !self.stdout.push((event.to_line() + "\n").into_bytes()) {
             self.events.set(self.events.get() + 1);
         }
     }
 
-    /// Prints the table of results.
+    /// Prints the table of results on stdout.
     pub fn print(&self, table: &str) {
         self.stdout.push(format!("{table}\n").into_bytes());
     }
 
-    /// Writes a step of the World, with `--trajectories`.
+    /// Writes a step of the World, if the flag `--trajectories` is given.
     pub fn step(&self, step: &Step) {
         let Some((writer, rows)) = &self.trajectories else { return };
         if !writer.push(rows.borrow_mut().of(step)) {
@@ -78,15 +78,15 @@ impl Outlets {
         }
     }
 
-    /// Sends a state to the service manager.
+    /// Sends a notification to the service manager, if there is one.
     pub fn notify(&self, state: &NotifyState<'_>) {
         if let Some(writer) = &self.service {
-            // States that do not fit are dropped; watchdog notifications are repeated.
+            // A notification that does not fit is dropped. Those for the watchdog are repeated.
             writer.push(format!("{state}\n").into_bytes());
         }
     }
 
-    /// Returns the counts of dropped output.
+    /// Returns the counts of dropped output so far.
     pub fn unwritten(&self) -> Unwritten {
         Unwritten {
             log_lines: log_lines_dropped(),
@@ -114,7 +114,7 @@ impl Outlets {
             let Unwritten { log_lines, events, steps, .. } = self.unwritten();
             tracing::warn!(dropped, events, steps, log_lines, "output was dropped: it could not be written in time");
         }
-        // No robot stops because of its trajectories file, but the error is returned.
+        // A failing trajectories file does not stop the robot, but the error is returned at the end.
         let trajectories = self.trajectories.as_ref().and_then(|(writer, _)| writer.failure());
         match (self.failure(), trajectories) {
             (Some(error), _) => Err(error),
@@ -130,7 +130,7 @@ struct Rows {
     written: Shared,
 }
 
-/// Buffer that its owner and a writer share.
+/// Buffer that is shared by a writer and its owner.
 #[derive(Clone, Default)]
 struct Shared(Rc<RefCell<Vec<u8>>>);
 
@@ -140,7 +140,7 @@ impl Rows {
         Ok(Rows { paths: Paths::new(written.clone())?, written })
     }
 
-    /// Returns the rows of a step; the first call starts with the header line.
+    /// Returns the CSV rows of a step; the first call also returns the header.
     fn of(&mut self, step: &Step) -> Vec<u8> {
         let paths = &mut self.paths;
         paths.write(0, step).and_then(|()| paths.flush()).expect("memory takes everything");
@@ -158,7 +158,7 @@ impl Write for Shared {
     }
 }
 
-/// Connects to the service manager's socket, if the manager has started this process (`sd_notify(3)`).
+/// Connects to the service manager's socket; `None` if it did not start this process (`sd_notify(3)`).
 fn service_socket() -> Option<UnixDatagram> {
     let name = std::env::var_os("NOTIFY_SOCKET")?;
     let address = match name.as_bytes() {

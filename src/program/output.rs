@@ -1,4 +1,4 @@
-//! Output to stdout and stderr, and reading of the files that a user has named.
+//! Output to stdout and stderr, and reading of files that the user names.
 
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::io::{self, ErrorKind, IsTerminal, Write};
@@ -12,13 +12,13 @@ use anyhow::{Context, Result};
 use crate::program::BadInput;
 use crate::program::background_writer::{BackgroundWriter, Target};
 
-/// Longest time that the end of a process waits for output to a pipe or a disk.
+/// Longest time that the end of a process waits for queued output.
 pub const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// The background writer to stderr, in commands that must not wait for it.
+/// Background writer to stderr, for commands that must not wait for it.
 static LOG: OnceLock<BackgroundWriter> = OnceLock::new();
 
-/// Sends everything for stderr through a background writer from now on, including panic messages.
+/// Sends all output to stderr through a background writer from now on, including panic messages.
 pub fn open_log_lane() -> io::Result<()> {
     let writer = BackgroundWriter::open(Target::copy_of(io::stderr())?, Some(missing))?;
     if LOG.set(writer).is_ok() {
@@ -40,14 +40,14 @@ pub fn log_lines_dropped() -> u64 {
     LOG.get().map_or(0, BackgroundWriter::dropped)
 }
 
-/// Waits a limited time for the last lines to reach stderr.
+/// Waits a limited time until queued lines are written to stderr.
 pub fn flush_log() {
     if let Some(writer) = LOG.get() {
         writer.flush(FLUSH_TIMEOUT);
     }
 }
 
-/// Prints a message on stderr, with keys redacted.
+/// Prints a message on stderr. Keys in it are redacted.
 pub fn talk(text: &str) {
     say(redacted(text).into_owned() + "\n");
 }
@@ -56,17 +56,17 @@ fn say(lines: String) {
     match LOG.get() {
         Some(writer) => {
             writer.push(lines.into_bytes());
-            // The process ends after a panic.
+            // After a panic the process ends, so the message must be written now.
             if std::thread::panicking() {
                 writer.flush(FLUSH_TIMEOUT);
             }
         }
-        // An error of stderr cannot be reported.
+        // An error of stderr cannot be reported anywhere.
         None => drop(io::stderr().write_all(lines.as_bytes())),
     }
 }
 
-/// Writer of log lines to stderr, one line per write, with keys redacted.
+/// Writer of log lines to stderr, one line per write. Keys in them are redacted.
 pub struct LogLines;
 
 impl Write for LogLines {
@@ -80,7 +80,7 @@ impl Write for LogLines {
     }
 }
 
-/// Whether stderr may have colours: only on a terminal, and not if `NO_COLOR` is set (<https://no-color.org>).
+/// Whether stderr may have colours: it is a terminal, and `NO_COLOR` is not set (<https://no-color.org>).
 pub fn colour() -> bool {
     io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
@@ -93,14 +93,14 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Reads a text file that the user has named. A team key, named by mistake, is refused as a key file.
+/// Reads a text file that the user has named. `what` describes it in errors. A file with a team key is refused.
 pub fn read_text(path: &Path, what: &str) -> Result<String> {
     let refuse = |why: String| BadInput(format!("cannot read the {what} '{}': {why}", path.display()));
     let bytes = read_bytes(path, what)?;
     String::from_utf8(bytes).map_err(|_| refuse("it is no text in UTF-8".to_owned()).into())
 }
 
-/// Reads a file that the user has named. A team key is refused as in `read_text`.
+/// Reads a file that the user has named. `what` describes it in errors. A file with a team key is refused.
 pub fn read_bytes(path: &Path, what: &str) -> Result<Vec<u8>> {
     let bytes =
         std::fs::read(path).map_err(|e| BadInput(format!("cannot read the {what} '{}': {e}", path.display())))?;

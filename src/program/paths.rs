@@ -1,4 +1,4 @@
-//! Robots' trajectories as CSV, one line per robot and step, of a finished trial or a running team.
+//! Robots' trajectories as CSV, one line per robot and step. Used for finished trials and running teams.
 
 use std::io::Write;
 
@@ -11,7 +11,7 @@ use anyhow::{Context, Result};
 #[cfg(feature = "sim")]
 use crate::program::whole_file::WholeFile;
 
-/// Columns; positions and velocities in the world frame.
+/// CSV columns. Positions and velocities are in the world frame.
 const COLUMNS: [&str; 11] = [
     "repeat",
     "episode",
@@ -26,7 +26,7 @@ const COLUMNS: [&str; 11] = [
     "command_y_m_s",
 ];
 
-/// Writer of the robots' paths as CSV. No field is quoted: all are numbers and names of phases.
+/// Writer of trajectories as CSV. No field is quoted, as all are numbers or names of phases.
 pub struct Paths<W: Write>(W);
 
 impl<W: Write> Paths<W> {
@@ -57,7 +57,7 @@ impl<W: Write> Paths<W> {
     }
 }
 
-/// Writes the steps of several reports into a file.
+/// Writes the steps of several trials into a file.
 #[cfg(feature = "sim")]
 pub fn write_all(file: &mut WholeFile, reports: &[TrialReport]) -> Result<()> {
     let mut paths = Paths::new(std::io::BufWriter::new(file.writer()))?;

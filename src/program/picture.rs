@@ -1,4 +1,4 @@
-//! Pictures of one episode of `sim`: their flags, files and captions.
+//! Pictures of one episode of `sim`: flags, files and captions.
 
 use std::path::{Path, PathBuf};
 
@@ -29,12 +29,12 @@ pub struct Flags {
     episode: Option<Shown>,
 }
 
-/// Choice of the episode that pictures show.
+/// Choice of the episode to draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Shown {
-    /// The one of this index, from 0.
+    /// Episode with this index, from 0.
     Index(u32),
-    /// The first one that did not succeed.
+    /// First episode that did not succeed.
     Failed,
 }
 
@@ -55,17 +55,17 @@ impl Shown {
     }
 }
 
-/// Function that draws an episode.
+/// Function that draws an episode as the text of a file.
 type Draw = fn(&Scene) -> String;
 
-/// The pictures of a run, with their files open.
+/// Pictures to be drawn after a run, with their open files.
 pub struct Pictures {
     files: Vec<(WholeFile, Draw)>,
     shown: Shown,
 }
 
 impl Pictures {
-    /// Opens the files of the pictures. `episodes` is the number of episodes of the run; an error names the flag.
+    /// Opens the files of the pictures. `episodes` is the number of episodes of the run. An error names the flag.
     pub fn open(args: &Flags, episodes: u32) -> Result<Pictures> {
         let film: (&str, Draw) = ("html", film);
         let files = [
@@ -94,18 +94,18 @@ impl Pictures {
         Ok(Pictures { files, shown: args.episode.unwrap_or(Shown::Index(0)) })
     }
 
-    /// Whether there are any.
+    /// Whether any picture is to be drawn.
     pub fn any(&self) -> bool {
         !self.files.is_empty()
     }
 
-    /// Returns the steps that the trial of this repeat has to keep: those that pictures need, or else `steps`.
+    /// Returns which steps the trial of a repeat has to keep: those that pictures need, or else `steps`.
     pub fn steps(&self, repeat: u32, steps: Steps) -> Steps {
         if repeat == 0 && !self.files.is_empty() { Steps::WithHearing } else { steps }
     }
 
-    /// Draws the pictures from the reports of all repeats, and completes their files. Says so if the episode was
-    /// interrupted, or if none failed; then nothing is drawn.
+    /// Draws the pictures from the reports of all repeats, and completes their files. If the episode was interrupted,
+    /// or none failed, prints that there is no picture.
     pub fn draw(self, trial: &Trial, policy: &str, reports: &[TrialReport]) -> Result<()> {
         if self.files.is_empty() {
             return Ok(());
@@ -128,7 +128,7 @@ impl Pictures {
     }
 }
 
-/// Returns the function that draws a file of this name.
+/// Returns the function that draws a file with this extension.
 fn draw(flag: &str, path: &Path, endings: &[(&str, Draw)]) -> Result<Draw> {
     let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match endings.iter().find(|(known, _)| *known == ending) {

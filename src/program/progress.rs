@@ -1,4 +1,4 @@
-//! Progress of long commands on stderr, where it is a terminal.
+//! Progress bars of long commands, on stderr if it is a terminal.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::report::episode::Episode;
 use crate::trial::Proceed;
 
-/// Returns a callback that advances the bar with each finished episode and stops the trial once `stop` is set.
+/// Returns a callback that advances the bar with each finished episode, and stops the trial once `stop` is set.
 pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -> Proceed {
     let mut shown = 0;
     move |episodes| {
@@ -20,7 +20,7 @@ pub fn watched(bar: &ProgressBar, stop: &AtomicBool) -> impl FnMut(&[Episode]) -
     }
 }
 
-/// Returns a progress bar over this many episodes, with the remaining time. It draws only on a terminal.
+/// Returns a progress bar over this many episodes, with the remaining time. `quiet` hides it.
 pub fn progress(episodes: u64, quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();

@@ -1,4 +1,4 @@
-//! Making of records: the flag `--record`, the names of files, and what is put into a record beside its events.
+//! Recording of runs: the flag `--record`, names of record files, and their identity and attachments.
 
 use std::cell::Cell;
 use std::path::{Path, PathBuf};
@@ -32,13 +32,13 @@ pub struct RecordFlags {
     pub record: Option<PathBuf>,
 }
 
-/// Flags with a value that do not change what is run.
+/// Flags with a value that do not affect the run.
 const OUTPUTS: [&str; 5] = ["--record", "--trajectories", "--animate", "--svg", "--jobs"];
-/// The same without a value.
+/// Flags without a value that do not affect the run.
 const SWITCHES: [&str; 3] = ["--json", "--quiet", "--launched"];
 
-/// Returns the arguments of this program's command, from its name on, without those that do not change what is run:
-/// equal runs have equal records.
+/// Returns the arguments of this command without those that do not affect the run, so that equal runs have equal
+/// records.
 fn arguments() -> Vec<String> {
     let all = std::env::args_os().skip(1).map(|argument| argument.to_string_lossy().into_owned());
     let mut value_follows = false;
@@ -53,14 +53,14 @@ fn arguments() -> Vec<String> {
     all.filter(changes).collect()
 }
 
-/// Makes the folder of records.
+/// Creates the folder of records.
 fn make(folder: &Path) -> Result<()> {
     let refuse = |error| BadInput(format!("--record: cannot make the folder '{}': {error}", folder.display()));
     std::fs::create_dir_all(folder).map_err(refuse)?;
     Ok(())
 }
 
-/// Reads the files of a run for its record; names that are no files are left out.
+/// Reads the files to attach to a record. Names that are not files are ignored.
 fn attach(names: impl IntoIterator<Item = PathBuf>) -> Result<Vec<Attached>> {
     let files = names.into_iter().filter(|name| name.is_file());
     let attached = files.map(|path| {
@@ -71,7 +71,7 @@ fn attach(names: impl IntoIterator<Item = PathBuf>) -> Result<Vec<Attached>> {
     attached.collect()
 }
 
-/// Records of the repeats of a simulation.
+/// Recording of the repeats of a simulation, one file each.
 #[cfg(feature = "sim")]
 pub struct Simulated {
     folder: PathBuf,
@@ -81,8 +81,8 @@ pub struct Simulated {
 
 #[cfg(feature = "sim")]
 impl Simulated {
-    /// Prepares the folder. `files` are those that the flags name, `policy` is the digest of the policy's file. A
-    /// folder with a record of another run is refused.
+    /// Creates the folder. `files` are the input files of the run, `policy` is the digest of the policy's file. Fails
+    /// if the folder already contains a record of one of the repeats.
     pub fn open(folder: &Path, files: Vec<PathBuf>, policy: &str, repeats: u32) -> Result<Simulated> {
         make(folder)?;
         let taken = (0..repeats).map(|repeat| Simulated::path(folder, repeat)).find(|path| path.exists());
@@ -98,7 +98,7 @@ impl Simulated {
         folder.join(format!("repeat-{repeat:04}.mcap"))
     }
 
-    /// Runs a trial with a record of it.
+    /// Runs a trial and records it.
     pub fn run(
         &self,
         trial: &crate::trial::Trial,
@@ -107,7 +107,7 @@ impl Simulated {
         self.run_observed(trial, |_, _| {}, |_, _, episodes| proceed(episodes))
     }
 
-    /// Runs a trial with a record of it, and reports what happens as `Trial::run_observed` does.
+    /// Runs a trial and records it, with callbacks as `Trial::run_observed` has.
     pub fn run_observed(
         &self,
         trial: &crate::trial::Trial,
@@ -148,13 +148,13 @@ impl Simulated {
         self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).get_or_insert(error);
     }
 
-    /// Returns the first error.
+    /// Returns the first error of any recording.
     pub fn finish(&self) -> Result<()> {
         self.failure.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).take().map_or(Ok(()), Err)
     }
 }
 
-/// Record of a host in real time.
+/// Recording of a host in real time.
 pub struct OfHost {
     recording: Cell<Option<Recording>>,
     inlet: Rc<Inlet>,
@@ -162,9 +162,9 @@ pub struct OfHost {
 }
 
 impl OfHost {
-    /// Creates the record of a host that is to run, `NAME-INCARNATION.mcap`, in the folder of the flag or else of the
-    /// team file; `None` if there is neither. `began` is the run's time zero; `files` are the team file and the
-    /// policy's file.
+    /// Creates the record `NAME-INCARNATION.mcap` of a host, in the folder of the flag or else of the team file; `None`
+    /// if neither names one. `began` is the run's time zero; `files` are the team file and the policy's file, `policy`
+    /// is the digest of the latter.
     pub fn open(
         flags: &RecordFlags,
         (team, live): (&Team, &LiveHost),
@@ -191,14 +191,14 @@ impl OfHost {
         Ok(Some(OfHost { recording: Cell::new(Some(recording)), inlet, failed: Cell::new(false) }))
     }
 
-    /// Takes an event of the present turn.
+    /// Adds an event of the current turn.
     pub fn push(&self, host: HostId, event: ProcessEvent) {
         if let Some(event) = Event::of(Scope::Host, host, event) {
             self.inlet.push(event);
         }
     }
 
-    /// Ends a turn of the event loop.
+    /// Marks the end of a turn of the event loop, at time `now`.
     pub fn turn(&self, now: Time) {
         self.inlet.turn(now);
         if self.inlet.is_abandoned() && !self.failed.replace(true) {
@@ -206,12 +206,12 @@ impl OfHost {
         }
     }
 
-    /// Number of events that the record lacks so far.
+    /// Number of events dropped so far.
     pub fn dropped(&self) -> u64 {
         self.inlet.dropped()
     }
 
-    /// Ends the record; later calls do nothing.
+    /// Ends the record. Later calls do nothing.
     pub fn finish(&self) -> Result<()> {
         let Some(recording) = self.recording.take() else { return Ok(()) };
         recording.finish(Some(FINISH_TIMEOUT))?;

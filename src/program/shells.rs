@@ -1,4 +1,4 @@
-//! `murmurate completions` and `murmurate man`: shell completions and man pages, generated from the flags.
+//! The commands `murmurate completions` and `murmurate man`: shell completions and man pages, generated from the flags.
 
 use std::path::{Path, PathBuf};
 
@@ -31,7 +31,7 @@ pub struct Manual {
     out: Option<PathBuf>,
 }
 
-/// Prints the completion script of a shell.
+/// Runs `completions`: prints the completion script of a shell.
 pub fn complete(args: &Completions, registry: &Registry) -> Result<Ended> {
     let (mut command, mut script) = (command(registry), Vec::new());
     let name = command.get_name().to_owned();
@@ -40,7 +40,7 @@ pub fn complete(args: &Completions, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Prints the program's man page, or writes the pages of all its commands into a folder.
+/// Runs `man`: prints the program's man page, or writes the pages of all its commands into a folder.
 pub fn manual(args: &Manual, registry: &Registry) -> Result<Ended> {
     let mut command = command(registry).disable_help_subcommand(true);
     command.build();
@@ -55,7 +55,7 @@ pub fn manual(args: &Manual, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Writes the pages of a command and its subcommands; returns their number.
+/// Writes the man pages of a command and its subcommands. Returns their number.
 fn write(command: &Command, folder: &Path) -> Result<usize> {
     let name = command.get_display_name().unwrap_or(command.get_name());
     let mut file = WholeFile::create(&folder.join(format!("{name}.1")))?;

@@ -1,4 +1,4 @@
-//! Ctrl-C and SIGTERM of a command that drives robots, which stops them before it ends.
+//! Handling of Ctrl-C and SIGTERM for commands that drive robots and have to stop them first.
 
 use std::os::unix::net::UnixStream;
 use std::rc::Rc;
@@ -8,12 +8,13 @@ use std::sync::atomic::AtomicUsize;
 use anyhow::{Context, Result};
 use signal_hook::consts::{SIGINT, SIGTERM};
 
-/// Returns the number of the signal that has come (0 for none), and a socket that is readable once one has.
+/// Starts listening for Ctrl-C and SIGTERM. Returns the number of the signal received (0 for none), and a socket that
+/// is readable after a signal.
 pub fn listen() -> Result<(Arc<AtomicUsize>, Rc<UnixStream>)> {
     let (signal, (reader, writer)) = (Arc::new(AtomicUsize::new(0)), UnixStream::pair().context("cannot make a pipe")?);
     reader.set_nonblocking(true).context("cannot make a pipe")?;
     for number in [SIGINT, SIGTERM] {
-        // First the number, then the byte that wakes this thread to read it.
+        // The number is set before the byte that wakes the thread is written.
         signal_hook::flag::register_usize(number, Arc::clone(&signal), number as usize)
             .and_then(|_| signal_hook::low_level::pipe::register(number, writer.try_clone()?))
             .context("cannot listen for signals")?;

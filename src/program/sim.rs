@@ -1,4 +1,4 @@
-//! `murmurate sim`: episodes in one process under virtual time.
+//! The command `murmurate sim`: runs episodes in one process under virtual time.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -185,11 +185,11 @@ fn choice<T: Copy + Send + Sync + 'static, const N: usize>(
         .map(move |name| named(name).expect("the parser lets only these names through"))
 }
 
-/// Runs the trials of every policy and prints their results. Errors name the flag.
+/// Runs `sim`: runs the trials of every policy and prints their results. An error names the flag.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let named: Vec<Option<&Path>> =
         if args.policy.is_empty() { vec![None] } else { args.policy.iter().map(|policy| Some(&**policy)).collect() };
-    // Errors of every policy must show before the first one runs.
+    // All policies are loaded first, so that errors show before the first trial runs.
     let trials: Vec<(Trial, String)> =
         named.iter().map(|policy| trial(args, *policy, registry)).collect::<Result<_>>()?;
     #[cfg(feature = "watch")]
@@ -230,7 +230,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Prints a result as a table or as one JSON object.
+/// Prints a result, as a table or as one JSON object.
 fn show(args: &Args, result: &(impl Serialize + Display)) -> Result<()> {
     print(&if args.json { serde_json::to_string(result).context("a result is JSON")? } else { result.to_string() })
 }
@@ -246,7 +246,7 @@ fn summary(args: &Args, trial: &Trial, policy: &str, reports: &[TrialReport], to
         wall_s: took.as_secs_f64(),
         network: deployment::conditions(args.delay_ms, args.loss, args.impair.as_deref() == Some("all"), &args.radio),
         faults: trial.faults.describe(),
-        // A Ctrl-C that comes after the last episode has interrupted nothing.
+        // Ctrl-C after the last episode does not count as an interruption.
         interrupted: reports.len() < args.repeats() as usize || reports.iter().any(|report| !report.finished),
     };
     Summary::of(run, reports)
@@ -282,7 +282,7 @@ fn run_all(
     Ok(reports.into_iter().map(|(_, report)| report).collect())
 }
 
-/// Prepares the records of the repeats, if they are asked for.
+/// Prepares the records of the repeats; `None` if nothing is recorded.
 fn records(args: &Args, trials: &[(Trial, String)]) -> Result<Option<recording::Simulated>> {
     let (Some(folder), [(trial, _), ..]) = (&args.record.record, trials) else { return Ok(None) };
     let named = [&args.deployment, &args.episodes_file].into_iter().flatten().chain(&args.policy).cloned();
@@ -301,7 +301,7 @@ pub fn of_record(arguments: &[String], repeat: u32, registry: &Registry) -> Resu
     Ok(Trial { repeat, ..trial })
 }
 
-/// Returns the deployment with the links that the flags define.
+/// Returns the deployment with the delay, loss, range and radio that the flags set for its links.
 fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     if args.impair.is_some() && args.delay_ms == 0.0 && args.loss == 0.0 {
         return bad("--impair: there is neither delay nor loss; add --delay-ms or --loss".to_owned());
@@ -325,7 +325,7 @@ fn network(args: &Args, mut deployment: Deployment) -> Result<Deployment> {
     deployment::with_radio(deployment, &args.radio)
 }
 
-/// The first trial of a policy, of which all others are repeats, and the policy's name in the report.
+/// Returns the trial of a policy, of which all others are repeats, and the policy's name for reports.
 fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Trial, String)> {
     let file = args.deployment.as_deref().map(conditions::deployment).transpose()?;
     let robots = args.robots.or(file.as_ref().map(|deployment| deployment.robots));
@@ -365,7 +365,7 @@ fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Tri
             return bad(format!("--placement drive: the episodes file '{}': {reason}", path.display()));
         }
     }
-    // Checked before the faults and again with them, so that the error names the wrong file.
+    // Checked without and then with the faults, so that errors name the right file.
     let place = match &args.deployment {
         Some(path) => format!("the deployment file '{}'", path.display()),
         None => format!("mode '{}'", args.mode),
@@ -382,7 +382,7 @@ fn trial(args: &Args, policy: Option<&Path>, registry: &Registry) -> Result<(Tri
     Ok((trial, policy))
 }
 
-/// Returns the trial with the robots that the flags define.
+/// Returns the trial with the properties of simulated robots that the flags set.
 fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
     if let Some(lag_s) = args.lag_s.filter(|lag_s| !(0.0..=10.0).contains(lag_s)) {
         return bad(format!("--lag-s: {lag_s} is not 0 to 10"));
@@ -392,7 +392,7 @@ fn physics(args: &Args, mut trial: Trial) -> Result<Trial> {
     }
     let Args { lag_s, contacts, wall_radius_m, sensor, .. } = *args;
     let overrides = Overrides { lag_s, contacts, wall_radius_m, sensor };
-    // A file with an unknown plant is refused later, with its other errors, by its name.
+    // An unknown plant in a file is reported later, with the file's other errors.
     if let Ok(entry) = trial.registry.plant(&trial.deployment.plant) {
         let flag = |field: &str| format!("--{}", field.replace('_', "-"));
         trial.physics = overrides

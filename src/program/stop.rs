@@ -1,5 +1,5 @@
-//! `murmurate stop` and `murmurate resume`: engage or re-arm the team's emergency stop, lift the hold after it, and
-//! report which robots have confirmed.
+//! The commands `murmurate stop` and `murmurate resume`: engage or re-arm the team's emergency stop, end the hold after
+//! it, and report which robots have confirmed.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -22,9 +22,9 @@ use crate::program::Ended;
 use crate::program::output::print;
 use crate::program::team;
 
-/// Shortest time for which the order is repeated, so that it reaches hosts that start late or have missed it.
+/// Shortest time for which the order is repeated, so that hosts that start late or have missed it receive it.
 const AT_LEAST: Span = Span::from_millis(500);
-/// Longest time that robots have to confirm.
+/// Longest time that the command waits for confirmations.
 const PATIENCE: Span = Span::from_millis(3000);
 
 /// Flags of `murmurate stop`.
@@ -57,18 +57,18 @@ pub struct ResumeArgs {
     json: bool,
 }
 
-/// Sends the emergency stop or its re-arm, and prints which robots have confirmed.
+/// Runs `stop`: sends the emergency stop or its re-arm, and prints which robots have confirmed.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let kind = if args.rearm { OrderKind::Rearm } else { OrderKind::Stop };
     Asked { team: &args.team, kind, json: args.json }.run(registry)
 }
 
-/// Sends the resume of a held team, and prints which robots may move.
+/// Runs `resume`: resumes a held team, and prints which robots may move.
 pub fn resume(args: &ResumeArgs, registry: &Registry) -> Result<Ended> {
     Asked { team: &args.team, kind: OrderKind::Resume, json: args.json }.run(registry)
 }
 
-/// The request of the user.
+/// Order of the user to a team.
 struct Asked<'a> {
     team: &'a team::TeamArgs,
     kind: OrderKind,
@@ -98,7 +98,7 @@ impl Asked<'_> {
             Instant::now(),
             |clock, readers| {
                 operator::command((clock, readers), operator, &order);
-                // The loop turns at least this often, whatever arrives.
+                // Timers that make the event loop check the end of the wait at least this often.
                 for beat in 0..=PATIENCE.as_nanos() / PERIOD.as_nanos() {
                     clock.call(Time::ZERO + PERIOD * beat, Box::new(|| {}));
                 }
@@ -112,7 +112,7 @@ impl Asked<'_> {
         self.tell(&order, deployment.robots)
     }
 
-    /// Prints the result.
+    /// Prints the result of the order.
     fn tell(&self, order: &Order, robots: usize) -> Result<Ended> {
         let unconfirmed = order.unconfirmed();
         let took_s = order.confirmed_at().map(Time::as_secs);
@@ -142,7 +142,7 @@ impl Asked<'_> {
         }
     }
 
-    /// Returns the reason why the request was not met; `None` if it was.
+    /// Returns the reason why not all robots have confirmed; `None` if they have.
     fn why(&self, order: &Order) -> Option<String> {
         if order.confirmed_at().is_some() {
             return None;

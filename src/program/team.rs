@@ -1,4 +1,4 @@
-//! Team file arguments of commands: flags, environment variables, and the key and the policy that the file names.
+//! Flags of commands that take a team file, and loading of the file, its key and its policy.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -47,7 +47,7 @@ pub struct Which {
 }
 
 impl TeamArgs {
-    /// Returns the arguments of a team file that another flag names.
+    /// Returns the arguments for a team file that another flag names.
     #[cfg(feature = "study")]
     pub fn of(file: PathBuf, set: Vec<String>) -> TeamArgs {
         TeamArgs { file, set, interface: None, key_file: None }
@@ -63,8 +63,8 @@ impl TeamArgs {
         &self.file
     }
 
-    /// Reads the team file, then the environment and the flags, which take precedence. Names are looked up in the
-    /// registry. An error names file and field.
+    /// Reads the team file; environment variables and flags override its fields. Names are looked up in the registry.
+    /// An error names file and field.
     pub fn read(&self, registry: &Registry) -> Result<TeamFile> {
         let variables: Vec<(String, String)> = std::env::vars_os()
             .map(|(name, value)| (name.to_string_lossy().into_owned(), value.to_string_lossy().into_owned()))
@@ -73,8 +73,8 @@ impl TeamArgs {
         self.read_as_of(registry, None, &variables)
     }
 
-    /// Reads the team file as another process did: with these variables of the environment, and with paths in it from
-    /// `folder`, or else from the file's own.
+    /// Reads the team file as another process did: with these environment variables, and with its relative paths
+    /// starting from `folder` (by default the file's folder).
     pub fn read_as_of(
         &self,
         registry: &Registry,
@@ -100,12 +100,12 @@ impl TeamArgs {
         TeamFile::read(registry, &text, folder, variables, &flags).map_err(|e| self.wrong(&e))
     }
 
-    /// Returns the error with the path of the team file.
+    /// Returns the error with the path of the team file added.
     pub fn wrong(&self, error: &ConfigError) -> anyhow::Error {
         BadInput(format!("the team file '{}': {error}", self.file.display())).into()
     }
 
-    /// Returns the configuration of one host of the team; an error names file and field.
+    /// Returns the configuration of one host of the team. An error names file and field.
     pub fn for_host(&self, file: &TeamFile, host: HostId) -> Result<Team> {
         file.for_host(host).map_err(|e| self.wrong(&e))
     }
@@ -123,15 +123,15 @@ impl Which {
     }
 }
 
-/// Whether the warning about a missing key has been printed: once is enough for a command.
+/// Whether this process has already printed the warning about a missing key.
 static WARNED: AtomicBool = AtomicBool::new(false);
 
-/// Leaves out the warning about a missing key, because the command that started this one has printed it.
+/// Suppresses the warning about a missing key, because the parent process has printed it.
 pub fn leave_out_key_warning() {
     WARNED.store(true, Ordering::Relaxed);
 }
 
-/// Reads the team's key. Returns `None` for a team without one, with a warning unless this host opens no link.
+/// Reads the team's key. Without one, returns `None`, and prints a warning if this host uses a link.
 pub fn key(team: &Team) -> Result<Option<[u8; 32]>> {
     if team.key_file.is_none() && team.links.iter().all(Option::is_none) {
         return Ok(None);

@@ -5,19 +5,19 @@ use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-/// Maximum number of random names to try.
+/// Largest number of random names to try.
 const DRAWS: usize = 16;
 
 /// Temporary file, removed when dropped unless it was renamed.
 pub struct Temporary {
     path: PathBuf,
     file: File,
-    /// True once it was renamed.
+    /// Whether the file was renamed, so that it is not removed.
     done: bool,
 }
 
 impl Temporary {
-    /// Creates an empty file in this folder with permissions `mode`, less the user's umask.
+    /// Creates an empty file in `folder` with the permissions `mode`, reduced by the umask.
     pub fn new_in(folder: &Path, mode: u32) -> io::Result<Temporary> {
         let mut taken = None;
         for _ in 0..DRAWS {
@@ -39,21 +39,21 @@ impl Temporary {
         &mut self.file
     }
 
-    /// Flushes the file's content to the disk (fsync).
+    /// Writes the file's content to the disk (fsync).
     pub fn sync(&self) -> io::Result<()> {
         self.file.sync_all()
     }
 
-    /// Renames the temporary file to `path` in the same folder, and replaces an existing file there.
+    /// Renames the temporary file to `path` in the same folder, replacing an existing file.
     pub fn replace(mut self, path: &Path) -> io::Result<()> {
         fs::rename(&self.path, path)?;
         self.done = true;
         Ok(())
     }
 
-    /// Gives the temporary file the name `path`; an error of kind `AlreadyExists` if there is such a file.
+    /// Gives the temporary file the name `path`. Fails with `AlreadyExists` if there is such a file.
     pub fn add(self, path: &Path) -> io::Result<()> {
-        // Linking to an existing name fails, whereas renaming would replace that file.
+        // Unlike a rename, a hard link fails if the name exists.
         fs::hard_link(&self.path, path)
     }
 }
@@ -71,7 +71,7 @@ impl Write for Temporary {
 impl Drop for Temporary {
     fn drop(&mut self) {
         if !self.done {
-            // Nothing depends on its removal, so an error is ignored.
+            // An error is ignored, since nothing depends on the removal.
             let _ = fs::remove_file(&self.path);
         }
     }

@@ -1,4 +1,4 @@
-//! Stands in for `recording` in a program without the feature `record`.
+//! Replacement for `recording` in a program without the feature `record`.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -16,11 +16,11 @@ use crate::time::Time;
 #[derive(clap::Args, Clone, Default)]
 pub struct RecordFlags {}
 
-/// Record of a host in real time: never made.
+/// Replacement for the recording of a host; has no values.
 pub enum OfHost {}
 
 impl OfHost {
-    /// Refuses a team file that asks for records.
+    /// Fails if the team file has the field `record`; otherwise returns `None`.
     pub fn open(
         _: &RecordFlags,
         (team, _): (&Team, &LiveHost),
@@ -35,22 +35,22 @@ impl OfHost {
         }
     }
 
-    /// Takes an event.
+    /// Never called, because the type has no values.
     pub fn push(&self, _: HostId, _: ProcessEvent) {
         match *self {}
     }
 
-    /// Ends a turn.
+    /// Never called, because the type has no values.
     pub fn turn(&self, _: Time) {
         match *self {}
     }
 
-    /// Number of events that the record lacks so far.
+    /// Never called, because the type has no values.
     pub fn dropped(&self) -> u64 {
         match *self {}
     }
 
-    /// Ends the record.
+    /// Never called, because the type has no values.
     pub fn finish(&self) -> Result<()> {
         match *self {}
     }

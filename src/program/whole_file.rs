@@ -9,21 +9,21 @@ use anyhow::{Context, Result};
 use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 
-/// File that replaces an existing file atomically, once all is written. A pipe or a device is written to directly.
+/// File that replaces an existing one atomically once it is complete. A pipe or a device is written to directly.
 pub enum WholeFile {
-    /// Temporary file in the same folder, until `keep`.
+    /// Temporary file in the same folder, which gets its name in `keep`.
     Beside {
-        /// Path of the final file, links resolved.
+        /// Path of the final file, with symbolic links resolved.
         path: PathBuf,
         /// The temporary file.
         file: Temporary,
     },
-    /// An open pipe or device.
+    /// Open pipe or device, which is written to directly.
     Straight(File),
 }
 
 impl WholeFile {
-    /// Creates the temporary file, so that a wrong path is an error before any work is done.
+    /// Creates the temporary file. A wrong path is thus an error before any work is done.
     pub fn create(path: &Path) -> Result<WholeFile> {
         let refuse = |why: String| BadInput(format!("cannot write '{}': {why}", path.display()));
         let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
@@ -51,7 +51,7 @@ impl WholeFile {
         }
     }
 
-    /// Flushes the content to the disk and gives the file its final name.
+    /// Writes the content to the disk and gives the file its final name.
     pub fn keep(self) -> Result<()> {
         if let WholeFile::Beside { path, file } = self {
             file.sync()

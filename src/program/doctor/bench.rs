@@ -1,4 +1,4 @@
-//! The devices of one host, opened for a while: all that they report, and a wiggle if one is asked for.
+//! Opens the devices of one host for a while, collects all that they report, and runs a wiggle if requested.
 
 use std::cell::{Cell, RefCell};
 use std::io::Read;
@@ -26,25 +26,26 @@ use super::notes;
 use crate::program::output::talk;
 use crate::program::{BadInput, signals};
 
-/// Time in which the robots' last commands, to stand, are sent.
+/// Time for the last commands to the robots, which stop them.
 const STOPPING: Span = Span::from_millis(200);
 
-/// Longest time that devices are given to start, beyond the time of the look: discovery of ROS 2 takes 1.3 s, and the
-/// SDK of a RoboMaster one.
+/// Longest time for devices to start, in addition to the listening time. Discovery of ROS 2 takes 1.3 s, and the SDK of
+/// a RoboMaster one second.
 const STARTING: Span = Span::from_millis(3000);
 
-/// How the look at the devices ended.
+/// Reason why the check of the devices ended.
 pub enum End {
-    /// After its time, or with the last result of the wiggle.
+    /// The listening time is over, or the wiggle has its last result.
     Done,
-    /// By Ctrl-C or SIGTERM.
+    /// Ctrl-C or SIGTERM.
     Interrupted,
-    /// Because of the team, with the reason: an emergency stop, or an episode.
+    /// The team has an emergency stop or an episode, as the text says, so no robot may be driven.
     Team(String),
 }
 
-/// Opens the devices of the team's host for `seconds` from their first report on, and drives its robots after that if
-/// there is a `wiggle`. While robots move, its operator listens to the team, whose stop or episode ends it.
+/// Opens the devices of the team's host, and observes them for `seconds` after their first report. Then drives the
+/// robots if `wiggle` is given. While robots move, the operator in it listens to the team, whose stop or episode ends
+/// the wiggle.
 pub fn look(
     team: &Team,
     registry: &Registry,
@@ -52,7 +53,7 @@ pub fn look(
     wiggle: Option<(wiggle::Config, Option<Operator>)>,
 ) -> Result<(Seen, End)> {
     let host = &team.deployment.hosts[usize::from(team.host.0)];
-    // It has nothing to publish: the team is not running.
+    // The host publishes nothing for other programs here.
     let quiet = Host { observe: None, ..host.clone() };
     let opened = devices::open(&quiet, team.deployment.robots, registry);
     let (devices, workers) = opened.map_err(|error| match error {
@@ -119,7 +120,7 @@ pub fn look(
     Ok((seen.take(), end))
 }
 
-/// Reason to end a wiggle, in what an operator hears of the team; `None` if there is none.
+/// Returns the reason to end a wiggle in an event of the operator that listens to the team; `None` if there is none.
 fn reason_to_end(said: &ProcessEvent) -> Option<String> {
     match said {
         ProcessEvent::Message(Wire::Mode(mode)) => hindrance(mode.phase, mode.latch),
@@ -128,13 +129,13 @@ fn reason_to_end(said: &ProcessEvent) -> Option<String> {
     }
 }
 
-/// Wakes the event loop every 50 ms, so that the ends of times are noticed.
+/// Wakes the event loop every 50 ms, so that time limits are noticed.
 fn tick(clock: &Clock) {
     let again = clock.clone();
     clock.call(clock.now() + Span::from_millis(50), Box::new(move || tick(&again)));
 }
 
-/// Reason for which no robot may be driven after a message of the emergency stop.
+/// Returns the reason why no robot may be driven after an emergency stop message; `None` if it is clear.
 fn hindrance_of_stop(stop: &Stop) -> Option<String> {
     (!stop.latch.is_clear()).then(|| "the emergency stop was engaged".to_owned())
 }

@@ -1,4 +1,4 @@
-//! Findings about the devices of a host: what its source and its drivers report while nothing moves.
+//! Findings about the devices of a host: what its source and its drivers report while the robots stand.
 
 use std::collections::BTreeMap;
 
@@ -11,22 +11,22 @@ use crate::time::{Span, Time};
 
 use super::{Found, Status, Subject, notes};
 
-/// Share by which stamps may advance faster or slower than readings arrive. Clocks differ by far less; jitter at both
-/// ends of a second of readings makes a few percent.
+/// Largest deviation between the rate of stamps and that of arrivals, as a share. Clocks deviate by far less; jitter
+/// over a second of readings causes a few percent.
 const SKEW: f64 = 0.1;
-/// Time between the first and the last reading from which stamps are compared with arrivals.
+/// Shortest time between first and last reading for which stamps are compared with arrivals.
 const COMPARED: Span = Span::from_millis(400);
 
-/// Readings of one robot.
+/// Readings of one robot, from the source or its odometry.
 #[derive(Clone, Debug)]
 struct Track {
     first: (Time, u64),
     last: Reading,
     at: Time,
-    /// Number of readings, and of those that repeat the stamp of the one before.
+    /// Number of readings, and of those with the same stamp as the previous one.
     count: u32,
     repeated: u32,
-    /// Longest time between two new readings.
+    /// Longest time between two readings with different stamps.
     gap: Span,
 }
 
@@ -46,12 +46,12 @@ impl Track {
         self.last = reading.clone();
     }
 
-    /// Rate of new readings \[Hz\].
+    /// Rate of readings with new stamps \[Hz\].
     fn rate_hz(&self) -> f64 {
         f64::from(self.count - 1 - self.repeated) / self.at.since(self.first.0).as_secs().max(1e-9)
     }
 
-    /// Advance of the stamps for each second of arrivals; none if there are too few.
+    /// Advance of the stamps per second of arrivals \[s\]; `None` if the readings span too little time.
     fn pace(&self) -> Option<f64> {
         let arrived = self.at.since(self.first.0);
         let stamped = self.last.stamp_ns as f64 - self.first.1 as f64;
@@ -72,13 +72,13 @@ pub struct Seen {
     odometry: BTreeMap<RobotId, Track>,
     hardware: BTreeMap<RobotId, Hardware>,
     source_ended: bool,
-    /// Whether the host has a source, whose first reading begins the look.
+    /// Whether the host has a source; then its first reading starts the listening time.
     localizes: bool,
     /// Time of the first reading; without a source, of the first report of a robot that is ready.
     pub began: Option<Time>,
-    /// Results of a wiggle.
+    /// Results of the wiggle, by robot.
     pub results: Vec<(RobotId, Verdict)>,
-    /// Whether the wiggle is over.
+    /// Whether the wiggle has ended.
     pub over: bool,
 }
 
@@ -90,12 +90,12 @@ fn note(tracks: &mut BTreeMap<RobotId, Track>, now: Time, reading: Reading) {
 }
 
 impl Seen {
-    /// Knows nothing yet of the devices of a host, with a source or without.
+    /// Creates it without reports. `localizes`: whether the host has a source.
     pub fn new(localizes: bool) -> Seen {
         Seen { localizes, ..Seen::default() }
     }
 
-    /// Takes an event of the bench.
+    /// Records an event of the bench.
     pub fn note(&mut self, now: Time, event: Event) {
         let begins = match &event {
             Event::Reading(_) => self.localizes,
@@ -121,7 +121,7 @@ impl Seen {
         }
     }
 
-    /// Findings about the devices of the team's host, which were looked at for some seconds.
+    /// Returns the findings about the devices of the team's host, which were observed for `seconds`.
     pub fn findings(&self, team: &Team, seconds: f64) -> Vec<Found> {
         let host = &team.deployment.hosts[usize::from(team.host.0)];
         let ids = |robots: &[u16]| robots.iter().copied().map(RobotId).collect::<Vec<_>>();
@@ -133,7 +133,7 @@ impl Seen {
         found
     }
 
-    /// Findings about the source.
+    /// Returns the findings about the source.
     fn tracker(&self, team: &Team, robots: &[RobotId], seconds: f64) -> Vec<Found> {
         let host = &team.deployment.hosts[usize::from(team.host.0)];
         let name = host.source.as_ref().map_or("", |source| &source.name);
@@ -157,7 +157,7 @@ impl Seen {
         found
     }
 
-    /// Finding about the driver of a robot.
+    /// Returns the finding about the driver of a robot.
     fn robot(&self, team: &Team, robot: RobotId) -> Found {
         let host = &team.deployment.hosts[usize::from(team.host.0)];
         let name = host.driver.as_ref().map_or("", |driver| &driver.name);
@@ -175,7 +175,7 @@ impl Seen {
             Some(hardware) if hardware.health != Health::Ready => {
                 let state = if hardware.health == Health::Silent { "does not answer" } else { "faulty" };
                 let reason = hardware.reason.as_ref().map(|reason| reason.text().to_owned());
-                // The worker says it at greater length than a reason may have, and with what to do.
+                // The worker's log message is longer than the reason, and says what to do.
                 let note = notes::newest(&[&format!("driver {}", robot.0)]);
                 let note = note.filter(|_| hardware.health == Health::Silent).or(reason);
                 let why = note.map_or(String::new(), |note| format!(": {note}"));
@@ -192,7 +192,7 @@ impl Seen {
         }
     }
 
-    /// Finding about a robot's own odometry.
+    /// Returns the finding about a robot's odometry.
     fn own_odometry(&self, team: &Team, robot: RobotId, track: &Track) -> Found {
         about_track(team, &format!("{robot}, odometry"), track)
     }

@@ -1,5 +1,5 @@
-//! Checks of `doctor` that need other hosts: loopback of the own datagrams, and reception from each host. Two operators
-//! of this process, on every link of the host, exchange reports and receive those of all others.
+//! Checks of `doctor` that need other hosts: loopback of own datagrams, and reception from each host. Two operators of
+//! this process, on every link of the host, exchange reports and receive those of all hosts.
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,24 +26,24 @@ use super::{Found, Status, Subject};
 use crate::live::links;
 use crate::program::key;
 
-/// Age of a host's last datagram below which it is running \[s\]: reports come four times a second.
+/// Age of a host's last datagram below which the host is running \[s\]. Reports are sent four times a second.
 const RUNNING_S: f64 = 2.0;
-/// Loss from which a warning is given: that at which `repeat` begins to repeat (docs/wire.md).
+/// Loss from which on a warning is given: that at which the mode `repeat` begins to repeat (docs/wire.md).
 const LOSSY: f64 = 2.0 / 64.0;
 
-/// The team as far as it is heard.
+/// What was received from the team.
 #[derive(Default)]
 pub struct Heard {
-    /// The findings.
+    /// Findings about reception and robots.
     pub found: Vec<Found>,
     /// Hosts that are running.
     pub hosts: BTreeSet<HostId>,
-    /// Reason for which no robot may be driven now.
+    /// Reason why no robot may be driven now; `None` if robots may be driven.
     pub hindrance: Option<String>,
 }
 
-/// Reason for which no robot may be driven beside a team in this phase and with this latch; none if it stands and goes
-/// on only when its hosts are back, or not at all.
+/// Returns the reason why no robot may be driven while the team is in this phase with this latch. `None` if the team
+/// stands and will not continue by itself.
 pub fn hindrance(phase: Phase, latch: Latch) -> Option<String> {
     match phase {
         _ if latch.is_engaged() => Some("the emergency stop is engaged: re-arm and resume first".to_owned()),
@@ -58,13 +58,13 @@ pub fn hindrance(phase: Phase, latch: Latch) -> Option<String> {
 struct Received {
     peers: BTreeMap<(u16, u16), Peer>,
     counts: LinkCounts,
-    /// Id of the operator that answers.
+    /// Id of the second operator, whose answers show the loopback.
     echo: u16,
-    /// Condition of each robot, from all hosts that report it.
+    /// Condition of each robot, merged from all hosts that report it.
     robots: BTreeMap<RobotId, Condition>,
-    /// Why no robot may be driven, by the last instruction of the state server.
+    /// Reason why no robot may be driven, from the last instruction of the state server.
     hindrance: Option<String>,
-    /// Whether the state server was heard.
+    /// Whether an instruction of the state server was received.
     led: bool,
 }
 
@@ -81,7 +81,7 @@ impl Received {
     }
 }
 
-/// Listens for `seconds` on the links of `teams`, the hosts of this machine, to `all` hosts.
+/// Listens for `seconds` on the links of `teams`, which are the hosts of this machine. `all` are all hosts of the team.
 pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
     let first = &teams[0];
     let place = |at: usize| teams.iter().find_map(|team| Some(team.links[at].as_ref()?.for_guest(team.host)));
@@ -95,7 +95,7 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
     let received = hear(first, &places, &setups, seconds)?;
     for (at, name) in names.iter().enumerate().filter(|(at, _)| places[*at].is_some()) {
         let link = u16::try_from(at).expect("links are counted in u16");
-        // Operators of an addressed link do not hear each other.
+        // On a unicast link operators do not receive each other's datagrams.
         let open = setups[at].as_ref().is_some_and(|setup| !setup.is_addressed());
         found.extend(open.then(|| loop_back(name, received.peers.get(&(link, received.echo)))));
         for (number, host) in first.deployment.hosts.iter().enumerate() {
@@ -107,7 +107,7 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
         }
     }
     found.extend(refusals(&received.counts));
-    // Where nobody is heard, that is said of the hosts.
+    // If no robot is reported, the findings about hosts say enough.
     if !received.robots.is_empty() {
         found.extend(
             RobotId::team(first.deployment.robots).map(|robot| about_robot(robot, received.robots.get(&robot))),
@@ -115,14 +115,14 @@ pub fn listen(teams: &[Team], all: &[Team], seconds: f64) -> Result<Heard> {
     }
     let running = |peer: &&Peer| peer.age_s.is_some_and(|age_s| age_s < RUNNING_S) && !HostId(peer.host).is_operator();
     let hosts: BTreeSet<HostId> = received.peers.values().filter(running).map(|peer| HostId(peer.host)).collect();
-    // A state server that has just started says nothing before it begins.
+    // A state server that has just started sends nothing before its first episode.
     let begins = !received.led && hosts.contains(&Routes::of(&first.deployment).server_host());
     let begins =
         begins.then(|| "the host of the state server is running, and will begin an episode: end it".to_owned());
     Ok(Heard { found, hosts, hindrance: received.hindrance.or(begins) })
 }
 
-/// Makes an operator that listens on all links of the team's host.
+/// Opens an operator that listens on all links of the team's host; `None` if the host uses no link.
 pub fn operator(team: &Team) -> Result<Option<Operator>> {
     let places: Vec<Option<Place>> =
         team.links.iter().map(|place| place.as_ref().map(|place| place.for_guest(team.host))).collect();
@@ -135,7 +135,7 @@ pub fn operator(team: &Team) -> Result<Option<Operator>> {
 
 fn open(team: &Team, places: &[Option<Place>], setups: &[Option<Setup>]) -> Result<Operator> {
     let key = team.key_file.as_deref().map(key::read).transpose()?.map(Key::new);
-    // What observers say goes where the stop goes.
+    // Observers' messages use the link of the emergency stop.
     let carries = team.deployment.links.iter().position(|link| link.carries.contains(&Kind::Stop));
     let post = carries.filter(|at| places[*at].is_some());
     let post = post.map(|at| LinkId(u16::try_from(at).expect("links are counted in u16")));
@@ -244,7 +244,7 @@ fn about(link: &str, host: &str, peer: Option<&Peer>) -> Found {
     (Status::Ok, what, said, String::new())
 }
 
-/// Condition of a robot as its hosts report it; fields without a report are unknown.
+/// Returns the finding about a robot from what its hosts report; fields without a report are unknown.
 fn about_robot(robot: RobotId, known: Option<&Condition>) -> Found {
     let what = Subject::General(format!("robot {}", robot.0));
     let Some(known) = known else {
@@ -288,7 +288,7 @@ fn phase_name(phase: Phase) -> &'static str {
     }
 }
 
-/// Refused datagrams, by causes that point to a mistake.
+/// Returns findings about refused datagrams, for causes that indicate a mistake.
 fn refusals(counts: &LinkCounts) -> Vec<Found> {
     let all = [
         (counts.auth, "with another key or none", "compare the fingerprints that doctor shows on every host"),

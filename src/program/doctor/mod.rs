@@ -1,7 +1,8 @@
-//! The command `murmurate doctor`: checks of whether this machine is fit to be a host of a team, with advice.
+//! The command `murmurate doctor`: checks whether this machine can be a host of a team, and gives advice.
 //!
-//! Local checks come first, then reception from other hosts. For these it sends link reports under ids of its own, so a
-//! running robot is not disturbed. Last are the drivers and the source of the host, unless it is running and uses them.
+//! Local checks come first, then reception from other hosts. For this it sends link reports under ids of its own, so
+//! that running robots are not disturbed. The drivers and the source of the host are checked last, unless the host is
+//! running and uses them.
 
 mod bench;
 mod devices;
@@ -53,11 +54,11 @@ pub struct Args {
     json: bool,
 }
 
-/// Levels of the log: what drivers and sources say is in the findings.
+/// Log levels of `doctor`. Messages of drivers and sources are shown in the findings instead.
 pub const LEVEL: &str = "error,murmurate::drivers=off,murmurate::localization=off,murmurate::edge=off,\
     murmurate::ros2=off,murmurate::actors=off,murmurate::safety=off";
 
-/// Result of a check.
+/// Severity of a check's result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Status {
@@ -66,29 +67,29 @@ enum Status {
     Fail,
 }
 
-/// A check.
+/// Result of one check.
 #[derive(Debug, Serialize)]
 struct Check {
-    /// Its result.
+    /// Severity of the result.
     status: Status,
-    /// Host that it is for; "here" for the machine.
+    /// Name of the checked host; "here" for the machine.
     host: String,
-    /// Its subject.
+    /// Subject of the check.
     what: Subject,
-    /// The finding.
+    /// Observation.
     found: String,
-    /// Advice; empty if there is nothing to do.
+    /// Advice on what to do; empty if there is nothing to do.
     advice: String,
 }
 
-/// Subject of a check, as text `key`, `link infra, MTU` or `link infra, host world`.
+/// Subject of a check, displayed as `key`, `link infra, MTU` or `link infra, host world`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Subject {
-    /// The machine, the team or a robot.
+    /// Machine, team or robot.
     General(String),
-    /// An item of a link.
+    /// Property of a link on this machine.
     Link { link: String, item: String },
-    /// Another host on a link.
+    /// Another host, received on a link.
     Peer { link: String, host: String },
 }
 
@@ -108,7 +109,7 @@ impl Serialize for Subject {
     }
 }
 
-/// Runs the checks and prints the findings.
+/// Runs `doctor`: makes the checks and prints the findings.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let file = args.team.read(registry)?;
     if !(0.0..=3600.0).contains(&args.listen) {
@@ -173,7 +174,7 @@ fn check(host: &str, (status, what, found, advice): Found) -> Check {
     Check { status, host: host.to_owned(), what, found, advice }
 }
 
-/// Looks at the devices of a host, and drives its robots if that is asked for.
+/// Checks the devices of a host, and drives its robots if requested.
 fn look(args: &Args, team: &Team, registry: &Registry, heard: &Heard) -> Result<(Vec<Found>, bench::End)> {
     let host = wiggle::host_of(team);
     let wiggles = args.wiggle && !host.actuates.is_empty();
@@ -208,7 +209,8 @@ fn look(args: &Args, team: &Team, registry: &Registry, heard: &Heard) -> Result<
     Ok((found, end))
 }
 
-/// The hosts that this machine is: the one that was named, or all of a team that stays on one machine.
+/// Returns the hosts that this machine is checked for: the one that a flag names, or all of a team that stays on one
+/// machine.
 fn teams(args: &Args, file: &TeamFile) -> Result<Vec<Team>> {
     if let Some(host) = args.which.find(file)? {
         return Ok(vec![args.team.for_host(file, host)?]);
@@ -223,7 +225,7 @@ fn teams(args: &Args, file: &TeamFile) -> Result<Vec<Team>> {
     Ok(teams)
 }
 
-/// Result of a check, its subject, the finding and advice.
+/// Result of a check: severity, subject, observation, advice.
 type Found = (Status, Subject, String, String);
 
 fn check_key(team: &Team) -> Found {
@@ -241,7 +243,7 @@ fn check_key(team: &Team) -> Found {
                 format!("fingerprint {}, which every host of the team must have", key::fingerprint(&key)),
                 "",
             ),
-            // The error says what to do, too.
+            // The error also says what to do.
             Err(error) => found(Status::Fail, error.to_string(), ""),
         },
     }
@@ -268,7 +270,7 @@ fn check_link(host: HostId, link: &str, place: &Place) -> Vec<Found> {
     place.endpoint.check(host, link, &mtu).into_iter().map(found).collect()
 }
 
-/// The largest packet of an interface \[bytes\].
+/// Returns the largest packet of an interface \[bytes\]; `None` if it is unknown.
 fn mtu(interface: &str) -> Option<usize> {
     let text = std::fs::read_to_string(Path::new("/sys/class/net").join(interface).join("mtu")).ok()?;
     text.trim().parse().ok()

@@ -1,7 +1,7 @@
-//! Warnings of drivers and sources, kept for the findings of `doctor`.
+//! Warnings of drivers and sources, collected for the findings of `doctor`.
 //!
-//! A worker logs what keeps it from its robot or its tracker, with what to do. `doctor` says that in the line of the
-//! robot or the source, instead of the log.
+//! A worker logs what keeps it from its robot or its tracker, and what to do. `doctor` shows this in its finding about
+//! the robot or the source, and not in the log.
 
 use std::fmt;
 use std::sync::Mutex;
@@ -13,23 +13,23 @@ use tracing_subscriber::Layer;
 use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
 
-/// Most notes that are kept: a broken tracker may warn without end.
+/// Largest number of collected warnings. A faulty tracker may warn without end.
 const MOST: usize = 1000;
 
-/// A warning, with the thread of a worker or the name of an actor that it came from.
+/// Warning, with its origin: the name of a worker's thread or of an actor.
 struct Note {
     from: String,
     text: String,
 }
 
 static NOTES: Mutex<Vec<Note>> = Mutex::new(Vec::new());
-/// Whether notes are taken no more.
+/// Whether collection has ended.
 static CLOSED: AtomicBool = AtomicBool::new(false);
 
-/// Layer that keeps warnings and errors.
+/// Log layer that collects warnings and errors.
 pub struct Notes;
 
-/// Message of an event.
+/// Visitor that extracts the message of a log event.
 #[derive(Default)]
 struct Message(String);
 
@@ -54,12 +54,12 @@ impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Notes {
     }
 }
 
-/// Takes notes, or no more: what workers say when they end is no finding.
+/// Starts or ends collection. It ends before workers shut down, as their last messages are no findings.
 pub fn take(open: bool) {
     CLOSED.store(!open, Ordering::Relaxed);
 }
 
-/// Newest note from one of these threads or actors.
+/// Returns the newest warning from one of these threads or actors.
 pub fn newest(from: &[&str]) -> Option<String> {
     let notes = NOTES.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     notes.iter().rev().find(|note| from.contains(&note.from.as_str())).map(|note| note.text.clone())

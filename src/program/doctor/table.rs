@@ -1,18 +1,18 @@
-//! The checks of `doctor` as a short table: one line for the checks of a link that are fine, and one for all hosts that
-//! have the same problem. `--json` has each check by itself.
+//! The checks of `doctor` as a short table: one line for all checks of a link without defects, and one for all hosts
+//! that have the same problem. `--json` lists each check.
 
 use super::{Check, Status, Subject};
 
-/// Hosts, links and items that share a line.
+/// Line of the table: checks with the same result, of several hosts, links or items.
 pub struct Line<'a> {
     status: Status,
-    /// Hosts that the checks are for.
+    /// Hosts that were checked.
     hosts: Vec<&'a str>,
     links: Vec<&'a str>,
-    /// Checked items, or other hosts on the links.
+    /// Checked items of links, or other hosts on the links.
     items: Vec<&'a str>,
     peers: bool,
-    /// The finding; `None` for items of links that are fine, whatever was measured.
+    /// Observation; `None` for items of links without defects.
     found: Option<&'a str>,
     advice: &'a str,
 }
@@ -38,7 +38,7 @@ impl<'a> Line<'a> {
         Line { status: *status, hosts: vec![host], links, items: vec![item], peers, found, advice }
     }
 
-    /// Whether another line has the same result, finding and advice.
+    /// Whether another line has the same severity, observation and advice.
     fn is_like(&self, other: &Line) -> bool {
         (self.status, self.found, self.advice, self.peers) == (other.status, other.found, other.advice, other.peers)
     }
@@ -49,14 +49,14 @@ impl<'a> Line<'a> {
         insert(&mut self.items, &other.items);
     }
 
-    /// The line, for a table about so many hosts.
+    /// Returns the text of the line, for a table about `hosts` hosts.
     pub fn text(&self, hosts: usize) -> String {
         let status = match self.status {
             Status::Ok => "ok  ",
             Status::Warn => "warn",
             Status::Fail => "fail",
         };
-        // Findings about every host, or about the machine, need no names.
+        // Findings about every host, or about the machine, name no host.
         let host = match &self.hosts[..] {
             all if hosts == 1 || all.len() >= hosts || all == ["here"] => String::new(),
             some => format!("{}: ", some.join(", ")),
@@ -77,7 +77,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// The lines of a table, in the order of the checks.
+/// Returns the lines of the table, in the order of the checks.
 pub fn lines(checks: &[Check]) -> Vec<Line<'_>> {
     let by_link = gather(checks.iter().map(Line::of), |line, other| {
         line.is_like(other) && line.links == other.links && (!line.links.is_empty() || line.items == other.items)
@@ -85,7 +85,7 @@ pub fn lines(checks: &[Check]) -> Vec<Line<'_>> {
     gather(by_link.into_iter(), |line, other| line.is_like(other) && line.items == other.items)
 }
 
-/// Joins each line to the first one before it that `joins`.
+/// Merges each line into the first earlier one for which `joins` returns `true`.
 fn gather<'a>(all: impl Iterator<Item = Line<'a>>, joins: impl Fn(&Line, &Line) -> bool) -> Vec<Line<'a>> {
     let mut lines: Vec<Line> = Vec::new();
     for line in all {
@@ -97,7 +97,7 @@ fn gather<'a>(all: impl Iterator<Item = Line<'a>>, joins: impl Fn(&Line, &Line) 
     lines
 }
 
-/// The verdict: whether this machine can be the host, or all hosts of a team that stays on one machine.
+/// Returns the final line: whether this machine can be the host, or all hosts of a team that stays on one machine.
 pub fn verdict(lines: &[Line], hosts: &[&str]) -> String {
     let count = |status| lines.iter().filter(|line| line.status == status).count();
     let (failed, warned) = (count(Status::Fail), count(Status::Warn));

@@ -1,4 +1,4 @@
-//! `doctor --wiggle`: drives each robot of one host 10 cm and back, and says whether it went where it should.
+//! `doctor --wiggle`: drives each robot of one host 10 cm and back, and reports whether it moved correctly.
 
 use std::io::{BufRead, IsTerminal};
 
@@ -18,15 +18,15 @@ use super::{Found, Status, Subject};
 use crate::program::BadInput;
 use crate::program::output::talk;
 
-/// Period of commands: that of the policies.
+/// Period of motor commands: that of policies.
 const PERIOD: Span = Span::from_millis(50);
 
-/// Host of a team.
+/// Returns the deployment's entry of the team's host.
 pub fn host_of(team: &Team) -> &Host {
     &team.deployment.hosts[usize::from(team.host.0)]
 }
 
-/// The one host of these whose robots are driven; an error names the flag.
+/// Returns the only one of these hosts that drives robots. Fails if there is none or several.
 pub fn only(teams: &[Team]) -> Result<&Team> {
     let names: Vec<&str> = teams.iter().map(|team| host_of(team).name.as_str()).collect();
     let real: Vec<&Team> = teams.iter().filter(|team| !host_of(team).actuates.is_empty()).collect();
@@ -38,7 +38,7 @@ pub fn only(teams: &[Team]) -> Result<&Team> {
     Err(BadInput(format!("--wiggle: {why}")).into())
 }
 
-/// Checks that the wiggle is confirmed by a flag, or can be on a terminal.
+/// Checks that the wiggle is confirmed by the flag `--yes`, or can be confirmed on a terminal.
 pub fn check_confirmable(yes: bool) -> Result<()> {
     if !yes && !std::io::stdin().is_terminal() {
         let why = "--wiggle moves robots: confirm it by --yes, or on a terminal";
@@ -47,7 +47,7 @@ pub fn check_confirmable(yes: bool) -> Result<()> {
     Ok(())
 }
 
-/// Asks on the terminal whether robots may move.
+/// Asks on the terminal whether robots may move. Returns the answer.
 pub fn confirm(team: &Team) -> Result<bool> {
     let robots: Vec<String> = host_of(team).actuates.iter().map(u16::to_string).collect();
     talk(&format!(
@@ -60,14 +60,14 @@ pub fn confirm(team: &Team) -> Result<bool> {
     Ok(matches!(answer.trim(), "y" | "Y" | "yes"))
 }
 
-/// Configuration of the wiggle of the team's host.
+/// Returns the configuration of the wiggle for the team's host.
 pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
     let settings = Settings::of(team.deployment.robots);
     let scenario = registry.scenario(&team.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
     let host = host_of(team);
     let mut arena = scenario.arena().clone();
     if host.source.is_none() {
-        // The frame of a robot's own odometry knows no walls.
+        // The walls are unknown in the frame of a robot's odometry.
         arena.keep_outs.clear();
     }
     let guard = guard::Config {
@@ -87,12 +87,13 @@ pub fn config(team: &Team, registry: &Registry) -> Result<Config> {
     Ok(Config { robots, guard, arena, valid_for: COMMAND_VALIDITY })
 }
 
-/// Finding about the wiggle as a whole that failed.
+/// Returns a finding that the whole wiggle has failed, or was not run.
 pub fn failed(why: &str, advice: &str) -> Found {
     (Status::Fail, Subject::General("wiggle".to_owned()), why.to_owned(), advice.to_owned())
 }
 
-/// Finding about a robot that was driven.
+/// Returns the finding about a robot that was driven. `localizes`: its motion was measured by a source, and not by its
+/// odometry.
 pub fn finding(robot: RobotId, verdict: &Verdict, localizes: bool) -> Found {
     let (status, said, advice) = words(robot, verdict);
     let frame = if localizes || status != Status::Ok { "" } else { ", by its own odometry" };

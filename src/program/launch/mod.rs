@@ -1,7 +1,7 @@
-//! `murmurate launch`: runs every process of a team on this machine and prints the table of results.
+//! The command `murmurate launch`: runs every process of a team on this machine and prints the table of results.
 //!
-//! Each process is this program's `host`. It prints events as JSON lines on its stdout (`report::event`); its stderr is
-//! passed on, with the process's name before each line.
+//! Each process is `host` of this program. It prints events as JSON lines on stdout (`report::event`). Its stderr is
+//! passed on with the host's name before each line.
 
 mod supervisor;
 
@@ -51,10 +51,10 @@ pub struct Args {
     quiet: bool,
 }
 
-/// Colours of process names; red is left out, because it looks like an error.
+/// ANSI colours of host names. Red is left out, because it looks like an error.
 const COLOURS: [u8; 10] = [36, 32, 33, 35, 34, 96, 92, 93, 95, 94];
 
-/// Starts the team, waits for it, and prints the results.
+/// Runs `launch`: starts the team, waits for it, and prints the results.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     #[cfg(feature = "watch")]
     args.page.check()?;
@@ -93,7 +93,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let began = results.began;
     let wall_s = began.elapsed().as_secs_f64();
     let finished = results.episodes.len() == first.episodes as usize;
-    // An interrupt before all processes have ended counts, even if all results are there.
+    // An interrupt counts even if all results are there, as long as processes are running.
     let interrupted = interrupted.load(Ordering::Relaxed);
     let run = Run {
         mode: first.deployment.mode.clone(),
@@ -123,7 +123,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     }
 }
 
-/// Runs the processes to their end, with a page beside them if there is to be one.
+/// Runs the processes until they end, together with the live page if requested.
 fn supervise(
     args: &Args,
     _registry: &Registry,
@@ -151,7 +151,7 @@ fn supervise(
     Ok(supervisor.run(|at, output| results.handle(at, &output)))
 }
 
-/// Returns the arguments that name the team file and its flags, for another process of this program.
+/// Returns the arguments that give another process of this program the same team file and flags.
 fn team_arguments(team: &team::TeamArgs) -> Vec<OsString> {
     let mut all: Vec<OsString> = vec![team.file.clone().into()];
     all.extend(team.set.iter().flat_map(|given| ["--set".into(), given.into()]));
@@ -160,7 +160,7 @@ fn team_arguments(team: &team::TeamArgs) -> Vec<OsString> {
     all
 }
 
-/// Checks every host's key and policy before any process starts; returns the policy's name.
+/// Checks every host's key and policy before any process starts. Returns the policies' names.
 fn checked(teams: &[Team], registry: &Registry) -> Result<String> {
     let mut names: Vec<String> = Vec::new();
     let mut seen: Vec<&Team> = Vec::new();
@@ -176,7 +176,7 @@ fn checked(teams: &[Team], registry: &Registry) -> Result<String> {
     Ok(names.join(", "))
 }
 
-/// Results received so far.
+/// Results received from the processes so far.
 struct Results {
     names: Vec<String>,
     width: usize,
@@ -186,11 +186,11 @@ struct Results {
     began: Instant,
     ready: usize,
     episodes: BTreeMap<u32, Episode>,
-    /// Counts of each process's current or last incarnation.
+    /// Counts of each process's newest incarnation.
     counted: Vec<Counted>,
     /// Counts of earlier incarnations.
     past: Vec<Counted>,
-    /// Takes the results for the page.
+    /// Sender of results to the live page; `None` without a page.
     #[cfg(feature = "watch")]
     page: Option<std::sync::mpsc::Sender<Episode>>,
 }
@@ -234,7 +234,7 @@ impl Results {
         Response::Continue
     }
 
-    /// Counts a process as ready. The clock of the results starts when all are.
+    /// Counts a process as ready. The run's clock starts when all are ready.
     fn ready(&mut self) {
         self.ready += 1;
         if self.ready == self.names.len() {
@@ -244,14 +244,14 @@ impl Results {
     }
 
     fn episode(&mut self, episode: Episode) {
-        // A restarted host may report an episode twice; the first report counts.
+        // A restarted host may report an episode again; the first report counts.
         if self.episodes.contains_key(&episode.episode) {
             return;
         }
         self.episodes.insert(episode.episode, episode);
         #[cfg(feature = "watch")]
         if let Some(page) = &self.page {
-            // A page that has ended shows no more results.
+            // Sending fails if the page has ended, which does not matter.
             let _ = page.send(episode);
         }
         let verdict = serde_json::to_value(episode.verdict).expect("a verdict is JSON");

@@ -1,7 +1,7 @@
 //! Supervisor of a group of processes: starts them, reads their output, restarts them within limits, and stops them
 //! together.
 //!
-//! The caller gives the commands and interprets the lines.
+//! The caller provides the commands and interprets the output.
 
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
@@ -17,28 +17,28 @@ use nix::unistd::Pid;
 /// Interval at which processes are checked while they print nothing.
 const TICK: Duration = Duration::from_millis(50);
 
-/// Longest time that pipes may stay open after their process has ended, held by one of its children.
+/// Longest time that pipes may stay open after their process has ended, because a child of it holds them.
 const PIPES: Duration = Duration::from_secs(1);
 
-/// Maximum length of a line that is passed on whole \[bytes\].
+/// Largest length of a line \[bytes\]; longer lines are split.
 const LINE: u64 = 1 << 16;
 
-/// Capacity of the queue of lines; processes that print faster wait.
+/// Capacity of the queue of lines. Processes that print faster have to wait.
 const QUEUE: usize = 1024;
 
-/// Exit code of a process that has refused its flags or files; a restart would not help.
+/// Exit code of a process that refuses its flags or files; it is not restarted.
 const REFUSED: i32 = 2;
 
 /// Limits of restarts and of waiting times.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Maximum number of restarts of a process within the window.
+    /// Largest number of restarts of a process within `window`.
     pub restarts: usize,
     /// Window in which restarts are counted.
     pub window: Duration,
-    /// Longest time for the other processes to end once the first one has finished.
+    /// Longest time for the remaining processes to end after the work is done.
     pub finish: Duration,
-    /// Longest time for a process to stop after a request.
+    /// Longest time for a process to end after a request to stop.
     pub stop: Duration,
 }
 
@@ -49,43 +49,43 @@ impl Default for Limits {
     }
 }
 
-/// Process to start.
+/// Process to supervise.
 pub struct Process {
-    /// Its name.
+    /// Name of the process.
     pub name: String,
-    /// Builds the command of the process, anew for every start.
+    /// Builds the command of the process; called for every start.
     pub command: Box<dyn Fn() -> Command>,
 }
 
-/// Output of a process, or a note on it.
+/// Output of a process, or a note about it.
 pub enum Output<'a> {
-    /// A line of a process's stdout.
+    /// Line of a process's stdout.
     Data(&'a str),
-    /// A line of a process's stderr.
+    /// Line of a process's stderr.
     Log(&'a str),
-    /// An action of the supervisor on a process.
+    /// Note about what has happened to a process, such as a restart.
     Note(&'a str),
 }
 
 /// Response of the caller to an output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Response {
-    /// Continue.
+    /// The run continues.
     Continue,
-    /// The work is done: all processes are expected to end by themselves now.
+    /// The work is done, and all processes are expected to end by themselves.
     Done,
 }
 
-/// Outcome of a run.
+/// Outcome of a supervised run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// All processes ended by themselves with exit code 0.
     Done,
-    /// A stop was requested.
+    /// A stop was requested, and all processes have stopped.
     Interrupted,
-    /// A process has refused its flags or files; its last line on stderr.
+    /// A process has refused its flags or files; the text is its last line on stderr.
     Refused(String),
-    /// A process has failed, or had to be stopped; which, and how.
+    /// A process has failed or was killed; the text names it and the cause.
     Failed(String),
 }
 
@@ -95,23 +95,23 @@ enum Event {
     Stop,
 }
 
-/// Handle that asks the supervisor to stop its processes. A second request kills them.
+/// Handle for requests to stop all processes. A second request kills them.
 #[derive(Clone)]
 pub struct Stopper(SyncSender<Event>);
 
 impl Stopper {
     /// Sends a request to stop.
     pub fn stop(&self) {
-        // The receiver is gone once all processes have ended; then there is nothing to stop.
+        // The receiver is gone once all processes have ended.
         let _ = self.0.send(Event::Stop);
     }
 }
 
-/// State of one named process.
+/// State of one supervised process.
 struct Slot {
     process: Process,
     child: Option<Child>,
-    /// Number of starts.
+    /// Number of starts so far.
     start: u32,
     open_pipes: u8,
     gone: Option<(ExitStatus, Instant)>,
@@ -122,9 +122,9 @@ struct Slot {
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Phase {
     Running,
-    /// The work is done, or a process has ended before it was; the others should end, too.
+    /// The work is done, or a process has ended too early; the others are expected to end, too.
     Finishing(Instant, Why),
-    /// All processes were asked to stop.
+    /// All processes were asked to stop at this time.
     Stopping(Instant),
     Killed,
 }
@@ -169,7 +169,8 @@ impl Supervisor {
         Stopper(self.sender.clone())
     }
 
-    /// Starts the processes and returns when all have ended. `handle` gets every output with the index of its process.
+    /// Starts the processes and returns when all have ended. `handle` is called with the index of a process and its
+    /// output.
     pub fn run(mut self, mut handle: impl FnMut(usize, Output<'_>) -> Response) -> Outcome {
         for at in 0..self.slots.len() {
             if self.phase == Phase::Running {
@@ -207,7 +208,8 @@ impl Supervisor {
         let slot = &mut self.slots[at];
         let mut command = (slot.process.command)();
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        // A process group of its own: Ctrl-C on the terminal reaches this program only, which passes it on once.
+        // Each process gets its own process group, so that Ctrl-C on the terminal reaches only this program, which then
+        // stops the others.
         command.process_group(0);
         slot.start += 1;
         match command.spawn() {
@@ -229,7 +231,7 @@ impl Supervisor {
         }
     }
 
-    /// Handles processes that have ended, once all their output was read.
+    /// Handles the end of processes, once all of their output was read.
     fn reap(&mut self) {
         for at in 0..self.slots.len() {
             let slot = &mut self.slots[at];
@@ -286,7 +288,7 @@ impl Supervisor {
     }
 
     fn fail(&mut self, outcome: Outcome) {
-        // The first failure is the cause; later ones follow from it.
+        // The first failure is the cause of later ones.
         if self.outcome == Outcome::Done {
             self.outcome = outcome;
         }
@@ -335,7 +337,7 @@ impl Supervisor {
         }
     }
 
-    /// Kills the remaining processes; returns their names.
+    /// Kills the remaining processes. Returns their names.
     fn kill(&mut self, why: &str) -> Vec<String> {
         self.phase = Phase::Killed;
         let mut killed = Vec::new();
@@ -356,7 +358,7 @@ impl Drop for Supervisor {
     }
 }
 
-/// Passes on the lines of a pipe until it is closed. Invalid UTF-8 is replaced; lines that are too long are split.
+/// Passes on the lines of a pipe until it is closed. Invalid UTF-8 is replaced; long lines are split.
 fn read_lines(pipe: impl Read, at: usize, data: bool, start: u32, sender: &SyncSender<Event>) {
     let mut reader = BufReader::new(pipe);
     let mut line = Vec::new();
@@ -381,8 +383,8 @@ fn kill(child: &mut Child) {
     signal(child, Signal::SIGKILL);
 }
 
-/// Sends a signal to a process and all that it has started. It was not waited for yet, so its id is not reused; if it
-/// has just ended, the signal has no effect.
+/// Sends a signal to a process and to all processes that it has started. Its id is not reused, because it was not
+/// waited for yet. If it has just ended, the signal has no effect.
 fn signal(child: &Child, signal: Signal) {
     let group = Pid::from_raw(i32::try_from(child.id()).expect("process numbers are small"));
     let _ = killpg(group, signal);
@@ -410,12 +412,12 @@ mod tests {
         Process { name: name.to_owned(), command: Box::new(command) }
     }
 
-    /// Script that waits for SIGTERM and then exits with code 0.
+    /// Shell script that waits for SIGTERM and then exits with code 0.
     const PATIENT: &str = "trap 'echo stopped; exit 0' TERM; echo ready; tail -f /dev/null & wait";
-    /// Script that ignores SIGTERM.
+    /// Shell script that ignores SIGTERM.
     const STUBBORN: &str = "trap '' TERM; echo ready; tail -f /dev/null & wait; wait; wait";
 
-    /// Runs the processes; returns the outcome and the output, each line after its process and kind.
+    /// Runs the processes. Returns the outcome and the output; each line begins with process and kind.
     fn run(processes: Vec<Process>, limits: Limits, stop_at: &str) -> (Outcome, Vec<String>) {
         let names: Vec<String> = processes.iter().map(|process| process.name.clone()).collect();
         let supervisor = Supervisor::new(processes, limits);

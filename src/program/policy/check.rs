@@ -1,4 +1,5 @@
-//! The command `murmurate policy check`: what a policy is, from a file or built in, and whether it can be run here.
+//! The command `murmurate policy check`: describes a policy file or a built-in policy, and checks that this program can
+//! run it.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -36,13 +37,13 @@ struct Facts<'a> {
     digest: &'a str,
     manifest: &'a Manifest,
     parameters: usize,
-    /// Size of a latent in a message.
+    /// Size of a latent in a message \[bytes\].
     latent_bytes: usize,
     probe: Option<ProbeFacts>,
     warnings: Vec<String>,
 }
 
-/// The comparison with a file's probe; differences are relative to numbers above 1.
+/// Result of the comparison with the file's probe. Differences from numbers above 1 are relative.
 #[derive(Serialize)]
 struct ProbeFacts {
     robots: usize,
@@ -50,10 +51,10 @@ struct ProbeFacts {
     output_difference: f32,
 }
 
-/// Runs `policy check`: prints what a policy file is.
+/// Runs `policy check`: prints a description of a policy file.
 ///
 /// # Errors
-/// If the file cannot be read or this program cannot run it.
+/// The file cannot be read, or this program cannot run it.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let name = args.policy.display().to_string();
     let refuse = |why: String| BadInput(format!("the policy file '{name}': {why}"));
@@ -92,7 +93,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(Ended::Done)
 }
 
-/// Returns the content of the file, or of the built-in policy of that name.
+/// Returns the content of the file, or of the built-in policy with this name.
 fn bytes(args: &Args, registry: &Registry) -> Result<Cow<'static, [u8]>> {
     let Args { policy, scenario, .. } = args;
     let (name, built_in) = match policy.to_str() {
@@ -174,7 +175,7 @@ fn table(facts: &Facts) -> String {
     format!("{}: this program can run it\n{}", facts.file, rows.join("\n"))
 }
 
-/// The widths of the three networks, and their number of parameters.
+/// Describes the layer widths of the three networks, and the number of parameters.
 fn networks(facts: &Facts) -> String {
     let widths = |widths: &[usize]| widths.iter().map(usize::to_string).collect::<Vec<_>>().join("-");
     let Manifest { encoder, message, update, .. } = facts.manifest;

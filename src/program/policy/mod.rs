@@ -1,4 +1,4 @@
-//! Policies: loading by name or from a file, and the command `murmurate policy`.
+//! Loading of policies by name or from a file, and the command `murmurate policy`.
 
 mod check;
 
@@ -28,19 +28,19 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     check::run(args, registry)
 }
 
-/// A loaded policy.
+/// Loaded policy, with its name and warnings.
 pub struct Loaded {
     /// The model that drives each robot.
     pub model: Model,
-    /// Its name in reports.
+    /// Name of the policy in reports.
     pub name: String,
-    /// Warnings: fields that the policy's file lacks, with the assumed values, and a team larger than any of its
-    /// training.
+    /// Warnings: fields that the policy's file lacks, with the assumed values; a team larger than any in its training;
+    /// another drive.
     pub warnings: Vec<String>,
 }
 
 impl Loaded {
-    /// Adds a warning if the policy was trained for robots with another drive than one of this team.
+    /// Adds a warning if the policy was trained for another drive than that of a robot of this team.
     pub fn for_team(mut self, team: &[Chassis]) -> Loaded {
         let name = &self.name;
         self.warnings.extend(other_drive(&self.model, team).map(|warning| format!("--policy {name}: {warning}")));
@@ -48,8 +48,8 @@ impl Loaded {
     }
 }
 
-/// Loads a policy by a name in the registry or from a file; without `named`, the scenario's default. `draw` overrides
-/// the file's choice between mean and sampled actions. Errors name the flag or the file.
+/// Loads a policy by its name in the registry, or from a file. If `named` is `None`, loads the scenario's default.
+/// `draw` overrides the file's choice between mean and sampled actions. An error names the flag or the file.
 pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scenario: &dyn Scenario) -> Result<Loaded> {
     let named = named.unwrap_or_else(|| Path::new(registry.default_policy(scenario)));
     let name = named.display().to_string();
@@ -76,7 +76,7 @@ pub fn load(registry: &Registry, named: Option<&Path>, draw: Option<Draw>, scena
     Ok(Loaded { model, name, warnings })
 }
 
-/// Returns a warning if a policy was trained for robots with another drive than one of these.
+/// Returns a warning if a policy was trained for another drive than that of one of these robots.
 fn other_drive(model: &Model, team: &[Chassis]) -> Option<String> {
     let trained = model.trained_chassis()?;
     let same = |chassis: &&Chassis| (chassis.drive, chassis.point_ahead_m) == (trained.drive, trained.point_ahead_m);

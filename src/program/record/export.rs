@@ -1,4 +1,4 @@
-//! `murmurate record export`: tables of a record as CSV.
+//! The command `murmurate record export`: writes tables of a record as CSV.
 
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
@@ -37,7 +37,7 @@ const TRAJECTORIES: &str = "episode,phase,time_s,robot,x_m,y_m,vx_m_s,vy_m_s,hea
 const LINKS: &str = "time_s,host,link,peer,incarnation,accepted,age_s,loss,passed,missing,round_trip_s,uncertainty_s";
 const MESSAGES: &str = "time_s,event,host,link,sender,incarnation,sequence,kind,bytes";
 
-/// Table that is being written.
+/// CSV table to be written.
 struct Table {
     file: WholeFile,
     rows: Vec<u8>,
@@ -69,7 +69,7 @@ impl Table {
     }
 }
 
-/// Writes the tables that are asked for.
+/// Runs `record export`: writes the requested tables.
 pub fn run(args: &Args) -> Result<Ended> {
     if args.trajectories.is_none() && args.links.is_none() && args.messages.is_none() {
         return bad("name what to export: --trajectories, --links or --messages".to_owned());

@@ -1,4 +1,4 @@
-//! `murmurate record info`.
+//! The command `murmurate record info`: describes records.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -25,7 +25,7 @@ pub struct Args {
     json: bool,
 }
 
-/// What is known of one record.
+/// Description of one record.
 #[derive(Default, Serialize)]
 struct Info {
     record: PathBuf,
@@ -33,19 +33,19 @@ struct Info {
     version: String,
     build: String,
     command: String,
-    /// Names of the files in it.
+    /// Names of the attached files.
     attached: Vec<String>,
     duration_s: f64,
     bytes: u64,
-    /// Whether it has its end; a crash cuts it off.
+    /// Whether the record is complete, and not cut by a crash.
     whole: bool,
-    /// Where it is damaged, in words.
+    /// Error at which reading stopped, if the record is damaged.
     damaged: Option<String>,
-    /// Events that it lacks.
+    /// Number of events that the record lacks.
     dropped: u64,
-    /// Messages by topic.
+    /// Number of messages by topic.
     topics: BTreeMap<String, u64>,
-    /// Episodes by verdict.
+    /// Number of episodes by verdict.
     verdicts: BTreeMap<String, u64>,
 }
 
@@ -54,7 +54,7 @@ struct Table {
     records: Vec<Info>,
 }
 
-/// Prints what records hold.
+/// Runs `record info`: prints what records contain.
 pub fn run(args: &Args) -> Result<Ended> {
     let records = files(&args.records)?.into_iter().map(look).collect::<Result<_>>()?;
     let table = Table { records };

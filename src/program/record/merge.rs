@@ -1,4 +1,4 @@
-//! `murmurate record merge`.
+//! The command `murmurate record merge`: merges the records of a team's hosts into one, on a common clock.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::BufWriter;
@@ -27,10 +27,10 @@ pub struct Args {
     output: PathBuf,
 }
 
-/// Topics that every host draws: they are taken from one host alone.
+/// Topics that the records of all hosts contain; they are taken from one host.
 const DRAWN: [&str; 4] = ["/scene", "/robots", "/tf", "/episode"];
 
-/// Merges records, and prints the clocks that were found.
+/// Runs `record merge`: merges records, and prints the clock offsets that were found.
 pub fn run(args: &Args) -> Result<Ended> {
     let paths = files(&args.records)?;
     let wrong = |error: reader::ReadError| BadInput(error.to_string());
@@ -77,19 +77,19 @@ fn options() -> WriteOptions {
     WriteOptions::new().compression(None).library(concat!("murmurate ", env!("CARGO_PKG_VERSION")))
 }
 
-/// One record as it is read for the merge.
+/// Record that is being merged.
 struct Source<'a> {
     part: &'a Part,
     reader: Reader,
     schemas: BTreeMap<u16, u16>,
-    /// Next message: its time on the common clock, its channel in the merged file, and its bytes.
+    /// Next message: its time on the common clock \[ns\], its channel id in the merged file, and its bytes.
     next: Option<(u64, u16, Vec<u8>)>,
     draws: bool,
 }
 
 type Merged<'a> = Writer<BufWriter<&'a mut std::fs::File>>;
 
-/// Writes the messages of all records in the order of the common time.
+/// Writes the messages of all records in the order of their times on the common clock.
 fn write(parts: &[Part], mut writer: Merged<'_>) -> Result<()> {
     let clocks = parts.iter().map(|part| {
         let (ahead, uncertainty) = (part.clock.ahead_ns(i64::MAX / 2), part.clock.uncertainty_ns().unwrap_or(0));
@@ -120,7 +120,7 @@ fn write(parts: &[Part], mut writer: Merged<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Returns the record whose drawings are taken: one with true states, or else the first.
+/// Returns the index of the record whose drawings are used: one with true states, or else the first.
 fn painter(parts: &[Part]) -> Result<usize> {
     for (index, part) in parts.iter().enumerate() {
         let mut reader = Reader::open(&part.path)?;
@@ -128,7 +128,7 @@ fn painter(parts: &[Part]) -> Result<usize> {
         while let Some(item) = reader.next_item()? {
             match item {
                 Item::Channel(_, channel) => drop(topics.insert(channel.topic.clone())),
-                // Channels come with their first messages: those of the first thousand are enough.
+                // Channels appear with their first messages, so once `/tf` has messages all drawings are known.
                 Item::Message(message) if topics.len() > 3 && message.channel.topic == "/tf" => break,
                 _ => {}
             }
@@ -141,7 +141,7 @@ fn painter(parts: &[Part]) -> Result<usize> {
 }
 
 impl Source<'_> {
-    /// Reads up to the next message that goes into the merged file.
+    /// Reads up to the next message that belongs into the merged file.
     fn advance(&mut self, writer: &mut Merged<'_>) -> Result<()> {
         self.next = None;
         while let Some(item) = self.reader.next_item()? {

@@ -1,4 +1,4 @@
-//! `murmurate record`: looks at records, repairs, merges and exports them.
+//! The command `murmurate record`: describes, repairs, merges, shares and exports records.
 
 mod export;
 mod info;
@@ -27,7 +27,7 @@ pub enum Args {
     Export(export::Args),
 }
 
-/// Runs a command.
+/// Runs a subcommand of `record`.
 pub fn run(args: &Args) -> Result<Ended> {
     match args {
         Args::Info(args) => info::run(args),

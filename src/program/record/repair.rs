@@ -1,4 +1,4 @@
-//! `murmurate record repair`.
+//! The command `murmurate record repair`: repairs records that a crash has cut.
 
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ pub struct Args {
     records: Vec<PathBuf>,
 }
 
-/// Repairs records in place; the file as it was is kept beside it.
+/// Runs `record repair`: repairs records in place. The original file is kept with the suffix `.cut`.
 pub fn run(args: &Args) -> Result<Ended> {
     for path in files(&args.records)? {
         mend(&path)?;

@@ -1,4 +1,4 @@
-//! `murmurate record share`.
+//! The command `murmurate record share`: copies a record so that it can be replayed without the team's key.
 
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ pub struct Args {
     output: PathBuf,
 }
 
-/// Writes a copy of a record that others can replay without the key.
+/// Runs `record share`: copies a record with the list of its authentic datagrams.
 pub fn run(args: &Args) -> Result<Ended> {
     let wrong = |error: reader::ReadError| BadInput(error.to_string());
     let identity = reader::open(&args.record).map_err(wrong)?.identity;

@@ -1,4 +1,4 @@
-//! `replay --policy`: the actions of another policy on the recorded inputs, beside those of the record.
+//! `replay --policy`: compares the actions of another policy on the recorded inputs with the recorded actions.
 
 use std::cell::RefCell;
 use std::fmt::Write as _;
@@ -12,7 +12,7 @@ use crate::program::output::print;
 use crate::program::whole_file::WholeFile;
 use crate::record::actions::{Commands, RobotDifference, StepDifference};
 
-/// Runs a host again with another policy, and shows by how much its actions differ.
+/// Replays a host with another policy, and prints by how much its actions differ.
 pub fn show(args: &Args, prepared: Prepared) -> Result<()> {
     let policy = prepared.policy.clone();
     let (identity, messages, live, turns) = prepared.into_parts();

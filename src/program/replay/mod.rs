@@ -1,4 +1,4 @@
-//! `murmurate replay`: runs again what a record is of, and compares message by message.
+//! The command `murmurate replay`: replays records and compares them message by message.
 
 mod actions;
 mod of_host;
@@ -64,13 +64,13 @@ pub struct Args {
 #[derive(Serialize)]
 struct Line {
     record: PathBuf,
-    /// What it is of.
+    /// The recorded run: a host's name, or a simulation's repeat.
     of: String,
     equal: bool,
     messages: u64,
-    /// Whether the record was cut by a crash and is equal up to there.
+    /// Whether the record was cut by a crash; it is then equal up to the cut.
     cut: bool,
-    /// Time at which the record lacks events \[s\]; nothing after it is compared.
+    /// Time since the start of the run at which the record lacks events \[s\]. Nothing after it is compared.
     gap_s: Option<f64>,
     difference: Option<String>,
 }
@@ -81,7 +81,7 @@ struct Table {
     records: Vec<Line>,
 }
 
-/// Replays all records.
+/// Runs `replay`: replays all records.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let mut table = Table { records: Vec::new() };
     for path in files(&args.records)? {
@@ -118,7 +118,7 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if table.records.iter().all(|line| line.equal) { Ended::Done } else { Ended::Unfit })
 }
 
-/// Returns the files that are named, and those in folders that are named, in the order of their names.
+/// Returns the files in `named`, and the records (`*.mcap`) in the folders in it, sorted by name.
 pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut all = Vec::new();
     for path in named {
@@ -139,7 +139,7 @@ pub fn files(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
     Ok(all)
 }
 
-/// Refuses a record that cannot be replayed as asked.
+/// Fails if a record cannot be replayed with these flags.
 fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
     let of_host = identity.host.is_some();
     if args.rerun && of_host {
@@ -162,10 +162,10 @@ fn check(args: &Args, path: &Path, identity: &Identity) -> Result<()> {
     Ok(())
 }
 
-/// Files of a record, written to a temporary folder, which is removed at the end.
+/// Attached files of a record, written to a temporary folder, which is removed on drop.
 struct Files {
     folder: PathBuf,
-    /// Name in the record, and path.
+    /// Name of each file in the record, and its path.
     files: Vec<(String, PathBuf)>,
 }
 
@@ -186,7 +186,7 @@ impl Files {
         Ok(files)
     }
 
-    /// Returns recorded arguments with the record's files in place of those that they name.
+    /// Returns the recorded arguments, with the names of attached files replaced by their paths.
     fn in_place(&self, arguments: &[String]) -> Vec<String> {
         let replaced = |argument: &String| {
             for (name, path) in &self.files {
@@ -209,7 +209,7 @@ impl Drop for Files {
     }
 }
 
-/// Runs a simulation again from its seed.
+/// Repeats a simulation from its seed and compares it with its record.
 fn rerun(opened: Opened, files: &Files, registry: &Registry) -> Result<Compared> {
     let Opened { identity, messages, .. } = opened;
     let trial = sim::of_record(&files.in_place(&identity.arguments), identity.repeat, registry)?;

@@ -1,4 +1,4 @@
-//! A host of a record, made ready to run again.
+//! Preparation and replay of a host from its record.
 
 use std::cell::{Cell, RefCell};
 use std::path::Path;
@@ -26,22 +26,22 @@ use crate::registry::Registry;
 use crate::time::Time;
 use crate::trial::Trial;
 
-/// Host that is ready to run again.
+/// Host that is ready for a replay.
 pub struct Prepared {
-    /// What its record is of.
+    /// Identity of the record.
     pub identity: Identity,
-    /// Its recorded messages.
+    /// Messages of the record.
     pub messages: Messages,
-    /// Name of the policy that runs.
+    /// Name of the policy to run.
     pub policy: String,
     live: LiveHost,
     turns: Turns,
-    /// Whether the recorded verdicts on tags are trusted, because the key is not there.
+    /// Whether tags are not checked but taken from the record's list, because the key is missing.
     trusts: bool,
 }
 
-/// Makes the host of a record ready: with its files, its key or the list of accepted datagrams, and perhaps another
-/// policy.
+/// Prepares the replay of a host: with the files of its record, its key or the list of accepted datagrams, and the
+/// policy of the flag `--policy` if given.
 pub fn prepare(args: &Args, (path, opened): (&Path, Opened), files: &Files, registry: &Registry) -> Result<Prepared> {
     let Opened { identity, messages, attached } = opened;
     let of = identity.host.clone().expect("the caller has seen a host");
@@ -87,7 +87,7 @@ fn keyless(path: &Path) -> String {
     format!("'{}' is of a team with a key, which is in no record: give it with --key-file", path.display())
 }
 
-/// Runs a host again and compares all of its messages with its record.
+/// Replays a host and compares all of its messages with its record.
 pub fn compare(prepared: Prepared) -> Result<Compared> {
     let Prepared { identity, messages, live, mut turns, trusts, .. } = prepared;
     let Some((begun, _)) = turns.next() else {
@@ -117,12 +117,12 @@ pub fn compare(prepared: Prepared) -> Result<Compared> {
     finish(comparison)
 }
 
-/// Runs a host again, and passes each datagram that it publishes on, with its time.
+/// Replays a host, and passes each datagram that it publishes to `take`, with the time since the start of the run.
 pub fn published(live: LiveHost, mut turns: Turns, take: impl FnMut(Time, &[u8]) + 'static) {
     let Some((begun, _)) = turns.next() else { return };
     let now = Rc::new(Cell::new(begun));
     let (time, take) = (Rc::clone(&now), RefCell::new(take));
-    // The time of a turn is known when it begins, not only when it ends.
+    // A datagram needs the time of its turn, which is only passed on at the end of the turn.
     let turns = turns.inspect(move |(at, _)| time.set(*at));
     let heard = move |_, event: ProcessEvent| {
         if let ProcessEvent::Published(frame) = event {
@@ -133,13 +133,13 @@ pub fn published(live: LiveHost, mut turns: Turns, take: impl FnMut(Time, &[u8])
 }
 
 impl Prepared {
-    /// Takes the host and its turns out.
+    /// Returns the parts: identity, messages, host and turns.
     pub fn into_parts(self) -> (Identity, Messages, LiveHost, Turns) {
         (self.identity, self.messages, self.live, self.turns)
     }
 }
 
-/// Turns of a host's record: the time of each, and its inputs.
+/// Iterator over the turns of a host's record: time and inputs of each.
 pub struct Turns(Messages);
 
 impl Turns {
@@ -152,7 +152,7 @@ impl Iterator for Turns {
     type Item = (Time, Vec<Input>);
 
     fn next(&mut self) -> Option<Self::Item> {
-        // A file that is damaged in its middle is reported by the comparison, which reads the same bytes.
+        // Damage in the middle of the file is reported by the comparison, which reads the same bytes.
         while let Ok(Some(message)) = self.0.next_message() {
             if message.channel.encoding == Topic::Turn.encoding() {
                 let turn = tape::read(&message.data)?;

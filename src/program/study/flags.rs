@@ -1,4 +1,4 @@
-//! Flags of the studies in columns, and the study that they define.
+//! Flags of the studies in columns, and creation of the study from them.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -88,10 +88,10 @@ pub struct Range {
 }
 
 impl Modes {
-    /// The study that is asked for.
+    /// Returns the study that the flags define. An error names the flag.
     pub fn study(&self, registry: &Registry) -> Result<Study> {
         check_unique("--columns", &self.columns)?;
-        // In the order of the table, not of the flag.
+        // Columns keep the order of the table, not that of the flag.
         let wanted = |name: &&str| self.columns.is_empty() || self.columns.iter().any(|column| column == name);
         let columns = columns::MODES.iter().filter(|name| wanted(name));
         let columns = columns.map(|name| Column::of_table(name).expect("a column of the table")).collect();
@@ -102,7 +102,7 @@ impl Modes {
 }
 
 impl Delay {
-    /// The study that is asked for.
+    /// Returns the study that the flags define. An error names the flag.
     pub fn study(&self, registry: &Registry) -> Result<Study> {
         let delays_ms = if self.delays_ms.is_empty() {
             columns::DELAYS_S.iter().map(|delay| 1000.0 * delay).collect()
@@ -126,7 +126,7 @@ impl Delay {
 }
 
 impl Range {
-    /// The study that is asked for.
+    /// Returns the study that the flags define. An error names the flag.
     pub fn study(&self, registry: &Registry) -> Result<Study> {
         let ranges_m = if self.ranges_m.is_empty() { columns::RANGES_M.to_vec() } else { self.ranges_m.clone() };
         check_unique("--ranges-m", &ranges_m)?;
@@ -179,7 +179,7 @@ impl Shared {
         Ok(study)
     }
 
-    /// Loads every policy with each of its handlings.
+    /// Loads every policy with each of its handlings. An error names the flag or the file.
     fn policies_under_test(&self, registry: &Registry, scenario: &dyn Scenario) -> Result<Vec<PolicyUnderTest>> {
         let usual = [registry.default_policy(scenario).to_owned()];
         let policies = if self.policies.is_empty() { &usual[..] } else { &self.policies };
@@ -211,12 +211,12 @@ impl Shared {
             talk(&format!("warning: {warning}"));
         }
         let digest = loaded.model.digest().to_owned();
-        // A policy without action distribution is the same under every handling.
+        // A policy without an action distribution acts equally under every handling.
         let model = loaded.model.clone().with_draw(handling.draw).unwrap_or(loaded.model);
         Ok(PolicyUnderTest { policy: loaded.name, model, digest, handling })
     }
 
-    /// Returns the command that reproduces the study, without flags that do not change the results.
+    /// Returns the command that reproduces the study, without flags that do not affect the results.
     fn command(&self, name: &str, own: &str) -> String {
         let mut command = CommandLine(format!("murmurate study {name}{own}"));
         let mut add = |flag: &str, value: Option<String>| command.add(flag, value);
@@ -233,8 +233,8 @@ impl Shared {
     }
 }
 
-/// Returns the identifier of the program in records: the digest of this crate's sources. If another crate has added
-/// entries to the registry, the digest of the executable is part of it.
+/// Returns the identity of the program in records: the digest of this crate's sources. If another crate has added
+/// entries to the registry, the digest of the executable is added.
 fn build(registry: &Registry) -> Result<String> {
     if !registry.is_extended() {
         return Ok(origin::BUILD.to_owned());
@@ -243,10 +243,10 @@ fn build(registry: &Registry) -> Result<String> {
     Ok(format!("{}+{}", origin::BUILD, &blake3::hash(&program).to_hex()[..16]))
 }
 
-/// Splits 'NAME@HANDLING' into the policy and its own handling, if it has one.
+/// Splits 'NAME@HANDLING' into the policy and its handling; `None` if it has no handling of its own.
 fn split(given: &str) -> Result<(&str, Option<&'static Preset>)> {
     match given.rsplit_once('@') {
-        // A file may be called anything.
+        // A file name may contain '@'.
         None => Ok((given, None)),
         Some(_) if Path::new(given).exists() => Ok((given, None)),
         Some((policy, name)) => match handling::preset(name) {

@@ -1,4 +1,4 @@
-//! Folder of a study: its identity, and files that are replaced atomically. Each study defines the contents.
+//! Output folder of a study. It has a file with the study's identity; all files in it are replaced atomically.
 
 use std::path::{Path, PathBuf};
 
@@ -12,16 +12,16 @@ use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
 
-/// File with the identity of a folder's study.
+/// Name of the file with the identity of the folder's study.
 const IDENTITY: &str = "study.json";
 
-/// Folder of a study.
+/// Output folder of a study.
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// Opens or creates the folder of a study, and in it `pieces`, the subfolder for finished jobs. An error names
-    /// `--out` if the folder cannot be written or belongs to another study. `difference` returns how an identity found
-    /// in the folder differs from `identity`, or `None` if it does not.
+    /// Opens or creates the folder of a study, with the subfolder `pieces` for records of finished jobs. `difference`
+    /// returns how an identity found in the folder differs from `identity`; `None` if they are equal. Fails if the
+    /// folder belongs to another study or cannot be written.
     pub fn open<I: Serialize + DeserializeOwned>(
         path: &Path,
         pieces: &str,
@@ -70,13 +70,13 @@ impl Folder {
         serde_json::from_str(&std::fs::read_to_string(self.0.join(name)).ok()?).ok()
     }
 
-    /// Writes the record of a finished job to the file `name`, atomically, so that an interruption loses only
-    /// unfinished jobs.
+    /// Writes the record of a finished job to the file `name`, atomically. So an interruption loses only unfinished
+    /// jobs.
     pub fn keep(&self, name: &str, record: &impl Serialize) -> Result<()> {
         self.write(name, serde_json::to_string(record).context("a record is JSON")?.as_bytes())
     }
 
-    /// Writes figures, then the page that contains them.
+    /// Writes the figures, and then the page that shows them.
     pub fn write_page(&self, figures: &[Figure], page: &str) -> Result<()> {
         for figure in figures {
             self.write(&format!("figures/{}.svg", figure.name), figure.svg.as_bytes())?;
@@ -86,13 +86,13 @@ impl Folder {
         self.write("report.html", page.as_bytes())
     }
 
-    /// Writes plain data as indented JSON.
+    /// Writes plain data to the file `name` as indented JSON.
     pub fn write_json(&self, name: &str, value: &impl Serialize) -> Result<()> {
         let text = serde_json::to_string_pretty(value).context("plain data is JSON")? + "\n";
         self.write(name, text.as_bytes())
     }
 
-    /// Writes rows as CSV, with a header line.
+    /// Writes rows to the file `name` as CSV with a header.
     pub fn write_csv(&self, name: &str, rows: impl IntoIterator<Item = impl Serialize>) -> Result<()> {
         let mut csv = csv::Writer::from_writer(Vec::new());
         for row in rows {
@@ -101,7 +101,7 @@ impl Folder {
         self.write(name, &csv.into_inner().context("memory takes everything")?)
     }
 
-    /// Replaces a file atomically.
+    /// Replaces the file `name` atomically.
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<()> {
         let path = self.0.join(name);
         let wrong = || format!("cannot write '{}'; what was finished before is kept", path.display());

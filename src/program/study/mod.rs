@@ -1,4 +1,5 @@
-//! `murmurate study`: flags, threads, clock and files of the studies. The studies themselves are in the library.
+//! The command `murmurate study`: flags, threads, clock and files of the studies. The studies themselves are in the
+//! library.
 
 mod flags;
 mod folder;
@@ -46,12 +47,12 @@ struct Report<'a> {
     columns: Vec<&'a Row>,
     wall_s: f64,
     seed: u64,
-    /// Number of finished trials, and of all trials.
+    /// Number of finished trials, and number of all trials.
     trials: [usize; 2],
     interrupted: bool,
 }
 
-/// Runs a study.
+/// Runs `study`.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (study, shared) = match args {
         Args::Modes(flags) => (flags.study(registry)?, &flags.shared),
@@ -91,8 +92,8 @@ pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     Ok(if interrupted { Ended::Interrupted } else { Ended::Done })
 }
 
-/// Returns the records of all trials, in their order: reads those in the folder and runs the others. Fewer after
-/// Ctrl-C.
+/// Returns the records of all trials, in order. Reads finished ones from the folder and runs the others. After Ctrl-C
+/// some are missing.
 fn run_all(
     study: &Study,
     folder: Option<&Folder>,

@@ -1,4 +1,4 @@
-//! Flags that all studies share, and their last message.
+//! Flags that all studies share, and the message about their results.
 
 use std::fmt::Display;
 use std::path::PathBuf;
@@ -33,7 +33,7 @@ pub struct Run {
 pub struct CommandLine(pub String);
 
 impl CommandLine {
-    /// Adds a flag, if it has a value.
+    /// Adds a flag with its value; nothing for `None`.
     pub fn add(&mut self, flag: &str, value: Option<String>) {
         if let Some(value) = value {
             let plain = value.chars().all(|c| c.is_ascii_alphanumeric() || "-_./@,:".contains(c));
@@ -42,14 +42,14 @@ impl CommandLine {
         }
     }
 
-    /// Adds a flag with a list, unless it is empty.
+    /// Adds a flag with a list of values, separated by commas; nothing for an empty list.
     pub fn add_all(&mut self, flag: &str, values: impl IntoIterator<Item = impl ToString>) {
         let values: Vec<String> = values.into_iter().map(|value| value.to_string()).collect();
         self.add(flag, (!values.is_empty()).then(|| values.join(",")));
     }
 }
 
-/// Checks that no value is given twice; the error names the flag.
+/// Checks that no value is given twice. An error names the flag.
 pub fn check_unique<T: PartialEq + Display>(flag: &str, values: &[T]) -> Result<()> {
     match values.iter().enumerate().find(|(at, value)| values[..*at].contains(value)) {
         Some((_, twice)) => bad(format!("{flag}: {twice} is given twice")),
@@ -58,7 +58,8 @@ pub fn check_unique<T: PartialEq + Display>(flag: &str, values: &[T]) -> Result<
 }
 
 impl Run {
-    /// Prints the location of the results, and after an interruption how many jobs are finished; `what` is their noun.
+    /// Prints where the results are, and after an interruption how many of `all` jobs are finished. `what` is the noun
+    /// for jobs.
     pub fn print_location(&self, folder: Option<&Folder>, what: &str, done: usize, all: usize) {
         match (folder, done < all) {
             (Some(folder), true) => talk(&format!(

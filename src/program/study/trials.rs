@@ -1,4 +1,4 @@
-//! Files of a study in columns: a record for each finished trial, and rows, figures, table and page.
+//! Files of a study in columns: records of finished trials, and rows, figures, table and page of the report.
 
 use crate::scenario::judge::Verdict;
 use crate::study::record::Record;
@@ -9,10 +9,10 @@ use serde::Serialize;
 
 use super::folder::Folder;
 
-/// Subfolder of finished trials.
+/// Name of the subfolder with records of finished trials.
 const TRIALS: &str = "trials";
 
-/// Row of `episodes.csv`; `docs/study.md` has the schema.
+/// Row of `episodes.csv`; `docs/study.md` describes the columns.
 #[derive(Serialize)]
 struct Line<'a> {
     column: &'a str,
@@ -26,7 +26,7 @@ struct Line<'a> {
     min_separation_m: Option<f32>,
 }
 
-/// Opens the folder of a study; an error if the folder belongs to another one.
+/// Opens the folder of a study. Fails if the folder belongs to another one.
 pub fn open(path: &std::path::Path, study: &Study) -> Result<Folder> {
     let identity = study.identity();
     Folder::open(path, TRIALS, &identity, |theirs| {
@@ -41,7 +41,7 @@ fn name(study: &Study, job: Job) -> String {
     format!("{TRIALS}/{column}.{}.{:03}.json", job.policy + 1, job.repeat)
 }
 
-/// Reads the record of a trial; `None` if it is missing, damaged or of other conditions.
+/// Reads the record of a trial; `None` if it is missing, damaged or made under other conditions.
 pub fn read(folder: &Folder, study: &Study, job: Job) -> Option<Record> {
     folder.kept(&name(study, job)).filter(|record: &Record| record.belongs_to(study, job))
 }
@@ -51,7 +51,7 @@ pub fn write(folder: &Folder, study: &Study, job: Job, record: &Record) -> Resul
     folder.keep(&name(study, job), record)
 }
 
-/// Writes rows, figures, table and page.
+/// Writes the report: rows, figures, table and page.
 pub fn write_report(folder: &Folder, study: &Study, results: &Results, records: &[(Job, Record)]) -> Result<()> {
     folder.write_csv("episodes.csv", records.iter().flat_map(|(_, record)| lines(record)))?;
     folder.write_json("columns.json", &results.rows().collect::<Vec<&Row>>())?;

@@ -1,4 +1,4 @@
-//! The learning curve: one row per iteration, as CSV and as a plot.
+//! Learning curve of a training: one row per iteration, as CSV and as a plot.
 
 use crate::train::evaluate::Scores;
 use crate::train::trainer::Metrics;
@@ -11,7 +11,7 @@ const COLOURS: [RGBColor; 3] = [RGBColor(0, 114, 178), RGBColor(213, 94, 0), RGB
 /// Width and height of the plot \[pixels\].
 const SIZE: (u32, u32) = (900, 720);
 
-/// Data of one iteration.
+/// Row of the learning curve: metrics of one iteration.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Row {
     elapsed_s: f64,
@@ -37,7 +37,7 @@ pub struct Row {
 }
 
 impl Row {
-    /// Makes the row of an iteration. `scores` are those of an evaluation after it, if there was one.
+    /// Creates the row of an iteration. `scores` are those of the evaluation after it, if there was one.
     pub fn new(elapsed_s: f64, progress: f64, metrics: &Metrics, scores: Option<&Scores>) -> Row {
         let mut row = Row {
             elapsed_s,
@@ -78,14 +78,14 @@ impl Row {
     }
 }
 
-/// The rows of all iterations so far.
+/// Learning curve: the rows of all iterations so far.
 #[derive(Debug, Default)]
 pub struct Curve {
     rows: Vec<Row>,
 }
 
 impl Curve {
-    /// Parses a saved curve and keeps the rows up to iteration `iterations`.
+    /// Parses a saved curve, and keeps the rows up to the iteration `iterations`.
     pub fn from_csv(text: &str, iterations: u64) -> Result<Curve, csv::Error> {
         let rows: Result<Vec<Row>, csv::Error> = csv::Reader::from_reader(text.as_bytes()).deserialize().collect();
         Ok(Curve { rows: rows?.into_iter().filter(|row| row.iteration <= iterations).collect() })
@@ -105,12 +105,12 @@ impl Curve {
         self.rows.push(row);
     }
 
-    /// Time of training up to the last row \[s\].
+    /// Duration of the training up to the last row \[s\].
     pub fn elapsed_s(&self) -> f64 {
         self.rows.last().map_or(0.0, |row| row.elapsed_s)
     }
 
-    /// Progress at the last evaluation, 0 to 1; 0 if there was none.
+    /// Progress of the training at the last evaluation, 0 to 1; 0 if there was none.
     pub fn evaluated_at(&self) -> f64 {
         self.rows.iter().rev().find(|row| row.perfect_success.is_some()).map_or(0.0, |row| row.progress)
     }
@@ -122,14 +122,14 @@ impl Curve {
         }
     }
 
-    /// A one-line summary of recent iterations.
+    /// Returns a summary of recent iterations in one line.
     pub fn summary(&self, decisions: u64) -> String {
         let Some(last) = self.rows.last() else { return String::new() };
         let recent = &self.rows[self.rows.len().saturating_sub(20)..];
         let per_s = recent[0..].first().map_or(0.0, |first| {
             (last.decisions - first.decisions) as f64 / (last.elapsed_s - first.elapsed_s).max(1e-9)
         });
-        // In some iterations no episode ends, and the metrics of episodes are NaN.
+        // In iterations without the end of an episode, metrics of episodes are NaN.
         let newest = |pick: fn(&Row) -> f32| recent.iter().rev().map(pick).find(|value| value.is_finite());
         let shown = |value: Option<f32>, factor: f32| {
             value.map_or("-".to_owned(), |value| format!("{:.*}", if factor > 1.0 { 0 } else { 2 }, factor * value))
@@ -142,7 +142,7 @@ impl Curve {
         )
     }
 
-    /// Plots success and return over decisions, as SVG.
+    /// Plots success and return over the number of decisions, as SVG.
     pub fn plot(&self, scenario: &str) -> Result<String> {
         let mut svg = String::new();
         {
@@ -193,7 +193,7 @@ fn chart(
     mesh.light_line_style(WHITE).draw()?;
     for (index, (name, points)) in lines.iter().enumerate().filter(|(_, (_, points))| !points.is_empty()) {
         let colour = COLOURS[index % COLOURS.len()];
-        // A diverging training has values outside of the axes.
+        // A diverging training has values outside the axes.
         let points: Vec<(f64, f64)> = points.iter().map(|&(x, y)| (x, y.clamp(low, high))).collect();
         let drawn = chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
         drawn.label(*name).legend(move |(x, y)| PathElement::new([(x, y), (x + 22, y)], colour.stroke_width(3)));
@@ -207,7 +207,7 @@ fn chart(
     Ok(())
 }
 
-/// Moving average over ten points, because few episodes end in one iteration.
+/// Returns the moving average over ten points, since few episodes end in one iteration.
 fn smooth(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     points
         .iter()

@@ -1,4 +1,4 @@
-//! Output folder of a training. Every file in it is replaced atomically, so the last complete version always exists.
+//! Output folder of a training. Every file in it is replaced atomically, so that a complete version always exists.
 
 use std::path::{Path, PathBuf};
 
@@ -11,16 +11,16 @@ use crate::program::BadInput;
 use crate::program::temporary::Temporary;
 use crate::program::whole_file::WholeFile;
 
-/// The output folder of a training.
+/// Output folder of a training.
 pub struct Folder {
     path: PathBuf,
-    /// Iteration of the last complete checkpoint, if there is one.
+    /// Iteration of the last complete checkpoint; `None` if there is none.
     saved: Option<u64>,
 }
 
 impl Folder {
-    /// Opens the folder, creates it if necessary, and checks that it is writable. A folder that holds a training is
-    /// refused unless `resume` is set.
+    /// Opens or creates the folder, and checks that it is writable. Fails if it contains a training and `resume` is not
+    /// set.
     pub fn open(path: &Path, resume: bool) -> Result<Folder> {
         let refuse = |why: String| BadInput(format!("--out: '{}': {why}", path.display()));
         std::fs::create_dir_all(path).map_err(|e| refuse(format!("cannot make this folder: {e}")))?;
@@ -50,7 +50,7 @@ impl Folder {
         self.write("config.toml", text.as_bytes())
     }
 
-    /// Reads the saved learning curve up to iteration `iterations`, that of the checkpoint.
+    /// Reads the saved learning curve up to `iterations`, the iteration of the checkpoint.
     pub fn curve(&mut self, iterations: u64) -> Result<Curve> {
         self.saved = Some(iterations);
         let path = self.path.join("curve.csv");
@@ -59,7 +59,7 @@ impl Folder {
         Ok(Curve::from_csv(&text, iterations).map_err(|e| wrong(e.to_string()))?)
     }
 
-    /// Saves all files. The checkpoint is written last, so the other files are at least as new.
+    /// Saves all files. The checkpoint is written last, so that the other files are never older.
     pub fn save(&mut self, trainer: &Trainer, curve: &Curve) -> Result<()> {
         let files = || -> Result<()> {
             self.write("policy.safetensors", &trainer.policy_file())?;
@@ -72,7 +72,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Describes the last saved checkpoint, for the message of a failure.
+    /// Describes the last saved checkpoint, for error messages.
     pub fn last_saved(&self) -> String {
         match self.saved {
             Some(iteration) => format!("the checkpoint of iteration {iteration} in '{}' is kept", self.path.display()),

@@ -28,9 +28,9 @@ use crate::program::output::{print, talk};
 use curve::{Curve, Row};
 use folder::Folder;
 
-/// Time between two saves of the state, and between two lines of progress if there is no progress bar.
+/// Interval of saves, and of progress lines if there is no progress bar.
 const SAVE_EVERY: Duration = Duration::from_secs(30);
-/// Difference in progress between two quick evaluations, of 1 for the whole training.
+/// Interval of quick evaluations, as a share of the whole training.
 const EVALUATE_EVERY: f64 = 0.05;
 /// Number of layouts of a quick evaluation.
 const EPISODES: u32 = 128;
@@ -104,7 +104,7 @@ enum Budget {
 }
 
 impl Budget {
-    /// Fraction of the budget that is used; 1 and above at the end.
+    /// Returns the used share of the budget; 1 or more at the end.
     fn progress(self, elapsed_s: f64, trained: u64) -> f64 {
         match self {
             Budget::Minutes(minutes) => elapsed_s / (60.0 * minutes),
@@ -133,12 +133,12 @@ struct Report<'a> {
     decisions: u64,
     iterations: u64,
     wall_s: f64,
-    /// `None` after an interruption, so that the program ends at once.
+    /// `None` after an interruption, because the program then ends without an evaluation.
     evaluation: Option<&'a Scores>,
     interrupted: bool,
 }
 
-/// Runs the command until the training is complete or interrupted.
+/// Runs `train` until the training is complete or interrupted.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     if args.print_config {
         print(plan::config_text(args, registry)?.trim_end())?;
@@ -240,7 +240,7 @@ fn print_report(
     Ok(())
 }
 
-/// Describes what trainings of other lengths have reached, unless this one has reached as much.
+/// Describes what trainings with this preset reach with more decisions; `None` if this one has reached as much.
 fn expectation(report: &Report, decisions_per_s: f64) -> Option<String> {
     let measured = expectation::measured(report.preset)?;
     let success = report.evaluation?.with_default_draw("perfect")?.success;
@@ -263,7 +263,7 @@ fn bar(quiet: bool) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();
     }
-    // If stderr is not a terminal the bar draws nothing, and lines are printed instead.
+    // If stderr is not a terminal, the bar draws nothing, and progress lines are printed.
     let bar = ProgressBar::new(1000);
     let template = "{bar:24} {percent:>3} %  {msg}, {eta} left";
     bar.set_style(ProgressStyle::with_template(template).expect("the template is valid"));

@@ -1,4 +1,4 @@
-//! The plan of a training: from the flags, for a new training or for one that is resumed.
+//! Plan of a training, created from the flags, for a new or a resumed training.
 
 use anyhow::{Context, Result};
 
@@ -14,10 +14,10 @@ use crate::study::network::conditions;
 use crate::train::config::Config;
 use crate::train::trainer::{Plan, Trainer};
 
-/// Returns the configuration that the flags describe, as TOML with a heading. An error names the flag or the file.
+/// Returns the configuration that the flags define, as TOML with a heading. An error names the flag or the file.
 pub fn config_text(args: &Args, registry: &Registry) -> Result<String> {
     let Plan { scenario, preset, config, .. } = plan(args, registry)?;
-    // Errors show now and not when the training starts.
+    // Errors of the configuration show now and not when the training starts.
     Trainer::new(
         Plan { scenario: scenario.clone(), preset: preset.clone(), config: config.clone(), seed: 0 },
         registry,
@@ -30,7 +30,7 @@ pub fn config_text(args: &Args, registry: &Registry) -> Result<String> {
     ))
 }
 
-/// The plan that the flags describe. The groups of a preset scale to the team.
+/// Returns the plan that the flags define. The groups of a preset are scaled to the team.
 fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     let preset = args.preset.as_deref().unwrap_or(PRESET);
     let (mut config, preset) = match &args.config {
@@ -58,7 +58,7 @@ fn plan(args: &Args, registry: &Registry) -> Result<Plan> {
     Ok(Plan { scenario, preset, config, seed: args.seed.unwrap_or(0) })
 }
 
-/// Starts the training that the flags describe. An error names the flag or the file.
+/// Creates the trainer of a new training from the flags. An error names the flag or the file.
 pub fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
     let plan = plan(args, registry)?;
     let mut trainer = Trainer::new(plan, registry).map_err(|e| match &args.config {
@@ -73,7 +73,8 @@ pub fn begin(args: &Args, registry: &Registry) -> Result<Trainer> {
     Ok(trainer)
 }
 
-/// Resumes the training in the folder; an error if its scenario, seed or configuration differs from the flags.
+/// Loads the trainer from the checkpoint in the folder. Fails if its scenario, seed or configuration differs from the
+/// flags.
 pub fn resume(args: &Args, folder: &Folder, registry: &Registry) -> Result<Trainer> {
     let wrong = |why: String| BadInput(format!("cannot resume '{}': {why}", folder.checkpoint().display()));
     let bytes = std::fs::read(folder.checkpoint())

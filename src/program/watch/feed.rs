@@ -1,4 +1,5 @@
-//! Feed of a page: snapshots at 20 Hz, the status twice a second and at each change, goals at each episode.
+//! Feed of the live page: publishes snapshots at 20 Hz, the status twice a second and on changes, and goals at each
+//! episode.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -11,19 +12,20 @@ use crate::view::team_view::TeamView;
 
 /// Period of snapshots.
 const SNAPSHOT: Duration = Duration::from_millis(50);
-/// Period of snapshots of a large team.
+/// Period of snapshots of a team with `LARGE` or more robots.
 const SNAPSHOT_LARGE: Duration = Duration::from_millis(100);
-/// Number of robots from which a team is large.
+/// Number of robots from which on snapshots are less frequent.
 const LARGE: usize = 400;
-/// Period of the status.
+/// Period of the status without changes.
 const STATUS: Duration = Duration::from_millis(500);
-/// Period at which changes are looked for.
+/// Period at which changes are detected.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// State whose change is told at once: emergency stop, its confirmations, the episode, and the process's own.
+/// State whose change is published at once: emergency stop, number of confirmations, episode, and a state of the
+/// process.
 type Change = (&'static str, usize, Option<u32>, &'static str);
 
-/// Feed of one page.
+/// Publishes the state of a team to the live page.
 pub(super) struct Feed {
     view: Rc<RefCell<TeamView>>,
     period: Duration,
@@ -35,20 +37,20 @@ pub(super) struct Feed {
 }
 
 impl Feed {
-    /// Makes a feed of this view that has told nothing.
+    /// Creates a feed of this view that has published nothing yet.
     pub fn new(view: Rc<RefCell<TeamView>>) -> Feed {
         let now = Instant::now();
         let period = if view.borrow().scene().robots >= LARGE { SNAPSHOT_LARGE } else { SNAPSHOT };
         Feed { view, period, snapshot_at: now, status_at: now, look_at: now, told: None, goals_told: 0 }
     }
 
-    /// Makes the next news be told at once.
+    /// Makes the next call of [`Feed::tell`] publish without waiting for its period.
     pub fn at_once(&mut self) {
         (self.look_at, self.snapshot_at) = (Instant::now(), Instant::now());
     }
 
-    /// Leaves what is due for the pages, without waiting. `now` is the time of the run; `own` is a state of the
-    /// process whose change is told at once; `fill` adds to the status what only the process knows.
+    /// Publishes what is due, without waiting. `now` is the time of the run. A change of `own`, a state of the process,
+    /// is published at once. `fill` sets the fields of the status that only the process knows.
     pub fn tell(&mut self, publisher: &Publisher, now: Time, own: &'static str, fill: impl FnOnce(&mut Status)) {
         let present = Instant::now();
         if present < self.look_at {

@@ -1,4 +1,4 @@
-//! The live page of a command: its flags, its server, and the feed of what the page shows.
+//! The live page of a command: its flags, its server and its feed.
 
 mod feed;
 pub mod team;
@@ -44,7 +44,7 @@ pub struct OptionalPage {
 }
 
 impl OptionalPage {
-    /// Refuses flags of the page without the page.
+    /// Fails if a flag of the page is given without `--watch`.
     pub fn check(&self) -> Result<()> {
         let PageFlags { listen, control, token_file } = &self.page;
         let given = [("--listen", listen.is_some()), ("--control", *control), ("--token-file", token_file.is_some())];
@@ -56,7 +56,7 @@ impl OptionalPage {
 }
 
 impl PageFlags {
-    /// Opens the server of a page and prints the page's address. `most` are the commands that the team allows.
+    /// Opens the server of the page and prints its address. `most` are the commands that the process can execute.
     pub fn open(&self, mut scene: Scene, most: Control) -> Result<(Server, Publisher)> {
         let listen = self.listen.unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], 0)));
         let guarded = !listen.ip().to_canonical().is_loopback();
@@ -80,7 +80,7 @@ impl PageFlags {
             Control::Team => "team",
             Control::Emulation => "emulation",
         };
-        // A token that is in a file stays there.
+        // A token from a file is not printed.
         let secret = match &self.token_file {
             Some(file) => format!("#TOKEN, with the token that is in {}", file.display()),
             None if self.control => format!("#{}", token.digits()),
@@ -93,5 +93,5 @@ impl PageFlags {
     }
 }
 
-/// Number of the page as an operator in a run of one process, where there is no other.
+/// Operator id of the page in a run of one process, which has no other operator.
 const OPERATOR: HostId = HostId::operator(0);

@@ -1,5 +1,5 @@
-//! `murmurate watch`: the page of a real team, from what an operator hears of it. `launch --watch` serves the same
-//! page.
+//! The command `murmurate watch`: serves the live page of a real team, from the messages that an operator receives.
+//! `launch --watch` serves the same page.
 
 use std::cell::RefCell;
 use std::io::Read;
@@ -37,9 +37,9 @@ use crate::view::server::{Publisher, Server};
 use crate::view::status::Scene;
 use crate::view::team_view::TeamView;
 
-/// Period at which commands are taken, orders are repeated and pages get their news.
+/// Period at which commands are executed, orders repeated, and the page updated.
 const BEAT: Span = Span::from_millis(10);
-/// Period at which hosts are asked which emergency stop their robots follow.
+/// Period at which hosts are asked for the emergency stop latch that their robots follow.
 const ASK: Span = Span::from_millis(1000);
 
 /// Flags of `murmurate watch`.
@@ -54,20 +54,20 @@ pub struct Args {
     page: PageFlags,
 }
 
-/// Serves the page until Ctrl-C.
+/// Runs `watch`: serves the page until Ctrl-C.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let (signal, waker) = signals::listen()?;
     let file = args.team.read(registry)?;
     let page = Page::open(&file, &args.team, &args.page, registry, None)?;
     page.run(&args.team, registry, || {
-        // Empties the pipe that wakes this thread.
+        // Empties the pipe whose byte has woken this thread.
         let _ = (&*waker).read(&mut [0; 16]);
         signal.load(Ordering::Relaxed) != 0
     })?;
     Ok(Ended::Done)
 }
 
-/// Open page of a team, which hears nothing yet.
+/// Open live page of a team that was not joined yet.
 pub struct Page {
     view: TeamView,
     server: Server,
@@ -76,7 +76,8 @@ pub struct Page {
 }
 
 impl Page {
-    /// Opens the page and prints its address. `results` are the results of episodes, where they are known.
+    /// Opens the page and prints its address. `results` receives results of episodes; `None` if this process does not
+    /// get them.
     pub fn open(
         file: &TeamFile,
         team: &team::TeamArgs,
@@ -88,7 +89,7 @@ impl Page {
         let some = team.for_host(file, HostId(0))?;
         let settings = Settings::of(deployment.robots);
         let scenario = registry.scenario(&some.scenario, &settings).map_err(|e| BadInput(e.to_string()))?;
-        // An operator's machine need not have the policy; without it the communication range is unknown.
+        // The machine of an operator need not have the policy file. Then the communication range is unknown.
         let policy = team::policy(&some, registry).ok();
         let routes = Routes::of(deployment);
         let range_m = policy.as_ref().map(|policy| policy.model.interface().radius_m);
@@ -108,7 +109,7 @@ impl Page {
         Ok(Page { view: TeamView::new(scene, homes, deployment.hosts.len()), server, publisher, results })
     }
 
-    /// Joins the team as an operator, and serves the page on this thread until `over`.
+    /// Joins the team as an operator, and serves the page on this thread until `over` returns `true`.
     pub fn run(self, team: &team::TeamArgs, registry: &Registry, over: impl Fn() -> bool) -> Result<()> {
         let Page { view, server, publisher, results } = self;
         let file = team.read(registry)?;
@@ -150,7 +151,7 @@ impl Page {
     }
 }
 
-/// What happens every few milliseconds: commands, orders, and news for the pages.
+/// Periodic work of the page: executes commands, repeats orders, and publishes the team's state.
 struct Desk {
     me: HostId,
     network: Mailbox<network::In>,
@@ -159,7 +160,7 @@ struct Desk {
     publisher: Publisher,
     results: Option<Receiver<Episode>>,
     feed: Feed,
-    /// Time of the next question to all hosts.
+    /// Time at which hosts are asked for their latches next.
     ask_at: Time,
 }
 

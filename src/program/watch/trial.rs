@@ -1,5 +1,5 @@
-//! A trial at the pace of real time, with its page. Without a command of the page, its report is that of the same trial
-//! without a page.
+//! Simulation at the pace of real time with a live page. If the page gives no command, the report equals that of the
+//! same trial without a page.
 
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
@@ -42,12 +42,12 @@ pub struct PacedPage {
 }
 
 impl PacedPage {
-    /// Whether there is a page.
+    /// Whether the page was requested.
     pub fn is_on(&self) -> bool {
         self.page.watch
     }
 
-    /// Checks the flags of a simulation of this many policies; errors name the flag.
+    /// Checks the flags for a simulation of this many policies and repeats. An error names the flag.
     pub fn check(&self, policies: usize, repeats: Option<u32>) -> Result<()> {
         self.page.check()?;
         match self.speed {
@@ -62,13 +62,13 @@ impl PacedPage {
     }
 }
 
-/// Longest wait for real time, after which pages get their news.
+/// Longest wait for real time between two updates of the page.
 const TURN: Duration = Duration::from_millis(10);
-/// Delay behind real time that is not made up for.
+/// Delay behind real time beyond which the simulation does not catch up.
 const BEHIND: Duration = Duration::from_millis(250);
-/// Period of the measurement of the speed.
+/// Interval over which the speed is measured.
 const MEASURED: Duration = Duration::from_secs(1);
-/// Duration of a crash that lasts until somebody restarts the actor.
+/// Duration of a crash that lasts until the page restarts the actor.
 const FOR_GOOD: Span = Span::from_millis(1 << 40);
 
 /// Runs a trial at the speed of the flags, with a page, until its end or until `stop` is set.
@@ -118,7 +118,7 @@ pub fn run(
     Ok(report)
 }
 
-/// The scene of a trial.
+/// Returns the scene of a trial for the page.
 fn scene(trial: &Trial, policy: &str) -> Scene {
     let range_m = trial.range.map_or(trial.model.interface().radius_m, |range| range.mean_m);
     Scene {
@@ -136,7 +136,7 @@ fn scene(trial: &Trial, policy: &str) -> Scene {
     }
 }
 
-/// Takes an event of the trial.
+/// Updates the page's view of the team from an event of the trial.
 fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, event: ProcessEvent) {
     match event {
         ProcessEvent::Published(frame) => {
@@ -157,7 +157,7 @@ fn heard(view: &mut TeamView, orders: &mut Orders, now: Time, host: HostId, even
     }
 }
 
-/// Decodes a published message of which the page shows something.
+/// Decodes a published message if the page shows something of its kind.
 fn wanted(frame: &Frame) -> Option<Wire> {
     let kinds = [Kind::Latent, Kind::Heartbeat, Kind::Mode, Kind::Status];
     match codec::first(frame).ok()? {
@@ -166,21 +166,21 @@ fn wanted(frame: &Frame) -> Option<Wire> {
     }
 }
 
-/// Pause after the current episode.
+/// State of a pause after the current episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Pause {
     No,
     Asked,
-    /// Time stands still.
+    /// Paused: virtual time does not advance.
     Yes,
 }
 
-/// Relation of simulated to real time.
+/// Relation of virtual time to real time.
 struct Pace {
     speed: f64,
     origin: (Instant, Time),
     measured: (Instant, Time),
-    /// Simulated time per real time, as last measured.
+    /// Measured simulated seconds per second of real time.
     reached: f64,
 }
 
@@ -190,7 +190,7 @@ impl Pace {
         Pace { speed, origin, measured: origin, reached: speed }
     }
 
-    /// Returns the real time to wait until this time of the trial has come.
+    /// Returns the real time to wait until the time `now` of the trial is due.
     fn ahead(&mut self, now: Time) -> Duration {
         let present = Instant::now();
         let (origin, from) = self.origin;
@@ -207,7 +207,7 @@ impl Pace {
     }
 }
 
-/// What happens between two instants of a trial: commands, orders, news for the pages, and the wait for real time.
+/// Work between two instants of a trial: executes commands, sends orders, updates the page, and waits for real time.
 struct Desk<'a> {
     trial: &'a Trial,
     /// Host of the state server, through which orders are sent.
@@ -253,7 +253,7 @@ impl Desk<'_> {
         if self.view.borrow().latch().is_clear() { Proceed::Continue } else { Proceed::Hold }
     }
 
-    /// Begins a pause that was asked for, between two episodes.
+    /// Starts a requested pause if no episode is running.
     fn take_pause(&mut self, now: Time, ended: bool) {
         let phase = self.view.borrow().phase().map(|(phase, _)| phase);
         let between = !matches!(phase, Some(Phase::Running | Phase::FinishedRunning));
@@ -290,7 +290,7 @@ impl Desk<'_> {
         let note = |line: &str| self.view.borrow_mut().note(now, line);
         match command {
             Command::Stop => {
-                // A stop needs time to go on.
+                // Robots need time to stop, so a pause ends.
                 self.pause = Pause::No;
                 note("page: STOP");
                 self.order(now, OrderKind::Stop);
@@ -344,7 +344,7 @@ impl Desk<'_> {
     }
 }
 
-/// Returns the name of an actor in words.
+/// Returns the name of an actor for messages.
 fn name(role: Role, robot: RobotId) -> String {
     let word = serde_json::to_value(role).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default();
     if role == Role::StateServer { word } else { format!("{word} of {robot}") }

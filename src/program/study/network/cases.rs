@@ -1,4 +1,4 @@
-//! Files of a network study: a record for each finished case, and rows, figures, table and page.
+//! Files of a network study: records of finished cases, and rows, figures, table and page of the report.
 
 use std::path::Path;
 
@@ -10,12 +10,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::program::study::folder::Folder;
 
-/// Subfolder of finished cases.
+/// Name of the subfolder with records of finished cases.
 const CASES: &str = "cases";
-/// Name of the study in its records.
+/// Name of the study in the origins of records.
 const STUDY: &str = "network";
 
-/// Identity of a network study.
+/// Identity of a network study, stored in its folder.
 #[derive(PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Identity {
@@ -23,7 +23,7 @@ struct Identity {
     version: String,
     build: String,
     sweep: Sweep,
-    /// Names of the participants and a digest of their link, in a measurement.
+    /// Names of the participants and a digest of their link; `None` without a measurement.
     link: Option<String>,
 }
 
@@ -31,27 +31,27 @@ struct Identity {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
-    /// Its origin.
+    /// Origin of the record: study, program, seed and conditions.
     origin: Origin,
     case: Case,
-    /// Its outcome.
+    /// Outcome of the case.
     pub outcome: Outcome,
-    /// Bound on the error of one-way delays \[s\], from the clocks of two hosts; zero in an emulation.
+    /// Bound on the error of one-way delays \[s\], from the clocks of two hosts; 0 in an emulation.
     pub uncertainty_s: f64,
 }
 
-/// Finished cases of a sweep, in a folder if there is one.
+/// Records of the finished cases of a sweep, stored in a folder if there is one.
 pub struct Journal {
-    /// The sweep.
+    /// Sweep to which the cases belong.
     pub sweep: Sweep,
-    /// The folder.
+    /// Folder of the records; `None` if they are not stored.
     pub folder: Option<Folder>,
     link: Option<String>,
 }
 
 impl Journal {
-    /// Opens the journal of a sweep, in the folder `path` if there is one. In a measurement, `link` describes the
-    /// measured link.
+    /// Opens the records of a sweep, in the folder `path` if given. `link` describes the measured link; `None` without
+    /// a measurement.
     pub fn open(path: Option<&Path>, sweep: Sweep, link: Option<String>) -> Result<Journal> {
         let (version, build) = (origin::VERSION.to_owned(), origin::BUILD.to_owned());
         let study = STUDY.to_owned();
@@ -62,14 +62,14 @@ impl Journal {
         Ok(Journal { sweep, folder, link })
     }
 
-    /// Returns the origin of a case's record. It does not depend on the sweep's other cases.
+    /// Returns the origin of a case's record. It is independent of the sweep's other cases.
     fn origin(&self, source: Source, case: &Case) -> Origin {
         let Sweep { stations, bytes, medium, history, seconds, seed, .. } = &self.sweep;
         let link = self.link.as_ref().filter(|_| source == Source::Live);
         Origin::here(STUDY, *seed, "", &(source, case, stations, bytes, medium, history, seconds, link))
     }
 
-    /// Reads the record of each case; `None` for a record that is missing, damaged or of other conditions.
+    /// Reads the record of each case; `None` for a record that is missing, damaged or made under other conditions.
     pub fn kept(&self, source: Source, cases: &[Case]) -> Vec<Option<Record>> {
         let one = |(at, case): (usize, &Case)| {
             let record: Record = self.folder.as_ref()?.kept(&name(source, at))?;
@@ -78,7 +78,7 @@ impl Journal {
         cases.iter().enumerate().map(one).collect()
     }
 
-    /// Writes the record of a case, if there is a folder, and returns it.
+    /// Creates the record of a case, stores it if there is a folder, and returns it.
     pub fn keep(
         &self,
         source: Source,
@@ -101,7 +101,7 @@ pub fn team(mode: &str, robots: usize) -> String {
     format!("{CASES}/team-{mode}-{robots:04}.json")
 }
 
-/// Writes rows, costs of growing teams, figures, table and page.
+/// Writes the report: rows, costs of growing teams, figures, table and page.
 pub fn write_report(folder: &Folder, findings: &Findings) -> Result<()> {
     let rows = findings.rows();
     folder.write_csv("rows.csv", &rows)?;

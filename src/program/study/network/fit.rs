@@ -1,4 +1,4 @@
-//! Files of a fit: the rows to read, and the radio to write. The fit itself is in the library.
+//! Files of `study network --fit`: the rows to read, and the radio to write. The fit itself is in the library.
 
 use std::fmt;
 use std::path::Path;
@@ -17,22 +17,22 @@ use crate::program::jobs;
 use crate::program::output::{read_text, talk};
 use crate::program::whole_file::WholeFile;
 
-/// Result of a fit with `--json`.
+/// Result of a fit, for the output.
 #[derive(Serialize)]
 pub struct Report {
     noise_loss: f64,
     background: f64,
     rate: String,
     basic_rate: String,
-    /// Root mean square of the residuals of shares, and of the logarithms of delays.
+    /// Root mean square of the residuals of shares, and of those of logarithms of delays.
     residual_shares: f64,
     residual_log_delays: f64,
-    /// Other rates that fit almost as well.
+    /// Other pairs of rates that fit almost as well.
     rivals: Vec<String>,
     rows: usize,
 }
 
-/// Reads rows: a list, or an object with a field `rows`. If some were measured, only those are returned.
+/// Reads rows from a JSON file: a list, or an object with a field `rows`. If some were measured, returns only those.
 pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     let wrong = |why: String| {
         let expected = "it has to be what 'murmurate study network --json' printed, or rows.json of its report";
@@ -53,7 +53,7 @@ pub fn read(path: &Path, sweep: &Sweep) -> Result<Vec<Observed>> {
     if rows.is_empty() { Err(wrong("it has no rows".to_owned()).into()) } else { Ok(rows) }
 }
 
-/// Creates the radio file before the work begins. Errors: the medium is not a radio, or the file cannot be written.
+/// Creates the radio file before the work begins. Fails if the medium is not a radio, or the file cannot be written.
 pub fn prepare(file: &Path, sweep: &Sweep) -> Result<WholeFile> {
     match &sweep.medium {
         Medium::Radio(_) => WholeFile::create(file),
@@ -61,7 +61,7 @@ pub fn prepare(file: &Path, sweep: &Sweep) -> Result<WholeFile> {
     }
 }
 
-/// Fits a radio and writes its file. Returns `None`, and writes nothing, after Ctrl-C.
+/// Fits a radio and writes its file. After Ctrl-C, returns `None` and writes nothing.
 pub fn run(
     sweep: &Sweep,
     observed: &[Observed],

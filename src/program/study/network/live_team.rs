@@ -20,14 +20,14 @@ use crate::program::team::{self, TeamArgs};
 pub struct LiveTeam {
     args: TeamArgs,
     file: TeamFile,
-    /// Stations: the hosts that run agents, in the order of their ids.
+    /// Hosts that measure: those that run Agents, in the order of their ids.
     stations: Vec<HostId>,
     /// Index of the link that carries latents.
     link: usize,
 }
 
 impl LiveTeam {
-    /// Reads the team file; an error names the flag or the field.
+    /// Reads the team file. An error names the flag or the field.
     pub fn of(path: &Path, args: &Args, registry: &Registry) -> Result<LiveTeam> {
         let args = TeamArgs::of(path.to_owned(), args.set.clone());
         let file = args.read(registry)?;
@@ -55,20 +55,20 @@ impl LiveTeam {
         self.stations.iter().map(|host| hosts[usize::from(host.0)].name.clone()).collect()
     }
 
-    /// Returns text that identifies the measured link: the participants' names, and a digest of the settings at the
-    /// first one.
+    /// Returns a text that identifies the measured link: the participants' names, and a digest of the link's settings
+    /// at the first one.
     pub fn link(&self) -> Result<String> {
         let team = self.args.for_host(&self.file, self.stations[0])?;
         let place = format!("{:?}", team.links[self.link]);
         Ok(format!("{}: {}", self.names().join(", "), blake3::hash(place.as_bytes()).to_hex()))
     }
 
-    /// Returns the team's key; `None` if the team has none.
+    /// Returns the key of the team; `None` if it has none.
     pub fn key(&self) -> Result<Option<[u8; 32]>> {
         team::key(&self.args.for_host(&self.file, self.stations[0])?)
     }
 
-    /// Returns the settings of one participant; an error names the flag.
+    /// Returns the settings of one participant. An error names the flag.
     pub fn participation(&self, name: &str) -> Result<Participation> {
         let host = self.file.host_named(name).map_err(|e| BadInput(format!("--{e}")))?;
         if !self.stations.contains(&host) {
@@ -85,7 +85,7 @@ impl LiveTeam {
         Ok(Participation { team, key, place, stations: self.stations.clone() })
     }
 
-    /// Removes the cases that cannot be measured on this link from a sweep, so that emulation and measurement have the
+    /// Removes the cases that cannot be measured on this link from a sweep, so that measurement and emulation have the
     /// same cases. An error names the flag.
     pub fn restrict(&self, sweep: &mut Sweep, args: &Args) -> Result<()> {
         let team = self.args.for_host(&self.file, self.stations[0])?;

@@ -1,4 +1,5 @@
-//! `murmurate study network`: flags, threads, clock and files of the network study. The emulation is in the library.
+//! The command `murmurate study network`: flags, threads, clock and files of the network study. The emulation is in the
+//! library.
 
 mod cases;
 mod fit;
@@ -39,9 +40,9 @@ struct Report<'a> {
     study: &'static str,
     rows: Vec<Row>,
     growth: &'a [Growth],
-    /// Uncertainty of measured one-way delays \[s\]; null without measurement.
+    /// Bound on the error of measured one-way delays \[s\]; null without a measurement.
     uncertainty_s: Option<f64>,
-    /// Radio fitted to the measured rows, with `--fit`.
+    /// Radio fitted to the measured rows; null without `--fit`.
     fit: Option<&'a fit::Report>,
     wall_s: f64,
     seed: u64,
@@ -52,14 +53,14 @@ struct Report<'a> {
 struct Study<'a> {
     args: &'a Args,
     journal: Journal,
-    /// Team that measures, with `--live`.
+    /// Team of the measurement; `None` without `--live`.
     live_team: Option<LiveTeam>,
-    /// Growing teams, for the cost per robot.
+    /// Teams of growing size, for the cost per robot.
     teams: Vec<Team>,
     stop: Arc<AtomicBool>,
 }
 
-/// Runs the study.
+/// Runs `study network`.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let mut sweep = args.sweep()?;
     let teams = teams::of_sizes(&args.teams()?, sweep.seed)?;
@@ -101,13 +102,13 @@ impl Study<'_> {
         Ok(Ended::Done)
     }
 
-    /// Measures and emulates all cases, and fits a radio to the measured rows if there is a file for it.
+    /// Measures (with `--live`) and emulates all cases. Fits a radio to the measured rows if `file` is given.
     fn sweep(&self, file: Option<WholeFile>) -> Result<Ended> {
         let Study { args, journal, live_team, teams, stop } = self;
         let Journal { sweep, folder, .. } = journal;
         let began = Instant::now();
         let measured = live_team.as_ref().map(|live_team| self.measured(live_team)).transpose()?;
-        // Before the sweep, which fragments memory.
+        // Runs first, since the sweep fragments memory.
         let grown = teams::run(teams, sweep, folder.as_ref(), args.run.quiet, stop)?;
         let mut results = self.emulated()?;
         let observed: Vec<Observed> = measured.iter().flat_map(|measured| &measured.results).map(observed).collect();
@@ -125,7 +126,7 @@ impl Study<'_> {
             cases::write_report(folder, &findings)?;
         }
         let rows = findings.rows();
-        // The measured rows are printed even if the fit fails.
+        // Measured rows are printed even if the fit fails.
         let fitted = file.filter(|_| !interrupted).map(|file| fit::run(sweep, &observed, file, args, stop));
         let fit = fitted.as_ref().and_then(|fitted| fitted.as_ref().ok()?.as_ref());
         let wall_s = began.elapsed().as_secs_f64();
@@ -152,7 +153,8 @@ impl Study<'_> {
         live::measure(&self.journal, &live_team.names(), line, (&self.stop, self.args.run.quiet))
     }
 
-    /// Returns all emulated cases: reads finished ones and runs the others. Fewer after Ctrl-C.
+    /// Returns the outcomes of all emulated cases. Reads finished ones and runs the others. After Ctrl-C some are
+    /// missing.
     fn emulated(&self) -> Result<Vec<Found>> {
         let Study { args, journal, stop, .. } = self;
         let (source, sweep, cases) = (Source::Emulated, &journal.sweep, journal.sweep.cases());
@@ -174,7 +176,7 @@ fn observed((source, case, outcome): &Found) -> Observed {
     Observed::from(&Row::of(*source, case, outcome))
 }
 
-/// Returns the report's remark on clocks.
+/// Returns the report's note on the clocks of a measurement.
 fn clocks(live_team: &LiveTeam, uncertainty_s: f64) -> String {
     format!(
         "Measured between the hosts of '{}'. One-way delays are differences of two hosts' clocks, which were compared \

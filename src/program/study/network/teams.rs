@@ -1,5 +1,5 @@
-//! Cost per robot of growing teams: runs one team after the other and measures the processor time of each. The
-//! simulation is in the library.
+//! Cost per robot of growing teams: simulates one team after the other and measures its processor time. The simulation
+//! is in the library.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -37,14 +37,14 @@ impl Team {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Record {
-    /// Its origin.
+    /// Origin of the record: study, program, seed and conditions.
     origin: Origin,
     mode: String,
     cost: Cost,
     cpu_s: f64,
 }
 
-/// Returns the teams of these sizes, in both deployments; an error names the flag.
+/// Returns the teams of these sizes, in each of the modes `growth::MODES`. An error names the flag.
 pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
     let mut teams = Vec::new();
     for mode in growth::MODES {
@@ -58,8 +58,8 @@ pub fn of_sizes(sizes: &[usize], seed: u64) -> Result<Vec<Team>> {
     Ok(teams)
 }
 
-/// Returns the cost per robot of each team; reads finished results and simulates the others. After Ctrl-C only some
-/// teams are returned. Teams run one at a time, because two that share a processor cache slow each other down.
+/// Returns the cost per robot of each team. Reads finished results and simulates the others; after Ctrl-C some are
+/// missing. Teams run one at a time, because two that share a processor cache slow each other down.
 pub fn run(
     teams: &[Team],
     sweep: &Sweep,
@@ -80,7 +80,7 @@ pub fn run(
             Some(kept) => kept,
             None if stop.load(Ordering::Relaxed) => continue,
             None => {
-                // On its own thread, so that its memory is not fragmented by earlier teams.
+                // On a thread of its own, so that its memory is not fragmented by earlier teams.
                 let thread = std::thread::scope(|scope| scope.spawn(|| measured(team, stop)).join());
                 let Some(record) = thread.unwrap_or_else(|panic| std::panic::resume_unwind(panic))? else { continue };
                 folder.map_or(Ok(()), |folder| folder.keep(&name, &record))?;

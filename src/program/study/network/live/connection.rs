@@ -1,8 +1,8 @@
-//! Connection between a coordinator and a participant: one JSON object per line, each with an authentication tag if the
+//! TCP connection between a coordinator and a participant: one JSON object per line, with an authentication tag if the
 //! team has a key. `mod.rs` defines the messages.
 //!
-//! Each side first sends a random nonce. A tag covers both nonces, the sender's role, the sequence number of the line
-//! and the line itself. So a peer without the key is rejected, and so is a replay.
+//! Each side first sends a random nonce. A tag covers both nonces, the sender's role, the sequence number of the line,
+//! and the line itself. So peers without the key and replays are rejected.
 
 use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::net::TcpStream;
@@ -19,16 +19,16 @@ use super::GREETING;
 const CONTEXT: &str = "murmurate, study network, coordinator and participant, 1";
 /// Length of a nonce \[bytes\].
 const DRAWN_BYTES: usize = 16;
-/// Maximum lengths of the line with the nonce, and of the first line with a tag, before the peer is authenticated
-/// \[bytes\].
+/// Largest lengths \[bytes\] of lines before the peer is authenticated: of the line with the nonce, and of the first
+/// line with a tag.
 const NUMBER_BYTES: usize = 256;
 const FIRST_BYTES: usize = 4096;
-/// Maximum length of a line of an authenticated peer: a station's result of a long case \[bytes\].
+/// Largest length of a line of an authenticated peer \[bytes\], enough for a station's result of a long case.
 const LINE_BYTES: usize = 1 << 26;
 /// Idle time before TCP keepalive probes, and their interval.
 const ALIVE: Duration = Duration::from_secs(10);
 
-/// Role of this end of a connection.
+/// Role of one end of a connection.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Side {
     Coordinator,
@@ -44,20 +44,20 @@ impl Side {
     }
 }
 
-/// One side of a connection.
+/// One end of a connection.
 pub struct Connection {
     reader: BufReader<TcpStream>,
     writer: TcpStream,
     side: Side,
-    /// Session key; none if the team has no key.
+    /// Session key; `None` if the team has no key.
     key: Option<[u8; 32]>,
     sent: u64,
     received: u64,
 }
 
 impl Connection {
-    /// Exchanges nonces with the peer and derives the session key from `team`, the team's key. An error if no nonce
-    /// arrives in time.
+    /// Exchanges nonces with the peer and derives the session key from `team`, the team's key. Fails if the peer's
+    /// nonce does not arrive in time.
     pub fn open(stream: TcpStream, side: Side, team: Option<&[u8; 32]>) -> Result<Connection> {
         stream.set_nodelay(true).context("cannot set up the connection")?;
         // Keepalive detects a peer whose machine has died.
@@ -79,7 +79,7 @@ impl Connection {
         Ok(Connection { reader, writer, side, key, sent: 0, received: 0 })
     }
 
-    /// Sends one message; an error if the peer has closed the connection.
+    /// Sends a message. Fails if the peer has closed the connection.
     pub fn send(&mut self, what: &impl Serialize) -> Result<()> {
         let text = serde_json::to_string(what).context("it is plain data")?;
         let tag = self.key.map_or("-".to_owned(), |key| tag(&key, self.side, self.sent, &text).to_hex().to_string());
@@ -87,13 +87,13 @@ impl Connection {
         self.writer.write_all(format!("{tag} {text}\n").as_bytes()).context("the peer has closed the connection")
     }
 
-    /// Receives the first message, which must be short; an error if it does not arrive within `within`.
+    /// Receives the first message, which has to be short. Fails if it does not arrive within this time.
     pub fn receive_first<T: DeserializeOwned>(&mut self, within: Duration) -> Result<T> {
         let line = read(&mut self.reader, FIRST_BYTES, Some(within))?;
         self.understand(&line)
     }
 
-    /// Receives the next message; an error if it does not arrive within `within`. `None` waits without limit.
+    /// Receives the next message. Fails if it does not arrive within this time; `None` waits without a limit.
     pub fn receive<T: DeserializeOwned>(&mut self, within: Option<Duration>) -> Result<T> {
         let line = read(&mut self.reader, LINE_BYTES, within)?;
         self.understand(&line)
@@ -107,7 +107,7 @@ impl Connection {
             (Some(_), "-") => bail!("the peer has no key and this host has one: name one key_file in both team files"),
             (Some(key), shown) => {
                 let shown = blake3::Hash::from_hex(shown).map_err(|_| anyhow!(WRONG_PEER))?;
-                // Hashes compare in constant time.
+                // Hashes are compared in constant time.
                 if shown != tag(&key, self.side.other(), self.received, text) {
                     bail!("the peer has another key: copy the team's key there");
                 }
@@ -124,7 +124,7 @@ fn tag(key: &[u8; 32], from: Side, number: u64, text: &str) -> blake3::Hash {
     blake3::keyed_hash(key, format!("{} {number} {text}", u8::from(from == Side::Coordinator)).as_bytes())
 }
 
-/// Reads a line of at most `most` bytes, without its newline, within this time.
+/// Reads a line of at most `most` bytes within this time. Returns it without its newline.
 fn read(reader: &mut BufReader<TcpStream>, most: usize, within: Option<Duration>) -> Result<String> {
     let deadline = within.map(|within| Instant::now() + within);
     let mut line = Vec::new();
@@ -162,7 +162,7 @@ mod tests {
 
     use super::*;
 
-    /// Returns the two messages that a coordinator receives from a participant, each with its key.
+    /// Returns the results of two receptions by a coordinator from a participant, given the keys of both.
     fn received(here: Option<[u8; 32]>, there: Option<[u8; 32]>) -> Result<(String, String)> {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
@@ -199,7 +199,7 @@ mod tests {
             let mut stream = TcpStream::connect(address).unwrap();
             let mut other = [0; 2 * DRAWN_BYTES + 1];
             stream.read_exact(&mut other).unwrap();
-            // As sent with the key to another coordinator.
+            // A message sent with the right key to another coordinator.
             let both = [std::str::from_utf8(&[b'0'; 2 * DRAWN_BYTES]).unwrap(), "11"].join(" ");
             let session = *blake3::keyed_hash(&blake3::derive_key(CONTEXT, &key), both.as_bytes()).as_bytes();
             let tag = tag(&session, Side::Participant, 0, "\"first\"").to_hex();

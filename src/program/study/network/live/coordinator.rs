@@ -1,4 +1,4 @@
-//! Coordinator of a measurement: waits for all hosts, compares their clocks, and starts one case after the other.
+//! Coordinator of a measurement: waits for all hosts, compares their clocks, and starts the cases one after the other.
 
 use std::net::{SocketAddr, TcpListener};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,22 +16,22 @@ use crate::program::BadInput;
 use crate::program::progress::progress;
 use crate::program::study::network::cases::Journal;
 
-/// Requests per clock comparison, and the timeout of a response.
+/// Number of requests per clock comparison, and timeout of a response.
 const REQUESTS: u32 = 16;
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Time between the requests to measure a case and its start.
+/// Time from the requests to measure a case until its start.
 const LEAD: Duration = Duration::from_millis(1500);
 
-/// Measured cases, and the uncertainty of the clocks.
+/// Results of a measurement, and the uncertainty of the clocks.
 pub struct Measured {
     /// Outcomes of the finished cases.
     pub results: Vec<Found>,
-    /// Largest error of a one-way delay, from the offset of two clocks \[s\].
+    /// Bound on the error of one-way delays, from the clock offset of two hosts \[s\].
     pub uncertainty_s: f64,
 }
 
-/// Measures all cases of a sweep between `hosts`, which are in the order of their stations. An error if the address
-/// cannot be used or a host is lost.
+/// Measures all cases of a sweep between `hosts`, which are in the order of their stations. Fails if the address cannot
+/// be used or a host is lost.
 pub fn measure(
     journal: &Journal,
     hosts: &[String],
@@ -43,7 +43,7 @@ pub fn measure(
     let cases = sweep.cases();
     let mut found = journal.kept(Source::Live, &cases);
     let mut connections = Vec::new();
-    // No host is needed if all cases are finished.
+    // If all cases are finished, no host is needed.
     if found.iter().any(Option::is_none) {
         let listener = TcpListener::bind(address).map_err(|e| {
             BadInput(format!("--coordinator: cannot listen at {address}: {e}; give an address of this machine"))
@@ -70,7 +70,7 @@ pub fn measure(
     Ok(Measured { results: results.collect(), uncertainty_s })
 }
 
-/// Returns the offset of a participant's clock from this one, and its uncertainty \[ns\].
+/// Returns the offset of a participant's clock from this one, and a bound on its error \[ns\].
 fn offset(connection: &mut Connection, origin: Instant) -> Result<(i64, i64)> {
     let now = || origin.elapsed().as_nanos() as i64;
     let mut best: Option<(i64, i64)> = None;
@@ -89,7 +89,7 @@ fn offset(connection: &mut Connection, origin: Instant) -> Result<(i64, i64)> {
     best.ok_or_else(|| anyhow!("no request was sent"))
 }
 
-/// Measures one case; returns the stations' results and the uncertainty of their delays \[s\].
+/// Measures one case. Returns the stations' results, and the bound on the error of their delays \[s\].
 fn one(
     task: &Task,
     hosts: &[String],
@@ -119,7 +119,7 @@ fn one(
             other => bail!("{} sent {other:?} instead of its result", named(at)),
         }
     }
-    // The drift of a clock during the case adds to its uncertainty.
+    // Clock drift during the case adds to the uncertainty.
     let mut unsure = Vec::new();
     for (at, (connection, (before, least))) in connections.iter_mut().zip(&offsets).enumerate() {
         let (after, most) = offset(connection, origin).with_context(|| named(at))?;

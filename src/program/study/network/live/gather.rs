@@ -1,5 +1,5 @@
-//! Arrival of the participants: connections are authenticated concurrently, each within a deadline. A participant needs
-//! the team's key and the name of one of its hosts.
+//! Waits for the participants of a measurement. Connections are authenticated concurrently, each within a time limit. A
+//! participant needs the team's key and the name of one of its hosts.
 
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -15,16 +15,16 @@ use super::connection::{Connection, Side};
 use super::{GREETING, Request, Response};
 use crate::program::output::talk;
 
-/// Poll interval at which an interruption is noticed \[ms\].
+/// Interval at which an interruption is noticed \[ms\].
 const LOOK: u16 = 100;
-/// Maximum number of concurrent unauthenticated connections: several for each host of a large team. Each times out
-/// after two `GREETING`s, which bounds the delay by silent strangers.
+/// Largest number of concurrent connections that are not authenticated yet: several for each host of a large team. Each
+/// times out after two `GREETING`s, which bounds the delay by connections that send nothing.
 const GREETED: usize = 256;
 
-/// Authenticated connection, with the host's name and address.
+/// Result of an authentication: the peer's address, and the host's name with the connection.
 type Greeted = (SocketAddr, Result<(String, Connection)>);
 
-/// Waits until every host is connected. Returns the connections in the order of `hosts`; empty after Ctrl-C.
+/// Waits until every host is connected. Returns the connections in the order of `hosts`; none after Ctrl-C.
 pub fn gather(
     (listener, key): (&TcpListener, Option<[u8; 32]>),
     hosts: &[String],
@@ -48,7 +48,7 @@ pub fn gather(
             return Ok(Vec::new());
         }
         let mut waiting = [PollFd::new(listener.as_fd(), PollFlags::POLLIN)];
-        // An interrupted poll is no error: the loop checks `stop`.
+        // An interrupted poll is not an error; the loop checks `stop`.
         let _ = poll(&mut waiting, LOOK);
         while let Ok((stream, from)) = listener.accept() {
             // Connections beyond the limit are closed.
@@ -72,7 +72,7 @@ pub fn gather(
     Ok(here.into_values().collect())
 }
 
-/// Authenticates a connection and receives the host's name, within the greeting's timeouts.
+/// Authenticates a connection and receives the host's name, within the time limits of the greeting.
 fn greet(stream: TcpStream, key: Option<[u8; 32]>) -> Result<(String, Connection)> {
     stream.set_nonblocking(false).context("cannot set up the connection")?;
     let mut connection = Connection::open(stream, Side::Coordinator, key.as_ref())?;
@@ -123,13 +123,13 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
         let hosts = ["a".to_owned(), "b".to_owned()];
-        // Twenty silent connections: in sequence they would take twenty deadlines.
+        // In sequence, twenty connections that send nothing would take twenty time limits.
         let mute: Vec<TcpStream> = (0..20).map(|_| TcpStream::connect(address).unwrap()).collect();
         let flood = thread::spawn(move || {
             let mut stream = TcpStream::connect(address).unwrap();
             let number = [b'0'; 32];
             stream.write_all(&number).and_then(|()| stream.write_all(b"\n")).unwrap();
-            // Until the connection is closed.
+            // Waits until the connection is closed.
             let mut sent = 0;
             while stream.write_all(&[b'x'; 1 << 16]).is_ok() {
                 sent += 1 << 16;
@@ -153,7 +153,7 @@ mod tests {
         let began = Instant::now();
         let slow = thread::spawn(move || {
             let mut one = [0; 1];
-            // Each byte comes long before a timeout of a single read.
+            // Each byte arrives well within the timeout of a single read.
             stream.set_read_timeout(Some(GREETING / 20)).unwrap();
             while stream.write_all(b"0").is_ok() {
                 while stream.read(&mut one).is_ok_and(|read| read > 0) {}

@@ -1,9 +1,9 @@
-//! Network study measured between hosts: a coordinator starts each case, the participants measure.
+//! Network study measured between hosts: a coordinator starts the cases, and participants measure them.
 //!
-//! They communicate over TCP (`connection`) between cases, while no measured message is in flight. The coordinator
-//! compares each participant's clock before and after each case: of several requests, the one with the shortest
-//! round-trip time counts (RFC 5905, section 8). The uncertainty of a clock is half of that time plus the drift during
-//! the case. One-way delays are differences of two such clocks.
+//! They communicate over TCP (`connection`) between cases, so that this traffic does not disturb measured messages. The
+//! coordinator compares each participant's clock before and after each case, using the request with the shortest round
+//! trip (RFC 5905, section 8). The uncertainty of a clock is half of that round trip plus the drift during the case.
+//! One-way delays are differences of two such clocks.
 
 mod connection;
 mod coordinator;
@@ -18,27 +18,27 @@ use std::time::Duration;
 use crate::study::network::peer::{StationResult, Task};
 use serde::{Deserialize, Serialize};
 
-/// Timeout of each of a new connection's first two lines, the nonce and the host's name.
+/// Time limit of each of a new connection's first two lines: the nonce and the host's name.
 const GREETING: Duration = Duration::from_secs(5);
 
-/// Request of the coordinator.
+/// Request of the coordinator to a participant.
 #[derive(Debug, Serialize, Deserialize)]
 enum Request {
-    /// Read the clock.
+    /// Asks for the time of the participant's clock.
     Clock,
-    /// Measure this case, from this time of the participant's clock \[ns\].
+    /// Asks to measure this case, which starts at this time of the participant's clock \[ns\].
     Measure(Task, u64),
-    /// The study is finished.
+    /// Ends the measurement.
     Done,
 }
 
-/// Response of a participant.
+/// Response of a participant to the coordinator.
 #[derive(Debug, Serialize, Deserialize)]
 enum Response {
-    /// Its name, sent first.
+    /// Name of the participant's host, sent first.
     Host(String),
-    /// Time of its clock \[ns\].
+    /// Time of the participant's clock \[ns\].
     Clock(u64),
-    /// Result of a case.
+    /// Result of a case at the participant's station.
     Found(StationResult),
 }

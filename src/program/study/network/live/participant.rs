@@ -1,5 +1,5 @@
-//! Participant of a measurement: Network actor, link and transport of `murmurate host`, with a station instead of a
-//! robot.
+//! Participant of a measurement. It uses the Network actor, link and transport of `murmurate host`, with a measuring
+//! station instead of a robot.
 
 use std::cell::RefCell;
 use std::net::{SocketAddr, TcpStream};
@@ -39,17 +39,17 @@ const TRY_EVERY: u16 = 250;
 
 /// Settings of one participant.
 pub struct Participation {
-    /// Number of this process as a host, with the team that it belongs to.
+    /// Configuration of the participant's host.
     pub team: Team,
-    /// The team's key.
+    /// Key of the team; `None` if it has none.
     pub key: Option<[u8; 32]>,
-    /// Its place on the link that carries latents.
+    /// Place of the host on the link that carries latents.
     pub place: Place,
     /// Participating hosts, in the order of their stations.
     pub stations: Vec<HostId>,
 }
 
-/// Measures the cases that the coordinator requests, until the study is finished. An error if the connection fails.
+/// Measures the cases that the coordinator requests, until it ends the measurement. Fails if the connection fails.
 pub fn participate(mut participation: Participation, name: &str, address: SocketAddr, quiet: bool) -> Result<Ended> {
     participation.place.endpoint = participation.place.endpoint.restricted_to(&participation.stations);
     let origin = Instant::now();
@@ -79,13 +79,13 @@ fn connect(address: SocketAddr) -> Result<TcpStream> {
                 let why = format!("--coordinator: no answer at {address}: {error}; start the coordinator there");
                 return Err(BadInput(why).into());
             }
-            // Sleeps: there is no descriptor to poll.
+            // This waits; there is no descriptor to poll.
             Err(_) => drop(poll(&mut [], TRY_EVERY)),
         }
     }
 }
 
-/// Measures one case.
+/// Measures one case. `begin` is its start \[ns\] since `origin`.
 fn measure(participation: &Participation, task: Task, begin: Time, origin: Instant) -> Result<StationResult> {
     let at = participation.stations.iter().position(|host| *host == participation.team.host);
     let station = at.and_then(|at| u16::try_from(at).ok()).context("this host runs no agent")?;
@@ -101,7 +101,7 @@ fn measure(participation: &Participation, task: Task, begin: Time, origin: Insta
     Ok(result)
 }
 
-/// Starts the actors: Network, transport and station.
+/// Starts the actors of a case: Network, transport and station.
 fn wire(
     clock: &Clock,
     readers: &mut Readers,
