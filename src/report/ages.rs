@@ -1,4 +1,4 @@
-//! Histogram of message ages over five decades: small, and exact at its bin edges.
+//! Histogram of message ages over five decades. It is small, and exact at the edges of its bins.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -7,12 +7,12 @@ use crate::time::Span;
 /// Bin edges of one decade: the series R20 of preferred numbers (ISO 3), so that 20 ms and 50 ms are edges.
 const DECADE: [u64; 20] =
     [100, 112, 125, 140, 160, 180, 200, 224, 250, 280, 315, 355, 400, 450, 500, 560, 630, 710, 800, 900];
-/// Edges from 100 us to 10 s.
+/// Number of bin edges, from 100 us to 10 s.
 const EDGES: usize = 101;
 /// Number of bins: one below each edge, and one for ages above the last.
 const BINS: usize = EDGES + 1;
 
-/// Histogram of ages. A bin includes its upper edge.
+/// Histogram of message ages. A bin includes its upper edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ages {
     counts: [u64; BINS],
@@ -79,7 +79,7 @@ impl Ages {
     }
 }
 
-/// Serializes pairs of bin and count, without empty bins.
+/// Serializes pairs of bin index and count, without empty bins.
 impl Serialize for Ages {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         to.collect_seq(self.counts.iter().enumerate().filter(|(_, count)| **count > 0))

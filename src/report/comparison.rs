@@ -9,17 +9,17 @@ use super::summary::Summary;
 use super::trial::TrialReport;
 use crate::scenario::judge::Verdict;
 
-/// Results of several policies on the same episodes, which have the same seeds.
+/// Results of several policies on the same episodes with the same seeds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The summary of each policy.
+    /// Summary of each policy.
     pub policies: Vec<Summary>,
-    /// Number of episodes in which this policy alone succeeded, by policy.
+    /// For each policy: number of episodes in which only it succeeded.
     pub alone_successful: Vec<usize>,
 }
 
 impl Comparison {
-    /// Compares policies. Each entry has the summary of a policy and the reports of its trials.
+    /// Compares policies. Each entry of `results` has the summary of a policy and the reports of its trials.
     pub fn of(results: Vec<(Summary, Vec<TrialReport>)>) -> Comparison {
         let mut successful: BTreeMap<(u32, u32), Vec<usize>> = BTreeMap::new();
         for (policy, (_, trials)) in results.iter().enumerate() {

@@ -1,42 +1,42 @@
-//! Cost of a team: messages, bytes, deliveries and airtime per robot and simulated second. Callers measure CPU time.
+//! Cost of a team per robot and simulated second: messages, bytes, deliveries and airtime.
 
 use serde::{Deserialize, Serialize};
 
 use super::trial::{Said, TrialReport};
 use crate::messages::wire::{KINDS, Kind};
 
-/// Messages of one kind per robot and second.
+/// Published messages of one kind, per robot and simulated second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KindCost {
-    /// The kind.
+    /// Kind of message.
     pub kind: Kind,
     /// Messages published \[1/s\].
     pub messages: f64,
-    /// Their bytes \[1/s\].
+    /// Bytes of these messages, without tags \[1/s\].
     pub bytes: f64,
 }
 
 /// Cost of a run per robot and simulated second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cost {
-    /// Size of the team.
+    /// Number of robots.
     pub robots: usize,
-    /// Simulated time \[s\].
+    /// Simulated time of the run \[s\].
     pub virtual_s: f64,
     /// Messages published, of all kinds \[1/s\].
     pub messages: f64,
-    /// Their bytes \[1/s\].
+    /// Bytes of these messages, without tags \[1/s\].
     pub bytes: f64,
-    /// Messages and bytes by kind.
+    /// Messages and bytes of each kind.
     pub kinds: Vec<KindCost>,
-    /// Datagrams that hosts accepted from links \[1/s\].
+    /// Messages that hosts accepted from links \[1/s\].
     pub deliveries: f64,
     /// Airtime of the frames on all channels \[s/s\]; `None` without a radio.
     pub airtime: Option<f64>,
 }
 
 impl Cost {
-    /// Returns the cost of a run of this many robots. Its trial must have a duration.
+    /// Returns the cost of a run of `robots` robots. Its simulated time must not be zero.
     pub fn of(robots: usize, report: &TrialReport) -> Cost {
         let virtual_s = report.simulated.as_secs();
         let each = |count: u64| count as f64 / (robots as f64 * virtual_s);

@@ -1,4 +1,4 @@
-//! Events that a process of a team prints for its starter: one JSON object a line.
+//! Events that a process of a team prints for the process that started it: one JSON object per line.
 
 use std::iter::Sum;
 
@@ -14,17 +14,17 @@ use crate::safety::guard::SafetyCounts;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 pub enum HostEvent {
-    /// Its sockets are open and its actors run.
+    /// The host's sockets are open and its actors run.
     Ready {
-        /// Its name.
+        /// Name of the host.
         host: String,
     },
-    /// An episode is over. Reported by the host that judges: the one whose World simulates the whole team, or else that
-    /// of the state server.
+    /// An episode has ended. Reported by the host that judges: the one whose World simulates the whole team, or else
+    /// that of the state server.
     Episode(Episode),
-    /// All counts so far: once a second, and as the last event if the team has not finished.
+    /// All counts so far. Reported once a second, and as the last event if the team has not finished.
     Counted(Counted),
-    /// The team has finished its episodes.
+    /// The team has finished all episodes; with all counts of the host.
     Finished(Counted),
 }
 
@@ -32,46 +32,47 @@ pub enum HostEvent {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counted {
-    /// Messages published.
+    /// Number of messages published by the host's actors.
     pub messages: u64,
-    /// Messages refused by full mailboxes.
+    /// Number of messages that full mailboxes refused.
     pub refused: u64,
-    /// Messages lost in crashes.
+    /// Number of messages that were lost in crashes of actors.
     pub lost: u64,
-    /// Frames sent, accepted, and refused by cause, on all links together, up to the last full second.
+    /// Datagrams sent, accepted, and refused by cause, on all links together, up to the last full second.
     pub links: Box<LinkCounts>,
-    /// Largest age of a command that drove a robot of the team \[s\]; null where it is unknown, as on all hosts but one
+    /// Largest age of a command that drove a robot of the team \[s\]; null if it is unknown, as on all hosts except one
     /// whose World simulates the whole team.
     pub oldest_command_s: Option<f64>,
-    /// Stops and slowdowns of each robot of this host, up to its last heartbeat. Robots without any are left out.
+    /// Stops and reduced velocities of each robot of this host, up to its last heartbeat. Robots without any are left
+    /// out.
     pub safety: Vec<RobotSafety>,
-    /// Hardware of the real robots that this host drives, as far as their drivers have reported it.
+    /// Hardware of the real robots that this host drives, as their drivers have reported it.
     pub hardware: Vec<RobotHardware>,
     /// Output that was dropped.
     pub unwritten: Unwritten,
 }
 
-/// Stops and slowdowns of one robot.
+/// Stops and reduced velocities of one robot by its guard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotSafety {
-    /// The robot.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// Counts by reason.
+    /// Counts by cause.
     #[serde(flatten)]
     pub counts: SafetyCounts,
 }
 
-/// Output that was dropped because the control thread never waits for a disk, a terminal or a pipe.
+/// Amount of output that was dropped, since the control thread never waits for a disk, a terminal or a pipe.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Unwritten {
-    /// Lines of the log.
+    /// Number of lines of the log.
     pub log_lines: u64,
-    /// Events of `--json`.
+    /// Number of events of `--json`.
     pub events: u64,
-    /// Steps of `--trajectories`, each of the whole team.
+    /// Number of steps of `--trajectories`, each of the whole team.
     pub steps: u64,
-    /// Events of `--record`.
+    /// Number of events of `--record`.
     pub record_events: u64,
 }
 
@@ -99,7 +100,7 @@ impl HostEvent {
         serde_json::to_string(self).expect("an event is JSON")
     }
 
-    /// Parses a line of JSON; `None` if it is not an event.
+    /// Parses a line; `None` if it is not an event.
     pub fn from_line(line: &str) -> Option<HostEvent> {
         serde_json::from_str(line).ok()
     }

@@ -1,13 +1,13 @@
-//! Two-dimensional histograms, which summarize the steps of a run.
+//! Two-dimensional histogram.
 
 use serde::{Deserialize, Serialize};
 
-/// Axis of a grid, divided into equal bins.
+/// Axis of a histogram, divided into equal bins.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Axis {
-    /// Lower end.
+    /// Lower end of the axis.
     pub low: f32,
-    /// Upper end.
+    /// Upper end of the axis.
     pub high: f32,
     /// Number of bins.
     pub bins: usize,
@@ -30,24 +30,24 @@ impl Axis {
         self.low + self.width() * bin as f32
     }
 
-    /// Returns the bin of a value; values beyond an end belong to the bin there.
+    /// Returns the index of a value's bin. Values beyond an end belong to the bin at that end.
     fn bin(&self, value: f32) -> usize {
         (((value - self.low) / self.width()).max(0.0) as usize).min(self.bins - 1)
     }
 }
 
-/// Counts over two axes.
+/// Two-dimensional histogram: number of pairs (x, y) in each bin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Sparse", into = "Sparse")]
 pub struct Grid {
-    /// The first axis.
+    /// Axis of the first number, x.
     pub x: Axis,
-    /// The second axis.
+    /// Axis of the second number, y.
     pub y: Axis,
     counts: Vec<u64>,
 }
 
-/// Serialized grid, without empty bins.
+/// Serialized form of a histogram, without empty bins.
 #[derive(Clone, Serialize, Deserialize)]
 struct Sparse {
     x: Axis,
@@ -75,35 +75,35 @@ impl From<Sparse> for Grid {
 }
 
 impl Grid {
-    /// Creates an empty grid.
+    /// Creates an empty histogram.
     pub fn new(x: Axis, y: Axis) -> Grid {
         Grid { x, y, counts: vec![0; x.bins.saturating_mul(y.bins).min(1 << 20)] }
     }
 
-    /// Counts one pair.
+    /// Counts a pair.
     pub fn add(&mut self, x: f32, y: f32) {
         let at = self.y.bin(y) * self.x.bins + self.x.bin(x);
         self.counts[at] += 1;
     }
 
-    /// Adds the counts of another grid with the same axes.
+    /// Adds the counts of another histogram with the same axes.
     pub fn merge(&mut self, other: &Grid) {
         assert_eq!((self.x, self.y), (other.x, other.y), "grids of one study have the same axes");
         self.counts.iter_mut().zip(&other.counts).for_each(|(mine, theirs)| *mine += theirs);
     }
 
-    /// Returns the number of pairs counted.
+    /// Returns the number of counted pairs.
     pub fn total(&self) -> u64 {
         self.counts.iter().sum()
     }
 
-    /// Returns the number of pairs in a bin.
+    /// Returns the number of pairs in the bin with these indices.
     pub fn count(&self, x: usize, y: usize) -> u64 {
         self.counts[y * self.x.bins + x]
     }
 
-    /// Returns the quantile `q` of y among the pairs in bin `x`, interpolated within a bin of y; `None` if bin `x` has
-    /// fewer than `least` pairs.
+    /// Returns the quantile `q` of y among the pairs in the bin `x`, interpolated within bins of y; `None` if the bin
+    /// has fewer than `least` pairs.
     pub fn quantile(&self, x: usize, q: f64, least: u64) -> Option<f32> {
         let total: u64 = (0..self.y.bins).map(|y| self.count(x, y)).sum();
         if total < least.max(1) {

@@ -1,4 +1,4 @@
-//! Hardware of the robots in a run: last battery and temperature, and the faults of each.
+//! Hardware of the real robots in a run: last battery charge and temperature, and faults of each.
 
 use std::collections::BTreeMap;
 
@@ -7,30 +7,30 @@ use serde::{Deserialize, Serialize};
 use crate::messages::ids::RobotId;
 use crate::messages::wire::{Hardware, Health};
 
-/// Hardware of one robot since its host was started.
+/// Condition and faults of one real robot since its host was started.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RobotHardware {
-    /// The robot.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// Whether it is ready now, or was when its host ended.
+    /// Whether the robot is ready now; after the run, whether it was ready when its host ended.
     pub ready: bool,
-    /// Last known charge of its battery \[%\].
+    /// Last known charge of the battery \[%\].
     pub battery: Option<u8>,
     /// Last known temperature \[°C\].
     pub temperature_c: Option<i16>,
-    /// Number of times that it was faulty or silent after it was ready, or that the reason of that changed.
+    /// Number of faults: times that a ready robot became faulty or silent, or that the reason changed.
     pub faults: u64,
-    /// Reason of the last of them, or of what has kept it from being ready so far.
+    /// Reason of the last fault; without a fault, the reason why the robot has not been ready so far.
     pub last_fault: Option<String>,
 }
 
 impl RobotHardware {
-    /// Hardware of which nothing is known yet.
+    /// Creates the record of a robot without reports.
     pub fn new(robot: RobotId) -> RobotHardware {
         RobotHardware { robot, ready: false, battery: None, temperature_c: None, faults: 0, last_fault: None }
     }
 
-    /// Adds a report of its driver.
+    /// Adds a report of the robot's driver.
     pub fn note(&mut self, hardware: &Hardware) {
         self.battery = hardware.battery.or(self.battery);
         self.temperature_c = hardware.temperature.map(|temperature| temperature.degrees()).or(self.temperature_c);
@@ -41,10 +41,10 @@ impl RobotHardware {
                 (None, Health::Silent) => "silent".to_owned(),
                 (None, _) => "faulty".to_owned(),
             };
-            // What keeps a robot from being ready after its start is its connection, and no fault yet.
+            // A robot that is not ready yet after the start is still connecting; this is not a fault.
             let was_ready = self.ready || self.faults > 0;
             let faulty = hardware.health == Health::Faulty;
-            // Figures in a reason may change all the time.
+            // Numbers in a reason may change all the time, so only the words before them are compared.
             let new = self.ready || self.last_fault.as_deref().is_none_or(|last| words_of(last) != words_of(&why));
             self.faults += u64::from(new && (was_ready || faulty));
             self.last_fault = Some(why);
@@ -54,8 +54,8 @@ impl RobotHardware {
         self.ready = ready;
     }
 
-    /// Joins the reports of a team's processes: the last of each robot, and the sum of its faults. `all` is in the
-    /// order of the processes' starts.
+    /// Merges the reports of a team's processes: the last report of each robot, and the sum of its faults. `all` is in
+    /// the order in which the processes were started.
     pub fn joined<'a>(all: impl Iterator<Item = &'a RobotHardware>) -> Vec<RobotHardware> {
         let mut robots: BTreeMap<RobotId, RobotHardware> = BTreeMap::new();
         for later in all {
@@ -72,7 +72,7 @@ impl RobotHardware {
         robots.into_values().collect()
     }
 
-    /// The robot in words, such as `battery 87 %, 41 deg C, 1 fault, the last: bumper pressed`.
+    /// Describes the robot, such as `battery 87 %, 41 deg C, 1 fault, the last: bumper pressed`.
     pub fn words(&self) -> String {
         let battery = self.battery.map(|battery| format!("battery {battery} %"));
         let temperature = self.temperature_c.map(|degrees| format!("{degrees} \u{b0}C"));
@@ -88,7 +88,7 @@ impl RobotHardware {
     }
 }
 
-/// The words of a reason before its first figure.
+/// Returns the part of a reason before its first digit.
 fn words_of(reason: &str) -> Option<&str> {
     reason.split(|c: char| c.is_ascii_digit()).next()
 }

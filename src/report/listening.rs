@@ -1,4 +1,4 @@
-//! Delivery and delay of messages between robots in a run, as measured by an observer of all hosts.
+//! Statistics of messages between robots: delivery and delay, as an observer of all hosts measures them.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -11,22 +11,22 @@ use crate::time::{Span, Time};
 /// Statistics of messages between robots: their arrival over links, and their use in control steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Listening {
-    /// Arrivals without any loss: every message at every other host with an agent.
+    /// Number of expected arrivals: every message at every other host with an Agent.
     pub due: u64,
-    /// Actual arrivals, without duplicates.
+    /// Number of arrivals, without duplicates.
     pub arrived: u64,
-    /// Delays from publication to arrival, over the arrivals.
+    /// Histogram of the delays from publication to arrival.
     pub delay: Ages,
-    /// Control steps of robots that receive messages of others over a link.
+    /// Number of control steps of robots that receive messages over a link.
     pub steps: u64,
-    /// Messages of others that those steps used: within range, and not yet dropped or too old.
+    /// Number of messages that these control steps used, summed over the steps.
     pub heard: u64,
-    /// Ages from publication to the control step, over the messages heard.
+    /// Histogram of the ages of used messages, from publication to the control step.
     pub age: Ages,
 }
 
 impl Listening {
-    /// Adds the statistics of another run.
+    /// Adds the statistics of another trial.
     pub fn merge(&mut self, other: &Listening) {
         self.due += other.due;
         self.arrived += other.arrived;
@@ -47,27 +47,27 @@ impl Listening {
     }
 }
 
-/// Number of messages remembered in each queue; older ones are forgotten.
+/// Number of messages that are kept in each queue.
 const KEPT: usize = 64;
 
-/// Identity of a datagram: sender, incarnation, sequence number, and whether it was addressed to one host.
+/// Identity of a datagram: sender, incarnation, sequence number, and whether it is unicast.
 pub type Datagram = (HostId, u32, u32, bool);
 
-/// Observer that follows messages between robots from publication to arrival and to the control steps that use them. It
-/// has one clock for all hosts, which no real host has.
+/// Observer that follows messages between robots from publication to arrival, and to the control steps that use them.
+/// It needs one clock for all hosts, as in a simulation.
 #[derive(Clone, Debug)]
 pub struct Listener {
     listening: Listening,
-    /// Number of hosts at which a message is due.
+    /// Number of other hosts at which each message is expected.
     hosts: u64,
-    /// By sending host: the last datagrams, with robot and time of publication.
+    /// For each sending host: its last datagrams, with robot and time of publication.
     sent: BTreeMap<HostId, VecDeque<(Datagram, RobotId, Time)>>,
-    /// By receiving host and sending robot: times of arrival and of publication of the last messages.
+    /// For each receiving host and sending robot: arrival and publication times of the last messages.
     had: BTreeMap<(HostId, RobotId), VecDeque<(Time, Time)>>,
 }
 
 impl Listener {
-    /// Creates an observer of a team in which `hosts` other hosts should receive each message.
+    /// Creates an observer of a team in which each message is expected at `hosts` other hosts.
     pub fn new(hosts: u64) -> Listener {
         Listener { listening: Listening::default(), hosts, sent: BTreeMap::new(), had: BTreeMap::new() }
     }
@@ -83,12 +83,12 @@ impl Listener {
         keep(self.sent.entry(datagram.0).or_default(), (datagram, robot, now));
     }
 
-    /// Records that a datagram has arrived at a host.
+    /// Records that a datagram has arrived at the host `to`.
     pub fn arrived(&mut self, now: Time, to: HostId, datagram: Datagram) {
         let sent = self.sent.get(&datagram.0).into_iter().flatten();
         let Some((_, robot, published)) = sent.rev().find(|(other, ..)| *other == datagram) else { return };
         let had = self.had.entry((to, *robot)).or_default();
-        // A robot publishes one message at a time: an equal time of publication marks a duplicate.
+        // A robot publishes at most one message at a time, so an equal publication time marks a duplicate.
         if had.iter().any(|(_, other)| other == published) {
             return;
         }
@@ -97,8 +97,8 @@ impl Listener {
         self.listening.delay.add(now.since(*published));
     }
 
-    /// Records a control step of a robot at the host `at`. `heard` has the age since arrival of each message that the
-    /// robot used. Returns the ages since publication; they are equal for messages that crossed no link.
+    /// Records a control step of a robot at the host `at`. `heard` are the robots whose messages it used, with ages
+    /// since arrival. Returns them with ages since publication; these are equal for messages that crossed no link.
     pub fn stepped(&mut self, now: Time, at: HostId, heard: &[(RobotId, Span)]) -> Vec<(RobotId, Span)> {
         let mut ages = heard.to_vec();
         if self.hosts == 0 {

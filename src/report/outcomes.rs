@@ -1,4 +1,4 @@
-//! Counts of verdicts: the same words in every table, JSON object and CSV file.
+//! Counts of verdicts, with the same names in every table, JSON object and CSV file.
 
 use serde::Serialize;
 
@@ -6,35 +6,35 @@ use super::episode::Episode;
 use super::statistics::{quantile, wilson_95};
 use crate::scenario::judge::Verdict;
 
-/// Counts and statistics of some episodes.
+/// Counts of verdicts and statistics of some episodes.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Outcomes {
-    /// Episodes that have a result.
+    /// Number of episodes with a verdict.
     pub episodes: usize,
-    /// Episodes that succeeded.
+    /// Number of successful episodes.
     pub successes: usize,
-    /// Their share.
+    /// Share of successful episodes, 0 to 1.
     pub success_rate: f64,
-    /// The Wilson interval of the share, 95 %.
+    /// Wilson interval of `success_rate` at 95 %.
     pub success_ci95: [f64; 2],
-    /// Median over the successes of when the last robot arrived \[s\].
+    /// Median makespan of the successful episodes \[s\]; `None` without a success.
     pub makespan_median_s: Option<f64>,
-    /// Quartiles of the makespan over the successes \[s\]; `None` without a success.
+    /// Quartiles of the makespan of the successful episodes \[s\]; `None` without a success.
     pub makespan_quartiles_s: Option<[f64; 2]>,
-    /// Episodes that failed because two robots came too near to each other.
+    /// Number of episodes that failed because two robots came too close to each other.
     pub robot_collisions: usize,
-    /// Episodes that failed because a robot touched a wall.
+    /// Number of episodes that failed because a robot touched a wall.
     pub wall_collisions: usize,
-    /// Episodes that failed because not all robots arrived in time.
+    /// Number of episodes that failed because not all robots arrived in time.
     pub timeouts: usize,
-    /// Episodes that the state server aborted.
+    /// Number of episodes that the state server aborted.
     pub aborted: usize,
-    /// Episodes in which a robot was out of sight for too long, where readings are judged.
+    /// Number of episodes in which a robot was not measured for too long; only if readings are judged.
     pub unseen: usize,
 }
 
 impl Outcomes {
-    /// Counts the episodes by verdict. The success rate of no episodes is zero.
+    /// Counts the verdicts of the episodes. The success rate of no episodes is 0.
     pub fn of(episodes: &[Episode]) -> Outcomes {
         let count = |verdict| episodes.iter().filter(|episode| episode.verdict == verdict).count();
         let makespans: Vec<f64> = episodes.iter().filter_map(|episode| episode.makespan_s).collect();
@@ -55,7 +55,7 @@ impl Outcomes {
         }
     }
 
-    /// The failures in words, such as "2 robot collisions, 1 timeout"; "none" if there are none.
+    /// Describes the failures, such as "2 robot collisions, 1 timeout"; "none" without failures.
     pub fn failures(&self) -> String {
         let kinds = [
             (self.robot_collisions, "robot collision", "robot collisions"),

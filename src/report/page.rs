@@ -1,11 +1,11 @@
-//! A report as one self-contained HTML page: text, tables, figures. It loads no other file
-//! and follows the reader's light or dark scheme.
+//! Report as a self-contained HTML page with text, tables and figures. It loads no other file, and follows the reader's
+//! light or dark scheme.
 
 use std::fmt::Write as _;
 
 use super::figures::Figure;
 
-/// A part of a page.
+/// Part of a report page.
 #[derive(Clone, Debug)]
 pub enum Part<'a> {
     /// A heading.
@@ -14,7 +14,7 @@ pub enum Part<'a> {
     Text(String),
     /// Preformatted text.
     Verbatim(String),
-    /// A table: column heads and rows.
+    /// Table: column heads and rows.
     Table(Vec<&'a str>, Vec<Vec<String>>),
     /// Terms with their definitions.
     Terms(Vec<(String, String)>),
@@ -40,7 +40,7 @@ fn plain(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Returns the page as HTML.
+/// Returns the page with this title and these parts as HTML.
 pub fn page(title: &str, parts: &[Part]) -> String {
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\

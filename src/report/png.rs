@@ -1,14 +1,14 @@
-//! SVG figures as PNG, at twice their size. Text is set in a font that the program contains, so that a machine without
-//! fonts draws the same.
+//! Rendering of SVG figures as PNG, at twice their size. The program contains the font, so that the result does not
+//! depend on the machine's fonts.
 
 use std::sync::{Arc, LazyLock};
 
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
 
-/// Roboto Regular (Apache License 2.0, see `assets/fonts`).
+/// Font Roboto Regular (Apache License 2.0, see `assets/fonts`).
 static FONT: &[u8] = include_bytes!("../../assets/fonts/Roboto-Regular.ttf");
-/// Pixels of the PNG per pixel of the figure.
+/// Pixels of the PNG for each pixel of the figure.
 const SCALE: f32 = 2.0;
 
 static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
@@ -23,7 +23,7 @@ static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
 #[error("cannot draw a figure as PNG: {0}")]
 pub struct PngError(String);
 
-/// Renders an SVG figure; returns the content of a PNG file.
+/// Renders an SVG figure. Returns the content of a PNG file.
 pub fn render(svg: &str) -> Result<Vec<u8>, PngError> {
     let wrong = |what: String| PngError(what);
     let options = Options { fontdb: Arc::clone(&FONTS), font_family: "Roboto".to_owned(), ..Options::default() };

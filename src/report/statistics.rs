@@ -3,7 +3,7 @@
 /// Two-sided 95 % quantile of the standard normal distribution.
 const Z_95: f64 = 1.959_963_984_540_054;
 
-/// Returns the Wilson score interval at 95 % of `successes` out of `trials` (Wilson, JASA 1927); 0 to 1 without
+/// Returns the Wilson score interval at 95 % for `successes` of `trials` (Wilson, JASA 1927); 0 to 1 if there are no
 /// trials.
 pub fn wilson_95(successes: usize, trials: usize) -> [f64; 2] {
     if trials == 0 {

@@ -1,4 +1,4 @@
-//! The summary of a run, as `--json` prints it and as a person reads it.
+//! Summary of a run, as JSON and as a table.
 
 use std::fmt;
 
@@ -16,37 +16,37 @@ use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::Span;
 
-/// Hosts that the counts of a summary cover.
+/// Which hosts the counts of a summary cover.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Counts {
-    /// All hosts.
+    /// All hosts of the team.
     Team,
-    /// The host that prints it: its messages, what was not delivered to it, and its robots' safety. The counts of other
-    /// hosts are not known there.
+    /// Only the host that prints the summary: its messages, undelivered messages, and its robots' safety. It does not
+    /// know the counts of other hosts.
     Host,
 }
 
-/// The summary of a run. Fields are only ever added.
+/// Summary of a run. Later versions may add fields and remove none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// The deployment.
+    /// Name of the deployment's mode.
     pub mode: String,
-    /// The scenario.
+    /// Name of the scenario.
     pub scenario: String,
-    /// The policy.
+    /// Name of the policy.
     pub policy: String,
-    /// The size of the team.
+    /// Number of robots.
     pub robots: usize,
-    /// Counts and statistics of the episodes.
+    /// Counts of verdicts and statistics of the episodes.
     #[serde(flatten)]
     pub outcomes: Outcomes,
-    /// Former names of `robot_collisions`, `wall_collisions` and `aborted`, for one version.
+    /// Former names of `robot_collisions`, `wall_collisions` and `aborted`, kept for one version.
     #[serde(flatten)]
     former: FormerNames,
-    /// Data from which verdicts were found.
+    /// Data from which episodes were judged.
     pub judged: Judged,
-    /// Hosts whose messages, links and safety are counted here.
+    /// Which hosts' messages, links and safety are counted.
     pub counts: Counts,
     /// Simulated time of all trials together \[s\].
     pub virtual_s: f64,
@@ -54,49 +54,49 @@ pub struct Summary {
     pub wall_s: f64,
     /// Episodes that did not succeed.
     pub failed: Vec<FailedEpisode>,
-    /// Delay, loss and radio of emulated links, in words; `None` if they are ideal or not emulated.
+    /// Description of the emulated links: delay, loss and radio; null if they are ideal or not emulated.
     pub network: Option<String>,
-    /// Injected faults, in words.
+    /// Descriptions of the injected faults.
     pub faults: Vec<String>,
-    /// Messages published.
+    /// Number of messages published.
     pub messages: u64,
-    /// Messages that a full mailbox refused.
+    /// Number of messages that full mailboxes refused.
     pub refused: u64,
-    /// Messages that were lost in crashes.
+    /// Number of messages that were lost in crashes of actors.
     pub lost: u64,
-    /// Frames sent, let in, and refused by cause, on all links together.
+    /// Datagrams sent, accepted, and refused by cause, on all links together.
     pub links: LinkCounts,
-    /// Frames and airtime of all radio channels together, and what was lost by cause; null without a radio.
+    /// Frames and airtime of all radio channels together, and losses by cause; null without a radio.
     pub radio: Option<RadioCounts>,
-    /// How often robots were stopped or slowed, by reason.
+    /// Number of stops and reduced velocities of robots, by cause.
     pub safety: SafetyCounts,
-    /// Hardware of the real robots: last battery and temperature, number of faults and the last one.
+    /// Hardware of the real robots: last battery charge and temperature, number of faults and the last one.
     pub hardware: Vec<RobotHardware>,
-    /// Output that was dropped because nothing that drives a robot waits for it to be written.
+    /// Output that was dropped, since the control thread does not wait for it to be written.
     pub unwritten: Unwritten,
-    /// Largest age of a command that still drove a robot \[s\]; null where it is not known.
+    /// Largest age of a command that still drove a robot \[s\]; null if it is unknown.
     pub oldest_command_s: Option<f64>,
-    /// A digest of every message and state of the run, in hexadecimal; null for a run that was interrupted or in real
-    /// time.
+    /// Digest of every message and true state of the run, in hexadecimal; null for a run that was interrupted or in
+    /// real time.
     pub trace_hash: Option<String>,
-    /// The seed of the run.
+    /// Seed of the run.
     pub seed: u64,
-    /// Whether the run was ended before its time.
+    /// Whether the run was interrupted.
     pub interrupted: bool,
 }
 
-/// An episode that did not succeed.
+/// Episode that did not succeed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct FailedEpisode {
-    /// The repeat, from 0.
+    /// Index of the repeat, from 0.
     pub repeat: u32,
     /// Index of the episode in its repeat, from 0.
     pub episode: u32,
-    /// Its verdict.
+    /// Verdict on the episode.
     pub verdict: Verdict,
 }
 
-/// Former names of fields of [`Outcomes`], so that scripts that read them go on working.
+/// Former names of fields of [`Outcomes`], for scripts that read them.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 struct FormerNames {
     collisions_robot: usize,
@@ -104,38 +104,38 @@ struct FormerNames {
     aborts: usize,
 }
 
-/// Properties of a run, beside its results.
+/// Properties of a run that are not results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
-    /// The deployment.
+    /// Name of the deployment's mode.
     pub mode: String,
-    /// The scenario.
+    /// Name of the scenario.
     pub scenario: String,
-    /// The policy.
+    /// Name of the policy.
     pub policy: String,
-    /// The size of the team.
+    /// Number of robots.
     pub robots: usize,
-    /// Data from which verdicts are found.
+    /// Data from which episodes are judged.
     pub judged: Judged,
-    /// The seed.
+    /// Seed of the run.
     pub seed: u64,
     /// Wall-clock time of the run \[s\].
     pub wall_s: f64,
-    /// Delay, loss and radio of emulated links, in words; `None` if they are ideal or not emulated.
+    /// Description of the emulated links: delay, loss and radio; `None` if they are ideal or not emulated.
     pub network: Option<String>,
-    /// Injected faults, in words.
+    /// Descriptions of the injected faults.
     pub faults: Vec<String>,
-    /// Whether it was ended before its time.
+    /// Whether the run was interrupted.
     pub interrupted: bool,
 }
 
-/// Most faults that a table lists; JSON has all.
+/// Largest number of faults that the table lists; JSON has all.
 const LISTED_FAULTS: usize = 4;
-/// Most failed episodes that a table lists; JSON has all.
+/// Largest number of failed episodes that the table lists; JSON has all.
 const LISTED_FAILURES: usize = 6;
 
 impl Summary {
-    /// Sums up the trials of a run, in the order of their repeats.
+    /// Summarizes the trials of a run, which are in the order of their repeats.
     pub fn of(run: Run, trials: &[TrialReport]) -> Summary {
         let episodes: Vec<Episode> = trials.iter().flat_map(|trial| &trial.episodes).copied().collect();
         let outcomes = Outcomes::of(&episodes);
@@ -180,14 +180,14 @@ impl Summary {
         }
     }
 
-    /// Sums up a run in real time from the report of its processes. `counts` says which hosts are counted, and
-    /// `unwritten` what output was dropped.
+    /// Summarizes a run in real time from the report of its processes. `counts` tells which hosts are counted;
+    /// `unwritten` is the dropped output.
     pub fn of_team(run: Run, report: TrialReport, counts: Counts, unwritten: Unwritten) -> Summary {
-        // Real time does not repeat itself: there is no trace to compare.
+        // Runs in real time cannot be repeated exactly, so there is no trace to compare.
         Summary { counts, unwritten, trace_hash: None, ..Summary::of(run, &[report]) }
     }
 
-    /// Writes the lines about the network's conditions and injected faults.
+    /// Writes the lines about emulated links and injected faults.
     fn write_imposed(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(network) = &self.network {
             writeln!(f, "  network      {:>8}   {network}", "")?;
@@ -203,7 +203,7 @@ impl Summary {
         Ok(())
     }
 
-    /// The first failed episodes in words, such as "episode 3 of repeat 0, episode 1 of repeat 2".
+    /// Describes the first failed episodes, such as "episode 3 of repeat 0, episode 1 of repeat 2".
     fn failed_episodes(&self) -> String {
         let several = self.failed.iter().any(|failed| failed.repeat > 0);
         let words = |failed: &FailedEpisode| {

@@ -1,5 +1,5 @@
-//! Report of one trial: its episodes, its totals, and its steps if they were kept. It is built here alone, from the
-//! events of a recorder and the counts of a team's processes.
+//! Report of one trial: its episodes, its totals, and its steps if they were kept. It is built from the outputs of a
+//! Recorder and the counts of a team's processes.
 
 use super::episode::Episode;
 use super::event::Counted;
@@ -14,51 +14,51 @@ use crate::safety::guard::SafetyCounts;
 use crate::scenario::judge::Verdict;
 use crate::time::{Span, Time};
 
-/// Messages of one kind that were published.
+/// Number and size of published messages of one kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Said {
-    /// Messages published, including those that stayed on their host.
+    /// Number of messages, including those that stayed on their host.
     pub messages: u64,
-    /// Size of the messages' datagrams, as if each message had its own, without tags \[bytes\].
+    /// Size of the messages \[bytes\]: datagrams without tags, as if each message had its own.
     pub bytes: u64,
 }
 
 /// Report of a trial.
 #[derive(Clone, Debug, Default)]
 pub struct TrialReport {
-    /// Episodes that have a result, in order.
+    /// Episodes with a verdict, in order.
     pub episodes: Vec<Episode>,
-    /// Simulated time.
+    /// Simulated time of the trial.
     pub simulated: Span,
-    /// Messages, trace and checks, up to the last result.
+    /// Counts, trace and checks, up to the last result.
     pub totals: Totals,
-    /// Whether every episode has a result.
+    /// Whether every episode has a verdict.
     pub finished: bool,
-    /// Messages refused by full mailboxes.
+    /// Number of messages that full mailboxes refused.
     pub refused: u64,
-    /// Messages lost in crashes.
+    /// Number of messages that were lost in crashes of actors.
     pub lost: u64,
-    /// Every step of the team; empty unless the trial keeps steps.
+    /// Steps of the team; empty unless the trial keeps steps.
     pub steps: Vec<Step>,
-    /// Hardware of real robots, by their ids.
+    /// Hardware of real robots, in the order of robot ids.
     pub hardware: Vec<RobotHardware>,
 }
 
-/// Event of a recorder.
+/// Output of a Recorder.
 #[derive(Clone, Debug)]
 pub enum Told {
-    /// An episode is over; with the totals so far.
+    /// Result of an episode, and the totals so far.
     Episode(Episode, Totals),
-    /// A step of the whole team.
+    /// Step of the whole team.
     Step(Step),
-    /// All episodes are over.
+    /// All episodes have ended; with the totals.
     Finished(Totals),
-    /// The run ends here.
+    /// The run has ended; with the totals.
     Closed(Totals),
 }
 
 impl TrialReport {
-    /// Adds an event of a recorder.
+    /// Adds an output of a Recorder.
     pub fn note(&mut self, event: Told) {
         match event {
             Told::Episode(episode, totals) => {
@@ -71,7 +71,7 @@ impl TrialReport {
         }
     }
 
-    /// Replaces the counts of the host that judges by the sums over all processes of the team, restarted ones included.
+    /// Replaces the counts of the judging host by the sums over all processes of the team, including restarted ones.
     pub fn counted<'a>(self, incarnations: impl Iterator<Item = &'a Counted> + Clone) -> TrialReport {
         let sum = |of: fn(&Counted) -> u64| incarnations.clone().map(of).sum();
         let oldest = incarnations.clone().filter_map(|counted| counted.oldest_command_s).reduce(f64::max);
@@ -96,25 +96,25 @@ impl TrialReport {
     }
 }
 
-/// The whole team at one instant of an episode.
+/// State of the whole team at one instant of an episode.
 #[derive(Clone, Debug)]
 pub struct Step {
-    /// The episode.
+    /// Index of the episode, from 0.
     pub episode: u32,
-    /// Phase of the episode.
+    /// Phase of the team.
     pub phase: Phase,
-    /// States by robot id.
+    /// True state of each robot, in the order of robot ids.
     pub samples: Vec<Sample>,
-    /// Messages that robots used while an episode runs, by receiving robot; empty unless the trial keeps them.
+    /// Messages that robots use at this instant, by receiving robot; empty unless the trial keeps them.
     pub hearing: Vec<Hearing>,
 }
 
-/// Message of another robot that a robot had in its last control step.
+/// Message of another robot that a robot used in its last control step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Hearing {
-    /// The receiving robot.
+    /// Robot that used the message.
     pub robot: RobotId,
-    /// The robot that published the message.
+    /// Robot that published the message.
     pub of: RobotId,
     /// Age of the message since its publication.
     pub age: Span,
@@ -123,23 +123,23 @@ pub struct Hearing {
 /// Totals of a trial.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
-    /// Messages published.
+    /// Number of messages published.
     pub messages: u64,
-    /// Messages by kind, in the order of `KINDS`, with their bytes.
+    /// Number and size of the messages of each kind, in the order of `KINDS`.
     pub said: [Said; KINDS.len()],
     /// Time at which the last episode ended.
     pub end: Time,
-    /// Trace: digest of every message and every true state, each with its time.
+    /// Trace: digest of all messages and all true states, each with its time.
     pub trace: u128,
-    /// Largest age since publication of a command that still drove a robot; `None` if the true state of some robot was
+    /// Largest age since its publication of a command that still drove a robot; `None` if the true state of a robot was
     /// never reported.
     pub oldest_command: Option<Span>,
-    /// Counts of the Networks on all links, up to the last full second.
+    /// Counts of all hosts on all links, up to the last full second.
     pub links: LinkCounts,
     /// Counts of all radio channels, up to the last full second; zero without a radio.
     pub radio: RadioCounts,
     /// Counts of the robots' guards, up to their last heartbeats.
     pub safety: SafetyCounts,
-    /// Statistics of messages between robots while episodes ran; empty unless steps are kept.
+    /// Statistics of messages between robots while episodes ran; empty unless the trial keeps steps.
     pub listening: Listening,
 }

@@ -11,15 +11,15 @@ use crate::hearing::CommRange;
 use crate::scenario::Scenario;
 use crate::trial::Trial;
 
-/// One set of conditions, a column of a study's table.
+/// Conditions of one column of a study's table.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Column {
-    /// Name in results.
+    /// Name of the column in results.
     pub name: String,
     /// Mode of the paper. `sim` has the conditions of training; all other modes share one simulated world.
     pub mode: String,
-    /// Communication range.
+    /// Communication range of the robots.
     pub range: Range,
     /// Model of the links.
     pub medium: LinkModel,
@@ -31,9 +31,9 @@ pub struct Column {
 pub enum Range {
     /// The range that the policy was trained with.
     Own,
-    /// Unlimited.
+    /// Unlimited: every robot uses every message.
     Everyone,
-    /// A radius drawn for every message from a normal distribution.
+    /// Radius that is drawn for every message from a normal distribution.
     Within {
         /// Mean \[m\].
         mean_m: f32,
@@ -52,7 +52,7 @@ impl Range {
     }
 }
 
-/// Name of the column that all others are compared with.
+/// Name of the column with the conditions of training, with which all others are compared.
 pub const BASELINE: &str = "sim";
 
 /// Columns of the paper's Table I, in its order.
@@ -66,7 +66,7 @@ pub const MODES: [&str; 7] = [
     "onboard-adhoc-noise",
 ];
 
-/// R_COM ~ N(2, 0.5) m (paper, section V).
+/// Range of the column `onboard-adhoc-noise`: R_COM ~ N(2, 0.5) m (paper, section V).
 const NOISY: Range = Range::Within { mean_m: 2.0, std_m: 0.5 };
 
 /// Delays of the study `delay` \[s\].

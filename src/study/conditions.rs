@@ -1,6 +1,6 @@
 //! World and radio that all deployed columns share.
 //!
-//! No other file of a study sets physics or links. The differences between columns are in `columns`.
+//! No other module of a study sets physics or links. `columns` has the differences between columns.
 
 use std::sync::Arc;
 
@@ -31,7 +31,7 @@ impl Deployed {
     }
 }
 
-/// Model of the links in one column of a study's table, which stands for a mode and its conditions.
+/// Model of the links in a column.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkModel {
@@ -46,7 +46,7 @@ pub enum LinkModel {
     },
 }
 
-/// Returns a trial of one episode of a policy in any column but `sim`.
+/// Returns a trial of one episode of a policy, for any column except `sim`.
 pub fn deployed(
     mut deployment: Deployment,
     medium: LinkModel,
@@ -69,8 +69,8 @@ pub fn deployed(
     trial
 }
 
-/// Returns a trial in the conditions of training: lock step, exact placement, perfect messages, and the training world
-/// with its own limit of acceleration. Panics unless the deployment is in lock step with exact placement.
+/// Returns a trial of one episode under the conditions of training: lock step, exact placement, perfect messages, and
+/// the training world with its limit of acceleration. Panics unless the deployment has lock step and exact placement.
 pub fn training(deployment: Deployment, scenario: Arc<dyn Scenario>, tested: &PolicyUnderTest) -> Trial {
     assert_eq!((deployment.stepping, deployment.placement), (Stepping::Lockstep, Placement::Exact));
     let mut trial = Trial::new(deployment, scenario, tested.model.clone()).clamp(Clamp::Training);

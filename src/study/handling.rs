@@ -1,19 +1,20 @@
-//! Handling of a deployed policy: lifetime of messages, choice of actions, limit of commands. Two presets, by name.
+//! Handling of a deployed policy: how long messages are used, choice of actions, limit of commands. There are two
+//! presets.
 
 use crate::hearing::Handling;
 use crate::policy::Draw;
 use crate::world::Clamp;
 
-/// A handling of policies.
+/// Handling of a deployed policy.
 #[derive(Debug, PartialEq)]
 pub struct Preset {
-    /// Name on the command line.
+    /// Name of the preset on the command line.
     pub name: &'static str,
-    /// Description in one sentence, for reports and the help.
+    /// Description in one sentence, for reports and help texts.
     pub about: &'static str,
-    /// Lifetime of neighbours' messages.
+    /// Whether a neighbour's message is used for the whole hold time or in one control step.
     pub messages: Handling,
-    /// Mean or sampled actions.
+    /// Whether actions are the mean or samples of their distribution.
     pub draw: Draw,
     /// Limit of commands in the deployed columns.
     pub clamp: Clamp,
@@ -40,7 +41,7 @@ pub const PRESETS: [Preset; 2] = [
     },
 ];
 
-/// Returns the preset of that name; `None` if there is none.
+/// Returns the preset with this name; `None` if there is none.
 pub fn preset(name: &str) -> Option<&'static Preset> {
     PRESETS.iter().find(|preset| preset.name == name)
 }

@@ -1,7 +1,7 @@
 //! Studies: repeated trials of the same policies on the same layouts, in several columns of conditions.
 //!
 //! Pure: a study lists its trials, builds each of them and aggregates the results. The program runs the trials on
-//! threads and keeps their files. [`docs/study.md`] walks through it.
+//! several threads and stores their files. [`docs/study.md`] is a guide.
 //!
 //! [`docs/study.md`]: https://github.com/murmurate/murmurate/blob/main/docs/study.md
 
@@ -38,7 +38,7 @@ pub struct PolicyUnderTest {
     pub model: Model,
     /// Digest of the policy's file; empty for scripted navigation.
     pub digest: String,
-    /// Its handling.
+    /// Handling of the policy.
     pub handling: &'static Preset,
 }
 
@@ -49,28 +49,30 @@ impl PolicyUnderTest {
     }
 }
 
-/// A study.
+/// Study in columns: its policies, columns of conditions, layouts and repeats.
 #[derive(Clone)]
 pub struct Study {
-    /// Name: `modes`, `delay` or `range`.
+    /// Name of the study: `modes`, `delay` or `range`.
     pub name: &'static str,
     /// Columns of conditions.
     pub columns: Vec<Column>,
     /// Policies to compare.
     pub policies: Vec<PolicyUnderTest>,
-    /// Task of the team.
+    /// Scenario of all trials.
     pub scenario: Arc<dyn Scenario>,
     /// Width of the scenario's bottleneck \[m\]; `None` for the scenario's default.
     pub gap_m: Option<f32>,
-    /// Starts and goals of every trial's episodes.
+    /// Starts and goals of the episodes of every trial.
     pub layouts: Layouts,
-    /// Trials of every policy in every column.
+    /// Number of trials of every policy in every column.
     pub repeats: u32,
-    /// Root of all randomness. Trials of one repeat have the same random numbers in all columns and for all policies.
+    /// Seed of all random numbers. Trials of the same repeat have the same random numbers in all columns and for all
+    /// policies.
     pub seed: u64,
     /// Command that reproduces this study.
     pub command: String,
-    /// Identifier of programs that compute the same numbers; `origin::BUILD` for this crate's own program.
+    /// Identity of the program: programs with equal ones compute the same numbers. `origin::BUILD` for this crate's
+    /// program.
     pub build: String,
 }
 
@@ -85,41 +87,41 @@ pub struct Job {
     pub repeat: u32,
 }
 
-/// Properties that decide all results of a study. Results kept under one identity are not valid under another.
+/// Properties that determine all results of a study. Stored results are only valid under the same identity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Identity {
     /// Name of the study.
     pub study: String,
-    /// The program's version.
+    /// Version of the program.
     pub version: String,
     /// Digest of the program's sources.
     pub build: String,
     /// Scenario, team size and bottleneck width, as text.
     pub scenario: String,
-    /// Number of layouts (starts and goals of an episode), and a digest of them.
+    /// Number of layouts (starts and goals of an episode), and their digest.
     pub layouts: String,
-    /// Trials of every policy in every column.
+    /// Number of trials of every policy in every column.
     pub repeats: u32,
-    /// Root of all randomness.
+    /// Seed of all random numbers.
     pub seed: u64,
     /// Columns of conditions.
     pub columns: Vec<Column>,
     /// World and radio of the deployed columns.
     pub conditions: conditions::Deployed,
-    /// Policies with the digests of their files, and their handlings.
+    /// Names of the policies under test, with handlings and the digests of their files.
     #[serde(rename = "entrants")]
     pub policies: Vec<String>,
     /// Command that reproduces this study.
     pub command: String,
 }
 
-/// Fields that `difference` compares, the most informative first. The command is not one of them.
+/// Fields that `difference` compares, the most informative first. The command is not compared.
 const FIELDS: [&str; 10] =
     ["study", "scenario", "seed", "repeats", "entrants", "columns", "conditions", "layouts", "version", "build"];
 
 impl Identity {
-    /// Returns the first field in which two identities differ, as its name, the value here and the value in `other`;
+    /// Returns the first field in which two identities differ: its name, its value in `self` and its value in `other`;
     /// `None` if they are equal.
     pub fn difference(&self, other: &Identity) -> Option<(String, String, String)> {
         let fields = |identity: &Identity| match serde_json::to_value(identity) {
@@ -143,7 +145,7 @@ impl Identity {
 }
 
 impl Study {
-    /// Returns all trials, by column, policy and repeat.
+    /// Returns all trials, ordered by column, policy and repeat.
     pub fn jobs(&self) -> Vec<Job> {
         let policies = self.policies.len();
         let of = |column| (0..policies).flat_map(move |policy| (0..self.repeats).map(move |r| (column, policy, r)));
@@ -151,7 +153,7 @@ impl Study {
         all.map(|(column, policy, repeat)| Job { column, policy, repeat }).collect()
     }
 
-    /// Builds the trial that `job` names.
+    /// Builds the trial of a job.
     pub fn trial(&self, job: Job) -> Trial {
         let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
         let mut trial = column.trial(Arc::clone(&self.scenario), tested);
@@ -159,13 +161,13 @@ impl Study {
         trial.keeping_steps()
     }
 
-    /// Checks the configuration of every trial before the first one runs; an error names the field.
+    /// Checks the configuration of every trial. An error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let first = self.jobs().into_iter().filter(|job| job.repeat == 0);
         first.map(|job| self.trial(job)).try_for_each(|trial| trial.check())
     }
 
-    /// Returns the identity.
+    /// Returns the identity of the study.
     pub fn identity(&self) -> Identity {
         let tested = |tested: &PolicyUnderTest| {
             let digest = if tested.digest.is_empty() { String::new() } else { format!(" [{}]", tested.digest) };
@@ -186,8 +188,8 @@ impl Study {
         }
     }
 
-    /// Returns the origin of the record of one trial. It does not depend on other columns, other policies or the number
-    /// of repeats.
+    /// Returns the origin of the record of one trial. It is independent of the other columns and policies, and of the
+    /// number of repeats.
     pub fn origin(&self, job: Job) -> Origin {
         let (column, tested) = (&self.columns[job.column], &self.policies[job.policy]);
         let conditions = (
@@ -201,12 +203,12 @@ impl Study {
         Origin { build: self.build.clone(), ..Origin::here(self.name, self.seed, &tested.digest, &conditions) }
     }
 
-    /// Returns the number of layouts, and their digest.
+    /// Returns the number of layouts, and their digest, as text.
     fn layouts_text(&self) -> String {
         format!("{} [{}]", self.layouts.len(), self.layouts_digest())
     }
 
-    /// Returns the scenario's name and the team size as text, with the width of the bottleneck unless that is the
+    /// Returns the scenario's name and the number of robots as text, with the width of the bottleneck if it is not the
     /// default.
     pub fn scenario_text(&self) -> String {
         let gap = self.gap_m.map_or(String::new(), |gap_m| format!(", gap {gap_m} m"));

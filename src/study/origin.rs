@@ -1,33 +1,33 @@
-//! Origin: the study, program, seed, policy and conditions that a record was computed for. Every record contains its
-//! origin, so that records of several folders can be combined and a record of other conditions is ignored.
+//! Origin of a record: the study, program, seed, policy and conditions that it was computed for. Every record contains
+//! its origin. So records of several folders can be combined, and records of other conditions are ignored.
 
 use serde::{Deserialize, Serialize};
 
 /// Digest of the sources that the program was built from (`build.rs`).
 pub const BUILD: &str = env!("SOURCE_DIGEST");
-/// The program's version.
+/// Version of the program.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// Properties that decide the numbers of one trial's record. Two records of one repeat with equal origins are equal.
+/// Properties that determine the numbers in a trial's record. Records of the same repeat with equal origins are equal.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Origin {
     /// Name of the study.
     pub study: String,
-    /// The program's version.
+    /// Version of the program.
     pub version: String,
     /// Digest of the program's sources.
     pub build: String,
-    /// Root of all randomness.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Digest of the policy's file; empty for scripted navigation, and where no policy runs.
+    /// Digest of the policy's file; empty for scripted navigation, and if no policy runs.
     pub policy: String,
-    /// Digest of scenario, layouts, column, world and handling.
+    /// Digest of all other conditions, such as scenario, layouts, column, world and handling.
     pub conditions: String,
 }
 
 impl Origin {
-    /// Returns the origin of a record that this program computes.
+    /// Returns the origin of a record that this program computes now.
     pub fn here(study: &str, seed: u64, policy: &str, conditions: &impl Serialize) -> Origin {
         let conditions = serde_json::to_vec(conditions).expect("conditions are plain data");
         Origin {

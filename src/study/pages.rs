@@ -1,4 +1,4 @@
-//! Report of a study: its figures and its page.
+//! Report of a study in columns: figures and HTML page.
 
 use super::columns::{BASELINE, Column};
 use super::conditions::Deployed;
@@ -10,7 +10,7 @@ use crate::report::figures::{
 };
 use crate::report::page::{self, Part};
 
-/// Returns all figures of a study: over all policies, then of each policy.
+/// Returns all figures of a study: first those of all policies, then those of each policy.
 pub fn figures(study: &Study, results: &Results) -> Result<Vec<Figure>, FigureError> {
     let mut all = vec![overview(study, results)?];
     if study.name != "modes" {
@@ -50,7 +50,7 @@ fn names(study: &Study) -> Vec<String> {
     study.policies.iter().map(super::PolicyUnderTest::name).collect()
 }
 
-/// Returns, by column, the cell of each policy.
+/// Returns, for each column, the results of each policy.
 fn by_column<'a>(study: &Study, results: &'a Results) -> Vec<Vec<Option<&'a Cell>>> {
     let of = |column: &str, policy: usize| {
         let tested = &study.policies[policy];
@@ -85,7 +85,7 @@ fn makespan_of(cell: &Cell) -> Option<Point> {
     Some(Point { value: cell.row.outcomes.makespan_median_s?, within: cell.row.outcomes.makespan_quartiles_s? })
 }
 
-/// Draws success over delay: one panel per policy, one line per loss.
+/// Draws success against delay: one panel per policy, one line per loss.
 fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> {
     let mut delays: Vec<f64> = Vec::new();
     let mut losses: Vec<f64> = Vec::new();
@@ -116,7 +116,7 @@ fn delay_sweep(study: &Study, results: &Results) -> Result<String, FigureError> 
     figures::sweep(title, "delay [ms]", &places, &panels.collect::<Vec<_>>())
 }
 
-/// Draws success and makespan over the communication range, one line per policy.
+/// Draws success and makespan against the communication range, one line per policy.
 fn range_sweep(study: &Study, results: &Results) -> Result<String, FigureError> {
     let cells = by_column(study, results);
     let line = |point: &dyn Fn(&Cell) -> Option<Point>, policy: usize| Line {

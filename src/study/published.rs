@@ -8,7 +8,7 @@
 /// Published results of a column of Table I.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Published {
-    /// Name of the column in this study.
+    /// Name of the column in the study `modes`.
     pub column: &'static str,
     /// Success rate, 0 to 1.
     pub success: Option<f64>,
@@ -34,7 +34,7 @@ pub const TABLE_I: [Published; 7] = [
 /// Largest drop of success against simulation, from the paper's text \[percentage points\].
 pub const LARGEST_DROP_POINTS: f64 = 36.4;
 
-/// Returns the published results of a column; unknown ones for a name outside the table.
+/// Returns the published results of a column; without values if the column is not in the table.
 pub fn of(column: &str) -> Published {
     TABLE_I.into_iter().find(|entry| entry.column == column).unwrap_or(Published {
         column: "-",

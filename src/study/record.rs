@@ -1,4 +1,4 @@
-//! Record of one trial of a study: its episodes, and histograms of its steps.
+//! Record of one trial of a study: results of its episodes, and histograms over its steps.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,23 +12,24 @@ use crate::report::listening::Listening;
 use crate::report::trial::{Step, TrialReport};
 use crate::scenario::Arena;
 
-/// Bin width of the position histogram \[m\]; wider if an axis would have more than `MOST_BINS` bins.
+/// Bin width of the position histogram \[m\], and largest number of bins of an axis. Bins are wider if there would be
+/// more.
 const CELL_M: f32 = 0.1;
 const MOST_BINS: usize = 80;
-/// Largest distance between robots in the histogram; larger ones count as this one \[m\].
+/// Largest distance between robots in the histogram \[m\]; larger ones count as this one.
 const FAR_M: f32 = 2.0;
 
 /// Record of a trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Record {
-    /// Its origin.
+    /// Origin of the record.
     pub origin: Origin,
-    /// Name of the column.
+    /// Name of the trial's column.
     pub column: String,
-    /// Name of the policy.
+    /// Name of the trial's policy.
     pub policy: String,
-    /// Name of the handling.
+    /// Name of the policy's handling.
     pub handling: String,
     /// Index of the repeat.
     pub repeat: u32,
@@ -46,7 +47,7 @@ pub struct Record {
 pub struct Traces {
     /// Position x and y \[m\], world frame.
     pub position: Grid,
-    /// Distance of a robot from the origin, d_origin, and to the nearest other robot, d_min \[m\].
+    /// Distance of a robot from the origin (d_origin), and to the nearest other robot (d_min) \[m\].
     pub separation: Grid,
 }
 
@@ -76,7 +77,7 @@ impl Traces {
         }
     }
 
-    /// Adds the counts of another trial.
+    /// Adds the counts of another record's histograms.
     pub fn merge(&mut self, other: &Traces) {
         self.position.merge(&other.position);
         self.separation.merge(&other.separation);
@@ -101,7 +102,7 @@ impl Record {
         }
     }
 
-    /// Whether this is a complete record of the trial `job` of the study.
+    /// Whether this is the complete record of the trial `job` of the study.
     pub fn belongs_to(&self, study: &Study, job: Job) -> bool {
         let tested = &study.policies[job.policy];
         let traces = Traces::new(study.scenario.arena());

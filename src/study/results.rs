@@ -1,4 +1,4 @@
-//! Results of a study, aggregated from the records of its trials: one row per column and policy.
+//! Results of a study in columns, aggregated from the records of its trials: one row per column and policy.
 
 use serde::Serialize;
 
@@ -10,45 +10,44 @@ use crate::report::listening::Listening;
 use crate::report::outcomes::Outcomes;
 use crate::time::Span;
 
-/// Results of one column and policy, as `--json` prints them. Fields are only ever added.
+/// Results of one policy in one column, as `--json` prints them. Later versions may add fields and remove none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
     /// Name of the column.
     pub name: String,
     /// Name of the policy.
     pub policy: String,
-    /// Name of the handling.
+    /// Name of the policy's handling.
     pub handling: String,
-    /// Success, makespan and failures over all its episodes.
+    /// Success, makespan and failures over all episodes.
     #[serde(flatten)]
     pub outcomes: Outcomes,
-    /// Success rate that the paper reports for the column, if known.
+    /// Success rate in the paper's Table I, 0 to 1; null for a column that is not in it.
     pub paper_success_rate: Option<f64>,
-    /// Median makespan that the paper reports for the column, if known \[s\].
+    /// Median makespan in the paper's Table I \[s\]; null for a column that is not in it.
     pub paper_makespan_median_s: Option<f64>,
-    /// Fixed delay of messages between robots \[ms\]; null with the shared radio.
+    /// Fixed delay of messages between robots \[ms\]; null if the column uses the radio.
     pub delay_ms: Option<f64>,
-    /// Loss probability of messages between robots; null with the shared radio.
+    /// Loss probability of messages between robots, 0 to 1; null if the column uses the radio.
     pub loss: Option<f64>,
-    /// Communication range \[m\]; null if it is the policy's own, or unlimited.
+    /// Mean communication range \[m\]; null if it is that of the policy, or unlimited.
     pub range_m: Option<f32>,
-    /// Share of messages between robots that arrived; null where none crosses a link.
+    /// Share of messages between robots that arrived; null if none crosses a link.
     pub delivered: Option<f64>,
-    /// Share of arrivals within 20 ms of publication.
+    /// Share of the arrived messages that arrived within 20 ms of publication.
     pub within_20ms: Option<f64>,
-    /// Share of arrivals within 50 ms of publication.
+    /// Share of the arrived messages that arrived within 50 ms of publication.
     pub within_50ms: Option<f64>,
     /// Mean number of neighbours with a usable message at a control step.
     pub neighbours: Option<f64>,
-    /// Median age of neighbours' messages at control steps, since publication \[ms\], from the histogram; null where
-    /// none crosses a link.
+    /// Median age of neighbours' messages at control steps, since publication \[ms\]; null if none crosses a link.
     pub age_p50_ms: Option<f64>,
 }
 
-/// Results of one column and policy, with the data for its figures.
+/// Results of one policy in one column, with the data of its figures.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    /// Row of the table.
+    /// Row of the results table.
     pub row: Row,
     /// Makespans of the successful episodes \[s\], by repeat and episode.
     pub makespans_s: Vec<f64>,
@@ -58,10 +57,10 @@ pub struct Cell {
     pub traces: Traces,
 }
 
-/// Results of a study.
+/// Results of a study in columns.
 #[derive(Clone, Debug)]
 pub struct Results {
-    /// Results by column and then by policy. A pair without any result yet is left out.
+    /// Results, ordered by column and then by policy. Pairs without a result are left out.
     pub cells: Vec<Cell>,
 }
 
@@ -69,7 +68,7 @@ impl Results {
     /// Aggregates the records of trials.
     ///
     /// # Panics
-    /// Unless `records` are in the order of their trials, which fixes the order of float sums.
+    /// If `records` are not in the order of their trials, which determines the order of float sums.
     pub fn of(study: &Study, records: &[(Job, Record)]) -> Results {
         assert!(records.is_sorted_by_key(|(job, _)| *job), "records must be in the order of trials");
         let pairs = (0..study.columns.len()).flat_map(|column| (0..study.policies.len()).map(move |e| (column, e)));
@@ -81,20 +80,20 @@ impl Results {
         Results { cells: pairs.filter_map(cell).collect() }
     }
 
-    /// Returns the cells of one policy, by column.
+    /// Returns the results of one policy, by column.
     pub fn of_policy<'a>(&'a self, study: &'a Study, policy: usize) -> Vec<&'a Cell> {
         let tested = &study.policies[policy];
         let is = |row: &Row| row.policy == tested.policy && row.handling == tested.handling.name;
         self.cells.iter().filter(|cell| is(&cell.row)).collect()
     }
 
-    /// Returns the rows.
+    /// Returns all rows.
     pub fn rows(&self) -> impl Iterator<Item = &Row> {
         self.cells.iter().map(|cell| &cell.row)
     }
 
-    /// Returns the largest drop of success against the baseline, over the columns of a policy \[percentage points\];
-    /// `None` if the baseline has no result.
+    /// Returns the largest drop of a policy's success rate below that of the column [`BASELINE`] \[percentage points\];
+    /// `None` without a result in that column.
     pub fn largest_drop_points(cells: &[&Cell]) -> Option<f64> {
         let baseline = cells.iter().find(|cell| cell.row.name == BASELINE)?.row.outcomes.success_rate;
         cells.iter().map(|cell| 100.0 * (baseline - cell.row.outcomes.success_rate)).reduce(f64::max)

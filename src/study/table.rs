@@ -1,15 +1,15 @@
-//! Table of a study: one row per column and policy, with the paper's results.
+//! Results table of a study: one row per column and policy, with the paper's results.
 
 use std::fmt::Write as _;
 
 use super::results::{Results, Row};
 use super::{Study, published};
 
-/// Column heads.
+/// Heads of the table's columns.
 const HEADS: [&str; 9] =
     ["column", "success", "95 %", "paper", "makespan", "quartiles", "paper", "failures", "within 50 ms"];
 
-/// Formats a row, by column of the table.
+/// Returns the cells of a row.
 fn cells(row: &Row) -> [String; 9] {
     let percent = |share: f64| format!("{:.1} %", 100.0 * share);
     let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
@@ -26,12 +26,12 @@ fn cells(row: &Row) -> [String; 9] {
     ]
 }
 
-/// Table columns with the paper's results.
+/// Indices of the table's columns with the paper's results.
 const PAPER: [usize; 2] = [3, 6];
-/// Table columns that hold text.
+/// Heads of the table's columns with text instead of numbers.
 const WORDS: [&str; 2] = ["column", "failures"];
 
-/// Returns heads and rows of one policy's table. Only the study `modes` has the paper's results.
+/// Returns heads and rows of one policy's table. The paper's results are only shown in the study `modes`.
 pub fn of_policy(study: &Study, results: &Results, policy: usize) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let compared = study.name == "modes";
     let shown = |at: &usize| compared || !PAPER.contains(at);
@@ -43,7 +43,7 @@ pub fn of_policy(study: &Study, results: &Results, policy: usize) -> (Vec<&'stat
     (heads, results.of_policy(study, policy).into_iter().map(|cell| row(&cell.row)).collect())
 }
 
-/// Formats the tables of all policies for a terminal.
+/// Formats the tables of all policies for the terminal.
 pub fn text(study: &Study, results: &Results) -> String {
     let mut text = format!(
         "study {}: {}, {} layouts x {} repeats, seed {}\n",
@@ -63,7 +63,7 @@ pub fn text(study: &Study, results: &Results) -> String {
         for row in [&heads].into_iter().chain(&rows) {
             let mut line = String::from(" ");
             for (column, (cell, width)) in row.iter().zip(&widths).enumerate() {
-                // Text is aligned left, numbers right.
+                // Text is aligned left, numbers are aligned right.
                 let left = WORDS.contains(&heads[column].as_str());
                 let _ = if left { write!(line, " {cell:<width$} ") } else { write!(line, " {cell:>width$} ") };
             }

@@ -106,7 +106,7 @@ impl TeamFile {
     /// variables, which override fields of the file; `flags` override both.
     ///
     /// # Errors
-    /// Wrong field: its name and the origin of its value (file, environment variable or flag).
+    /// If a field is wrong. The error names the field and the origin of its value: file, environment variable or flag.
     pub fn read(
         registry: &Registry,
         text: &str,

@@ -54,7 +54,7 @@ struct ProbeFacts {
 /// Runs `policy check`: prints a description of a policy file.
 ///
 /// # Errors
-/// The file cannot be read, or this program cannot run it.
+/// If the file cannot be read or this program cannot run it.
 pub fn run(args: &Args, registry: &Registry) -> Result<Ended> {
     let name = args.policy.display().to_string();
     let refuse = |why: String| BadInput(format!("the policy file '{name}': {why}"));

@@ -1,4 +1,4 @@
-//! Differences of two series of actions over time, one line for each robot.
+//! Figure of the difference of two policies' actions over time, one line per robot.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -7,7 +7,7 @@ use super::{FigureError, TEXT, colour, style, svg};
 
 const HEIGHT: u32 = 560;
 
-/// Draws, for each robot, the size of the difference of two actions \[m/s\] over time \[s\]; returns the SVG.
+/// Draws for each robot the norm of the difference of two actions \[m/s\] over time \[s\]. Returns the SVG.
 pub fn actions(title: &str, robots: &[(u16, Vec<(f64, f64)>)]) -> Result<String, FigureError> {
     let points = || robots.iter().flat_map(|(_, points)| points);
     let last_s = points().map(|(at_s, _)| *at_s).fold(1.0, f64::max);

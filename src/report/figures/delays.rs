@@ -1,4 +1,5 @@
-//! Delays of messages as cumulative shares: from publication to arrival, and to the control steps that had them.
+//! Figure of message delays as cumulative shares: from publication to arrival, and from publication to the control
+//! steps that used the message.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -11,19 +12,19 @@ use crate::report::listening::Listening;
 pub struct Heard<'a> {
     /// Name of the column.
     pub name: &'a str,
-    /// Deliveries and delays of its messages.
+    /// Deliveries and delays of messages in the column.
     pub listening: &'a Listening,
 }
 
 const HEIGHT: u32 = 560;
-/// Height of the title \[pixels\].
+/// Height of the figure's title \[pixels\].
 const HEAD: i32 = 52;
 /// Delays at which the paper's network study reports shares \[s\].
 const MARKS_S: [f64; 2] = [0.02, 0.05];
-/// Ends of the delay axis \[s\].
+/// Lower and upper end of the delay axis \[s\].
 const ENDS_S: (f64, f64) = (1e-4, 1.0);
 
-/// Draws deliveries and delays of every column in which messages cross a link; returns the SVG.
+/// Draws deliveries and delays of every column in which messages cross a link. Returns the SVG.
 pub fn delays(title: &str, columns: &[Heard]) -> Result<String, FigureError> {
     let crossing: Vec<(usize, &Heard)> =
         columns.iter().enumerate().filter(|(_, column)| column.listening.due > 0).collect();
@@ -79,7 +80,7 @@ fn panel(
     for (at, column) in columns {
         let points = line(column.listening).into_iter().filter(|(edge, _)| *edge <= ENDS_S.1);
         let points: Vec<(f64, f64)> = points.map(|(edge, share)| (1000.0 * edge, share)).collect();
-        // Lines may coincide: later ones are thinner, so that earlier ones remain visible.
+        // Lines may coincide, so later ones are thinner.
         let width = 7 - (*at as u32).min(5);
         chart.draw_series([PathElement::new(points, colour(*at).stroke_width(width))])?;
     }

@@ -1,4 +1,4 @@
-//! Densities of makespans, one row per column, with dashed medians of the row and of the baseline.
+//! Figure of the densities of makespans: one row per column, with dashed medians of the row and of the baseline.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -11,19 +11,19 @@ use crate::report::statistics::quantile;
 pub struct Makespans {
     /// Name of the column.
     pub name: String,
-    /// Makespans of the successes \[s\].
+    /// Makespans of the successful episodes \[s\].
     pub values_s: Vec<f64>,
-    /// Number of episodes.
+    /// Number of episodes, successful or not.
     pub episodes: usize,
 }
 
 /// Height of a row, and of the space above and below all rows \[pixels\].
 const ROW: u32 = 92;
 const FRAME: u32 = 90;
-/// Points of a density.
+/// Number of points of a density curve.
 const POINTS: usize = 240;
 
-/// Density of the values at `x`: a Gaussian kernel with Silverman's bandwidth (Density Estimation, 1986, eq. 3.31).
+/// Density of the values at `x`, estimated with a Gaussian kernel (Silverman, Density Estimation, 1986, eq. 3.31).
 fn density(values: &[f64], bandwidth: f64, x: f64) -> f64 {
     let kernel = |value: &f64| (-0.5 * ((x - value) / bandwidth).powi(2)).exp();
     let sum: f64 = values.iter().map(kernel).sum();
@@ -36,11 +36,11 @@ fn bandwidth(values: &[f64]) -> f64 {
     let deviation = (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / n).sqrt();
     let quartiles = quantile(values, 0.75).zip(quantile(values, 0.25)).map_or(0.0, |(high, low)| (high - low) / 1.34);
     let spread = if quartiles > 0.0 { deviation.min(quartiles) } else { deviation };
-    // At least one step of the World, of which makespans are multiples.
+    // At least one World step, since makespans are multiples of it.
     (0.9 * spread * n.powf(-0.2)).max(0.05)
 }
 
-/// Draws the densities of the makespans; returns the SVG. The median of the row `baseline` is shown in all rows.
+/// Draws the densities of makespans. The median of the row named `baseline` is shown in all rows. Returns the SVG.
 pub fn makespans(title: &str, rows: &[Makespans], baseline: &str) -> Result<String, FigureError> {
     let height = FRAME + 40 + ROW * rows.len() as u32;
     let last = rows.iter().flat_map(|row| &row.values_s).copied().fold(10.0, f64::max) * 1.08;

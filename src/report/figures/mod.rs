@@ -1,5 +1,5 @@
-//! Figures as SVG: axes with units, readable at half their size, in colours that colour-blind readers can distinguish.
-//! Callers pass plain data; nothing here depends on a study.
+//! Figures as SVG. They have axes with units, are readable at half their size, and use colours that colour-blind
+//! readers can distinguish. Callers pass plain data.
 
 mod actions;
 mod delays;
@@ -27,11 +27,11 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 pub struct Figure {
     /// File name without extension.
     pub name: String,
-    /// Title.
+    /// Title of the figure.
     pub title: String,
     /// Caption that explains how to read the figure.
     pub caption: String,
-    /// The drawing.
+    /// Drawing as SVG.
     pub svg: String,
 }
 
@@ -46,7 +46,8 @@ impl<E: std::error::Error + Send + Sync> From<DrawingAreaErrorKind<E>> for Figur
     }
 }
 
-/// Colours for colour-blind readers, too (Okabe and Ito): blue, vermilion, green, orange, purple, sky, black.
+/// Colours that colour-blind readers can distinguish (Okabe and Ito): blue, vermilion, green, orange, purple, sky blue,
+/// black.
 const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -56,9 +57,9 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(86, 180, 233),
     RGBColor(0, 0, 0),
 ];
-/// Colour of less important elements: rules and limits.
+/// Colour of less important elements, such as rules and limits.
 const GREY: RGBColor = RGBColor(110, 110, 110);
-/// Width of every figure, and height of its text \[pixels\]: still readable at half the size.
+/// Width of every figure, and size of its text \[pixels\].
 const WIDTH: u32 = 1200;
 const TEXT: u32 = 21;
 /// Number of panels per row.
@@ -67,7 +68,7 @@ const PANELS: usize = 4;
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 type Drawn = Result<(), FigureError>;
 
-/// Draws on a white background of this height \[pixels\], which is readable on light and dark pages.
+/// Draws a figure of this height \[pixels\] on a white background, for light and dark pages. Returns the SVG.
 fn svg(height: u32, draw: impl FnOnce(&Area) -> Drawn) -> Result<String, FigureError> {
     let mut text = String::new();
     {
@@ -76,7 +77,7 @@ fn svg(height: u32, draw: impl FnOnce(&Area) -> Drawn) -> Result<String, FigureE
         draw(&area)?;
         area.present()?;
     }
-    // It scales with the page that contains it.
+    // The figure scales with the page that contains it.
     Ok(text.replacen("<svg width=", &format!("<svg style=\"max-width:{WIDTH}px;height:auto\" width="), 1))
 }
 
@@ -95,7 +96,7 @@ fn dashes(from: (f64, f64), to: (f64, f64), pieces: usize) -> impl Iterator<Item
     (0..pieces).map(move |piece| vec![at(step * piece as f64), at(step * (piece as f64 + 0.55))])
 }
 
-/// Draws a mark whose shape goes with its colour, so that marks differ in more than colour.
+/// Draws a mark. Its shape also depends on `at`, so that marks differ in more than their colour.
 fn mark(area: &Area, (x, y): (i32, i32), at: usize, colour: RGBColor) -> Drawn {
     let filled = colour.filled();
     match at % 4 {
@@ -107,7 +108,8 @@ fn mark(area: &Area, (x, y): (i32, i32), at: usize, colour: RGBColor) -> Drawn {
     Ok(())
 }
 
-/// Returns the areas of `count` panels, `PANELS` per row, each `height` pixels high, below a head of `head` pixels.
+/// Returns the areas of `count` panels, [`PANELS`] per row. Each is `height` pixels high; the first row begins `head`
+/// pixels below the top.
 fn panels<'a>(area: &Area<'a>, count: usize, (head, height): (u32, u32)) -> Vec<Area<'a>> {
     let width = WIDTH / PANELS as u32;
     let panel = |at: usize| {

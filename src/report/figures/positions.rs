@@ -1,4 +1,4 @@
-//! Density of robots' positions over the ground, one panel per column, with the obstacles.
+//! Figure of the density of robots' positions on the ground, with the obstacles: one panel per column.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -7,7 +7,7 @@ use super::{Area, Drawn, FigureError, GREY, PANELS, TEXT, WIDTH, panels, rows, s
 use crate::report::grid::Grid;
 use crate::scenario::Arena;
 
-/// Positions of one column.
+/// Robots' positions in one column.
 #[derive(Clone, Debug)]
 pub struct Positions<'a> {
     /// Name of the column.
@@ -16,13 +16,13 @@ pub struct Positions<'a> {
     pub grid: &'a Grid,
 }
 
-/// Height of the title, and a panel's margins above, below and beside its ground \[pixels\].
+/// Height of the figure's title, and margins of a panel above, below and beside its ground \[pixels\].
 const HEAD: u32 = 52;
 const ABOVE: u32 = 40;
 const BELOW: u32 = 62;
 const BESIDE: u32 = 70;
 
-/// Returns the colour of a share, from white over blue to nearly black: one hue, so that only lightness varies.
+/// Returns the colour for a share of the scale, 0 to 1: white, blue, nearly black.
 fn shade(share: f64) -> RGBColor {
     let stops = [(255.0, 255.0, 255.0), (150.0, 200.0, 230.0), (0.0, 114.0, 178.0), (0.0, 25.0, 60.0)];
     let at = share.clamp(0.0, 1.0) * (stops.len() - 1) as f64;
@@ -32,13 +32,13 @@ fn shade(share: f64) -> RGBColor {
     RGBColor(mix(from.0, to.0), mix(from.1, to.1), mix(from.2, to.2))
 }
 
-/// Returns the share of all robots' time that was spent in a bin, per square metre [1/m^2].
+/// Returns the share of all robots' time that was spent in a bin, per area \[1/m²\].
 fn per_area(grid: &Grid, x: usize, y: usize) -> f64 {
     let area = f64::from(grid.x.width() * grid.y.width());
     grid.count(x, y) as f64 / (grid.total().max(1) as f64 * area)
 }
 
-/// Draws the density of robots' positions in each column, all on one colour scale; returns the SVG.
+/// Draws the density of robots' positions in each column, all on one colour scale. Returns the SVG.
 pub fn positions(title: &str, columns: &[Positions], arena: &Arena) -> Result<String, FigureError> {
     let ratio = f64::from(arena.half_extent.y / arena.half_extent.x);
     let ground = WIDTH / PANELS as u32 - BESIDE - 20;
@@ -46,7 +46,7 @@ pub fn positions(title: &str, columns: &[Positions], arena: &Arena) -> Result<St
     let count = columns.len() + 1;
     let mut all: Vec<f64> = columns.iter().flat_map(|column| densities(column.grid)).collect();
     all.sort_by(f64::total_cmp);
-    // The scale ends below the few densest bins: one in which all robots wait would make the others pale.
+    // The scale ends below the densest bins; otherwise one in which all robots wait would make the others pale.
     let most = all.get((all.len() * 995 / 1000).min(all.len().saturating_sub(1))).copied().unwrap_or(1.0).max(1e-9);
     let panel = ABOVE + high + BELOW;
     svg(HEAD + panel * rows(count), |area| {

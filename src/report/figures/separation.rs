@@ -1,4 +1,4 @@
-//! Distance of robots to each other over their distance from the origin, one panel per column.
+//! Figure of robots' distances to each other against their distance from the origin: one panel per column.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
@@ -6,14 +6,14 @@ use plotters::style::text_anchor::{HPos, VPos};
 use super::{Area, COLOURS, Drawn, FigureError, TEXT, dashes, panels, rows, style, svg};
 use crate::report::grid::Grid;
 
-/// Heights of the title and of a panel \[pixels\].
+/// Heights of the figure's title and of a panel \[pixels\].
 const HEAD: u32 = 52;
 const PANEL: u32 = 330;
-/// Smallest number of counts in a bin that is drawn.
+/// Smallest count with which a bin is drawn.
 const LEAST: u64 = 40;
 
-/// Draws the least distance to another robot over the distance from the origin, for each named column; returns the SVG.
-/// Two robots closer than `limit_m` \[m\] have collided.
+/// Draws the distance to the nearest other robot against the distance from the origin, for each named column. Two
+/// robots closer than `limit_m` \[m\] have collided. Returns the SVG.
 pub fn separation(title: &str, columns: &[(&str, &Grid)], limit_m: f32) -> Result<String, FigureError> {
     let count = columns.len() + 1;
     svg(HEAD + PANEL * rows(count), |area| {

@@ -1,27 +1,27 @@
-//! Success by column: one row per column, one mark with its interval per entrant, and the paper's figures.
+//! Figure of success rates: one row per column, with a mark and its interval for each policy, and the paper's rates.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::{Drawn, FigureError, TEXT, colour, mark, style, svg};
 
-/// A share with its 95 % interval, 0 to 1.
+/// Success rate with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Share {
-    /// The share.
+    /// Success rate, 0 to 1.
     pub rate: f64,
-    /// Ends of its interval.
+    /// Lower and upper end of the interval.
     pub ci95: [f64; 2],
 }
 
-/// Shares of one column.
+/// Success rates of one column.
 #[derive(Clone, Debug)]
 pub struct Group {
     /// Name of the column.
     pub name: String,
-    /// Success of each policy under test; `None` for one without a result.
+    /// Success rate of each policy; `None` for a policy without a result.
     pub shares: Vec<Option<Share>>,
-    /// Success that the paper reports; `None` for a column that is not in its Table I.
+    /// Success rate in the paper, 0 to 1; `None` for a column that is not in its Table I.
     pub paper: Option<f64>,
 }
 
@@ -30,7 +30,7 @@ const ROW: u32 = 74;
 const HEAD: u32 = 52;
 const FOOT: u32 = 72;
 
-/// Draws the success of each policy in each column; returns the SVG. `entrants` are the names of the policies.
+/// Draws the success rate of each policy in each column. `entrants` are the names of the policies. Returns the SVG.
 pub fn success(title: &str, entrants: &[String], groups: &[Group]) -> Result<String, FigureError> {
     let legend = 32 * (entrants.len() as u32 + 1);
     let count = groups.len() as f64;

@@ -1,24 +1,24 @@
-//! Values over the steps of a sweep: panels of lines with intervals, over named places of the x axis.
+//! Figure of values over the steps of a sweep: panels of lines with intervals.
 
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::{Area, Drawn, FigureError, TEXT, WIDTH, colour, mark, style, svg};
 
-/// One panel.
+/// Panel of a sweep's figure.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    /// Its title.
+    /// Title of the panel.
     pub title: String,
     /// Label of the y axis, with its unit.
     pub y: String,
     /// Lower and upper end of the y axis; `None` fits the axis to the points.
     pub ends: Option<(f64, f64)>,
-    /// Its lines.
+    /// Lines of the panel.
     pub lines: Vec<Line>,
 }
 
-/// One line.
+/// Line of a panel.
 #[derive(Clone, Debug)]
 pub struct Line {
     /// Name of the line in the figure's legend.
@@ -27,24 +27,24 @@ pub struct Line {
     pub points: Vec<Option<Point>>,
 }
 
-/// A value with its interval.
+/// Value with an interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
-    /// The value.
+    /// Value at which the point is drawn.
     pub value: f64,
-    /// Ends of the value's interval.
+    /// Lower and upper end of the interval.
     pub within: [f64; 2],
 }
 
 impl Point {
-    /// Returns a value with an empty interval.
+    /// Returns a point with an empty interval.
     pub fn exactly(value: f64) -> Point {
         Point { value, within: [value; 2] }
     }
 }
 
 impl Panel {
-    /// Creates a panel with a title, a label `y` of the y axis, the axis' ends, and lines.
+    /// Creates a panel. `y` is the label of its y axis; `ends` are the axis' ends, or `None` to fit them to the points.
     pub fn new(title: &str, y: &str, ends: Option<(f64, f64)>, lines: Vec<Line>) -> Panel {
         Panel { title: title.to_owned(), y: y.to_owned(), ends, lines }
     }
@@ -53,7 +53,7 @@ impl Panel {
 const PANEL: u32 = 480;
 const HEAD: u32 = 52;
 
-/// Draws the panels, two per row; returns the SVG. `x` is the label of the x axis, and `places` are its values.
+/// Draws the panels, two per row. `x` is the label of the x axes, and `places` are their values. Returns the SVG.
 pub fn sweep(title: &str, x: &str, places: &[String], panels: &[Panel]) -> Result<String, FigureError> {
     let rows = panels.len().div_ceil(2) as u32;
     let names: Vec<&str> = panels.first().map_or(Vec::new(), |p| p.lines.iter().map(|l| l.name.as_str()).collect());
@@ -111,7 +111,7 @@ fn draw(area: &Area, x: &str, places: &[String], panel: &Panel) -> Drawn {
         area.draw(&Text::new(name.clone(), (x, foot - base.1 + 8), text))?;
     }
     for (at, line) in panel.lines.iter().enumerate() {
-        // Side by side, so that intervals do not cover each other.
+        // Shifted sideways, so that intervals do not cover each other.
         let aside = 0.06 * (at as f64 - (panel.lines.len() as f64 - 1.0) / 2.0);
         let there = line.points.iter().enumerate().filter_map(|(place, point)| Some((place as f64 + aside, (*point)?)));
         let there: Vec<(f64, Point)> = there.collect();

@@ -1,4 +1,4 @@
-//! An episode as an HTML page that plays it: `player.html` with the episode's data in it.
+//! Animation of an episode as an HTML page: `player.html` with the episode's data.
 
 use serde_json::{Value, json};
 
@@ -7,13 +7,13 @@ use super::sheet::{LOOK, escaped, walls};
 use crate::messages::geometry::Vec2;
 use crate::time::Span;
 
-/// The page, with `{title}` and `{data}` to be filled in.
+/// HTML of the page, with `{title}`, `{look}` and `{data}` to be filled in.
 const PLAYER: &str = include_str!("player.html");
-/// Number of age steps up to the window, one letter each.
+/// Number of steps of a link's age up to the window. Each is encoded as a letter.
 const LETTERS: u64 = 24;
-/// Size above which frames are left out \[bytes of data\].
+/// Size of the data \[bytes\] above which frames are left out.
 const ROOM: usize = 260_000;
-/// Strides between the frames that are kept, tried in turn until the data fits; the last keeps one frame a second.
+/// Strides of the frames that are kept, tried in turn until the data fits. The last keeps one frame per second.
 const STRIDES: [usize; 4] = [2, 4, 10, 20];
 
 /// Returns a page that plays the episode, with a slider, a speed and keys. The page loads no other file.
@@ -40,7 +40,7 @@ fn ms(span: Span) -> u64 {
     (span.as_secs() * 1000.0).round() as u64
 }
 
-/// Returns the data of every `stride`th frame and the last, in whole millimetres and milliseconds.
+/// Returns the data of every `stride`th frame and of the last one, in integer millimetres and milliseconds.
 fn json(scene: &Scene, stride: usize) -> String {
     let stage = &scene.stage;
     let last = scene.frames.len() - 1;
@@ -72,7 +72,7 @@ fn json(scene: &Scene, stride: usize) -> String {
         "verdict": scene.ending.text,
         "rings": rings,
     });
-    // A closing script tag would end the script even in a string.
+    // A closing script tag would end the script, even within a string.
     data.to_string().replace('<', "\\u003c")
 }
 
@@ -89,8 +89,9 @@ fn path(frames: &[&Frame], robot: usize) -> [Vec<i64>; 2] {
     ]
 }
 
-/// Returns a pair, the first frame in which one hears the other, and from there one letter per frame: the age step of
-/// the message, as a capital if only one of them hears the other, and a dot if none does.
+/// Returns a pair of robots, the first frame in which one uses a message of the other, and from there one letter per
+/// frame. The letter is the age step of the message; it is a capital if only one of them uses a message, and a dot if
+/// none does.
 fn link(frames: &[&Frame], (one, other): (usize, usize), window: Span) -> Value {
     let letter = |frame: &&Frame| match frame.links.iter().find(|link| (link.one, link.other) == (one, other)) {
         None => '.',

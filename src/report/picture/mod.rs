@@ -1,4 +1,4 @@
-//! Pictures of one episode: two animations and a still, as text from plain data. They load no other file.
+//! Pictures of one episode: two animations and a still picture, each a self-contained file.
 
 mod film;
 mod moving;

@@ -1,4 +1,4 @@
-//! An episode as an animated SVG file, without a script. Viewers that prefer reduced motion show the still.
+//! Animation of an episode as an SVG file without a script. Viewers that prefer reduced motion show the still picture.
 
 use std::fmt::Write as _;
 
@@ -8,24 +8,24 @@ use super::still::{self, drawn, path};
 use crate::messages::geometry::Vec2;
 use crate::time::Span;
 
-/// Time for which the end is shown before the animation repeats \[s\].
+/// Time for which the last frame is shown before the animation repeats \[s\].
 const REST_S: f64 = 2.5;
-/// Shortest time between two samples \[s\]; positions in between are interpolated linearly.
+/// Shortest time between two samples \[s\]. Positions between samples are interpolated linearly.
 const LEAST_S: f64 = 0.1;
-/// Approximate size limit of all samples \[bytes\].
+/// Approximate limit of the size of all samples \[bytes\].
 const ROOM: usize = 190_000;
-/// Approximate sizes of one sample of a robot and one of a pair \[bytes\].
+/// Approximate size of a robot's sample, and of a link's sample \[bytes\].
 const ROBOT: usize = 24;
 const PAIR: usize = 36;
-/// Maximum number of values that the clock shows.
+/// Largest number of values that the clock shows.
 const READINGS: f64 = 130.0;
 
 /// Episode, sampled for an animation.
 struct Reel<'a> {
     scene: &'a Scene<'a>,
-    /// Duration of one round, including the time at its end \[s\].
+    /// Duration of one round of the animation with the pause at its end \[s\].
     lasts_s: f64,
-    /// Samples, evenly over one round: two frames and a fraction of the way between them.
+    /// Samples at equal intervals over one round: two successive frames, and the fraction of the way between them.
     samples: Vec<(&'a Frame, &'a Frame, f32)>,
 }
 
@@ -50,7 +50,8 @@ impl<'a> Reel<'a> {
         self.samples.iter().map(move |(from, to, share)| from.at[robot] + (to.at[robot] - from.at[robot]) * *share)
     }
 
-    /// Animates an attribute through these values, evenly over a round.
+    /// Returns the SVG that animates an attribute through these values at equal intervals. `discrete`: without
+    /// interpolation.
     fn follows(&self, attribute: &str, discrete: bool, values: &[String]) -> String {
         if values.iter().all(|value| *value == values[0]) {
             return format!("<set attributeName=\"{attribute}\" to=\"{}\"/>", values[0]);
@@ -59,7 +60,7 @@ impl<'a> Reel<'a> {
         format!("<animate attributeName=\"{attribute}\"{mode} values=\"{values}\" {}/>", self.round())
     }
 
-    /// Animates an attribute that takes these values at these times \[s\].
+    /// Returns the SVG that sets an attribute to these values at these times \[s\].
     fn changes(&self, attribute: &str, values: &[(&str, f64)]) -> String {
         let keys: Vec<String> =
             values.iter().map(|(_, at)| format!("{:.4}", (at / self.lasts_s).clamp(0.0, 1.0))).collect();
@@ -73,7 +74,7 @@ impl<'a> Reel<'a> {
         format!("dur=\"{:.3}s\" repeatCount=\"indefinite\"", self.lasts_s)
     }
 
-    /// Animates an element to be visible from this time to the end of a round.
+    /// Returns the SVG that makes an element visible from this time to the end of a round.
     fn shown_from(&self, at: Span) -> String {
         if at == Span::ZERO {
             return String::new();
@@ -92,7 +93,7 @@ pub fn moving(scene: &Scene) -> String {
     for robot in 0..scene.robots() {
         text += &trail(&reel, &view, robot);
     }
-    // Lines of a large team are thinner.
+    // Lines of a large team are thinner and more transparent.
     let (width, opacity) = if scene.robots() > COLOURS { ("1.3", ".6") } else { ("2.5", "1") };
     let _ = writeln!(text, "<g stroke-width=\"{width}\" opacity=\"{opacity}\">");
     for pair in scene.pairs() {
@@ -117,7 +118,7 @@ pub fn moving(scene: &Scene) -> String {
     sheet(&view, scene, style, &text, &legends)
 }
 
-/// Returns the legend of links and goals.
+/// Returns the legend of the animation: goals, links by age, and one-way links.
 fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     let line = |(at, strong): (usize, &&str)| {
         format!("<path class=\"link\" d=\"M{} 0h26\" stroke-width=\"3\" stroke-opacity=\"{strong}\"/>", 28 * at)
@@ -128,7 +129,7 @@ fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     [goal_mark(scene), (lines, 138.0, heard), (dashed, 30.0, "one way".to_owned())]
 }
 
-/// Draws the goals, whose dashed circles become solid once their robots have arrived.
+/// Draws the goals, whose dashed circles become solid at the arrival of their robots.
 fn aims(reel: &Reel, view: &View) -> String {
     let arrivals = reel.scene.arrivals();
     goals(view, reel.scene, false, |robot| {
@@ -137,7 +138,7 @@ fn aims(reel: &Reel, view: &View) -> String {
     })
 }
 
-/// Draws a robot's path up to the present: the whole path, of which a growing dash is visible.
+/// Draws the part of a robot's path up to the present: the whole path, of which a growing dash is visible.
 fn trail(reel: &Reel, view: &View, robot: usize) -> String {
     let mut gone = vec![0.0f32];
     for pair in reel.scene.frames.windows(2) {
@@ -179,7 +180,7 @@ fn link(reel: &Reel, view: &View, (one, other): (usize, usize)) -> String {
     format!("<path class=\"link\" d=\"{}\">{moves}{strengths}{dashes}</path>\n", lines[0])
 }
 
-/// Returns the index in `AGES` of a link with a message of this age.
+/// Returns the index in `AGES` for a link whose message has this age.
 fn level(age: Span, window: Span) -> usize {
     let levels = AGES.len() as u64;
     (age.as_nanos() * levels / window.as_nanos().max(1)).min(levels - 1) as usize
@@ -205,7 +206,7 @@ fn disc(reel: &Reel, view: &View, robot: usize) -> String {
     format!("<g class=\"c{}\" transform=\"translate({})\">{disc}{number}{moves}</g>\n", robot % COLOURS, places[0])
 }
 
-/// Draws the clock, as one text element per value.
+/// Draws the clock as one text element per value.
 fn clock(reel: &Reel, view: &View) -> String {
     let length_s = reel.scene.length().as_secs();
     let step_s =

@@ -1,4 +1,4 @@
-//! Content of a picture of an episode, from the steps of a trial.
+//! Content of an episode's picture, from the steps of a trial.
 
 use crate::chassis::Chassis;
 use crate::messages::geometry::{Task, Vec2};
@@ -11,30 +11,31 @@ use crate::scenario::judge::{Judge, JudgedRobot, Verdict};
 use crate::scenario::{Arena, Rules};
 use crate::time::{Span, Time};
 
-/// Shortest time between two frames, which is enough for the speed of robots.
+/// Shortest time between two frames; robots move little in it.
 const FRAME: Span = Span::from_millis(48);
-/// Largest move from the step before an episode to its first step, for the step before to be shown, too \[m\].
+/// Largest move of a robot between the last step before an episode and its first step with which the former is also
+/// shown \[m\].
 const JUMP_M: f32 = 0.1;
-/// Radius of a ring around a failure, as a multiple of the robots' radius.
+/// Radius of the ring around a failure, in multiples of the robots' radius.
 const WIDER: f32 = 1.45;
 
-/// Maximum number of late robots that are named.
+/// Largest number of late robots that the verdict names.
 const NAMED: usize = 8;
 
 /// Texts, arena, rules and tasks of an episode's picture.
 #[derive(Clone, Debug)]
 pub struct Stage<'a> {
-    /// Title.
+    /// Title of the picture.
     pub title: String,
-    /// Caption, which has what is needed to reproduce the episode.
+    /// Caption of the picture: all that is needed to reproduce the episode.
     pub caption: String,
-    /// Ground and obstacles.
+    /// Ground and obstacles of the scenario.
     pub arena: &'a Arena,
     /// Rules by which the episode is judged.
     pub rules: Rules,
     /// Radius of the robots' hulls \[m\].
     pub radius_m: f32,
-    /// Age from which messages all look equally old.
+    /// Age from which on links are drawn as old.
     pub window: Span,
     /// Start and goal of every robot.
     pub tasks: &'a [Task],
@@ -43,86 +44,86 @@ pub struct Stage<'a> {
 }
 
 impl Stage<'_> {
-    /// Position of the point that a robot's policy commands \[m\].
+    /// Returns the position of the point that a robot's policy commands \[m\], world frame.
     fn point(&self, sample: &Sample) -> Vec2 {
         self.chassis[sample.robot.index()].point_of(sample)
     }
 }
 
-/// Content of a picture of an episode.
+/// Content of an episode's picture.
 #[derive(Clone, Debug)]
 pub struct Scene<'a> {
-    /// Texts, arena, rules and tasks.
+    /// Texts, arena, rules and tasks of the picture.
     pub stage: Stage<'a>,
     /// Frames from the start to the verdict; at least one.
     pub frames: Vec<Frame>,
-    /// Verdict, in words and places.
+    /// Verdict as text, and the places to mark.
     pub ending: Ending,
 }
 
-/// The team at one instant.
+/// State of the team at one instant.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// Time since the episode began.
+    /// Time since the start of the episode.
     pub time: Span,
-    /// Positions of the centres by robot \[m\], world frame.
+    /// Position of each robot's centre \[m\], world frame.
     pub at: Vec<Vec2>,
-    /// Positions of the points that policies command by robot \[m\], world frame.
+    /// Position of the point that each robot's policy commands \[m\], world frame.
     pub points: Vec<Vec2>,
-    /// Pairs of robots of which at least one hears the other, sorted.
+    /// Links: pairs of robots of which at least one uses a message of the other, sorted.
     pub links: Vec<Link>,
 }
 
-/// A pair of robots of which at least one hears the other.
+/// Pair of robots of which at least one uses a message of the other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Link {
-    /// The robot with the lower id.
+    /// Smaller id of the two robots.
     pub one: usize,
-    /// The robot with the higher id.
+    /// Larger id of the two robots.
     pub other: usize,
-    /// Age of the newest message; if each hears the other, the larger of the two ages.
+    /// Age of the used message; if both use one, the larger age.
     pub age: Span,
-    /// Whether each hears the other.
+    /// Whether both use a message of the other.
     pub mutual: bool,
 }
 
-/// Verdict of an episode, in words and places.
+/// Verdict on an episode, as text and as places to mark.
 #[derive(Clone, Debug)]
 pub struct Ending {
     /// Whether the episode succeeded.
     pub success: bool,
-    /// The verdict in words.
+    /// Verdict as text.
     pub text: String,
-    /// Marks of the places at which the episode failed.
+    /// Rings around the places at which the episode failed.
     pub rings: Vec<Ring>,
 }
 
-/// Mark around a place.
+/// Ring around a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ring {
-    /// Time since the start of the episode from which the mark is shown.
+    /// Time since the start of the episode from which on the ring is shown.
     pub from: Span,
-    /// Its centre \[m\], world frame.
+    /// Centre of the ring \[m\], world frame.
     pub at: Vec2,
-    /// Its radius \[m\].
+    /// Radius of the ring \[m\].
     pub radius_m: f32,
 }
 
-/// The first contact that fails an episode.
+/// First contact that fails an episode.
 enum Contact {
     Wall(Span, usize, Vec2),
     Robots(Span, [usize; 2], Vec2, f32),
 }
 
 impl<'a> Scene<'a> {
-    /// Creates the scene of the episode with this result, from the steps of its trial.
+    /// Creates the content of a picture from the result of the episode and the steps of its trial.
     ///
-    /// An episode without a step (it was aborted before it began) shows the robots at their starts.
+    /// An episode without steps, which was aborted before it began, shows the robots at their starts.
     pub fn new(stage: Stage<'a>, episode: &Episode, steps: &[Step]) -> Scene<'a> {
         let (before, steps) = running(episode.episode, steps);
         let began = match (before, steps) {
             (Some(before), _) => time(before),
-            // Without a step before it, the first one is assumed to be as long as the second.
+            // Without a step before it, the first step is assumed to be as long as the second.
             (None, [first, second, ..]) => {
                 let step = time(second).since(time(first));
                 Time::ZERO + time(first).since(Time::ZERO + step)
@@ -181,7 +182,7 @@ impl<'a> Scene<'a> {
         self.stage.tasks.iter().enumerate().map(arrived).collect()
     }
 
-    /// Returns the pairs of which one hears the other at some time, sorted.
+    /// Returns the pairs of robots between which there is a link at any time, sorted.
     pub fn pairs(&self) -> Vec<(usize, usize)> {
         let mut pairs: Vec<_> =
             self.frames.iter().flat_map(|frame| &frame.links).map(|link| (link.one, link.other)).collect();
@@ -191,8 +192,8 @@ impl<'a> Scene<'a> {
     }
 }
 
-/// Returns the last stretch of steps in which the episode runs, and the step before it if no robot was moved between.
-/// There are several stretches if a host has left, because the episode is then run again.
+/// Returns the last uninterrupted series of steps in which the episode runs, and the step before it unless a robot was
+/// placed in between. There are several series if a host has left, since the episode is then repeated.
 fn running(episode: u32, steps: &[Step]) -> (Option<&Step>, &[Step]) {
     let runs = |step: &Step| step.episode == episode && step.phase == Phase::Running;
     let end = steps.iter().rposition(runs).map_or(0, |last| last + 1);
@@ -219,7 +220,7 @@ fn frame(stage: &Stage, time: Span, step: &Step) -> Frame {
     Frame { time, at, points, links: links(&step.hearing) }
 }
 
-/// Returns one link per pair of robots of which one hears the other.
+/// Returns one link for each pair of robots of which at least one uses a message of the other.
 fn links(hearing: &[Hearing]) -> Vec<Link> {
     let pair = |one: RobotId, other: RobotId| (one.index().min(other.index()), one.index().max(other.index()));
     let mut links: Vec<Link> = Vec::new();
@@ -234,7 +235,7 @@ fn links(hearing: &[Hearing]) -> Vec<Link> {
     links
 }
 
-/// Returns the contact for which the judge would fail an episode at this instant.
+/// Returns the contact for which the judge would fail the episode at this instant; `None` if there is none.
 fn touching(stage: &Stage, after: Span, seen: &[JudgedRobot]) -> Option<Contact> {
     if let Some(robot) = seen.iter().position(|robot| robot.contacts.wall) {
         return Some(Contact::Wall(after, robot, seen[robot].position));
@@ -246,7 +247,7 @@ fn touching(stage: &Stage, after: Span, seen: &[JudgedRobot]) -> Option<Contact>
     (apart(nearest) < stage.rules.separation_m).then(|| Contact::Robots(after, nearest, middle, apart(nearest)))
 }
 
-/// Returns the verdict of an episode, in words and places.
+/// Returns the verdict on an episode as text, and the places to mark.
 fn ending(stage: &Stage, episode: &Episode, contact: Option<Contact>, arrived: &[bool], last: &Frame) -> Ending {
     let late: Vec<usize> = (0..arrived.len()).filter(|robot| !arrived[*robot]).collect();
     let mut names = late.iter().take(NAMED).map(usize::to_string).collect::<Vec<_>>().join(", ");

@@ -1,16 +1,16 @@
-//! Parts of both SVG pictures: the sheet, the ground with its walls and goals, the legend, and the projection.
+//! Common parts of both SVG pictures: sheet, ground with walls and goals, legend, and projection.
 
 use std::fmt::Write as _;
 
 use super::scene::{Scene, Stage};
 use crate::messages::geometry::Vec2;
 
-/// Style sheet: colours of light and dark schemes, of robots (Okabe and Ito, for colour-blind readers, too) and of
-/// links by age. The page uses it, too.
+/// Style sheet of the pictures: colours of light and dark schemes, of robots (Okabe and Ito, which colour-blind readers
+/// can distinguish) and of links by age. The HTML page also uses it.
 pub const LOOK: &str = include_str!("look.css");
-/// Number of robot colours, which then repeat; numbers distinguish the robots.
+/// Number of robot colours, which then repeat. Numbers distinguish all robots.
 pub const COLOURS: usize = 8;
-/// Opacities of links by age, from the newest message to the oldest, as in `LOOK`.
+/// Opacity of links by age, from the newest messages to the oldest, as in `LOOK`.
 pub const AGES: [&str; 5] = ["1", ".7", ".46", ".28", ".16"];
 
 /// Margins beside the ground, above it and below it \[pixels\].
@@ -22,7 +22,7 @@ const LARGEST: Vec2 = Vec2::new(1000.0, 640.0);
 /// Smallest width of the sheet, for its text \[pixels\].
 const NARROWEST: f32 = 860.0;
 
-/// Approximate width of a letter \[pixels\]; fonts differ.
+/// Approximate width of a letter \[pixels\], as fonts differ.
 const LETTER: f32 = 9.8;
 
 /// Escapes text for XML.
@@ -30,20 +30,21 @@ pub fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Formats a number of pixels, to a tenth.
+/// Formats a length in pixels with at most one decimal.
 pub fn px(number: f32) -> String {
     let text = format!("{number:.1}");
     let text = text.strip_suffix(".0").unwrap_or(&text);
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
-/// Returns half the size of the ground \[m\]: centres stay within the arena, hulls reach beyond it.
+/// Returns half the size of the drawn ground \[m\]. It exceeds the arena by the hull's radius, as centres stay within
+/// the arena.
 fn half(stage: &Stage) -> Vec2 {
     stage.arena.half_extent + Vec2::repeat(stage.radius_m)
 }
 
-/// Returns the blocks of the arena, as lower left and upper right corners \[m\]. A block at the edge of the arena is
-/// drawn to the edge of the ground, because no robot can get behind it.
+/// Returns the blocks of the arena as lower left and upper right corners \[m\]. A block at the edge of the arena is
+/// drawn to the edge of the ground, as no robot can get behind it.
 pub fn walls(stage: &Stage) -> Vec<[Vec2; 2]> {
     let (inner, outer) = (stage.arena.half_extent, half(stage));
     let to = |at: f32, inner: f32, outer: f32| if at.abs() >= inner - 1e-3 { outer.copysign(at) } else { at };
@@ -53,7 +54,7 @@ pub fn walls(stage: &Stage) -> Vec<[Vec2; 2]> {
 
 /// Projection of the world onto the sheet.
 pub struct View {
-    /// Pixels per metre.
+    /// Scale \[pixels/m\].
     pub scale: f32,
     /// Size of the sheet \[pixels\].
     pub size: Vec2,
@@ -63,7 +64,7 @@ pub struct View {
 }
 
 impl View {
-    /// Creates the view of an arena. One that is deeper than wide is turned clockwise by a right angle.
+    /// Creates the projection of an arena. An arena that is deeper than wide is rotated clockwise by a right angle.
     pub fn new(stage: &Stage) -> View {
         let half = half(stage);
         let turned = half.y > half.x;
@@ -75,7 +76,7 @@ impl View {
         View { scale, size, half, turned, corner: Vec2::new((width - drawn.x) / 2.0, HEAD) }
     }
 
-    /// Returns the place of a point of the world on the sheet \[pixels\].
+    /// Returns the position on the sheet \[pixels\] of a point in the world frame \[m\].
     pub fn at(&self, point: Vec2) -> Vec2 {
         let along = if self.turned {
             Vec2::new(self.half.y + point.y, self.half.x + point.x)
@@ -85,7 +86,7 @@ impl View {
         self.corner + along * self.scale
     }
 
-    /// Draws a rectangle with these opposite corners.
+    /// Draws a rectangle between these opposite corners \[m\]. `round` is the radius of its corners \[pixels\].
     fn rectangle(&self, class: &str, [one, other]: [Vec2; 2], round: f32) -> String {
         let (a, b) = (self.at(one), self.at(other));
         let (low, high) = (a.inf(&b), a.sup(&b));
@@ -93,26 +94,26 @@ impl View {
         format!("<rect class=\"{class}\" x=\"{x}\" y=\"{y}\" width=\"{w}\" height=\"{h}\" rx=\"{round}\"/>\n")
     }
 
-    /// Draws ground and walls.
+    /// Draws the ground and the walls.
     pub fn ground(&self, stage: &Stage) -> String {
         let walls = walls(stage).into_iter().map(|wall| self.rectangle("wall", wall, 3.0));
         self.rectangle("ground", [-self.half, self.half], 6.0) + &walls.collect::<String>()
     }
 
-    /// Draws a circle around a point of the world; `rest` are further attributes.
+    /// Draws a circle around a point of the world frame \[m\]; `rest` are further attributes.
     pub fn circle(&self, class: &str, at: Vec2, radius_m: f32, rest: &str) -> String {
         let at = self.at(at);
         let [x, y, r] = [at.x, at.y, radius_m * self.scale].map(px);
         format!("<circle class=\"{class}\" cx=\"{x}\" cy=\"{y}\" r=\"{r}\"{rest}/>")
     }
 
-    /// Returns the size of the number on a robot \[pixels\].
+    /// Returns the font size of the number on a robot \[pixels\].
     pub fn number(&self, stage: &Stage, robot: usize) -> f32 {
         stage.radius_m * self.scale * if robot < 10 { 1.05 } else { 0.9 }
     }
 }
 
-/// Returns the whole file: head, drawing and legend. `more` is further style.
+/// Returns the whole SVG file: head, drawing and legend. `more` is added to the style sheet.
 pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) -> String {
     let [w, h] = [view.size.x, view.size.y].map(px);
     let stage = &scene.stage;
@@ -131,7 +132,7 @@ pub fn sheet(view: &View, scene: &Scene, more: &str, drawn: &str, legend: &str) 
     text
 }
 
-/// Draws the verdict, above the ground.
+/// Draws the verdict above the ground. `rest` is added to its text element.
 pub fn verdict(scene: &Scene, rest: &str) -> String {
     let colour = if scene.ending.success { "good" } else { "bad" };
     let (y, text) = (px(HEAD - 24.0), escaped(&scene.ending.text));
@@ -139,7 +140,8 @@ pub fn verdict(scene: &Scene, rest: &str) -> String {
     format!("<text x=\"{MARGIN}\" y=\"{y}\" {style}>{text}{rest}</text>\n")
 }
 
-/// Draws the legend under the ground: marks, each drawn right of the point (0, 0), with width \[pixels\] and meaning.
+/// Draws the legend under the ground. Each entry has a mark drawn right of the point (0, 0), its width \[pixels\] and
+/// its meaning.
 pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     let (mut x, y) = (MARGIN, px(view.size.y - FOOT + 27.0));
     let mut text = String::new();
@@ -154,8 +156,8 @@ pub fn legend(view: &View, marks: &[(String, f32, String)]) -> String {
     text
 }
 
-/// Draws each robot's goal as a circle with the robot's number. With `stay`, a goal that its robot covers at the end
-/// has no number. `more` returns further content of the circle of a robot.
+/// Draws each robot's goal as a circle with the robot's number. With `stay`, the number is left out if the robot covers
+/// the goal at the end. `more` returns further content of a robot's circle.
 pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> String) -> String {
     let (mut text, stage) = (String::new(), &scene.stage);
     for (robot, task) in stage.tasks.iter().enumerate() {
@@ -172,7 +174,7 @@ pub fn goals(view: &View, scene: &Scene, stay: bool, more: impl Fn(usize) -> Str
     text
 }
 
-/// Returns the legend's mark for goals.
+/// Returns the entry of the legend for goals.
 pub fn goal_mark(scene: &Scene) -> (String, f32, String) {
     let mark = "<circle class=\"goal c7\" cx=\"10\" r=\"9\" stroke-width=\"2\" stroke-dasharray=\"5 4\"/>".to_owned();
     (mark, 20.0, format!("goal, to within {} m", scene.stage.rules.arrival_m))

@@ -1,4 +1,4 @@
-//! An episode as a still: paths, with robots at some moments along them, stronger with time.
+//! Still picture of an episode: paths, and robots at some moments along them, more opaque with time.
 
 use std::fmt::Write as _;
 
@@ -6,23 +6,23 @@ use super::scene::{Frame, Scene};
 use super::sheet::{COLOURS, View, goal_mark, goals, legend, px, sheet, verdict};
 use crate::time::Span;
 
-/// Approximate number of moments at which a robot is drawn.
+/// Approximate number of moments at which each robot is drawn.
 const MOMENTS: u64 = 7;
-/// Possible times between two moments \[ms\].
+/// Possible intervals between two moments \[ms\].
 const BETWEEN_MS: [u64; 8] = [250, 500, 1000, 2000, 5000, 10_000, 30_000, 60_000];
-/// Opacity of a robot at the first moment and at the last before the end.
+/// Opacities of a robot at the first moment, and at the last moment before the end.
 const FAINT: f32 = 0.10;
 const STRONG: f32 = 0.55;
 
-/// Returns the text of an SVG file that shows the whole episode: the robots' paths, and the robots at some seven
-/// moments along them, stronger with time.
+/// Returns an SVG file that shows the whole episode: the robots' paths, and the robots at some seven moments along
+/// them, more opaque with time.
 pub fn still(scene: &Scene) -> String {
     let view = View::new(&scene.stage);
     let drawn = drawn(scene, &view) + &verdict(scene, "");
     sheet(&view, scene, "", &drawn, &legend(&view, &marks(scene)))
 }
 
-/// Returns the legend of starts, goals and robots in between.
+/// Returns the entries of the legend: starts, goals, and robots in between.
 pub fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     let every = format!("every {} s, stronger with time", between(scene.length()).as_secs());
     let dot = |x: u32, opacity: f32| format!("<circle class=\"dot c7\" cx=\"{x}\" r=\"9\" opacity=\"{opacity}\"/>");
@@ -31,7 +31,7 @@ pub fn marks(scene: &Scene) -> [(String, f32, String); 3] {
     [(start, 20.0, "start".to_owned()), goal_mark(scene), (dots, 40.0, every)]
 }
 
-/// Draws the arena, the paths and the robots. The animation contains this still for viewers that prefer reduced motion.
+/// Draws goals, starts, paths and robots. The animation also contains this, for viewers that prefer reduced motion.
 pub fn drawn(scene: &Scene, view: &View) -> String {
     let stage = &scene.stage;
     let last = &scene.frames[scene.frames.len() - 1];
@@ -53,7 +53,7 @@ pub fn drawn(scene: &Scene, view: &View) -> String {
         for (index, moment) in moments.iter().enumerate() {
             let opacity = FAINT + (STRONG - FAINT) * (index + 1) as f32 / moments.len() as f32;
             let rest = format!(" opacity=\"{opacity:.2}\"");
-            // A robot that waits at its goal is drawn there once.
+            // A robot that waits at its goal is drawn there only once.
             if (moment.at[robot] - last.at[robot]).norm() > stage.radius_m * 0.5 {
                 text += &view.circle("dot", moment.at[robot], stage.radius_m, &rest);
             }
@@ -73,7 +73,7 @@ pub fn drawn(scene: &Scene, view: &View) -> String {
     text
 }
 
-/// Draws a robot's whole path.
+/// Draws the whole path of a robot.
 pub fn path(scene: &Scene, view: &View, robot: usize) -> String {
     let mut points: Vec<String> = Vec::new();
     for frame in &scene.frames {
@@ -86,7 +86,7 @@ pub fn path(scene: &Scene, view: &View, robot: usize) -> String {
     format!("<polyline class=\"trail\" stroke-width=\"2.5\" opacity=\".65\" points=\"{}\"/>", points.join(" "))
 }
 
-/// Returns the time between two moments of an episode of this length.
+/// Returns the interval between two moments of an episode of this length.
 fn between(length: Span) -> Span {
     let fits = |ms: &&u64| length.as_nanos() / (**ms * 1_000_000) <= MOMENTS;
     Span::from_millis(*BETWEEN_MS.iter().find(fits).unwrap_or(&BETWEEN_MS[BETWEEN_MS.len() - 1]))

@@ -1,4 +1,4 @@
-//! Parameters of a network study, as data, and the cases that follow.
+//! Parameters of a network study, and the cases that result from them.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,30 +12,30 @@ use crate::net::media::radio::Topology;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Addressing {
-    /// One datagram per reader.
+    /// One datagram for each receiver.
     Unicast,
-    /// One datagram for all readers.
+    /// One datagram for all receivers.
     Multicast,
 }
 
-/// Reliability of a message: a mode of the link layer (`net::protocol::reliability`), or one of RTPS.
+/// Reliability mode of messages: of the link layer (`net::protocol::reliability`) or of RTPS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReliabilityMode {
-    /// Sent once (link layer).
+    /// Each message is sent once (link layer).
     BestEffort,
-    /// Repeated once after a short time while readers report loss (link layer).
+    /// Each message is repeated after a short time while receivers report loss (link layer).
     Repeat,
-    /// Retransmitted on the request of a reader that misses it, unless there is a newer message (link layer).
+    /// Receivers request missing messages, which are retransmitted unless there is a newer one (link layer).
     Nack,
     /// RTPS reliable: heartbeats, positive acknowledgements, retransmissions.
     Ack,
-    /// RTPS reliable with positive acknowledgements disabled: a reader answers a heartbeat only if it misses a sample.
+    /// RTPS reliable without positive acknowledgements: a reader answers a heartbeat only if it misses a sample.
     AckOff,
 }
 
 impl ReliabilityMode {
-    /// All modes.
+    /// All reliability modes.
     pub const ALL: [ReliabilityMode; 5] = [
         ReliabilityMode::BestEffort,
         ReliabilityMode::Repeat,
@@ -49,11 +49,11 @@ impl ReliabilityMode {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum NetworkKind {
-    /// A radio channel with an access point.
+    /// Radio channel with an access point.
     Infrastructure,
-    /// A radio channel between stations, in one hop.
+    /// Radio channel between stations in one hop, without an access point.
     AdHoc,
-    /// A wired network with a shaped link for each station.
+    /// Wired network with a shaped link for each station.
     Shaped,
 }
 
@@ -71,7 +71,7 @@ pub enum History {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Source {
-    /// Emulation.
+    /// Emulation of the case.
     Emulated,
     /// Measurement between hosts.
     Live,
@@ -82,7 +82,7 @@ impl Source {
     pub const ALL: [Source; 2] = [Source::Emulated, Source::Live];
 }
 
-/// One combination of the varied parameters.
+/// One combination of the parameters of a network study.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Case {
@@ -92,51 +92,51 @@ pub struct Case {
     pub addressing: Addressing,
     /// Reliability of messages.
     pub reliability: ReliabilityMode,
-    /// Retry limit of unicast frames (MAC). Multicast frames are not retransmitted, except on their way to an access
+    /// Retry limit of unicast frames (802.11). Multicast frames are not retransmitted, except on their way to an access
     /// point.
     pub retries: u32,
     /// Message rate of all stations together \[1/s\].
     pub rate: f64,
 }
 
-/// A sweep over all combinations of parameters.
+/// Parameters of a network study. Its cases are all combinations of the lists.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sweep {
-    /// Number of stations; each publishes to all others.
+    /// Number of stations. Each one publishes to all others.
     pub stations: u16,
-    /// Content of a message \[bytes\]: sender, sequence number, timestamp and two floats of position (24), the rest
-    /// features.
+    /// Payload of a message \[bytes\]: 24 for sender, sequence number, timestamp and a position of two floats; the rest
+    /// for features.
     pub bytes: usize,
-    /// The medium.
+    /// Medium between the stations.
     pub medium: Medium,
     /// Message rates of all stations together \[1/s\].
     pub rates: Vec<f64>,
-    /// See `Case`.
+    /// Kinds of networks to vary.
     pub networks: Vec<NetworkKind>,
-    /// See `Case`.
+    /// Addressings to vary.
     pub addressings: Vec<Addressing>,
-    /// See `Case`.
+    /// Reliability modes to vary.
     pub reliabilities: Vec<ReliabilityMode>,
-    /// See `Case`.
+    /// Retry limits of unicast frames to vary.
     pub retries: Vec<u32>,
-    /// History of RTPS writers.
+    /// Number of samples that RTPS writers keep.
     pub history: History,
     /// Duration of the measurement of each case, without warm-up and drain \[s\].
     pub seconds: f64,
-    /// Root of all randomness.
+    /// Seed of all random numbers.
     pub seed: u64,
 }
 
-/// Bytes of a message without its features.
+/// Payload of a message without features \[bytes\].
 pub const FIXED_BYTES: usize = 24;
-/// Default rates of a sweep \[1/s\]; 60 and 200 are those of the paper's figures.
+/// Default message rates of a sweep \[1/s\]; 60 and 200 are those of the paper's figures.
 pub const RATES: [f64; 8] = [10.0, 20.0, 60.0, 100.0, 200.0, 300.0, 400.0, 500.0];
 /// Default retry limits of a sweep.
 pub const RETRIES: [u32; 4] = [1, 3, 5, 7];
 
 impl Sweep {
-    /// Returns the sweep over all default values on a medium.
+    /// Returns the sweep over all default values on this medium.
     pub fn whole(medium: Medium) -> Sweep {
         let networks = match &medium {
             Medium::Radio(_) => vec![NetworkKind::Infrastructure, NetworkKind::AdHoc],
@@ -157,12 +157,12 @@ impl Sweep {
         }
     }
 
-    /// Returns the number of features in a message.
+    /// Returns the number of features in a message, from its payload.
     pub fn features(&self) -> usize {
         (self.bytes.saturating_sub(FIXED_BYTES) / 4).min(MAX_FEATURES)
     }
 
-    /// Checks all ranges; an error names the field.
+    /// Checks the ranges of all parameters. An error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if !(2..=200).contains(&self.stations) {
@@ -203,7 +203,7 @@ impl Sweep {
         Ok(())
     }
 
-    /// Returns all cases, by combination and then by rate.
+    /// Returns all cases, ordered by combination and then by rate.
     pub fn cases(&self) -> Vec<Case> {
         let mut cases = Vec::new();
         for &network in &self.networks {
@@ -228,7 +228,7 @@ impl Sweep {
         }
     }
 
-    /// Returns the medium with topology and retry limit of a case.
+    /// Returns the medium with the topology and the retry limit of a case.
     pub fn medium_of(&self, case: &Case) -> Medium {
         let mut medium = self.medium.clone();
         if let Medium::Radio(radio) = &mut medium {
@@ -236,7 +236,7 @@ impl Sweep {
                 NetworkKind::AdHoc | NetworkKind::Shaped => Topology::AdHoc,
                 NetworkKind::Infrastructure => Topology::Infrastructure,
             };
-            // Retransmissions to one reader are unicast in every case.
+            // Retransmissions to one receiver are unicast even if the messages are multicast.
             if case.addressing == Addressing::Unicast {
                 radio.retries = case.retries;
             }
@@ -270,7 +270,7 @@ impl std::fmt::Display for History {
 }
 
 impl Case {
-    /// Returns all parameters but the rate as text.
+    /// Returns all parameters except the rate as text.
     pub fn combination(&self) -> String {
         let Case { network, addressing, reliability, retries, .. } = self;
         match addressing {

@@ -1,4 +1,4 @@
-//! Delay and loss of a team's latents on a medium, as conditions of a training.
+//! Delay and loss of a team's latents on a medium, as conditions for a training.
 
 use super::case::{Addressing, Case, NetworkKind, ReliabilityMode, Sweep};
 use super::emulate;
@@ -6,11 +6,11 @@ use super::medium::Medium;
 use crate::net::media::radio::Topology;
 use crate::train::config::Conditions;
 
-/// Decisions of a robot, each with one latent \[1/s\].
+/// Latents that a robot sends \[1/s\]: one for each decision.
 const RATE: f64 = 20.0;
 
-/// Replaces delay and loss of a training by those of a team's latents on the medium, sent by best-effort multicast. The
-/// new delay range is from the 10 % to the 90 % quantile. Returns `None`, and changes nothing, if no message arrives.
+/// Sets delay and loss of a training to those of a team's latents on the medium, by best-effort multicast. The delay
+/// range is from the 10 % to the 90 % quantile. If no message arrives, returns `None` and changes nothing.
 pub fn apply(medium: &Medium, robots: usize, conditions: &mut Conditions) -> Option<()> {
     let stations = u16::try_from(robots.clamp(2, 200)).expect("it is at most 200");
     let network = match medium {

@@ -11,13 +11,12 @@ use crate::net::media::radio::Destination;
 use crate::random::Seed;
 use crate::time::{Span, Time};
 
-/// Returns the seed of a case. Cases with the same message rate have the same seed, and so the same publication
-/// schedules.
+/// Returns the seed of a case. Cases with equal message rates have equal seeds, and thus equal publication schedules.
 pub fn seed(seed: u64, case: &Case) -> Seed {
     Seed::of_run(seed).child(&format!("network/{}", case.rate))
 }
 
-/// Emulates a case. Calls `proceed` every 4096 events, and returns `None` once that returns false.
+/// Emulates a case. Calls `proceed` every 4096 events, and returns `None` if it returns `false`.
 pub fn run(sweep: &Sweep, case: &Case, proceed: &dyn Fn() -> bool) -> Option<Outcome> {
     let seed = seed(sweep.seed, case);
     match case.reliability {
@@ -46,7 +45,7 @@ struct Emulation<E: Endpoint> {
     end: Time,
 }
 
-/// Next event; the order of its variants decides between simultaneous ones.
+/// Kind of the next event; the order of the variants decides between simultaneous events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Due {
     Medium,
@@ -135,7 +134,7 @@ impl<E: Endpoint> Emulation<E> {
         wakes.chain(publications).chain(steps).chain(medium).min().expect("stations go on speaking")
     }
 
-    /// Applies the outputs of a station.
+    /// Executes the outputs of a station: deliveries and transmissions.
     fn act(
         medium: &mut MediumEmulator<E::Packet>,
         tally: &mut Tally,

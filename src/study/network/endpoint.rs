@@ -1,47 +1,47 @@
-//! Endpoint of a protocol at one station, and the time constants of a case, emulated or measured.
+//! Interface of a station's protocol in a network study, and the time constants of a case.
 
 use crate::time::{Span, Time};
 
-/// Warm-up before anything is counted: hosts have to authenticate, queues to fill.
+/// Time before the measurement window, in which hosts authenticate and queues fill.
 pub const WARM_UP: Span = Span::from_millis(3000);
-/// Time after the end of the window in which messages may still arrive.
+/// Time after the measurement window, in which messages of the window may still arrive.
 pub const DRAIN: Span = Span::from_millis(2000);
-/// Control period: 20 Hz, as in the paper.
+/// Control period of robots: 20 Hz, as in the paper.
 pub const STEP: Span = Span::from_millis(50);
 
-/// Age at a control step if no message was received yet.
+/// Value for the age at a control step if no message was received yet.
 pub const NEVER: Span = Span::from_millis(1_000_000);
 
-/// Output of an endpoint.
+/// Output of a station's protocol.
 #[derive(Clone, Debug)]
 pub enum Output<P> {
-    /// Sends a datagram.
+    /// Datagram to send.
     Send {
-        /// Receiving station; none for all others.
+        /// Receiving station; `None` for all others.
         to: Option<u16>,
         /// Length of the datagram \[bytes\].
         bytes: usize,
-        /// Content.
+        /// Content of the datagram.
         packet: P,
     },
-    /// Delivers a new message to the application.
+    /// New message for the application.
     Deliver {
-        /// Station that published it.
+        /// Station that published the message.
         from: u16,
-        /// Its sequence number.
+        /// Sequence number of the message.
         sequence: u32,
     },
 }
 
-/// Endpoint of a protocol at one station.
+/// Protocol at one station of a network study.
 pub trait Endpoint {
     /// Content of a datagram.
     type Packet: Clone;
-    /// Publishes the message with this sequence number.
+    /// Publishes the station's message with this sequence number.
     fn publish(&mut self, now: Time, sequence: u32, out: &mut Vec<Output<Self::Packet>>);
     /// Handles a received datagram.
     fn receive(&mut self, now: Time, packet: &Self::Packet, out: &mut Vec<Output<Self::Packet>>);
-    /// Returns when it next has to be woken.
+    /// Returns the time at which `wake` has to be called next; `None` if nothing is due.
     fn wake_at(&self) -> Option<Time>;
     /// Handles timers that have expired at `now`.
     fn wake(&mut self, now: Time, out: &mut Vec<Output<Self::Packet>>);

@@ -1,9 +1,9 @@
-//! Fit of a radio to rows of a network study, measured or published. The parameters are noise loss, background load and
+//! Fit of a radio to measured or published rows of a network study. The parameters are noise loss, background load and
 //! data rate.
 //!
-//! The emulation runs at candidate parameters and is compared with every value in a row: shares within 20 and 50 ms,
-//! share delivered, median and 90 % delay. The search starts on a grid over all rates and refines the best points. The
-//! seed differs from that of the rows, so that no agreement is by chance. At the end each residual is weighted by the
+//! The emulation is run with candidate parameters and compared with every value of a row: shares within 20 and 50 ms,
+//! share delivered, median and 90 % delay. The search starts on a grid over all rates and refines the best points. Its
+//! seed differs from that of the rows, so that agreement is not by chance. In the end each residual is weighted by the
 //! variation of its value over seeds: near saturation a delay is less informative than a share far from it.
 
 use serde::Deserialize;
@@ -14,7 +14,7 @@ use super::outcome::{Outcome, Row};
 use crate::net::media::radio::rate::{self, Rate};
 use crate::net::media::radio::{Radio, Topology};
 
-/// Observed values of a case: a row of a study, or a part of one.
+/// Observed values of a case: a row of a network study, or a part of one.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Observed {
     #[serde(default)]
@@ -24,7 +24,7 @@ pub struct Observed {
     retries: u32,
     network: NetworkKind,
     rate: f64,
-    /// Duration \[s\]; that of the sweep if unknown.
+    /// Duration of the case \[s\]; `None` for that of the sweep.
     #[serde(default)]
     seconds: Option<f64>,
     #[serde(default)]
@@ -42,53 +42,53 @@ pub struct Observed {
 /// Result of a fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fitted {
-    /// The radio with the fitted parameters.
+    /// Radio with the fitted parameters.
     pub radio: Radio,
     /// Root mean square of the residuals of all shares.
     pub shares: f64,
     /// Root mean square of the residuals of the logarithms of all delays.
     pub delays: f64,
-    /// Other rates that fit almost as well, so that the rows do not tell them from the fitted one.
+    /// Other rates that fit almost as well, which the rows do not distinguish from the fitted one.
     pub alternatives: Vec<Rate>,
-    /// Each observed row, with the row that the emulation gives at the fitted parameters.
+    /// Each observed row, with the emulated row at the fitted parameters.
     pub rows: Vec<(Observed, Row)>,
 }
 
-/// Runs cases, in any order and on any number of threads; `None` for a case that was interrupted.
+/// Function that runs cases, in any order and on any number of threads. Its results are `None` for interrupted cases.
 pub type Runner<'a> = &'a dyn Fn(&[(Sweep, Case)]) -> Vec<Option<Outcome>>;
 
 /// Residuals of one row: of three shares, and of the logarithms of two delays.
 type Residuals = [Option<f64>; 5];
-/// Tolerance of each residual before its variation is known, and its minimum afterwards.
+/// Tolerance of each residual before its variation is known, and its lower limit afterwards.
 const TOLERANCES: [f64; 5] = [0.03, 0.03, 0.03, 0.15, 0.15];
 const LEAST_TOLERANCES: [f64; 5] = [0.005, 0.005, 0.005, 0.02, 0.02];
-/// Number of seeds that estimate the variation.
+/// Number of seeds from which the variation is estimated.
 const SEEDS: u64 = 5;
-/// Shortest delay that is distinguished, and the delay that stands for no delivery at all \[ms\].
+/// Shortest delay that is distinguished, and delay that stands for no delivery \[ms\].
 const DELAYS_MS: (f64, f64) = (0.05, 1e4);
-/// Grid of noise losses and background loads.
+/// Grid of noise losses, and grid of background loads.
 const NOISES: [f64; 5] = [0.0, 0.06, 0.12, 0.2, 0.35];
 const BACKGROUNDS: [f64; 5] = [0.0, 0.15, 0.3, 0.45, 0.6];
-/// Effort of each stage: maximum number of rows and maximum duration \[s\]. The stages are the grid, its best points,
+/// Effort of each stage: largest number of rows and longest duration \[s\]. The stages are the grid, its best points,
 /// and the best of those. The last stage runs as long as the rows were observed, up to a minute, because queues and
 /// delays of a saturated channel keep growing.
 const COARSE: (usize, f64) = (16, 4.0);
 const MIDDLE: (usize, f64) = (16, 10.0);
 const FINE: (usize, f64) = (64, 60.0);
-/// Delay from which a growing queue is assumed \[ms\]; a shorter run is then not compared by delay.
+/// Delay from which on a growing queue is assumed \[ms\]. The delays of such a row are not compared with a shorter run.
 const GROWING_MS: f64 = 50.0;
-/// Number of rates that are refined from their best grid point, and number of those that are refined once more. The
-/// latter need a misfit of at most this multiple of the best, plus this constant.
+/// Number of rates that are refined from their best grid point, and number of those that are refined again. The latter
+/// need a misfit of at most this multiple of the best plus this constant.
 const STARTS: usize = 10;
 const BEST: usize = 4;
 const NEAR_BEST: (f64, f64) = (3.0, 3.0);
-/// A rate fits almost as well if its misfit is below this multiple of the best.
+/// Multiple of the best misfit below which another rate fits almost as well.
 const ALTERNATIVE: f64 = 2.0;
-/// Initial steps of noise and background, and the number of times they are halved.
+/// Initial steps of noise loss and background load, and number of times that they are halved.
 const STEPS: (f64, f64) = (0.04, 0.08);
 const HALVINGS: u32 = 3;
 
-/// A point in parameter space.
+/// Candidate parameters of the radio.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Point {
     rate: Rate,
@@ -101,12 +101,12 @@ struct Fit<'a> {
     sweep: &'a Sweep,
     observed: &'a [Observed],
     runner: Runner<'a>,
-    /// By row: tolerance of each residual.
+    /// For each row: tolerance of each residual.
     tolerances: Vec<[f64; 5]>,
 }
 
-/// Fits the parameters of `base` to the observed rows. `sweep` gives stations, message size and history. Returns `None`
-/// if the runner stops.
+/// Fits noise loss, background load and rate of the radio `base` to the observed rows. `sweep` has the number of
+/// stations, the message size and the history. Returns `None` if `runner` was interrupted.
 ///
 /// # Panics
 /// If `observed` is empty.
@@ -114,7 +114,7 @@ pub fn fit(base: &Radio, sweep: &Sweep, observed: &[Observed], runner: Runner) -
     assert!(!observed.is_empty(), "a fit needs rows");
     let mut fit = Fit { base, sweep, observed, runner, tolerances: vec![TOLERANCES; observed.len()] };
     let mut grid = Vec::new();
-    // Another generation of 802.11 has a rate of almost the same speed: rows cannot distinguish the two.
+    // The two generations have rates of almost the same speed, which the rows cannot distinguish.
     let own = family(base.rate);
     for rate in rate::all().filter(|rate| rate.fits(base.width_mhz) && (fit.only_multicast() || family(*rate) == own)) {
         for noise in NOISES {
@@ -144,13 +144,13 @@ pub fn fit(base: &Radio, sweep: &Sweep, observed: &[Observed], runner: Runner) -
     fit.result(best[0].1, alternatives.map(|(_, point)| point.rate).collect())
 }
 
-/// Returns the generation of 802.11 of a rate: the first part of its name.
+/// Returns the generation of 802.11 of a rate, which is the first part of its name.
 fn family(rate: Rate) -> String {
     rate.to_string().split('-').next().unwrap_or_default().to_owned()
 }
 
 impl Fit<'_> {
-    /// Whether all rows are pure multicast.
+    /// Whether only multicast frames occur in all rows.
     fn only_multicast(&self) -> bool {
         self.observed.iter().all(|observed| {
             (observed.addressing, observed.network) == (Addressing::Multicast, NetworkKind::AdHoc)
@@ -158,7 +158,8 @@ impl Fit<'_> {
         })
     }
 
-    /// Returns the radio at a point. Its rate is the multicast rate if all rows are multicast, else the unicast rate.
+    /// Returns the radio with the parameters of a point. The point's rate is the multicast rate if all rows are
+    /// multicast, otherwise the unicast rate.
     fn radio(&self, point: Point) -> Radio {
         let Point { rate, noise, background } = point;
         let mut radio = Radio { noise_loss: noise, background, ..self.base.clone() };
@@ -174,7 +175,8 @@ impl Fit<'_> {
         self.runs_of(0, point, effort)
     }
 
-    /// Selects at most `rows` rows by a hash of their index, so that the selection is independent of their order.
+    /// Returns the indices of at most `rows` rows. They are chosen by a hash of the index, so that they are spread
+    /// evenly.
     fn selected(&self, rows: usize) -> Vec<usize> {
         let all = self.observed.len();
         let mut order: Vec<usize> = (0..all).collect();
@@ -195,7 +197,7 @@ impl Fit<'_> {
         self.selected(rows).into_iter().map(run).collect()
     }
 
-    /// Returns the misfit of each point.
+    /// Returns the misfit of each point: the sum of its weighted residuals.
     fn misfits(&self, points: &[Point], effort: (usize, f64)) -> Option<Vec<f64>> {
         let runs: Vec<(Sweep, Case)> = points.iter().flat_map(|point| self.runs(*point, effort)).collect();
         let each = runs.len() / points.len();
@@ -215,7 +217,7 @@ impl Fit<'_> {
         Some(outcomes.chunks(each).map(misfit).collect())
     }
 
-    /// Returns the tolerances of each row from the variation over seeds at a point.
+    /// Returns the tolerances of each row, from the variation over seeds at a point.
     fn spread(&self, point: Point) -> Option<Vec<[f64; 5]>> {
         let all = (self.observed.len(), FINE.1);
         let runs: Vec<(Sweep, Case)> = (1..=SEEDS).flat_map(|number| self.runs_of(number, point, all)).collect();
@@ -237,7 +239,7 @@ impl Fit<'_> {
         Some(self.observed.iter().enumerate().map(of_row).collect())
     }
 
-    /// Minimizes the misfit from a point by pattern search, at a fixed rate.
+    /// Minimizes the misfit by pattern search from a point, with its rate fixed.
     fn refine(&self, from: Point, effort: (usize, f64), mut steps: (f64, f64)) -> Option<(f64, Point)> {
         let mut best = (self.misfits(&[from], effort)?[0], from);
         for _ in 0..HALVINGS {
@@ -293,7 +295,8 @@ impl Observed {
         Case { network, addressing, reliability, retries, rate }
     }
 
-    /// Returns the values that can be compared with a run of `seconds`: no delays of a growing queue if it is shorter.
+    /// Returns the values that can be compared with a run of `seconds` \[s\]. Delays of a growing queue are left out if
+    /// the run is shorter than the observation.
     fn comparable_to(&self, seconds: f64) -> Observed {
         let mut known = self.clone();
         let shorter = self.seconds.is_some_and(|observed| seconds < 0.99 * observed);
@@ -307,7 +310,7 @@ impl Observed {
         Row::of(Source::Emulated, &self.case(), outcome)
     }
 
-    /// Returns the residuals against a run: differences of shares, and of the logarithms of delays.
+    /// Returns the residuals against a run: differences of shares, and of logarithms of delays.
     fn residuals(&self, outcome: &Outcome) -> Residuals {
         let row = self.row(outcome);
         let share = |seen: Option<f64>, emulated: f64| Some(seen? - emulated);
@@ -324,12 +327,12 @@ impl Observed {
         ]
     }
 
-    /// Whether the row was measured between hosts, not emulated.
+    /// Whether the row was measured between hosts.
     pub fn is_live(&self) -> bool {
         self.source == Some(Source::Live)
     }
 
-    /// Checks that the row can belong to this sweep; the error says why not.
+    /// Checks that the row can belong to this sweep. The error is a text.
     pub fn check(&self, sweep: &Sweep) -> Result<(), String> {
         let seconds = self.seconds.unwrap_or(sweep.seconds);
         let (rates, retries) = (vec![self.rate], vec![self.retries]);
@@ -370,7 +373,7 @@ impl From<&Row> for Observed {
 }
 
 impl Fitted {
-    /// Formats the radio as a file, with its origin as a comment.
+    /// Returns the radio as the text of a TOML file, with its origin as a comment. `command` is the command of the fit.
     pub fn to_toml(&self, command: &str) -> String {
         let mut radio = self.radio.clone();
         let adhoc = self.rows.iter().all(|(observed, _)| observed.network == NetworkKind::AdHoc);

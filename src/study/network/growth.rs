@@ -11,22 +11,22 @@ use crate::report::cost::Cost;
 use crate::time::Span;
 use crate::trial::{Trial, TrialError};
 
-/// Deployments: one agent for all robots in lock step, and one host per robot.
+/// Modes of the deployments: one Agent for all robots in lock step, and one host per robot.
 pub const MODES: [&str; 2] = ["sim", "onboard-adhoc"];
-/// Simulated time of a run \[s\].
+/// Simulated time of a trial \[s\].
 pub const DURATION_S: f64 = 10.0;
-/// Transmission range beyond the communication range \[m\]: the distance that two robots may have moved since they
-/// were measured.
+/// Transmission range beyond the communication range \[m\]: the distance by which two robots may have approached since
+/// they were measured.
 const MARGIN_M: f32 = 0.25;
 /// Ground area per robot in the scenario \[m²\].
 pub const GROUND_M2: f64 = 4.0;
 
-/// Returns the transmission range of these teams \[m\].
+/// Returns the transmission range of growing teams \[m\].
 pub fn range_m() -> f32 {
     orca::INTERFACE.radius_m + MARGIN_M
 }
 
-/// Returns a trial of a team that lasts for `lasts`. Links between hosts have the range `range_m`.
+/// Returns a trial of a team that lasts for `lasts`. Links between hosts have the range [`range_m`].
 pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError> {
     let trial = Trial::of_team(mode, "swap", robots)?.lasting(lasts);
     if trial.deployment.hosts.len() == 1 {
@@ -39,7 +39,7 @@ pub fn trial(mode: &str, robots: usize, lasts: Span) -> Result<Trial, TrialError
 /// Cost per robot of a team of one size, per simulated second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Growth {
-    /// Name of the deployment, one of `MODES`.
+    /// Mode of the deployment, one of [`MODES`].
     pub mode: String,
     /// Number of robots.
     pub robots: usize,
@@ -51,14 +51,15 @@ pub struct Growth {
     pub deliveries: f64,
     /// Share of airtime that a robot's own latents take by multicast; `None` without a radio.
     pub airtime: Option<f64>,
-    /// Share of airtime that the latents of a robot and of all robots within its range take; `None` without a radio.
+    /// Share of airtime that the latents of a robot and of all robots within its transmission range take; `None`
+    /// without a radio.
     pub airtime_around: Option<f64>,
-    /// Processor time that the simulation takes \[µs\], per robot and simulated second.
+    /// Processor time of the simulation \[µs\], per robot and simulated second.
     pub cpu_us: f64,
 }
 
 impl Growth {
-    /// Returns the cost per robot of a run in this deployment that took `cpu_s` of processor time \[s\].
+    /// Returns the cost per robot of a trial in the mode `mode` that took `cpu_s` of processor time \[s\].
     pub fn of(mode: &str, cost: &Cost, cpu_s: f64, radio: Option<&Radio>) -> Growth {
         let latents = cost.kinds.iter().find(|kind| kind.kind == Kind::Latent).expect("all kinds are counted");
         let on_air = |radio: &Radio| {
@@ -79,7 +80,7 @@ impl Growth {
     }
 }
 
-/// Returns the mean number of robots within transmission range, far from the edge of the ground.
+/// Returns the mean number of robots within transmission range of a robot, far from the edge of the ground.
 pub fn neighbours_in_range() -> f64 {
     std::f64::consts::PI * f64::from(range_m()).powi(2) / GROUND_M2
 }

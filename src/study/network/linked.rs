@@ -1,4 +1,4 @@
-//! A station that uses the project's own link layer: best effort, repeated, or retransmitted on request.
+//! Station of a network study that uses the project's link layer: best effort, repeat or nack.
 
 use super::case::{Addressing, ReliabilityMode};
 use super::endpoint::{Endpoint, Output};
@@ -13,11 +13,11 @@ use crate::net::protocol::router::Audience;
 use crate::random::{Seed, Stream};
 use crate::time::Time;
 
-/// Any key: the length of datagrams does not depend on it.
+/// Arbitrary key; the length of datagrams does not depend on it.
 const KEY: [u8; 32] = *b"the key of the network study....";
 const LINK: LinkId = LinkId(0);
 
-/// One station.
+/// Station with the project's link layer.
 pub struct Linked {
     station: u16,
     features: usize,
@@ -26,7 +26,7 @@ pub struct Linked {
     leaving: Vec<(Audience, Frame)>,
 }
 
-/// Returns the setup of a link. Panics for the reliability modes of RTPS.
+/// Returns the setup of the stations' link. Panics for the reliability modes of RTPS.
 pub fn setup(addressing: Addressing, reliability: ReliabilityMode) -> Setup {
     let reliability = match reliability {
         ReliabilityMode::BestEffort => Reliability::BestEffort,
@@ -42,7 +42,7 @@ pub fn setup(addressing: Addressing, reliability: ReliabilityMode) -> Setup {
 }
 
 impl Linked {
-    /// Returns a station of a team with a key.
+    /// Returns the station with the index `station`, in a team with a key.
     pub fn new(station: u16, setup: Setup, features: usize, seed: &Seed) -> Linked {
         let mut stream = seed.stream(&format!("link/{station}"));
         let me = Identity { host: HostId(station), team: 1, incarnation: 1 };

@@ -1,4 +1,4 @@
-//! Medium of a network study: a radio channel or shaped links, by name or from a file; and its emulator.
+//! Medium of a network study, by name or from a file: a radio channel or shaped links. And its emulator.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,9 +12,9 @@ use crate::time::Time;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Medium {
-    /// One channel of 802.11, shared by all stations.
+    /// Channel of 802.11 that all stations share.
     Radio(Radio),
-    /// A shaped link for each station.
+    /// Shaped link for each station.
     Shaped(Shaped),
 }
 
@@ -22,7 +22,7 @@ pub enum Medium {
 const SHAPED: &str = "shaped";
 
 impl Medium {
-    /// Returns the medium of that name; `None` if there is none.
+    /// Returns the medium with this name; `None` if there is none.
     pub fn named(name: &str) -> Option<Medium> {
         if name == SHAPED {
             return Some(Medium::Shaped(Shaped::megabit()));
@@ -30,7 +30,7 @@ impl Medium {
         Radio::preset(name).map(Medium::Radio)
     }
 
-    /// Returns all names, for errors.
+    /// Returns the names of all media, for errors.
     pub fn names() -> String {
         radio::PRESETS.into_iter().chain([SHAPED]).collect::<Vec<_>>().join(", ")
     }
@@ -47,7 +47,7 @@ impl Medium {
         Ok(Medium::Shaped(shaped))
     }
 
-    /// Checks all ranges; an error names the field.
+    /// Checks the ranges of all parameters. An error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         match self {
             Medium::Radio(radio) => radio.check(),
@@ -58,9 +58,9 @@ impl Medium {
 
 /// Emulator of a medium.
 pub enum MediumEmulator<T> {
-    /// A radio channel.
+    /// Emulator of a radio channel.
     Radio(Box<Channel<T>>),
-    /// Shaped links.
+    /// Emulator of shaped links.
     Shaped(Box<Links<T>>),
 }
 
@@ -73,9 +73,9 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Queues a datagram at the station with the index `from`, to be sent to `to`. `bytes` is its payload; headers are
-    /// added by the medium. `token` is any value that names the datagram; it comes back with each delivery.
-    /// The datagram is dropped if the station's queue is full.
+    /// Queues a datagram at the station with the index `from`, for the receivers `to`. `bytes` is its length; the
+    /// medium adds headers. `token` identifies the datagram in its deliveries. The datagram is dropped if the station's
+    /// queue is full.
     pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         match self {
             MediumEmulator::Radio(channel) => channel.offer(now, from, to, bytes, token),
@@ -83,7 +83,7 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Returns the time at which `wake` has to be called next; `None` if nothing is under way.
+    /// Returns the time at which `wake` has to be called next; `None` if nothing is in flight.
     pub fn wake_at(&self) -> Option<Time> {
         match self {
             MediumEmulator::Radio(channel) => channel.wake_at(),
@@ -91,7 +91,7 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Runs the medium up to `now`; appends received frames to `deliveries`.
+    /// Advances the medium to `now`, and appends received frames to `deliveries`.
     pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<T>>) {
         match self {
             MediumEmulator::Radio(channel) => channel.wake(now, deliveries),
@@ -99,7 +99,7 @@ impl<T: Clone> MediumEmulator<T> {
         }
     }
 
-    /// Returns for how long the medium was busy with the stations' frames, from the start until `now` \[s\].
+    /// Returns the time in which the medium was busy with the stations' frames, from the start until `now` \[s\].
     pub fn busy_s(&self, now: Time) -> f64 {
         match self {
             MediumEmulator::Radio(channel) => channel.counts(now).airtime_ns as f64 * 1e-9,

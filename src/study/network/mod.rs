@@ -1,8 +1,8 @@
 //! Network study: delivery, delay and airtime of a team's messages by addressing, reliability, retry limit and rate.
 //!
-//! Pure: `case` holds the parameters that are varied, `medium` the medium, `emulate` runs one case, `outcome` is its
-//! result. Stations use the project's own link layer (`linked`) or the reliable mode of RTPS (`rtps`). Nothing here
-//! reads a clock or opens a socket; measurements between real hosts produce the same outcomes.
+//! Pure: `case` has the parameters that are varied, `medium` the medium, `emulate` runs one case, `outcome` is its
+//! result. Stations use the project's link layer (`linked`) or the reliable mode of RTPS (`rtps`). Measurements between
+//! real hosts give the same kind of outcomes.
 
 pub mod case;
 #[cfg(feature = "train")]

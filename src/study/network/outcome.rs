@@ -10,9 +10,9 @@ use crate::report::ages::Ages;
 use crate::report::statistics::quantile;
 use crate::time::{Span, Time};
 
-/// Maximum age of a message that a control step uses: the policies' hold window.
+/// Largest age of a message that a control step uses: the hold time of the policies.
 pub const USABLE: Span = Span::from_millis(200);
-/// Delay thresholds of the paper's network study.
+/// Delays for which the paper's network study reports shares.
 pub const MARKS: [Span; 2] = [Span::from_millis(20), Span::from_millis(50)];
 
 /// Outcome of a case.
@@ -21,31 +21,31 @@ pub const MARKS: [Span; 2] = [Span::from_millis(20), Span::from_millis(50)];
 pub struct Outcome {
     /// Duration of the measurement \[s\].
     pub seconds: f64,
-    /// Expected deliveries: every message published in the window, at every other station.
+    /// Number of expected deliveries: each message published in the window, at every other station.
     pub due: u64,
-    /// Deliveries.
+    /// Number of deliveries.
     pub arrived: u64,
-    /// Deliveries within 20 ms and within 50 ms.
+    /// Numbers of deliveries within 20 ms and within 50 ms.
     pub within: [u64; 2],
-    /// Quantiles of the delay of deliveries: 10, 50, 90 and 99 % \[s\].
+    /// Quantiles of the delay of deliveries \[s\]: 10, 50, 90 and 99 %; `None` without deliveries.
     pub quantiles_s: Option<[f64; 4]>,
     /// Histogram of the delays.
     pub delays: Ages,
-    /// Histogram of ages at each control step: of the newest message of each other station.
+    /// Histogram of the age of each other station's newest message at each control step.
     pub ages: Ages,
-    /// Quantiles of that age: 50 and 90 % \[s\].
+    /// Quantiles of this age \[s\]: 50 and 90 %; `None` if too many pairs of stations had no message.
     pub age_quantiles_s: Option<[f64; 2]>,
-    /// Share of pairs of a control step and another station for which the newest message is at most `USABLE` old.
+    /// Share of these ages that are at most `USABLE`.
     pub usable: f64,
-    /// Datagrams of all stations \[1/s\]; `None` in a measurement between hosts.
+    /// Datagrams sent by all stations \[1/s\]; `None` in a measurement between hosts.
     pub datagrams_per_s: Option<f64>,
-    /// Bytes of all stations \[1/s\]; `None` in a measurement between hosts.
+    /// Bytes sent by all stations \[1/s\]; `None` in a measurement between hosts.
     pub bytes_per_s: Option<f64>,
     /// Share of time in which the medium was busy with frames of the stations; `None` in a measurement between hosts.
     pub airtime: Option<f64>,
 }
 
-/// Counters of a running case.
+/// Counters of a case that is running.
 #[derive(Clone, Debug)]
 pub struct Tally {
     window: (Time, Time),
@@ -59,17 +59,17 @@ pub struct Tally {
     usable: u64,
     sent: (u64, u64),
     busy_s: [Option<f64>; 2],
-    /// By station: publication times of its newest messages, and the sequence number of the first of them.
+    /// For each station: publication times of its newest messages, and the sequence number of the first of them.
     published_at: Vec<(u32, VecDeque<Time>)>,
-    /// By receiver and sender: publication time of the newest received message.
+    /// For each receiver and sender: publication time of the newest received message.
     newest: Vec<Option<Time>>,
 }
 
-/// Maximum number of publication times kept for one station.
+/// Largest number of publication times that are kept for a station.
 const REMEMBERED: usize = 100_000;
 
 impl Tally {
-    /// Returns empty counters; messages published in the window count.
+    /// Returns empty counters. Only messages published in the window are counted.
     pub fn new(stations: u16, window: (Time, Time)) -> Tally {
         let stations = usize::from(stations);
         Tally {
@@ -89,7 +89,7 @@ impl Tally {
         }
     }
 
-    /// Returns the window in which published messages count.
+    /// Returns start and end of the window in which published messages are counted.
     pub fn window(&self) -> (Time, Time) {
         self.window
     }
@@ -112,7 +112,7 @@ impl Tally {
         }
     }
 
-    /// Counts a message that a station receives for the first time.
+    /// Counts a message that the station `station` receives for the first time.
     pub fn received(&mut self, now: Time, station: u16, from: u16, sequence: u32) {
         let (first, times) = &self.published_at[usize::from(from)];
         let place = sequence.checked_sub(*first).and_then(|place| times.get(place as usize));
@@ -124,7 +124,7 @@ impl Tally {
         }
     }
 
-    /// Counts the delay of a message of the window.
+    /// Counts the delay of a message that was published in the window.
     pub fn add_delay(&mut self, delay: Span) {
         self.delays.add(delay);
         for (within, mark) in self.within.iter_mut().zip(MARKS) {
@@ -133,10 +133,10 @@ impl Tally {
         self.delays_s.push(delay.as_secs());
     }
 
-    /// Counts a control step: the age of the newest message of each other station.
+    /// Counts a control step of a station: the age of each other station's newest message.
     pub fn step(&mut self, now: Time, station: u16) {
         for from in (0..self.stations).filter(|from| *from != usize::from(station)) {
-            // Without any message of a station, the age exceeds every limit.
+            // If there is no message of a station, its age exceeds every limit.
             let age = self.newest[usize::from(station) * self.stations + from].map_or(NEVER, |at| now.since(at));
             self.add_age(age);
         }
@@ -149,7 +149,7 @@ impl Tally {
         self.usable += u64::from(age <= USABLE);
     }
 
-    /// Counts datagrams that a station has sent.
+    /// Counts datagrams that a station has sent, if `now` is within the window.
     pub fn sent(&mut self, now: Time, datagrams: u64, bytes: usize) {
         if self.counts(now) {
             self.sent.0 += datagrams;
@@ -157,7 +157,7 @@ impl Tally {
         }
     }
 
-    /// Samples the medium's busy time at both ends of the window.
+    /// Samples the busy time of the medium at both ends of the window.
     pub fn sample_airtime(&mut self, now: Time, busy_s: impl Fn() -> f64) {
         for (seen, edge) in self.busy_s.iter_mut().zip([self.window.0, self.window.1]) {
             if seen.is_none() && now >= edge {
@@ -166,17 +166,17 @@ impl Tally {
         }
     }
 
-    /// Adds `due` to the expected deliveries. Measurements need it, because there each station counts its own messages.
+    /// Adds to the number of expected deliveries. For measurements, in which each station counts its own messages.
     pub fn add_due(&mut self, due: u64) {
         self.due += due;
     }
 
-    /// Returns the outcome.
+    /// Returns the outcome of the case.
     pub fn outcome(self) -> Outcome {
         let window_s = self.window.1.since(self.window.0).as_secs();
         let (arrived, seen) = (self.delays_s.len() as u64, self.sent.0 > 0);
         let delay = |q: f64| quantile(&self.delays_s, q);
-        // There is no such quantile if too many pairs never had a message.
+        // The quantile does not exist if too many pairs of stations never had a message.
         let age = |q: f64| quantile(&self.ages_s, q).filter(|age| *age < NEVER.as_secs());
         let steps = self.ages_s.len().max(1) as f64;
         let all = |qs: [f64; 4]| Some([delay(qs[0])?, delay(qs[1])?, delay(qs[2])?, delay(qs[3])?]);
@@ -197,18 +197,18 @@ impl Tally {
     }
 }
 
-/// One row of the results, as `--json` prints it. Later versions may add fields and remove none.
+/// Row of the results of a network study, as `--json` prints it. Later versions may add fields and remove none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Emulation or measurement.
+    /// Whether the case was emulated or measured.
     pub source: Source,
-    /// See `Case`.
+    /// Addressing of messages.
     pub addressing: Addressing,
-    /// See `Case`.
+    /// Reliability mode of messages.
     pub reliability: ReliabilityMode,
-    /// See `Case`.
+    /// Retry limit of unicast frames.
     pub retries: u32,
-    /// See `Case`.
+    /// Kind of network.
     pub network: NetworkKind,
     /// Message rate of all stations together \[1/s\].
     pub rate: f64,
@@ -220,23 +220,23 @@ pub struct Row {
     pub within_20ms: f64,
     /// Share of expected deliveries that arrived within 50 ms.
     pub within_50ms: f64,
-    /// Quantiles of the delay of deliveries \[ms\]; null if nothing was delivered.
+    /// 10 % quantile of the delay of deliveries \[ms\]; null without deliveries.
     pub p10_ms: Option<f64>,
-    /// See `p10_ms`.
+    /// Median delay of deliveries \[ms\]; null without deliveries.
     pub p50_ms: Option<f64>,
-    /// See `p10_ms`.
+    /// 90 % quantile of the delay of deliveries \[ms\]; null without deliveries.
     pub p90_ms: Option<f64>,
-    /// See `p10_ms`.
+    /// 99 % quantile of the delay of deliveries \[ms\]; null without deliveries.
     pub p99_ms: Option<f64>,
-    /// Share of time in which the medium was busy; null if it was not measured.
+    /// Share of time in which the medium was busy with the stations' frames; null in a measurement.
     pub airtime: Option<f64>,
-    /// Age of the newest message of another station at a control step, median and 90 % quantile \[ms\].
+    /// Median age of other stations' newest messages at control steps \[ms\]; null if too many had no message.
     pub age_p50_ms: Option<f64>,
-    /// See `age_p50_ms`.
+    /// 90 % quantile of the age of other stations' newest messages at control steps \[ms\]; null as for `age_p50_ms`.
     pub age_p90_ms: Option<f64>,
-    /// Share of control steps at which that age was at most 200 ms.
+    /// Share of these ages at control steps that are at most 200 ms.
     pub usable: f64,
-    /// Datagrams per message, including protocol overhead; null if they were not counted.
+    /// Datagrams sent per message, including those of the protocol; null in a measurement.
     pub datagrams_per_message: Option<f64>,
 }
 
@@ -247,13 +247,13 @@ impl Row {
         Case { network, addressing, reliability, retries, rate }
     }
 
-    /// Returns all parameters but the rate as text.
+    /// Returns all parameters except the rate as text.
     pub fn combination(&self) -> String {
         let name = self.case().combination();
         if self.source == Source::Emulated { name } else { format!("{name}, {}", self.source) }
     }
 
-    /// Returns the row of a case.
+    /// Returns the row of a case and its outcome.
     pub fn of(source: Source, case: &Case, outcome: &Outcome) -> Row {
         let due = outcome.due.max(1) as f64;
         let delay = |at: usize| outcome.quantiles_s.map(|all| 1000.0 * all[at]);

@@ -10,30 +10,30 @@ use crate::report::figures::{self, Figure, FigureError, Heard, Line, Panel, Poin
 use crate::report::listening::Listening;
 use crate::report::page::{self, Part};
 
-/// A case with its outcome and its source.
+/// Result of a case: its source, its parameters and its outcome.
 pub type Found = (Source, Case, Outcome);
 
-/// Name of a line, and a predicate for the cases on it.
+/// Line of a figure: its name, and a predicate that selects its cases.
 type OnLine = (String, Box<dyn Fn(&Found) -> bool>);
 
-/// Rates of the paper's two figures \[1/s\]; the nearest rates of a sweep are drawn.
+/// Rates of the paper's two figures \[1/s\]. The nearest rates of the sweep are drawn.
 const DRAWN: [f64; 2] = [60.0, 200.0];
 
-/// Results of a study.
+/// Results of a network study, for its report.
 pub struct Findings<'a> {
-    /// Parameters.
+    /// Parameters of the study.
     pub sweep: &'a Sweep,
-    /// Outcomes by case.
+    /// Results of all cases.
     pub results: &'a [Found],
     /// Cost per robot of growing teams.
     pub grown: &'a [Growth],
     /// Command that reproduces the study.
     pub command: &'a str,
-    /// Remarks, such as the uncertainty of clocks.
+    /// Notes, such as the uncertainty of clocks.
     pub notes: &'a [String],
 }
 
-/// Lines of one figure: cases that differ in one parameter.
+/// Figure's lines: cases that differ in one parameter.
 struct Group {
     name: String,
     title: String,
@@ -41,12 +41,12 @@ struct Group {
 }
 
 impl Findings<'_> {
-    /// Returns the rows.
+    /// Returns the results as rows.
     pub fn rows(&self) -> Vec<Row> {
         self.results.iter().map(|(source, case, outcome)| Row::of(*source, case, outcome)).collect()
     }
 
-    /// Groups the cases by network: reliabilities by multicast, by unicast, and RTPS over retry limits.
+    /// Groups the cases of each network: reliability modes by multicast and by unicast, and RTPS by retry limit.
     fn groups(&self) -> Vec<Group> {
         let mut groups = Vec::new();
         let most = self.sweep.retries.iter().copied().max().unwrap_or(0);
@@ -86,7 +86,7 @@ impl Findings<'_> {
         groups
     }
 
-    /// Adds a line for emulated and one for measured cases, if there are such.
+    /// Adds a line for emulated and a line for measured cases, as far as there are any.
     fn sources(&self, lines: &mut Vec<OnLine>, name: &str, is: impl Fn(&Case) -> bool + Copy + 'static) {
         let live = self.results.iter().any(|(source, ..)| *source == Source::Live);
         for source in Source::ALL {
@@ -97,7 +97,7 @@ impl Findings<'_> {
         }
     }
 
-    /// Returns the figures.
+    /// Returns all figures of the report.
     pub fn figures(&self) -> Result<Vec<Figure>, FigureError> {
         let mut all = Vec::new();
         for group in self.groups() {
@@ -121,7 +121,7 @@ impl Findings<'_> {
         Ok(all)
     }
 
-    /// Returns the length of a message's datagram \[bytes\]: the link layer's shortest, without reports.
+    /// Returns the length of a message's datagram without link reports \[bytes\].
     fn datagram_bytes(&self) -> usize {
         self.sweep.bytes + super::traffic::FRAMING_BYTES
     }
@@ -184,7 +184,7 @@ impl Findings<'_> {
         })
     }
 
-    /// Returns the HTML page.
+    /// Returns the HTML page of the report, which contains the figures.
     pub fn page(&self, figures: &[Figure]) -> String {
         let Sweep { stations, bytes, seconds, history, seed, .. } = self.sweep;
         let mut parts = vec![Part::Text(format!(

@@ -1,5 +1,5 @@
-//! One station of a measured case: publishes the same messages at the same times as an emulated one, and records what
-//! it receives. A pure core; the caller supplies clock and network.
+//! Station of a measured case. It publishes the same messages at the same times as an emulated station, and records
+//! what it receives. Pure; the caller supplies clock and network.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,16 +12,16 @@ use crate::actor::Core;
 use crate::messages::wire::{Latent, Wire};
 use crate::time::{Span, Time};
 
-/// Maximum burst of messages after a scheduling delay: about a tenth of a second at 500 messages a second. Older ones
-/// are skipped and counted, so that the burst does not grow with the delay.
+/// Largest number of messages published in a burst after a scheduling delay: about a tenth of a second at 500 messages
+/// a second. Older ones are skipped and counted.
 const BURST: u32 = 64;
 
-/// Order to measure one case, which the coordinator sends to all hosts.
+/// Request to measure one case, sent by the coordinator to all hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Task {
-    /// Number of the case; stations ignore messages that carry another number.
+    /// Number of the case. Stations ignore messages that carry another number.
     pub number: u32,
-    /// The case.
+    /// Case to measure.
     pub case: Case,
     /// Number of stations.
     pub stations: u16,
@@ -29,33 +29,32 @@ pub struct Task {
     pub features: usize,
     /// Duration of the measurement \[s\].
     pub seconds: f64,
-    /// Seed of the publication schedules.
+    /// Seed of the stations' publication schedules.
     pub seed: u64,
 }
 
 /// Counts and ages that one station has measured in a case.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StationResult {
-    /// Messages published in the window.
+    /// Number of messages published in the window.
     pub said: u64,
-    /// Messages that were due in the window and not published because of a long scheduling delay. They count as
-    /// expected and not as delivered.
+    /// Number of messages due in the window that were not published because of a long scheduling delay. They count as
+    /// expected and not delivered.
     #[serde(default)]
     pub skipped: u64,
-    /// Delays of received messages \[us\].
+    /// Delay of each received message \[us\].
     pub delays_us: Vec<u64>,
-    /// Ages at each control step, of the newest message of each other station \[us\]; `None` before the first message
-    /// of that station.
+    /// Ages of each other station's newest message at each control step \[us\]; `None` if there was none.
     pub ages_us: Vec<Option<u64>>,
 }
 
 impl Task {
-    /// Returns the duration including warm-up and drain.
+    /// Returns the duration of the case including warm-up and drain.
     pub fn lasts(&self) -> Span {
         WARM_UP + Span::from_secs(self.seconds) + DRAIN
     }
 
-    /// Combines the results of all stations.
+    /// Combines the results of all stations to the outcome of the case.
     pub fn outcome(&self, results: &[StationResult]) -> Outcome {
         let begin = Time::ZERO + WARM_UP;
         let mut tally = Tally::new(self.stations, (begin, begin + Span::from_secs(self.seconds)));
@@ -69,7 +68,7 @@ impl Task {
     }
 }
 
-/// A measuring station.
+/// State of a measuring station.
 #[derive(Debug)]
 pub struct Peer {
     task: Task,
@@ -80,7 +79,7 @@ pub struct Peer {
     ended: bool,
     schedule: Schedule,
     step: Time,
-    /// By station: publication time of its newest message.
+    /// For each station: publication time of its newest message.
     newest: Vec<Option<Time>>,
     result: StationResult,
 }
@@ -149,7 +148,7 @@ impl Core for Peer {
             let others = (0..self.newest.len()).filter(|from| *from != usize::from(self.station));
             let age = |from: usize| self.newest[from].map(|published| now.since(published).as_nanos() / 1000);
             self.result.ages_us.extend(others.map(age));
-            // Missed steps are not repeated: a robot that was delayed has not acted in the meantime.
+            // Missed steps are not made up for, since a delayed robot would not have acted either.
             while self.step <= now {
                 self.step += STEP;
             }
@@ -161,7 +160,7 @@ impl Core for Peer {
 }
 
 impl Peer {
-    /// Publishes all messages that are due, after a delay in a burst of at most `BURST`; the oldest are skipped.
+    /// Publishes all messages that are due. After a delay these are at most `BURST`; older ones are skipped.
     fn publish_due(&mut self, now: Time, out: &mut Vec<Wire>) {
         let mut due_messages = Vec::new();
         while self.schedule.next() <= now {
@@ -200,7 +199,7 @@ mod tests {
         Peer::new(Task { number: 3, case, stations: 2, features: 4, seconds: 20.0, seed: 1 }, 0, Time::ZERO)
     }
 
-    /// Wakes the station; returns the number of messages that it publishes.
+    /// Wakes the station. Returns the number of messages that it publishes.
     fn woken(peer: &mut Peer, now: Time) -> usize {
         let mut out = Vec::new();
         peer.wake(now, &mut out);
@@ -220,7 +219,7 @@ mod tests {
         let said = woken(&mut peer, begin + Span::from_millis(100));
         assert!((45..=55).contains(&said), "{said}");
         assert_eq!(peer.result().skipped, 0);
-        // Ten seconds: more than one burst.
+        // Ten seconds: more messages than a burst.
         assert_eq!(woken(&mut peer, begin + Span::from_millis(10_100)), BURST as usize);
         let StationResult { said, skipped, ages_us, .. } = peer.result();
         assert!((4990..=5110).contains(&(said + skipped)), "{said} and {skipped}");

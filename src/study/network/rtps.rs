@@ -1,10 +1,11 @@
-//! A station with the reliable mode of RTPS: OMG DDSI-RTPS 2.5, section 8.4, one stateful writer (8.4.9) and a stateful
-//! reader (8.4.12) for each other station. Where the standard leaves a choice, it is that of Fast DDS.
+//! Station of a network study with the reliable mode of RTPS: OMG DDSI-RTPS 2.5, section 8.4, one stateful writer
+//! (8.4.9), and a stateful reader (8.4.12) for each other station. Where the standard leaves a choice, it is that of
+//! Fast DDS.
 //!
-//! Every sample carries a heartbeat, as in Fast DDS once the writer's history is full. A reader answers a heartbeat by
-//! an ACKNACK after `heartbeatResponseDelay`. The writer retransmits requested samples after `nackResponseDelay`, to
-//! the requesting reader; a GAP declares samples that it no longer keeps irrelevant. Readers deliver samples in order
-//! (8.7.2.2.1, reliable). Not modelled: discovery, fragments, liveliness.
+//! Every sample carries a heartbeat, as in Fast DDS once the writer's history is full. A reader answers a heartbeat
+//! with an ACKNACK after `heartbeatResponseDelay`. The writer retransmits requested samples to the reader after
+//! `nackResponseDelay`; a GAP declares samples irrelevant that it no longer keeps. Readers deliver samples in order
+//! (8.7.2.2.1, reliable). Discovery, fragmentation and liveliness are not modelled.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -18,11 +19,11 @@ const HEARTBEAT_PERIOD: Span = Span::from_millis(3000);
 const NACK_RESPONSE_DELAY: Span = Span::from_millis(5);
 /// `heartbeatResponseDelay` of Fast DDS; the standard has 500 ms (8.4.10.1.1).
 const HEARTBEAT_RESPONSE_DELAY: Span = Span::from_millis(5);
-/// Maximum size of the `SequenceNumberSet` of one ACKNACK or GAP (9.4.2.6).
+/// Largest size of the `SequenceNumberSet` of one ACKNACK or GAP (9.4.2.6).
 const MOST_NAMED: usize = 256;
 
-/// Lengths of an RTPS header and of submessages with their 4-byte headers (9.4.4, 9.4.5) \[bytes\]. DATA includes the
-/// encapsulation of 4 bytes (10.2) and excludes its payload. ACKNACK and GAP exclude their bitmaps.
+/// Lengths of the RTPS header and of submessages with their 4-byte headers \[bytes\] (9.4.4, 9.4.5). DATA includes the
+/// encapsulation of 4 bytes (10.2) and excludes the payload. ACKNACK and GAP exclude their bitmaps.
 const HEADER: usize = 20;
 const INFO_TS: usize = 12;
 const INFO_DST: usize = 16;
@@ -31,49 +32,49 @@ const HEARTBEAT: usize = 32;
 const ACKNACK: usize = 28;
 const GAP: usize = 32;
 
-/// Range of sequence numbers that a writer keeps: the first one, and the one after the last.
+/// Range of sequence numbers that a writer keeps: the first, and the one after the last.
 pub type Holds = (u32, u32);
 
-/// RTPS message: its sender and content.
+/// RTPS message of a station.
 #[derive(Clone, Debug)]
 pub enum Packet {
-    /// A writer's sample with this sequence number, and a HEARTBEAT.
+    /// DATA with a HEARTBEAT: writer, sequence number of the sample, and the writer's range.
     Data(u16, u32, Holds),
-    /// A writer's HEARTBEAT alone, or its GAP.
+    /// HEARTBEAT without DATA, or GAP: writer, and its range.
     Heartbeat(u16, Holds),
-    /// A reader's ACKNACK: it has all samples below this number, and requests these.
+    /// ACKNACK: reader, number below which it has all samples, and samples that it requests.
     AckNack(u16, u32, Vec<u32>),
 }
 
-/// A writer's state of one reader.
+/// State that a writer keeps of one reader.
 #[derive(Clone, Debug, Default)]
 struct ReaderProxy {
-    /// All samples below this number are acknowledged.
+    /// Number below which all samples are acknowledged.
     acked: u32,
     requested: BTreeSet<u32>,
     due: Option<Time>,
 }
 
-/// A reader's state of one writer.
+/// State that a reader keeps of one writer.
 #[derive(Clone, Debug, Default)]
 struct WriterProxy {
     /// Next sequence number to deliver.
     next: u32,
-    /// Samples received out of order.
+    /// Sequence numbers received out of order.
     waiting: BTreeSet<u32>,
-    /// Largest sequence number that the writer is known to have.
+    /// Largest sequence number that the writer has announced.
     last: Option<u32>,
-    /// Time of the next ACKNACK.
+    /// Time at which the next ACKNACK is due.
     due: Option<Time>,
 }
 
-/// An RTPS station.
+/// Station with the reliable mode of RTPS.
 pub struct Rtps {
     station: u16,
     payload: usize,
     positive: bool,
     history: History,
-    /// The writer keeps samples from `first` to below `end`.
+    /// Range of sequence numbers that the writer keeps, from `first` to below `end`.
     first: u32,
     end: u32,
     readers: BTreeMap<u16, ReaderProxy>,
@@ -82,7 +83,7 @@ pub struct Rtps {
 }
 
 impl Rtps {
-    /// Returns a station among `stations`, with messages of `payload` bytes.
+    /// Returns the station with the index `station` of `stations`, for messages of `payload` bytes.
     pub fn new(station: u16, stations: u16, payload: usize, reliability: ReliabilityMode, history: History) -> Rtps {
         let others = || (0..stations).filter(move |other| *other != station);
         Rtps {
@@ -103,11 +104,11 @@ impl Rtps {
         (bytes, Packet::Data(self.station, sequence, (self.first, self.end)))
     }
 
-    /// Removes samples that need not be kept from the history.
+    /// Removes samples from the history that need not be kept.
     fn trim(&mut self) {
         match self.history {
             History::Last(depth) => self.first = self.first.max(self.end.saturating_sub(depth)),
-            // A reader that never acknowledges blocks this: in DDS, resource limits end it.
+            // A reader that never acknowledges blocks the removal. In DDS, resource limits end this.
             History::All if self.positive => {
                 let acked = self.readers.values().map(|reader| reader.acked).min().unwrap_or(self.end);
                 self.first = self.first.max(acked);
@@ -116,7 +117,7 @@ impl Rtps {
         }
     }
 
-    /// Handles a heartbeat: samples below `first` are irrelevant, samples up to `end` exist.
+    /// Handles a heartbeat: samples below `first` are irrelevant, and samples below `end` exist.
     fn hear_heartbeat(&mut self, now: Time, writer: u16, (first, end): (u32, u32), out: &mut Vec<Output<Packet>>) {
         let positive = self.positive;
         let Some(proxy) = self.writers.get_mut(&writer) else { return };
@@ -222,7 +223,7 @@ impl Endpoint for Rtps {
             }
         }
         if is_due(self.heartbeat) {
-            // Without acknowledgements, heartbeats never end.
+            // Without positive acknowledgements, heartbeats never end.
             let open = !self.positive || self.readers.values().any(|reader| reader.acked < self.end);
             self.heartbeat = open.then_some(now + HEARTBEAT_PERIOD);
             if open {

@@ -1,7 +1,7 @@
-//! Saturation of one channel as a team grows, from airtimes and from Bianchi's model. No simulation.
+//! Saturation of one channel by growing teams, from airtimes and from Bianchi's model, without a simulation.
 //!
-//! All robots share one channel and publish at the same rate. Multicast is independent of density: one frame serves
-//! all receivers. By unicast each message goes to a fixed number of neighbours.
+//! All robots share one channel and publish at the same rate. With multicast one frame serves all receivers, so the
+//! load is independent of density. With unicast each message is sent to a fixed number of neighbours.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,26 +9,26 @@ use super::case::Addressing;
 use crate::net::media::radio::Radio;
 use crate::net::media::radio::bianchi::{Lengths, Saturation};
 
-/// Team sizes.
+/// Team sizes of the table.
 pub const SIZES: [usize; 8] = [5, 10, 20, 50, 100, 200, 500, 1000];
 /// Message rate of a robot: one message per control step \[1/s\].
 pub const RATE: f64 = 20.0;
-/// Receivers of a message by unicast, at constant density: as many as in a team of five.
+/// Number of receivers of a unicast message, at constant density: as many as in a team of five.
 pub const NEIGHBOURS: u32 = 4;
 
-/// Load of one channel by a team of one size.
+/// Load of one channel by a team.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Load {
-    /// Number of robots.
+    /// Number of robots in the team.
     pub robots: usize,
     /// Addressing of messages.
     pub addressing: Addressing,
     /// Message rate of all robots together \[1/s\].
     pub messages_per_s: f64,
-    /// Share of airtime that their frames need, including acknowledgements and interframe spaces. More than 1 means
-    /// that the channel cannot carry it.
+    /// Share of airtime that the team's frames need in one hop, with acknowledgements and interframe spaces. Above 1
+    /// the channel cannot carry them.
     pub airtime: f64,
-    /// Share of airtime that the team's frames need if they go through an access point.
+    /// Share of airtime that the team's frames need through an access point.
     pub airtime_relayed: f64,
     /// Saturation throughput in one hop, by Bianchi's model \[messages/s\].
     pub saturation_per_s: f64,
@@ -37,13 +37,13 @@ pub struct Load {
 }
 
 impl Load {
-    /// Returns the load of a team with datagrams of `datagram_bytes`.
+    /// Returns the load of a team that sends datagrams of `datagram_bytes` \[bytes\].
     pub fn of(radio: &Radio, addressing: Addressing, robots: usize, datagram_bytes: usize) -> Load {
         let times = radio.times();
         let unicast = (radio.frame_airtime(datagram_bytes) + times.acknowledged + times.aifs).as_secs();
         let spread = (radio.multicast_airtime(datagram_bytes) + times.aifs).as_secs();
         let neighbours = f64::from(NEIGHBOURS);
-        // An access point sends everything a second time.
+        // An access point sends every frame a second time.
         let (frames, taken, again) = match addressing {
             Addressing::Unicast => (neighbours, neighbours * unicast, neighbours * unicast),
             Addressing::Multicast => (1.0, spread, unicast),
@@ -74,19 +74,19 @@ impl Load {
         }
     }
 
-    /// Whether the channel is saturated.
+    /// Whether the team saturates the channel.
     pub fn is_full(&self) -> bool {
         self.airtime >= 1.0 || self.messages_per_s >= self.saturation_per_s
     }
 }
 
-/// Returns the loads of all team sizes, by multicast and by unicast.
+/// Returns the loads of all team sizes, first by multicast, then by unicast.
 pub fn table(radio: &Radio, datagram_bytes: usize) -> Vec<Load> {
     let of = |addressing| SIZES.map(|robots| Load::of(radio, addressing, robots, datagram_bytes));
     [Addressing::Multicast, Addressing::Unicast].into_iter().flat_map(of).collect()
 }
 
-/// Returns advice on the first parameter to change, in one sentence.
+/// Returns advice on the first parameter to change, as text.
 pub fn advice(radio: &Radio, datagram_bytes: usize) -> String {
     let last = |radio: &Radio, addressing| {
         let fits = |robots: &usize| !Load::of(radio, addressing, *robots, datagram_bytes).is_full();

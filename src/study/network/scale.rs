@@ -1,12 +1,12 @@
 //! Figures and tables of growing teams in a network study: cost per robot (`growth`) and saturation of one channel
-//! (`saturation`). Nothing is computed here.
+//! (`saturation`).
 
 use super::case::Addressing;
 use super::growth::{self, Growth};
 use super::saturation::{self, Load};
 use crate::report::figures::{self, Figure, FigureError, Line, Panel, Point};
 
-/// Draws the cost per robot against the size of the team; an error if a figure cannot be drawn.
+/// Draws the cost per robot against the number of robots.
 pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
     let mut sizes: Vec<usize> = grown.iter().map(|growth| growth.robots).collect();
     sizes.sort_unstable();
@@ -51,7 +51,7 @@ pub fn costs(grown: &[Growth]) -> Result<Figure, FigureError> {
     })
 }
 
-/// Returns heads and rows of the cost per robot.
+/// Returns heads and rows of the table of costs per robot.
 pub fn of_costs(grown: &[Growth]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let heads = vec![
         "robots",
@@ -79,7 +79,7 @@ pub fn of_costs(grown: &[Growth]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     (heads, grown.iter().map(line).collect())
 }
 
-/// Returns a remark on the airtime that a robot and the robots around it take; `None` without a radio.
+/// Returns a note on the airtime that a robot and the robots around it take; `None` without a radio.
 pub fn remark(grown: &[Growth]) -> Option<String> {
     let largest = grown.iter().filter(|growth| growth.airtime.is_some()).max_by_key(|growth| growth.robots)?;
     let (own, around) = (100.0 * largest.airtime?, 100.0 * largest.airtime_around?);
@@ -97,7 +97,7 @@ pub fn remark(grown: &[Growth]) -> Option<String> {
     ))
 }
 
-/// Draws the load of one channel and its saturation, by team size; an error if a figure cannot be drawn.
+/// Draws load and saturation of one channel against the number of robots.
 pub fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
     let line = |addressing: Addressing, name: &str, value: fn(&Load) -> Option<f64>| Line {
         name: name.to_owned(),
@@ -141,7 +141,7 @@ pub fn loads(loads: &[Load]) -> Result<Figure, FigureError> {
     })
 }
 
-/// Returns heads and rows of the saturation of one channel.
+/// Returns heads and rows of the table of load and saturation.
 pub fn of_loads(loads: &[Load]) -> (Vec<&'static str>, Vec<Vec<String>>) {
     let heads = vec![
         "robots",

@@ -1,5 +1,5 @@
-//! A wired network with shaped links: a token bucket with a queue at each sender, and independent loss at each
-//! receiver. It models an Ethernet with `tc tbf` and `netem loss`; there is no contention.
+//! Wired network with shaped links: a token bucket with a queue at each sender, and independent loss at each receiver.
+//! It models an Ethernet with `tc tbf` and `netem loss`, without contention.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -19,9 +19,9 @@ pub struct Shaped {
     pub rate_bit_s: f64,
     /// Size of the token bucket \[bytes\].
     pub burst_bytes: usize,
-    /// Size of the queue \[bytes\]; a frame that does not fit is lost.
+    /// Size of the queue \[bytes\]. A frame that does not fit is dropped.
     pub queue_bytes: usize,
-    /// Probability that a receiver loses a frame, 0 to 1, independently for each receiver.
+    /// Probability that a receiver loses a frame, 0 to 1; independent for each receiver.
     #[serde(default)]
     pub loss: f64,
     /// Constant latency of network stack, bridge and wake-up of the receiver \[us\].
@@ -37,7 +37,7 @@ fn headers() -> usize {
 }
 
 impl Shaped {
-    /// Returns links with `tc tbf rate 1mbit` and 16 % loss.
+    /// Returns links as with `tc tbf rate 1mbit`, and 16 % loss.
     pub fn megabit() -> Shaped {
         Shaped {
             rate_bit_s: 1e6,
@@ -49,7 +49,7 @@ impl Shaped {
         }
     }
 
-    /// Checks all ranges; an error names the field.
+    /// Checks the ranges of all parameters. An error names the field.
     pub fn check(&self) -> Result<(), ConfigError> {
         let wrong = |field: &str, reason: String| Err(ConfigError::field(field, reason));
         if !(1e3..=1e12).contains(&self.rate_bit_s) {
@@ -73,10 +73,10 @@ impl Shaped {
 /// State of one station's link.
 #[derive(Clone, Debug)]
 struct Sender {
-    /// Tokens \[bytes\] as of the last departure.
+    /// Tokens at the time `at` of the last departure \[bytes\].
     tokens: f64,
     at: Time,
-    /// Departure times of queued frames, with their lengths \[bytes\].
+    /// Queued frames: departure time, and length \[bytes\].
     queue: VecDeque<(Time, usize)>,
     waiting: usize,
 }
@@ -86,7 +86,7 @@ struct Sender {
 pub struct Links<T> {
     shaped: Shaped,
     senders: Vec<Sender>,
-    /// Frames in flight, by time of arrival, then by order of sending.
+    /// Frames in flight, ordered by arrival time and then by order of sending.
     in_flight: BTreeMap<(Time, u64), (u16, Destination, T)>,
     offered: u64,
     loss: Stream,
@@ -94,7 +94,7 @@ pub struct Links<T> {
 }
 
 impl<T: Clone> Links<T> {
-    /// Returns a network with idle stations.
+    /// Returns the links of idle stations.
     pub fn new(shaped: Shaped, stations: u16, seed: &Seed) -> Links<T> {
         let tokens = shaped.burst_bytes as f64;
         let sender = Sender { tokens, at: Time::ZERO, queue: VecDeque::new(), waiting: 0 };
@@ -108,7 +108,7 @@ impl<T: Clone> Links<T> {
         }
     }
 
-    /// Queues a datagram of `bytes` at the station `from`; drops it if that station's queue is full.
+    /// Queues a datagram of `bytes` \[bytes\] at the station `from`; drops it if that station's queue is full.
     pub fn offer(&mut self, now: Time, from: u16, to: Destination, bytes: usize, token: T) {
         let length = bytes + self.shaped.overhead_bytes;
         let sender = &mut self.senders[usize::from(from)];
@@ -134,12 +134,12 @@ impl<T: Clone> Links<T> {
         self.in_flight.insert((arrives, self.offered), (from, to, token));
     }
 
-    /// Returns the time of the next arrival; `None` if no datagram is under way.
+    /// Returns the time of the next arrival; `None` if no frame is in flight.
     pub fn wake_at(&self) -> Option<Time> {
         self.in_flight.first_key_value().map(|((at, _), _)| *at)
     }
 
-    /// Appends frames that have arrived until `now` to `deliveries`.
+    /// Appends the frames that have arrived until `now` to `deliveries`.
     pub fn wake(&mut self, now: Time, deliveries: &mut Vec<Delivery<T>>) {
         while let Some(first) = self.in_flight.first_entry().filter(|first| first.key().0 <= now) {
             let ((at, _), (from, to, token)) = first.remove_entry();
@@ -159,7 +159,7 @@ impl<T: Clone> Links<T> {
         }
     }
 
-    /// Returns the time in which the links were busy until now, averaged over the stations \[s\].
+    /// Returns the time in which the links were busy so far, averaged over the stations \[s\].
     pub fn busy_s(&self) -> f64 {
         self.sent_bytes * 8.0 / self.shaped.rate_bit_s / self.senders.len() as f64
     }
@@ -194,7 +194,7 @@ mod tests {
         (0..5).for_each(|token| tight.offer(Time::ZERO, 0, Destination::One(1), 500, token));
         let mut deliveries = Vec::new();
         tight.wake(Time::MAX, &mut deliveries);
-        // Two leave with the tokens of the burst, two are queued, one is dropped.
+        // Two leave with the tokens of the burst, two are queued, and one is dropped.
         assert_eq!(deliveries.len(), 4);
         let mut lossy = links(1 << 20, 0.16);
         let all: Destination = Destination::Many([0, 1, 2].into());

@@ -1,4 +1,4 @@
-//! Tables of a network study, for a terminal and for its page.
+//! Tables of a network study, for the terminal and for the page of the report.
 
 use std::fmt::Write as _;
 
@@ -7,10 +7,10 @@ use super::growth::Growth;
 use super::outcome::Row;
 use super::scale;
 
-/// A quantity of a row, with its name.
+/// Quantity that a table shows: its name, and its value in a row.
 type Shown = (&'static str, fn(&Row) -> Option<f64>);
 
-/// Quantities of the tables: shares of expected deliveries \[%\], times of deliveries \[ms\].
+/// Quantities of the tables: shares of expected deliveries, of airtime \[%\], and times \[ms\].
 pub const SHOWN: [Shown; 5] = [
     ("within 20 ms [%]", |row| Some(100.0 * row.within_20ms)),
     ("delivered [%]", |row| Some(100.0 * row.delivered)),
@@ -19,12 +19,12 @@ pub const SHOWN: [Shown; 5] = [
     ("age at control steps, median [ms]", |row| row.age_p50_ms),
 ];
 
-/// Returns the heads: the rates.
+/// Returns the heads of the columns: one for each rate.
 pub fn heads(sweep: &Sweep) -> Vec<String> {
     ["messages/s".to_owned()].into_iter().chain(sweep.rates.iter().map(f64::to_string)).collect()
 }
 
-/// Returns one line per combination, with one column per rate.
+/// Returns one line per combination of parameters, with one column per rate.
 pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     for row in rows {
@@ -44,7 +44,7 @@ pub fn lines(sweep: &Sweep, rows: &[Row], (_, value): Shown) -> Vec<Vec<String>>
     names.into_iter().map(line).collect()
 }
 
-/// Formats heads and lines; the first column is aligned left.
+/// Formats heads and lines as aligned text. The first column is aligned left, the others right.
 fn aligned(heads: &[String], lines: &[Vec<String>]) -> String {
     let width =
         |at: usize| lines.iter().map(|line| &line[at]).chain([&heads[at]]).map(|cell| cell.chars().count()).max();
@@ -61,7 +61,7 @@ fn aligned(heads: &[String], lines: &[Vec<String>]) -> String {
     text
 }
 
-/// Formats the tables for a terminal: shares delivered, and cost per robot of growing teams.
+/// Formats the tables for the terminal: shares delivered, and the cost per robot of growing teams.
 pub fn text(sweep: &Sweep, rows: &[Row], grown: &[Growth]) -> String {
     let mut text = format!(
         "study network: {} stations, messages of {} bytes, {} s a case, RTPS history {}, seed {}\n",

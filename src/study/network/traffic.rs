@@ -1,4 +1,4 @@
-//! Messages of the stations and their publication schedule, the same in the emulation and between real hosts.
+//! Messages of the stations and their publication schedule, equal in emulation and measurement.
 
 use rand::RngExt;
 
@@ -8,15 +8,16 @@ use crate::messages::wire::{Features, Latent, Phase, Round};
 use crate::random::{Seed, Stream};
 use crate::time::{Span, Time};
 
-/// Overhead of a datagram over its message's content: header 14, block 3, tag 16, and MessagePack's own bytes. UDP, IP
-/// and lower layers are not included \[bytes\].
+/// Length of a datagram beyond its message's payload \[bytes\]: header 14, block 3, tag 16, and MessagePack's overhead.
+/// UDP, IP and lower layers are not included.
 pub const FRAMING_BYTES: usize = 40;
 
-/// Returns message `sequence` of a station in case number `case`, published at `stamp` after the case began.
+/// Returns the message `sequence` of a station in the case with the number `case`, published at `stamp` after the start
+/// of the case.
 pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: usize) -> Latent {
     let own = 0.5 * f32::from(station + 1);
     let us = stamp.as_nanos() / 1000;
-    // Both are whole numbers below 2^24, which a float holds exactly.
+    // Both are integers below 2^24, which a float represents exactly.
     let (ms, us) = ((us / 1000) as f32, (us % 1000) as f32);
     Latent {
         robot: RobotId(station),
@@ -27,20 +28,20 @@ pub fn message(station: u16, case: u32, sequence: u32, stamp: Span, features: us
     }
 }
 
-/// Returns the time from the start of the case to the publication of a message, as the message says.
+/// Returns the time of a message's publication since the start of the case, as stored in the message.
 pub fn stamp(latent: &Latent) -> Span {
     let position = latent.motion.position;
     Span::from_nanos(1_000_000 * position.x as u64 + 1000 * position.y as u64)
 }
 
-/// Returns the phase of each station's control steps within the period, in the order of the stations.
+/// Returns the offset of each station's control steps within the period, in the order of the stations.
 pub fn phases(stations: u16, period: Span, seed: &Seed) -> Vec<Span> {
     let mut stream = seed.stream("steps");
     (0..stations).map(|_| Span::from_secs(period.as_secs() * stream.random_range(0.0..1.0))).collect()
 }
 
-/// Times at which one station publishes: once in every period, at a moment drawn uniformly from it. So stations are not
-/// synchronized, and no fixed phase dominates a case.
+/// Publication times of one station: once in every period, at a time drawn uniformly. So stations are not synchronized,
+/// and no fixed offset dominates a case.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     begin: Time,
@@ -51,8 +52,8 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Returns the schedule of the station with index `station`, from `begin` on. All `stations` together publish
-    /// `rate` messages a second.
+    /// Returns the schedule of the station with the index `station`, starting at `begin`. All `stations` together
+    /// publish `rate` messages a second.
     pub fn new(begin: Time, station: u16, (stations, rate): (u16, f64), seed: &Seed) -> Schedule {
         let period = Span::from_secs(f64::from(stations) / rate);
         let stream = seed.stream(&format!("publish/{station}"));
@@ -71,7 +72,7 @@ impl Schedule {
         self.next
     }
 
-    /// Advances to the next message; returns the sequence number of the current one.
+    /// Advances to the next message. Returns the sequence number of the current one.
     pub fn publish(&mut self) -> u32 {
         self.published += 1;
         self.draw();
