@@ -6,7 +6,7 @@ const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;
 const EPSILON: f32 = 1e-8;
 
-/// Optimiser state: estimates of the first and second moments of a gradient.
+/// State of the Adam optimiser: estimates of the first and second moments of each gradient entry.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Adam {
     first: Vec<f32>,
@@ -15,17 +15,17 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// Makes the initial state for this number of parameters.
+    /// Returns the initial state for this number of parameters: zero moments, no steps.
     pub fn new(parameters: usize) -> Adam {
         Adam { first: vec![0.0; parameters], second: vec![0.0; parameters], steps: 0 }
     }
 
-    /// Whether the state is for this number of parameters.
+    /// Whether the state has this number of parameters.
     pub fn fits(&self, parameters: usize) -> bool {
         self.first.len() == parameters && self.second.len() == parameters
     }
 
-    /// Updates the parameters by one step along the negative gradient.
+    /// Updates the parameters in place by one step against the gradient.
     pub fn step(&mut self, parameters: &mut [f32], gradient: &[f32], learning_rate: f32) {
         self.steps += 1;
         let (correct_1, correct_2) = (1.0 - BETA_1.powi(self.steps), 1.0 - BETA_2.powi(self.steps));
@@ -38,7 +38,7 @@ impl Adam {
     }
 }
 
-/// Scales a gradient down to at most the norm `max`; returns the norm before.
+/// Scales a gradient in place so that its Euclidean norm is at most `max`. Returns the norm before scaling.
 pub fn clip(gradient: &mut [f32], max: f32) -> f32 {
     let norm = gradient.iter().map(|g| f64::from(*g) * f64::from(*g)).sum::<f64>().sqrt() as f32;
     if norm > max {

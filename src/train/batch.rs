@@ -8,18 +8,18 @@ use std::ops::Range;
 
 use super::matrix::Real;
 
-/// A recorded sequence of graphs.
+/// A recorded sequence of graphs, each the observations and used messages of one decision.
 #[derive(Clone, Debug, Default)]
 pub struct Graphs {
-    /// Number of robots in a graph.
+    /// Number of robots in each graph.
     pub robots: usize,
-    /// Number of floats of an observation.
+    /// Number of floats in one observation.
     pub inputs: usize,
-    /// Number of features of an edge.
+    /// Number of floats in the features of one edge.
     pub edge_inputs: usize,
-    /// Index of each graph's first source; one entry more than graphs.
+    /// Index of each graph's first source in `observations`, and last the number of sources.
     source_start: Vec<u32>,
-    /// Index of each graph's first edge; one entry more than graphs.
+    /// Index of each graph's first edge in `senders`, and last the number of edges.
     edge_start: Vec<u32>,
     observations: Vec<f32>,
     /// Receiving robot of each edge, numbered within the graph; in ascending order.
@@ -30,7 +30,8 @@ pub struct Graphs {
 }
 
 impl Graphs {
-    /// Makes an empty sequence.
+    /// Returns an empty sequence for graphs of `robots` robots, with observations of `inputs` floats and edges of
+    /// `edge_inputs` floats.
     pub fn new(robots: usize, inputs: usize, edge_inputs: usize) -> Graphs {
         Graphs { robots, inputs, edge_inputs, source_start: vec![0], edge_start: vec![0], ..Graphs::default() }
     }
@@ -40,7 +41,7 @@ impl Graphs {
         self.source_start.len() - 1
     }
 
-    /// Whether there are no complete graphs.
+    /// Whether there is no complete graph.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -66,8 +67,8 @@ impl Graphs {
         self.edges.extend_from_slice(&other.edges);
     }
 
-    /// Adds a source to the unfinished graph. Returns its number within the graph, and its observation, which the
-    /// caller has to write.
+    /// Adds a source to the unfinished graph. Returns the source's number within the graph, and its observation, zero
+    /// until the caller writes it.
     pub fn source(&mut self) -> (u16, &mut [f32]) {
         let at = self.observations.len();
         let first = self.source_start[self.source_start.len() - 1] as usize;
@@ -76,7 +77,8 @@ impl Graphs {
         (index, &mut self.observations[at..])
     }
 
-    /// Adds an edge to the unfinished graph. Returns the edge's features, which the caller has to write.
+    /// Adds an edge to the unfinished graph: robot `receiver` uses the message of source `sender`. Returns the edge's
+    /// features, zero until the caller writes them.
     pub fn edge(&mut self, receiver: usize, sender: u16) -> &mut [f32] {
         self.receivers.push(u16::try_from(receiver).expect("a graph has few robots"));
         self.senders.push(sender);
@@ -99,25 +101,25 @@ impl Graphs {
 /// A batch of graphs as input of a network.
 #[derive(Clone, Debug, Default)]
 pub struct Batch<T> {
-    /// Number of robots in all graphs.
+    /// Number of robots, summed over all graphs.
     pub nodes: usize,
-    /// Observations, \[sources, inputs\], row-major: the robots' current ones first.
+    /// Observations, \[sources, inputs\], row-major. The robots' current observations come first.
     pub x: Vec<T>,
-    /// Index of each robot's first edge, and last the number of edges: one entry more than `nodes`.
+    /// Index of each robot's first edge in `sender`, and last the number of edges: one entry more than `nodes`.
     pub first: Vec<u32>,
-    /// Source of each edge.
+    /// Index of each edge's source in `x`.
     pub sender: Vec<u32>,
     /// Edge features, \[edges, edge inputs\].
     pub e: Vec<T>,
 }
 
 impl<T: Real> Batch<T> {
-    /// Number of sources.
+    /// Number of sources; `inputs` is the number of floats in one observation.
     pub fn sources(&self, inputs: usize) -> usize {
         self.x.len() / inputs
     }
 
-    /// Replaces the batch by these graphs. Each is given as a sequence of graphs and an index in that.
+    /// Replaces the content of the batch by the given graphs, each a sequence of graphs and an index in that sequence.
     pub fn gather<'a>(&mut self, which: impl Iterator<Item = (&'a Graphs, usize)> + Clone) {
         self.x.clear();
         self.first.clear();

@@ -9,7 +9,7 @@ use super::trainer::{Plan, SetupError, Trainer};
 use super::update::Learner;
 use crate::registry::Registry;
 
-/// The version of the format.
+/// Version of the checkpoint format.
 const FORMAT: u32 = 1;
 
 #[derive(Serialize, Deserialize)]
@@ -28,7 +28,7 @@ struct State {
 }
 
 impl Trainer {
-    /// Returns the complete state, from which `resume` continues exactly.
+    /// Returns the complete state as bytes, from which [`Trainer::resume`] continues with identical results.
     pub fn checkpoint(&self) -> Vec<u8> {
         let of = |learner: &Learner| (learner.parameters.clone(), learner.adam.clone());
         let state = State {
@@ -44,12 +44,12 @@ impl Trainer {
             progress: self.progress,
             rate_factor: self.rate_factor,
         };
-        // With the names of fields, because some are left out where they are empty.
+        // Fields are written with their names, because fields with a default are left out if they are empty.
         rmp_serde::to_vec_named(&state).expect("a state is plain data")
     }
 
-    /// Takes the weights from the checkpoint of another training, to continue under other conditions. Its networks must
-    /// have the same shape. The optimiser starts anew.
+    /// Replaces the weights of policy and critic by those of another training's checkpoint, to continue under other
+    /// conditions. Both networks must have the same shape as there. The optimiser's state is not taken over.
     pub fn initialize_from(&mut self, bytes: &[u8]) -> Result<(), SetupError> {
         let state = read_state(bytes)?;
         let config = &self.plan.config;
@@ -68,8 +68,10 @@ impl Trainer {
         Ok(())
     }
 
-    /// Makes the trainer of a checkpoint, whose scenario is looked up in the registry. An error if the bytes are no
-    /// checkpoint of this version, or there is no such scenario.
+    /// Restores a trainer from a checkpoint. The registry must have the checkpoint's scenario.
+    ///
+    /// # Errors
+    /// If the bytes are not a checkpoint of this version, or the scenario is not in the registry.
     pub fn resume(bytes: &[u8], registry: &Registry) -> Result<Trainer, SetupError> {
         let state = read_state(bytes)?;
         let mut trainer = Trainer::new(state.plan, registry)?;

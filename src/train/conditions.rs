@@ -9,39 +9,37 @@ use crate::scenario::Arena;
 use crate::world::kinematic::{MAX_ACCELERATION_M_S2, PERIOD};
 use crate::world::{Clamp, ContactRule, Physics};
 
-/// Conditions of one episode of one team.
-///
-/// Another model of message arrivals, such as an emulated radio, would fill `edges`.
+/// Conditions of one episode of one team: messages, sensor noise and physics.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Episode {
-    /// Whether all robots act at the same time on messages without delay and loss.
+    /// Whether all robots act at the same time, on messages without delay or loss.
     pub lockstep: bool,
-    /// Drivetrain lag of deployed robots \[s\], which then also have deployed physics and clamp; `None` for the
-    /// training environment's physics.
+    /// Time constant of the drivetrain lag \[s\] in deployed physics; `None` selects the training environment's
+    /// physics.
     pub lag_s: Option<f32>,
-    /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\], for deployed robots.
+    /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\], in deployed physics.
     pub wall_radius_m: f32,
-    /// Time for which a message is used \[s\].
+    /// Time from its arrival for which a message is used \[s\].
     pub hold_s: f32,
-    /// Standard deviation of the communication radius \[m\].
+    /// Standard deviation of the communication radius, drawn anew for each message \[m\].
     pub range_std_m: f32,
-    /// Standard deviation of a measured position \[m\].
+    /// Standard deviation of the noise on each axis of a measured position \[m\].
     pub position_noise_m: f32,
-    /// Standard deviation of a measured velocity \[m/s\].
+    /// Standard deviation of the noise on each axis of a measured velocity \[m/s\].
     pub velocity_noise_m_s: f32,
-    /// Time of each robot's action within a step \[s\].
+    /// Time from the start of a step to each robot's action in the step \[s\].
     pub phase_s: Vec<f32>,
-    /// Delay \[s\] and loss probability of messages, by receiver and then by sender.
+    /// Delay \[s\] and loss probability of messages for each pair of robots: by receiver, then by sender.
     pub edges: Vec<(f32, f32)>,
     /// Range of communication.
     #[serde(default)]
     pub connectivity: Connectivity,
-    /// Limit on the acceleration of deployed robots.
+    /// Limit on the acceleration of robots with deployed physics.
     #[serde(default)]
     pub clamp: Clamp,
 }
 
-/// Range of communication in an episode. The variants' names are in checkpoints.
+/// Range of communication in an episode. Checkpoints contain the names of the variants.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Connectivity {
     /// Robots within the policy's communication radius receive each other's messages.
@@ -56,7 +54,8 @@ fn draw([low, high]: Range, stream: &mut Stream) -> f32 {
 }
 
 impl Episode {
-    /// The published conditions: lock step and perfect messages.
+    /// Returns the conditions of the published training: all robots act at the same time, and messages have neither
+    /// delay nor loss.
     pub fn perfect(robots: usize) -> Episode {
         Episode {
             lockstep: true,
@@ -67,11 +66,11 @@ impl Episode {
         }
     }
 
-    /// Draws the conditions of an episode.
+    /// Draws the conditions of one episode of a team of `robots` robots from `stream`.
     pub fn draw(conditions: &Conditions, robots: usize, stream: &mut Stream) -> Episode {
         let mut episode = Episode::perfect(robots);
-        // Nothing is drawn for a probability of zero, so a configuration without a newer field keeps its random
-        // numbers.
+        // Nothing is drawn for a probability of zero. So a configuration that lacks a newer field, whose default is
+        // zero, gets the same random numbers as before.
         let happens = |probability: f32, stream: &mut Stream| probability > 0.0 && stream.random::<f32>() < probability;
         episode.lockstep = stream.random::<f32>() < conditions.clean;
         if stream.random::<f32>() < conditions.deployed {
@@ -101,7 +100,7 @@ impl Episode {
         episode
     }
 
-    /// Physical parameters of the episode's robots.
+    /// Returns the physical parameters of the robots in this episode.
     pub fn physics(&self, arena: &Arena) -> Physics {
         match self.lag_s {
             None => Physics::published(arena),

@@ -1,5 +1,5 @@
-//! Configuration of a training: one TOML file, with two presets. The same configuration, seed and number of steps give
-//! the same weights.
+//! Configuration of a training, read from one TOML file or from a preset. The same configuration, seed and number of
+//! decisions give the same weights.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,79 +9,80 @@ use crate::config::{self, ConfigError};
 use crate::policy::Draw;
 use crate::policy::manifest::{Activation, Aggregation, Architecture, EdgeField, Field, Manifest};
 
-/// Presets: name and text of each, from a committed file.
+/// Name and TOML text of each preset.
 pub const PRESETS: &[(&str, &str)] = &[
     ("published", include_str!("../../policies/published.toml")),
     ("robust", include_str!("../../policies/robust.toml")),
 ];
 
-/// Bounds of a uniform distribution, \[low, high\].
+/// Bounds of a uniform distribution: \[low, high\].
 pub type Range = [f32; 2];
 
 /// Configuration of a training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// Size of the team; the scenario's default if left out.
+    /// Number of robots in the team; the scenario's default if left out.
     #[serde(default)]
     pub robots: Option<usize>,
-    /// Longest duration of an episode \[s\]. The episode is then truncated: the value of its last state is estimated.
+    /// Longest duration of an episode \[s\]. An episode that reaches it is truncated: the critic estimates the value of
+    /// its last state.
     pub episode_s: f32,
-    /// Chassis of the robots; holonomic without limits if left out.
+    /// Chassis of the robots; holonomic without limits on speed and acceleration if left out.
     #[serde(default, skip_serializing_if = "chassis::Settings::is_empty")]
     pub body: chassis::Settings,
-    /// The policy's network and interface.
+    /// Network, observation and limits of the policy.
     pub policy: Policy,
-    /// Widths of the critic's network; `None` for those of the policy's.
+    /// Layer widths of the critic's network; the policy's widths if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub critic: Option<Critic>,
     /// Parameters of proximal policy optimisation.
     pub ppo: Ppo,
     /// Weights of the reward's terms.
     pub reward: Reward,
-    /// Distribution of the episodes' conditions.
+    /// Distributions from which each episode's conditions are drawn.
     pub conditions: Conditions,
-    /// Stages of the training.
+    /// Stages of the curriculum, in the order of the training.
     pub curriculum: Vec<Stage>,
 }
 
-/// The policy's network, and the parameters for its manifest.
+/// Network of the policy, and the parameters written to the policy's manifest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Policy {
     /// Layout of the message passing.
     pub architecture: Architecture,
-    /// Entries of the observation.
+    /// Fields of a robot's observation, in the order of the network's inputs.
     pub observation: Vec<Field>,
-    /// Features of an edge.
+    /// Features of an edge, in the order of the network's inputs.
     #[serde(default)]
     pub edge: Vec<EdgeField>,
-    /// Widths of the encoder's layers; the last one is that of the broadcast latent.
+    /// Widths of the encoder's layers. The last width is that of the latent that a robot broadcasts.
     pub encoder: Vec<usize>,
     /// Widths of the message network's layers.
     pub message: Vec<usize>,
-    /// Widths of the update network's layers but the last.
+    /// Widths of the update network's layers without the output layer.
     pub update: Vec<usize>,
-    /// Communication radius \[m\].
+    /// Largest distance between two robots that receive each other's messages \[m\].
     pub radius_m: f32,
-    /// Largest velocity along each axis \[m/s\].
+    /// Largest commanded velocity along each axis \[m/s\].
     pub limit_m_s: f32,
-    /// Age up to which a message is used when the policy runs \[s\].
+    /// Age up to which a deployed robot uses a message \[s\].
     pub hold_s: f64,
-    /// Method of drawing actions when the policy runs.
+    /// Method by which a deployed robot draws an action from the policy's distribution.
     pub draw: Draw,
 }
 
-/// Widths of the critic's network, which estimates values. It is not used after the training and observes the whole
-/// team, so it may be smaller than the policy's.
+/// Layer widths of the critic's network, which estimates values during the training only. It observes the whole team,
+/// so it may be smaller than the policy's network.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Critic {
     /// Widths of the encoder's layers.
     pub encoder: Vec<usize>,
-    /// Widths of the message network's layers; with two layers, no matrix product is computed per edge.
+    /// Widths of the message network's layers. With two layers, no matrix product is computed per edge.
     pub message: Vec<usize>,
-    /// Widths of the update network's layers but the last.
+    /// Widths of the update network's layers without the output layer.
     pub update: Vec<usize>,
 }
 
@@ -90,35 +91,36 @@ pub struct Critic {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ppo {
-    /// Number of parallel environments, each with a row of robots.
+    /// Number of environments that run in parallel. The robots of an environment are those of one configured team.
     pub environments: usize,
     /// Number of decisions of each environment in a rollout.
     pub decisions: usize,
     /// Number of decisions in a minibatch.
     pub minibatch: usize,
-    /// Largest number of epochs of an update.
+    /// Largest number of epochs in an update.
     pub epochs: usize,
-    /// KL divergence from the old policy at which an update stops early; may be infinite.
+    /// KL divergence from the policy before the update at which the update stops early; may be infinite.
     pub kl_stop: f32,
-    /// Clipping range of the probability ratio around 1.
+    /// Half width of the interval around 1 to which the probability ratio is clipped.
     pub clip: f32,
     /// Discount factor for a step of 50 ms.
     pub gamma: f32,
-    /// Decay factor lambda of generalised advantage estimation.
+    /// Decay factor lambda of generalised advantage estimation, 0 to 1.
     pub lambda: f32,
-    /// Learning rate at the beginning and at the end, interpolated geometrically.
+    /// Learning rate at the beginning and at the end of the training, interpolated geometrically.
     pub learning_rate: [f32; 2],
-    /// Largest norm of a gradient; longer ones are scaled down to it.
+    /// Largest norm of a gradient; a longer gradient is scaled down to it.
     pub gradient_clip: f32,
-    /// Weight of the entropy at the beginning and at the end, interpolated linearly.
+    /// Weight of the entropy at the beginning and at the end of the training, interpolated linearly.
     pub entropy: [f32; 2],
-    /// Initial log standard deviation of actions.
+    /// Initial log standard deviation of actions, with the standard deviation in m/s.
     pub log_std: f32,
-    /// Upper limit of the log standard deviation at the beginning and at the end, interpolated linearly.
+    /// Upper limit of the log standard deviation at the beginning and at the end of the training, interpolated
+    /// linearly.
     pub log_std_max: [f32; 2],
 }
 
-/// Weights of the terms of a robot's reward in a step; each may be zero.
+/// Weights of the terms of a robot's reward in a step. A weight of zero leaves a term out.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reward {
@@ -128,58 +130,60 @@ pub struct Reward {
     pub scenario: f32,
     /// Reward per metre by which the remaining path becomes shorter \[1/m\].
     pub progress: f32,
-    /// Reward for the arrival, once.
+    /// Reward for the arrival, given once per episode.
     pub arrival: f32,
-    /// Penalty per second before the arrival \[1/s\].
+    /// Penalty per second until the arrival \[1/s\].
     pub time: f32,
     /// Penalty for each step with a wall contact.
     pub wall: f32,
     /// Penalty for each step with a robot contact.
     pub robot: f32,
-    /// Penalty per second for another robot at distance zero \[1/s\]; decreases linearly to zero at `proximity_m`.
+    /// Penalty per second for another robot at distance zero \[1/s\]; decreases linearly to zero at distance
+    /// `proximity_m`.
     pub proximity: f32,
-    /// Distance between robots' centres from which the penalty is zero \[m\].
+    /// Distance between two robots' centres at which the proximity penalty becomes zero \[m\].
     pub proximity_m: f32,
-    /// Penalty per second for a wall at distance zero \[1/s\]; decreases linearly to zero at `wall_proximity_m`.
+    /// Penalty per second for a wall at distance zero \[1/s\]; decreases linearly to zero at distance
+    /// `wall_proximity_m`.
     pub wall_proximity: f32,
-    /// Distance of a robot's centre from a wall from which the penalty is zero \[m\].
+    /// Distance between a robot's centre and a wall at which the wall's proximity penalty becomes zero \[m\].
     pub wall_proximity_m: f32,
-    /// Weight of the team's mean reward in a robot's reward, 0 to 1.
+    /// Weight of the team's mean reward in a robot's reward, 0 to 1; the rest is the weight of the robot's own.
     pub shared: f32,
 }
 
-/// Distribution of the episodes' conditions; a value is drawn from every range for each episode.
+/// Distributions of the episodes' conditions. For each episode, a value is drawn from every range.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Conditions {
-    /// Probability of lock step with perfect messages.
+    /// Probability that all robots act at the same time, with messages that have neither delay nor loss.
     pub clean: f32,
-    /// Probability of deployed physics: a lag, and contacts that fail the episode but do not block a move. The other
-    /// episodes have the training environment's physics.
+    /// Probability of deployed physics: the drivetrain lags, and a contact makes the episode fail but does not block
+    /// the move. All other episodes have the training environment's physics.
     pub deployed: f32,
-    /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\], with deployed
-    /// physics.
+    /// Distance between a robot's centre and a wall below which the robot touches the wall \[m\], in deployed physics.
     pub wall_radius_m: f32,
-    /// Drivetrain lag \[s\], with deployed physics.
+    /// Time constant of the drivetrain lag \[s\], in deployed physics.
     pub lag_s: Range,
-    /// Delay of messages \[s\].
+    /// Mean delay of an episode's messages \[s\].
     pub delay_s: Range,
-    /// Loss probability of messages.
+    /// Mean loss probability of an episode's messages.
     pub loss: Range,
-    /// Largest relative deviation of the delay and loss between two robots from those of the episode, 0 to 1.
+    /// Largest relative deviation of the delay and loss between two robots from the episode's means, 0 to 1.
     pub edge_spread: f32,
-    /// Age up to which a message is used \[s\].
+    /// Age up to which a robot uses a message \[s\].
     pub hold_s: Range,
     /// Standard deviation of the communication radius \[m\].
     pub range_std_m: Range,
-    /// Standard deviation of a measured position \[m\].
+    /// Standard deviation of the noise on each axis of a measured position \[m\].
     pub position_noise_m: Range,
-    /// Standard deviation of a measured velocity \[m/s\].
+    /// Standard deviation of the noise on each axis of a measured velocity \[m/s\].
     pub velocity_noise_m_s: Range,
-    /// Probability that an episode has unlimited communication range.
+    /// Probability that an episode's communication range is unlimited.
     #[serde(default)]
     pub everyone: f32,
-    /// Probability, with deployed physics, that the world limits acceleration instead of the controller.
+    /// Probability, in deployed physics, that the simulated wheels limit acceleration instead of the robot's
+    /// controller.
     #[serde(default)]
     pub wheels: f32,
 }
@@ -188,17 +192,18 @@ pub struct Conditions {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stage {
-    /// Progress of the training at which the stage ends; 1 for the last stage.
+    /// Progress of the training at which the stage ends, 0 to 1; 1 for the last stage.
     pub until: f64,
-    /// Sizes of the teams into which an environment's robots are split; environments take the entries in turn.
+    /// Ways to split an environment's robots into teams, each a list of team sizes. Environments take the entries in
+    /// turn.
     pub groups: Vec<Vec<usize>>,
     /// Number of world steps for which an action is held.
     pub repeat: u32,
-    /// Width of the bottleneck \[m\]; the scenario's default if left out.
+    /// Width of the scenario's bottleneck \[m\]; the scenario's default if left out.
     #[serde(default)]
     pub gap_m: Option<f32>,
-    /// Factor on the penalties for contacts and proximity. With large penalties, an untrained policy learns to stand
-    /// still.
+    /// Factor on the penalties for contacts and proximity. Large penalties in the first stage make an untrained policy
+    /// learn to stand still.
     pub penalties: f32,
 }
 
@@ -216,13 +221,13 @@ impl Reward {
 }
 
 impl Config {
-    /// Returns the preset of this name; `None` if there is none.
+    /// Returns the preset of this name; `None` if there is no such preset.
     pub fn preset(name: &str) -> Option<Config> {
         let (_, text) = PRESETS.iter().find(|(preset, _)| *preset == name)?;
         Some(Config::from_toml(text).expect("the committed presets are valid; a test reads them all"))
     }
 
-    /// Parses and checks a configuration in TOML; an error names the line or the field.
+    /// Parses and checks a configuration in TOML. An error names the line or the field.
     pub fn from_toml(text: &str) -> Result<Config, ConfigError> {
         let config: Config = config::from_toml(text)?;
         config.check()?;
@@ -235,7 +240,7 @@ impl Config {
         self.curriculum.iter().position(|stage| progress < stage.until).unwrap_or(last)
     }
 
-    /// Returns the manifest of a trained policy, without the training's data and without the hash.
+    /// Returns the manifest of a policy trained with this configuration, without the data of the training and the hash.
     pub fn manifest(&self, scenario: &str) -> Manifest {
         let policy = &self.policy;
         let shape = self.actor();
@@ -258,12 +263,12 @@ impl Config {
         }
     }
 
-    /// Chassis of the robots of a checked configuration.
+    /// Returns the chassis of the robots. The configuration must have been checked.
     pub fn chassis(&self) -> Chassis {
         self.body.chassis().expect("a checked configuration has a sound chassis")
     }
 
-    /// Shape of the policy's network.
+    /// Returns the layer widths of the policy's network.
     pub fn actor(&self) -> Shape {
         let policy = &self.policy;
         let edge = policy.edge.iter().map(|field| field.floats()).sum();
@@ -271,7 +276,8 @@ impl Config {
         shape(policy.architecture, 2 * policy.observation.len(), edge, widths, 4)
     }
 
-    /// Shape of the critic's network, which observes all robots of its team and privileged information about each.
+    /// Returns the layer widths of the critic's network, which observes all robots of a team and privileged information
+    /// about each.
     pub fn critic(&self) -> Shape {
         let policy = &self.policy;
         let widths = match &self.critic {
@@ -283,7 +289,7 @@ impl Config {
     }
 }
 
-/// The shape of a network from the widths of its hidden layers: encoder, message and update network.
+/// Returns the layer widths of a network from those of its hidden layers.
 fn shape(
     architecture: Architecture,
     inputs: usize,

@@ -1,10 +1,10 @@
-//! Vectorized environments: the worlds, tasks, conditions and messages of many teams. The dynamics are those of
-//! `world::kinematic`, the reward that of the scenario; neither is implemented a second time.
+//! Vectorised environments: the worlds, tasks, conditions and messages of many teams. The dynamics are those of
+//! `world::kinematic`, and the rewards those of the scenario and the configuration.
 //!
-//! Robots with a differential drive are observed, rewarded and said to arrive by the point that the policy commands,
-//! and touch by their centres, as in a run. Their headings are drawn at the start of each episode.
+//! For a robot with a differential drive, observation, reward and arrival refer to the point that the policy commands;
+//! contacts refer to the robot's centre, as in a run. The heading is drawn at the start of each episode.
 //!
-//! A row has as many robots as the configured team. It is one team, or several that do not interact.
+//! A row has as many robots as the configured team. These robots are one team, or several teams that do not interact.
 
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -28,9 +28,9 @@ use crate::world::{Clamp, Physics, Wheels};
 /// A team and the state of its episode.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Team {
-    /// Index of its first robot among all robots.
+    /// Index of the team's first robot among all robots.
     pub first: usize,
-    /// Number of robots.
+    /// Number of robots in the team.
     pub robots: usize,
     /// Number of steps of the episode so far.
     pub step: u32,
@@ -38,16 +38,16 @@ pub struct Team {
     pub episode: Episode,
     /// Messages of the episode.
     pub messages: MessageBuffer,
-    /// Whether any robot has touched a wall or, with deployed physics, another robot.
+    /// Whether any robot of the team has touched a wall or, with deployed physics, another robot in the episode.
     pub touched: bool,
-    /// Return of the episode so far, mean over robots.
+    /// Return of the episode so far, the mean over the team's robots.
     pub episode_return: f32,
-    /// Seed and episode from which the scenario makes the layout.
+    /// Seed and episode number from which the scenario makes the layout.
     layout: (u64, u32),
 }
 
 impl Team {
-    /// Indices of its robots among all robots.
+    /// Indices of the team's robots among all robots.
     pub fn range(&self) -> std::ops::Range<usize> {
         self.first..self.first + self.robots
     }
@@ -62,13 +62,13 @@ pub struct Environments {
     pub position: Vec<Vec2>,
     /// True velocities of the centres \[m/s\], world frame.
     pub velocity: Vec<Vec2>,
-    /// Wheels and commanded points; none for holonomic robots without limits of their own.
+    /// Wheels and commanded points of all robots; `None` for holonomic robots with the default chassis.
     rolling: Option<Rolling>,
     /// Contacts in the last step.
     pub contacts: Vec<Contacts>,
-    /// Tasks.
+    /// Tasks in the current episodes.
     pub tasks: Vec<Task>,
-    /// Stages of the scenario's reward.
+    /// States of the scenario's reward.
     pub stage: Vec<Stage>,
     /// Whether each robot has arrived.
     pub arrived: Vec<bool>,
@@ -76,13 +76,13 @@ pub struct Environments {
     pub to_go_m: Vec<f32>,
     /// Rewards of the last step.
     pub reward: Vec<f32>,
-    /// Scenarios, indexed by team size.
+    /// Scenario for each team size that occurs, indexed by the team size.
     scenarios: Vec<Option<Arc<dyn Scenario>>>,
     /// Physical parameters, one entry per team.
     physics: Vec<Physics>,
     before: Vec<Vec2>,
     command: Vec<Vec2>,
-    /// The scenario's own rewards of the last step.
+    /// Rewards of the scenario in the last step.
     scenario_reward: Vec<f32>,
     reached: Vec<bool>,
 }
@@ -96,14 +96,14 @@ struct Rolling {
 }
 
 impl Rolling {
-    /// Updates the point of a robot from the motion of its centre.
+    /// Updates the commanded point of a robot from the motion of its centre.
     fn update(&mut self, robot: usize, centre: &Motion) {
         let point = self.wheels[robot].point(centre);
         (self.position[robot], self.velocity[robot]) = (point.position, point.velocity);
     }
 }
 
-/// State of environments from which they continue exactly.
+/// State of environments, from which they continue exactly.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Snapshot {
     teams: Vec<Team>,
@@ -112,14 +112,14 @@ pub struct Snapshot {
     stage: Vec<u8>,
     arrived: Vec<bool>,
     to_go_m: Vec<f32>,
-    /// Heading and yaw rate by robot; empty for holonomic robots without limits of their own.
+    /// Heading \[rad\] and yaw rate \[rad/s\] of each robot; empty for robots with the default chassis.
     #[serde(default)]
     turned: Vec<[f32; 2]>,
 }
 
 impl Environments {
-    /// Makes rows of robots. Each entry of `groups` has the sizes of the teams of a row; rows take the entries in turn.
-    /// `start` or `place` has to be called for every team.
+    /// Returns `rows` rows of robots. Each entry of `groups` lists the team sizes of one row; rows take the entries in
+    /// turn. `start` or `place` must be called for every team before its first step.
     pub fn new(rows: usize, groups: &[Vec<usize>], scenarios: &[Arc<dyn Scenario>]) -> Environments {
         let largest = scenarios.iter().map(|scenario| scenario.robots()).max().unwrap_or(0);
         let mut by_size = vec![None; largest + 1];
@@ -168,7 +168,7 @@ impl Environments {
         }
     }
 
-    /// Gives all robots this chassis. Episodes have to be started afterwards.
+    /// Returns the environments with this chassis for all robots. All episodes must be started afterwards.
     pub fn equipped(mut self, chassis: &Chassis) -> Environments {
         let zeros = vec![Vec2::zeros(); self.position.len()];
         self.rolling = (*chassis != Chassis::default()).then(|| Rolling {
@@ -179,7 +179,7 @@ impl Environments {
         self
     }
 
-    /// True motion of the point of a robot that the policy commands and observes.
+    /// Returns the true motion of the point that the policy commands and observes on a robot, in the world frame.
     pub fn point(&self, robot: usize) -> Motion {
         match &self.rolling {
             None => Motion { position: self.position[robot], velocity: self.velocity[robot] },
@@ -187,7 +187,7 @@ impl Environments {
         }
     }
 
-    /// Heading of a robot \[rad\], counter-clockwise from the x axis.
+    /// Heading of a robot \[rad\], counter-clockwise from the x axis of the world frame.
     pub fn heading(&self, robot: usize) -> f32 {
         self.rolling.as_ref().map_or(0.0, |rolling| rolling.wheels[robot].heading())
     }
@@ -200,12 +200,12 @@ impl Environments {
     /// Starts an episode of a team, with a layout and conditions drawn from `stream`.
     pub fn start(&mut self, team: usize, conditions: &Conditions, stream: &mut Stream) {
         let episode = Episode::draw(conditions, self.teams[team].robots, stream);
-        // An even or an odd episode, as these start on different sides of the arena.
+        // Episodes with even and odd numbers start on different sides of the arena.
         let layout = (stream.next_u64(), stream.random_range(0..2));
         self.place(team, layout, episode, stream);
     }
 
-    /// Starts an episode of a team with the layout of this seed and episode, under these conditions.
+    /// Starts an episode of a team under these conditions, with the layout of the given seed and episode number.
     pub fn place(&mut self, team: usize, layout: (u64, u32), episode: Episode, stream: &mut Stream) {
         let tasks = self.scenario(team).tasks(layout.0, layout.1);
         self.set_episode(team, layout, &tasks, episode);
@@ -237,12 +237,13 @@ impl Environments {
         (team.layout, team.episode) = (layout, episode);
     }
 
-    /// Whether a team has deployed physics, where contacts are judged and do not block moves.
+    /// Whether a team has deployed physics, where a contact makes the episode fail but does not block the move.
     pub fn is_judged(&self, team: usize) -> bool {
         self.teams[team].episode.lag_s.is_some()
     }
 
-    /// Advances a team by one step with `actions` \[m/s\], world frame, one entry per robot of all teams.
+    /// Advances a team by one step. `actions` are commanded velocities \[m/s\] in the world frame, one for each robot
+    /// of all teams.
     pub fn step(&mut self, team: usize, actions: &[Vec2], weights: &Reward, limit_m_s: f32, stream: &mut Stream) {
         let range = self.teams[team].range();
         let (judged, clamp) = (self.is_judged(team), self.teams[team].episode.clamp);
@@ -308,8 +309,8 @@ impl Environments {
         }
     }
 
-    /// Draws a measurement of every robot of a team and stores it as its estimate. Teams in lock step need this only
-    /// before a decision, all others in every step.
+    /// Draws a noisy measurement of every robot of a team and stores it as the robot's estimate. A team whose robots
+    /// act at the same time needs this only before a decision, any other team in every step.
     pub fn measure(&mut self, team: usize, stream: &mut Stream) {
         let (position, velocity) = match &self.rolling {
             None => (&self.position, &self.velocity),
@@ -329,7 +330,7 @@ impl Environments {
         }
     }
 
-    /// The current estimate of a robot, by its index among all robots.
+    /// Current estimate of the motion of a robot; `robot` is its index among all robots.
     pub fn estimate(&self, team: usize, robot: usize) -> Motion {
         let team = &self.teams[team];
         team.messages.estimate(team.step, robot - team.first)
@@ -359,7 +360,8 @@ impl Environments {
         }
     }
 
-    /// Restores a snapshot. Returns `false`, and changes nothing, if it has another number of robots or other teams.
+    /// Restores a snapshot. Returns `false` and changes nothing if the snapshot has other numbers of robots or other
+    /// teams.
     pub fn restore(&mut self, snapshot: Snapshot) -> bool {
         let shape = |teams: &[Team]| teams.iter().map(|team| (team.first, team.robots)).collect::<Vec<_>>();
         let robots = self.position.len();

@@ -1,4 +1,4 @@
-//! Evaluation of a policy within the trainer: many episodes at once, judged with the same rules as in `sim`.
+//! Evaluation of a policy in the trainer's environments: many episodes at once, judged by the same rules as `sim`.
 
 use std::sync::Arc;
 
@@ -23,23 +23,23 @@ const QUICK_SEED: u64 = 0x9a11_e7a1;
 /// Parameters of an evaluation.
 #[derive(Debug)]
 pub struct Evaluation<'a> {
-    /// Settings as in training, except that actions are held for one step.
+    /// Rollout settings; an action must be held for one step.
     pub settings: &'a RolloutSettings<'a>,
     /// Weights and biases of the policy.
     pub parameters: &'a [f32],
-    /// The scenario.
+    /// The scenario whose layouts are run.
     pub scenario: &'a Arc<dyn Scenario>,
     /// Seed of the layouts and of all other random numbers.
     pub seed: u64,
-    /// Number of layouts.
+    /// Number of layouts, each run for one episode.
     pub episodes: u32,
-    /// Method of drawing actions.
+    /// Method of drawing an action from the policy's distribution.
     pub draw: Draw,
 }
 
 impl Evaluation<'_> {
-    /// Runs one episode of every layout; returns the findings in the order of the layouts. `conditions` returns the
-    /// conditions of the episode with an index.
+    /// Runs one episode of every layout. Returns the findings in the order of the layouts. `conditions` returns the
+    /// conditions of the episode with the given index.
     pub fn run(&self, conditions: impl Fn(u32) -> Episode + Sync, threads: usize) -> Vec<Finding> {
         let firsts: Vec<u32> = (0..self.episodes).step_by(CHUNK).collect();
         let mut findings: Vec<Vec<Finding>> = firsts.iter().map(|_| Vec::new()).collect();
@@ -88,18 +88,19 @@ impl Evaluation<'_> {
 /// Result of an evaluation under one set of conditions with one method of drawing actions.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Score {
-    /// `perfect`: lock step and perfect messages; `disturbed`: conditions drawn as in training.
+    /// Name of the conditions. `perfect`: all robots act at the same time, without delay or loss of messages;
+    /// `disturbed`: drawn as in training.
     pub conditions: &'static str,
-    /// `mean` or `sample`.
+    /// Method of drawing actions: `mean` or `sample`.
     pub action: &'static str,
     /// Success rate over all layouts, 0 to 1.
     pub success: f64,
-    /// Median makespan of the successes \[s\]; `None` without a success.
+    /// Median makespan of the successful episodes \[s\]; `None` if there are none.
     pub makespan_s: Option<f64>,
 }
 
 impl Score {
-    /// Computes the score of these findings; `conditions` is the name of their conditions.
+    /// Returns the score of these findings. `conditions` is the name of the conditions under which they were found.
     pub fn of(conditions: &'static str, draw: Draw, findings: &[Finding]) -> Score {
         let successes = findings.iter().filter(|finding| finding.verdict == Verdict::Success);
         let makespans: Vec<f64> = successes.map(|finding| finding.after.as_secs()).collect();
@@ -109,20 +110,20 @@ impl Score {
     }
 }
 
-/// Results of a quick evaluation; those with the draw method of the policy's file come first.
+/// Results of a quick evaluation. Those with the draw method of the policy's manifest come first.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(transparent)]
 pub struct Scores(pub Vec<Score>);
 
 impl Scores {
-    /// Returns the score under these conditions, with actions drawn as the policy's file says; `None` if there is no
+    /// Returns the score under these conditions with the draw method of the policy's manifest; `None` if there is no
     /// such score.
     pub fn with_default_draw(&self, conditions: &str) -> Option<&Score> {
         self.0.iter().find(|score| score.conditions == conditions)
     }
 }
 
-/// Evaluates the current policy of a training on layouts that the training has not seen, except by chance.
+/// Evaluates a training's current policy on layouts from a seed of their own, which the training draws only by chance.
 pub fn quick_evaluation(trainer: &Trainer, episodes: u32, threads: usize) -> Scores {
     let settings = trainer.settings();
     let (settings, config) = (without_repeat(&settings), settings.config);
@@ -145,7 +146,7 @@ pub fn quick_evaluation(trainer: &Trainer, episodes: u32, threads: usize) -> Sco
     Scores(scores)
 }
 
-/// The settings of training for running a policy: an action is held for one step.
+/// Returns the settings for an evaluation: an action is held for one step.
 fn without_repeat<'a>(settings: &RolloutSettings<'a>) -> RolloutSettings<'a> {
     let RolloutSettings { config, actor, critic, reward, log_std_max, .. } = *settings;
     RolloutSettings { config, actor, critic, reward, repeat: 1, log_std_max }

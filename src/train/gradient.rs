@@ -1,5 +1,5 @@
-//! Backward pass of the network, with derivatives written by hand. `tests/learning/gradients.rs` checks each against
-//! central differences.
+//! Backward pass of the network, with derivatives written by hand. The test `tests/learning/gradients.rs` compares them
+//! with central differences.
 
 use super::batch::Batch;
 use super::matrix::{Output, Real, View, multiply};
@@ -7,8 +7,8 @@ use super::network::{Layer, Network, Space, add, resize};
 use crate::policy::mlp::Instructions;
 
 impl Network {
-    /// Adds the gradient of a loss with respect to the parameters to `gradient`. `space` holds the forward pass, and
-    /// `d_outputs` the derivatives of the loss with respect to its outputs.
+    /// Adds the gradient of a loss with respect to the parameters to `gradient`. `space` must hold the forward pass of
+    /// the same batch. `d_outputs` are the derivatives of the loss with respect to the network's outputs.
     pub fn backward<T: Real>(
         &self,
         parameters: &[T],
@@ -26,7 +26,7 @@ impl Network {
     #[inline(always)]
     fn backward_here<T: Real>(&self, p: &[T], batch: &Batch<T>, d_outputs: &[T], space: &mut Space<T>, g: &mut [T]) {
         let (nodes, sources, rows) = (batch.nodes, batch.sources(self.inputs()), self.rows(batch));
-        // The derivatives by the current layer's outputs, and a buffer for those by its inputs.
+        // Derivatives with respect to the current layer's outputs, and a buffer for those with respect to its inputs.
         let mut back = std::mem::take(&mut space.back);
         back[0].clear();
         back[0].extend_from_slice(d_outputs);
@@ -54,7 +54,7 @@ impl Network {
         space.back = back;
     }
 
-    /// Backward pass of the folded layer, with the gradients of the last message layer and the first update layer.
+    /// Backward pass of the folded layer; adds the gradients of the last message layer and the first update layer.
     #[inline(always)]
     fn folded_back<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>, back: &mut Back<T>, g: &mut [T]) {
         let (nodes, sources, h) = (batch.nodes, batch.sources(self.inputs()), self.hidden());
@@ -116,7 +116,7 @@ impl Network {
         back.swap(0, 1);
     }
 
-    /// Backward pass of the first message layer from edges to robots, as receivers and as senders.
+    /// Backward pass of the first message layer, from the edges to their receivers and senders.
     #[inline(always)]
     fn edges_back<T: Real>(&self, batch: &Batch<T>, space: &mut Space<T>, d: &[T]) {
         let width = self.message[0].outputs;
@@ -171,10 +171,10 @@ impl Network {
     }
 }
 
-/// The current derivatives, and a buffer for the next ones.
+/// Derivatives with respect to the current layer's outputs, and a buffer for the next ones.
 type Back<T> = [Vec<T>; 2];
 
-/// Backward pass of one layer, to the derivatives by its inputs `x`, which are outputs of a ReLU.
+/// Backward pass of one layer, to the derivatives with respect to its inputs `x`, which are outputs of a ReLU.
 #[inline(always)]
 fn layer_back<T: Real>(p: &[T], layer: &Layer, rows: usize, x: &[T], back: &mut Back<T>, g: &mut [T]) {
     let [d, spare] = back;
@@ -189,7 +189,7 @@ fn add_rows<T: Real>(rows: &[T], width: usize, sum: &mut [T]) {
     rows.chunks_exact(width).for_each(|row| add(sum, row));
 }
 
-/// Writes `d` where the unit was active and zero elsewhere.
+/// Writes the backward pass of a ReLU to `to`: `d` where the unit was active, zero elsewhere.
 #[inline(always)]
 fn write_masked<T: Real>(d: &[T], active: &[T], to: &mut [T]) {
     for ((to, d), active) in to.iter_mut().zip(d).zip(active) {
@@ -197,7 +197,7 @@ fn write_masked<T: Real>(d: &[T], active: &[T], to: &mut [T]) {
     }
 }
 
-/// Sets `d` to zero where the unit was not active.
+/// Applies the backward pass of a ReLU in place: sets `d` to zero where the unit was not active.
 #[inline(always)]
 fn mask<T: Real>(active: &[T], d: &mut [T]) {
     for (d, active) in d.iter_mut().zip(active) {
@@ -205,7 +205,7 @@ fn mask<T: Real>(active: &[T], d: &mut [T]) {
     }
 }
 
-/// Adds the gradient of a layer's parameters, from the derivatives by its outputs.
+/// Adds the gradient of a layer's parameters, computed from the derivatives `d` with respect to the layer's outputs.
 #[inline(always)]
 fn add_gradient<T: Real>(layer: &Layer, d: &[T], x: &[T], rows: usize, g: &mut [T]) {
     let (d_view, x) = (View::new(d, rows, layer.outputs), View::new(x, rows, layer.inputs));
@@ -213,7 +213,7 @@ fn add_gradient<T: Real>(layer: &Layer, d: &[T], x: &[T], rows: usize, g: &mut [
     add_rows(d, layer.outputs, &mut g[layer.bias()..layer.end()]);
 }
 
-/// Computes the derivatives by a layer's inputs, which are outputs of a ReLU.
+/// Computes the derivatives with respect to a layer's inputs, which are outputs of a ReLU.
 #[inline(always)]
 fn input_derivatives<T: Real>(p: &[T], layer: &Layer, d: &[T], rows: usize, before: &[T], to: &mut Vec<T>) {
     resize(to, rows * layer.inputs);

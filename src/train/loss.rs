@@ -10,7 +10,7 @@ pub struct Sample<T> {
     pub action: [T; 2],
     /// Log density of the action under the policy that drew it.
     pub log_density: T,
-    /// Its advantage, normalised.
+    /// Advantage of the action, normalised to mean 0 and standard deviation 1 over the rollout.
     pub advantage: T,
 }
 
@@ -30,11 +30,11 @@ pub struct Terms<T> {
 pub struct PolicyLoss<T> {
     /// The loss, to be minimised.
     pub loss: T,
-    /// Its derivatives by \[mean_x, mean_y, log_std_x, log_std_y\].
+    /// Derivatives of the loss with respect to the outputs \[mean_x, mean_y, log_std_x, log_std_y\].
     pub d_outputs: [T; 4],
     /// Estimate of the KL divergence from the old policy (Schulman, "Approximating KL divergence", k3).
     pub divergence: T,
-    /// Entropy of the distribution.
+    /// Entropy of the action's distribution.
     pub entropy: T,
 }
 
@@ -58,7 +58,7 @@ pub fn policy<T: Real>(outputs: &[T], sample: &Sample<T>, terms: &Terms<T>) -> P
     let ratio = log_ratio.exponential();
     let clipped = ratio.max(T::one() - terms.clip).min(T::one() + terms.clip);
     let (surrogate, clipped) = (ratio * sample.advantage, clipped * sample.advantage);
-    // If the clipped one is smaller, the loss does not depend on the ratio.
+    // If the clipped term is the smaller one, the loss does not depend on the ratio.
     let d_log_density = if surrogate <= clipped { -surrogate } else { T::zero() };
     let mut d_outputs = [T::zero(); 4];
     for axis in 0..2 {

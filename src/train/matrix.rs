@@ -1,7 +1,7 @@
-//! Matrices as views of slices, and their product. This is the only file with `unsafe`: the kernel of the product takes
-//! pointers, and every view is checked against its slice before.
+//! Matrices as views of slices, and their product. This is the only file with `unsafe` code: the product passes
+//! pointers to an external kernel, after every view was checked against its slice.
 //!
-//! Generic over the number type, so that a test can check gradients in f64 with the code that runs in f32.
+//! The code is generic over the number type, so a test can check in f64 the gradients that a training computes in f32.
 
 use std::ops::{AddAssign, SubAssign};
 
@@ -9,7 +9,7 @@ use num_traits::Float;
 
 /// Number type of network computations: f32, or f64 for checks.
 pub trait Real: Float + AddAssign + SubAssign + Default + Send + Sync + std::fmt::Debug + 'static {
-    /// Converts from f32, exactly.
+    /// Converts a value from f32 without loss.
     fn of(value: f32) -> Self;
 
     /// Exponential function, with the same result on every platform.
@@ -47,19 +47,20 @@ pub struct View<'a, T> {
 }
 
 impl<'a, T> View<'a, T> {
-    /// Makes a view of `rows` x `columns`, row-major without gaps.
+    /// Returns a view of a row-major matrix of `rows` x `columns` without gaps.
     pub fn new(data: &'a [T], rows: usize, columns: usize) -> View<'a, T> {
         View::strided(data, rows, columns, columns)
     }
 
-    /// Makes a view of `rows` x `columns` whose rows begin `stride` entries apart: some columns of a wider matrix.
+    /// Returns a view of `rows` x `columns` whose rows begin `stride` entries apart, for some columns of a wider
+    /// matrix.
     pub fn strided(data: &'a [T], rows: usize, columns: usize, stride: usize) -> View<'a, T> {
         let view = View { data, rows, columns, row_stride: stride, column_stride: 1 };
         assert!(within(data.len(), rows, columns, stride), "a view lies inside its slice");
         view
     }
 
-    /// The transposed matrix.
+    /// Returns the transposed matrix.
     pub fn t(self) -> View<'a, T> {
         View {
             rows: self.columns,
@@ -75,16 +76,16 @@ fn within(len: usize, rows: usize, columns: usize, stride: usize) -> bool {
     rows == 0 || columns == 0 || ((rows - 1) * stride + columns <= len && (columns <= stride || rows == 1))
 }
 
-/// Use of a product's previous output values.
+/// Treatment of the values that a product's output slice already has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Output {
-    /// The product replaces them.
+    /// The product replaces the values.
     Replace,
-    /// The product is added to them.
+    /// The product is added to the values.
     Add,
 }
 
-/// Computes the product of `a` and `b` into `into`, whose rows begin `stride` entries apart.
+/// Computes the product of `a` and `b`, and writes or adds it to `into`, whose rows begin `stride` entries apart.
 ///
 /// # Panics
 /// If the shapes do not match each other or the slice.

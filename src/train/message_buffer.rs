@@ -1,8 +1,9 @@
-//! Messages that the robots of a team hold at each decision, with the message timing of the actor graph but without
-//! actors.
+//! Messages that the robots of a team hold at each decision. Delay, loss and age of messages are as in the actor graph,
+//! but computed without actors.
 //!
-//! Robot j sends at its own phase in every step. A message arrives after a delay or is lost. It is kept if its sender
-//! was in range when it arrived. It replaces an older one and is used for the hold time from its arrival.
+//! Each robot sends at its own time in every step. A message arrives after a delay or is lost. The receiver keeps it if
+//! the sender is in range at its arrival, in place of an older message from that sender. The receiver uses it for the
+//! hold time, counted from the arrival.
 
 use rand::RngExt;
 
@@ -15,15 +16,15 @@ use crate::world::kinematic::PERIOD;
 /// Number of past steps with stored estimates: enough for the longest delay plus the longest hold time, and one more.
 pub const HISTORY_STEPS: usize = 24;
 
-/// Estimates of a team over its last steps, and which message each robot holds of each other robot.
+/// Estimates of a team over the last steps, and the newest message that each robot holds from each other robot.
 #[derive(Clone, Debug, Default, serde::Serialize, serde::Deserialize)]
 pub struct MessageBuffer {
     robots: usize,
     /// Number of steps with stored estimates.
     history: usize,
-    /// Estimates \[x, y, vx, vy\], by step modulo `history`, then by robot.
+    /// Estimates \[x, y, vx, vy\] in m and m/s, world frame: by step modulo `history`, then by robot.
     estimates: Vec<[f32; 4]>,
-    /// Step of the newest held message, by receiver, then by sender.
+    /// Step in which the newest held message was sent: by receiver, then by sender.
     held: Vec<Option<u32>>,
 }
 
@@ -39,7 +40,8 @@ pub struct HeldMessage {
 }
 
 impl MessageBuffer {
-    /// Removes all messages and estimates. In lock step, only the current step's estimates are stored.
+    /// Removes all messages and estimates, for a team of `robots` robots. In lock step, only the current step's
+    /// estimates are stored from then on.
     pub fn restart(&mut self, robots: usize, lockstep: bool) {
         self.robots = robots;
         self.history = if lockstep { 1 } else { HISTORY_STEPS };
@@ -55,14 +57,14 @@ impl MessageBuffer {
         self.estimates[step as usize % self.history * self.robots + robot] = [p.x, p.y, v.x, v.y];
     }
 
-    /// A robot's estimate in a step that is still stored.
+    /// Returns a robot's estimate in a step, which must be among the stored steps.
     pub fn estimate(&self, step: u32, robot: usize) -> Motion {
         let [x, y, vx, vy] = self.estimates[step as usize % self.history * self.robots + robot];
         Motion { position: Vec2::new(x, y), velocity: Vec2::new(vx, vy) }
     }
 
-    /// Draws the arrivals of messages at robot `receiver` up to its action in `step`. Calls `each` with every message
-    /// that the robot then uses, in the order of senders.
+    /// Draws the arrivals of messages at robot `receiver` up to the receiver's action in `step`. Then calls `each` with
+    /// every message that the receiver uses, in the order of the senders.
     pub fn receive(
         &mut self,
         episode: &Episode,
@@ -86,8 +88,8 @@ impl MessageBuffer {
             }
             let edge = receiver * self.robots + sender;
             let (delay_s, loss) = episode.edges[edge];
-            // Times of the message's arrival and of the receiver's action, from the start of the sender's and its own
-            // step.
+            // Times \[s\] of the message's arrival and of the receiver's action, each from the start of the step in
+            // which it was sent or acts.
             let (arrival_s, now_s) = (episode.phase_s[sender] + delay_s, episode.phase_s[receiver]);
             let newest = i64::from(step) - ((arrival_s - now_s) / period).ceil() as i64;
             let oldest = i64::from(step) - ((episode.hold_s + arrival_s - now_s) / period).floor() as i64;
@@ -110,7 +112,8 @@ impl MessageBuffer {
         }
     }
 
-    /// Whether the sender in one step is in range of the receiver in another; each is (step, robot).
+    /// Whether the sender in one step is in range of the receiver in another step; each robot is given as (step,
+    /// robot).
     fn in_range(&self, range: &CommRange, receiver: (u32, usize), sender: (u32, usize), stream: &mut Stream) -> bool {
         let at = |(step, robot): (u32, usize)| self.estimate(step, robot).position;
         range.admits(at(receiver), at(sender), stream)

@@ -1,7 +1,8 @@
-//! Forward pass of the message-passing network over a batch of graphs; `gradient` has the backward pass.
+//! Forward pass of the message-passing network over a batch of graphs. The backward pass is in `gradient`.
 //!
 //! Linear parts are computed once per robot: the first message layer before messages are combined per edge, the last
-//! one after the aggregation. Only the layers between are computed per edge. Equations in `docs/training.md`.
+//! message layer after the aggregation. Only the message layers between are computed per edge. The equations are in
+//! `docs/training.md`.
 
 use std::fmt;
 
@@ -10,18 +11,18 @@ use super::matrix::{Output, Real, View, multiply};
 use crate::policy::manifest::Architecture;
 use crate::policy::mlp::Instructions;
 
-/// Widths of a network, input first.
+/// Layer widths of a network. Each list begins with the number of inputs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Shape {
     /// Layout of the message passing.
     pub architecture: Architecture,
-    /// Widths of the encoder.
+    /// Widths of the encoder, inputs first.
     pub encoder: Vec<usize>,
-    /// Widths of the message network, which has at least two layers.
+    /// Widths of the message network, inputs first; it has at least two layers.
     pub message: Vec<usize>,
-    /// Widths of the update network.
+    /// Widths of the update network, inputs first.
     pub update: Vec<usize>,
-    /// Number of edge features among the message network's inputs.
+    /// Number of edge features, which are inputs of the message network.
     pub edge: usize,
 }
 
@@ -53,7 +54,7 @@ impl Layer {
         View::new(&parameters[self.at..self.bias()], self.outputs, self.inputs)
     }
 
-    /// View of columns `from..from + width` of the weight.
+    /// View of the columns `from..from + width` of the layer's weight matrix.
     pub(super) fn columns<'a, T>(&self, parameters: &'a [T], from: usize, width: usize) -> View<'a, T> {
         View::strided(&parameters[self.at + from..self.bias()], self.outputs, width, self.inputs)
     }
@@ -63,7 +64,7 @@ impl Layer {
     }
 }
 
-/// Layout of a network. Its parameters are one flat vector, which the caller passes in.
+/// Layout of a network. The parameters are one flat vector, which the caller passes to each function.
 #[derive(Clone, Debug)]
 pub struct Network {
     pub(super) shape: Shape,
@@ -73,13 +74,13 @@ pub struct Network {
     parameters: usize,
 }
 
-/// Buffers for the activations and the derivatives of a batch.
+/// Buffers for the activations and derivatives of one batch.
 #[derive(Debug, Default)]
 pub struct Space<T> {
     pub(super) encoder: Vec<Vec<T>>,
-    /// Contribution of each source to the first message layer, as a sender.
+    /// Each source's contribution to the first message layer as a sender.
     theirs: Vec<T>,
-    /// Contribution of each robot to the first message layer, as the receiver.
+    /// Each robot's contribution to the first message layer as the receiver.
     own: Vec<T>,
     edge_weight: Vec<T>,
     pub(super) message: Vec<Vec<T>>,
@@ -103,10 +104,10 @@ impl<T> Space<T> {
 }
 
 impl Network {
-    /// Makes the layout for these widths.
+    /// Returns the layout for these widths.
     ///
     /// # Panics
-    /// If they are inconsistent, which those of a checked configuration never are.
+    /// If the widths of the three parts do not fit each other; those of a checked configuration do.
     pub fn new(shape: Shape) -> Network {
         let mut at = 0;
         let mut layers = |widths: &[usize]| -> Vec<Layer> {
@@ -129,22 +130,22 @@ impl Network {
         network
     }
 
-    /// Number of parameters.
+    /// Number of weights and biases.
     pub fn parameters(&self) -> usize {
         self.parameters
     }
 
-    /// Width of an observation.
+    /// Number of floats in an observation.
     pub fn inputs(&self) -> usize {
         self.encoder[0].inputs
     }
 
-    /// Width of the output.
+    /// Number of outputs per robot.
     pub fn outputs(&self) -> usize {
         self.update[self.update.len() - 1].outputs
     }
 
-    /// Widths of the network.
+    /// Layer widths of the network.
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
@@ -153,8 +154,8 @@ impl Network {
         self.encoder[self.encoder.len() - 1].outputs
     }
 
-    /// Layers of the encoder, message and update network. Each is (number of inputs, first parameter of the weight,
-    /// first of the bias, first after the layer).
+    /// Layers of the encoder, message and update network. Each layer is (number of inputs, index of its first weight,
+    /// index of its first bias, index after its last bias), with indices in the parameter vector.
     pub fn layers(&self) -> [Vec<(usize, usize, usize, usize)>; 3] {
         [&self.encoder, &self.message, &self.update]
             .map(|layers| layers.iter().map(|layer| (layer.inputs, layer.at, layer.bias(), layer.end())).collect())
@@ -164,7 +165,7 @@ impl Network {
         self.shape.architecture == Architecture::Full
     }
 
-    /// Computes all activations and outputs into `space`.
+    /// Computes all activations and outputs of a batch and stores them in `space`.
     pub fn forward<T: Real>(&self, parameters: &[T], batch: &Batch<T>, space: &mut Space<T>) {
         Instructions::Detected.run(
             #[inline(always)]
@@ -172,8 +173,8 @@ impl Network {
         );
     }
 
-    /// Number of rows of messages: one per edge. The published network also has each robot's message to itself; its
-    /// input is zero and so the same for all, in one last row.
+    /// Number of rows of messages: one per edge. The published architecture has one row more, the message of each robot
+    /// to itself: its input, a difference, is zero, so it is the same for all robots.
     #[inline(always)]
     pub(super) fn rows<T>(&self, batch: &Batch<T>) -> usize {
         batch.sender.len() + usize::from(!self.is_full())
@@ -185,7 +186,7 @@ impl Network {
         space.message.resize_with(self.message.len() - 1, Vec::new);
         self.first_layer_per_robot(p, batch, space);
         self.first_layer_per_edge(p, batch, space);
-        // The layers between the first and the last, per edge.
+        // The message layers between the first and the last, per edge.
         for (depth, layer) in self.message[1..self.message.len() - 1].iter().enumerate() {
             let (from, to) = space.message.split_at_mut(depth + 1);
             apply(p, layer, &from[depth], self.rows(batch), &mut to[0], true);
@@ -219,7 +220,7 @@ impl Network {
         }
     }
 
-    /// Combines the parts of the first message layer for every edge.
+    /// Combines both robots' parts of the first message layer for every edge.
     #[inline(always)]
     fn first_layer_per_edge<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
         let first = self.message[0];
@@ -274,8 +275,8 @@ impl Network {
         }
     }
 
-    /// Folds the last message layer and the first update layer into one, as no activation is between them, and applies
-    /// it.
+    /// Folds the last message layer and the first update layer into one layer, as no activation is between them, and
+    /// applies that layer.
     #[inline(always)]
     fn folded<T: Real>(&self, p: &[T], batch: &Batch<T>, space: &mut Space<T>) {
         let (nodes, h) = (batch.nodes, self.hidden());
@@ -302,7 +303,7 @@ impl Network {
         add_bias(first.b(p), to, self.update.len() > 1);
     }
 
-    /// Number of terms of a robot's sum.
+    /// Number of messages in a robot's sum.
     #[inline(always)]
     pub(super) fn terms<T: Real>(&self, batch: &Batch<T>, node: usize) -> T {
         let terms = batch.first[node + 1] - batch.first[node] + u32::from(!self.is_full());
@@ -315,7 +316,7 @@ fn relu<T: Real>(x: T) -> T {
     if x > T::zero() { x } else { T::zero() }
 }
 
-/// Resizes a vector whose content will be overwritten.
+/// Resizes a vector whose content the caller overwrites.
 #[inline(always)]
 pub(super) fn resize<T: Real>(vector: &mut Vec<T>, length: usize) {
     vector.resize(length, T::zero());
@@ -326,13 +327,13 @@ pub(super) fn add<T: Real>(to: &mut [T], from: &[T]) {
     to.iter_mut().zip(from).for_each(|(to, from)| *to += *from);
 }
 
-/// Copies `bias` into every row.
+/// Copies `bias` into every row of `rows`.
 #[inline(always)]
 fn fill_rows<T: Real>(bias: &[T], rows: &mut [T]) {
     rows.chunks_exact_mut(bias.len()).for_each(|row| row.copy_from_slice(bias));
 }
 
-/// Adds `bias` to every row and applies ReLU if `rectify` is set.
+/// Adds `bias` to every row of `rows`, then applies ReLU if `rectify` is set.
 #[inline(always)]
 fn add_bias<T: Real>(bias: &[T], rows: &mut [T], rectify: bool) {
     let width = bias.len();
@@ -349,7 +350,7 @@ fn add_bias<T: Real>(bias: &[T], rows: &mut [T], rectify: bool) {
     }
 }
 
-/// Applies one layer to all rows.
+/// Applies one layer to all rows of `x`, then ReLU if `rectify` is set, and writes the result to `y`.
 #[inline(always)]
 fn apply<T: Real>(p: &[T], layer: &Layer, x: &[T], rows: usize, y: &mut Vec<T>, rectify: bool) {
     resize(y, rows * layer.outputs);
@@ -357,7 +358,7 @@ fn apply<T: Real>(p: &[T], layer: &Layer, x: &[T], rows: usize, y: &mut Vec<T>, 
     add_bias(layer.b(p), y, rectify);
 }
 
-/// Applies layers in turn with ReLU between them; keeps the output of each.
+/// Applies layers one after the other, with ReLU between them, and keeps the output of each layer.
 #[inline(always)]
 fn run<T: Real>(p: &[T], layers: &[Layer], x: &[T], rows: usize, outputs: &mut Vec<Vec<T>>) {
     outputs.resize_with(layers.len(), Vec::new);
@@ -368,7 +369,7 @@ fn run<T: Real>(p: &[T], layers: &[Layer], x: &[T], rows: usize, outputs: &mut V
     }
 }
 
-/// Writes the columns of a layer's weight from `from` on, each as a row.
+/// Writes each column of a layer's weight matrix, from column `from` on, as a row of `to`.
 #[inline(always)]
 fn transpose_columns<T: Real>(p: &[T], layer: &Layer, from: usize, to: &mut Vec<T>) {
     to.clear();

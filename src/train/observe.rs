@@ -1,4 +1,5 @@
-//! Observations of the networks: of the policy as in its file, and of the critic with privileged information.
+//! Observations of the networks: the policy's, as its manifest lists them, and the critic's, with privileged
+//! information.
 
 use crate::messages::geometry::{Motion, Task};
 use crate::policy::manifest::Field;
@@ -7,7 +8,7 @@ use crate::scenario::{Scenario, Stage};
 /// Number of inputs of the critic per robot in addition to the policy's observation.
 pub const PRIVILEGED: usize = 8;
 
-/// Writes a robot's observation, two floats per field, policy frame.
+/// Writes a robot's observation in the policy frame, two floats for each field.
 pub fn own(fields: &[Field], scenario: &dyn Scenario, task: &Task, estimate: &Motion, to: &mut [f32]) {
     let observation = scenario.observe(task, estimate);
     for (entry, field) in to.chunks_exact_mut(2).zip(fields) {
@@ -15,29 +16,29 @@ pub fn own(fields: &[Field], scenario: &dyn Scenario, task: &Task, estimate: &Mo
     }
 }
 
-/// Privileged information about a robot and its episode, an input of the critic only.
+/// Privileged information about a robot and its episode. It is an input of the critic only.
 #[derive(Clone, Copy, Debug)]
 pub struct Privileged {
     /// Stage of the scenario's reward.
     pub stage: Stage,
-    /// Whether the robot has arrived.
+    /// Whether the robot has arrived at its goal.
     pub arrived: bool,
     /// Fraction of the episode's time that has passed.
     pub passed: f32,
     /// Length of the robot's remaining path \[m\].
     pub to_go_m: f32,
-    /// Drivetrain lag \[s\].
+    /// Time constant of the drivetrain lag \[s\]; 0 for the training environment's physics.
     pub lag_s: f32,
-    /// Mean delay of messages \[s\].
+    /// Mean delay of the team's messages \[s\].
     pub delay_s: f32,
-    /// Fraction of messages that are lost.
+    /// Mean loss probability of the team's messages, 0 to 1.
     pub loss: f32,
-    /// Whether contacts are only judged and do not block moves.
+    /// Whether a contact makes the episode fail but does not block the move.
     pub judged: bool,
 }
 
 impl Privileged {
-    /// Writes the information as `PRIVILEGED` floats, each scaled to about one.
+    /// Writes the information to `to` as [`PRIVILEGED`] floats, each scaled to about one.
     pub fn write(&self, to: &mut [f32]) {
         let indicator = |value: bool| if value { 1.0 } else { 0.0 };
         to.copy_from_slice(&[

@@ -1,44 +1,46 @@
-//! The rollout data of a chunk of teams between two updates, with values and advantages.
+//! Rollout data of a chunk of teams between two updates, with values and advantages.
 
 use super::batch::Graphs;
 
 /// Half of log(2 pi), a term of the normal density's logarithm.
 pub const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
 
-/// State of a robot's episode after a decision.
+/// State of a robot's episode after an action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EpisodeState {
     /// The episode continues.
     Continues,
-    /// All robots of the team have arrived: the value of the next state is zero.
+    /// All robots of the team have arrived. The value of the next state is zero.
     Terminated,
-    /// The time limit was reached: the value of the next state is that of this graph after the record's decisions.
+    /// The time limit was reached. The critic estimates the value of the next state from the graph with this index
+    /// among those of truncated episodes.
     Truncated(u32),
 }
 
-/// All decisions of a chunk since the last update: by decision, then by row, then by robot.
+/// All decisions of a chunk since the last update. Lists with one entry per action are ordered by decision, then by
+/// row, then by robot.
 #[derive(Debug, Default)]
 pub struct Record {
-    /// Observations of the policy.
+    /// Observations of the policy, one graph per row and decision.
     pub actor: Graphs,
-    /// Observations of the critic: those of the decisions, then the last states, then the last states of truncated
-    /// episodes.
+    /// Observations of the critic: those of the decisions, then each row's state after the last decision, then the last
+    /// states of truncated episodes.
     pub critic: Graphs,
     /// Actions as drawn \[m/s\], policy frame.
     pub action: Vec<[f32; 2]>,
-    /// Log densities of the actions.
+    /// Log densities of the actions under the policy that drew them.
     pub log_density: Vec<f32>,
-    /// Rewards of the actions.
+    /// Rewards from each action until the next decision.
     pub reward: Vec<f32>,
     /// State of the episode after each action.
     pub state: Vec<EpisodeState>,
-    /// Estimates of the critic for each robot of all graphs in `critic`.
+    /// Values that the critic estimates, one for each robot of each graph in `critic`.
     pub value: Vec<f32>,
     /// Advantages of the actions.
     pub advantage: Vec<f32>,
     /// Targets for the critic's estimates.
     pub target: Vec<f32>,
-    /// Totals of the episodes that ended.
+    /// Totals of the episodes that ended during the record.
     pub ended: EpisodeTotals,
 }
 
@@ -47,13 +49,13 @@ pub struct Record {
 pub struct EpisodeTotals {
     /// Number of episodes.
     pub episodes: u32,
-    /// Number of episodes in which all robots arrived and touched nothing.
+    /// Number of episodes in which all robots arrived without a contact that makes the episode fail.
     pub clean: u32,
     /// Number of episodes in which all robots arrived.
     pub arrived: u32,
     /// Sum of the episodes' lengths \[s\].
     pub length_s: f32,
-    /// Sum of the episodes' returns, each the mean over the robots.
+    /// Sum of the episodes' returns. An episode's return is the mean over its robots.
     pub returns: f32,
 }
 
@@ -80,16 +82,16 @@ impl Record {
         self.ended = EpisodeTotals::default();
     }
 
-    /// Computes generalised advantage estimates (Schulman et al., arXiv 1506.02438, equation 16) of each robot, and the
+    /// Computes each robot's generalised advantage estimates (Schulman et al., arXiv 1506.02438, equation 16), and the
     /// critic's targets.
     ///
-    /// Every decision has `width` robots. `gamma` is the discount per decision, `decay` the factor on the next
-    /// advantage, gamma * lambda.
+    /// Every decision has `width` robots. `gamma` is the discount factor per decision. `decay` is the factor on the
+    /// next advantage, gamma * lambda.
     pub fn compute_advantages(&mut self, width: usize, gamma: f32, decay: f32) {
         let (count, robots) = (self.reward.len(), self.actor.robots);
         self.advantage.resize(count, 0.0);
         self.target.resize(count, 0.0);
-        // After the decisions come one graph per row for the last states, then those of truncated episodes.
+        // After the decisions' graphs come one graph per row for the last state, then those of truncated episodes.
         let truncated = |graph: u32, robot: usize| count + width + graph as usize * robots + robot % robots;
         for robot in 0..width {
             let mut advantage = 0.0;

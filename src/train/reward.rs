@@ -1,4 +1,4 @@
-//! The reward of a robot for a step: the scenario's own reward and the terms that the configuration adds.
+//! Reward of a robot for a step: the scenario's own reward, and the terms that the configuration adds.
 
 use super::config::Reward;
 use crate::messages::geometry::{Motion, Task, Vec2};
@@ -6,7 +6,7 @@ use crate::messages::local::Contacts;
 use crate::scenario::{Scenario, Stage};
 use crate::world::kinematic::PERIOD;
 
-/// One robot's step, as input to the reward.
+/// State of one robot before and after a step, as input of the reward.
 #[derive(Debug)]
 pub struct RobotStep<'a> {
     /// The robot's task.
@@ -17,13 +17,14 @@ pub struct RobotStep<'a> {
     pub point: Vec2,
     /// Contacts in the step.
     pub contacts: Contacts,
-    /// The scenario's own reward of the step.
+    /// Reward of the scenario for the step.
     pub scenario_reward: f32,
-    /// Whether the robot is at its goal.
+    /// Whether the robot is at its goal after the step.
     pub reached: bool,
-    /// Length of the remaining path \[m\]: before the step, and afterwards replaced by that after the step.
+    /// Length of the remaining path before the step \[m\]. It is replaced by the length after the step if the reward
+    /// uses it.
     pub to_go_m: &'a mut f32,
-    /// Whether the robot had arrived before the step; set if it arrives in the step.
+    /// Whether the robot had arrived before the step. It is set if the robot arrives in the step.
     pub arrived: &'a mut bool,
 }
 
@@ -35,7 +36,7 @@ pub fn has_reward(scenario: &dyn Scenario) -> bool {
     tasks.first().and_then(reward).is_some()
 }
 
-/// The reward of one robot for a step, without the terms that depend on other robots.
+/// Returns the reward of one robot for a step, without the terms that depend on other robots' positions or rewards.
 pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) -> f32 {
     let position = step.position;
     let mut reward = 0.0;
@@ -68,8 +69,8 @@ pub fn robot_reward(weights: &Reward, scenario: &dyn Scenario, step: RobotStep) 
     reward * weights.scale
 }
 
-/// The penalty of the robot with index `robot` for being near to other robots of its team. `positions` are those of the
-/// team \[m\].
+/// Returns the penalty in a step for the distances of robot `robot` to the other robots of the team. `positions` are
+/// those of the team's robots \[m\].
 pub fn proximity_penalty(weights: &Reward, robot: usize, positions: &[Vec2]) -> f32 {
     let mut near = 0.0;
     for (other, position) in positions.iter().enumerate() {

@@ -1,7 +1,7 @@
-//! Rollouts: decisions of many teams, from observation through action to the recorded reward.
+//! Rollouts: decisions of many teams, from the observation to the recorded action and reward.
 //!
-//! A chunk of teams makes all its decisions independently and draws from its own stream. So chunks run on any number of
-//! threads with the same record.
+//! A chunk of teams makes its decisions independently of other chunks and draws from its own random stream. So the
+//! recorded data does not depend on the number of threads.
 
 use std::sync::Arc;
 
@@ -19,28 +19,28 @@ use crate::random;
 use crate::random::Stream;
 use crate::scenario::Scenario;
 
-/// Largest number of rows in a chunk. The rows of a chunk are evaluated at once, and their activations fit into a
-/// core's own cache.
+/// Largest number of rows in a chunk. The network evaluates all rows of a chunk at once, and their activations fit into
+/// a processor core's private cache.
 pub const CHUNK: usize = 32;
 
 /// Settings of a rollout, the same for all chunks.
 #[derive(Debug)]
 pub struct RolloutSettings<'a> {
-    /// The configuration.
+    /// Configuration of the training.
     pub config: &'a Config,
-    /// The policy's network.
+    /// Network of the policy.
     pub actor: &'a Network,
-    /// The critic's network.
+    /// Network of the critic.
     pub critic: &'a Network,
     /// Weights of the reward's terms.
     pub reward: Reward,
     /// Number of world steps for which an action is held.
     pub repeat: u32,
-    /// Upper limit of the log standard deviation.
+    /// Upper limit of the actions' log standard deviation.
     pub log_std_max: f32,
 }
 
-/// Some rows of teams with their rollout data.
+/// Rows of teams that are simulated together, with their rollout data. A row has the robots of one environment.
 #[derive(Debug)]
 pub struct Chunk {
     /// Environments of the teams.
@@ -49,21 +49,21 @@ pub struct Chunk {
     pub rows: usize,
     /// Number of robots in a row.
     pub robots: usize,
-    /// Recorded decisions.
+    /// Decisions recorded since the last update.
     pub record: Record,
     batch: Batch<f32>,
     space: Space<f32>,
     /// Actions of the current decision \[m/s\], world frame.
     velocities: Vec<Vec2>,
-    /// Rewards of the current decision.
+    /// Rewards of all robots for the current decision.
     rewards: Vec<f32>,
-    /// Source in the unfinished graph of each sender and past step, if there is one.
+    /// Source in the unfinished graph for each sender and past step; `None` if there is none yet.
     sources: Vec<Option<u16>>,
 }
 
 impl Chunk {
-    /// Makes `rows` rows of teams whose episodes are not started. `groups` has the sizes of the teams of a row; rows
-    /// take its entries in turn.
+    /// Returns a chunk of `rows` rows whose episodes are not started. Each entry of `groups` lists the team sizes of
+    /// one row; rows take the entries in turn.
     pub fn new(
         rows: usize,
         groups: &[Vec<usize>],
@@ -91,13 +91,13 @@ impl Chunk {
         }
     }
 
-    /// Starts an episode of every team.
+    /// Starts an episode of every team with conditions and layout drawn from `stream`.
     pub fn start(&mut self, settings: &RolloutSettings, stream: &mut Stream) {
         (0..self.environments.teams.len())
             .for_each(|team| self.environments.start(team, &settings.config.conditions, stream));
     }
 
-    /// Makes and records `decisions` decisions of every row, then computes all values and advantages.
+    /// Makes and records `decisions` decisions of every row. Then computes the values and advantages of all.
     pub fn collect(
         &mut self,
         settings: &RolloutSettings,
@@ -138,12 +138,12 @@ impl Chunk {
         for row in 0..self.rows {
             self.observe_critic(settings, row, None);
         }
-        // The last states come after the decisions, and the last states of truncated episodes after those.
+        // Each row's last state comes after the decisions, and the last states of truncated episodes come after those.
         self.record.critic.append(&truncated);
         self.compute_values(settings, critic);
     }
 
-    /// Makes a decision of every row without recording it, for evaluation.
+    /// Makes one decision of every row without recording it, for an evaluation.
     pub fn decide_unrecorded(&mut self, settings: &RolloutSettings, actor: &[f32], draw: Draw, stream: &mut Stream) {
         self.record.clear();
         for team in 0..self.environments.teams.len() {
@@ -167,8 +167,8 @@ impl Chunk {
         self.environments.step(team, &self.velocities, &settings.reward, limit, stream);
     }
 
-    /// Adds a team's observations and edges to the policy's graph of its row. Must be called for all teams in order:
-    /// the first team of a row starts the graph, the last one completes it.
+    /// Adds a team's observations and edges to the policy's graph of the team's row. Must be called for all teams in
+    /// order: the first team of a row begins the graph, and the last one completes it.
     fn observe(&mut self, settings: &RolloutSettings, team: usize, stream: &mut Stream) {
         let Chunk { environments, record, robots, .. } = self;
         let fields = &settings.config.policy.observation;
@@ -229,7 +229,7 @@ impl Chunk {
         }
     }
 
-    /// Adds a row's true state as a graph of the critic, to `other` if given, else to the record.
+    /// Adds the true state of a row as a graph of the critic: to `other` if given, else to the chunk's record.
     fn observe_critic(&mut self, settings: &RolloutSettings, row: usize, other: Option<&mut Graphs>) {
         let Chunk { environments, record, robots, .. } = self;
         let graphs = other.unwrap_or(&mut record.critic);
@@ -271,13 +271,13 @@ impl Chunk {
         graphs.end();
     }
 
-    /// Runs the policy's network on these graphs of the record.
+    /// Runs the policy's network on the graphs of the record with these indices.
     fn decide(&mut self, settings: &RolloutSettings, actor: &[f32], graphs: std::ops::Range<usize>) {
         self.batch.gather(graphs.map(|graph| (&self.record.actor, graph)));
         settings.actor.forward(actor, &self.batch, &mut self.space);
     }
 
-    /// Samples and records every robot's action, then transforms it to the world frame.
+    /// Samples and records every robot's action, then transforms the actions to the world frame.
     fn draw(&mut self, settings: &RolloutSettings, stream: &mut Stream) {
         for (robot, out) in self.space.outputs().chunks_exact(4).enumerate() {
             let mut action = [0.0; 2];
@@ -307,8 +307,8 @@ impl Chunk {
         }
     }
 
-    /// Records the episode states after a decision, and starts the next episode of teams whose episode has ended.
-    /// Last states of truncated episodes are added to `truncated`.
+    /// Records the state of each episode after a decision, and starts the next episode of every team whose episode has
+    /// ended. The last states of truncated episodes are added to `truncated`.
     fn end_episodes(&mut self, settings: &RolloutSettings, truncated: &mut Graphs, stream: &mut Stream) {
         let base = self.record.state.len();
         self.record.state.resize(base + self.rows * self.robots, EpisodeState::Continues);

@@ -1,13 +1,13 @@
-//! Scaling of a configuration's groups to a team of another size.
+//! Scaling of the groups in a configuration to a team of another size.
 
 use super::config::Config;
 use crate::registry::Registry;
 use crate::scenario::{ScenarioError, Settings};
 
 impl Config {
-    /// Returns the configuration for a team of its `robots`, or of the scenario's own size if that is `None`. Sizes of
-    /// groups keep their proportions as far as the scenario supports teams of these sizes. Otherwise the team is split
-    /// in another way, or not at all.
+    /// Returns the configuration for a team of the configured number of robots, or of the scenario's default size if
+    /// none is configured. The sizes of groups keep their proportions if the scenario supports teams of these sizes.
+    /// Otherwise the team is split in another way, or not at all.
     ///
     /// # Errors
     /// If there is no such scenario, or it does not support that number of robots.
@@ -24,13 +24,13 @@ impl Config {
     }
 }
 
-/// The sizes of groups, scaled to a sum of `robots`.
+/// Returns the sizes of groups scaled to a sum of `robots`.
 fn scaled(groups: &[usize], robots: usize, supported: impl Fn(usize) -> bool) -> Vec<usize> {
     let total: usize = groups.iter().sum();
     if total == robots {
         return groups.to_vec();
     }
-    // Rounded sums, so that the sizes add up to the team.
+    // The cumulative sums are rounded, so that the sizes add up to the team.
     let sums = groups.iter().scan(0, |sum, size| {
         *sum += size;
         Some((*sum * robots + total / 2) / total)
@@ -40,7 +40,7 @@ fn scaled(groups: &[usize], robots: usize, supported: impl Fn(usize) -> bool) ->
     if proportional.iter().all(|size| supported(*size)) {
         return proportional;
     }
-    // Two groups: the split nearest to the proportional one, and of two as near the more even one.
+    // For two groups, the split nearest to the proportional one; of two equally near splits, the more even one.
     let split = |first: &usize| supported(*first) && supported(robots - first);
     let nearest =
         (1..robots).filter(split).min_by_key(|first| (first.abs_diff(proportional[0]), robots.abs_diff(2 * first)));

@@ -1,5 +1,5 @@
-//! The trainer: iterations of rollout and update, from random weights to a policy file. Its caller passes in the
-//! progress and gets metrics back. Its state can be saved as bytes and resumed bit for bit.
+//! Trainer: iterations of rollout and update, from random weights to a policy file. The caller passes in the progress
+//! and gets metrics. The trainer's state can be saved as bytes and resumed with identical results.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ use crate::scenario::{Scenario, ScenarioError, Settings};
 
 /// Factor on the learning rate after an update that stopped early.
 const RATE_DECREASE: f32 = 0.9;
-/// Factor on the learning rate after an update whose divergence stayed below half of the limit.
+/// Factor on the learning rate after an update whose KL divergence stayed below half of the limit.
 const RATE_INCREASE: f32 = 1.05;
 
 /// Metrics of one iteration.
@@ -33,7 +33,7 @@ pub struct Metrics {
     pub decisions: u64,
     /// Number of steps of 50 ms of all environments so far.
     pub env_steps: u64,
-    /// Stage of the curriculum, from zero.
+    /// Index of the curriculum's stage, from zero.
     pub stage: usize,
     /// Mean return of a robot in the episodes that ended in the iteration; NaN if none ended.
     pub earned: f32,
@@ -43,15 +43,15 @@ pub struct Metrics {
     pub arrived: f32,
     /// Mean duration of the episodes that ended \[s\].
     pub length_s: f32,
-    /// Number of epochs of the update.
+    /// Number of epochs in the update; fractional if the update stopped within an epoch.
     pub epochs: f32,
-    /// KL divergence of the update.
+    /// KL divergence of the policy after the update from the policy before, the mean over the last epoch.
     pub divergence: f32,
-    /// Mean entropy of the policy in the update.
+    /// Mean entropy of the policy's action distribution in the update.
     pub entropy: f32,
     /// Mean loss of the critic in the update.
     pub value_loss: f32,
-    /// Mean norm of the policy's gradient in the update.
+    /// Mean norm of the policy's gradient in the update, before clipping.
     pub gradient: f32,
     /// Learning rate of the update.
     pub learning_rate: f32,
@@ -64,11 +64,11 @@ pub struct Metrics {
      ({learning_rate:e}) or a reward scale that is too high"
 )]
 pub struct Diverged {
-    /// The iteration that failed.
+    /// Index of the failed iteration, from 1.
     pub iteration: u64,
     /// Number of decisions before the failed iteration.
     pub decisions: u64,
-    /// The first quantity that was not finite.
+    /// Name of the first quantity that was not finite.
     pub what: &'static str,
     /// Learning rate of the failed update.
     pub learning_rate: f32,
@@ -77,7 +77,7 @@ pub struct Diverged {
 /// Error of a training that cannot be set up or resumed.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
-    /// The scenario cannot be made.
+    /// The scenario cannot be built.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
     /// The bytes are not a checkpoint.
@@ -86,11 +86,11 @@ pub enum SetupError {
     /// The checkpoint is of another training.
     #[error("it is of another training: {what} is {theirs} there and {ours} here")]
     Other {
-        /// The property that differs.
+        /// Name of the property that differs.
         what: &'static str,
-        /// Its value in the checkpoint.
+        /// Value of the property in the checkpoint.
         theirs: String,
-        /// The requested value.
+        /// Value of the property in the requested training.
         ours: String,
     },
     /// The groups of a stage have another number of robots than the scenario.
@@ -104,30 +104,30 @@ pub enum SetupError {
         /// Number of robots in the scenario.
         robots: usize,
     },
-    /// A weight is set for a reward that the scenario does not have.
+    /// The configuration sets a weight for the scenario's own reward, but the scenario has none.
     #[error("reward.scenario: {weight}, but the scenario '{scenario}' has no reward of its own; set it to 0")]
     NoReward {
         /// Name of the scenario.
         scenario: String,
-        /// The weight.
+        /// Configured weight of that reward.
         weight: f32,
     },
 }
 
-/// Parameters of a training that do not change.
+/// Parameters of a training that stay fixed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
     /// Name of the scenario.
     pub scenario: String,
-    /// Name of the preset from which the configuration was derived.
+    /// Name of the preset from which the configuration was made.
     pub preset: String,
-    /// The configuration.
+    /// Configuration of the training.
     pub config: Config,
     /// Seed of all random numbers.
     pub seed: u64,
 }
 
-/// State of a training.
+/// State of a training between two iterations.
 #[derive(Debug)]
 pub struct Trainer {
     pub(super) plan: Plan,
@@ -141,14 +141,16 @@ pub struct Trainer {
     pub(super) decisions: u64,
     pub(super) env_steps: u64,
     pub(super) progress: f64,
-    /// Factor on the scheduled learning rate, adapted to the divergence; at most 1.
+    /// Factor on the scheduled learning rate, adapted to the KL divergence of updates; at most 1.
     pub(super) rate_factor: f32,
     workspace: Workspace,
 }
 
 impl Trainer {
-    /// Starts a training with random weights. The scenario is looked up in the registry. An error if a stage of the
-    /// curriculum cannot be set up.
+    /// Starts a training with random weights.
+    ///
+    /// # Errors
+    /// If the registry does not have the scenario, or a stage of the curriculum cannot be set up.
     pub fn new(plan: Plan, registry: &Registry) -> Result<Trainer, SetupError> {
         let settings = Settings { robots: plan.config.robots, gap_m: None };
         let scenario = registry.scenario(&plan.scenario, &settings)?;
@@ -178,7 +180,7 @@ impl Trainer {
             rate_factor: 1.0,
             workspace: Workspace::default(),
         };
-        // Errors of every stage must show now, not after hours of training.
+        // Sets up every stage now, so that an error of a late stage does not appear after hours of training.
         for stage in (0..trainer.plan.config.curriculum.len()).rev() {
             trainer.stage = stage;
             trainer.chunks = trainer.make_chunks()?;
@@ -231,10 +233,10 @@ impl Trainer {
     }
 
     /// Performs one iteration: a rollout and an update. `progress` is the completed fraction of the training, 0 to 1,
-    /// which schedules follow.
+    /// on which the schedules depend.
     ///
     /// # Errors
-    /// If a value is NaN or infinite: the training cannot continue.
+    /// If a value is NaN or infinite. The training cannot continue then.
     pub fn iterate(&mut self, progress: f64, threads: usize) -> Result<Metrics, Diverged> {
         self.progress = progress.clamp(0.0, 1.0);
         let stage = self.plan.config.stage(self.progress);
@@ -283,7 +285,8 @@ impl Trainer {
             learning_rate,
         })?;
         (self.actor, self.critic) = (actor, critic);
-        // An update that stops early uses few of the decisions; with smaller steps it uses more.
+        // An update that stops early leaves decisions unused; with a lower learning rate, the next one uses more of
+        // them.
         let (epochs, kl_stop) = (self.plan.config.ppo.epochs as f32, self.plan.config.ppo.kl_stop);
         if outcome.epochs < 0.99 * epochs {
             self.rate_factor *= RATE_DECREASE;
@@ -317,7 +320,7 @@ impl Trainer {
         }
     }
 
-    /// Settings of the training, fixed at its start.
+    /// Parameters of the training, fixed at its start.
     pub fn plan(&self) -> &Plan {
         &self.plan
     }
@@ -332,7 +335,7 @@ impl Trainer {
         self.plan.config.reward.scenario > 0.0
     }
 
-    /// The policy's parameters.
+    /// Weights and biases of the policy.
     pub fn parameters(&self) -> &[f32] {
         &self.actor.parameters
     }

@@ -1,8 +1,8 @@
-//! One update of policy and critic from the data of a rollout: epochs of minibatches with clipped gradients, and an
-//! early stop on the KL divergence.
+//! Update of policy and critic from the data of a rollout: epochs of minibatches with clipped gradients, and an early
+//! stop at a limit of the KL divergence.
 //!
-//! A minibatch is split into a fixed number of shards, each with its own gradient. These are added in the order of the
-//! shards, so the sum does not depend on the threads.
+//! A minibatch is split into a fixed number of shards, each with its own gradient. The gradients are added in the order
+//! of the shards, so the sum does not depend on the number of threads.
 
 use rand::seq::SliceRandom;
 
@@ -31,14 +31,14 @@ pub struct Learner {
     pub adam: Adam,
 }
 
-/// Statistics of an update.
+/// Statistics of one update.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Number of epochs, with fractions.
+    /// Number of epochs; fractional if the update stopped within an epoch.
     pub epochs: f32,
-    /// KL divergence from the policy before the update, mean over the last epoch.
+    /// KL divergence of the policy from the policy before the update, the mean over the last epoch.
     pub divergence: f32,
-    /// Mean entropy of the policy.
+    /// Mean entropy of the policy's action distribution.
     pub entropy: f32,
     /// Mean loss of the critic.
     pub value_loss: f32,
@@ -49,14 +49,14 @@ pub struct Outcome {
 /// Error of an update with a value that is NaN or infinite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotFinite {
-    /// The first quantity that was not finite.
+    /// Name of the first quantity that was not finite.
     pub what: &'static str,
 }
 
-/// Buffers and sums of one shard.
+/// Buffers and sums of one shard of a minibatch.
 #[derive(Debug, Default)]
 struct Shard {
-    /// The shard's decisions: index of the record, and of the decision in it.
+    /// Decisions of the shard, each as (index of its record, index of the decision in the record).
     decisions: Vec<(u32, u32)>,
     actor: Vec<f32>,
     critic: Vec<f32>,
@@ -76,8 +76,11 @@ pub struct Workspace {
     order: Vec<(u32, u32)>,
 }
 
-/// Updates policy and critic by the decisions of all records. The pair is the learning rate and the weight of the
-/// entropy. An error names the first value that is not finite.
+/// Updates policy and critic from the decisions of all records. The pair of floats is (learning rate, weight of the
+/// entropy).
+///
+/// # Errors
+/// If a value is NaN or infinite; the error names the first one.
 #[expect(clippy::too_many_arguments, reason = "they are unrelated; a struct of them would serve this call only")]
 pub fn update(
     settings: &RolloutSettings,
@@ -144,7 +147,7 @@ pub fn update(
     Ok(outcome)
 }
 
-/// Mean and standard deviation of all advantages.
+/// Returns the mean and standard deviation of the advantages in all records.
 fn advantage_statistics(records: &[&Record]) -> (f32, f32) {
     let all = || records.iter().flat_map(|record| &record.advantage).map(|&advantage| f64::from(advantage));
     let count = all().count() as f64;
@@ -153,8 +156,8 @@ fn advantage_statistics(records: &[&Record]) -> (f32, f32) {
     (mean as f32, (variance.sqrt() + 1e-8) as f32)
 }
 
-/// Adds the shards' gradients and takes one step of the optimiser. Returns the gradient's norm before clipping; `None`
-/// if it is not finite.
+/// Adds the shards' gradients, divides the sum by the number of samples `robots`, and takes one step of the optimiser. Returns
+/// the gradient's norm before clipping; `None` if the norm is not finite.
 fn gradient_step(
     learner: &mut Learner,
     shards: &mut [Shard],
@@ -178,7 +181,7 @@ fn gradient_step(
 }
 
 impl Shard {
-    /// Computes the gradients of both losses over the shard's decisions.
+    /// Computes the gradients of the losses of policy and critic over the shard's decisions.
     fn compute_gradients(
         &mut self,
         records: &[&Record],
@@ -230,9 +233,9 @@ impl Shard {
     }
 }
 
-/// Draws initial parameters from normal distributions whose variance preserves the size of activations (He et al.,
-/// arXiv 1502.01852). The last layer is near zero, so that an untrained policy stands still; `bias` is the bias of that
-/// layer.
+/// Returns initial parameters, drawn from normal distributions whose variance preserves the size of activations (He et
+/// al., arXiv 1502.01852). The last layer's weights are near zero, so that an untrained policy stands still; `bias` is
+/// the bias of that layer.
 pub fn initial(network: &Network, seed: Seed, bias: &[f32]) -> Vec<f32> {
     let mut stream = seed.stream("train/initial");
     let mut parameters = vec![0.0; network.parameters()];
