@@ -156,8 +156,8 @@ fn advantage_statistics(records: &[&Record]) -> (f32, f32) {
     (mean as f32, (variance.sqrt() + 1e-8) as f32)
 }
 
-/// Adds the shards' gradients, divides the sum by the number of samples `robots`, and takes one step of the optimiser. Returns
-/// the gradient's norm before clipping; `None` if the norm is not finite.
+/// Adds the shards' gradients, divides the sum by the number of samples `robots`, and takes one step of the optimiser.
+/// Returns the gradient's norm before clipping; `None` if the norm is not finite.
 fn gradient_step(
     learner: &mut Learner,
     shards: &mut [Shard],

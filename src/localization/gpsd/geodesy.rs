@@ -1,4 +1,5 @@
-//! Geodesy: from latitude, longitude and height on WGS 84 to a local frame of east, north and up, in f64.
+//! Geodesy: conversion of latitude, longitude and height on WGS 84 to a local frame with axes east, north and up, in
+//! f64.
 
 use std::f64::consts::PI;
 
@@ -6,7 +7,7 @@ use std::f64::consts::PI;
 const SEMI_MAJOR_M: f64 = 6_378_137.0;
 /// Flattening of WGS 84 (NGA.STND.0036, table 3.1).
 const FLATTENING: f64 = 1.0 / 298.257_223_563;
-/// Square of the first eccentricity.
+/// Square of the first eccentricity of WGS 84.
 const ECCENTRICITY_SQUARED: f64 = FLATTENING * (2.0 - FLATTENING);
 
 /// Point on or above the earth, as latitude, longitude and height on the ellipsoid WGS 84.
@@ -34,7 +35,8 @@ fn sin_cos_deg(angle_deg: f64) -> (f64, f64) {
     libm::sincos(angle_deg * (PI / 180.0))
 }
 
-/// Cartesian coordinates \[m\] that are fixed to the earth: z to the north pole, x to the prime meridian.
+/// Earth-fixed cartesian coordinates of a point \[m\]: the z axis points to the north pole, the x axis to the prime
+/// meridian at the equator.
 fn cartesian(point: &Geodetic) -> [f64; 3] {
     let ((sin, cos), (sin_longitude, cos_longitude)) =
         (sin_cos_deg(point.latitude_deg), sin_cos_deg(point.longitude_deg));
@@ -46,7 +48,7 @@ fn cartesian(point: &Geodetic) -> [f64; 3] {
 }
 
 impl LocalFrame {
-    /// Makes the local frame whose origin is the point `origin`.
+    /// Returns the local frame whose origin is the point `origin`.
     pub fn at(origin: &Geodetic) -> LocalFrame {
         LocalFrame {
             origin: cartesian(origin),
@@ -55,12 +57,12 @@ impl LocalFrame {
         }
     }
 
-    /// Coordinates \[m\] of `point` in the local frame: east, north and up of the frame's origin.
+    /// Coordinates of `point` in the local frame \[m\]: east, north and up from the frame's origin.
     pub fn east_north_up(&self, point: &Geodetic) -> [f64; 3] {
         let [x, y, z] = cartesian(point);
         let [x, y, z] = [x - self.origin[0], y - self.origin[1], z - self.origin[2]];
         let ((sin_latitude, cos_latitude), (sin, cos)) = (self.latitude, self.longitude);
-        // Towards the prime meridian of the origin, in the plane of the equator.
+        // Component in the plane of the equator, towards the origin's meridian.
         let out = cos * x + sin * y;
         [cos * y - sin * x, cos_latitude * z - sin_latitude * out, cos_latitude * out + sin_latitude * z]
     }

@@ -1,10 +1,10 @@
-//! Source `gpsd`: a robot's own satellite receiver, read from gpsd.
+//! Source `gpsd`: localizes one robot by its own satellite receiver, read from gpsd.
 //!
-//! The worker passes gpsd's lines on as they are. The pure part judges each fix by its mode and status, and its error
-//! by GST. `eph` is not used: it said 11.4 m where GST said 0.01 m (measured). Below `fix_least` there is no reading,
-//! so the guard stops the robot.
+//! The worker passes the lines from gpsd on unchanged. The pure part judges the quality of each fix by mode and status,
+//! and its error by GST reports. The field `eph` is not used: in a measurement it was 11.4 m where GST gave 0.01 m. A
+//! fix below `fix_least` gives no reading, so the guard stops the robot.
 //!
-//! A receiver at 10 Hz needs `own_state_s` of at least 0.25 s (measured gaps of up to 0.12 s).
+//! For a receiver at 10 Hz, `own_state_s` must be at least 0.25 s, because gaps of up to 0.12 s were measured.
 
 pub mod geodesy;
 pub mod report;
@@ -28,11 +28,13 @@ use settings::{Config, Heading};
 /// Description of the source `gpsd` in one line, for lists of all sources.
 pub const ABOUT: &str = "the robot's own satellite receiver, by gpsd";
 
-/// Least speed at which the course over ground is a heading \[m/s\]: below, its noise is larger than a turn.
+/// Lowest speed at which the course over ground is used as the heading \[m/s\]. At lower speeds, the noise of the
+/// course is too large.
 const LEAST_SPEED_M_S: f64 = 0.3;
-/// Age up to which an older report counts as late \[ns\]; an even older one is of a clock that was set back.
+/// Largest difference by which an older report counts as late \[ns\]. A larger difference means that the clock was set
+/// back.
 const LATE_NS: u64 = 1_000_000_000;
-/// Longest time between a fix and the GST that tells its error \[ns\] (receivers send GST each second or faster).
+/// Largest time between a fix and the GST report used for it \[ns\]. Receivers send GST every second or faster.
 const STATISTICS_NS: u64 = 2_000_000_000;
 
 /// Makes the source that localizes one robot by its satellite receiver, and the worker that reads gpsd. The error names
@@ -51,11 +53,11 @@ pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigErro
 struct Gpsd {
     robot: RobotId,
     config: Config,
-    /// Newest statistics of errors.
+    /// Newest GST report: the standard deviations of the position.
     statistics: Option<Gst>,
-    /// Time of the last fix \[ns\].
+    /// Time of measurement of the last fix that gave a reading \[ns since 1970, UTC\].
     last_ns: Option<u64>,
-    /// Last height above the ellipsoid \[m\]: 100 m of error change a distance of 1 km by 16 mm.
+    /// Last known height above the ellipsoid \[m\]. An error of 100 m changes a horizontal distance of 1 km by 16 mm.
     height_m: f64,
 }
 
@@ -78,16 +80,17 @@ impl Gpsd {
         Ok(())
     }
 
-    /// Returns the reading of a fix; none of one that is known. A fix of too little quality is refused.
+    /// Returns the reading of a fix; `None` if the fix is repeated, late or without a time. An error is the reason for
+    /// which the fix is refused.
     fn fix(&mut self, tpv: &Tpv) -> Result<Option<Reading>, Malformed> {
         let fix = Fix::of(tpv).ok_or(Malformed("the receiver has no fix in three dimensions from satellites"))?;
         if fix < self.config.fix_least {
             return Err(Malformed("the receiver's fix is worse than fix_least; see its corrections and its sky"));
         }
-        // It is missing in the first reports of a receiver.
+        // The first reports of a receiver have no time.
         let Some(time_ns) = tpv.time_ns else { return Ok(None) };
         if self.last_ns.is_some_and(|last_ns| time_ns <= last_ns && last_ns - time_ns < LATE_NS) {
-            // gpsd sends a fix more than once as sentences complete it.
+            // gpsd sends a fix again whenever a further sentence adds data to it.
             return Ok(None);
         }
         let deviation_m = self.deviation_m(time_ns);
@@ -106,7 +109,7 @@ impl Gpsd {
                 "the receiver is over 100 km from the origin; correct origin_latitude_deg and ..longitude",
             ));
         }
-        // Courses are clockwise from north, angles of the team counter-clockwise from its x axis.
+        // Courses are clockwise from north, angles of the team's frame counter-clockwise from its x axis.
         let course = tpv.track_deg.map(|track_deg| FRAC_PI_2 - track_deg.to_radians() + self.config.yaw_rad);
         let velocity = velocity(speed_m_s, course)?;
         self.last_ns = Some(time_ns);
@@ -123,7 +126,8 @@ impl Gpsd {
         }))
     }
 
-    /// Standard deviation of a position along each axis \[m\], the larger one; none without GST of about that time.
+    /// Standard deviation of the position \[m\], the larger of north and east; `None` without a GST report near this
+    /// time.
     fn deviation_m(&self, time_ns: u64) -> Option<f64> {
         let statistics = self.statistics.as_ref()?;
         let fresh = statistics.time_ns.is_some_and(|at_ns| at_ns.abs_diff(time_ns) <= STATISTICS_NS);
@@ -131,7 +135,8 @@ impl Gpsd {
     }
 }
 
-/// Velocity \[m/s\] of a speed and a course \[rad\]. A receiver that stands has no course.
+/// Returns the velocity \[m/s\] in the team's frame, from a speed and the course in that frame \[rad\]. Without a
+/// course, the velocity of a slow receiver is zero, and that of a fast one an error.
 fn velocity(speed_m_s: f64, course: Option<f64>) -> Result<Vec2, Malformed> {
     match course {
         Some(course) => {
@@ -168,7 +173,7 @@ mod tests {
         (make(&settings, &[ROBOT]).map_err(|error| error.to_string()).unwrap().source)()
     }
 
-    /// Line of a fix that is `tenths` tenths of a second after the first.
+    /// Line of a TPV report `tenths` tenths of a second after the first one.
     fn tpv(tenths: u32, status: u8, more: &str) -> String {
         let time = format!("2026-11-22T12:00:{:02}.{}00Z", tenths / 10, tenths % 10);
         let start = r#"{"class":"TPV","device":"/dev/ttyACM0","mode":3,"lat":52.2054,"lon":0.1218"#;

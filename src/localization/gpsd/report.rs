@@ -1,4 +1,4 @@
-//! Reports of gpsd: decoder of its JSON lines (TPV, GST, ERROR), in the terms of gpsd_json(5).
+//! Reports of gpsd: decoder of its JSON lines TPV, GST and ERROR, with the terms of gpsd_json(5).
 
 use serde::Deserialize;
 
@@ -7,7 +7,7 @@ use serde::Deserialize;
 #[error("{0}")]
 pub struct Malformed(pub &'static str);
 
-/// Report of gpsd, the daemon that reads satellite receivers, decoded as far as it is used.
+/// Report of gpsd, the daemon that reads satellite receivers. Only the classes and fields in use are decoded.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Report {
     /// Time, position and velocity.
@@ -73,7 +73,7 @@ pub enum Fix {
     RtkFixed,
 }
 
-/// Fields of all classes that are used. GST has standard deviations under the names of coordinates.
+/// Fields in use of the report classes TPV and GST. In GST, `lat` and `lon` are standard deviations \[m\].
 #[derive(Deserialize)]
 struct Line {
     class: String,
@@ -90,10 +90,10 @@ struct Line {
 }
 
 impl Fix {
-    /// Quality of a fix; none if there is no fix in three dimensions, or if it is not from satellites alone.
+    /// Returns the quality of a fix; `None` if the fix has fewer than three dimensions or is not from satellites alone.
     ///
-    /// Status, by gpsd_json(5): 0 unknown, 1 normal, 2 DGPS, 3 RTK fixed, 4 RTK float, 5 dead reckoning, 6 with dead
-    /// reckoning, 7 time alone (surveyed), 8 simulated, 9 P(Y).
+    /// Values of the status in gpsd_json(5): 0 unknown, 1 normal, 2 DGPS, 3 RTK fixed, 4 RTK float, 5 dead reckoning, 6
+    /// satellites with dead reckoning, 7 time only (surveyed position), 8 simulated, 9 P(Y).
     pub fn of(tpv: &Tpv) -> Option<Fix> {
         if tpv.mode < 3 {
             return None;
@@ -108,7 +108,7 @@ impl Fix {
     }
 }
 
-/// Decodes a line of gpsd. Reports of unused classes are not examined further. An error says why the line is malformed.
+/// Decodes a line of gpsd. Of an unused class, only the class is examined. An error says why the line is malformed.
 pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
     #[derive(Deserialize)]
     struct Class {
@@ -144,7 +144,8 @@ pub fn decode(line: &[u8]) -> Result<Report, Malformed> {
     })
 }
 
-/// Reads "2026-11-22T12:00:00.100Z" as nanoseconds since 1970, without leap seconds.
+/// Converts a time such as "2026-11-22T12:00:00.100Z" to nanoseconds since 1970, without leap seconds; `None` if
+/// malformed.
 fn nanoseconds(text: &str) -> Option<u64> {
     let number = |digits: &str| {
         let all = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
@@ -165,11 +166,11 @@ fn nanoseconds(text: &str) -> Option<u64> {
     Some(seconds * 1_000_000_000 + fraction_ns)
 }
 
-/// Days from 1970-01-01 to a date of the Gregorian calendar. A year is counted from March, so that a leap day is its
-/// last.
+/// Returns the number of days from 1970-01-01 to a date of the Gregorian calendar. Internally a year begins in March,
+/// so that a leap day is its last day.
 fn days(year: u64, month: u64, day: u64) -> u64 {
     let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
-    // Months from March have 31, 30, 31, 30, 31 days, again and again: 153 in five.
+    // Month lengths from March repeat the pattern 31, 30, 31, 30, 31 days: 153 days in five months.
     let in_year = (153 * month + 2) / 5 + day - 1;
     // 1970-01-01 is day 719468 from 0000-03-01.
     365 * year + year / 4 - year / 100 + year / 400 + in_year - 719_468

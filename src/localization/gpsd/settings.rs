@@ -10,26 +10,26 @@ use serde::Deserialize;
 use super::geodesy::{Geodetic, LocalFrame};
 use super::report::Fix;
 
-/// Port of gpsd (registered with IANA).
+/// Default TCP port of gpsd (registered with IANA).
 const PORT: u16 = 2947;
 
-/// Origin of a robot's heading.
+/// Source of a robot's heading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Heading {
-    /// Course over ground above 0.3 m/s. For robots that drive ahead only.
+    /// The course over ground at speeds of at least 0.3 m/s. Only valid for robots that drive forwards.
     Track,
-    /// No heading.
+    /// No heading is reported.
     None,
 }
 
-/// Table of the team file.
+/// Table of the source in a team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Fields {
-    /// Address and port of gpsd.
+    /// Address and TCP port of gpsd.
     address: SocketAddr,
-    /// Path of the receiver's device at gpsd; none: all of its devices.
+    /// Path of the receiver's device at gpsd; if left out, reports of all its devices are used.
     device: Option<String>,
     /// Latitude of the team's origin on WGS 84 \[deg\].
     origin_latitude_deg: Option<f64>,
@@ -37,11 +37,12 @@ struct Fields {
     origin_longitude_deg: Option<f64>,
     /// Direction of east in the team's frame \[rad\], counter-clockwise from its x axis.
     yaw_rad: f64,
-    /// Least quality of a fix; below it there is no reading.
+    /// Lowest quality of a fix that gives a reading.
     fix_least: Fix,
-    /// Largest standard deviation of a position by GST \[m\]; above it, or without GST, there is no reading.
+    /// Largest standard deviation of the position by GST \[m\]. A fix with a larger one, or without GST, gives no
+    /// reading. No limit if left out.
     deviation_most_m: Option<f64>,
-    /// Origin of the robot's heading.
+    /// Source of the robot's heading.
     heading: Heading,
 }
 
@@ -53,7 +54,7 @@ impl Default for Fields {
             origin_latitude_deg: None,
             origin_longitude_deg: None,
             yaw_rad: 0.0,
-            // Less than the distance that the guard keeps between two robots.
+            // Its error is smaller than the distance that the guard keeps between two robots.
             fix_least: Fix::RtkFixed,
             deviation_most_m: None,
             heading: Heading::Track,
@@ -61,27 +62,27 @@ impl Default for Fields {
     }
 }
 
-/// Settings, checked.
+/// Checked settings of the source.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Address and port of gpsd.
+    /// Address and TCP port of gpsd.
     pub address: SocketAddr,
-    /// Path of the receiver's device at gpsd.
+    /// Path of the receiver's device at gpsd; `None` for all its devices.
     pub device: Option<String>,
-    /// Local frame at the team's origin.
+    /// Local frame with axes east, north and up at the team's origin.
     pub frame: LocalFrame,
-    /// Direction of east in the team's frame \[rad\].
+    /// Direction of east in the team's frame \[rad\], counter-clockwise from its x axis.
     pub yaw_rad: f64,
-    /// Least quality of a fix.
+    /// Lowest quality of a fix that gives a reading.
     pub fix_least: Fix,
-    /// Largest standard deviation of a position by GST \[m\].
+    /// Largest standard deviation of the position by GST \[m\]; `None` for no limit.
     pub deviation_most_m: Option<f64>,
-    /// Origin of the robot's heading.
+    /// Source of the robot's heading.
     pub heading: Heading,
 }
 
 impl Config {
-    /// Reads and checks the settings.
+    /// Reads and checks the settings. An error names the wrong setting.
     pub fn read(settings: &Settings) -> Result<Config, ConfigError> {
         let fields: Fields = settings.read()?;
         let given = |name: &str, value: Option<f64>| {
@@ -93,7 +94,7 @@ impl Config {
         let longitude_deg = given("origin_longitude_deg", fields.origin_longitude_deg)?;
         let deviation_most_m = fields.deviation_most_m.unwrap_or(1.0);
         let within = [
-            // At the poles there is no east.
+            // The direction east is undefined at the poles.
             ("origin_latitude_deg", latitude_deg, -89.0, 89.0, "deg"),
             ("origin_longitude_deg", longitude_deg, -180.0, 180.0, "deg"),
             ("yaw_rad", fields.yaw_rad, -7.0, 7.0, "rad"),
@@ -110,7 +111,7 @@ impl Config {
         Ok(Config {
             address: fields.address,
             device: fields.device,
-            // A height would move the origin along the vertical alone.
+            // Height zero, because the origin's height changes only the vertical coordinate.
             frame: LocalFrame::at(&Geodetic { latitude_deg, longitude_deg, height_m: 0.0 }),
             yaw_rad: fields.yaw_rad,
             fix_least: fields.fix_least,
@@ -119,7 +120,7 @@ impl Config {
         })
     }
 
-    /// Turns a position \[m\] from east and north into the team's frame.
+    /// Rotates a position \[m\] from the axes east and north to the team's frame.
     pub fn turned(&self, east: f64, north: f64) -> Vec2 {
         let (sin, cos) = libm::sincos(self.yaw_rad);
         Vec2::new((cos * east - sin * north) as f32, (sin * east + cos * north) as f32)

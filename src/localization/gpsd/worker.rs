@@ -1,4 +1,4 @@
-//! Worker of the source `gpsd`: a TCP client that subscribes to reports and passes lines on as they are.
+//! Worker of the source `gpsd`: a TCP client that subscribes to reports and passes the lines on unchanged.
 
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -8,24 +8,25 @@ use std::time::Duration;
 use crate::edge::{Packet, PacketSender, Port, Worker};
 use crate::messages::ids::RobotId;
 
-/// Subscription to reports (gpsd_json(5)).
+/// Request that subscribes to reports (gpsd_json(5)).
 const WATCH: &[u8] = b"?WATCH={\"enable\":true,\"json\":true};\n";
-/// Longest line \[bytes\]: gpsd's own limit is 10240. A longer one is cut, and so refused.
+/// Longest accepted line \[bytes\]; the limit of gpsd itself is 10240. A longer line is cut, which makes it malformed.
 const LONGEST: usize = 16_384;
-/// Longest wait for bytes: how long the end of the host goes unnoticed.
+/// Longest wait for bytes, and so the longest delay until the worker notices the end of the host.
 const WAIT: Duration = Duration::from_millis(100);
-/// Longest time to connect.
+/// Timeout of connecting.
 const CONNECT: Duration = Duration::from_millis(500);
-/// Waits without a byte after which the connection counts as lost: 5 s (receivers report each second or faster).
+/// Number of waits without a byte after which the connection counts as lost: 5 s in total. Receivers report each second
+/// or faster.
 const SILENT: u32 = 50;
-/// Waits before the first and the longest pause between two connections: 0.2 s and 3.2 s.
+/// Pause after the first failed connection and the longest pause, as numbers of waits: 0.2 s and 3.2 s.
 const PAUSES: [u32; 2] = [2, 32];
 
-/// Worker of the source.
+/// Worker of the source `gpsd`.
 pub struct Subscriber {
-    /// Address and port of gpsd.
+    /// Address and TCP port of gpsd.
     pub address: SocketAddr,
-    /// The robot, for messages.
+    /// Robot that the receiver is on, for log messages.
     pub robot: RobotId,
 }
 
@@ -61,7 +62,7 @@ impl Subscriber {
         Ok(stream)
     }
 
-    /// Passes lines on until the host ends. An error says how the connection ended.
+    /// Passes lines on until the host ends. An error is the reason for which the connection ended.
     fn follow(&self, mut stream: TcpStream, lines: &mut Lines, sender: &PacketSender) -> io::Result<()> {
         let (mut buffer, mut silent) = ([0; 4096], 0);
         while !sender.is_closed() {
@@ -85,17 +86,17 @@ impl Subscriber {
     }
 }
 
-/// Lines of a stream of bytes.
+/// Splitter of a byte stream into lines.
 #[derive(Debug, Default)]
 struct Lines {
-    /// Line without its end.
+    /// Bytes of the current, unfinished line.
     begun: Vec<u8>,
-    /// Number of lines that were passed on.
+    /// Number of complete lines so far.
     passed: u64,
 }
 
 impl Lines {
-    /// Takes bytes and passes on the lines that they end.
+    /// Takes the next bytes, and calls `each` with every line that they complete.
     fn take(&mut self, bytes: &[u8], mut each: impl FnMut(Packet)) {
         for byte in bytes {
             match byte {

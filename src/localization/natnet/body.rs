@@ -1,25 +1,28 @@
-//! Rigid body of one robot: refusal of jumps, velocity and yaw rate from a short window of poses. In the team's frame.
+//! Rigid body of one robot: refuses poses that jump, and computes velocity and yaw rate from a short window of poses.
+//! All poses are in the team's frame.
 //!
-//! A tracker may exchange the ids of two bodies, or take a reflection for a body. A pose that is too far from the last
-//! one is refused. A body that stays at its new place for `settle_s` is accepted there, as after it was carried. A body
-//! that appears where another one was is not: it is held until it is back at its own place, or the host is restarted.
+//! A tracker may exchange the ids of two bodies, or take a reflection for a body. So a pose that is too far from the
+//! last accepted one is refused. A body that stays at a new place for `settle_s` is accepted there, as after it was
+//! carried. A body that appears at the last place of another body is not accepted there: its poses are refused until it
+//! is back at its own place, or the host is restarted.
 
 use std::collections::VecDeque;
 
 use crate::messages::geometry::wrapped;
-/// Tracker noise and reflections that are no jump \[m\] (ten times the error of motion capture, 0.2 mm to 2 mm).
+/// Largest distance between two poses that tracker noise alone explains \[m\]: ten times the error of motion capture,
+/// 0.2 mm to 2 mm.
 const SLACK_M: f64 = 0.02;
 /// Longest time for which a body is assumed to have moved at top speed \[s\]. The guard stops a robot without readings
-/// before that.
+/// before this time has passed.
 const MOVING_S: f64 = 0.5;
-/// Longest gap between two frames of one motion \[s\] (25 frames at 100 Hz).
+/// Longest gap between two frames in one window \[s\] (25 frames at 100 Hz).
 const GAP_S: f64 = 0.25;
-/// Distance from the last place of another body within which a jump is an exchange \[m\] (two robots that are so
-/// close touch each other).
+/// Distance from another body's last place within which a jump counts as an exchange of ids \[m\]. Two robots that are
+/// so close touch each other.
 const EXCHANGE_M: f64 = 0.2;
-/// Rounding of stamps \[s\]: a window of 50 ms has five frames at 100 Hz.
+/// Largest rounding error of stamps \[s\]. It makes a window of 50 ms end at five frame periods of 100 Hz.
 const ROUNDING_S: f64 = 1e-4;
-/// Largest number of poses in a window: more than `velocity_window_s` at most has at 360 Hz.
+/// Largest number of poses in a window: more than the longest allowed `velocity_window_s` has at 360 Hz.
 const MOST: usize = 256;
 
 /// Pose of a body in one frame, in the team's frame.
@@ -29,33 +32,33 @@ pub struct Pose {
     pub stamp_s: f64,
     /// Position \[m\].
     pub position: [f64; 2],
-    /// Heading \[rad\], counter-clockwise from the x axis, within -pi and pi; none if the body does not lie level.
+    /// Heading \[rad\], counter-clockwise from the x axis, within -pi and pi; `None` if the body is not level.
     pub heading: Option<f64>,
 }
 
-/// Limits of a body's motion.
+/// Limits on the motion of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Largest speed \[m/s\].
     pub speed_most_m_s: f64,
-    /// Time at a new place after which a body is accepted there \[s\].
+    /// Time that a body has to stay at a new place before it is accepted there \[s\].
     pub settle_s: f64,
-    /// Window of the velocity \[s\].
+    /// Length of the window over which the velocity is computed \[s\].
     pub window_s: f64,
 }
 
-/// Rates of a body over its window, at the window's end.
+/// Velocity and yaw rate of a body, computed over its window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
-    /// Velocity \[m/s\]: mean over the window, so half a window late.
+    /// Mean velocity over the window \[m/s\]. It lags the true velocity by half the window.
     pub velocity: [f64; 2],
-    /// Yaw rate \[rad/s\], counter-clockwise: likewise.
+    /// Mean yaw rate over the window \[rad/s\], counter-clockwise; `None` if a heading in the window is unknown.
     pub yaw_rate: Option<f64>,
-    /// Length of the window \[s\].
+    /// Time between the first and the last pose of the window \[s\].
     pub span_s: f64,
 }
 
-/// Poses that are refused because they are too far from the last accepted one.
+/// Run of refused poses that are too far from the last accepted one.
 #[derive(Clone, Copy, Debug)]
 struct Held {
     since_s: f64,
@@ -63,23 +66,24 @@ struct Held {
     exchanged: bool,
 }
 
-/// Rigid body of one robot.
+/// Filter of the poses of one robot's rigid body.
 #[derive(Clone, Debug, Default)]
 pub struct Body {
-    /// Accepted poses, the oldest first.
+    /// Accepted poses in the window, the oldest first.
     window: VecDeque<Pose>,
-    /// Last accepted pose.
+    /// Last accepted pose; `None` before the first.
     newest: Option<Pose>,
     held: Option<Held>,
 }
 
 impl Body {
-    /// Last accepted pose.
+    /// Last accepted pose; `None` before the first.
     pub fn newest(&self) -> Option<Pose> {
         self.newest
     }
 
-    /// Takes the pose of a new frame, or says why it is refused. `others` are the last accepted poses of other bodies.
+    /// Takes the pose of a new frame. An error is the reason for which the pose is refused. `others` are the last
+    /// accepted poses of the other bodies.
     pub fn take(
         &mut self,
         pose: Pose,
@@ -118,14 +122,14 @@ impl Body {
         }
         self.newest = Some(pose);
         self.window.push_back(pose);
-        // The oldest pose goes when the one after it spans the window by itself.
+        // The oldest pose is removed when the pose after it already spans the window.
         let spans = |old: &Pose| pose.stamp_s - old.stamp_s >= limits.window_s - ROUNDING_S;
         while self.window.len() > MOST || self.window.get(1).is_some_and(spans) {
             self.window.pop_front();
         }
     }
 
-    /// Returns the rates over the window; none while it is shorter than half of `window_s`.
+    /// Returns velocity and yaw rate over the window; `None` while the window is shorter than half of `window_s`.
     pub fn rates(&self, limits: &Limits) -> Option<Rates> {
         let (old, new) = (self.window.front()?, self.window.back()?);
         let span_s = new.stamp_s - old.stamp_s;
@@ -136,7 +140,7 @@ impl Body {
         Some(Rates { velocity, yaw_rate: self.turned().map(|angle| angle / span_s), span_s })
     }
 
-    /// Angle \[rad\] that the body turned over its window, also by more than half a turn; none if a heading is unknown.
+    /// Angle by which the body turned over its window \[rad\], also beyond half a turn; `None` if a heading is unknown.
     fn turned(&self) -> Option<f64> {
         let steps = self.window.iter().zip(self.window.iter().skip(1));
         steps.map(|(old, new)| Some(wrapped(new.heading? - old.heading?))).sum()
@@ -147,7 +151,7 @@ fn distance(one: &Pose, other: &Pose) -> f64 {
     libm::hypot(one.position[0] - other.position[0], one.position[1] - other.position[1])
 }
 
-/// Whether a robot can have moved from `old` to `new`.
+/// Whether a robot within the limits can have moved from `old` to `new`.
 fn is_reachable(old: &Pose, new: &Pose, limits: &Limits) -> bool {
     let moving_s = (new.stamp_s - old.stamp_s).clamp(0.0, MOVING_S);
     distance(old, new) <= SLACK_M + limits.speed_most_m_s * moving_s
@@ -157,7 +161,8 @@ fn is_one_motion(old: &Pose, new: &Pose) -> bool {
     new.stamp_s - old.stamp_s <= GAP_S
 }
 
-/// Whether a pose is where another body was last, and nearer to that place than to its own.
+/// Whether a pose is at the last place of another body, and nearer to that place than to the last place `own` of its
+/// own body.
 fn is_exchange(own: &Pose, pose: &Pose, mut others: impl Iterator<Item = Pose>) -> bool {
     let moved_m = distance(own, pose);
     moved_m > SLACK_M && others.any(|other| distance(&other, pose) < moved_m.min(EXCHANGE_M))

@@ -1,55 +1,57 @@
-//! Requests of a NatNet client: when to ask the server for its description, for frames and for model definitions.
+//! State machine of a NatNet client: decides when to ask the server for its description, for frames and for model
+//! definitions.
 //!
-//! It has no clock and no socket. The worker gives it time and datagrams, and sends its requests.
+//! It has no clock and no socket. The worker passes in the time and datagrams, and sends the requests that it returns.
 
 use crate::time::{Span, Time};
 
 use super::frame::{self, Layout};
 use super::packet::{self, ServerInfo, Version};
 
-/// Period of a request that has no answer.
+/// Period at which an unanswered request is repeated.
 const AGAIN: Span = Span::from_millis(1000);
-/// Period of KEEP_ALIVE, by which a unicast server knows its clients (the manufacturer's sample).
+/// Period of KEEP_ALIVE requests, which a unicast server needs to keep a client (the manufacturer's sample).
 const KEEP_ALIVE: Span = Span::from_millis(250);
-/// Time without a frame after which the server counts as silent (20 frames at 20 Hz, the slowest camera).
+/// Time without a frame after which the server counts as silent (20 frames at 20 Hz, the slowest camera's rate).
 const SILENCE: Span = Span::from_millis(1000);
-/// Time with frames and without model definitions after which the server counts as not answering (three requests).
+/// Time with frames but without model definitions after which the server counts as not answering (three requests).
 const UNANSWERED: Span = Span::from_millis(3000);
-/// Period at which the source is told again of the server and of its bodies: its actor may be started anew.
+/// Period at which the source gets the server's last description and model definitions again, as its actor may have
+/// been restarted.
 const REMINDER: Span = Span::from_millis(500);
-/// Bitstream that a unicast server is asked for: the newest that was read from independent servers.
+/// Bitstream version that is requested from a unicast server: the newest that was tested with independent servers.
 const BITSTREAM: Version = Version { major: 4, minor: 1 };
 
-/// Change of the connection that an operator should know.
+/// Change of the connection to the server, to be shown to an operator.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// The server has described itself, or has changed.
+    /// The server has sent its first description, or a changed one.
     Server(ServerInfo),
-    /// Frames have begun, or begun anew.
+    /// Frames have begun to arrive, at first or after a silence.
     Frames,
-    /// There were no frames for a second.
+    /// No frame has arrived for one second.
     Silent,
-    /// Frames arrive, and the server does not answer requests for model definitions.
+    /// Frames arrive, but the server does not answer requests for model definitions.
     Unanswered,
 }
 
-/// State of a client.
+/// State of a NatNet client.
 #[derive(Clone, Debug)]
 pub struct Client {
     unicast: bool,
     server: Option<ServerInfo>,
     layout: Layout,
-    /// Time of the last frame, or of the start.
+    /// Time of the last frame; before the first, the time of the start.
     heard: Time,
-    /// Time of the first frame; none if no frames arrive.
+    /// Time of the first frame since the start or the last silence; `None` if no frames arrive.
     streaming: Option<Time>,
-    /// Whether the server was reported as not answering.
+    /// Whether the server has been reported as not answering.
     unanswered: bool,
-    /// Whether the server was reported as silent.
+    /// Whether the server has been reported as silent, without a frame since.
     silent: bool,
-    /// Whether the model definitions are known.
+    /// Whether the current model definitions have been received.
     named: bool,
-    /// Newest datagrams with the server's description and with model definitions.
+    /// Newest datagram with the server's description, and newest datagram with model definitions.
     newest: [Option<Box<[u8]>>; 2],
     remind_at: Time,
     connect_at: Time,
@@ -58,7 +60,7 @@ pub struct Client {
 }
 
 impl Client {
-    /// Makes a client that knows nothing of its server.
+    /// Returns a client that has not heard from its server. `unicast` selects the server's transmission.
     pub fn new(now: Time, unicast: bool) -> Client {
         Client {
             unicast,
@@ -77,7 +79,8 @@ impl Client {
         }
     }
 
-    /// Takes a datagram of the server.
+    /// Processes a datagram of the server. Returns the change of the connection that it causes; ignores a malformed
+    /// datagram.
     pub fn take(&mut self, now: Time, datagram: &[u8]) -> Option<Event> {
         let (message, payload) = packet::split(datagram).ok()?;
         match message {
@@ -108,15 +111,15 @@ impl Client {
         }
     }
 
-    /// Whether the server is silent.
+    /// Whether the server is silent: reported so, without a frame since.
     pub fn is_silent(&self) -> bool {
         self.silent
     }
 
-    /// Finds that the server is silent or does not answer, once.
+    /// Returns once that the server has become silent, or that it does not answer.
     pub fn listen(&mut self, now: Time) -> Option<Event> {
         if !self.silent && now.since(self.heard) >= SILENCE {
-            // It may be started anew, with other bodies.
+            // The server may have been restarted with other bodies.
             (self.streaming, self.silent, self.named) = (None, true, false);
             return Some(Event::Silent);
         }
@@ -126,7 +129,7 @@ impl Client {
         first.then_some(Event::Unanswered)
     }
 
-    /// Returns the datagrams that the source should be told again, if that is due.
+    /// Returns the datagrams to pass to the source again; none before they are due.
     pub fn reminders(&mut self, now: Time) -> Vec<Box<[u8]>> {
         if now < self.remind_at {
             return Vec::new();
@@ -135,7 +138,7 @@ impl Client {
         self.newest.iter().flatten().cloned().collect()
     }
 
-    /// Returns the requests that are due.
+    /// Returns the requests that are due now, as datagrams.
     pub fn requests(&mut self, now: Time) -> Vec<Vec<u8>> {
         let mut due = Vec::new();
         if (self.server.is_none() || self.silent) && now >= self.connect_at {
@@ -162,7 +165,7 @@ mod tests {
         Time::ZERO + Span::from_millis(ms)
     }
 
-    /// Numbers of the messages that are requested at a time.
+    /// Message numbers of the requests that are due at a time \[ms\].
     fn asked(client: &mut Client, ms: u64) -> Vec<u16> {
         client.requests(at_ms(ms)).iter().map(|datagram| packet::split(datagram).unwrap().0).collect()
     }
@@ -171,7 +174,7 @@ mod tests {
         [&message.to_le_bytes()[..], &(payload.len() as u16).to_le_bytes(), payload].concat()
     }
 
-    /// A frame of 3.0 without bodies.
+    /// Payload of a frame of bitstream 3.0 without bodies.
     fn frame(models_changed: bool) -> Vec<u8> {
         let mut payload = vec![0; 78];
         payload[72] = if models_changed { 2 } else { 0 };

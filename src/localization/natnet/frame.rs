@@ -1,8 +1,8 @@
-//! Frames of motion capture data, bitstreams 3.0 to 4.4: decoder of rigid bodies, stamp and flags.
+//! Frames of motion capture data, bitstreams 3.0 to 4.4: decoder of the rigid bodies, the stamp and the flags.
 //!
-//! Two layouts exist. From 4.1 every section carries its length, and sections that are not needed are skipped by it.
-//! Before, they are walked through. 3.0 to 4.1 were read from independent servers; 4.2 to 4.4 are unproven: they are
-//! known from hand-made frames alone.
+//! There are two layouts. From 4.1, each section begins with its length, and a section that is not needed is skipped.
+//! Before 4.1, each section has to be decoded to find its end. The decoder was tested with frames from independent
+//! servers for 3.0 to 4.1, and only with hand-made frames for 4.2 to 4.4.
 
 use super::packet::{Malformed, Reader, Version};
 
@@ -11,59 +11,59 @@ use super::packet::{Malformed, Reader, Version};
 pub enum Layout {
     /// Bitstreams 3.0 to 4.0.
     Plain,
-    /// Bitstreams from 4.1: sections with lengths, a section of assets, and a precise stamp.
+    /// Bitstreams from 4.1: each section has a length, a section of assets is added, and the frame has a precise stamp.
     Sized,
 }
 
-/// Pose of a rigid body, in the axes of the tracker.
+/// Pose of a rigid body in the tracker's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RigidBody {
-    /// Its streaming ID.
+    /// Streaming ID of the body.
     pub id: i32,
     /// Position \[m\].
     pub position: [f64; 3],
-    /// Rotation as a quaternion x, y, z, w; of unit length if the body is tracked.
+    /// Rotation as a quaternion (x, y, z, w); of unit length if the body is tracked.
     pub rotation: [f64; 4],
-    /// Mean distance between its measured markers and the model \[m\]; zero if the server does not say.
+    /// Mean distance between the body's measured markers and its model \[m\]; zero if the server does not report it.
     pub error_m: f32,
-    /// Whether it is tracked in this frame. A lost body stays in the frame at some pose.
+    /// Whether the body is tracked in this frame. A lost body stays in the frame with an arbitrary pose.
     pub tracked: bool,
 }
 
 /// Frame of motion capture data.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
-    /// Its number.
+    /// Number of the frame.
     pub number: i32,
     /// Time of measurement on the tracker's clock \[s\].
     pub stamp_s: f64,
-    /// Whether the model definitions have changed.
+    /// Whether the model definitions have changed since the last frame.
     pub models_changed: bool,
-    /// Its rigid bodies, in the order of the server.
+    /// Rigid bodies in the server's order.
     pub bodies: Vec<RigidBody>,
 }
 
-/// Bytes of a rigid body: id, position, rotation, error and params.
+/// Size of a rigid body \[bytes\]: id, position, rotation, error and flags.
 const RIGID_BODY: usize = 38;
-/// Bytes of a labelled marker: id, position, size, params and residual.
+/// Size of a labelled marker \[bytes\]: id, position, size, flags and residual.
 const LABELED_MARKER: usize = 26;
-/// Bytes of a precise stamp: seconds and fraction.
+/// Size of the precise stamp \[bytes\]: seconds and fraction.
 const PRECISE_STAMP: usize = 8;
-/// Bytes of a frame's params.
+/// Size of a frame's flags \[bytes\].
 const PARAMS: usize = 2;
-/// Bytes of the tag at the end of a frame.
+/// Size of the tag at the end of a frame \[bytes\].
 const END: usize = 4;
-/// Largest deviation of a rotation's squared length from one; f32 is exact to 1e-6.
+/// Largest deviation of a rotation's squared length from one. The rounding of f32 is about 1e-6.
 const ROUNDING: f64 = 0.01;
 /// Latest stamp that is valid \[s\]: 300 years.
 const LATEST_S: f64 = 1e10;
-/// Params of a rigid body: it is tracked.
+/// Flag of a rigid body: it is tracked.
 const TRACKED: i16 = 1;
-/// Params of a frame: model definitions have changed.
+/// Flag of a frame: the model definitions have changed.
 const MODELS_CHANGED: i16 = 2;
 
 impl Layout {
-    /// Layout that a server of this version uses by itself.
+    /// Layout in which a server of this version sends frames if no other was requested.
     pub fn of(version: Version) -> Layout {
         if version >= (Version { major: 4, minor: 1 }) { Layout::Sized } else { Layout::Plain }
     }
@@ -76,9 +76,10 @@ impl Layout {
     }
 }
 
-/// Decodes the payload of a frame, and finds its layout. `expected` is tried first.
+/// Decodes the payload of a frame. Returns the frame and its layout.
 ///
-/// In unicast a server may send another bitstream than its own. The other layout has to fit to the last byte.
+/// The layout `expected` is tried first, then the other one, because a unicast server may send another bitstream than
+/// its own. The other layout is accepted only if it ends at the payload's last byte.
 pub fn decode(payload: &[u8], expected: Layout) -> Result<(Frame, Layout), Malformed> {
     let error = match decode_as(payload, expected) {
         Ok((frame, _)) => return Ok((frame, expected)),
@@ -90,7 +91,7 @@ pub fn decode(payload: &[u8], expected: Layout) -> Result<(Frame, Layout), Malfo
     }
 }
 
-/// Decodes the payload of a frame in one layout. Also returns the number of bytes after its end.
+/// Decodes the payload of a frame in one layout. Returns the frame and the number of bytes after its end.
 fn decode_as(payload: &[u8], layout: Layout) -> Result<(Frame, usize), Malformed> {
     let mut reader = Reader::new(payload);
     let number = reader.i32()?;
@@ -98,7 +99,7 @@ fn decode_as(payload: &[u8], layout: Layout) -> Result<(Frame, usize), Malformed
         Layout::Plain => plain_sections(&mut reader)?,
         Layout::Sized => sized_sections(&mut reader)?,
     };
-    // Time code: frame and subframe.
+    // Timecode, then its subframe.
     reader.skip(2, 4)?;
     let stamp_s = reader.f64()?;
     if !(0.0..LATEST_S).contains(&stamp_s) {
@@ -106,7 +107,7 @@ fn decode_as(payload: &[u8], layout: Layout) -> Result<(Frame, usize), Malformed
     }
     // Ticks of mid-exposure, of reception and of transmission.
     reader.skip(3, 8)?;
-    // Precise stamp. The manufacturer's samples disagree on whether 4.0 has it.
+    // Precise stamp. The manufacturer's samples disagree on whether bitstream 4.0 has it.
     if layout == Layout::Sized || reader.left() >= PRECISE_STAMP + PARAMS + END {
         reader.skip(1, PRECISE_STAMP)?;
     }
@@ -129,7 +130,7 @@ fn sized_sections(reader: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
     Ok(read)
 }
 
-/// Takes a section: its number of elements, and a reader of its bytes.
+/// Reads the header of a section. Returns the number of elements and a reader of the section's bytes.
 fn section<'a>(reader: &mut Reader<'a>) -> Result<(usize, Reader<'a>), Malformed> {
     let (count, length) = (reader.count()?, reader.count()?);
     if (count == 0) != (length == 0) {
@@ -138,7 +139,7 @@ fn section<'a>(reader: &mut Reader<'a>) -> Result<(usize, Reader<'a>), Malformed
     Ok((count, Reader::new(reader.bytes(length)?)))
 }
 
-/// Reads rigid bodies that fill their section. Elements of a later bitstream may be longer: the rest is skipped.
+/// Reads the rigid bodies of a section. Elements of a later bitstream may be longer; their remaining bytes are skipped.
 fn rigid_bodies(count: usize, section: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
     let size = section.left().checked_div(count).unwrap_or(RIGID_BODY);
     if size < RIGID_BODY || size * count != section.left() {
@@ -151,18 +152,18 @@ fn rigid_bodies(count: usize, section: &mut Reader) -> Result<Vec<RigidBody>, Ma
     (0..count).map(one).collect()
 }
 
-/// Walks through the sections of a frame before 4.1.
+/// Reads the sections of a frame before 4.1 and returns the rigid bodies.
 fn plain_sections(reader: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
-    // Marker sets: a name, then positions.
+    // Marker sets: each a name, then positions.
     for _ in 0..reader.count()? {
         reader.text()?;
         vectors(reader)?;
     }
-    // Other markers.
+    // Unlabelled markers.
     vectors(reader)?;
     let count = reader.count()?;
     let bodies = (0..count).map(|_| rigid_body(reader)).collect::<Result<_, _>>()?;
-    // Skeletons: an id, then their bones.
+    // Skeletons: each an id, then its bones.
     for _ in 0..reader.count()? {
         reader.skip(1, 4)?;
         let bones = reader.count()?;
@@ -170,7 +171,7 @@ fn plain_sections(reader: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
     }
     let labeled = reader.count()?;
     reader.skip(labeled, LABELED_MARKER)?;
-    // Force plates, then devices: an id, then channels of samples.
+    // Force plates, then devices: each an id, then channels of samples.
     for _ in 0..2 {
         for _ in 0..reader.count()? {
             reader.skip(1, 4)?;
@@ -183,7 +184,7 @@ fn plain_sections(reader: &mut Reader) -> Result<Vec<RigidBody>, Malformed> {
     Ok(bodies)
 }
 
-/// Skips a number of positions.
+/// Skips a list of positions, which begins with their number.
 fn vectors(reader: &mut Reader) -> Result<(), Malformed> {
     let count = reader.count()?;
     reader.skip(count, 12)

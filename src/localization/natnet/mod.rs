@@ -1,7 +1,7 @@
 //! Source `natnet`: rigid bodies of a motion capture system that streams NatNet (OptiTrack), bitstreams 3.0 to 4.4.
 //!
-//! The worker passes datagrams on as they are. The pure part decodes them, finds each robot's body, turns poses into
-//! the team's frame, and takes velocities from a short window of poses.
+//! The worker passes the server's datagrams on unchanged. The pure part decodes them, finds each robot's body,
+//! transforms poses to the team's frame, and computes velocities from a short window of poses.
 
 mod body;
 mod client;
@@ -28,28 +28,31 @@ use settings::{BodyName, Config, Up};
 /// Description of the source `natnet` in one line, for lists of all sources.
 pub const ABOUT: &str = "motion capture that streams NatNet (OptiTrack Motive)";
 
-/// Age up to which an older frame counts as late \[s\]; an even older one is of a server that was started again.
+/// Largest difference by which the stamp of an older frame counts as late \[s\]. A larger difference means that the
+/// server was restarted.
 const LATE_S: f64 = 1.0;
-/// Least deviation of a position \[m\]: a mean marker error may be zero by chance.
+/// Smallest reported standard deviation of a position \[m\], because a mean marker error may be close to zero by
+/// chance.
 const LEAST_ERROR_M: f32 = 1e-4;
-/// Least horizontal share of a body's forward axis at which it has a heading: half, 60 degrees of tilt.
+/// Smallest length of the projection of a body's unit x axis onto the floor at which the body has a heading: 0.5, a
+/// tilt of 60 degrees.
 const LEVEL: f64 = 0.5;
 
-/// Share of a period by which a frame may be early, so that every second one of 100 Hz is passed on at 50 Hz.
+/// Fraction of a period by which a frame may be early, so that every second frame of 100 Hz gives a reading at 50 Hz.
 const EARLY: f64 = 0.1;
 
-/// Makes the source and its worker.
+/// Makes the source and its worker for these robots. An error names the wrong setting.
 pub fn make(settings: &Settings, robots: &[RobotId]) -> Result<Parts, ConfigError> {
     let config = Config::read(settings, robots)?;
     let worker = Box::new(worker::Listener { config: config.network.clone() });
     Ok(Parts { source: Box::new(move || Box::new(NatNet::new(&config))), worker })
 }
 
-/// Robot, the name of its body, and the state of that body.
+/// Robot with the name of its rigid body, and the state of that body.
 struct Tracked {
     robot: RobotId,
     name: BodyName,
-    /// Streaming ID; none until model definitions have told it.
+    /// Streaming ID of the body; `None` until model definitions contain the body's name.
     id: Option<i32>,
     body: Body,
 }
@@ -59,13 +62,13 @@ struct NatNet {
     config: Config,
     robots: Vec<Tracked>,
     layout: Layout,
-    /// Version of the server, once it is known.
+    /// NatNet version of the server; `None` before the server's description arrives.
     version: Option<Version>,
-    /// Definitions of the tracker's rigid bodies.
+    /// Last received definitions of the tracker's rigid bodies.
     definitions: Vec<Definition>,
     /// Number and stamp \[s\] of the last frame.
     last: Option<(i32, f64)>,
-    /// Stamp at which readings are due again \[s\].
+    /// Stamp from which the next readings are due \[s\].
     due_s: f64,
 }
 
@@ -86,7 +89,7 @@ impl NatNet {
         }
     }
 
-    /// Takes a datagram. Messages of other kinds are ignored.
+    /// Processes a datagram. Messages of unused kinds are ignored.
     fn datagram(&mut self, datagram: &[u8], out: &mut Vec<Out>) -> Result<(), Malformed> {
         let (message, payload) = packet::split(datagram)?;
         match message {
@@ -107,7 +110,7 @@ impl NatNet {
         Ok(())
     }
 
-    /// Finds the streaming ID of each robot's body by its name. The worker repeats definitions that are known.
+    /// Finds the streaming ID of each robot's body by the body's name. Does nothing for repeated definitions.
     fn identify(&mut self, definitions: Vec<Definition>) {
         if definitions == self.definitions {
             return;
@@ -145,7 +148,7 @@ impl NatNet {
         self.last = Some((frame.number, frame.stamp_s));
         let is_due = frame.stamp_s + EARLY * self.config.period_s >= self.due_s;
         if is_due {
-            // The grid of due times keeps the mean rate; after a pause it begins anew.
+            // Due times form a grid, which keeps the mean rate; after a pause the grid begins anew.
             let next_s = self.due_s + self.config.period_s;
             self.due_s = if next_s > frame.stamp_s { next_s } else { frame.stamp_s + self.config.period_s };
         }
@@ -158,7 +161,8 @@ impl NatNet {
         }
     }
 
-    /// Takes the pose of one robot's body. Returns a reading if the body is tracked and its velocity known.
+    /// Processes the pose of the body of robot `at` in a frame. Returns a reading if the body is tracked and its
+    /// velocity is known. An error is the reason for which the pose is refused.
     fn follow(&mut self, at: usize, frame: &Frame) -> Result<Option<Reading>, &'static str> {
         let (before, rest) = self.robots.split_at_mut(at);
         let Some((Tracked { robot, id: Some(id), body, .. }, after)) = rest.split_first_mut() else { return Ok(None) };
@@ -202,7 +206,7 @@ impl Source for NatNet {
     }
 }
 
-/// Place of the tracker's frame in the team's, with the z axis up.
+/// Alignment of the tracker's frame: its position and rotation in the team's frame, whose z axis points up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alignment {
     up: Up,
@@ -211,7 +215,7 @@ pub struct Alignment {
 }
 
 impl Alignment {
-    /// Turns a pose into the team's frame. The heading is that of the body's x axis.
+    /// Transforms a rigid body's pose to the team's frame. The heading is the direction of the body's x axis.
     fn pose(&self, stamp_s: f64, rigid: &RigidBody) -> Pose {
         let raised = |[x, y, z]: [f64; 3]| match self.up {
             Up::Y => [x, -z, y],
@@ -221,7 +225,7 @@ impl Alignment {
         let [i, j, k, w] = rigid.rotation;
         let [i, j, k] = raised([i, j, k]);
         let ([origin_x, origin_y], turned) = (self.origin_m, rotated(self.yaw_rad, x, y));
-        // The body's x axis, projected on the floor.
+        // The body's x axis, projected onto the floor.
         let (ahead, left) = (1.0 - 2.0 * (j * j + k * k), 2.0 * (i * j + w * k));
         let level = libm::hypot(ahead, left) >= LEVEL;
         Pose {

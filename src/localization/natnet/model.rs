@@ -1,7 +1,7 @@
-//! Model definitions, bitstreams 3.0 to 4.4: decoder of the rigid bodies' names and streaming IDs.
+//! Model definitions, bitstreams 3.0 to 4.4: decoder of the names and streaming IDs of rigid bodies.
 //!
-//! From 4.1 every definition carries its length. Before, definitions are walked through; 4.0 has names of markers that
-//! 3.0 lacks. 4.2 to 4.4 are unproven: they are known from hand-made definitions alone.
+//! From 4.1, each definition begins with its length. Before 4.1, each definition has to be decoded to find its end; 4.0
+//! has names of markers, which 3.0 lacks. For 4.2 to 4.4 the decoder was tested with hand-made definitions only.
 
 use super::packet::{Malformed, Reader, Version};
 
@@ -10,11 +10,11 @@ use super::packet::{Malformed, Reader, Version};
 pub struct Definition {
     /// Name of the body in the tracker.
     pub name: String,
-    /// Streaming ID of the rigid body: the number by which frames of motion capture data name it.
+    /// Streaming ID of the rigid body, which identifies it in frames of motion capture data.
     pub id: i32,
 }
 
-/// Layout of model definitions.
+/// Layout of model definitions, which depends on the bitstream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Layout {
     /// Bitstreams 3.0 and 3.1.
@@ -27,7 +27,7 @@ enum Layout {
 
 const ALL: [Layout; 3] = [Layout::Sized, Layout::NamedMarkers, Layout::Plain];
 
-/// Kinds of definitions.
+/// Number of each kind of definition in the bitstream.
 const MARKER_SET: i32 = 0;
 const RIGID_BODY: i32 = 1;
 const SKELETON: i32 = 2;
@@ -35,13 +35,14 @@ const FORCE_PLATE: i32 = 3;
 const DEVICE: i32 = 4;
 const CAMERA: i32 = 5;
 
-/// Bytes of a force plate between its serial number and its channels: width, length and origin; calibration; corners.
+/// Size of a force plate's fields between its serial number and its channels \[bytes\]: width, length and origin;
+/// calibration; corners.
 const PLATE: usize = 4 * (2 + 3 + 144 + 12);
-/// Bytes of a position and a rotation.
+/// Size of a position and a rotation \[bytes\].
 const POSE: usize = 28;
 
-/// Decodes the payload of model definitions. The layout of `version` is tried first, then the others, which have to fit
-/// to the last byte.
+/// Decodes the payload of model definitions. The layout of `version` is tried first, then the other ones. These are
+/// accepted only if they end at the payload's last byte.
 pub fn decode(payload: &[u8], version: Option<Version>) -> Result<Vec<Definition>, Malformed> {
     let expected = match version {
         Some(version) if version < (Version { major: 4, minor: 0 }) => Layout::Plain,
@@ -57,7 +58,7 @@ pub fn decode(payload: &[u8], version: Option<Version>) -> Result<Vec<Definition
     fitting.next().map(|(definitions, _)| definitions).ok_or(error)
 }
 
-/// Decodes the payload in one layout. Also returns the number of bytes after its end.
+/// Decodes the payload in one layout. Returns the definitions and the number of bytes after their end.
 fn decode_as(payload: &[u8], layout: Layout) -> Result<(Vec<Definition>, usize), Malformed> {
     let (mut reader, mut definitions) = (Reader::new(payload), Vec::new());
     for _ in 0..reader.count()? {
@@ -104,13 +105,14 @@ fn decode_as(payload: &[u8], layout: Layout) -> Result<(Vec<Definition>, usize),
     Ok((definitions, reader.left()))
 }
 
-/// Reads a name and an id.
+/// Reads the name and id at the start of a definition.
 fn named(reader: &mut Reader) -> Result<Definition, Malformed> {
     let name = String::from_utf8_lossy(reader.text()?).into_owned();
     Ok(Definition { name, id: reader.i32()? })
 }
 
-/// Reads a rigid body before 4.1: name, id, parent, offset, and its markers with positions, labels and names.
+/// Reads a rigid body in a layout before 4.1: name, id, parent, offset, and its markers with positions, labels and
+/// names.
 fn rigid_body(reader: &mut Reader, layout: Layout) -> Result<Definition, Malformed> {
     let definition = named(reader)?;
     reader.skip(4, 4)?;
@@ -124,13 +126,13 @@ fn rigid_body(reader: &mut Reader, layout: Layout) -> Result<Definition, Malform
     Ok(definition)
 }
 
-/// Skips two kinds, and the names of channels.
+/// Skips the end of a force plate or device: two numbers of kinds of data, then the names of channels.
 fn channels(reader: &mut Reader) -> Result<(), Malformed> {
     reader.skip(2, 4)?;
     texts(reader)
 }
 
-/// Skips a number of texts.
+/// Skips a list of texts, which begins with their number.
 fn texts(reader: &mut Reader) -> Result<(), Malformed> {
     for _ in 0..reader.count()? {
         reader.text()?;

@@ -1,35 +1,35 @@
-//! Datagrams of NatNet: header, requests of a client, description of the server, and a reader of little-endian fields.
+//! NatNet datagrams: header, requests of a client, description of the server, and a reader of little-endian fields.
 //!
-//! Layouts and numbers as in the manufacturer's sample client for direct depacketization.
+//! Layouts and numbers are those of the manufacturer's sample client for direct depacketisation.
 
-/// Client asks for the server's description; in unicast it also subscribes to frames.
+/// Message number of a client's request for the server's description; in unicast it also subscribes to frames.
 pub const CONNECT: u16 = 0;
-/// Server's description.
+/// Message number of the server's description.
 pub const SERVER_INFO: u16 = 1;
-/// Client asks for model definitions.
+/// Message number of a client's request for model definitions.
 pub const REQUEST_MODEL: u16 = 4;
-/// Model definitions.
+/// Message number of model definitions.
 pub const MODEL: u16 = 5;
-/// Frame of motion capture data.
+/// Message number of a frame of motion capture data.
 pub const FRAME: u16 = 7;
-/// Client of a unicast server is still there.
+/// Message number by which a client of a unicast server keeps its subscription.
 pub const KEEP_ALIVE: u16 = 10;
 
-/// Bytes of a header: message number and length of the payload.
+/// Size of a header \[bytes\]: message number and length of the payload.
 const HEADER: usize = 4;
-/// Bytes of the name that a server or client begins its description with.
+/// Size of the name at the start of a server's or client's description \[bytes\].
 const NAME: usize = 256;
-/// Bytes of a client's payload of CONNECT: name, two versions, and five of options.
+/// Size of the payload of CONNECT \[bytes\]: name, two versions, and five bytes of options.
 const CONNECT_LENGTH: usize = 270;
-/// Place of the requested bitstream in that payload (the same sample).
+/// Offset of the requested bitstream in the payload of CONNECT \[bytes\] (the same sample).
 const BITSTREAM: usize = 265;
 
-/// Reason for which bytes are no message of NatNet.
+/// Error of bytes that are not a valid NatNet message: the reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Malformed(pub &'static str);
 
-/// The bytes end within a field.
+/// Error of bytes that end within a field.
 const TRUNCATED: Malformed = Malformed("a NatNet packet ends too early");
 
 /// Version of an application or of the bitstream: major and minor number.
@@ -47,44 +47,44 @@ impl std::fmt::Display for Version {
     }
 }
 
-/// Description of a server.
+/// Description that a server sends of itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServerInfo {
-    /// Name of the application.
+    /// Name of the server's application.
     pub name: String,
-    /// Its version.
+    /// Version of the application.
     pub version: Version,
-    /// Version of its NatNet. In unicast it may send an older bitstream on request.
+    /// NatNet version of the server. In unicast, the server may send an older bitstream on request.
     pub natnet: Version,
-    /// Whether it sends frames by multicast; none if it does not say.
+    /// Whether the server sends frames by multicast; `None` if the description does not include it.
     pub multicast: Option<bool>,
 }
 
-/// Reader of little-endian fields. Every method refuses bytes that end too early, and none panics.
+/// Reader of little-endian fields. Each method returns an error if the bytes end too early; none panics.
 #[derive(Clone, Copy, Debug)]
 pub struct Reader<'a> {
     rest: &'a [u8],
 }
 
 impl<'a> Reader<'a> {
-    /// Starts at the first byte.
+    /// Returns a reader at the first of these bytes.
     pub fn new(bytes: &'a [u8]) -> Reader<'a> {
         Reader { rest: bytes }
     }
 
-    /// Number of bytes that are left.
+    /// Number of bytes that are not yet read.
     pub fn left(&self) -> usize {
         self.rest.len()
     }
 
-    /// Takes the next bytes.
+    /// Reads the next `count` bytes.
     pub fn bytes(&mut self, count: usize) -> Result<&'a [u8], Malformed> {
         let (taken, rest) = self.rest.split_at_checked(count).ok_or(TRUNCATED)?;
         self.rest = rest;
         Ok(taken)
     }
 
-    /// Skips elements of a fixed size \[bytes\].
+    /// Skips `count` elements of `size` bytes each.
     pub fn skip(&mut self, count: usize, size: usize) -> Result<(), Malformed> {
         self.bytes(count.checked_mul(size).ok_or(TRUNCATED)?).map(|_| ())
     }
@@ -105,7 +105,7 @@ impl<'a> Reader<'a> {
         self.array().map(i32::from_le_bytes)
     }
 
-    /// Reads an i32 that counts something.
+    /// Reads an i32 that is a count. A negative one is an error.
     pub fn count(&mut self) -> Result<usize, Malformed> {
         usize::try_from(self.i32()?).map_err(|_| Malformed("a count in a NatNet packet is negative"))
     }
@@ -120,7 +120,7 @@ impl<'a> Reader<'a> {
         self.array().map(f64::from_le_bytes)
     }
 
-    /// Reads some f32 and widens them.
+    /// Reads N values of type f32 as f64.
     pub fn vector<const N: usize>(&mut self) -> Result<[f64; N], Malformed> {
         let mut vector = [0.0; N];
         for number in &mut vector {
@@ -129,7 +129,7 @@ impl<'a> Reader<'a> {
         Ok(vector)
     }
 
-    /// Reads a text that ends with a zero byte, without it.
+    /// Reads a text that ends with a zero byte. Returns the bytes before the zero byte.
     pub fn text(&mut self) -> Result<&'a [u8], Malformed> {
         let end = self.rest.iter().position(|byte| *byte == 0).ok_or(TRUNCATED)?;
         let text = self.bytes(end)?;
@@ -146,25 +146,25 @@ pub fn split(datagram: &[u8]) -> Result<(u16, &[u8]), Malformed> {
     Ok((message, reader.bytes(length)?))
 }
 
-/// Reads the payload of a server's description.
+/// Decodes the payload of a server's description.
 pub fn server_info(payload: &[u8]) -> Result<ServerInfo, Malformed> {
     let mut reader = Reader::new(payload);
     let name = reader.bytes(NAME)?.split(|byte| *byte == 0).next().unwrap_or_default();
     let [version, natnet] = [reader.array::<4>()?, reader.array()?].map(|[major, minor, ..]| Version { major, minor });
-    // Since 3.0: frequency of its clock (u64), data port (u16), whether it sends by multicast (u8), group.
+    // Fields since 3.0: clock frequency (u64), data port (u16), whether frames are sent by multicast (u8), group.
     let connection = reader.skip(1, 10).and_then(|()| reader.array::<1>());
     let name = String::from_utf8_lossy(name).into_owned();
     Ok(ServerInfo { name, version, natnet, multicast: connection.ok().map(|[byte]| byte != 0) })
 }
 
-/// Makes a request without a payload.
+/// Returns the datagram of a request without a payload.
 pub fn request(message: u16) -> Vec<u8> {
     let mut datagram = message.to_le_bytes().to_vec();
     datagram.extend(0u16.to_le_bytes());
     datagram
 }
 
-/// Makes a CONNECT that asks for a bitstream. A server honours it in unicast only.
+/// Returns the datagram of a CONNECT that asks for a bitstream. Servers use the requested bitstream in unicast only.
 pub fn connect(bitstream: Version) -> Vec<u8> {
     let mut datagram = CONNECT.to_le_bytes().to_vec();
     datagram.extend((CONNECT_LENGTH as u16).to_le_bytes());

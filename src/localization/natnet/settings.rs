@@ -10,91 +10,92 @@ use serde::Deserialize;
 use super::Alignment;
 use super::body::Limits;
 
-/// Multicast group of Motive by default (its manual).
+/// Default multicast group of Motive (its manual).
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 42, 99);
-/// Port of frames by default (its manual).
+/// Default UDP port of frames in Motive (its manual).
 const DATA_PORT: u16 = 1511;
-/// Port of commands by default (its manual).
+/// Default UDP port of commands in Motive (its manual).
 const COMMAND_PORT: u16 = 1510;
 
-/// Axis that points up in the tracker.
+/// Vertical axis of the tracker's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Up {
-    /// The y axis: (x, y, z) of the tracker is (x, -z, y) of the team.
+    /// The y axis points up: (x, y, z) of the tracker is (x, -z, y) before the rotation to the team's frame.
     Y,
-    /// The z axis.
+    /// The z axis points up.
     Z,
 }
 
-/// Transmission of frames.
+/// Method by which the server sends frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Transmission {
-    /// To a multicast group.
+    /// Frames are sent to a multicast group.
     Multicast,
-    /// To each client that asks for it.
+    /// Frames are sent to each client that requests them.
     Unicast,
 }
 
-/// Name of a rigid body in the tracker.
+/// Reference to a rigid body of the tracker.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BodyName {
-    /// Its name, which model definitions turn into its streaming ID.
+    /// Name of the body in the tracker. Model definitions give its streaming ID.
     Name(String),
-    /// Its streaming ID.
+    /// Streaming ID of the body.
     Id(i32),
 }
 
-/// Addresses of the server and of its frames.
+/// Network addresses of the tracker's server and of its frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Network {
-    /// Address of the server. Datagrams of others are ignored.
+    /// Address of the server. Datagrams from other addresses are ignored.
     pub server: Ipv4Addr,
-    /// Name of the network interface on which the server's data arrive, such as `eth0`. `None` for the interface of the
-    /// operating system's route to the server.
+    /// Name of the network interface on which the server's data arrive, such as `eth0`. `None` selects the interface of
+    /// the operating system's route to the server.
     pub interface: Option<String>,
-    /// Transmission of frames.
+    /// Method by which the server sends frames.
     pub transmission: Transmission,
-    /// Multicast group.
+    /// Multicast group of the frames.
     pub group: Ipv4Addr,
-    /// Port of frames, for multicast.
+    /// UDP port of the frames; used for multicast only.
     pub data_port: u16,
-    /// Port of commands at the server.
+    /// UDP port of the server for commands.
     pub command_port: u16,
 }
 
-/// Table of the team file.
+/// Table of the source in a team file.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Fields {
     /// IPv4 address of the computer that runs the tracker's server.
     server: Option<Ipv4Addr>,
-    /// Name of this machine's interface to the tracker, for multicast; none: that of the way to the server.
+    /// Name of this machine's network interface to the tracker, for multicast; if left out, that of the route to the
+    /// server.
     interface: Option<String>,
-    /// How the server sends frames, as in its streaming settings.
+    /// Method by which the server sends frames, as in its streaming settings.
     transmission: Transmission,
-    /// Multicast group of frames.
+    /// Multicast group of the frames.
     group: Ipv4Addr,
-    /// UDP port of frames.
+    /// UDP port of the frames, for multicast.
     data_port: u16,
-    /// UDP port of commands.
+    /// UDP port of the server for commands.
     command_port: u16,
-    /// Axis that points up, as in the server's streaming settings.
+    /// Vertical axis, as in the server's streaming settings.
     up: Up,
-    /// Direction of the tracker's x axis in the team's frame \[rad\], counter-clockwise.
+    /// Direction of the tracker's x axis in the team's frame \[rad\], counter-clockwise from the team's x axis.
     yaw_rad: f64,
     /// Position of the tracker's origin in the team's frame \[m\].
     origin_m: [f64; 2],
-    /// Rigid body of each robot: its name or its streaming ID. A robot that is not named has the body `robot-N`.
+    /// Rigid body of each robot: its name or its streaming ID. A robot without an entry has the body `robot-N`.
     bodies: toml::Table,
-    /// Largest speed of a robot \[m/s\]. A body that is faster has jumped, and is refused.
+    /// Largest speed of a robot \[m/s\]. A pose that would need a higher speed is refused as a jump.
     speed_most_m_s: f64,
     /// Time for which a body has to stay at a new place before it is accepted there \[s\].
     settle_s: f64,
-    /// Window of the velocity \[s\]: mean velocity over it, so half of it late.
+    /// Length of the window whose mean velocity is reported \[s\]. The mean lags the true velocity by half the window.
     velocity_window_s: f64,
-    /// Highest rate of readings of a robot \[Hz\].
+    /// Highest rate of readings for each robot \[Hz\].
     rate_hz: f64,
 }
 
@@ -111,34 +112,34 @@ impl Default for Fields {
             yaw_rad: 0.0,
             origin_m: [0.0; 2],
             bodies: toml::Table::new(),
-            // Twice the policies' 0.9 m/s; an EP does 3.5 m/s.
+            // Twice the top speed of the policies, 0.9 m/s. A RoboMaster EP reaches 3.5 m/s.
             speed_most_m_s: 2.0,
             settle_s: 1.0,
-            // Noise of 0.2 mm becomes 6 mm/s, 25 ms late.
+            // Position noise of 0.2 mm gives a velocity noise of 6 mm/s, at a lag of 25 ms.
             velocity_window_s: 0.05,
-            // Twice the rate of the policies is enough of a tracker at 100 Hz and more.
+            // Twice the rate of the policies; trackers send at 100 Hz or more.
             rate_hz: 50.0,
         }
     }
 }
 
-/// Settings, checked.
+/// Checked settings of the source.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Addresses.
+    /// Network addresses of the server and of its frames.
     pub network: Network,
-    /// Place of the tracker's frame in the team's.
+    /// Position and rotation of the tracker's frame in the team's frame.
     pub alignment: Alignment,
-    /// Robots in order, each with the name of its body.
+    /// Robots by ascending number, each with its rigid body.
     pub bodies: Vec<(RobotId, BodyName)>,
-    /// Limits of a body's motion.
+    /// Limits on the motion of a body.
     pub limits: Limits,
-    /// Shortest mean period of readings \[s\].
+    /// Shortest mean period of a robot's readings \[s\].
     pub period_s: f64,
 }
 
 impl Config {
-    /// Reads and checks the settings for some robots.
+    /// Reads and checks the settings for these robots. An error names the wrong setting.
     pub fn read(settings: &Settings, robots: &[RobotId]) -> Result<Config, ConfigError> {
         let fields: Fields = settings.read()?;
         let server = fields.server.ok_or_else(|| {
@@ -194,7 +195,7 @@ impl Config {
     }
 }
 
-/// Returns the robots in order, each with the name of its body.
+/// Returns the robots by ascending number, each with its rigid body.
 fn bodies(table: &toml::Table, robots: &[RobotId]) -> Result<Vec<(RobotId, BodyName)>, ConfigError> {
     let mut all: Vec<(RobotId, BodyName)> = Vec::new();
     for robot in robots {

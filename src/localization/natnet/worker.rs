@@ -1,4 +1,4 @@
-//! Worker of the source `natnet`: sockets for frames and commands. It passes the server's datagrams on as they are.
+//! Worker of the source `natnet`: sockets for frames and commands. It passes the server's datagrams on unchanged.
 
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
@@ -17,38 +17,38 @@ use super::client::{Client, Event};
 use super::packet::Version;
 use super::settings::{Network, Transmission};
 
-/// Longest wait for a datagram \[ms\]: how long the end of the host goes unnoticed.
+/// Longest wait for a datagram \[ms\], and so the longest delay until the worker notices the end of the host.
 const WAIT_MS: u16 = 50;
-/// Pause after an error of a socket, in waits: a second.
+/// Pause after an error of a socket, as a number of waits: 1 s in total.
 const PAUSE: u32 = 20;
-/// Oldest bitstream that is decoded.
+/// Oldest bitstream that the source decodes.
 const OLDEST: Version = Version { major: 3, minor: 0 };
-/// Time after which the sockets to a silent server are opened anew.
+/// Time of silence after which the sockets are closed and opened again.
 const REOPEN: Span = Span::from_millis(5000);
-/// Most datagrams that are read at once.
+/// Largest number of datagrams read from a socket at once.
 const BURST: usize = 64;
-/// Largest datagram \[bytes\].
+/// Size of the receive buffer \[bytes\], that of the largest datagram.
 const LARGEST: usize = 1 << 16;
 
-/// Worker of the source.
+/// Worker of the source `natnet`.
 pub struct Listener {
-    /// Addresses of the server.
+    /// Network addresses of the server and of its frames.
     pub config: Network,
 }
 
-/// Sockets of a client.
+/// Open sockets of the worker.
 struct Sockets {
-    /// For requests and their answers; in unicast also for frames.
+    /// Socket for requests and answers; in unicast also for frames.
     command: UdpSocket,
-    /// For frames by multicast.
+    /// Socket for multicast frames; `None` in unicast.
     data: Option<UdpSocket>,
 }
 
-/// State that outlives the sockets.
+/// State that is kept when the sockets are opened again.
 struct State {
     begun: Instant,
     client: Client,
-    /// Number of errors of sockets.
+    /// Number of socket errors so far.
     failures: u64,
 }
 
@@ -78,7 +78,7 @@ impl Listener {
         let bind = |address: SocketAddrV4| {
             let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
             socket.set_nonblocking(true)?;
-            // Several hosts on one machine listen to the group.
+            // Several hosts on one machine can receive the group's frames.
             socket.set_reuse_address(true)?;
             socket.bind(&address.into())?;
             Ok::<_, io::Error>(socket)
@@ -95,7 +95,7 @@ impl Listener {
         Ok(Sockets { command: command.into(), data })
     }
 
-    /// Finds the interface on which to join the group.
+    /// Returns the network interface on which to join the multicast group.
     fn interface(&self) -> io::Result<InterfaceIndexOrAddress> {
         if let Some(name) = &self.config.interface {
             return Ok(InterfaceIndexOrAddress::Index(if_nametoindex(name.as_str())?));
@@ -108,8 +108,8 @@ impl Listener {
         }
     }
 
-    /// Listens until the host ends, or until the server was silent for so long that the sockets are opened anew: a
-    /// network interface that was removed and is back has left the group.
+    /// Receives until the host ends, or until the server has been silent for so long that the sockets must be opened
+    /// again: a network interface that was removed and added again has left the multicast group.
     fn listen(&self, sockets: &Sockets, state: &mut State, sender: &PacketSender) -> io::Result<()> {
         let opened = state.now();
         let to = SocketAddrV4::new(self.config.server, self.config.command_port);
@@ -117,7 +117,7 @@ impl Listener {
         let is_stale = |state: &State| state.client.is_silent() && state.now().since(opened) >= REOPEN;
         while !sender.is_closed() && !is_stale(state) {
             for request in state.client.requests(state.now()) {
-                // Frames may arrive all the same.
+                // Continues after an error, because frames may still arrive.
                 if let Err(error) = sockets.command.send_to(&request, to) {
                     self.fail(state, &error);
                 }
@@ -142,7 +142,7 @@ impl Listener {
         Ok(())
     }
 
-    /// Receives a datagram of the server, and skips those of other senders; none if there is none now.
+    /// Receives the next datagram of the server and skips those of other senders; `None` if none is waiting.
     fn receive(&self, socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<Option<Box<[u8]>>> {
         for _ in 0..BURST {
             match socket.recv_from(buffer) {
@@ -156,7 +156,7 @@ impl Listener {
         Ok(None)
     }
 
-    /// Logs the errors 1, 2, 4, 8, ...
+    /// Counts an error and logs the errors 1, 2, 4, 8, ...
     fn fail(&self, state: &mut State, error: &io::Error) {
         state.failures += 1;
         if state.failures.is_power_of_two() {
