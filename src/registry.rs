@@ -1,6 +1,6 @@
-//! Registry of named parts, as a value. The command line, team files, trials and trainings look names up in the
-//! registry that they are given. So a program with a scenario, a plant or a policy of its own has all commands of this
-//! crate's program.
+//! Registry of named parts, such as scenarios and policies. The command line, team files, trials and trainings look up
+//! names in the registry that the caller passes in. So a program that adds its own scenario, plant or policy has all
+//! commands of this crate's program.
 //!
 //! ```
 //! use murmurate::policy::{self, Model};
@@ -37,11 +37,11 @@ pub struct Registry {
     transports: Vec<transport::Entry>,
 }
 
-/// Error for a name that is not in the registry; the text lists the names that are.
+/// Error for a name that is not in the registry. Its text lists the names in the registry.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is no {kind} '{name}'; there are: {known}")]
 pub struct Unknown {
-    /// Kind of the part that was looked for, such as `plant` or `driver`.
+    /// Kind of the missing part, such as `plant` or `driver`.
     pub kind: &'static str,
     /// The name that is not in the registry.
     pub name: String,
@@ -49,9 +49,9 @@ pub struct Unknown {
     pub known: String,
 }
 
-/// Entry of a registry.
+/// Entry of a registry for one kind of part.
 trait Entry {
-    /// Kind of part, in the singular.
+    /// Name of the kind of part, in the singular.
     const KIND: &'static str;
     fn name(&self) -> &'static str;
 }
@@ -77,7 +77,10 @@ entries! {
     transport::Entry, "transport";
 }
 
-/// Adds an entry. Panics if its name is taken.
+/// Adds an entry.
+///
+/// # Panics
+/// If the name of the entry is already in the registry.
 fn add<E: Entry>(entries: &mut Vec<E>, entry: E) {
     assert!(entries.iter().all(|other| other.name() != entry.name()), "a second {} '{}'", E::KIND, entry.name());
     entries.push(entry);
@@ -248,16 +251,18 @@ impl Registry {
         (entry.make)(&settings, robot).map_err(|error| error.within("driver"))
     }
 
-    /// Makes the parts of a source of readings, such as a tracker: its state machine and the worker that will speak
-    /// with the device; nothing is opened yet. `settings` are those of the source in a deployment, `robots` the real
-    /// robots that the source localizes. The error names the wrong field from `source` on, such as `source.address`.
+    /// Makes the parts of a source of readings, such as a tracker: its state machine, and the worker that will
+    /// communicate with the device. No device is opened yet. `settings` are those of the source in a deployment;
+    /// `robots` are the real robots that the source localizes. The error names the wrong field from `source` on, such
+    /// as `source.address`.
     pub fn source(&self, settings: &Settings, robots: &[RobotId]) -> Result<localization::Parts, ConfigError> {
         let entry =
             find(&self.sources, &settings.name).map_err(|e| ConfigError::field("source.name", e.to_string()))?;
         localization::fusion::make(settings, robots, entry.make).map_err(|error| error.within("source"))
     }
 
-    /// The policy called `name`; `None` if the registry has none, and then the name may be the path of a policy file.
+    /// Returns the policy called `name`. `None` if the registry does not have it; the name may then be the path of a
+    /// policy file.
     pub fn policy(&self, name: &str) -> Option<&policy::Entry> {
         find(&self.policies, name).ok()
     }

@@ -1,6 +1,8 @@
-//! A user's program as a worker: it reads packets from stdin and writes packets to stdout, one a line.
+//! Worker that runs a user's program: the program reads packets from stdin and writes packets to stdout, one packet a
+//! line.
 //!
-//! So a driver or a source can be written in any language. Its stderr is this program's own.
+//! So a driver or a source of readings can be written in any language. The program writes its stderr to that of this
+//! process.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
@@ -8,7 +10,7 @@ use std::thread;
 
 use super::{Packet, PacketSender, Port, Worker};
 
-/// Longest line that is taken \[bytes\]; a longer one is cut, and so refused by its reader.
+/// Longest line of the program's output \[bytes\]. A longer line is split, so its reader refuses the parts.
 const LONGEST: u64 = 4096;
 
 /// Worker that runs a user's program and exchanges packets with it, one a line, over stdin and stdout.
@@ -39,14 +41,14 @@ impl Worker for Program {
                 break;
             }
         }
-        // The end of its input tells it to end.
+        // The program has to end when its stdin is closed.
         drop(stdin);
         end(&mut child, program);
         let _ = reader.join();
     }
 }
 
-/// Passes lines on until the program closes its stdout.
+/// Passes lines on as packets until the program closes its stdout.
 fn read(stdout: impl Read, sender: &PacketSender) {
     let mut stdout = BufReader::new(stdout);
     loop {
@@ -58,7 +60,7 @@ fn read(stdout: impl Read, sender: &PacketSender) {
     }
 }
 
-/// Waits a moment for a program that has been told to end, then kills it.
+/// Waits up to 0.5 s for the program to end, then kills it.
 fn end(child: &mut Child, program: &str) {
     let waited = (0..100).find_map(|_| {
         thread::park_timeout(std::time::Duration::from_millis(5));

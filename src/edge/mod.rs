@@ -1,9 +1,9 @@
-//! Channels between the thread that drives a robot and the threads that do its I/O: one bounded channel for each
-//! worker.
+//! Channels between the control thread, which drives a robot, and the workers, which are threads that do its I/O: one
+//! bounded channel for each worker.
 //!
-//! The control thread has the [`Gate`], the worker the [`Port`]. Each direction holds `ROOM` packets; further ones are
-//! dropped and counted, and no thread blocks. A packet is a plain value as bytes, so input can be recorded and replayed
-//! like a datagram. Every packet of a worker signals a descriptor, which the driver of real time watches.
+//! The control thread has the [`Gate`], the worker the [`Port`]. Each direction holds up to `ROOM` packets. Further
+//! ones are dropped and counted, so no thread blocks on sending. A packet is plain bytes, so input can be recorded and
+//! replayed like a datagram. Every packet of a worker signals a descriptor, which the real-time event loop watches.
 
 pub mod child;
 mod settings;
@@ -22,25 +22,24 @@ use crate::config::ConfigError;
 /// One message between the control thread and a worker (I/O thread), as bytes.
 pub type Packet = Box<[u8]>;
 
-/// Largest number of waiting packets in each direction of a channel: three seconds of a robot that gets 20 packets a
-/// second.
+/// Largest number of waiting packets in each direction of a channel: those of three seconds for a robot that gets 20
+/// packets a second.
 pub const ROOM: usize = 64;
 
-/// I/O of a driver or a source of readings. It runs on a thread of its own, and may start an asynchronous runtime
-/// there.
+/// I/O of a driver or of a source of readings. It runs on its own thread, where it may start an asynchronous runtime.
 pub trait Worker: Send {
-    /// Checks that this machine has all that the worker needs, such as a program file; called before the worker is
-    /// started. A team file may be valid on hosts where this check would fail.
+    /// Checks that this machine has what the worker needs, such as a program file. It is called before the worker is
+    /// started. It is not part of the check of a team file, which may be valid although this host lacks something.
     fn check(&self) -> Result<(), ConfigError> {
         Ok(())
     }
 
-    /// Runs the worker until `port` is closed. Then the worker has a second to end, and a driver must make its robot
-    /// stand.
+    /// Runs the worker until `port` is closed. Then the worker has one second to end, in which a driver must stop its
+    /// robot.
     fn run(self: Box<Self>, port: Port);
 
-    /// Resource that only one robot of the host may use, in words, such as a robot's network address. `None` if the
-    /// worker needs no such resource.
+    /// Description of a resource that only one robot of the host may use, such as a robot's network address. `None` if
+    /// the worker needs no such resource.
     fn claim(&self) -> Option<String> {
         None
     }
@@ -51,11 +50,11 @@ pub trait Worker: Send {
 pub struct Port {
     rx: mpsc::Receiver<Packet>,
     sender: PacketSender,
-    /// Dropped last, so that the control thread then finds that the worker has ended.
+    /// Dropped last, so that the control thread finds the channel closed when it is signalled.
     _end: SignalOnDrop,
 }
 
-/// Signals the control thread when it is dropped, at the worker's end.
+/// Guard object that signals the control thread when it is dropped, at the end of the worker.
 #[derive(Debug)]
 struct SignalOnDrop(Arc<EventFd>);
 
@@ -85,17 +84,19 @@ pub enum WorkerState {
 /// Control thread's end of the channel between the control thread and a worker (I/O thread).
 #[derive(Debug)]
 pub struct Gate {
-    /// Dropped first: then the worker finds its sender closed.
+    /// Dropped first, so that the worker finds its sender closed.
     rx: mpsc::Receiver<Packet>,
     tx: mpsc::Sender<Packet>,
     event_fd: Arc<EventFd>,
-    /// Packets to the worker that were dropped.
+    /// Number of dropped packets to the worker.
     refused: u64,
     dropped: Arc<AtomicU64>,
 }
 
-/// Makes a channel between the control thread and a worker (I/O thread), and returns both ends. The call fails if the
-/// machine has no file descriptor left.
+/// Makes a channel between the control thread and a worker (I/O thread), and returns both ends.
+///
+/// # Errors
+/// If the operating system has no file descriptor left.
 pub fn channel() -> std::io::Result<(Gate, Port)> {
     let (control_tx, worker_rx) = mpsc::channel(ROOM);
     let (worker_tx, control_rx) = mpsc::channel(ROOM);
@@ -165,7 +166,7 @@ impl Gate {
     /// Calls `each` with the waiting packets of the worker, at most `ROOM` of them, and returns whether the worker
     /// still runs. The bound keeps a worker that never stops from delaying other actors.
     pub fn take(&mut self, mut each: impl FnMut(Packet)) -> WorkerState {
-        // Read before the packets are taken: one that arrives meanwhile signals again.
+        // Read before the packets are taken, so that a packet that arrives meanwhile signals again.
         let _ = self.event_fd.read();
         for _ in 0..ROOM {
             match self.rx.try_recv() {

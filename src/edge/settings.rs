@@ -17,7 +17,7 @@ pub struct Settings {
     pub table: toml::Table,
 }
 
-/// Name of the table with settings of single robots.
+/// Name of the sub-table with the settings of single robots.
 const BY_ROBOT: &str = "robot";
 
 impl Settings {

@@ -3,17 +3,17 @@
 //! ```toml
 //! [[actor]]
 //! actor = "controller"     # cache, agent, controller, body, world, state-server, network
-//! robot = 2                # whose; a robot's agent is the one that hosts it
+//! robot = 2                # robot of the actor; for an agent, a robot whose policy it runs
 //! fault = "crash"          # crash, stall, mute, slow
-//! at_s = 3.0               # since the trial began, or since that of:
-//! episode = 5              # counted from 0; may be left out
-//! for_s = 1.5
+//! at_s = 3.0               # start, from the start of the trial, or from the start of:
+//! episode = 5              # an episode, counted from 0; may be left out
+//! for_s = 1.5              # duration
 //!
 //! [[link]]
 //! link = "ad-hoc"
 //! fault = "drop"           # drop, delay, duplicate, reorder, corrupt, partition
-//! share = 0.5              # of the frames
-//! from_s = 2.0
+//! share = 0.5              # fraction of the frames that are affected
+//! from_s = 2.0             # times as at_s
 //! until_s = 6.0
 //! ```
 
@@ -25,7 +25,7 @@ use crate::messages::ids::{HostId, RobotId};
 use crate::messages::wire::Kind;
 use crate::time::{Span, Time};
 
-/// Latest time and longest delay that a plan may contain \[s\].
+/// Latest time that a plan may contain \[s\], and below it the longest delay \[s\].
 const LATEST_S: f64 = 1e6;
 const LONGEST_DELAY_S: f64 = 10.0;
 
@@ -77,8 +77,8 @@ fn all_frames() -> f64 {
 }
 
 impl FaultPlan {
-    /// Reads a fault plan from TOML; an error names the wrong field. Whether the robots, hosts and links exist in a
-    /// team is not checked here: `check` does that.
+    /// Reads a fault plan from TOML. An error names the wrong field. Whether the team has the robots, hosts and links
+    /// of the plan is checked by `check`, not here.
     pub fn from_toml(text: &str) -> Result<FaultPlan, ConfigError> {
         let file: PlanFile = config::from_toml(text)?;
         let actors = file.actor.into_iter().enumerate().map(|(i, entry)| entry.checked(i));
@@ -86,7 +86,7 @@ impl FaultPlan {
         Ok(FaultPlan { actors: actors.collect::<Result<_, _>>()?, links: links.collect::<Result<_, _>>()? })
     }
 
-    /// Returns the plan as TOML text, which `from_toml` reads.
+    /// Returns the plan as TOML text that `from_toml` can read.
     pub fn to_toml(&self) -> String {
         let actor = |fault: &ActorFault| ActorEntry {
             actor: fault.role,

@@ -1,7 +1,7 @@
 //! Fault plans: faults of actors and of links to inject in a trial, with their times.
 //!
-//! A plan is read from TOML (`file`) or drawn from a seed. A plan is data only: the Shell, which runs the actors,
-//! injects their faults, and the link emulator injects those of links.
+//! A plan is read from TOML (`file`) or drawn from a seed. The plan is data only. The Shell, which runs the actors,
+//! injects the faults of actors, and the link emulator injects the faults of links.
 
 mod file;
 
@@ -20,7 +20,7 @@ use crate::time::{Span, Time};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// Cache of a robot: the actor that holds its readings and its neighbours' messages.
+    /// The Cache of a robot, the actor that holds the robot's readings and its neighbours' messages.
     Cache,
     /// Agent that runs a robot's policy; one Agent may run the policies of several robots.
     Agent,
@@ -30,7 +30,7 @@ pub enum Role {
     Body,
     /// World in which a robot moves: the actor that simulates it.
     World,
-    /// StateServer, the one actor of a team that leads the episodes.
+    /// The StateServer, the actor that starts and ends a team's episodes; there is one per team.
     StateServer,
     /// Network actor, which sends and receives messages, of the host that runs a robot's Agent.
     Network,
@@ -176,12 +176,12 @@ pub struct FaultPlan {
     pub links: Vec<LinkFault>,
 }
 
-/// The name of an enum's variant, as in a plan's file.
+/// Returns the name of an enum's variant as in a plan's file.
 fn word(value: &impl Serialize) -> String {
     serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
-/// Roles and kinds of faults in a drawn plan.
+/// Roles and kinds of faults from which a plan is drawn.
 const ROLES: [Role; 5] = [Role::Cache, Role::Agent, Role::Controller, Role::Body, Role::StateServer];
 const ACTOR_FAULTS: [ActorFaultKind; 4] =
     [ActorFaultKind::Crash, ActorFaultKind::Stall, ActorFaultKind::Mute, ActorFaultKind::Slow];
@@ -194,9 +194,9 @@ const LINK_FAULTS: [LinkFaultKind; 6] = [
     LinkFaultKind::Partition,
 ];
 impl FaultPlan {
-    /// Draws a plan from `seed` for a team with `targets`: about one fault per ten seconds until `horizon`, at least
-    /// one. Each fault lasts at most three seconds. On average two of three are faults of actors and the others of
-    /// links; without links, all are of actors.
+    /// Draws a plan from `seed` for a team with `targets`: about one fault per ten seconds until `horizon`, and at
+    /// least one. Each fault lasts at most three seconds. On average, two of three faults are of actors and the others
+    /// of links; without links, all are of actors.
     pub fn random(seed: u64, targets: &Targets, horizon: Span) -> FaultPlan {
         let mut stream = Seed::of_run(seed).stream("fault-plan");
         let count = (horizon.as_secs() / 10.0).round().max(1.0) as usize;
