@@ -1,4 +1,5 @@
-//! What a record costs the thread that drives a robot: one event and one turn, 500 times a second, beside a writer.
+//! Cost of recording for the thread that drives a robot: the times to queue one event and one turn, 500 times a second,
+//! while another thread writes the file.
 //!
 //! `cargo bench --bench record` takes five seconds; as a test it takes a tenth of one.
 

@@ -117,11 +117,11 @@ impl Sightings {
         self.lapsed |= now.since(known.since) > SIGHT;
         (known.since, self.at) = (now, now);
         self.here += usize::from(known.here.replace(Spot { centre, point: position }).is_none());
-        // Whoever was seen a second time is alone in its step, and a team of one is never seen a second time.
+        // A robot that is seen again begins a new step alone. In a team of one, every step is complete at once.
         over.or_else(|| if self.here == self.team.len() { self.close() } else { None })
     }
 
-    /// Ends a step that somebody was seen in.
+    /// Ends the current step and returns it. At least one robot was seen in it.
     fn close(&mut self) -> Option<Sighting> {
         let lapsed = self.lapsed(self.at);
         self.here = 0;
@@ -138,7 +138,7 @@ impl Known {
         let Some((arrived, stamp_ns, position)) = self.newest else { return true };
         match reading.stamp_ns.cmp(&stamp_ns) {
             Ordering::Greater => true,
-            // The same measurement, said again, shows nobody where the robot is.
+            // A repeated measurement has no new information about the robot's position.
             Ordering::Equal => reading.pose.position != position,
             Ordering::Less => now.since(arrived) > SIGHT,
         }
